@@ -1,0 +1,1 @@
+//! From file units to the types of the channel.

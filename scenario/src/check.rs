@@ -1,0 +1,165 @@
+//! Every value of a scenario against its domain, and against the other values.
+
+use std::ops::RangeInclusive;
+
+use crate::{ChannelMode, MinRate, Scenario, ScenarioError};
+
+/// Most users that a room may hold; the contract's limit.
+pub const USERS_MAX: usize = 64;
+/// Most mirrors that an array may have; the contract's limit.
+pub const MIRRORS_MAX: usize = 16_384;
+
+impl Scenario {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Invalid`] for the first value outside its domain.
+    pub(crate) fn check(&self) -> Result<(), ScenarioError> {
+        if self.name.is_empty() || self.name.len() > 64 {
+            return invalid("name", &self.name, "wanted 1 to 64 characters");
+        }
+        self.check_room()?;
+        self.check_optics()?;
+        self.check_people()?;
+        self.check_runtime()
+    }
+
+    fn check_room(&self) -> Result<(), ScenarioError> {
+        let room = &self.room;
+        within("room.length_x_m", room.length_x_m, 0.5..=200.0)?;
+        within("room.length_y_m", room.length_y_m, 0.5..=200.0)?;
+        within("room.height_m", room.height_m, 0.5..=50.0)?;
+        let channel = &self.channel;
+        within("channel.gain_scale", channel.gain_scale, 1e-6..=1e6)?;
+        if channel.mode != ChannelMode::PaperCalibrated && channel.gain_scale != 1.0 {
+            return invalid(
+                "channel.gain_scale",
+                channel.gain_scale,
+                "only channel.mode = \"paper-calibrated\" scales the gain; wanted 1",
+            );
+        }
+        within("led.power_w", self.led.power_w, 1e-6..=1e4)?;
+        within("led.half_power_semi_angle_deg", self.led.half_power_semi_angle_deg, 1.0..=89.0)?;
+        within("led.side_m", self.led.side_m, 0.0..=5.0)?;
+        count("led.points_per_side", self.led.points_per_side, 1..=64)?;
+        count("led.positions_m (panels)", self.led.positions_m.len(), 1..=64)?;
+        for position in &self.led.positions_m {
+            let inside = position[0].abs() <= room.length_x_m / 2.0
+                && position[1].abs() <= room.length_y_m / 2.0
+                && (self.receiver.height_m..=room.height_m).contains(&position[2]);
+            if !inside {
+                return invalid(
+                    "led.positions_m",
+                    format!("{position:?}"),
+                    "wanted a place inside the room, above the receivers",
+                );
+            }
+        }
+        Ok(())
+    }
+
+    fn check_optics(&self) -> Result<(), ScenarioError> {
+        let mirrors = &self.mirrors;
+        count("mirrors.rows", mirrors.rows, 1..=1024)?;
+        count("mirrors.columns", mirrors.columns, 1..=1024)?;
+        count("mirrors.rows x mirrors.columns", mirrors.rows * mirrors.columns, 1..=MIRRORS_MAX)?;
+        within("mirrors.width_m", mirrors.width_m, 1e-4..=5.0)?;
+        within("mirrors.height_m", mirrors.height_m, 1e-4..=5.0)?;
+        within("mirrors.gap_m", mirrors.gap_m, 0.0..=5.0)?;
+        within("mirrors.reflectivity", mirrors.reflectivity, 0.0..=1.0)?;
+        within("mirrors.centre_height_m", mirrors.centre_height_m, 0.0..=self.room.height_m)?;
+        let receiver = &self.receiver;
+        within("receiver.height_m", receiver.height_m, 0.0..=self.room.height_m)?;
+        within("receiver.area_mm2", receiver.area_mm2, 1e-4..=1e6)?;
+        within("receiver.responsivity_a_per_w", receiver.responsivity_a_per_w, 1e-3..=10.0)?;
+        within("receiver.fov_deg", receiver.fov_deg, 1.0..=90.0)?;
+        within("receiver.filter_gain", receiver.filter_gain, 0.0..=1.0)?;
+        within("receiver.concentrator_index", receiver.concentrator_index, 1.0..=4.0)?;
+        count("receiver.branches", receiver.branches.len(), 0..=32)?;
+        for branch in &receiver.branches {
+            within("receiver.branches.tilt_deg", branch.tilt_deg, 0.0..=180.0)?;
+            within("receiver.branches.azimuth_deg", branch.azimuth_deg, -360.0..=360.0)?;
+            within("receiver.branches.fov_deg", branch.fov_deg, 1.0..=90.0)?;
+        }
+        let noise = &self.noise;
+        within("noise.background_shot_a2_per_hz", noise.background_shot_a2_per_hz, 0.0..=1.0)?;
+        within("noise.thermal_a2_per_hz", noise.thermal_a2_per_hz, 0.0..=1.0)?;
+        within("noise.preamplifier_a2_per_hz", noise.preamplifier_a2_per_hz, 0.0..=1.0)?;
+        within("noise.variance_a2", noise.variance_a2.unwrap_or(1e-15), 1e-30..=1.0)?;
+        within("link.bandwidth_mhz", self.link.bandwidth_mhz, 1e-6..=1e6)
+    }
+
+    fn check_people(&self) -> Result<(), ScenarioError> {
+        let users = &self.users;
+        count("users.count", users.count, 1..=USERS_MAX)?;
+        within("users.speed_min_m_s", users.speed_min_m_s, 0.01..=50.0)?;
+        within("users.speed_max_m_s", users.speed_max_m_s, users.speed_min_m_s..=50.0)?;
+        match &users.min_rate_mbps {
+            MinRate::All(rate) => within("users.min_rate_mbps", *rate, 0.0..=1e6)?,
+            MinRate::Each(rates) => {
+                count("users.min_rate_mbps (entries)", rates.len(), users.count..=users.count)?;
+                rates.iter().try_for_each(|rate| within("users.min_rate_mbps", *rate, 0.0..=1e6))?;
+            }
+        }
+        let blockage = &self.blockage;
+        count("blockage.forced_users", blockage.forced_users, 0..=users.count)?;
+        within("blockage.body_radius_m", blockage.body_radius_m, 0.01..=2.0)?;
+        within("blockage.body_height_m", blockage.body_height_m, 0.0..=self.room.height_m)?;
+        within("blockage.body_offset_m", blockage.body_offset_m, 0.0..=2.0)?;
+        within("blockage.obstacle_radius_m", blockage.obstacle_radius_m, 0.01..=5.0)?;
+        within("blockage.obstacle_height_m", blockage.obstacle_height_m, 0.0..=self.room.height_m)?;
+        within("blockage.obstacle_min_distance_m", blockage.obstacle_min_distance_m, 0.0..=10.0)?;
+        // A type II hard-core process retains at most 1 / (pi d^2) points a square metre.
+        let densest = 1.0 / (std::f64::consts::PI * blockage.obstacle_min_distance_m.max(0.05).powi(2));
+        within("blockage.obstacles_per_m2", blockage.obstacles_per_m2, 0.0..=0.99 * densest)
+    }
+
+    fn check_runtime(&self) -> Result<(), ScenarioError> {
+        let actuator = &self.actuator;
+        within("actuator.natural_frequency_hz", actuator.natural_frequency_hz.unwrap_or(1.0), 0.0..=1e6)?;
+        within("actuator.damping_ratio", actuator.damping_ratio.unwrap_or(1.0), 0.0..=100.0)?;
+        within("actuator.low_pass_hz", actuator.low_pass_hz.unwrap_or(1.0), 0.0..=1e6)?;
+        within("actuator.slew_deg_per_s", actuator.slew_deg_per_s.unwrap_or(1.0), 0.0..=1e6)?;
+        within("actuator.range_deg", actuator.range_deg.unwrap_or(1.0), 0.01..=90.0)?;
+        count("actuator.resolution_bits", actuator.resolution_bits.unwrap_or(0) as usize, 0..=32)?;
+        within("actuator.delay_ms", actuator.delay_ms.unwrap_or(0.0), 0.0..=1e4)?;
+        within("actuator.jitter_deg", actuator.jitter_deg.unwrap_or(0.0), 0.0..=90.0)?;
+        within("actuator.offset_deg", actuator.offset_deg.unwrap_or(0.0), 0.0..=90.0)?;
+        within("actuator.drift_deg_per_sqrt_hour", actuator.drift_deg_per_sqrt_hour.unwrap_or(0.0), 0.0..=90.0)?;
+        let streams = &self.streams;
+        within("streams.positions.rate_hz", streams.positions.rate_hz, 0.01..=10_000.0)?;
+        within("streams.positions.latency_ms", streams.positions.latency_ms, 0.0..=10_000.0)?;
+        within("streams.positions.noise_m", streams.positions.noise_m, 0.0..=10.0)?;
+        within("streams.positions.velocity_noise_m_s", streams.positions.velocity_noise_m_s, 0.0..=10.0)?;
+        within("streams.channel.rate_hz", streams.channel.rate_hz, 0.01..=10_000.0)?;
+        within("streams.channel.latency_ms", streams.channel.latency_ms, 0.0..=10_000.0)?;
+        within("streams.channel.noise_relative", streams.channel.noise_relative, 0.0..=1.0)?;
+        within("streams.telemetry.rate_hz", streams.telemetry.rate_hz, 0.1..=10_000.0)?;
+        within("streams.obstacles.rate_hz", streams.obstacles.rate_hz, 0.0..=1000.0)?;
+        within("streams.truth.rate_hz", streams.truth.rate_hz, 0.1..=1000.0)?;
+        let control = &self.control;
+        within("control.validity_ms", control.validity_ms, 1.0..=60_000.0)?;
+        within("control.report_age_max_ms", control.report_age_max_ms, 1.0..=60_000.0)?;
+        within("control.source_timeout_ms", control.source_timeout_ms, 10.0..=600_000.0)?;
+        within("control.range_deg", control.range_deg, 0.01..=90.0)?;
+        within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)
+    }
+}
+
+fn within(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), ScenarioError> {
+    if domain.contains(&value) {
+        return Ok(());
+    }
+    invalid(key, value, &format!("wanted a number from {} to {}", domain.start(), domain.end()))
+}
+
+fn count(key: &str, value: usize, domain: RangeInclusive<usize>) -> Result<(), ScenarioError> {
+    if domain.contains(&value) {
+        return Ok(());
+    }
+    invalid(key, value, &format!("wanted a whole number from {} to {}", domain.start(), domain.end()))
+}
+
+pub(crate) fn invalid(key: &str, value: impl ToString, wanted: &str) -> Result<(), ScenarioError> {
+    Err(ScenarioError::Invalid { key: key.into(), value: value.to_string(), wanted: wanted.into(), line: None })
+}

@@ -1,0 +1,348 @@
+//! The tables of a scenario file, as they stand in the file: degrees, milliseconds and megabits, with the unit in each key.
+//!
+//! Every table refuses keys it does not know. A key that is left out takes the value of the built-in `specular` scenario.
+
+use serde::{Deserialize, Serialize};
+
+/// The room: a box, its origin at the centre of the floor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Room {
+    /// Extent along x in m.
+    pub length_x_m: f64,
+    /// Extent along y in m.
+    pub length_y_m: f64,
+    /// Floor to ceiling in m.
+    pub height_m: f64,
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        Self { length_x_m: 5.0, length_y_m: 5.0, height_m: 3.0 }
+    }
+}
+
+/// How the light of a mirror is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ChannelMode {
+    /// The law of reflection: for real hardware.
+    Specular,
+    /// Equations (2) and (3) as printed: for comparison with the paper.
+    Paper,
+    /// `paper` with an explicit, unphysical gain scale: lands on the paper's quoted rates.
+    PaperCalibrated,
+}
+
+impl ChannelMode {
+    /// The name in scenario files, actor metadata and file names.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Specular => "specular",
+            Self::Paper => "paper",
+            Self::PaperCalibrated => "paper-calibrated",
+        }
+    }
+}
+
+/// How transmitted power enters equation (6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PowerLaw {
+    /// P, as printed.
+    Linear,
+    /// P squared, as squared photocurrent gives.
+    Squared,
+}
+
+/// The channel mode and how its equations are read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Channel {
+    /// Which mirror gain.
+    pub mode: ChannelMode,
+    /// Read the symbols of equations (2) and (3) literally; no effect in `specular`.
+    pub literal: bool,
+    /// Factor on the mirror gain in `paper-calibrated`; must be 1 elsewhere.
+    pub gain_scale: f64,
+    /// P or P squared in equation (6).
+    pub power_law: PowerLaw,
+}
+
+impl Default for Channel {
+    fn default() -> Self {
+        Self { mode: ChannelMode::Specular, literal: false, gain_scale: 1.0, power_law: PowerLaw::Linear }
+    }
+}
+
+/// The access points on the ceiling.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Led {
+    /// Optical power in W.
+    pub power_w: f64,
+    /// Half-power semi-angle in degrees; 60 degrees is Lambertian order 1.
+    pub half_power_semi_angle_deg: f64,
+    /// Side of the square panel in m; 0 is a point.
+    pub side_m: f64,
+    /// The panel is averaged over this many points along each side.
+    pub points_per_side: usize,
+    /// Position of each panel's centre in m.
+    pub positions_m: Vec<[f64; 3]>,
+}
+
+impl Default for Led {
+    fn default() -> Self {
+        Self {
+            power_w: 2.0,
+            half_power_semi_angle_deg: 60.0,
+            side_m: 0.1,
+            points_per_side: 5,
+            positions_m: vec![[0.0, 0.0, 3.0]],
+        }
+    }
+}
+
+/// The wall that carries the mirrors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Wall {
+    /// The wall at the largest y.
+    #[serde(rename = "+y")]
+    PlusY,
+    /// The wall at the largest x.
+    #[serde(rename = "+x")]
+    PlusX,
+    /// The wall at the smallest y.
+    #[serde(rename = "-y")]
+    MinusY,
+    /// The wall at the smallest x.
+    #[serde(rename = "-x")]
+    MinusX,
+}
+
+/// The mirror array.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Mirrors {
+    /// Rows; row 0 is the lowest.
+    pub rows: usize,
+    /// Columns; column 0 is at the smallest x on the +y wall.
+    pub columns: usize,
+    /// Width of a mirror in m.
+    pub width_m: f64,
+    /// Height of a mirror in m.
+    pub height_m: f64,
+    /// Space between neighbouring mirrors in m.
+    pub gap_m: f64,
+    /// Height of the array's centre above the floor in m.
+    pub centre_height_m: f64,
+    /// Which wall.
+    pub wall: Wall,
+    /// Share of the light that a mirror returns.
+    pub reflectivity: f64,
+}
+
+impl Default for Mirrors {
+    fn default() -> Self {
+        Self {
+            rows: 10,
+            columns: 10,
+            width_m: 0.25,
+            height_m: 0.10,
+            gap_m: 0.02,
+            centre_height_m: 2.0,
+            wall: Wall::PlusY,
+            reflectivity: 0.95,
+        }
+    }
+}
+
+/// How the branches of a receiver are combined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Combining {
+    /// The branch with the highest SINR.
+    Best,
+    /// The photocurrents are added, and so is the noise.
+    EqualGain,
+    /// The SINRs are added.
+    MaximalRatio,
+}
+
+/// One detector of an angle-diversity receiver.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Branch {
+    /// Angle between the branch and the vertical in degrees; 0 faces up.
+    pub tilt_deg: f64,
+    /// Direction of the tilt about the vertical in degrees, from +x towards +y.
+    pub azimuth_deg: f64,
+    /// Field of view, semi-angle in degrees.
+    pub fov_deg: f64,
+}
+
+/// A ready-made list of branches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReceiverPreset {
+    /// One branch that faces up, with `receiver.fov_deg`.
+    Single,
+    /// One up and six tilted by 45 degrees, each with a field of view of 35 degrees.
+    AngleDiversity,
+}
+
+/// The users' receiver.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Receiver {
+    /// Height of the detectors above the floor in m.
+    pub height_m: f64,
+    /// Physical area of one detector in mm2.
+    pub area_mm2: f64,
+    /// Responsivity R0 in A/W.
+    pub responsivity_a_per_w: f64,
+    /// Field of view of the `single` preset, semi-angle in degrees.
+    pub fov_deg: f64,
+    /// Gain of the optical filter.
+    pub filter_gain: f64,
+    /// Whether an optical concentrator multiplies the gain inside the field of view.
+    pub concentrator: bool,
+    /// Refractive index of the concentrator.
+    pub concentrator_index: f64,
+    /// The branches by name, where `branches` is empty.
+    pub preset: ReceiverPreset,
+    /// The branches one by one; replaces the preset.
+    pub branches: Vec<Branch>,
+    /// How branches are combined.
+    pub combining: Combining,
+}
+
+impl Default for Receiver {
+    fn default() -> Self {
+        Self {
+            height_m: 0.85,
+            area_mm2: 20.0,
+            responsivity_a_per_w: 0.4,
+            fov_deg: 90.0,
+            filter_gain: 1.0,
+            concentrator: false,
+            concentrator_index: 1.5,
+            preset: ReceiverPreset::Single,
+            branches: Vec::new(),
+            combining: Combining::Best,
+        }
+    }
+}
+
+/// Noise of one detector, item by item, as spectral densities over the bandwidth.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Noise {
+    /// Shot noise of the background light in A2/Hz.
+    pub background_shot_a2_per_hz: f64,
+    /// Thermal noise in A2/Hz.
+    pub thermal_a2_per_hz: f64,
+    /// Preamplifier noise in A2/Hz.
+    pub preamplifier_a2_per_hz: f64,
+    /// The whole variance in A2; replaces the sum of the items.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub variance_a2: Option<f64>,
+}
+
+impl Default for Noise {
+    fn default() -> Self {
+        Self {
+            background_shot_a2_per_hz: 1.85e-22,
+            thermal_a2_per_hz: 3e-24,
+            preamplifier_a2_per_hz: 2e-23,
+            variance_a2: None,
+        }
+    }
+}
+
+/// The band that the users share.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Link {
+    /// Modulation bandwidth in MHz, divided equally among the users.
+    pub bandwidth_mhz: f64,
+}
+
+impl Default for Link {
+    fn default() -> Self {
+        Self { bandwidth_mhz: 20.0 }
+    }
+}
+
+/// A minimum rate for all users or one for each.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum MinRate {
+    /// The same for all users, in Mbit/s.
+    All(f64),
+    /// One a user, in Mbit/s.
+    Each(Vec<f64>),
+}
+
+/// The people.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Users {
+    /// How many.
+    pub count: usize,
+    /// Slowest speed of a leg in m/s.
+    pub speed_min_m_s: f64,
+    /// Fastest speed of a leg in m/s.
+    pub speed_max_m_s: f64,
+    /// Minimum rate R_min in Mbit/s.
+    pub min_rate_mbps: MinRate,
+    /// A CSV file of recorded movement (`time,user,x,y`) in place of the random walk.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trace: Option<String>,
+}
+
+impl Default for Users {
+    fn default() -> Self {
+        Self { count: 5, speed_min_m_s: 0.1, speed_max_m_s: 2.0, min_rate_mbps: MinRate::All(1.0), trace: None }
+    }
+}
+
+/// What stands in the light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Blockage {
+    /// The direct path of this many users is off, whatever stands there.
+    pub forced_users: usize,
+    /// Whether the users' own bodies block light.
+    pub bodies: bool,
+    /// Radius of a body in m.
+    pub body_radius_m: f64,
+    /// Height of a body in m.
+    pub body_height_m: f64,
+    /// Distance of the body's axis behind the device in m.
+    pub body_offset_m: f64,
+    /// Mean number of obstacles a square metre (Matern hard-core process, after thinning); 0 is none.
+    pub obstacles_per_m2: f64,
+    /// Least distance between two obstacles' axes in m.
+    pub obstacle_min_distance_m: f64,
+    /// Radius of an obstacle in m.
+    pub obstacle_radius_m: f64,
+    /// Height of an obstacle in m.
+    pub obstacle_height_m: f64,
+}
+
+impl Default for Blockage {
+    fn default() -> Self {
+        Self {
+            forced_users: 0,
+            bodies: true,
+            body_radius_m: 0.2,
+            body_height_m: 1.75,
+            body_offset_m: 0.3,
+            obstacles_per_m2: 0.08,
+            obstacle_min_distance_m: 1.0,
+            obstacle_radius_m: 0.25,
+            obstacle_height_m: 1.75,
+        }
+    }
+}

@@ -13,6 +13,14 @@ pub enum ScenarioError {
         /// The parser's account, with the line.
         message: String,
     },
+    /// The file cannot be read.
+    #[error("scenario file {path} cannot be read: {message}")]
+    Read {
+        /// The file.
+        path: String,
+        /// The operating system's account.
+        message: String,
+    },
     /// A value is outside its domain, or does not go with another.
     #[error("{}{key} = {value}: {wanted}", line.map(|line| format!("line {line}: ")).unwrap_or_default())]
     Invalid {

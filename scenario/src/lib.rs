@@ -4,7 +4,7 @@
 //! value is checked against its domain, and each refusal names the key, the value, the line and what was wanted.
 //! Simulator, controller and trainer read the same file.
 //!
-//! This crate opens no file: the caller brings the text.
+//! Only [`ScenarioArgs`], the flags that every command shares, opens a file; all else works on text.
 //!
 //! # Tables
 //! [`tables`] holds what does not change while a room runs, [`runtime`] the actuators, report streams and limits.
@@ -12,12 +12,14 @@
 //! # From file to physics
 //! [`Scenario::channel_model`] turns degrees and millimetres into the types of `heliostat-channel`.
 
+mod args;
 mod build;
 mod check;
 mod error;
 pub mod runtime;
 pub mod tables;
 
+pub use args::ScenarioArgs;
 pub use check::{MIRRORS_MAX, USERS_MAX};
 pub use error::ScenarioError;
 pub use runtime::*;
@@ -157,17 +159,22 @@ impl Scenario {
     /// A hash of what fixes the optical geometry and with it the meaning of a mirror angle: room, access points, array,
     /// receiver and channel mode. Power, noise, bandwidth and everything about users is left out.
     pub fn geometry_hash(&self) -> String {
-        let led = Led { power_w: 1.0, ..self.led.clone() };
-        let channel = Channel { power_law: PowerLaw::Linear, ..self.channel.clone() };
-        let part = Self {
-            room: self.room.clone(),
-            channel,
-            led,
-            mirrors: self.mirrors.clone(),
-            receiver: self.receiver.clone(),
-            ..Self::default()
+        #[derive(Serialize)]
+        struct Geometry<'a> {
+            room: &'a Room,
+            channel: Channel,
+            led: Led,
+            mirrors: &'a Mirrors,
+            receiver: &'a Receiver,
+        }
+        let geometry = Geometry {
+            room: &self.room,
+            channel: Channel { power_law: PowerLaw::Linear, ..self.channel.clone() },
+            led: Led { power_w: 1.0, ..self.led.clone() },
+            mirrors: &self.mirrors,
+            receiver: &self.receiver,
         };
-        short_hash(&part.to_toml())
+        short_hash(&toml::to_string(&geometry).expect("every table of a scenario has a TOML form"))
     }
 
     /// How many mirrors the array has.

@@ -1,0 +1,50 @@
+//! The flags by which every command chooses its scenario.
+
+use std::path::Path;
+
+use crate::{BUILTIN_NAMES, Scenario, ScenarioError};
+
+/// Which scenario, and what to change in it.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct ScenarioArgs {
+    /// Scenario file (TOML), or the name of a built-in one: specular, paper, paper-calibrated
+    #[arg(long, value_name = "FILE", default_value = BUILTIN_NAMES[0])]
+    pub scenario: String,
+    /// Override any key of the scenario, for example --set blockage.forced_users=2 (repeatable)
+    #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Seed of every random choice, in place of the scenario's
+    #[arg(long)]
+    pub seed: Option<u64>,
+}
+
+impl ScenarioArgs {
+    /// Reads the scenario and lays the overrides over it.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] where the file cannot be read, or something in it or in an override is wrong.
+    pub fn load(&self) -> Result<Scenario, ScenarioError> {
+        let mut overrides = self.overrides.clone();
+        overrides.extend(self.seed.map(|seed| format!("seed={seed}")));
+        let in_file = |error| match error {
+            ScenarioError::Parse { origin, message } if origin == "scenario" => {
+                ScenarioError::Parse { origin: self.scenario.clone(), message }
+            }
+            other => other,
+        };
+        Scenario::from_toml_with(&self.text()?, &overrides).map_err(in_file)
+    }
+
+    /// The text of the file or of the built-in scenario.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Read`] or [`ScenarioError::UnknownBuiltin`].
+    pub fn text(&self) -> Result<String, ScenarioError> {
+        let path = Path::new(&self.scenario);
+        if !path.exists() && path.extension().is_none() && path.components().count() == 1 {
+            return Scenario::builtin_text(&self.scenario).map(String::from);
+        }
+        std::fs::read_to_string(path)
+            .map_err(|error| ScenarioError::Read { path: self.scenario.clone(), message: error.to_string() })
+    }
+}

@@ -1,0 +1,260 @@
+//! What a policy sees: the state of the room as far as it is known, and its form as a flat vector for a network.
+//!
+//! Training and serving fill the same [`Observation`] and encode it by the same [`ObservationEncoder`]; there is no second
+//! encoder. Serving fills it from reports (see [`crate::observer`]), training from the true state of a simulated room.
+//!
+//! # Layout of the vector, version 1
+//! For a capacity of U users and M mirrors, all in f32; slots beyond the users present hold 0:
+//!
+//! | part | values | meaning |
+//! | --- | --- | --- |
+//! | present | U | 1 where the slot holds a user |
+//! | positions | 3 U | x, y, z of each user in m, room frame |
+//! | LoS amplitude | U | s times the gain of the direct path |
+//! | need | U | minimum rate times users over bandwidth, bit/s/Hz |
+//! | steering amplitude | U M, user by user | s times the gain of each mirror if it were aimed at the user |
+//! | angles | 2 M | roll of each mirror, then yaw of each mirror, as last commanded, rad |
+//!
+//! s is [`LinkBudget::amplitude_scale`](heliostat_channel::link::LinkBudget::amplitude_scale): it folds power, noise and responsivity
+//! into the gains, so that the vector is dimensionless where it matters and one actor serves other powers and noises.
+
+use std::ops::Range;
+
+use heliostat_channel::{ChannelModel, Scene, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
+use thiserror::Error;
+
+/// Version of the vector's layout; an actor made for another version is refused.
+pub const OBSERVATION_VERSION: u32 = 1;
+
+/// How many users the shipped actors can see.
+pub const USERS_CAPACITY: usize = 10;
+
+/// One snapshot of the room: K users and M mirrors. Its buffers are reused from tick to tick.
+pub struct Observation {
+    /// The tick that the reports belong to.
+    pub tick: u64,
+    /// K positions in m, room frame.
+    pub positions: Vec<Vec3>,
+    /// K velocities in m/s, room frame.
+    pub velocities: Vec<Vec3>,
+    /// K minimum rates in bit/s.
+    pub min_rate_bps: Vec<f64>,
+    /// Blockage, LoS gains (measured where a report brought them) and steering gains at these positions.
+    pub scene: Scene,
+    /// M angles as last commanded.
+    pub angles: MirrorAngles,
+}
+
+/// The state of a room from which an [`Observation`] is filled: all slices but `blockers` hold K entries.
+#[derive(Clone, Copy, Debug)]
+pub struct RoomState<'a> {
+    /// The tick that the state belongs to.
+    pub tick: u64,
+    /// Positions in m, room frame.
+    pub positions: &'a [Vec3],
+    /// Velocities in m/s, room frame.
+    pub velocities: &'a [Vec3],
+    /// Minimum rates in bit/s.
+    pub min_rate_bps: &'a [f64],
+    /// All that stands in the light: obstacles and bodies.
+    pub blockers: &'a [Cylinder],
+    /// Whose direct path is known to be off, whatever stands there.
+    pub forced: &'a [bool],
+    /// Gains of the direct path as measured; they replace the modelled ones.
+    pub measured_los_gain: Option<&'a [f64]>,
+}
+
+impl Observation {
+    /// An observation of `users` users at the origin, with every mirror at (0, 0).
+    pub fn new(model: &ChannelModel, users: usize) -> Self {
+        let mirrors = model.mirrors.len();
+        Self {
+            tick: 0,
+            positions: vec![Vec3::zeros(); users],
+            velocities: vec![Vec3::zeros(); users],
+            min_rate_bps: vec![0.0; users],
+            scene: Scene::new(model, users),
+            angles: MirrorAngles { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] },
+        }
+    }
+
+    /// How many users the observation holds.
+    pub fn users(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// How many mirrors the observation holds.
+    pub fn mirrors(&self) -> usize {
+        self.angles.roll.len()
+    }
+
+    /// Takes over a state and recomputes blockage and gains for it. Does not allocate.
+    ///
+    /// # Panics
+    /// Where a slice of the state does not hold as many entries as the observation has users.
+    pub fn set_state(&mut self, model: &ChannelModel, state: &RoomState<'_>) {
+        self.tick = state.tick;
+        self.positions.copy_from_slice(state.positions);
+        self.velocities.copy_from_slice(state.velocities);
+        self.min_rate_bps.copy_from_slice(state.min_rate_bps);
+        self.scene.update(model, state.positions, state.blockers, state.forced);
+        if let Some(gains) = state.measured_los_gain {
+            self.scene.set_los_gain(gains);
+        }
+    }
+
+    /// Takes over the angles that were commanded last. Does not allocate.
+    ///
+    /// # Panics
+    /// Where the number of mirrors differs.
+    pub fn set_angles(&mut self, angles: &MirrorAngles) {
+        self.angles.roll.copy_from_slice(&angles.roll);
+        self.angles.yaw.copy_from_slice(&angles.yaw);
+    }
+}
+
+/// Why an observation does not fit a vector.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum EncodeError {
+    /// More users than slots.
+    #[error("{users} users, but the actor sees at most {capacity}")]
+    Users {
+        /// Users in the observation.
+        users: usize,
+        /// Slots of the vector.
+        capacity: usize,
+    },
+    /// Another number of mirrors.
+    #[error("{found} mirrors, but the actor was made for {wanted}")]
+    Mirrors {
+        /// Mirrors in the observation.
+        found: usize,
+        /// Mirrors of the vector.
+        wanted: usize,
+    },
+    /// The buffer has another length than the vector.
+    #[error("a buffer of {found} values, but the vector has {wanted}")]
+    Buffer {
+        /// Length of the buffer.
+        found: usize,
+        /// Length of the vector.
+        wanted: usize,
+    },
+}
+
+/// Where each part of the vector lies, and how it is filled. See the module for the layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ObservationEncoder {
+    users_max: usize,
+    mirrors: usize,
+}
+
+impl ObservationEncoder {
+    /// An encoder for at most `users_max` users and exactly `mirrors` mirrors.
+    pub fn new(users_max: usize, mirrors: usize) -> Self {
+        Self { users_max, mirrors }
+    }
+
+    /// How many users fit.
+    pub fn users_max(&self) -> usize {
+        self.users_max
+    }
+
+    /// How many mirrors the vector describes.
+    pub fn mirrors(&self) -> usize {
+        self.mirrors
+    }
+
+    /// Length of the vector: U (6 + M) + 2 M.
+    #[expect(clippy::len_without_is_empty, reason = "the vector is never empty")]
+    pub fn len(&self) -> usize {
+        self.angles().end
+    }
+
+    /// The presence flags.
+    pub fn present(&self) -> Range<usize> {
+        0..self.users_max
+    }
+
+    /// The positions, user by user.
+    pub fn positions(&self) -> Range<usize> {
+        following(&self.present(), 3 * self.users_max)
+    }
+
+    /// The amplitudes of the direct paths.
+    pub fn los_amplitude(&self) -> Range<usize> {
+        following(&self.positions(), self.users_max)
+    }
+
+    /// The users' needs.
+    pub fn need(&self) -> Range<usize> {
+        following(&self.los_amplitude(), self.users_max)
+    }
+
+    /// The steering amplitudes, user by user.
+    pub fn steering_amplitude(&self) -> Range<usize> {
+        following(&self.need(), self.users_max * self.mirrors)
+    }
+
+    /// The angles, all roll and then all yaw.
+    pub fn angles(&self) -> Range<usize> {
+        following(&self.steering_amplitude(), 2 * self.mirrors)
+    }
+
+    /// Writes the vector of an observation. Does not allocate.
+    ///
+    /// # Errors
+    /// [`EncodeError`] where users, mirrors or buffer do not fit.
+    pub fn encode(&self, model: &ChannelModel, observation: &Observation, out: &mut [f32]) -> Result<(), EncodeError> {
+        self.check(observation, out)?;
+        let users = observation.users();
+        let amplitude_scale = model.budget.amplitude_scale();
+        let need_scale = users as f64 / model.budget.bandwidth_hz;
+
+        let present = &mut out[self.present()];
+        present[..users].fill(1.0);
+        present[users..].fill(0.0);
+
+        let positions = &mut out[self.positions()];
+        for (slot, position) in positions.chunks_exact_mut(3).zip(&observation.positions) {
+            write_scaled(slot, position.as_slice(), 1.0);
+        }
+        positions[3 * users..].fill(0.0);
+
+        write_scaled(&mut out[self.los_amplitude()], observation.scene.los_gain(), amplitude_scale);
+        write_scaled(&mut out[self.need()], &observation.min_rate_bps, need_scale);
+        write_scaled(&mut out[self.steering_amplitude()], observation.scene.steering_gain(), amplitude_scale);
+
+        let (roll, yaw) = out[self.angles()].split_at_mut(self.mirrors);
+        write_scaled(roll, &observation.angles.roll, 1.0);
+        write_scaled(yaw, &observation.angles.yaw, 1.0);
+        Ok(())
+    }
+
+    fn check(&self, observation: &Observation, out: &[f32]) -> Result<(), EncodeError> {
+        if observation.users() > self.users_max {
+            return Err(EncodeError::Users { users: observation.users(), capacity: self.users_max });
+        }
+        if observation.mirrors() != self.mirrors {
+            return Err(EncodeError::Mirrors { found: observation.mirrors(), wanted: self.mirrors });
+        }
+        if out.len() != self.len() {
+            return Err(EncodeError::Buffer { found: out.len(), wanted: self.len() });
+        }
+        Ok(())
+    }
+}
+
+/// The range of `length` values after `previous`.
+fn following(previous: &Range<usize>, length: usize) -> Range<usize> {
+    previous.end..previous.end + length
+}
+
+/// Writes `scale` times the values, and zeros where the part is longer than they are.
+fn write_scaled(part: &mut [f32], values: &[f64], scale: f64) {
+    let (filled, rest) = part.split_at_mut(values.len());
+    for (slot, value) in filled.iter_mut().zip(values) {
+        *slot = (scale * value) as f32;
+    }
+    rest.fill(0.0);
+}

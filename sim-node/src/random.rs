@@ -1,0 +1,117 @@
+//! Seeded random numbers: one independent stream for each purpose, so that a change of one setting does not reshuffle the rest.
+//!
+//! Uniform numbers are made from the generator's bits with exact arithmetic, so walks and obstacles come out the same on every
+//! platform; normal numbers use the platform's logarithm.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// The generator that everything random in the room uses.
+pub type RoomRng = ChaCha8Rng;
+
+/// What a stream of random numbers is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// The walk of one user.
+    Walk,
+    /// Where obstacles stand.
+    Obstacles,
+    /// Calibration offsets, drift and jitter of the mirrors.
+    Actuator,
+    /// Measurement noise of positions and velocities.
+    PositionNoise,
+    /// Measurement noise of channel gains.
+    ChannelNoise,
+}
+
+impl Purpose {
+    /// The upper half of the stream number; a constant for each purpose, never reused.
+    fn code(self) -> u64 {
+        match self {
+            Self::Walk => 1,
+            Self::Obstacles => 2,
+            Self::Actuator => 3,
+            Self::PositionNoise => 4,
+            Self::ChannelNoise => 5,
+        }
+    }
+}
+
+/// The generator of one purpose; `index` tells apart those of which there are several, such as users.
+pub fn stream(seed: u64, purpose: Purpose, index: u32) -> RoomRng {
+    let mut rng = RoomRng::seed_from_u64(seed);
+    rng.set_stream(purpose.code() << 32 | u64::from(index));
+    rng
+}
+
+/// A number in [0, 1), uniform over the multiples of 2^-53.
+pub fn uniform(rng: &mut RoomRng) -> f64 {
+    (rng.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
+}
+
+/// A number in [low, high), uniform.
+pub fn uniform_in(rng: &mut RoomRng, low: f64, high: f64) -> f64 {
+    low + (high - low) * uniform(rng)
+}
+
+/// A normal number of mean 0 and standard deviation 1 (Marsaglia's polar method, one of the pair).
+pub fn normal(rng: &mut RoomRng) -> f64 {
+    loop {
+        let u = 2.0 * uniform(rng) - 1.0;
+        let v = 2.0 * uniform(rng) - 1.0;
+        let square = u * u + v * v;
+        if square > 0.0 && square < 1.0 {
+            return u * (-2.0 * square.ln() / square).sqrt();
+        }
+    }
+}
+
+/// A number of events of a Poisson process with this mean: unit-rate exponential gaps are laid end to end until they pass it.
+pub fn poisson(rng: &mut RoomRng, mean: f64) -> usize {
+    let mut count = 0;
+    let mut sum = 0.0;
+    loop {
+        sum -= (1.0 - uniform(rng)).ln();
+        if sum > mean {
+            return count;
+        }
+        count += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn moments(mut draw: impl FnMut() -> f64) -> (f64, f64) {
+        let n = 200_000;
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for _ in 0..n {
+            let value = draw();
+            sum += value;
+            squares += value * value;
+        }
+        let mean = sum / n as f64;
+        (mean, squares / n as f64 - mean * mean)
+    }
+
+    #[test]
+    fn streams_differ_by_purpose_and_index_and_repeat_by_seed() {
+        let first = |seed, purpose, index| stream(seed, purpose, index).next_u64();
+        assert_eq!(first(7, Purpose::Walk, 0), first(7, Purpose::Walk, 0));
+        assert_ne!(first(7, Purpose::Walk, 0), first(7, Purpose::Walk, 1));
+        assert_ne!(first(7, Purpose::Walk, 0), first(7, Purpose::Obstacles, 0));
+        assert_ne!(first(7, Purpose::Walk, 0), first(8, Purpose::Walk, 0));
+    }
+
+    #[test]
+    fn distributions_have_their_moments() {
+        let mut rng = stream(1, Purpose::Actuator, 0);
+        let (mean, variance) = moments(|| uniform(&mut rng));
+        assert!((mean - 0.5).abs() < 5e-3 && (variance - 1.0 / 12.0).abs() < 2e-3);
+        let (mean, variance) = moments(|| normal(&mut rng));
+        assert!(mean.abs() < 0.01 && (variance - 1.0).abs() < 0.02, "{mean} {variance}");
+        let (mean, variance) = moments(|| poisson(&mut rng, 2.5) as f64);
+        assert!((mean - 2.5).abs() < 0.02 && (variance - 2.5).abs() < 0.05, "{mean} {variance}");
+    }
+}

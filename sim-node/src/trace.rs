@@ -1,0 +1,240 @@
+//! Recorded movement in place of the random walk: a CSV text with the header `time,user,x,y`.
+//!
+//! Times in s, users counted from 0, positions in m in the room frame. Between two samples of a user the position is interpolated
+//! linearly; before the first and after the last it holds. When the latest time of the whole recording is reached the recording
+//! starts again from its earliest time: everybody jumps to where they began.
+
+use thiserror::Error;
+
+use crate::mobility::{Floor, Walker};
+
+/// What is wrong with a recording.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum TraceError {
+    /// The first line that is neither empty nor a comment is not the header.
+    #[error("line {line}: `{found}` where the header `time,user,x,y` was expected")]
+    Header {
+        /// Line number, from 1.
+        line: usize,
+        /// The line as it stands.
+        found: String,
+    },
+    /// A line has another number of columns than four.
+    #[error("line {line}: {found} columns where 4 were expected (time,user,x,y)")]
+    Columns {
+        /// Line number, from 1.
+        line: usize,
+        /// Columns in it.
+        found: usize,
+    },
+    /// A column holds no finite number.
+    #[error("line {line}: `{found}` is no valid {column}")]
+    Value {
+        /// Line number, from 1.
+        line: usize,
+        /// Name of the column.
+        column: &'static str,
+        /// What stands there.
+        found: String,
+    },
+    /// A user beyond the number in the scenario.
+    #[error("line {line}: user {user}, but the scenario has users 0 to {last}")]
+    User {
+        /// Line number, from 1.
+        line: usize,
+        /// The user named there.
+        user: usize,
+        /// The last user of the scenario.
+        last: usize,
+    },
+    /// A position outside the room.
+    #[error("line {line}: ({x}, {y}) is outside the room of {length_x_m} m x {length_y_m} m centred on the origin")]
+    Outside {
+        /// Line number, from 1.
+        line: usize,
+        /// x in m.
+        x: f64,
+        /// y in m.
+        y: f64,
+        /// Extent of the room along x in m.
+        length_x_m: f64,
+        /// Extent of the room along y in m.
+        length_y_m: f64,
+    },
+    /// The samples of a user are not in order of time.
+    #[error("line {line}: time {time} of user {user} is not after {previous}")]
+    Order {
+        /// Line number, from 1.
+        line: usize,
+        /// The user.
+        user: usize,
+        /// Time in s.
+        time: f64,
+        /// The time of the sample before, in s.
+        previous: f64,
+    },
+    /// A user has no sample.
+    #[error("user {user} of {users} has no sample")]
+    Missing {
+        /// The user.
+        user: usize,
+        /// How many users the scenario has.
+        users: usize,
+    },
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    time: f64,
+    at: [f64; 2],
+}
+
+/// A recording and the place at which it is played.
+#[derive(Clone, Debug)]
+pub struct Trace {
+    users: Vec<Vec<Sample>>,
+    start: f64,
+    duration: f64,
+    time: f64,
+}
+
+impl Trace {
+    /// Reads a recording for exactly `users` people in a room.
+    ///
+    /// Lines that are empty or begin with `#` are skipped.
+    ///
+    /// # Errors
+    /// [`TraceError`], with the line.
+    pub fn parse(text: &str, users: usize, floor: &Floor) -> Result<Self, TraceError> {
+        let mut samples: Vec<Vec<Sample>> = vec![Vec::new(); users];
+        let mut header_seen = false;
+        for (index, row) in text.lines().enumerate() {
+            let (line, row) = (index + 1, row.trim());
+            if row.is_empty() || row.starts_with('#') {
+                continue;
+            }
+            if !header_seen {
+                if row.split(',').map(str::trim).ne(["time", "user", "x", "y"]) {
+                    return Err(TraceError::Header { line, found: row.to_owned() });
+                }
+                header_seen = true;
+                continue;
+            }
+            let (user, sample) = parse_row(line, row, floor)?;
+            let Some(list) = samples.get_mut(user) else {
+                return Err(TraceError::User { line, user, last: users.saturating_sub(1) });
+            };
+            if let Some(previous) = list.last().filter(|previous| previous.time >= sample.time) {
+                return Err(TraceError::Order { line, user, time: sample.time, previous: previous.time });
+            }
+            list.push(sample);
+        }
+        if let Some(user) = samples.iter().position(Vec::is_empty) {
+            return Err(TraceError::Missing { user, users });
+        }
+        let times = || samples.iter().flatten().map(|sample| sample.time);
+        let start = times().fold(f64::INFINITY, f64::min);
+        let end = times().fold(f64::NEG_INFINITY, f64::max);
+        Ok(Self { users: samples, start, duration: end - start, time: 0.0 })
+    }
+
+    /// Plays on for `dt_s` seconds.
+    pub fn step(&mut self, dt_s: f64) {
+        if self.duration > 0.0 {
+            self.time = (self.time + dt_s) % self.duration;
+        }
+    }
+
+    /// Writes where everybody is; heights are left as they are, and so is the direction of one who stands.
+    pub fn write(&self, walkers: &mut [Walker]) {
+        let now = self.start + self.time;
+        for (samples, walker) in self.users.iter().zip(walkers) {
+            let next = samples.partition_point(|sample| sample.time <= now);
+            let (at, velocity) = match (next.checked_sub(1).map(|i| samples[i]), samples.get(next)) {
+                (Some(a), Some(b)) => between(&a, b, now),
+                (Some(only), None) => (only.at, [0.0, 0.0]),
+                (None, Some(first)) => (first.at, [0.0, 0.0]),
+                (None, None) => unreachable!("every user has a sample"),
+            };
+            walker.position.x = at[0];
+            walker.position.y = at[1];
+            walker.velocity = velocity;
+            let speed = (velocity[0] * velocity[0] + velocity[1] * velocity[1]).sqrt();
+            if speed > 0.0 {
+                walker.direction = velocity.map(|component| component / speed);
+            }
+        }
+    }
+}
+
+fn between(a: &Sample, b: &Sample, now: f64) -> ([f64; 2], [f64; 2]) {
+    let span = b.time - a.time;
+    let velocity = [(b.at[0] - a.at[0]) / span, (b.at[1] - a.at[1]) / span];
+    let since = now - a.time;
+    ([a.at[0] + velocity[0] * since, a.at[1] + velocity[1] * since], velocity)
+}
+
+fn parse_row(line: usize, row: &str, floor: &Floor) -> Result<(usize, Sample), TraceError> {
+    let columns: Vec<&str> = row.split(',').map(str::trim).collect();
+    let &[time, user, x, y] = columns.as_slice() else {
+        return Err(TraceError::Columns { line, found: columns.len() });
+    };
+    let number = |column, text: &str| {
+        let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
+        value.ok_or_else(|| TraceError::Value { line, column, found: text.to_owned() })
+    };
+    let user = user.parse().map_err(|_| TraceError::Value { line, column: "user", found: user.to_owned() })?;
+    let (time, x, y) = (number("time", time)?, number("x", x)?, number("y", y)?);
+    if !floor.contains(x, y) {
+        let (length_x_m, length_y_m) = (floor.length_x_m, floor.length_y_m);
+        return Err(TraceError::Outside { line, x, y, length_x_m, length_y_m });
+    }
+    Ok((user, Sample { time, at: [x, y] }))
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_channel::Vec3;
+
+    use super::*;
+
+    const FLOOR: Floor = Floor { length_x_m: 5.0, length_y_m: 5.0 };
+    const TWO: &str = "time,user,x,y\n# a comment\n10,0,0,0\n10, 1, 1, 1\n\n12,0,2,0\n14,0,2,2\n";
+
+    fn at(trace: &Trace) -> Vec<Walker> {
+        let mut out = vec![Walker { position: Vec3::new(9.0, 9.0, 0.85), direction: [0.0, 1.0], velocity: [9.0, 9.0] }; 2];
+        trace.write(&mut out);
+        out
+    }
+
+    #[test]
+    fn interpolates_holds_and_repeats() {
+        let mut trace = Trace::parse(TWO, 2, &FLOOR).unwrap();
+        assert_eq!(at(&trace)[0].position, Vec3::new(0.0, 0.0, 0.85));
+        trace.step(0.5);
+        let now = at(&trace);
+        assert_eq!((now[0].position, now[0].velocity), (Vec3::new(0.5, 0.0, 0.85), [1.0, 0.0]));
+        assert_eq!(now[0].direction, [1.0, 0.0]);
+        // User 1 has one sample: it stands there and keeps facing where it faced.
+        assert_eq!((now[1].position, now[1].velocity), (Vec3::new(1.0, 1.0, 0.85), [0.0, 0.0]));
+        assert_eq!(now[1].direction, [0.0, 1.0]);
+        trace.step(2.5);
+        assert_eq!(at(&trace)[0].position, Vec3::new(2.0, 1.0, 0.85));
+        trace.step(1.0 + 4.0 + 0.25);
+        assert_eq!(at(&trace)[0].position, Vec3::new(0.25, 0.0, 0.85));
+    }
+
+    #[test]
+    fn errors_name_the_line() {
+        let error = |body: &str| Trace::parse(&format!("time,user,x,y\n{body}"), 2, &FLOOR).unwrap_err().to_string();
+        assert!(error("0,0,1").contains("line 2: 3 columns"));
+        assert!(error("0,0,1,1\n0,0,x,1").contains("line 3: `x` is no valid x"));
+        assert!(error("0,0,1,NaN").contains("line 2: `NaN` is no valid y"));
+        assert!(error("0,-1,1,1").contains("line 2: `-1` is no valid user"));
+        assert!(error("0,2,1,1").contains("line 2: user 2, but the scenario has users 0 to 1"));
+        assert!(error("0,0,2.6,1").contains("line 2: (2.6, 1) is outside"));
+        assert!(error("1,0,1,1\n1,0,1,1").contains("line 3: time 1 of user 0 is not after 1"));
+        assert!(error("1,0,1,1").contains("user 1 of 2 has no sample"));
+        assert!(Trace::parse("t,u,x,y\n", 1, &FLOOR).unwrap_err().to_string().contains("line 1: `t,u,x,y`"));
+    }
+}

@@ -1,0 +1,223 @@
+//! The mirror array: where the mirrors hang and how angles turn them.
+//!
+//! Everything about a mirror is said in the *wall frame*, the frame in which the array hangs on the wall y = +L/2 and its
+//! inward direction is -y. The three other walls rotate that frame about z; [`MirrorArray::room_from_wall`] does it.
+//! Angles are mechanical, in radians. Yaw phi turns about z and roll theta tilts; section II of the paper and its eq. (3) swap
+//! the two names. Zero angles face straight into the room, a positive roll looks down.
+
+use crate::Vec3;
+use crate::error::{ChannelError, check, finite, not_negative, positive};
+
+/// Most mirrors of an array: the limit of the messages that carry their angles.
+pub const MIRRORS_MAX: usize = 16_384;
+
+/// The wall that carries the array.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wall {
+    /// The wall at the largest y.
+    PlusY,
+    /// The wall at the largest x.
+    PlusX,
+    /// The wall at the smallest y.
+    MinusY,
+    /// The wall at the smallest x.
+    MinusX,
+}
+
+impl Wall {
+    /// Cosine and sine of the rotation about z that takes the wall frame to the room's.
+    fn rotation(self) -> (f64, f64) {
+        match self {
+            Self::PlusY => (1.0, 0.0),
+            Self::PlusX => (0.0, -1.0),
+            Self::MinusY => (-1.0, 0.0),
+            Self::MinusX => (0.0, 1.0),
+        }
+    }
+}
+
+/// What an array is made of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArraySpec {
+    /// Rows; row 0 is the lowest.
+    pub rows: usize,
+    /// Columns; column 0 is at the smallest x of the wall frame.
+    pub columns: usize,
+    /// Width w_m of a mirror in m.
+    pub mirror_width_m: f64,
+    /// Height h_m of a mirror in m.
+    pub mirror_height_m: f64,
+    /// Gap q_m between neighbouring mirrors in m.
+    pub gap_m: f64,
+    /// Height of the array's centre above the floor in m.
+    pub centre_height_m: f64,
+    /// Which wall.
+    pub wall: Wall,
+    /// Distance of the wall from the room's centre in m.
+    pub wall_distance_m: f64,
+    /// Reflection coefficient rho_m, from 0 to 1.
+    pub reflectivity: f64,
+}
+
+impl ArraySpec {
+    fn check(&self) -> Result<(), ChannelError> {
+        let count = self.rows.saturating_mul(self.columns);
+        if count == 0 || count > MIRRORS_MAX {
+            return Err(ChannelError::Count { things: "mirrors", count, wanted: "1 to 16384" });
+        }
+        positive("width of a mirror in m", self.mirror_width_m)?;
+        positive("height of a mirror in m", self.mirror_height_m)?;
+        not_negative("gap between mirrors in m", self.gap_m)?;
+        finite("height of the array's centre in m", self.centre_height_m)?;
+        positive("distance of the mirror wall from the room's centre in m", self.wall_distance_m)?;
+        check((0.0..=1.0).contains(&self.reflectivity), "reflectivity", self.reflectivity, "from 0 to 1")?;
+        Ok(())
+    }
+}
+
+/// Roll and yaw of each mirror: mechanical, in radians, in index order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MirrorAngles {
+    /// Tilt of each mirror; positive looks down. Shape: M.
+    pub roll: Vec<f64>,
+    /// Turn of each mirror about the vertical. Shape: M.
+    pub yaw: Vec<f64>,
+}
+
+impl MirrorAngles {
+    /// All mirrors facing straight into the room.
+    pub fn flat(mirrors: usize) -> Self {
+        Self { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] }
+    }
+
+    /// How many mirrors.
+    pub fn len(&self) -> usize {
+        self.roll.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.roll.is_empty()
+    }
+}
+
+/// A laid-out mirror array on one wall.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MirrorArray {
+    spec: ArraySpec,
+    positions: Vec<Vec3>,
+    /// The same positions, one contiguous list a coordinate, for the pass over all mirrors.
+    pub(crate) x: Vec<f64>,
+    pub(crate) y: Vec<f64>,
+    pub(crate) z: Vec<f64>,
+}
+
+impl MirrorArray {
+    /// Lays the array out: index = row * columns + column.
+    ///
+    /// Row 0 is the lowest. Column 0 is at the smallest x of the wall frame, which is at the room's smallest x on the +y wall,
+    /// largest y on +x, largest x on -y and smallest y on -x (always the leftmost for someone who faces the wall).
+    ///
+    /// # Errors
+    /// [`ChannelError`] for no mirrors or more than [`MIRRORS_MAX`], or for a size that is no size.
+    pub fn new(spec: &ArraySpec) -> Result<Self, ChannelError> {
+        spec.check()?;
+        let (pitch_x, pitch_z) = (spec.mirror_width_m + spec.gap_m, spec.mirror_height_m + spec.gap_m);
+        let mut array = Self {
+            spec: spec.clone(),
+            positions: Vec::with_capacity(spec.rows * spec.columns),
+            x: Vec::new(),
+            y: Vec::new(),
+            z: Vec::new(),
+        };
+        for row in 0..spec.rows {
+            for column in 0..spec.columns {
+                let x = (column as f64 - 0.5 * (spec.columns - 1) as f64) * pitch_x;
+                let z = spec.centre_height_m + (row as f64 - 0.5 * (spec.rows - 1) as f64) * pitch_z;
+                let position = array.room_from_wall(&Vec3::new(x, spec.wall_distance_m, z));
+                array.positions.push(position);
+            }
+        }
+        array.x = array.positions.iter().map(|position| position.x).collect();
+        array.y = array.positions.iter().map(|position| position.y).collect();
+        array.z = array.positions.iter().map(|position| position.z).collect();
+        Ok(array)
+    }
+
+    /// What the array was made from.
+    pub fn spec(&self) -> &ArraySpec {
+        &self.spec
+    }
+
+    /// Number of mirrors M.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there are no mirrors; never true.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.spec.rows
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.spec.columns
+    }
+
+    /// Centre of each mirror in the room's frame, in m. Shape: M.
+    pub fn positions(&self) -> &[Vec3] {
+        &self.positions
+    }
+
+    /// Area dA_m of one mirror in m2.
+    pub fn mirror_area_m2(&self) -> f64 {
+        self.spec.mirror_width_m * self.spec.mirror_height_m
+    }
+
+    /// Unit vector from the wall into the room.
+    pub fn inward(&self) -> Vec3 {
+        self.room_from_wall(&-Vec3::y())
+    }
+
+    /// Rotates a vector (or a point: both frames share the origin at the centre of the floor) from the wall frame to the room's.
+    pub fn room_from_wall(&self, v: &Vec3) -> Vec3 {
+        let (cos, sin) = self.rotation();
+        Vec3::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y, v.z)
+    }
+
+    /// Rotates a vector or a point from the room's frame to the wall frame.
+    pub fn wall_from_room(&self, v: &Vec3) -> Vec3 {
+        let (cos, sin) = self.rotation();
+        Vec3::new(cos * v.x + sin * v.y, cos * v.y - sin * v.x, v.z)
+    }
+
+    /// Inward normal of a mirror at these angles, in the room's frame: in the wall frame
+    /// -(sin yaw cos roll, cos yaw cos roll, sin roll).
+    ///
+    /// Source: paper eq. (3), whose right-hand side is this vector times the direction from the mirror to the user.
+    pub fn normal(&self, roll: f64, yaw: f64) -> Vec3 {
+        let (sin_roll, cos_roll) = roll.sin_cos();
+        let (sin_yaw, cos_yaw) = yaw.sin_cos();
+        self.room_from_wall(&-Vec3::new(sin_yaw * cos_roll, cos_yaw * cos_roll, sin_roll))
+    }
+
+    /// Roll and yaw that give an inward normal: yaw = atan(n_x / n_y), roll = atan(-n_z / hypot(n_x, n_y)) in the wall frame.
+    ///
+    /// The inverse of [`MirrorArray::normal`] for every normal that points into the room (yaw strictly within 90 degrees);
+    /// the length of the normal does not matter. A vertical normal gives yaw 0.
+    pub fn angles_of(&self, normal: &Vec3) -> (f64, f64) {
+        let n = self.wall_from_room(normal);
+        let yaw = if n.x == 0.0 { 0.0 } else { (n.x / n.y).atan() };
+        let roll = (-n.z).atan2(n.x.hypot(n.y));
+        (roll, yaw)
+    }
+
+    pub(crate) fn rotation(&self) -> (f64, f64) {
+        self.spec.wall.rotation()
+    }
+}

@@ -1,1 +1,113 @@
 //! From file units to the types of the channel.
+
+use heliostat_channel as optics;
+use optics::{ArraySpec, ChannelError, ChannelModel, LinkBudget, Mode, NoiseBudget, Vec3};
+
+use crate::{Branch, ChannelMode, Combining, PowerLaw, ReceiverPreset, Scenario, Wall};
+
+/// Field of view of each branch of the angle-diversity preset, in degrees.
+const ANGLE_DIVERSITY_FOV_DEG: f64 = 35.0;
+/// Tilt of the six outer branches of the angle-diversity preset, in degrees.
+const ANGLE_DIVERSITY_TILT_DEG: f64 = 45.0;
+
+impl Scenario {
+    /// The room's optics, in the channel's types and units.
+    ///
+    /// # Errors
+    /// [`ChannelError`] for a combination that the channel refuses, such as an LED behind the mirrors' wall.
+    pub fn channel_model(&self) -> Result<ChannelModel, ChannelError> {
+        let mode = match self.channel.mode {
+            ChannelMode::Specular => Mode::Specular,
+            ChannelMode::Paper | ChannelMode::PaperCalibrated => {
+                Mode::Paper { literal: self.channel.literal, gain_scale: self.channel.gain_scale }
+            }
+        };
+        let mirrors = optics::MirrorArray::new(&self.array_spec())?;
+        ChannelModel::new(mode, self.leds(), mirrors, self.detectors(), self.link_budget())
+    }
+
+    fn array_spec(&self) -> ArraySpec {
+        let (wall, wall_distance_m) = match self.mirrors.wall {
+            Wall::PlusY => (optics::Wall::PlusY, self.room.length_y_m / 2.0),
+            Wall::PlusX => (optics::Wall::PlusX, self.room.length_x_m / 2.0),
+            Wall::MinusY => (optics::Wall::MinusY, self.room.length_y_m / 2.0),
+            Wall::MinusX => (optics::Wall::MinusX, self.room.length_x_m / 2.0),
+        };
+        ArraySpec {
+            rows: self.mirrors.rows,
+            columns: self.mirrors.columns,
+            mirror_width_m: self.mirrors.width_m,
+            mirror_height_m: self.mirrors.height_m,
+            gap_m: self.mirrors.gap_m,
+            centre_height_m: self.mirrors.centre_height_m,
+            wall,
+            wall_distance_m,
+            reflectivity: self.mirrors.reflectivity,
+        }
+    }
+
+    fn leds(&self) -> Vec<optics::Led> {
+        let led = |position: &[f64; 3]| optics::Led {
+            position: Vec3::from(*position),
+            side_m: self.led.side_m,
+            points_per_side: self.led.points_per_side,
+            half_power_semi_angle: self.led.half_power_semi_angle_deg.to_radians(),
+        };
+        self.led.positions_m.iter().map(led).collect()
+    }
+
+    fn detectors(&self) -> optics::Receiver {
+        let table = &self.receiver;
+        let branches =
+            match (table.branches.as_slice(), table.preset) {
+                ([], ReceiverPreset::Single) => vec![branch(0.0, 0.0, table.fov_deg)],
+                ([], ReceiverPreset::AngleDiversity) => std::iter::once(branch(0.0, 0.0, ANGLE_DIVERSITY_FOV_DEG))
+                    .chain((0..6).map(|index| {
+                        branch(ANGLE_DIVERSITY_TILT_DEG, 60.0 * f64::from(index), ANGLE_DIVERSITY_FOV_DEG)
+                    }))
+                    .collect(),
+                (branches, _) => branches
+                    .iter()
+                    .map(|Branch { tilt_deg, azimuth_deg, fov_deg }| branch(*tilt_deg, *azimuth_deg, *fov_deg))
+                    .collect(),
+            };
+        optics::Receiver {
+            branches,
+            detector_area_m2: table.area_mm2 * 1e-6,
+            filter_gain: table.filter_gain,
+            concentrator_index: table.concentrator.then_some(table.concentrator_index),
+            combining: match table.combining {
+                Combining::Best => optics::Combining::Best,
+                Combining::EqualGain => optics::Combining::EqualGain,
+                Combining::MaximalRatio => optics::Combining::MaximalRatio,
+            },
+        }
+    }
+
+    fn link_budget(&self) -> LinkBudget {
+        LinkBudget {
+            power_w: self.led.power_w,
+            power_law: match self.channel.power_law {
+                PowerLaw::Linear => optics::PowerLaw::Linear,
+                PowerLaw::Squared => optics::PowerLaw::Squared,
+            },
+            responsivity_a_per_w: self.receiver.responsivity_a_per_w,
+            noise: NoiseBudget {
+                background_shot_a2_per_hz: self.noise.background_shot_a2_per_hz,
+                thermal_a2_per_hz: self.noise.thermal_a2_per_hz,
+                preamplifier_a2_per_hz: self.noise.preamplifier_a2_per_hz,
+                variance_a2: self.noise.variance_a2,
+            },
+            bandwidth_hz: self.link.bandwidth_mhz * 1e6,
+        }
+    }
+}
+
+fn branch(tilt_deg: f64, azimuth_deg: f64, fov_deg: f64) -> optics::Branch {
+    let (sin_tilt, cos_tilt) = tilt_deg.to_radians().sin_cos();
+    let (sin_azimuth, cos_azimuth) = azimuth_deg.to_radians().sin_cos();
+    optics::Branch {
+        normal: Vec3::new(sin_tilt * cos_azimuth, sin_tilt * sin_azimuth, cos_tilt),
+        fov_semi_angle: fov_deg.to_radians(),
+    }
+}

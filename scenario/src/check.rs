@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::{ChannelMode, MinRate, Scenario, ScenarioError};
+use crate::{ChannelMode, MinRate, Scenario, ScenarioError, Wall};
 
 /// Most users that a room may hold; the contract's limit.
 pub const USERS_MAX: usize = 64;
@@ -68,6 +68,7 @@ impl Scenario {
         within("mirrors.gap_m", mirrors.gap_m, 0.0..=5.0)?;
         within("mirrors.reflectivity", mirrors.reflectivity, 0.0..=1.0)?;
         within("mirrors.centre_height_m", mirrors.centre_height_m, 0.0..=self.room.height_m)?;
+        self.check_array_fits()?;
         let receiver = &self.receiver;
         within("receiver.height_m", receiver.height_m, 0.0..=self.room.height_m)?;
         within("receiver.area_mm2", receiver.area_mm2, 1e-4..=1e6)?;
@@ -75,7 +76,7 @@ impl Scenario {
         within("receiver.fov_deg", receiver.fov_deg, 1.0..=90.0)?;
         within("receiver.filter_gain", receiver.filter_gain, 0.0..=1.0)?;
         within("receiver.concentrator_index", receiver.concentrator_index, 1.0..=4.0)?;
-        count("receiver.branches", receiver.branches.len(), 0..=32)?;
+        count("receiver.branches", receiver.branches.len(), 0..=16)?;
         for branch in &receiver.branches {
             within("receiver.branches.tilt_deg", branch.tilt_deg, 0.0..=180.0)?;
             within("receiver.branches.azimuth_deg", branch.azimuth_deg, -360.0..=360.0)?;
@@ -87,6 +88,29 @@ impl Scenario {
         within("noise.preamplifier_a2_per_hz", noise.preamplifier_a2_per_hz, 0.0..=1.0)?;
         within("noise.variance_a2", noise.variance_a2.unwrap_or(1e-15), 1e-30..=1.0)?;
         within("link.bandwidth_mhz", self.link.bandwidth_mhz, 1e-6..=1e6)
+    }
+
+    fn check_array_fits(&self) -> Result<(), ScenarioError> {
+        let mirrors = &self.mirrors;
+        let extent = |count: usize, size: f64| count as f64 * size + (count - 1) as f64 * mirrors.gap_m;
+        let (width, height) = (extent(mirrors.columns, mirrors.width_m), extent(mirrors.rows, mirrors.height_m));
+        let wall = match mirrors.wall {
+            Wall::PlusY | Wall::MinusY => self.room.length_x_m,
+            Wall::PlusX | Wall::MinusX => self.room.length_y_m,
+        };
+        if width > wall {
+            let wanted =
+                format!("{width:.2} m of mirrors do not fit on {wall} m of wall; wanted fewer or narrower ones");
+            return invalid("mirrors.columns", mirrors.columns, &wanted);
+        }
+        if mirrors.centre_height_m - height / 2.0 < 0.0 || mirrors.centre_height_m + height / 2.0 > self.room.height_m {
+            let wanted = format!(
+                "{height:.2} m of mirrors about {} m do not fit between floor and ceiling; wanted fewer or lower ones",
+                mirrors.centre_height_m
+            );
+            return invalid("mirrors.rows", mirrors.rows, &wanted);
+        }
+        Ok(())
     }
 
     fn check_people(&self) -> Result<(), ScenarioError> {

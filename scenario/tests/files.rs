@@ -46,6 +46,8 @@ fn values_that_contradict_each_other_are_refused() {
         "[led]\npositions_m = [[0.0, 0.0, 0.1]]",
         "[blockage]\nobstacles_per_m2 = 5.0",
         "[mirrors]\nrows = 1024\ncolumns = 1024",
+        "[mirrors]\ncolumns = 19",
+        "[mirrors]\nrows = 17",
         "[noise]\nvariance_a2 = 0.0",
         "[noise]\nvariance_a2 = nan",
     ] {
@@ -55,8 +57,14 @@ fn values_that_contradict_each_other_are_refused() {
 
 #[test]
 fn overrides_reach_any_key() {
-    let set = ["blockage.forced_users=2", "users.count=3", "led.power_w=1", "channel.mode=paper", "streams.positions.rate_hz=10"]
-        .map(String::from);
+    let set = [
+        "blockage.forced_users=2",
+        "users.count=3",
+        "led.power_w=1",
+        "channel.mode=paper",
+        "streams.positions.rate_hz=10",
+    ]
+    .map(String::from);
     let scenario = Scenario::default().with_overrides(&set).unwrap();
     assert_eq!(scenario.blockage.forced_users, 2);
     assert_eq!(scenario.users.count, 3);
@@ -91,4 +99,21 @@ fn the_geometry_hash_ignores_power_noise_and_people() {
         let changed = base.with_overrides(&[other.to_string()]).unwrap();
         assert_ne!(changed.geometry_hash(), base.geometry_hash(), "{other}");
     }
+}
+
+#[test]
+fn every_built_in_scenario_makes_a_channel_model() {
+    for name in BUILTIN_NAMES {
+        let scenario = Scenario::builtin(name).unwrap();
+        assert_eq!(scenario.channel_model().unwrap().mirrors.len(), scenario.mirror_count());
+    }
+    let diversity = ["receiver.preset=angle-diversity".to_string()];
+    let model = Scenario::default().with_overrides(&diversity).unwrap().channel_model().unwrap();
+    assert_eq!(model.receiver.branches.len(), 7);
+}
+
+#[test]
+fn the_default_noise_is_the_sum_of_its_items() {
+    let variance = Scenario::default().channel_model().unwrap().budget.noise_variance_a2();
+    assert!((variance - 4.16e-15).abs() < 1e-18, "{variance}");
 }

@@ -3,10 +3,29 @@
 //! A policy proposes; it neither limits nor checks its angles, which is the duty of [`crate::safety`]. It reads no clock and
 //! does not log. After the first few calls it does not allocate in our own code.
 
+mod actor;
+pub mod actor_file;
+mod fixed;
+mod model_based;
+mod nearest;
+pub mod shipped;
+
+use std::path::PathBuf;
+
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_scenario::{Fallback, Scenario};
 use thiserror::Error;
 
-use crate::observation::{EncodeError, Observation};
+pub use actor::Actor;
+pub use fixed::{Fixed, Hold};
+pub use model_based::{ModelBased, QOS_PENALTY};
+pub use nearest::Nearest;
+
+use crate::{
+    observation::{EncodeError, Observation},
+    safety::{Limits, NotFinite},
+};
+use actor_file::{ActorError, ActorFile};
 
 /// A way to turn the mirrors.
 pub trait Policy: Send {
@@ -31,16 +50,91 @@ pub enum PolicyError {
     /// The observation does not fit the network's input.
     #[error(transparent)]
     Observation(#[from] EncodeError),
-    /// The network gave a value that is not a number, or infinite.
-    #[error("output {index} of the network is not a finite number")]
-    NotFinite {
-        /// Index into roll then yaw.
-        index: usize,
-    },
+    /// An angle is not a number, or infinite.
+    #[error(transparent)]
+    NotFinite(#[from] NotFinite),
     /// The inference engine failed.
     #[error("the inference engine failed: {message}")]
     Inference {
         /// The engine's own words.
         message: String,
     },
+}
+
+/// The policies by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum PolicyKind {
+    /// A trained network (ONNX)
+    #[value(alias = "ddpg")]
+    Actor,
+    /// Model-based: damped fixed point over the users' weights
+    FixedPoint,
+    /// Model-based: the fixed point, then passes of single mirror moves
+    Greedy,
+    /// Each mirror serves the user to whom it can give most
+    Nearest,
+    /// One random draw a mirror, held for the run
+    Random,
+    /// Every mirror faces straight into the room
+    Flat,
+    /// Every mirror is turned away from everybody
+    NoIrs,
+    /// Every mirror stays as it was commanded last
+    Hold,
+}
+
+/// Where the actor's file comes from.
+#[derive(Clone, Debug, Default)]
+pub enum ActorSource {
+    /// The built-in actor for the scenario's mode and array.
+    #[default]
+    Shipped,
+    /// A file.
+    Path(PathBuf),
+    /// Bytes at hand.
+    Bytes(ActorFile),
+}
+
+impl ActorSource {
+    /// Fetches the bytes.
+    ///
+    /// # Errors
+    /// [`ActorError`] where there is no such actor or it cannot be read.
+    pub fn fetch(&self, scenario: &Scenario) -> Result<ActorFile, ActorError> {
+        match self {
+            Self::Shipped => shipped::for_scenario(scenario),
+            Self::Path(path) => ActorFile::read(path),
+            Self::Bytes(file) => Ok(file.clone()),
+        }
+    }
+}
+
+/// Builds a policy for a room.
+///
+/// # Errors
+/// [`ActorError`] where the policy is an actor that is missing or does not fit.
+pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Result<Box<dyn Policy>, ActorError> {
+    let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
+    let range_rad = Limits::new(&scenario.control).range_rad();
+    Ok(match kind {
+        PolicyKind::Actor => Box::new(Actor::load(&actor.fetch(scenario)?, scenario)?),
+        PolicyKind::FixedPoint => Box::new(ModelBased::fixed_point(users, mirrors)),
+        PolicyKind::Greedy => Box::new(ModelBased::greedy(users, mirrors)),
+        PolicyKind::Nearest => Box::new(Nearest::new(mirrors)),
+        PolicyKind::Random => Box::new(Fixed::random(mirrors, range_rad, scenario.seed)),
+        PolicyKind::Flat => Box::new(Fixed::flat(mirrors)),
+        PolicyKind::NoIrs => Box::new(Fixed::no_irs(mirrors, range_rad)),
+        PolicyKind::Hold => Box::new(Hold),
+    })
+}
+
+/// Builds the policy that answers when another fails; `None` where no command is to be sent then.
+pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn Policy>> {
+    let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
+    match fallback {
+        Fallback::FixedPoint => Some(Box::new(ModelBased::fixed_point(users, mirrors))),
+        Fallback::Nearest => Some(Box::new(Nearest::new(mirrors))),
+        Fallback::Flat => Some(Box::new(Fixed::flat(mirrors))),
+        Fallback::Hold => None,
+    }
 }

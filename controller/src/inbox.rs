@@ -1,0 +1,312 @@
+//! The latest report of each stream, and the rules by which a report is taken or refused.
+//!
+//! - The first source that is heard owns the room: reports of another one are refused until the owner has been silent for
+//!   `control.source_timeout_ms`. Two rooms are never mixed; with a new owner everything that the old one said is forgotten.
+//!   The array is owned in the same way, apart from the room, since it may be driven by another process.
+//! - A sequence number must be higher than the last of its stream.
+//! - A report must be neither older than `control.report_age_max_ms` nor from the future.
+//! - Counts must be those of the scenario, and values such as a room can give.
+//!
+//! Each refusal is counted by stream and reason; none stops the controller.
+
+use heliostat_proto::{ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, Stamp, UserReport};
+use heliostat_scenario::Scenario;
+
+use crate::refused::{Refusal, Refused, Stream};
+
+/// How far ahead of ours a source's clock may run, in ns. Clocks kept by NTP within one building agree to milliseconds.
+const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
+
+/// How far outside the room a position may be reported, in m; a tracker's noise may carry it beyond a wall.
+const OUTSIDE_MARGIN_M: f64 = 1.0;
+
+/// A decoded message. The inbox takes an accepted one by swapping it with the one before, whose memory the caller decodes
+/// into next time.
+#[derive(Debug)]
+pub enum Message<'a> {
+    /// The users' positions; completes a tick.
+    Users(&'a mut UserReport),
+    /// The users' measured gains.
+    Channel(&'a mut ChannelReport),
+    /// A survey of the obstacles.
+    Obstacles(&'a mut ObstacleReport),
+    /// What the mirrors do.
+    Telemetry(&'a mut MirrorTelemetry),
+}
+
+impl Message<'_> {
+    /// The stream that the message belongs to.
+    pub fn stream(&self) -> Stream {
+        match self {
+            Self::Users(_) => Stream::Users,
+            Self::Channel(_) => Stream::Channel,
+            Self::Obstacles(_) => Stream::Obstacles,
+            Self::Telemetry(_) => Stream::Telemetry,
+        }
+    }
+
+    /// Source, sequence number and time of the sample.
+    pub fn stamp(&self) -> &Stamp {
+        match self {
+            Self::Users(report) => &report.stamp,
+            Self::Channel(report) => &report.stamp,
+            Self::Obstacles(report) => &report.stamp,
+            Self::Telemetry(report) => &report.stamp,
+        }
+    }
+}
+
+/// Who is listened to, and when it was heard last.
+#[derive(Clone, Copy, Debug)]
+struct Owner {
+    source: u64,
+    heard_ns: Nanos,
+}
+
+/// A place for the latest report of a stream; its memory stays when the report is forgotten.
+#[derive(Debug, Default)]
+struct Slot<T> {
+    report: T,
+    filled: bool,
+}
+
+impl<T> Slot<T> {
+    fn get(&self) -> Option<&T> {
+        self.filled.then_some(&self.report)
+    }
+
+    fn keep(&mut self, report: &mut T) {
+        std::mem::swap(&mut self.report, report);
+        self.filled = true;
+    }
+
+    fn forget(&mut self) {
+        self.filled = false;
+    }
+}
+
+/// The latest accepted report of each stream.
+pub struct Inbox {
+    rules: Rules,
+    room: Option<Owner>,
+    array: Option<Owner>,
+    users: Slot<UserReport>,
+    channel: Slot<ChannelReport>,
+    obstacles: Slot<ObstacleReport>,
+    telemetry: Slot<MirrorTelemetry>,
+    refused: Refused,
+    source_changes: u64,
+}
+
+impl Inbox {
+    /// An empty inbox with the rules of a scenario.
+    pub fn new(scenario: &Scenario) -> Self {
+        Self {
+            rules: Rules::new(scenario),
+            room: None,
+            array: None,
+            users: Slot::default(),
+            channel: Slot::default(),
+            obstacles: Slot::default(),
+            telemetry: Slot::default(),
+            refused: Refused::default(),
+            source_changes: 0,
+        }
+    }
+
+    /// Takes a message that arrived at `now`, or says why not.
+    ///
+    /// # Errors
+    /// The [`Refusal`], already counted.
+    pub fn accept(&mut self, now: Nanos, message: Message<'_>) -> Result<(), Refusal> {
+        let stream = message.stream();
+        let stamp = *message.stamp();
+        let checked = self
+            .rules
+            .check_content(&message)
+            .and_then(|()| self.rules.check_time(now, &stamp))
+            .and_then(|()| self.check_source(now, stream, stamp.source))
+            .and_then(|()| check_sequence(self.last_stamp(stream), &stamp));
+        match checked {
+            Ok(()) => self.keep(message),
+            Err(Refusal::ForeignSource) => self.refused.count_foreign(stream, stamp.source),
+            Err(refusal) => self.refused.count(stream, refusal),
+        }
+        checked
+    }
+
+    /// Counts a payload that is no message.
+    pub fn count_malformed(&mut self, stream: Stream, refusal: Refusal) {
+        self.refused.count(stream, refusal);
+    }
+
+    /// The latest positions.
+    pub fn users(&self) -> Option<&UserReport> {
+        self.users.get()
+    }
+
+    /// The latest measured gains, if they are not too old at `now`.
+    pub fn channel(&self, now: Nanos) -> Option<&ChannelReport> {
+        self.channel.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
+    }
+
+    /// The latest survey of the obstacles; it holds until the next one, or until the room has a new source.
+    pub fn obstacles(&self) -> Option<&ObstacleReport> {
+        self.obstacles.get()
+    }
+
+    /// The latest telemetry of the array.
+    pub fn telemetry(&self) -> Option<&MirrorTelemetry> {
+        self.telemetry.get()
+    }
+
+    /// What was refused so far.
+    pub fn refused(&self) -> &Refused {
+        &self.refused
+    }
+
+    /// The source that owns the room.
+    pub fn source(&self) -> Option<u64> {
+        self.room.map(|owner| owner.source)
+    }
+
+    /// How often the room passed from one source to another.
+    pub fn source_changes(&self) -> u64 {
+        self.source_changes
+    }
+
+    fn check_source(&mut self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
+        let slot = if stream == Stream::Telemetry { &mut self.array } else { &mut self.room };
+        let timeout_ns = self.rules.source_timeout_ns;
+        match slot {
+            Some(owner) if owner.source == source => owner.heard_ns = now,
+            Some(owner) if now.saturating_sub(owner.heard_ns) <= timeout_ns => return Err(Refusal::ForeignSource),
+            Some(_) => {
+                *slot = Some(Owner { source, heard_ns: now });
+                self.forget(stream);
+            }
+            None => *slot = Some(Owner { source, heard_ns: now }),
+        }
+        Ok(())
+    }
+
+    fn forget(&mut self, stream: Stream) {
+        if stream == Stream::Telemetry {
+            self.telemetry.forget();
+            return;
+        }
+        self.users.forget();
+        self.channel.forget();
+        self.obstacles.forget();
+        self.source_changes += 1;
+    }
+
+    fn last_stamp(&self, stream: Stream) -> Option<&Stamp> {
+        match stream {
+            Stream::Users => self.users.get().map(|report| &report.stamp),
+            Stream::Channel => self.channel.get().map(|report| &report.stamp),
+            Stream::Obstacles => self.obstacles.get().map(|report| &report.stamp),
+            Stream::Telemetry => self.telemetry.get().map(|report| &report.stamp),
+        }
+    }
+
+    fn keep(&mut self, message: Message<'_>) {
+        match message {
+            Message::Users(report) => self.users.keep(report),
+            Message::Channel(report) => self.channel.keep(report),
+            Message::Obstacles(report) => self.obstacles.keep(report),
+            Message::Telemetry(report) => self.telemetry.keep(report),
+        }
+    }
+}
+
+fn check_sequence(last: Option<&Stamp>, stamp: &Stamp) -> Result<(), Refusal> {
+    match last.map(|last| stamp.sequence.cmp(&last.sequence)) {
+        None | Some(std::cmp::Ordering::Greater) => Ok(()),
+        Some(std::cmp::Ordering::Equal) => Err(Refusal::Repeated),
+        Some(std::cmp::Ordering::Less) => Err(Refusal::OutOfOrder),
+    }
+}
+
+/// What a scenario says about its reports.
+#[derive(Clone, Debug)]
+struct Rules {
+    users: usize,
+    mirrors: usize,
+    half_x_m: f64,
+    half_y_m: f64,
+    height_m: f64,
+    age_max_ns: Nanos,
+    source_timeout_ns: Nanos,
+}
+
+impl Rules {
+    fn new(scenario: &Scenario) -> Self {
+        let nanoseconds = |milliseconds: f64| (milliseconds * 1e6) as Nanos;
+        Self {
+            users: scenario.users.count,
+            mirrors: scenario.mirror_count(),
+            half_x_m: scenario.room.length_x_m / 2.0,
+            half_y_m: scenario.room.length_y_m / 2.0,
+            height_m: scenario.room.height_m,
+            age_max_ns: nanoseconds(scenario.control.report_age_max_ms),
+            source_timeout_ns: nanoseconds(scenario.control.source_timeout_ms),
+        }
+    }
+
+    fn check_time(&self, now: Nanos, stamp: &Stamp) -> Result<(), Refusal> {
+        if stamp.time_ns > now.saturating_add(CLOCK_LEAD_MAX_NS) {
+            return Err(Refusal::FromFuture);
+        }
+        if now.saturating_sub(stamp.time_ns) > self.age_max_ns {
+            return Err(Refusal::Stale);
+        }
+        Ok(())
+    }
+
+    fn check_content(&self, message: &Message<'_>) -> Result<(), Refusal> {
+        match message {
+            Message::Users(report) => self.check_users(report),
+            Message::Channel(report) => self.check_channel(report),
+            Message::Obstacles(report) => self.check_obstacles(report),
+            Message::Telemetry(report) => self.check_telemetry(report),
+        }
+    }
+
+    fn check_users(&self, report: &UserReport) -> Result<(), Refusal> {
+        if report.users.len() != self.users {
+            return Err(Refusal::WrongUserCount);
+        }
+        let inside = |position: &[f32; 3]| {
+            let [x, y, z] = position.map(f64::from);
+            x.abs() <= self.half_x_m + OUTSIDE_MARGIN_M
+                && y.abs() <= self.half_y_m + OUTSIDE_MARGIN_M
+                && (-OUTSIDE_MARGIN_M..=self.height_m).contains(&z)
+        };
+        if !report.users.iter().all(|user| inside(&user.position_m)) {
+            return Err(Refusal::OutsideRoom);
+        }
+        plausible(report.users.iter().all(|user| user.min_rate_bps >= 0.0))
+    }
+
+    fn check_channel(&self, report: &ChannelReport) -> Result<(), Refusal> {
+        if report.users.len() != self.users {
+            return Err(Refusal::WrongUserCount);
+        }
+        // A gain is the received share of the transmitted light.
+        plausible(report.users.iter().all(|user| (0.0..=1.0).contains(&user.los_gain)))
+    }
+
+    fn check_obstacles(&self, report: &ObstacleReport) -> Result<(), Refusal> {
+        plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m > 0.0 && obstacle.height_m >= 0.0))
+    }
+
+    fn check_telemetry(&self, report: &MirrorTelemetry) -> Result<(), Refusal> {
+        let commanded = [report.roll_commanded.len(), report.yaw_commanded.len()];
+        if commanded == [self.mirrors; 2] { Ok(()) } else { Err(Refusal::WrongMirrorCount) }
+    }
+}
+
+fn plausible(holds: bool) -> Result<(), Refusal> {
+    if holds { Ok(()) } else { Err(Refusal::Implausible) }
+}

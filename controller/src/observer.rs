@@ -1,0 +1,151 @@
+//! From reports to an observation: what is reported is taken over, what is not is inferred.
+//!
+//! Bodies are inferred: a person stands behind the device that they hold, and behind is where they do not walk to. Somebody who
+//! has never been seen walking has no body yet. Obstacles are those of the latest survey. Measured gains of the direct path
+//! replace modelled ones, since they know of what no survey mentions.
+
+use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
+use heliostat_proto::{ChannelReport, Nanos, UserReport, UserState};
+use heliostat_scenario::Scenario;
+
+use crate::{
+    inbox::Inbox,
+    observation::{Observation, RoomState},
+};
+
+/// Below this speed in m/s a velocity says nothing about where somebody faces; half of the slowest walk.
+const WALKING_M_S: f64 = 0.05;
+
+/// Where a body stands relative to its device.
+#[derive(Clone, Copy, Debug)]
+struct Body {
+    radius_m: f64,
+    height_m: f64,
+    offset_m: f64,
+}
+
+/// Fills observations from the inbox; its buffers are reused.
+pub struct Observer {
+    body: Option<Body>,
+    ids: Vec<u32>,
+    /// Unit vectors in the floor plane; zero while unknown.
+    headings: Vec<Vec3>,
+    positions: Vec<Vec3>,
+    velocities: Vec<Vec3>,
+    min_rate_bps: Vec<f64>,
+    measured_los_gain: Vec<f64>,
+    blockers: Vec<Cylinder>,
+    /// Nobody's path is known to be forced off: measured gains tell.
+    forced: Vec<bool>,
+}
+
+/// Where the gains of the direct paths came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LosSource {
+    /// A channel report.
+    Measured,
+    /// The model, because no channel report of acceptable age is there.
+    Modelled,
+}
+
+impl Observer {
+    /// An observer of a scenario's users.
+    pub fn new(scenario: &Scenario) -> Self {
+        let users = scenario.users.count;
+        let blockage = &scenario.blockage;
+        Self {
+            body: blockage.bodies.then_some(Body {
+                radius_m: blockage.body_radius_m,
+                height_m: blockage.body_height_m,
+                offset_m: blockage.body_offset_m,
+            }),
+            ids: vec![0; users],
+            headings: vec![Vec3::zeros(); users],
+            positions: vec![Vec3::zeros(); users],
+            velocities: vec![Vec3::zeros(); users],
+            min_rate_bps: vec![0.0; users],
+            measured_los_gain: vec![0.0; users],
+            blockers: Vec::new(),
+            forced: vec![false; users],
+        }
+    }
+
+    /// Forgets which way everybody faced.
+    pub fn forget(&mut self) {
+        self.headings.fill(Vec3::zeros());
+    }
+
+    /// Fills an observation from the latest reports at `now`; `None` without a position report.
+    ///
+    /// Does not allocate once it has seen as many obstacles as there are.
+    pub fn observe(
+        &mut self,
+        model: &ChannelModel,
+        inbox: &Inbox,
+        now: Nanos,
+        into: &mut Observation,
+    ) -> Option<LosSource> {
+        let report = inbox.users()?;
+        for (index, user) in report.users.iter().enumerate() {
+            self.positions[index] = Vec3::from_iterator(user.position_m.map(f64::from));
+            let [x, y] = user.velocity_m_s.map(f64::from);
+            if self.ids[index] != user.user {
+                self.ids[index] = user.user;
+                self.headings[index] = Vec3::zeros();
+            }
+            self.velocities[index] = Vec3::new(x, y, 0.0);
+            self.min_rate_bps[index] = f64::from(user.min_rate_bps);
+        }
+        self.place_blockers(inbox);
+        let measured = inbox.channel(now).is_some_and(|channel| self.take_gains(report, channel));
+        into.set_state(
+            model,
+            &RoomState {
+                tick: report.tick,
+                positions: &self.positions,
+                velocities: &self.velocities,
+                min_rate_bps: &self.min_rate_bps,
+                blockers: &self.blockers,
+                forced: &self.forced,
+                measured_los_gain: measured.then_some(self.measured_los_gain.as_slice()),
+            },
+        );
+        Some(if measured { LosSource::Measured } else { LosSource::Modelled })
+    }
+
+    /// Takes each user's measured gain; false where somebody is missing from the channel report.
+    fn take_gains(&mut self, users: &UserReport, channel: &ChannelReport) -> bool {
+        let gain_of = |(slot, user): (usize, &UserState)| {
+            let same_place = channel.users.get(slot).filter(|entry| entry.user == user.user);
+            let entry = same_place.or_else(|| channel.users.iter().find(|entry| entry.user == user.user))?;
+            Some(f64::from(entry.los_gain))
+        };
+        let gains = users.users.iter().enumerate().map(gain_of);
+        self.measured_los_gain.iter_mut().zip(gains).all(|(place, gain)| {
+            *place = gain.unwrap_or(0.0);
+            gain.is_some()
+        })
+    }
+
+    fn place_blockers(&mut self, inbox: &Inbox) {
+        self.blockers.clear();
+        let obstacles = inbox.obstacles().into_iter().flat_map(|report| &report.obstacles);
+        self.blockers.extend(obstacles.map(|obstacle| Cylinder {
+            x_m: f64::from(obstacle.x_m),
+            y_m: f64::from(obstacle.y_m),
+            radius_m: f64::from(obstacle.radius_m),
+            height_m: f64::from(obstacle.height_m),
+        }));
+        let Some(body) = self.body else { return };
+        for ((heading, velocity), position) in self.headings.iter_mut().zip(&self.velocities).zip(&self.positions) {
+            if velocity.norm() > WALKING_M_S {
+                *heading = velocity.normalize();
+            }
+            if *heading != Vec3::zeros() {
+                let axis = position - body.offset_m * *heading;
+                let Body { radius_m, height_m, .. } = body;
+                self.blockers.push(Cylinder { x_m: axis.x, y_m: axis.y, radius_m, height_m });
+            }
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! The trained policy: an ONNX network whose last layers are the geometric decoder, so that it gives angles itself.
+//!
+//! This is the only file that names the inference engine. The engine copies its input and allocates at each run; our part
+//! writes into one tensor that lives as long as the actor.
+
+use std::sync::Once;
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_scenario::Scenario;
+use ort::{
+    session::{Session, builder::GraphOptimizationLevel},
+    value::Tensor,
+};
+
+use super::{
+    Policy, PolicyError,
+    actor_file::{ActorError, ActorFile, ActorInfo, OUTPUT_NAME},
+};
+use crate::{
+    observation::{Observation, ObservationEncoder},
+    safety::check_finite,
+};
+
+/// An actor that was found to fit the room, ready to run.
+pub struct Actor {
+    info: ActorInfo,
+    encoder: ObservationEncoder,
+    session: Session,
+    input: Tensor<f32>,
+}
+
+impl Actor {
+    /// Checks that an actor fits the room, and builds its network.
+    ///
+    /// # Errors
+    /// [`ActorError`] that names what does not fit, and what to do.
+    pub fn load(file: &ActorFile, scenario: &Scenario) -> Result<Self, ActorError> {
+        let info = ActorInfo::read(file)?;
+        info.check_fits(scenario)?;
+        let engine_refused = |message: String| ActorError::Engine { origin: file.origin.clone(), message };
+        let session = build_session(&file.bytes).map_err(|error| engine_refused(error.to_string()))?;
+        let encoder = info.encoder();
+        let input = Tensor::from_array(([1, encoder.len()], vec![0.0_f32; encoder.len()]))
+            .map_err(|error| engine_refused(error.to_string()))?;
+        Ok(Self { info, encoder, session, input })
+    }
+
+    /// What the actor says about itself.
+    pub fn info(&self) -> &ActorInfo {
+        &self.info
+    }
+
+    /// Runs the network on a ready-made vector: roll then yaw of each mirror in rad.
+    ///
+    /// # Errors
+    /// [`PolicyError`] where the engine fails or an output is not finite.
+    ///
+    /// # Panics
+    /// Where `vector` has not the encoder's length.
+    pub fn answer(&mut self, vector: &[f32], out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        self.input.extract_tensor_mut().1.copy_from_slice(vector);
+        self.run(out)
+    }
+
+    /// Runs the network on the tensor as it stands.
+    fn run(&mut self, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        let failed = |error: ort::Error| PolicyError::Inference { message: error.to_string() };
+        let outputs = self.session.run(ort::inputs![&self.input]).map_err(failed)?;
+        let (_, angles) = outputs[OUTPUT_NAME].try_extract_tensor::<f32>().map_err(failed)?;
+        let (roll, yaw) = angles
+            .split_at_checked(self.info.mirrors)
+            .filter(|(_, yaw)| yaw.len() == self.info.mirrors)
+            .ok_or_else(|| PolicyError::Inference { message: format!("the network gave {} values", angles.len()) })?;
+        widen(roll, &mut out.roll);
+        widen(yaw, &mut out.yaw);
+        Ok(check_finite(out)?)
+    }
+}
+
+impl Policy for Actor {
+    fn name(&self) -> &str {
+        "actor"
+    }
+
+    fn act(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        out: &mut MirrorAngles,
+    ) -> Result<(), PolicyError> {
+        self.encoder.encode(model, observation, self.input.extract_tensor_mut().1)?;
+        self.run(out)
+    }
+}
+
+fn build_session(bytes: &[u8]) -> ort::Result<Session> {
+    static ENGINE: Once = Once::new();
+    ENGINE.call_once(|| {
+        ort::set_api(ort_tract::api());
+    });
+    let environment = ort::init().with_telemetry(false).build()?;
+    // Without the level set by hand the engine runs the graph as written, thirty times slower.
+    let mut builder = Session::builder(&environment)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
+    builder.commit_from_memory(bytes)
+}
+
+fn widen(values: &[f32], out: &mut [f64]) {
+    for (out, value) in out.iter_mut().zip(values) {
+        *out = f64::from(*value);
+    }
+}

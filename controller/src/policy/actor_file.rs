@@ -1,0 +1,334 @@
+//! What an actor's ONNX file says about itself, and whether it fits a room; read before the network is built.
+//!
+//! The inference engine gives no metadata, so the file is parsed by its protobuf types. Every refusal names the file, the
+//! value found, the value wanted and the way out.
+
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
+
+use heliostat_scenario::Scenario;
+use prost::Message;
+use thiserror::Error;
+use tract_onnx::pb::{
+    ModelProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto::dimension::Value as Dimension, type_proto,
+};
+
+use crate::observation::{OBSERVATION_VERSION, ObservationEncoder};
+
+/// Name of the network's only input.
+pub const INPUT_NAME: &str = "observation";
+/// Name of the network's only output.
+pub const OUTPUT_NAME: &str = "angles";
+
+/// The keys of the metadata that every actor carries.
+pub mod key {
+    /// Version of the observation's layout.
+    pub const OBSERVATION_VERSION: &str = "heliostat.observation_version";
+    /// How many users the actor can see.
+    pub const USERS_MAX: &str = "heliostat.users_max";
+    /// How many mirrors the actor turns.
+    pub const MIRRORS: &str = "heliostat.mirrors";
+    /// Channel mode that the actor was trained in.
+    pub const MODE: &str = "heliostat.mode";
+    /// Hash of the optical geometry.
+    pub const GEOMETRY: &str = "heliostat.geometry";
+    /// Command that made the file.
+    pub const TRAINING_COMMAND: &str = "heliostat.training_command";
+    /// Seed of the training.
+    pub const SEED: &str = "heliostat.seed";
+    /// Scenario of the training.
+    pub const SCENARIO: &str = "heliostat.scenario";
+    /// Scores on held-out states.
+    pub const SCORES: &str = "heliostat.scores";
+    /// Licence of the weights.
+    pub const LICENCE: &str = "heliostat.licence";
+}
+
+/// Why an actor cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ActorError {
+    /// There is no such file.
+    #[error(
+        "no actor at {}: train one with `heliostat train ddpg`, give another file with --model, \
+         or choose --policy fixed-point, which needs none", path.display()
+    )]
+    Missing {
+        /// Where it was looked for.
+        path: PathBuf,
+    },
+    /// No actor is built in for this array and mode.
+    #[error(
+        "no built-in actor {wanted}; built in: {available}. Train one with `heliostat train ddpg` for this scenario and give it \
+         with --model FILE, or choose --policy fixed-point, which needs none"
+    )]
+    NotShipped {
+        /// File name of the actor that would fit.
+        wanted: String,
+        /// The built-in ones.
+        available: String,
+    },
+    /// The file is there but cannot be read.
+    #[error("cannot read the actor {}: {message}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's words.
+        message: String,
+    },
+    /// The bytes are no ONNX model.
+    #[error("{origin} is not an ONNX model: {message}")]
+    NotOnnx {
+        /// The file.
+        origin: String,
+        /// What gave it away.
+        message: String,
+    },
+    /// Inputs or outputs have other names or another number.
+    #[error("{origin} has {side} {found:?}; an actor has exactly one, \"{wanted}\"")]
+    Ports {
+        /// The file.
+        origin: String,
+        /// "inputs" or "outputs".
+        side: &'static str,
+        /// The names found.
+        found: Vec<String>,
+        /// The name wanted.
+        wanted: &'static str,
+    },
+    /// The input or output has another shape or element type.
+    #[error(
+        "{origin}: \"{port}\" is {found}, but {users_max} users and {mirrors} mirrors make it f32 [1, {wanted}]; \
+         export the actor again with `heliostat train`"
+    )]
+    Shape {
+        /// The file.
+        origin: String,
+        /// The input or output.
+        port: &'static str,
+        /// Type and shape found.
+        found: String,
+        /// Length wanted.
+        wanted: usize,
+        /// Users by the metadata.
+        users_max: usize,
+        /// Mirrors by the metadata.
+        mirrors: usize,
+    },
+    /// A metadata entry is missing or unreadable.
+    #[error("{origin} has no usable metadata \"{key}\" (found {found:?}); export the actor with `heliostat train`")]
+    Metadata {
+        /// The file.
+        origin: String,
+        /// The entry.
+        key: &'static str,
+        /// What stands there.
+        found: Option<String>,
+    },
+    /// The actor was made for something else.
+    #[error("{origin} was made for {what} {found}, but this room has {wanted}; {advice}")]
+    Unfit {
+        /// The file.
+        origin: String,
+        /// What differs.
+        what: &'static str,
+        /// The actor's value.
+        found: String,
+        /// The room's value.
+        wanted: String,
+        /// What to do.
+        advice: &'static str,
+    },
+    /// The inference engine refused the network.
+    #[error("{origin}: the inference engine refused the network: {message}")]
+    Engine {
+        /// The file.
+        origin: String,
+        /// The engine's words.
+        message: String,
+    },
+}
+
+/// The bytes of an actor and where they came from.
+#[derive(Clone, Debug)]
+pub struct ActorFile {
+    /// Where the bytes came from, for messages.
+    pub origin: String,
+    /// The ONNX model.
+    pub bytes: Cow<'static, [u8]>,
+}
+
+impl ActorFile {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`ActorError::Missing`] or [`ActorError::Unreadable`].
+    pub fn read(path: &Path) -> Result<Self, ActorError> {
+        match std::fs::read(path) {
+            Ok(bytes) => Ok(Self { origin: path.display().to_string(), bytes: bytes.into() }),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                Err(ActorError::Missing { path: path.into() })
+            }
+            Err(error) => Err(ActorError::Unreadable { path: path.into(), message: error.to_string() }),
+        }
+    }
+}
+
+/// What an actor says about itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ActorInfo {
+    origin: String,
+    /// Version of the observation's layout.
+    pub observation_version: u32,
+    /// How many users the actor can see.
+    pub users_max: usize,
+    /// How many mirrors it turns.
+    pub mirrors: usize,
+    /// Channel mode it was trained in.
+    pub mode: String,
+    /// Hash of the optical geometry it was trained in.
+    pub geometry: String,
+    /// Every metadata entry, in the file's order.
+    pub entries: Vec<(String, String)>,
+}
+
+impl ActorInfo {
+    /// Reads metadata and shapes, and checks that they agree with each other.
+    ///
+    /// # Errors
+    /// [`ActorError`] where the bytes are no ONNX model, or one that no controller can run.
+    pub fn read(file: &ActorFile) -> Result<Self, ActorError> {
+        let origin = file.origin.clone();
+        let not_onnx = |message: String| ActorError::NotOnnx { origin: origin.clone(), message };
+        let model = ModelProto::decode(file.bytes.as_ref()).map_err(|error| not_onnx(error.to_string()))?;
+        let graph = model.graph.ok_or_else(|| not_onnx("it holds no graph".into()))?;
+        let entries: Vec<_> = model.metadata_props.into_iter().map(|entry| (entry.key, entry.value)).collect();
+        let reader = MetadataReader { origin: &file.origin, entries: &entries };
+        let info = Self {
+            observation_version: reader.number(key::OBSERVATION_VERSION)?,
+            users_max: reader.number(key::USERS_MAX)?,
+            mirrors: reader.number(key::MIRRORS)?,
+            mode: reader.text(key::MODE)?,
+            geometry: reader.text(key::GEOMETRY)?,
+            entries: entries.clone(),
+            origin: file.origin.clone(),
+        };
+        // Weights may be listed as inputs too, in files written for old versions of the format.
+        let is_weight = |port: &&ValueInfoProto| graph.initializer.iter().any(|weight| weight.name == port.name);
+        let inputs: Vec<_> = graph.input.iter().filter(|port| !is_weight(port)).collect();
+        let outputs: Vec<_> = graph.output.iter().collect();
+        let length = info.encoder().len();
+        info.check_port("inputs", INPUT_NAME, &inputs, length)?;
+        info.check_port("outputs", OUTPUT_NAME, &outputs, 2 * info.mirrors)?;
+        Ok(info)
+    }
+
+    /// The encoder that fills this actor's input.
+    pub fn encoder(&self) -> ObservationEncoder {
+        ObservationEncoder::new(self.users_max, self.mirrors)
+    }
+
+    /// Checks that the actor fits a room.
+    ///
+    /// # Errors
+    /// [`ActorError::Unfit`] with the first difference.
+    pub fn check_fits(&self, scenario: &Scenario) -> Result<(), ActorError> {
+        let unfit = |what, found: String, wanted: String, advice| {
+            Err(ActorError::Unfit { origin: self.origin.clone(), what, found, wanted, advice })
+        };
+        let train = "train an actor for it with `heliostat train ddpg --scenario FILE`, or choose --policy fixed-point";
+        if self.observation_version != OBSERVATION_VERSION {
+            let (found, wanted) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
+            return unfit("observation version", found, wanted, "train it again with this release of heliostat");
+        }
+        if self.mirrors != scenario.mirror_count() {
+            let wanted =
+                format!("{} ({} x {})", scenario.mirror_count(), scenario.mirrors.rows, scenario.mirrors.columns);
+            return unfit("a number of mirrors of", self.mirrors.to_string(), wanted, train);
+        }
+        if scenario.users.count > self.users_max {
+            let found = self.users_max.to_string();
+            return unfit("a number of users of at most", found, scenario.users.count.to_string(), train);
+        }
+        let mode = scenario.channel.mode.name();
+        if self.mode != mode {
+            return unfit("the channel mode", self.mode.clone(), mode.into(), train);
+        }
+        let geometry = scenario.geometry_hash();
+        if self.geometry != geometry {
+            let advice = "room, access points, array or receiver differ from those of the training; \
+                          train an actor for them with `heliostat train ddpg --scenario FILE`, or choose --policy fixed-point";
+            return unfit("the optical geometry", self.geometry.clone(), geometry, advice);
+        }
+        Ok(())
+    }
+
+    fn check_port(
+        &self,
+        side: &'static str,
+        wanted: &'static str,
+        ports: &[&ValueInfoProto],
+        length: usize,
+    ) -> Result<(), ActorError> {
+        let [port] = ports else { return Err(self.wrong_ports(side, wanted, ports)) };
+        if port.name != wanted {
+            return Err(self.wrong_ports(side, wanted, ports));
+        }
+        let found = describe(port);
+        if found == format!("f32 [1, {length}]") {
+            return Ok(());
+        }
+        let (origin, users_max, mirrors) = (self.origin.clone(), self.users_max, self.mirrors);
+        Err(ActorError::Shape { origin, port: wanted, found, wanted: length, users_max, mirrors })
+    }
+
+    fn wrong_ports(&self, side: &'static str, wanted: &'static str, ports: &[&ValueInfoProto]) -> ActorError {
+        let found = ports.iter().map(|port| port.name.clone()).collect();
+        ActorError::Ports { origin: self.origin.clone(), side, found, wanted }
+    }
+}
+
+/// Element type and shape, as "f32 [1, 200]".
+fn describe(port: &ValueInfoProto) -> String {
+    let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref().and_then(|kind| kind.value.as_ref()) else {
+        return "of no known type".into();
+    };
+    let element = match DataType::try_from(tensor.elem_type) {
+        Ok(DataType::Float) => "f32".into(),
+        Ok(other) => format!("{other:?}"),
+        Err(_) => format!("type {}", tensor.elem_type),
+    };
+    let dimensions = tensor.shape.iter().flat_map(|shape| &shape.dim);
+    let sizes: Vec<String> = dimensions
+        .map(|dimension| match &dimension.value {
+            Some(Dimension::DimValue(size)) => size.to_string(),
+            Some(Dimension::DimParam(name)) => name.clone(),
+            None => "?".into(),
+        })
+        .collect();
+    format!("{element} [{}]", sizes.join(", "))
+}
+
+struct MetadataReader<'a> {
+    origin: &'a str,
+    entries: &'a [(String, String)],
+}
+
+impl MetadataReader<'_> {
+    fn find(&self, key: &str) -> Option<&String> {
+        self.entries.iter().find(|(name, _)| name == key).map(|(_, value)| value)
+    }
+
+    fn text(&self, key: &'static str) -> Result<String, ActorError> {
+        self.find(key).cloned().ok_or_else(|| self.unusable(key))
+    }
+
+    fn number<T: std::str::FromStr>(&self, key: &'static str) -> Result<T, ActorError> {
+        self.find(key).and_then(|value| value.parse().ok()).ok_or_else(|| self.unusable(key))
+    }
+
+    fn unusable(&self, key: &'static str) -> ActorError {
+        ActorError::Metadata { origin: self.origin.into(), key, found: self.find(key).cloned() }
+    }
+}

@@ -1,0 +1,67 @@
+//! Policies that look at nobody: baselines, and what is left when all else fails.
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{Policy, PolicyError};
+use crate::observation::Observation;
+
+/// The same angles for ever.
+pub struct Fixed {
+    name: &'static str,
+    angles: MirrorAngles,
+}
+
+impl Fixed {
+    /// Every mirror faces straight into the room.
+    pub fn flat(mirrors: usize) -> Self {
+        Self::uniform("flat", mirrors, 0.0)
+    }
+
+    /// Every mirror looks up as far as its range lets it, so that it sends nothing to anybody below.
+    pub fn no_irs(mirrors: usize, range_rad: f64) -> Self {
+        Self::uniform("no-irs", mirrors, -range_rad)
+    }
+
+    /// One uniform draw an axis within the range, held for the run.
+    pub fn random(mirrors: usize, range_rad: f64, seed: u64) -> Self {
+        let mut generator = ChaCha8Rng::seed_from_u64(seed);
+        let mut draw = || (0..mirrors).map(|_| generator.random_range(-range_rad..=range_rad)).collect();
+        Self { name: "random", angles: MirrorAngles { roll: draw(), yaw: draw() } }
+    }
+
+    fn uniform(name: &'static str, mirrors: usize, roll: f64) -> Self {
+        Self { name, angles: MirrorAngles { roll: vec![roll; mirrors], yaw: vec![0.0; mirrors] } }
+    }
+}
+
+impl Policy for Fixed {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn act(&mut self, _: &ChannelModel, _: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        copy(&self.angles, out);
+        Ok(())
+    }
+}
+
+/// Repeats what was commanded last.
+pub struct Hold;
+
+impl Policy for Hold {
+    fn name(&self) -> &str {
+        "hold"
+    }
+
+    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        copy(&observation.angles, out);
+        Ok(())
+    }
+}
+
+fn copy(from: &MirrorAngles, to: &mut MirrorAngles) {
+    to.roll.copy_from_slice(&from.roll);
+    to.yaw.copy_from_slice(&from.yaw);
+}

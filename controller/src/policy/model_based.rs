@@ -1,0 +1,54 @@
+//! Policies that solve the channel model at every tick; they need no training and no file.
+
+use heliostat_channel::{
+    ChannelModel,
+    mirrors::MirrorAngles,
+    solver::{Method, Need, Solver},
+};
+
+use super::{Policy, PolicyError};
+use crate::observation::Observation;
+
+/// Weight of a missed minimum rate against the sum rate: so large that a need is met wherever it can be.
+///
+/// The yardstick that policies are compared with uses the same weight.
+pub const QOS_PENALTY: f64 = 50.0;
+
+/// Passes of single mirror moves after the fixed point: three reach 0.998 of the oracle with two blocked users.
+const GREEDY_PASSES: usize = 3;
+
+/// The damped fixed point over the users' weights, with or without single mirror moves after it; started from the last answer.
+pub struct ModelBased {
+    name: &'static str,
+    method: Method,
+    solver: Solver,
+}
+
+impl ModelBased {
+    /// The fixed point alone.
+    pub fn fixed_point(users: usize, mirrors: usize) -> Self {
+        Self { name: "fixed-point", method: Method::FixedPoint, solver: Solver::new(users, mirrors) }
+    }
+
+    /// The fixed point, then passes of single mirror moves.
+    pub fn greedy(users: usize, mirrors: usize) -> Self {
+        Self { name: "greedy", method: Method::Greedy { passes: GREEDY_PASSES }, solver: Solver::new(users, mirrors) }
+    }
+}
+
+impl Policy for ModelBased {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn act(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        out: &mut MirrorAngles,
+    ) -> Result<(), PolicyError> {
+        let need = Need { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
+        self.solver.solve(model, &observation.scene, &need, self.method, out);
+        Ok(())
+    }
+}

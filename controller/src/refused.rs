@@ -1,0 +1,196 @@
+//! Every reason for which something received is not used, counted by stream. Counting does not allocate.
+
+use std::fmt;
+
+/// What arrives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stream {
+    /// The users' positions; a report completes a tick.
+    Users,
+    /// The users' measured gains.
+    Channel,
+    /// A survey of the obstacles.
+    Obstacles,
+    /// What the mirrors do.
+    Telemetry,
+}
+
+impl Stream {
+    /// All streams, in the order of their counters.
+    pub const ALL: [Self; 4] = [Self::Users, Self::Channel, Self::Obstacles, Self::Telemetry];
+
+    /// The name in counters and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Users => "users",
+            Self::Channel => "channel",
+            Self::Obstacles => "obstacles",
+            Self::Telemetry => "telemetry",
+        }
+    }
+}
+
+/// Why something received is not used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// The payload speaks another version of the contract.
+    WrongVersion,
+    /// The payload is another kind of message than its key says.
+    WrongKind,
+    /// The payload ends too early.
+    Truncated,
+    /// The payload goes on after its message.
+    TrailingBytes,
+    /// The payload is larger than any message may be.
+    Oversized,
+    /// A list is longer than the contract allows, or two lists differ in length.
+    BadLength,
+    /// A value is not a finite number.
+    NotFinite,
+    /// The payload is no message for another reason.
+    Malformed,
+    /// Another source owns the room.
+    ForeignSource,
+    /// The sequence number was seen last.
+    Repeated,
+    /// The sequence number is lower than the last.
+    OutOfOrder,
+    /// Sampled too long ago.
+    Stale,
+    /// Sampled in the future: the clocks disagree.
+    FromFuture,
+    /// Another number of users than the scenario has.
+    WrongUserCount,
+    /// Another number of mirrors than the scenario has.
+    WrongMirrorCount,
+    /// A position outside the room.
+    OutsideRoom,
+    /// A value that no room can give, such as a negative gain.
+    Implausible,
+}
+
+impl Refusal {
+    /// All reasons, in the order of their counters.
+    pub const ALL: [Self; 17] = [
+        Self::WrongVersion,
+        Self::WrongKind,
+        Self::Truncated,
+        Self::TrailingBytes,
+        Self::Oversized,
+        Self::BadLength,
+        Self::NotFinite,
+        Self::Malformed,
+        Self::ForeignSource,
+        Self::Repeated,
+        Self::OutOfOrder,
+        Self::Stale,
+        Self::FromFuture,
+        Self::WrongUserCount,
+        Self::WrongMirrorCount,
+        Self::OutsideRoom,
+        Self::Implausible,
+    ];
+
+    /// The name in counters and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::WrongVersion => "wrong-version",
+            Self::WrongKind => "wrong-kind",
+            Self::Truncated => "truncated",
+            Self::TrailingBytes => "trailing-bytes",
+            Self::Oversized => "oversized",
+            Self::BadLength => "bad-length",
+            Self::NotFinite => "not-finite",
+            Self::Malformed => "malformed",
+            Self::ForeignSource => "foreign-source",
+            Self::Repeated => "repeated",
+            Self::OutOfOrder => "out-of-order",
+            Self::Stale => "stale",
+            Self::FromFuture => "from-future",
+            Self::WrongUserCount => "wrong-user-count",
+            Self::WrongMirrorCount => "wrong-mirror-count",
+            Self::OutsideRoom => "outside-room",
+            Self::Implausible => "implausible",
+        }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+/// The counters, and what was refused last.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Refused {
+    counts: [[u64; Refusal::ALL.len()]; Stream::ALL.len()],
+    last: Option<(Stream, Refusal)>,
+    last_foreign_source: Option<u64>,
+}
+
+impl Refused {
+    /// Counts one refusal.
+    pub fn count(&mut self, stream: Stream, refusal: Refusal) {
+        self.counts[stream as usize][refusal as usize] += 1;
+        self.last = Some((stream, refusal));
+    }
+
+    /// Counts a report of a source that does not own the room, and remembers which.
+    pub(crate) fn count_foreign(&mut self, stream: Stream, source: u64) {
+        self.count(stream, Refusal::ForeignSource);
+        self.last_foreign_source = Some(source);
+    }
+
+    /// How often this was refused.
+    pub fn get(&self, stream: Stream, refusal: Refusal) -> u64 {
+        self.counts[stream as usize][refusal as usize]
+    }
+
+    /// All refusals together.
+    pub fn total(&self) -> u64 {
+        self.counts.iter().flatten().sum()
+    }
+
+    /// What was refused last.
+    pub fn last(&self) -> Option<(Stream, Refusal)> {
+        self.last
+    }
+
+    /// The last source that was refused because another owns the room.
+    pub fn last_foreign_source(&self) -> Option<u64> {
+        self.last_foreign_source
+    }
+
+    /// Every counter that is not zero, as "stream:reason".
+    pub fn named(&self) -> impl Iterator<Item = (String, u64)> {
+        Stream::ALL.into_iter().flat_map(move |stream| {
+            Refusal::ALL.into_iter().filter_map(move |refusal| {
+                let count = self.get(stream, refusal);
+                (count > 0).then(|| (format!("{}:{}", stream.name(), refusal.name()), count))
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counters_stand_in_the_order_of_the_lists() {
+        assert!(Stream::ALL.iter().enumerate().all(|(index, stream)| *stream as usize == index));
+        assert!(Refusal::ALL.iter().enumerate().all(|(index, refusal)| *refusal as usize == index));
+    }
+
+    #[test]
+    fn only_what_happened_is_named() {
+        let mut refused = Refused::default();
+        refused.count(Stream::Channel, Refusal::Stale);
+        refused.count(Stream::Channel, Refusal::Stale);
+        refused.count_foreign(Stream::Users, 7);
+        let named: Vec<_> = refused.named().collect();
+        assert_eq!(named, [("users:foreign-source".into(), 1), ("channel:stale".into(), 2)]);
+        assert_eq!(refused.last_foreign_source(), Some(7));
+    }
+}

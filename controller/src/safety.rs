@@ -1,0 +1,129 @@
+//! The last gate before the mirrors: whatever a policy proposes, what leaves here is finite, in range and slow enough.
+//!
+//! It does not judge whether angles are useful, and it does not replace the limits that a driver enforces for itself.
+
+use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_scenario::Control;
+use thiserror::Error;
+
+/// What a command may ask of a mirror.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Largest angle of each axis, plus and minus, in rad.
+    range_rad: f64,
+    /// Fastest turn of each axis in rad/s.
+    slew_rad_per_s: Option<f64>,
+}
+
+/// How many axis values the limits changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Clipped {
+    /// Values outside the range.
+    pub range: u64,
+    /// Values further from the last command than the slew limit lets a mirror turn.
+    pub slew: u64,
+}
+
+/// A proposed angle is not a finite number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("the angles proposed for mirror {mirror} are not finite numbers")]
+pub struct NotFinite {
+    /// Index of the first such mirror.
+    pub mirror: usize,
+}
+
+impl Limits {
+    /// The limits of a scenario's `control` table.
+    pub fn new(control: &Control) -> Self {
+        Self {
+            range_rad: f64::from(largest_f32_within(control.range_deg.to_radians())),
+            slew_rad_per_s: (control.slew_deg_per_s > 0.0).then(|| control.slew_deg_per_s.to_radians()),
+        }
+    }
+
+    /// Largest angle of each axis, plus and minus, in rad.
+    pub fn range_rad(&self) -> f64 {
+        self.range_rad
+    }
+
+    /// Brings proposed angles within range, and within reach of `from` in `elapsed_s` seconds.
+    pub fn bound(&self, from: &MirrorAngles, elapsed_s: f64, angles: &mut MirrorAngles) -> Clipped {
+        let reach_rad = self.slew_rad_per_s.map_or(f64::INFINITY, |slew| slew * elapsed_s.max(0.0));
+        let mut clipped = Clipped::default();
+        let axes = [(&from.roll, &mut angles.roll), (&from.yaw, &mut angles.yaw)];
+        for (from, angles) in axes {
+            for (&from, angle) in from.iter().zip(angles) {
+                let in_range = angle.clamp(-self.range_rad, self.range_rad);
+                let in_reach = in_range.clamp(from - reach_rad, from + reach_rad);
+                clipped.range += u64::from(in_range != *angle);
+                clipped.slew += u64::from(in_reach != in_range);
+                *angle = in_reach;
+            }
+        }
+        clipped
+    }
+}
+
+/// Checks that every proposed angle is a finite number.
+///
+/// # Errors
+/// [`NotFinite`] with the first mirror for which it is not.
+pub fn check_finite(angles: &MirrorAngles) -> Result<(), NotFinite> {
+    let bad = |(roll, yaw): (&f64, &f64)| !(roll.is_finite() && yaw.is_finite());
+    match angles.roll.iter().zip(&angles.yaw).position(bad) {
+        Some(mirror) => Err(NotFinite { mirror }),
+        None => Ok(()),
+    }
+}
+
+/// Commands carry f32, and 90 degrees rounds up in it: an array that checks its range must not find us beyond it.
+fn largest_f32_within(value: f64) -> f32 {
+    let nearest = value as f32;
+    if f64::from(nearest) > value { nearest.next_down() } else { nearest }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn angles(roll: f64, yaw: f64) -> MirrorAngles {
+        MirrorAngles { roll: vec![roll], yaw: vec![yaw] }
+    }
+
+    fn limits(range_deg: f64, slew_deg_per_s: f64) -> Limits {
+        Limits::new(&Control { range_deg, slew_deg_per_s, ..Control::default() })
+    }
+
+    #[test]
+    fn range_is_kept_and_counted() {
+        let mut proposed = angles(1.0, -1.0);
+        let clipped = limits(30.0, 0.0).bound(&angles(0.0, 0.0), 0.01, &mut proposed);
+        assert_eq!(clipped, Clipped { range: 2, slew: 0 });
+        assert!((proposed.roll[0] - 30f64.to_radians()).abs() < 1e-7);
+        assert!((proposed.yaw[0] + 30f64.to_radians()).abs() < 1e-7);
+    }
+
+    #[test]
+    fn slew_is_measured_from_the_last_command() {
+        let mut proposed = angles(0.5, 0.1);
+        let clipped = limits(90.0, 100.0).bound(&angles(0.4, 0.1), 0.01, &mut proposed);
+        assert_eq!(clipped, Clipped { range: 0, slew: 1 });
+        assert!((proposed.roll[0] - (0.4 + 1f64.to_radians())).abs() < 1e-12);
+        assert_eq!(proposed.yaw[0], 0.1);
+    }
+
+    #[test]
+    fn ninety_degrees_does_not_round_up_in_a_command() {
+        let range = limits(90.0, 0.0).range_rad();
+        assert!(f64::from(range as f32) <= 90f64.to_radians());
+        assert!(range > 1.5707);
+    }
+
+    #[test]
+    fn a_value_that_is_not_a_number_is_named() {
+        let proposed = MirrorAngles { roll: vec![0.0, 0.0], yaw: vec![0.0, f64::NAN] };
+        assert_eq!(check_finite(&proposed), Err(NotFinite { mirror: 1 }));
+        assert_eq!(check_finite(&angles(0.0, f64::INFINITY)), Err(NotFinite { mirror: 0 }));
+        assert_eq!(check_finite(&angles(0.0, 0.0)), Ok(()));
+    }
+}

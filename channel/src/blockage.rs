@@ -37,36 +37,41 @@ impl Cylinder {
 
 /// Whether the cylinder interrupts the segment from `a` to `b` (both in m).
 ///
-/// The part of the segment between the floor and the cylinder's top is found first; the segment is blocked when the
-/// point of that part that is nearest to the axis, in plan, is nearer than the radius. A segment that only touches the
-/// surface passes. Symmetric in `a` and `b`.
+/// The segment is cut to the part that is above the cylinder's disc in plan; it is blocked when that part comes down to the
+/// cylinder's height (and is not below the floor). A segment that only touches the side passes. Symmetric in `a` and `b`.
 #[inline]
 pub fn blocks(cylinder: &Cylinder, a: &Vec3, b: &Vec3) -> bool {
-    let rise = b.z - a.z;
-    let (mut from, mut to) = (0.0_f64, 1.0_f64);
-    if rise == 0.0 {
-        if a.z < 0.0 || a.z > cylinder.height_m {
-            return false;
-        }
-    } else {
-        let floor = -a.z / rise;
-        let top = (cylinder.height_m - a.z) / rise;
-        from = from.max(floor.min(top));
-        to = to.min(floor.max(top));
-        if from > to {
-            return false;
-        }
+    plan_chord(cylinder, (a.x, a.y), (b.x, b.y)).is_some_and(|chord| dips(cylinder, a.z, b.z, chord))
+}
+
+/// The part of a segment that runs inside the cylinder's disc in plan, as two shares of its length; `None` where it passes by.
+///
+/// Does not depend on heights, so one chord serves all mirrors of a column.
+#[inline]
+pub(crate) fn plan_chord(cylinder: &Cylinder, from: (f64, f64), to: (f64, f64)) -> Option<(f64, f64)> {
+    let (along_x, along_y) = (to.0 - from.0, to.1 - from.1);
+    let (off_x, off_y) = (cylinder.x_m - from.0, cylinder.y_m - from.1);
+    let squared_length = along_x * along_x + along_y * along_y;
+    let outside = off_x * off_x + off_y * off_y - cylinder.radius_m * cylinder.radius_m;
+    if squared_length == 0.0 {
+        return (outside < 0.0).then_some((0.0, 1.0));
     }
-    let (along_x, along_y) = (b.x - a.x, b.y - a.y);
-    let (to_axis_x, to_axis_y) = (cylinder.x_m - a.x, cylinder.y_m - a.y);
-    let plan_length_squared = along_x * along_x + along_y * along_y;
-    let nearest = if plan_length_squared > 0.0 {
-        ((to_axis_x * along_x + to_axis_y * along_y) / plan_length_squared).clamp(from, to)
-    } else {
-        from
-    };
-    let (miss_x, miss_y) = (to_axis_x - nearest * along_x, to_axis_y - nearest * along_y);
-    miss_x * miss_x + miss_y * miss_y < cylinder.radius_m * cylinder.radius_m
+    let nearest = off_x * along_x + off_y * along_y;
+    let discriminant = nearest * nearest - squared_length * outside;
+    if discriminant.is_nan() || discriminant <= 0.0 {
+        return None;
+    }
+    let half = discriminant.sqrt();
+    let enter = ((nearest - half) / squared_length).max(0.0);
+    let leave = ((nearest + half) / squared_length).min(1.0);
+    (enter < leave).then_some((enter, leave))
+}
+
+/// Whether a segment between two heights is inside the cylinder's height somewhere along the chord.
+#[inline]
+pub(crate) fn dips(cylinder: &Cylinder, from_z: f64, to_z: f64, (enter, leave): (f64, f64)) -> bool {
+    let (first, last) = (from_z + enter * (to_z - from_z), from_z + leave * (to_z - from_z));
+    first.min(last) <= cylinder.height_m && first.max(last) >= 0.0
 }
 
 /// Length of the shadow behind a blocker on the receiver plane, in m: d_B h_B / (h_l - h_B).

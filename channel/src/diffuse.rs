@@ -92,18 +92,17 @@ pub fn gain(
 ) -> f64 {
     let from_user = mirrors.positions()[mirror] - user;
     let cosine = tilt_cosine(mirrors, mirror, angles, user);
-    if !tilt_counts(reading, cosine, branch) {
+    if !(cosine > 0.0 && cosine >= tilt_least(reading, branch.fov_cosine())) {
         return 0.0;
     }
     illumination(led, mirrors, mirror) * collection(reading, (receiver, branch), &from_user, &mirrors.inward()) * cosine
 }
 
-/// Whether a tilt cosine brings light: the mirror faces the user, within the field of view where the literal reading puts the gate there.
+/// Smallest tilt cosine that brings light, besides being positive: the field-of-view gate, where the literal reading puts it there.
 #[inline]
-pub(crate) fn tilt_counts(reading: Reading, cosine: f64, branch: &Branch) -> bool {
-    let least = match reading {
+pub(crate) fn tilt_least(reading: Reading, fov_cosine: f64) -> f64 {
+    match reading {
         Reading::Sensible => 0.0,
-        Reading::Literal => branch.fov_cosine(),
-    };
-    cosine > 0.0 && cosine >= least
+        Reading::Literal => fov_cosine,
+    }
 }

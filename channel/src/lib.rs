@@ -33,6 +33,7 @@ pub mod model;
 pub mod receiver;
 pub mod scene;
 pub mod specular;
+mod trig;
 
 pub use angle::{Mechanical, Optical};
 pub use blockage::Cylinder;

@@ -8,6 +8,7 @@ use crate::link::LinkBudget;
 use crate::los::front_factor;
 use crate::mirrors::MirrorArray;
 use crate::receiver::Receiver;
+use crate::scene::kernel::POINT_LANES;
 
 /// Most LEDs of a room.
 pub const LEDS_MAX: usize = 64;
@@ -60,8 +61,11 @@ pub struct ChannelModel {
 /// What is known of one LED before any user is.
 #[derive(Clone, Debug)]
 pub(crate) struct Panel {
+    pub centre: Vec3,
     /// The points that stand for the panel, in m.
     pub points: Vec<Vec3>,
+    /// The same points in groups, as lists of x, y and weight; the last group is filled up with weight 0.
+    pub lanes: Vec<PointLanes>,
     /// Largest distance of a point from the panel's centre in m.
     pub radius: f64,
     pub order: f64,
@@ -72,6 +76,9 @@ pub(crate) struct Panel {
     /// Specular: rho (n + 1) A_r T_s cos^n / (2 pi) towards each mirror's centre in m2; paper: illumination times gain scale. Shape: M.
     pub towards_mirror: Vec<f64>,
 }
+
+/// x, y and weight of a few points of a panel; all have the panel's height.
+pub(crate) type PointLanes = ([f64; POINT_LANES], [f64; POINT_LANES], [f64; POINT_LANES]);
 
 /// What is known of one branch.
 #[derive(Clone, Debug)]
@@ -121,6 +128,10 @@ impl ChannelModel {
             .collect();
         Ok(Self { mode, leds, mirrors, receiver, budget, panels, detectors })
     }
+
+    pub(crate) fn reflectivity(&self) -> f64 {
+        self.mirrors.spec().reflectivity
+    }
 }
 
 impl Panel {
@@ -141,11 +152,22 @@ impl Panel {
             .collect();
         Self {
             radius: points.iter().map(|point| (point - led.position).norm()).fold(0.0, f64::max),
+            centre: led.position,
             front: front / points.len() as f64,
+            lanes: points.chunks(POINT_LANES).map(point_lanes).collect(),
             points,
             order,
             distance,
             towards_mirror,
         }
     }
+}
+
+fn point_lanes(points: &[Vec3]) -> PointLanes {
+    let lane = |index: usize| points[index.min(points.len() - 1)];
+    (
+        std::array::from_fn(|index| lane(index).x),
+        std::array::from_fn(|index| lane(index).y),
+        std::array::from_fn(|index| if index < points.len() { 1.0 } else { 0.0 }),
+    )
 }

@@ -60,6 +60,25 @@ impl Plate {
         }
     }
 
+    /// Mirror `index` of the array with a given unit normal.
+    ///
+    /// # Panics
+    /// When the array has no such mirror.
+    pub fn facing(mirrors: &MirrorArray, index: usize, normal: &Vec3) -> Self {
+        // Horizontal and across the normal; a mirror that lies flat keeps the wall's own direction.
+        let width_axis = Vec3::new(-normal.y, normal.x, 0.0)
+            .try_normalize(1e-12)
+            .unwrap_or_else(|| mirrors.room_from_wall(&Vec3::x()));
+        Self {
+            centre: mirrors.positions()[index],
+            normal: *normal,
+            width_axis,
+            height_axis: width_axis.cross(&-normal),
+            half_width_m: 0.5 * mirrors.spec().mirror_width_m,
+            half_height_m: 0.5 * mirrors.spec().mirror_height_m,
+        }
+    }
+
     /// Image of a point in the mirror's plane, in m: S - 2 ((S - p) . n) n.
     pub fn image(&self, point: &Vec3) -> Vec3 {
         point - 2.0 * (point - self.centre).dot(&self.normal) * self.normal

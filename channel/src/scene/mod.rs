@@ -7,6 +7,9 @@
 //! A position from which no light can arrive (behind the mirror wall, at or above the LED, not a number) has gain zero; it is no error here.
 
 mod evaluate;
+pub(crate) mod kernel;
+mod legs;
+mod steer;
 mod update;
 
 use crate::Vec3;
@@ -19,6 +22,7 @@ pub struct Scene {
     users: usize,
     mirrors: usize,
     branches: usize,
+    /// [`Combining::Best`] for a single branch, where there is nothing to combine.
     combining: Combining,
     positions: Vec<Vec3>,
     /// Index of the LED that serves each user. Shape: K.
@@ -54,7 +58,7 @@ impl Scene {
             users,
             mirrors,
             branches,
-            combining: model.receiver.combining,
+            combining: if branches == 1 { Combining::Best } else { model.receiver.combining },
             positions: vec![Vec3::zeros(); users],
             serving: vec![0; users],
             los_gain: vec![0.0; users],

@@ -1,13 +1,11 @@
 //! Filling the tables of a scene: who serves whom, what is blocked, what each mirror can give.
 
 use super::Scene;
+use super::legs::mark_visible;
 use crate::Vec3;
 use crate::blockage::{Cylinder, blocks};
-use crate::diffuse::{Reading, collection};
 use crate::los::unit_gain;
-use crate::model::{ChannelModel, Mode, Panel};
-use crate::receiver::BRANCHES_MAX;
-use crate::specular::{Plate, bisector, detected, received};
+use crate::model::ChannelModel;
 
 impl Scene {
     /// Recomputes blockage of each leg, direct gains and the steering table for these positions.
@@ -25,10 +23,7 @@ impl Scene {
         assert_eq!(model.leds.len() * self.mirrors, self.led_leg.len(), "the scene was made for other LEDs");
         self.positions.copy_from_slice(users);
         for (led, legs) in self.led_leg.chunks_exact_mut(self.mirrors).enumerate() {
-            let from = &model.leds[led].position;
-            for (leg, mirror) in legs.iter_mut().zip(model.mirrors.positions()) {
-                *leg = !blockers.iter().any(|blocker| blocks(blocker, from, mirror));
-            }
+            mark_visible(legs, &model.mirrors, &model.leds[led].position, blockers);
         }
         for (user, forced) in forced.iter().enumerate() {
             self.update_user(model, blockers, user, *forced);
@@ -38,9 +33,7 @@ impl Scene {
     fn update_user(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) {
         let position = self.positions[user];
         let pairs = user * self.mirrors..(user + 1) * self.mirrors;
-        for (leg, mirror) in self.leg_visible[pairs.clone()].iter_mut().zip(model.mirrors.positions()) {
-            *leg = !blockers.iter().any(|blocker| blocks(blocker, mirror, &position));
-        }
+        mark_visible(&mut self.leg_visible[pairs.clone()], &model.mirrors, &position, blockers);
         let led = self.choose_led(model, blockers, user, forced);
         self.serving[user] = led;
         self.direct(model, user, led);
@@ -90,77 +83,8 @@ impl Scene {
             *out = panel.front * detector.concentrator_gain * sum;
         }
     }
-
-    /// Writes one user's row of the steering table, with the legs that are marked as visible.
-    fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
-        let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
-        if !in_front {
-            self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors].fill(0.0);
-            return;
-        }
-        match model.mode {
-            Mode::Specular => self.steer_specular(model, user, led),
-            Mode::Paper { .. } => self.steer_paper(model, user, led),
-        }
-    }
-
-    fn steer_specular(&mut self, model: &ChannelModel, user: usize, led: usize) {
-        let detector = self.positions[user];
-        let panel = &model.panels[led];
-        for mirror in 0..self.mirrors {
-            let pair = user * self.mirrors + mirror;
-            self.steering_gain[pair] = if self.leg_visible[pair] && panel.towards_mirror[mirror] > 0.0 {
-                aimed_gain(model, panel, (led, mirror), &detector)
-            } else {
-                0.0
-            };
-        }
-    }
-
-    fn steer_paper(&mut self, model: &ChannelModel, user: usize, led: usize) {
-        let reading = model.mode.reading().unwrap_or(Reading::Sensible);
-        let inward = model.mirrors.inward();
-        for (mirror, position) in model.mirrors.positions().iter().enumerate() {
-            let pair = user * self.mirrors + mirror;
-            let from_user = position - self.positions[user];
-            let inverse = 1.0 / from_user.norm();
-            self.directions[pair] = -from_user * inverse;
-            self.inverse_distance[pair] = inverse;
-            let mut gains = [0.0; BRANCHES_MAX];
-            for (index, branch) in model.receiver.branches.iter().enumerate() {
-                let collected = collection(reading, (&model.receiver, branch), &from_user, &inward);
-                let visible = if self.leg_visible[pair] { 1.0 } else { 0.0 };
-                gains[index] = visible * model.panels[led].towards_mirror[mirror] * collected;
-                if self.branches > 1 {
-                    self.steering_branch[(user * self.branches + index) * self.mirrors + mirror] = gains[index];
-                }
-            }
-            self.steering_gain[pair] = self.combining.combine(&gains[..self.branches]);
-        }
-    }
 }
 
 fn is_blocked(model: &ChannelModel, blockers: &[Cylinder], led: usize, user: &Vec3) -> bool {
     blockers.iter().any(|blocker| blocks(blocker, &model.leds[led].position, user))
-}
-
-/// Gain of a mirror that is aimed at the detector, averaged over the panel's points and combined over the branches.
-fn aimed_gain(model: &ChannelModel, panel: &Panel, (led, mirror): (usize, usize), detector: &Vec3) -> f64 {
-    let centre = &model.mirrors.positions()[mirror];
-    let Some(normal) = bisector(centre, &model.leds[led].position, detector) else {
-        return 0.0;
-    };
-    let (roll, yaw) = model.mirrors.angles_of(&normal);
-    let plate = Plate::of(&model.mirrors, mirror, roll, yaw);
-    let mut gains = [0.0; BRANCHES_MAX];
-    let gains = &mut gains[..model.detectors.len()];
-    for point in &panel.points {
-        if let Some(path) = plate.path(point, detector) {
-            let share = received(&path, panel.order);
-            for ((gain, branch), known) in gains.iter_mut().zip(&model.receiver.branches).zip(&model.detectors) {
-                *gain += share * known.concentrator_gain * detected(&path.towards_mirror, branch);
-            }
-        }
-    }
-    model.mirrors.spec().reflectivity * panel.front * model.receiver.combining.combine(gains)
 }

@@ -1,0 +1,171 @@
+//! The steering table: what each mirror can give each user.
+
+use super::Scene;
+use super::kernel::{add_reflected, block};
+use crate::Vec3;
+use crate::diffuse::Reading;
+use crate::mirrors::MirrorArray;
+use crate::model::{ChannelModel, Detector, Panel};
+use crate::receiver::BRANCHES_MAX;
+use crate::specular::{Plate, bisector};
+use crate::trig::{BLOCK, Lanes};
+
+/// A block of mirrors as one user sees it: vectors from the detector to the mirrors, in m.
+struct Seen {
+    x: Lanes,
+    y: Lanes,
+    z: Lanes,
+    squared: Lanes,
+    distance: Lanes,
+}
+
+impl Scene {
+    /// Writes one user's row of the steering table, with the light of one LED and the legs that are marked as visible.
+    pub(super) fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
+        let row = user * self.mirrors..(user + 1) * self.mirrors;
+        let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
+        if !in_front {
+            self.leg_visible[row.clone()].fill(false);
+        }
+        let panel = &model.panels[led];
+        match model.mode.reading() {
+            None if panel.points.len() == 1 => self.steer_point(model, user, panel),
+            None => self.steer_panel(model, user, panel),
+            Some(reading) => self.steer_paper(model, user, panel, reading),
+        }
+        for (gain, visible) in self.steering_gain[row.clone()].iter_mut().zip(&self.leg_visible[row]) {
+            *gain = if *visible { *gain } else { 0.0 };
+        }
+    }
+
+    /// Specular, point LED: the central ray of an aimed mirror arrives, so the gain needs no angle of the mirror.
+    ///
+    /// rho (n + 1) A_r T_s cos^n(irradiance) / (2 pi (D1 + D2)^2) times what the branches detect.
+    fn steer_point(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
+        let position = self.positions[user];
+        let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
+        for (index, out) in row.chunks_mut(BLOCK).enumerate() {
+            let seen = Seen::new(&model.mirrors, index * BLOCK, &position);
+            let mut combined = [0.0; BLOCK];
+            for branch in &model.detectors {
+                let facing = seen.facing(branch);
+                for lane in 0..BLOCK {
+                    combined[lane] = self.combining.add(combined[lane], branch.concentrator_gain * facing[lane]);
+                }
+            }
+            let to_led = block(&panel.distance, index * BLOCK);
+            let emitted = block(&panel.towards_mirror, index * BLOCK);
+            let mut gains = [0.0; BLOCK];
+            for lane in 0..BLOCK {
+                let length = to_led[lane] + seen.distance[lane];
+                let detected = self.combining.finish(combined[lane], self.branches);
+                gains[lane] = detected * emitted[lane] / (seen.distance[lane] * length * length);
+            }
+            out.copy_from_slice(&gains[..out.len()]);
+        }
+    }
+
+    /// Specular, panel of finite size: the true evaluation at the aimed angles, for each visible mirror.
+    fn steer_panel(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
+        let position = self.positions[user];
+        for mirror in 0..self.mirrors {
+            let pair = user * self.mirrors + mirror;
+            let mut gains = [0.0; BRANCHES_MAX];
+            let gains = &mut gains[..self.branches];
+            let worth_it = self.leg_visible[pair] && panel.towards_mirror[mirror] > 0.0;
+            let normal = worth_it.then(|| bisector(&model.mirrors.positions()[mirror], &panel.centre, &position));
+            if let Some(normal) = normal.flatten() {
+                let plate = Plate::facing(&model.mirrors, mirror, &normal);
+                add_reflected(model, panel, &plate, &position, gains);
+            }
+            self.steering_gain[pair] = self.combining.combine(gains);
+        }
+    }
+
+    /// Paper: illumination times collection; see [`diffuse`](crate::diffuse). Directions and distances are kept for the evaluation.
+    fn steer_paper(&mut self, model: &ChannelModel, user: usize, panel: &Panel, reading: Reading) {
+        let position = self.positions[user];
+        let inward = model.mirrors.inward();
+        let factor = model.receiver.detector_area_m2 * model.receiver.filter_gain;
+        for first in (0..self.mirrors).step_by(BLOCK) {
+            let seen = Seen::new(&model.mirrors, first, &position);
+            let illumination = block(&panel.towards_mirror, first);
+            let lanes = BLOCK.min(self.mirrors - first);
+            let mut combined = [0.0; BLOCK];
+            for (index, branch) in model.detectors.iter().enumerate() {
+                let facing = match reading {
+                    Reading::Sensible => seen.facing(branch),
+                    Reading::Literal => seen.against(&inward),
+                };
+                let mut gains = [0.0; BLOCK];
+                for lane in 0..BLOCK {
+                    let volume = seen.squared[lane] * seen.distance[lane];
+                    gains[lane] = factor * branch.concentrator_gain * illumination[lane] * facing[lane] / volume;
+                    combined[lane] = self.combining.add(combined[lane], gains[lane]);
+                }
+                if self.branches > 1 {
+                    let start = (user * self.branches + index) * self.mirrors + first;
+                    let visible = &self.leg_visible[user * self.mirrors + first..][..lanes];
+                    for (lane, visible) in visible.iter().enumerate() {
+                        self.steering_branch[start + lane] = if *visible { gains[lane] } else { 0.0 };
+                    }
+                }
+            }
+            for (lane, combined) in combined[..lanes].iter().enumerate() {
+                let pair = user * self.mirrors + first + lane;
+                self.steering_gain[pair] = self.combining.finish(*combined, self.branches);
+                let inverse = 1.0 / seen.distance[lane];
+                self.inverse_distance[pair] = inverse;
+                self.directions[pair] = -inverse * Vec3::new(seen.x[lane], seen.y[lane], seen.z[lane]);
+            }
+        }
+    }
+}
+
+impl Seen {
+    fn new(mirrors: &MirrorArray, first: usize, detector: &Vec3) -> Self {
+        let mut seen = Self {
+            x: block(&mirrors.x, first),
+            y: block(&mirrors.y, first),
+            z: block(&mirrors.z, first),
+            squared: [0.0; BLOCK],
+            distance: [0.0; BLOCK],
+        };
+        for lane in 0..BLOCK {
+            seen.x[lane] -= detector.x;
+            seen.y[lane] -= detector.y;
+            seen.z[lane] -= detector.z;
+            seen.squared[lane] =
+                seen.x[lane] * seen.x[lane] + seen.y[lane] * seen.y[lane] + seen.z[lane] * seen.z[lane];
+            seen.distance[lane] = seen.squared[lane].sqrt();
+        }
+        seen
+    }
+
+    /// Distance times incidence cosine on a branch in m, zero outside its field of view.
+    #[inline]
+    #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
+    fn facing(&self, branch: &Detector) -> Lanes {
+        let least = branch.fov_cosine * branch.fov_cosine;
+        let mut facing = [0.0; BLOCK];
+        for lane in 0..BLOCK {
+            let along =
+                branch.normal.x * self.x[lane] + branch.normal.y * self.y[lane] + branch.normal.z * self.z[lane];
+            let seen = (along > 0.0) & (along * along >= least * self.squared[lane]);
+            facing[lane] = if seen { along } else { 0.0 };
+        }
+        facing
+    }
+
+    /// Distance times cosine from the wall's normal in m, zero behind the wall.
+    #[inline]
+    #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
+    fn against(&self, inward: &Vec3) -> Lanes {
+        let mut facing = [0.0; BLOCK];
+        for lane in 0..BLOCK {
+            let along = inward.x * self.x[lane] + inward.y * self.y[lane] + inward.z * self.z[lane];
+            facing[lane] = (-along).max(0.0);
+        }
+        facing
+    }
+}

@@ -15,7 +15,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     actors.sort();
-    let mut list = String::from("/// Name and bytes of each built-in actor.\nstatic SHIPPED_ACTORS: &[(&str, &[u8])] = &[\n");
+    let mut list =
+        String::from("/// Name and bytes of each built-in actor.\nstatic SHIPPED_ACTORS: &[(&str, &[u8])] = &[\n");
     for path in &actors {
         let name = path.file_name().ok_or("a file without a name")?;
         writeln!(list, "    ({name:?}, include_bytes!({path:?})),")?;

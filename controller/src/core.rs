@@ -182,9 +182,9 @@ impl Controller {
     /// Takes a message that arrived at `now`, and answers where it completes a tick. `mark` is called as each stage ends.
     pub fn receive(&mut self, now: Nanos, message: Message<'_>, mark: &mut dyn FnMut(Stage)) -> Option<Decision<'_>> {
         let stream = message.stream();
-        let source_changes = self.inbox.source_changes();
+        let sources = self.inbox.sources();
         let accepted = self.inbox.accept(now, message);
-        if self.inbox.source_changes() != source_changes {
+        if self.inbox.sources() != sources {
             self.observer.forget();
         }
         match accepted {
@@ -192,6 +192,11 @@ impl Controller {
             Err(Refusal::Stale) if stream == Stream::Users => Some(self.hold(Departure::StaleReport)),
             _ => None,
         }
+    }
+
+    /// A source is known to be gone: another may take the room at once.
+    pub fn source_gone(&mut self, source: u64) {
+        self.inbox.release(source);
     }
 
     /// Counts a payload that is no message.

@@ -95,7 +95,7 @@ pub struct Inbox {
     obstacles: Slot<ObstacleReport>,
     telemetry: Slot<MirrorTelemetry>,
     refused: Refused,
-    source_changes: u64,
+    sources: u64,
 }
 
 impl Inbox {
@@ -110,7 +110,7 @@ impl Inbox {
             obstacles: Slot::default(),
             telemetry: Slot::default(),
             refused: Refused::default(),
-            source_changes: 0,
+            sources: 0,
         }
     }
 
@@ -170,35 +170,49 @@ impl Inbox {
         self.room.map(|owner| owner.source)
     }
 
-    /// How often the room passed from one source to another.
-    pub fn source_changes(&self) -> u64 {
-        self.source_changes
+    /// How many times a source came to own the room: 1 while the first one does.
+    pub fn sources(&self) -> u64 {
+        self.sources
+    }
+
+    /// A source is known to be gone: what it owned is free at once, and what it said is forgotten.
+    pub fn release(&mut self, source: u64) {
+        if self.room.is_some_and(|owner| owner.source == source) {
+            self.room = None;
+            self.forget_room();
+        }
+        if self.array.is_some_and(|owner| owner.source == source) {
+            self.array = None;
+            self.telemetry.forget();
+        }
     }
 
     fn check_source(&mut self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
-        let slot = if stream == Stream::Telemetry { &mut self.array } else { &mut self.room };
-        let timeout_ns = self.rules.source_timeout_ns;
+        let is_array = stream == Stream::Telemetry;
+        let slot = if is_array { &mut self.array } else { &mut self.room };
         match slot {
-            Some(owner) if owner.source == source => owner.heard_ns = now,
-            Some(owner) if now.saturating_sub(owner.heard_ns) <= timeout_ns => return Err(Refusal::ForeignSource),
-            Some(_) => {
-                *slot = Some(Owner { source, heard_ns: now });
-                self.forget(stream);
+            Some(owner) if owner.source == source => {
+                owner.heard_ns = now;
+                return Ok(());
             }
-            None => *slot = Some(Owner { source, heard_ns: now }),
+            Some(owner) if now.saturating_sub(owner.heard_ns) <= self.rules.source_timeout_ns => {
+                return Err(Refusal::ForeignSource);
+            }
+            _ => *slot = Some(Owner { source, heard_ns: now }),
+        }
+        if is_array {
+            self.telemetry.forget();
+        } else {
+            self.forget_room();
+            self.sources += 1;
         }
         Ok(())
     }
 
-    fn forget(&mut self, stream: Stream) {
-        if stream == Stream::Telemetry {
-            self.telemetry.forget();
-            return;
-        }
+    fn forget_room(&mut self) {
         self.users.forget();
         self.channel.forget();
         self.obstacles.forget();
-        self.source_changes += 1;
     }
 
     fn last_stamp(&self, stream: Stream) -> Option<&Stamp> {

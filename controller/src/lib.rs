@@ -4,12 +4,20 @@
 //! into one [`observation`]; a [`policy`] proposes angles; [`safety`] brings them within limits; the command leaves. All of that
 //! is [`core`], which is sans-I/O: it reads no clock, opens nothing, logs nothing, waits for nothing.
 //!
+//! [`node`] is the edge: subscriptions, the put, the clock, a [`ledger`] of how long each stage took and a [`summary`] at the end.
+//!
 //! It knows nothing of simulators: a real room that speaks the contract takes their place without a change here.
 
+pub mod cli;
 pub mod core;
+mod desk;
 pub mod inbox;
+pub mod ledger;
+pub mod node;
 pub mod observation;
 pub mod observer;
 pub mod policy;
 pub mod refused;
 pub mod safety;
+mod status;
+pub mod summary;

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use heliostat_proto::CodecError;
+
 /// What arrives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream {
@@ -111,6 +113,24 @@ impl Refusal {
             Self::WrongMirrorCount => "wrong-mirror-count",
             Self::OutsideRoom => "outside-room",
             Self::Implausible => "implausible",
+        }
+    }
+}
+
+impl From<&CodecError> for Refusal {
+    fn from(error: &CodecError) -> Self {
+        match error {
+            CodecError::Oversized { .. } => Self::Oversized,
+            CodecError::NoHeader { .. } | CodecError::Truncated { .. } => Self::Truncated,
+            CodecError::WrongVersion { .. } => Self::WrongVersion,
+            CodecError::UnknownKind { .. } | CodecError::WrongKind { .. } => Self::WrongKind,
+            CodecError::Malformed { .. } => Self::Malformed,
+            CodecError::TrailingBytes { .. } => Self::TrailingBytes,
+            CodecError::TooMany { .. } | CodecError::LengthMismatch { .. } => Self::BadLength,
+            CodecError::NotFinite { .. } => Self::NotFinite,
+            CodecError::OutOfDomain { .. } => Self::Implausible,
+            CodecError::WrongMirrors { .. } => Self::WrongMirrorCount,
+            CodecError::WrongUsers { .. } => Self::WrongUserCount,
         }
     }
 }

@@ -1,0 +1,94 @@
+//! The flags of the controller, for its own program and for the `heliostat` command line.
+
+use std::{path::PathBuf, time::Duration};
+
+use anyhow::{Context, bail};
+use heliostat_bus::BusArgs;
+use heliostat_scenario::ScenarioArgs;
+
+use crate::{
+    node::{self, NodeConfig, Pace},
+    policy::PolicyKind,
+};
+
+/// Run the central unit: reports in, mirror commands out.
+///
+/// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by default.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    bus: BusArgs,
+    /// Which policy turns the mirrors
+    #[arg(long, value_enum, default_value_t = PolicyKind::Actor)]
+    policy: PolicyKind,
+    /// ONNX file of the actor, in place of the built-in one
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Take time from the reports, for a room that runs in lockstep; the same room then gets the same commands
+    #[arg(long)]
+    lockstep: bool,
+    /// End after this long
+    #[arg(long, value_name = "N")]
+    seconds: Option<f64>,
+    /// End when standard input closes
+    #[arg(long)]
+    exit_with_parent: bool,
+    /// Print the summary as one JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+impl Args {
+    fn node_config(&self) -> anyhow::Result<NodeConfig> {
+        if let Some(seconds) = self.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
+            bail!("--seconds {seconds}: wanted 0.1 to 10000000");
+        }
+        if self.model.is_some() && self.policy != PolicyKind::Actor {
+            bail!("--model is the file of an actor; it goes with --policy actor only");
+        }
+        Ok(NodeConfig {
+            scenario: self.scenario.load()?,
+            bus: self.bus.config_or_connect()?,
+            policy: self.policy,
+            model: self.model.clone(),
+            pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
+            run_for: self.seconds.map(Duration::from_secs_f64),
+        })
+    }
+}
+
+/// Runs a controller until Ctrl-C, SIGTERM, the end of its time or of its parent, and prints its summary.
+///
+/// # Errors
+/// Whatever keeps it from starting, with what to do about it.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let config = args.node_config()?;
+    log_to_stderr();
+    let (stop, stopped) = node::stop_channel();
+    let on_signal = stop.clone();
+    ctrlc::set_handler(move || {
+        // The node may have ended already.
+        let _ = on_signal.send(());
+    })
+    .context("cannot listen for Ctrl-C")?;
+    if args.exit_with_parent {
+        node::stop_with_parent(stop);
+    }
+    let summary = node::run(&config, &stopped)?;
+    if args.json {
+        println!("{}", serde_json::to_string(&summary)?);
+    } else {
+        println!("{summary}");
+    }
+    Ok(())
+}
+
+/// Text goes to standard error, so that standard output holds the summary alone; RUST_LOG chooses how much.
+fn log_to_stderr() {
+    use tracing_subscriber::EnvFilter;
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn,heliostat_controller=info"));
+    // Another part of the same process may have set one up already.
+    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+}

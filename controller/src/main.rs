@@ -1,0 +1,23 @@
+//! The controller as a program of its own, for deployment.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use heliostat_controller::cli;
+
+#[derive(Parser)]
+#[command(name = "heliostat-controller", version)]
+struct Program {
+    #[command(flatten)]
+    args: cli::Args,
+}
+
+fn main() -> ExitCode {
+    match cli::run(Program::parse().args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("heliostat-controller: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -64,7 +64,7 @@ impl HardCore {
         }
         let limit = 1.0 / disc;
         // The last per cent would ask for hundreds of parents that are thrown only to be removed.
-        if intensity >= 0.99 * limit {
+        if intensity > 0.99 * limit {
             return Err(ObstacleError::TooDense { intensity, min_distance_m, limit });
         }
         Ok(Self { parent_intensity: -(-intensity * disc).ln_1p() / disc, min_distance_m })

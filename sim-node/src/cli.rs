@@ -1,0 +1,99 @@
+//! The command line of the simulator, on its own or as a command of `heliostat`.
+
+use std::io::Read;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use heliostat_bus::BusArgs;
+use heliostat_scenario::ScenarioArgs;
+
+use crate::node::{self, Pace, Settings};
+
+/// Flags of the simulator.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    bus: BusArgs,
+    /// End after this many seconds; without it, run until stopped
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    seconds: Option<Duration>,
+    /// Run so many ticks in simulated time, each waiting for its answer: the same seed gives the same run, bit for bit
+    #[arg(long, value_name = "TICKS", conflicts_with = "seconds")]
+    lockstep: Option<u64>,
+    /// Print the summary as one JSON object on the last line
+    #[arg(long)]
+    json: bool,
+    /// End when the standard input is closed, as it is when the starting process ends
+    #[arg(long)]
+    exit_with_parent: bool,
+}
+
+/// Runs the simulator until its end, Ctrl-C or SIGTERM, and prints its summary.
+///
+/// # Errors
+/// A scenario that cannot be read, a room that cannot be built, a transport that fails, another simulator in the room, a tick of a
+/// lockstep run that nobody answers.
+pub fn run(args: Args) -> Result<()> {
+    let scenario = args.scenario.load()?;
+    let bus = args.bus.config_or_listen()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    stop_on_signals(&stop)?;
+    if args.exit_with_parent {
+        stop_with_parent(&stop);
+    }
+    let pace = match args.lockstep {
+        Some(ticks) => Pace::Lockstep { ticks },
+        None => Pace::Live { duration: args.seconds },
+    };
+    eprintln!(
+        "sim-node: room {}, scenario {} ({}), seed {}, {}",
+        bus.room,
+        scenario.name,
+        scenario.hash(),
+        scenario.seed,
+        endpoints(&bus.listen, &bus.connect)
+    );
+    let summary = node::run(&Settings { scenario, bus, pace }, &stop)?;
+    if args.json {
+        println!("{}", serde_json::to_string(&summary)?);
+    } else {
+        print!("{summary}");
+    }
+    Ok(())
+}
+
+fn endpoints(listen: &[String], connect: &[String]) -> String {
+    let at = listen.iter().map(|endpoint| format!("listening at {endpoint}"));
+    let to = connect.iter().map(|endpoint| format!("connecting to {endpoint}"));
+    at.chain(to).collect::<Vec<_>>().join(", ")
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let value: f64 = text.parse().map_err(|_| format!("`{text}` is no number of seconds"))?;
+    Duration::try_from_secs_f64(value).map_err(|_| format!("`{text}` is no length of time"))
+}
+
+/// The first signal ends the run in good order; a second ends the process.
+fn stop_on_signals(stop: &Arc<AtomicBool>) -> Result<()> {
+    let stop = Arc::clone(stop);
+    let handler = move || {
+        if stop.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    };
+    ctrlc::set_handler(handler).context("cannot watch for Ctrl-C")
+}
+
+fn stop_with_parent(stop: &Arc<AtomicBool>) {
+    let stop = Arc::clone(stop);
+    std::thread::spawn(move || {
+        let mut buffer = [0; 256];
+        // A read error means as much as the end: nobody is there any more.
+        while std::io::stdin().read(&mut buffer).is_ok_and(|count| count > 0) {}
+        stop.store(true, Ordering::Relaxed);
+    });
+}

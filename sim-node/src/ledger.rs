@@ -1,0 +1,180 @@
+//! The loop's ledger: when each tick went out, when the command that answers it came back, and which ticks nobody answered.
+//!
+//! A tick is lost when no accepted command answers it within [`TICK_TIMEOUT_NS`]. Ticks before the first answer of all are
+//! unattended, not lost: nobody was there yet.
+
+use std::collections::VecDeque;
+
+use hdrhistogram::Histogram;
+use serde::Serialize;
+
+/// A tick that is not answered for this long is lost.
+pub const TICK_TIMEOUT_NS: u64 = 500_000_000;
+
+/// Latencies above this are recorded as this.
+const LONGEST_NS: u64 = 10_000_000_000;
+
+/// Matches ticks with their answers.
+#[derive(Clone, Debug)]
+pub struct Ledger {
+    in_flight: VecDeque<InFlight>,
+    latency_ns: Histogram<u64>,
+    attended: bool,
+    published: u64,
+    unattended: u64,
+    lost: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct InFlight {
+    tick: u64,
+    published_ns: u64,
+    answered: bool,
+}
+
+/// A distribution of times in microseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Distribution {
+    /// How many were measured.
+    pub count: u64,
+    /// Median.
+    pub p50: f64,
+    /// 90th percentile.
+    pub p90: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// 99.9th percentile.
+    pub p999: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Default for Ledger {
+    fn default() -> Self {
+        let latency_ns =
+            Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("the bounds and the precision are constants in range");
+        Self { in_flight: VecDeque::new(), latency_ns, attended: false, published: 0, unattended: 0, lost: 0 }
+    }
+}
+
+impl Ledger {
+    /// A tick goes out; to be called before it is published, since the answer may come before the publication returns.
+    pub fn published(&mut self, tick: u64, now_ns: u64) {
+        self.expire(now_ns);
+        self.published += 1;
+        self.in_flight.push_back(InFlight { tick, published_ns: now_ns, answered: false });
+    }
+
+    /// An accepted command answers a tick; gives the time since its publication when it is the first to do so in time.
+    pub fn answered(&mut self, tick: u64, now_ns: u64) -> Option<u64> {
+        self.expire(now_ns);
+        let index = self.in_flight.iter().position(|sent| sent.tick == tick && !sent.answered)?;
+        if !self.attended {
+            self.attended = true;
+            self.unattended += index as u64;
+            self.in_flight.drain(..index);
+            return self.mark(0, now_ns);
+        }
+        self.mark(index, now_ns)
+    }
+
+    /// Gives up on ticks that have waited too long.
+    pub fn expire(&mut self, now_ns: u64) {
+        while let Some(oldest) = self.in_flight.front() {
+            if !oldest.answered && now_ns.saturating_sub(oldest.published_ns) <= TICK_TIMEOUT_NS {
+                break;
+            }
+            match (oldest.answered, self.attended) {
+                (true, _) => {}
+                (false, true) => self.lost += 1,
+                (false, false) => self.unattended += 1,
+            }
+            self.in_flight.pop_front();
+        }
+    }
+
+    /// Whether a tick still waits for its answer.
+    pub fn is_waiting(&self) -> bool {
+        self.in_flight.iter().any(|sent| !sent.answered)
+    }
+
+    /// Ticks that went out.
+    pub fn published_count(&self) -> u64 {
+        self.published
+    }
+
+    /// Ticks that were never answered in time.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Ticks before anybody answered.
+    pub fn unattended(&self) -> u64 {
+        self.unattended
+    }
+
+    /// From the publication of a tick to the arrival of the command that answers it.
+    pub fn distribution(&self) -> Distribution {
+        let histogram = &self.latency_ns;
+        let microseconds = |ns: u64| ns as f64 * 1e-3;
+        if histogram.is_empty() {
+            return Distribution::default();
+        }
+        let at = |quantile| microseconds(histogram.value_at_quantile(quantile));
+        Distribution {
+            count: histogram.len(),
+            p50: at(0.5),
+            p90: at(0.9),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: microseconds(histogram.max()),
+        }
+    }
+
+    fn mark(&mut self, index: usize, now_ns: u64) -> Option<u64> {
+        let sent = self.in_flight.get_mut(index)?;
+        sent.answered = true;
+        let latency_ns = now_ns.saturating_sub(sent.published_ns);
+        self.latency_ns.saturating_record(latency_ns.max(1));
+        Some(latency_ns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn matches_answers_out_of_order_and_counts_what_is_lost() {
+        let mut ledger = Ledger::default();
+        for tick in 1..=6 {
+            ledger.published(tick, tick * 1000);
+        }
+        // Ticks 1 and 2 went out before anybody was there.
+        assert_eq!(ledger.answered(3, 4000), Some(1000));
+        assert_eq!(ledger.answered(5, 5200), Some(200));
+        assert_eq!(ledger.answered(5, 5300), None, "a tick is answered once");
+        assert_eq!(ledger.answered(77, 5300), None, "a tick that was never sent");
+        assert_eq!(ledger.answered(4, 5500), Some(1500));
+        assert!(ledger.is_waiting());
+        assert_eq!((ledger.unattended(), ledger.lost()), (2, 0));
+        ledger.expire(6000 + TICK_TIMEOUT_NS);
+        assert_eq!(ledger.lost(), 0);
+        ledger.expire(6001 + TICK_TIMEOUT_NS);
+        assert_eq!((ledger.unattended(), ledger.lost()), (2, 1));
+        assert!(!ledger.is_waiting());
+        let distribution = ledger.distribution();
+        assert_eq!(distribution.count, 3);
+        assert!((distribution.p50 - 1.0).abs() < 0.01 && (distribution.max - 1.5).abs() < 0.01, "{distribution:?}");
+    }
+
+    #[test]
+    fn an_answer_after_the_timeout_is_too_late() {
+        let mut ledger = Ledger::default();
+        ledger.published(1, 0);
+        ledger.published(2, 10);
+        assert_eq!(ledger.answered(1, 5), Some(5));
+        assert_eq!(ledger.answered(2, 11 + TICK_TIMEOUT_NS), None);
+        assert_eq!(ledger.lost(), 1);
+    }
+}

@@ -1,0 +1,24 @@
+//! The simulated room as a program of its own.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use heliostat_sim_node::cli;
+
+/// A simulated room: walking users, obstacles, mirrors, measured rates.
+#[derive(Debug, Parser)]
+#[command(name = "heliostat-sim-node", version)]
+struct Command {
+    #[command(flatten)]
+    args: cli::Args,
+}
+
+fn main() -> ExitCode {
+    match cli::run(Command::parse().args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("heliostat-sim-node: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! The simulator as a process: what live operation and lockstep share.
+
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use heliostat_bus::{BusConfig, BusError, Class};
+use heliostat_proto::{CodecError, MirrorCommand, NodeKind, NodeStatus, Quantiles};
+use heliostat_scenario::Scenario;
+use thiserror::Error;
+
+use crate::clock::{Clock, Moment};
+use crate::edge::Edge;
+use crate::inbox::Arrival;
+use crate::ledger::Ledger;
+use crate::refused::Refused;
+use crate::reporter::{Measurements, Reporter};
+use crate::room::SimulatedRoom;
+use crate::schedule::Schedule;
+use crate::streams::Reports;
+use crate::summary::Summary;
+use crate::world::WorldError;
+use crate::yardstick::Snapshot;
+use crate::{live, lockstep};
+
+/// Statuses a second.
+const STATUS_HZ: f64 = 2.0;
+
+/// Longest text of a problem in a status, in characters.
+const PROBLEM_CHARACTERS: usize = 250;
+
+/// Everything that a run needs.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The room; its seed is the seed of the run.
+    pub scenario: Scenario,
+    /// Where to meet the controller.
+    pub bus: BusConfig,
+    /// In which time the room runs.
+    pub pace: Pace,
+}
+
+/// In which time the room runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// As time passes, for this long or until stopped.
+    Live {
+        /// How long; without end where absent.
+        duration: Option<Duration>,
+    },
+    /// In simulated time, each tick waiting for its answer.
+    Lockstep {
+        /// How many ticks.
+        ticks: u64,
+    },
+}
+
+/// Why a run cannot begin or go on.
+#[derive(Debug, Error)]
+pub enum NodeError {
+    /// The scenario describes no valid room.
+    #[error(transparent)]
+    World(#[from] WorldError),
+    /// The transport failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// A message of ours breaks the contract.
+    #[error("a report cannot be published: {0}")]
+    Codec(#[from] CodecError),
+    /// Another simulator has the room.
+    #[error("another simulator is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
+    AnotherSimulator {
+        /// Name of the room.
+        room: String,
+        /// The other's liveliness token.
+        token: String,
+    },
+    /// Lockstep: nobody came to answer.
+    #[error("no controller came into room \"{room}\" within {waited_s} s: lockstep needs one")]
+    NoController {
+        /// Name of the room.
+        room: String,
+        /// How long was waited, in s.
+        waited_s: u64,
+    },
+    /// Lockstep: a tick was not answered.
+    #[error("tick {tick} was not answered within {waited_s} s{last_problem}")]
+    NoAnswer {
+        /// The tick.
+        tick: u64,
+        /// How long was waited, in s.
+        waited_s: u64,
+        /// What went wrong last, if anything did.
+        last_problem: String,
+    },
+    /// The thread that measures the truth panicked.
+    #[error("the thread that measures the truth panicked")]
+    ReporterPanicked,
+}
+
+/// Runs a simulated room until its end, or until `stop` is set.
+///
+/// # Errors
+/// [`NodeError`]: a room that cannot be built, a transport that fails, another simulator in the room, a tick of a lockstep run that
+/// nobody answers.
+pub fn run(settings: &Settings, stop: &AtomicBool) -> Result<Summary, NodeError> {
+    let telemetry = match settings.pace {
+        Pace::Live { .. } => Class::State,
+        Pace::Lockstep { .. } => Class::Control,
+    };
+    let node = Node::open(settings, telemetry)?;
+    match settings.pace {
+        Pace::Live { duration } => live::run(node, duration, stop),
+        Pace::Lockstep { ticks } => lockstep::run(node, ticks, stop),
+    }
+}
+
+/// The room with everything around it.
+pub(crate) struct Node {
+    pub room: SimulatedRoom,
+    pub reports: Reports,
+    pub edge: Edge,
+    pub clock: Clock,
+    pub ledger: Ledger,
+    pub refused: Refused,
+    pub telemetry: Schedule,
+    pub truth: Schedule,
+    pub status: Schedule,
+    pub telemetry_sequence: u64,
+    scenario: Scenario,
+    scenario_hash: String,
+    started_ns: u64,
+}
+
+impl Node {
+    fn open(settings: &Settings, telemetry: Class) -> Result<Self, NodeError> {
+        let scenario = settings.scenario.clone();
+        let room = SimulatedRoom::new(&scenario, scenario.seed)?;
+        let edge = Edge::open(&settings.bus, telemetry)?;
+        let clock = edge.clock();
+        // Halfway between two ticks: the mean of an interval's aim, and never in the way of a tick.
+        let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
+        Ok(Self {
+            reports: Reports::new(&scenario.streams, scenario.users.count, scenario.seed, edge.source()),
+            telemetry: Schedule::new(scenario.streams.telemetry.rate_hz, between_ticks_ns),
+            truth: Schedule::new(scenario.streams.truth.rate_hz, between_ticks_ns),
+            status: Schedule::new(STATUS_HZ, between_ticks_ns),
+            started_ns: clock.now().room_ns,
+            scenario_hash: scenario.hash(),
+            room,
+            edge,
+            clock,
+            ledger: Ledger::default(),
+            refused: Refused::default(),
+            telemetry_sequence: 0,
+            scenario,
+        })
+    }
+
+    pub fn reporter(&self) -> Result<Reporter, NodeError> {
+        Reporter::new(self.room.world(), &self.edge)
+    }
+
+    /// Gives an arrival to the array at time `at`; the command when it was accepted.
+    pub fn receive(&mut self, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
+        match arrival.content {
+            Ok(command) => match self.room.receive(at, &command) {
+                Ok(()) => {
+                    self.ledger.answered(command.answers, arrival.at.local_ns);
+                    return Some(command);
+                }
+                Err(refusal) => self.refused.command(&refusal),
+            },
+            Err(error) => {
+                self.room.count_malformed();
+                self.refused.malformed(&error);
+            }
+        }
+        None
+    }
+
+    pub fn publish_telemetry(&mut self, now: Moment) -> Result<(), NodeError> {
+        self.telemetry_sequence += 1;
+        let stamp = self.edge.stamp(self.telemetry_sequence, now.room_ns);
+        self.edge.publish_telemetry(&self.room.telemetry(stamp))
+    }
+
+    pub fn snapshot(&self, now: Moment) -> Snapshot {
+        Snapshot {
+            tick: self.reports.tick(),
+            time_ns: now.room_ns,
+            commanded: self.room.array().followed().is_some(),
+            ..Snapshot::new(self.room.world(), self.room.angles())
+        }
+    }
+
+    pub fn status_message(&self, time_ns: u64) -> NodeStatus {
+        let summary = self.summary(&Measurements::default());
+        let state = match self.room.array().followed() {
+            None => "waiting for a controller".to_owned(),
+            Some(_) => format!("array {:?}", self.room.array().state()).to_lowercase(),
+        };
+        let counts = [
+            ("ticks", summary.ticks),
+            ("commands", summary.commands),
+            ("lost_ticks", summary.lost_ticks),
+            ("late_ticks", summary.late_ticks),
+            ("unattended_ticks", summary.unattended_ticks),
+            ("clipped_commands", summary.clipped_commands),
+        ];
+        let refused = summary.refused.into_iter().map(|(name, count)| (format!("refused_{name}"), count));
+        let us = summary.loop_us;
+        let quantiles =
+            Quantiles { count: us.count, p50: us.p50, p90: us.p90, p99: us.p99, p999: us.p999, max: us.max };
+        NodeStatus {
+            stamp: self.edge.stamp(0, time_ns),
+            node: NodeKind::SimNode,
+            name: format!("{:016x}", self.edge.source()),
+            software: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
+            state,
+            scenario: self.scenario_hash.clone(),
+            started_ns: self.started_ns,
+            counters: counts.map(|(name, count)| (name.to_owned(), count)).into_iter().chain(refused).collect(),
+            timings: vec![("loop".to_owned(), quantiles)],
+            last_problem: self.refused.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
+            ..NodeStatus::default()
+        }
+    }
+
+    pub fn summary(&self, measurements: &Measurements) -> Summary {
+        let counters = self.room.array().counters();
+        let refused = self.refused.counts().iter().map(|(name, count)| ((*name).to_owned(), *count));
+        let mut summary = Summary {
+            scenario: self.scenario.name.clone(),
+            scenario_hash: self.scenario_hash.clone(),
+            seed: self.scenario.seed,
+            ticks: self.ledger.published_count(),
+            unattended_ticks: self.ledger.unattended(),
+            lost_ticks: self.ledger.lost(),
+            late_ticks: self.reports.late_ticks(),
+            commands: counters.accepted,
+            clipped_commands: counters.clipped,
+            refused: refused.collect(),
+            loop_us: self.ledger.distribution(),
+            truth_us_mean: measurements.mean_cost_s * 1e6,
+            last_problem: self.refused.last_problem().to_owned(),
+            ..Summary::default()
+        };
+        summary.set_rates(&measurements.tally);
+        summary
+    }
+}

@@ -1,0 +1,81 @@
+//! What was refused, counted by name, and the last thing that went wrong, in words.
+
+use std::collections::BTreeMap;
+
+use heliostat_proto::CodecError;
+
+use crate::array::Refusal;
+
+/// Counts of refusals by name.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Refused {
+    counts: BTreeMap<&'static str, u64>,
+    last_problem: String,
+}
+
+impl Refused {
+    /// A payload on the command key that is no command.
+    pub fn malformed(&mut self, error: &CodecError) {
+        self.note(codec_name(error), 1, format!("command key: {error}"));
+    }
+
+    /// A command that the array does not follow.
+    pub fn command(&mut self, refusal: &Refusal) {
+        self.note(refusal.name(), 1, format!("command: {refusal}"));
+    }
+
+    /// Anything else, under a name.
+    pub fn note(&mut self, name: &'static str, times: u64, problem: String) {
+        *self.counts.entry(name).or_default() += times;
+        self.last_problem = problem;
+    }
+
+    /// Sets a count that is kept elsewhere; none of it is no entry.
+    pub fn set(&mut self, name: &'static str, count: u64) {
+        if count > 0 {
+            self.counts.insert(name, count);
+        }
+    }
+
+    /// The counts by name.
+    pub fn counts(&self) -> &BTreeMap<&'static str, u64> {
+        &self.counts
+    }
+
+    /// The last problem; empty while there was none.
+    pub fn last_problem(&self) -> &str {
+        &self.last_problem
+    }
+}
+
+/// The name under which a malformed payload is counted.
+fn codec_name(error: &CodecError) -> &'static str {
+    match error {
+        CodecError::Oversized { .. } => "oversized",
+        CodecError::NoHeader { .. } | CodecError::Truncated { .. } => "truncated",
+        CodecError::WrongVersion { .. } => "wrong-version",
+        CodecError::UnknownKind { .. } | CodecError::WrongKind { .. } => "wrong-kind",
+        CodecError::TrailingBytes { .. } => "trailing-bytes",
+        CodecError::TooMany { .. } | CodecError::LengthMismatch { .. } => "bad-length",
+        CodecError::NotFinite { .. } => "not-finite",
+        CodecError::WrongMirrors { .. } => "wrong-mirror-count",
+        CodecError::WrongUsers { .. } => "wrong-user-count",
+        CodecError::OutOfDomain { .. } => "implausible",
+        CodecError::Malformed { .. } => "malformed",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_by_name_and_keeps_the_last_words() {
+        let mut refused = Refused::default();
+        refused.malformed(&CodecError::WrongVersion { found: 9 });
+        refused.malformed(&CodecError::WrongVersion { found: 8 });
+        refused.command(&Refusal::OldSequence { found: 3, last: 4 });
+        assert_eq!(refused.counts(), &BTreeMap::from([("old-sequence", 1), ("wrong-version", 2)]));
+        assert_eq!(refused.last_problem(), "command: sequence 3 after 4 of the same epoch");
+    }
+}

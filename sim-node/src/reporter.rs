@@ -1,0 +1,178 @@
+//! What viewers see: the truth beside its yardsticks, and the node's status. In live operation this works on a thread of its own, so that
+//! the oracle never delays a tick.
+
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use heliostat_proto::{NodeStatus, RoomTruth, Stamp, TruthUser};
+
+use crate::edge::{Edge, Outlet};
+use crate::node::NodeError;
+use crate::streams;
+use crate::world::World;
+use crate::yardstick::{Measured, Snapshot, Tally, Yardstick};
+
+/// Jobs that may wait for the thread; beyond it an instant is not measured, and counted as skipped.
+const WAITING_MAX: usize = 4;
+
+/// Measures and publishes.
+pub(crate) struct Reporter {
+    yardstick: Yardstick,
+    tally: Tally,
+    cost_s: f64,
+    source: u64,
+    truth: Outlet,
+    status: Outlet,
+    truth_sequence: u64,
+    status_sequence: u64,
+}
+
+/// What the measuring came to.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Measurements {
+    pub tally: Tally,
+    /// Mean time that one instant took to measure, in s.
+    pub mean_cost_s: f64,
+}
+
+impl Reporter {
+    pub fn new(world: &World, edge: &Edge) -> Result<Self, NodeError> {
+        let (truth, status) = edge.viewer_outlets()?;
+        Ok(Self {
+            yardstick: Yardstick::new(world),
+            tally: Tally::default(),
+            cost_s: 0.0,
+            source: edge.source(),
+            truth,
+            status,
+            truth_sequence: 0,
+            status_sequence: 0,
+        })
+    }
+
+    /// Measures an instant and publishes it; it counts in the tally when the array has been commanded.
+    pub fn truth(&mut self, at: &Snapshot) -> Result<&Measured, NodeError> {
+        let begun = Instant::now();
+        let measured = self.yardstick.measure(at);
+        if at.commanded {
+            self.tally.add(measured);
+            self.cost_s += begun.elapsed().as_secs_f64();
+        }
+        self.truth_sequence += 1;
+        let stamp = Stamp { source: self.source, sequence: self.truth_sequence, time_ns: at.time_ns };
+        self.truth.encode(&room_truth(stamp, at, measured))?;
+        self.truth.put()?;
+        Ok(measured)
+    }
+
+    /// Publishes a status, with the present rates added.
+    pub fn status(&mut self, mut status: NodeStatus) -> Result<(), NodeError> {
+        self.status_sequence += 1;
+        status.stamp.source = self.source;
+        status.stamp.sequence = self.status_sequence;
+        let mean = self.tally.mean_sum_rates_bps();
+        let rates = [
+            ("policy_mbps", mean.policy),
+            ("no_irs_mbps", mean.no_irs),
+            ("flat_mbps", mean.flat),
+            ("oracle_mbps", mean.oracle),
+        ];
+        status.gauges.extend(rates.map(|(name, bps)| (name.to_owned(), bps * 1e-6)));
+        self.status.encode(&status)?;
+        self.status.put()
+    }
+
+    pub fn measurements(&self) -> Measurements {
+        Measurements { tally: self.tally, mean_cost_s: self.cost_s / self.tally.samples.max(1) as f64 }
+    }
+
+    /// Goes on with a thread of its own.
+    pub fn into_thread(self) -> ReporterThread {
+        let (sender, jobs) = sync_channel(WAITING_MAX);
+        let thread = std::thread::spawn(move || self.work(&jobs));
+        ReporterThread { sender, thread, skipped: 0 }
+    }
+
+    fn work(mut self, jobs: &Receiver<Job>) -> Result<Measurements, NodeError> {
+        for job in jobs {
+            match job {
+                Job::Truth(snapshot) => {
+                    self.truth(&snapshot)?;
+                }
+                Job::Status(status) => self.status(*status)?,
+            }
+        }
+        Ok(self.measurements())
+    }
+}
+
+/// What the thread is asked to do.
+enum Job {
+    Truth(Box<Snapshot>),
+    Status(Box<NodeStatus>),
+}
+
+/// A reporter on its own thread.
+pub(crate) struct ReporterThread {
+    sender: SyncSender<Job>,
+    thread: JoinHandle<Result<Measurements, NodeError>>,
+    skipped: u64,
+}
+
+impl ReporterThread {
+    /// Measures an instant some time soon; never waits.
+    pub fn truth(&mut self, snapshot: Snapshot) {
+        self.send(Job::Truth(Box::new(snapshot)));
+    }
+
+    /// Publishes a status some time soon; never waits.
+    pub fn status(&mut self, status: NodeStatus) {
+        self.send(Job::Status(Box::new(status)));
+    }
+
+    /// Instants and statuses that were left out because the thread was busy.
+    pub fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    /// Whether the thread has failed; [`ReporterThread::finish`] tells why.
+    pub fn has_failed(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Finishes what is waiting.
+    pub fn finish(self) -> Result<Measurements, NodeError> {
+        drop(self.sender);
+        self.thread.join().map_err(|_| NodeError::ReporterPanicked)?
+    }
+
+    fn send(&mut self, job: Job) {
+        match self.sender.try_send(job) {
+            Ok(()) => {}
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.skipped += 1,
+        }
+    }
+}
+
+fn room_truth(stamp: Stamp, at: &Snapshot, measured: &Measured) -> RoomTruth {
+    let user = |user: usize| TruthUser {
+        user: user as u32,
+        position_m: [at.positions[user].x as f32, at.positions[user].y as f32, at.positions[user].z as f32],
+        heading_rad: at.headings[user] as f32,
+        los_blocked: measured.los_blocked[user],
+        forced: at.forced[user],
+        los_gain: measured.los_gain[user] as f32,
+        irs_gain: measured.irs_gain[user] as f32,
+        sinr: measured.sinr[user] as f32,
+        rate_bps: measured.rates_bps[user] as f32,
+        min_rate_bps: at.min_rate_bps[user] as f32,
+    };
+    RoomTruth {
+        stamp,
+        tick: at.tick,
+        users: (0..at.positions.len()).map(user).collect(),
+        obstacles: at.blockers[..at.obstacles].iter().map(streams::obstacle).collect(),
+        sum_rate_bps: measured.sum_rates_bps,
+    }
+}

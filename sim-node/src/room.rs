@@ -1,0 +1,128 @@
+//! The room with its mirrors: world, array guard and actuator moving through the same time.
+
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::{MirrorCommand, MirrorTelemetry, Stamp};
+use heliostat_scenario::Scenario;
+
+use crate::actuator::Actuator;
+use crate::array::{Array, HOLD_NS, Limits, Refusal};
+use crate::clock::Moment;
+use crate::random::{self, Purpose};
+use crate::world::{World, WorldError};
+
+/// A whole simulated room.
+#[derive(Clone, Debug)]
+pub struct SimulatedRoom {
+    world: World,
+    array: Array,
+    actuator: Actuator,
+    world_ns: u64,
+    mirrors_ns: u64,
+}
+
+impl SimulatedRoom {
+    /// The room of a scenario at local time 0, its mirrors parked.
+    ///
+    /// # Errors
+    /// [`WorldError`] as from [`World::new`].
+    pub fn new(scenario: &Scenario, seed: u64) -> Result<Self, WorldError> {
+        let world = World::new(scenario, seed)?;
+        let mirrors = world.model().mirrors.len();
+        let parameters = scenario.actuator.parameters();
+        Ok(Self {
+            array: Array::new(Limits { mirrors, range_rad: parameters.range_rad, hold_ns: HOLD_NS }),
+            actuator: Actuator::new(&parameters, mirrors, random::stream(seed, Purpose::Actuator, 0)),
+            world,
+            world_ns: 0,
+            mirrors_ns: 0,
+        })
+    }
+
+    /// Gives a command to the array at the time of its arrival, which may lie a little before the time up to which the world was
+    /// moved: mirrors move on their own time line.
+    ///
+    /// # Errors
+    /// [`Refusal`]: the array goes on as if nothing had come.
+    pub fn receive(&mut self, at: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+        self.advance_mirrors(at.local_ns);
+        self.array.receive(at, command)?;
+        self.actuator.command(self.array.target());
+        Ok(())
+    }
+
+    /// Counts a payload on the command key that is no command.
+    pub fn count_malformed(&mut self) {
+        self.array.count_malformed();
+    }
+
+    /// Moves people and mirrors to a time and computes the scene there.
+    pub fn advance(&mut self, to_ns: u64) {
+        self.advance_mirrors(to_ns);
+        self.world.step(seconds_between(self.world_ns, to_ns));
+        self.world_ns = self.world_ns.max(to_ns);
+    }
+
+    /// People, obstacles and the channel.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// For changes in a running room.
+    pub fn world_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    /// The array's guard.
+    pub fn array(&self) -> &Array {
+        &self.array
+    }
+
+    /// Where the mirrors point.
+    pub fn angles(&self) -> &MirrorAngles {
+        self.actuator.angles()
+    }
+
+    /// What the array tells about itself.
+    pub fn telemetry(&self, stamp: Stamp) -> MirrorTelemetry {
+        let single = |angles: &[f64]| angles.iter().map(|angle| *angle as f32).collect();
+        let followed = self.array.followed().copied().unwrap_or_default();
+        let (target, measured) = (self.array.target(), self.actuator.measured());
+        MirrorTelemetry {
+            stamp,
+            state: self.array.state(),
+            epoch: followed.epoch,
+            applied_sequence: followed.sequence,
+            answers: followed.answers,
+            received_ns: followed.received.room_ns,
+            applied_ns: followed.received.room_ns,
+            counters: *self.array.counters(),
+            roll_commanded: single(&target.roll),
+            yaw_commanded: single(&target.yaw),
+            roll_measured: single(&measured.roll),
+            yaw_measured: single(&measured.yaw),
+            ..MirrorTelemetry::default()
+        }
+    }
+
+    /// Moves the mirrors; an array that parks on the way does so at its time.
+    fn advance_mirrors(&mut self, to_ns: u64) {
+        if let Some(parks_at_ns) = self.array.parks_at_ns().filter(|parks_at_ns| *parks_at_ns <= to_ns) {
+            self.move_mirrors(parks_at_ns);
+            if self.array.advance(parks_at_ns) {
+                self.actuator.command(self.array.target());
+            }
+        }
+        self.move_mirrors(to_ns);
+        self.array.advance(to_ns);
+    }
+
+    fn move_mirrors(&mut self, to_ns: u64) {
+        self.actuator.step(seconds_between(self.mirrors_ns, to_ns));
+        self.mirrors_ns = self.mirrors_ns.max(to_ns);
+    }
+}
+
+/// Seconds from one time to a later one; 0 where it is not later.
+fn seconds_between(from_ns: u64, to_ns: u64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9
+}

@@ -1,0 +1,204 @@
+//! What the room's trackers and receivers report: each stream with its own rate, latency and noise.
+//!
+//! A sample is taken when it is due and released a latency later; its stamp tells when it was taken. Reports that are released at the
+//! same instant come out obstacles first, then channel, then positions, since the positions complete a tick. Pure: time comes in, reports
+//! come out.
+
+use std::collections::BTreeMap;
+
+use heliostat_channel::{Cylinder, MirrorAngles};
+use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState};
+use heliostat_scenario::Streams;
+
+use crate::clock::Moment;
+use crate::random::{self, Purpose, RoomRng};
+use crate::schedule::Schedule;
+use crate::world::World;
+
+/// A tick that leaves later than this after it was due counts as late; half a period where that is shorter.
+pub const LATE_NS: u64 = 1_000_000;
+
+/// A report on its way out.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Report {
+    /// What stands in the room.
+    Obstacles(ObstacleReport),
+    /// What light the users receive.
+    Channel(ChannelReport),
+    /// Where the users are; completes a tick.
+    Users(UserReport),
+}
+
+/// When a report is released, and its place among those of the same instant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Place {
+    release_ns: u64,
+    rank: u8,
+    sequence: u64,
+}
+
+/// All report streams of a room.
+#[derive(Clone, Debug)]
+pub struct Reports {
+    source: u64,
+    settings: Streams,
+    positions: Schedule,
+    channel: Schedule,
+    obstacles: Schedule,
+    position_noise: RoomRng,
+    channel_noise: RoomRng,
+    tick: u64,
+    channel_sequence: u64,
+    obstacle_sequence: u64,
+    late_ticks: u64,
+    waiting: BTreeMap<Place, Report>,
+    irs_gain: Vec<f64>,
+    sinr: Vec<f64>,
+}
+
+impl Reports {
+    /// The streams of a scenario; `source` is the id in every stamp.
+    pub fn new(settings: &Streams, users: usize, seed: u64, source: u64) -> Self {
+        Self {
+            source,
+            positions: Schedule::new(settings.positions.rate_hz, 0),
+            channel: Schedule::new(settings.channel.rate_hz, 0),
+            obstacles: Schedule::new(settings.obstacles.rate_hz, 0),
+            settings: settings.clone(),
+            position_noise: random::stream(seed, Purpose::PositionNoise, 0),
+            channel_noise: random::stream(seed, Purpose::ChannelNoise, 0),
+            tick: 0,
+            channel_sequence: 0,
+            obstacle_sequence: 0,
+            late_ticks: 0,
+            waiting: BTreeMap::new(),
+            irs_gain: vec![0.0; users],
+            sinr: vec![0.0; users],
+        }
+    }
+
+    /// When the next sample is due, in local time.
+    pub fn next_sample_ns(&self) -> u64 {
+        let due = [self.positions, self.channel, self.obstacles].into_iter().filter_map(|schedule| schedule.next_ns());
+        due.min().unwrap_or(u64::MAX)
+    }
+
+    /// When the next report is released, in local time.
+    pub fn next_release_ns(&self) -> u64 {
+        self.waiting.first_key_value().map_or(u64::MAX, |(place, _)| place.release_ns)
+    }
+
+    /// Takes the samples that are due. The world must be up to date, with the mirrors at `angles`.
+    pub fn sample(&mut self, now: Moment, world: &World, angles: &MirrorAngles) {
+        // The tick's number first, so that a channel report of the same instant carries it.
+        let tick_due = self.positions.take(now.local_ns);
+        if let Some(due) = tick_due {
+            self.tick += 1;
+            let tolerance_ns = LATE_NS.min(self.positions.period_ns() / 2);
+            self.late_ticks += u64::from(now.local_ns - due.due_ns > tolerance_ns) + due.skipped;
+        }
+        if self.obstacles.take(now.local_ns).is_some() {
+            self.obstacle_sequence += 1;
+            let report = ObstacleReport {
+                stamp: self.stamp(self.obstacle_sequence, now),
+                obstacles: world.obstacles().iter().map(obstacle).collect(),
+            };
+            self.queue(now.local_ns, Report::Obstacles(report));
+        }
+        if self.channel.take(now.local_ns).is_some() {
+            let report = self.channel_report(now, world, angles);
+            let release_ns = now.local_ns + latency_ns(self.settings.channel.latency_ms);
+            self.queue(release_ns, Report::Channel(report));
+        }
+        if tick_due.is_some() {
+            let report = self.user_report(now, world);
+            let release_ns = now.local_ns + latency_ns(self.settings.positions.latency_ms);
+            self.queue(release_ns, Report::Users(report));
+        }
+    }
+
+    /// The next report that is released by now, if any.
+    pub fn release(&mut self, local_ns: u64) -> Option<Report> {
+        self.waiting.first_entry().filter(|first| first.key().release_ns <= local_ns).map(|first| first.remove())
+    }
+
+    /// Number of the latest tick; ticks count from 1.
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// Ticks that were taken late, or left out because the next one was already due.
+    pub fn late_ticks(&self) -> u64 {
+        self.late_ticks
+    }
+
+    fn user_report(&mut self, now: Moment, world: &World) -> UserReport {
+        let (spread, velocity_spread) =
+            (self.settings.positions.noise_m, self.settings.positions.velocity_noise_m_s);
+        let stamp = self.stamp(self.tick, now);
+        // Noise is drawn even where its size is 0, so that switching one on leaves the others as they were.
+        let rng = &mut self.position_noise;
+        let mut noisy = |value: f64, spread: f64| (value + spread * random::normal(rng)) as f32;
+        let report = |(user, (walker, min_rate)): (usize, (&crate::mobility::Walker, &f64))| UserState {
+            user: user as u32,
+            position_m: [walker.position.x, walker.position.y, walker.position.z].map(|value| noisy(value, spread)),
+            velocity_m_s: walker.velocity.map(|value| noisy(value, velocity_spread)),
+            min_rate_bps: *min_rate as f32,
+        };
+        let users = world.users().iter().zip(world.min_rate_bps()).enumerate().map(report).collect();
+        UserReport { stamp, tick: self.tick, users }
+    }
+
+    fn channel_report(&mut self, now: Moment, world: &World, angles: &MirrorAngles) -> ChannelReport {
+        self.channel_sequence += 1;
+        let stamp = self.stamp(self.channel_sequence, now);
+        world.scene().irs_gain(world.model(), angles, &mut self.irs_gain);
+        world.scene().sinr(world.model(), angles, &mut self.sinr);
+        let spread = self.settings.channel.noise_relative;
+        let rng = &mut self.channel_noise;
+        let mut factor = || (1.0 + spread * random::normal(rng)).max(0.0);
+        let gains = world.scene().los_gain().iter().zip(&self.irs_gain).zip(&self.sinr).enumerate();
+        let users = gains.map(|(user, ((los_gain, irs_gain), sinr))| {
+            let (los_factor, irs_factor) = (factor(), factor());
+            let (measured_los, measured_irs) = (los_gain * los_factor, irs_gain * irs_factor);
+            let total = los_gain + irs_gain;
+            // SINR goes with the square of the whole gain.
+            let sinr_factor = if total > 0.0 { ((measured_los + measured_irs) / total).powi(2) } else { 1.0 };
+            UserChannel {
+                user: user as u32,
+                los_gain: measured_los as f32,
+                irs_gain: measured_irs as f32,
+                sinr: (sinr * sinr_factor) as f32,
+            }
+        });
+        let users = users.collect();
+        ChannelReport { stamp, tick: self.tick, users }
+    }
+
+    fn stamp(&self, sequence: u64, now: Moment) -> Stamp {
+        Stamp { source: self.source, sequence, time_ns: now.room_ns }
+    }
+
+    fn queue(&mut self, release_ns: u64, report: Report) {
+        let (rank, sequence) = match &report {
+            Report::Obstacles(report) => (0, report.stamp.sequence),
+            Report::Channel(report) => (1, report.stamp.sequence),
+            Report::Users(report) => (2, report.stamp.sequence),
+        };
+        self.waiting.insert(Place { release_ns, rank, sequence }, report);
+    }
+}
+
+/// A cylinder as the contract tells it.
+pub fn obstacle(cylinder: &Cylinder) -> Obstacle {
+    Obstacle {
+        x_m: cylinder.x_m as f32,
+        y_m: cylinder.y_m as f32,
+        radius_m: cylinder.radius_m as f32,
+        height_m: cylinder.height_m as f32,
+    }
+}
+
+fn latency_ns(latency_ms: f64) -> u64 {
+    (latency_ms * 1e6).round() as u64
+}

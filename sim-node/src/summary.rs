@@ -1,0 +1,123 @@
+//! What a run came to, as JSON and as a short table.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::ledger::Distribution;
+use crate::yardstick::Tally;
+
+/// Mean sum rates in Mbit/s over the same instants.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SumRatesMbps {
+    /// With the mirrors as they were commanded.
+    pub policy: f64,
+    /// Without the array.
+    pub no_irs: f64,
+    /// With all mirrors facing straight into the room.
+    pub flat: f64,
+    /// With the mirrors as the oracle would have turned them.
+    pub oracle: f64,
+}
+
+/// What a run came to.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Summary {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Hash of the effective scenario.
+    pub scenario_hash: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Position reports published.
+    pub ticks: u64,
+    /// Ticks before the first answer of all: no controller was there yet.
+    pub unattended_ticks: u64,
+    /// Ticks that no accepted command answered in time.
+    pub lost_ticks: u64,
+    /// Ticks that left late, or were left out because the next one was already due.
+    pub late_ticks: u64,
+    /// Commands accepted.
+    pub commands: u64,
+    /// Of those, with an angle beyond the range.
+    pub clipped_commands: u64,
+    /// Payloads and commands refused, by name.
+    pub refused: BTreeMap<String, u64>,
+    /// From the publication of a tick to the arrival of the command that answers it.
+    pub loop_us: Distribution,
+    /// Instants at which rates were measured, from the first command on.
+    pub truth_samples: u64,
+    /// Mean time that measuring such an instant took, oracle included, in us.
+    pub truth_us_mean: f64,
+    /// Mean sum rates over those instants.
+    pub sum_rate_mbps: SumRatesMbps,
+    /// Sum rate of the policy over that of the oracle; absent before the first command.
+    pub ratio_to_oracle: Option<f64>,
+    /// Share of users and instants with the minimum rate met.
+    pub qos_met: Option<f64>,
+    /// The same with the oracle's angles.
+    pub qos_met_oracle: Option<f64>,
+    /// Mean number of users whose direct path is off.
+    pub blocked_users_mean: f64,
+    /// Lockstep: hash of all commands and of all measured instants; the same seed gives the same.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hash: Option<String>,
+    /// The last thing that went wrong; empty when nothing did.
+    pub last_problem: String,
+}
+
+impl Summary {
+    /// Takes over what the measured instants came to.
+    pub fn set_rates(&mut self, tally: &Tally) {
+        let mean = tally.mean_sum_rates_bps();
+        self.truth_samples = tally.samples;
+        self.sum_rate_mbps = SumRatesMbps {
+            policy: mean.policy * 1e-6,
+            no_irs: mean.no_irs * 1e-6,
+            flat: mean.flat * 1e-6,
+            oracle: mean.oracle * 1e-6,
+        };
+        self.blocked_users_mean = tally.blocked_users_mean();
+        if tally.samples > 0 {
+            self.ratio_to_oracle = (mean.oracle > 0.0).then(|| mean.policy / mean.oracle);
+            let (met, met_oracle) = tally.qos_met();
+            self.qos_met = Some(met);
+            self.qos_met_oracle = Some(met_oracle);
+        }
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let rates = &self.sum_rate_mbps;
+        let share = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.3}"));
+        writeln!(f, "scenario        {} ({}), seed {}", self.scenario, self.scenario_hash, self.seed)?;
+        writeln!(
+            f,
+            "ticks           {} ({} lost, {} late, {} unattended)",
+            self.ticks, self.lost_ticks, self.late_ticks, self.unattended_ticks
+        )?;
+        writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
+        let us = &self.loop_us;
+        writeln!(f, "loop, us        p50 {:.0}  p90 {:.0}  p99 {:.0}  max {:.0}", us.p50, us.p90, us.p99, us.max)?;
+        writeln!(
+            f,
+            "sum rate, Mbps  policy {:.1}  no IRS {:.1}  flat {:.1}  oracle {:.1}",
+            rates.policy, rates.no_irs, rates.flat, rates.oracle
+        )?;
+        writeln!(f, "of the oracle   {}", share(self.ratio_to_oracle))?;
+        writeln!(f, "minimum rates   met {} (oracle {})", share(self.qos_met), share(self.qos_met_oracle))?;
+        writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?;
+        for (name, count) in &self.refused {
+            writeln!(f, "refused         {name}: {count}")?;
+        }
+        if let Some(hash) = &self.hash {
+            writeln!(f, "hash            {hash}")?;
+        }
+        if !self.last_problem.is_empty() {
+            writeln!(f, "last problem    {}", self.last_problem)?;
+        }
+        Ok(())
+    }
+}

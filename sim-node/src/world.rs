@@ -1,0 +1,230 @@
+//! The room itself: who stands where, what blocks what, and the channel that follows. No clock, no transport, no mirrors' motion.
+//!
+//! The trainer steps a world directly; the node steps it in time and publishes what it sees. Everything random comes from the seed,
+//! each purpose from its own stream ([`crate::random`]), so that a change of one setting leaves the rest as it was.
+//! [`World::step`] does not allocate.
+
+use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
+use heliostat_scenario::{Blockage, Scenario};
+use thiserror::Error;
+
+use crate::mobility::{Floor, Mobility, MobilityError, Speeds, Walker};
+use crate::obstacles::{HardCore, ObstacleError};
+use crate::random::{self, Purpose};
+use crate::trace::{Trace, TraceError};
+
+/// Why a world cannot be made from a scenario.
+#[derive(Debug, Error)]
+pub enum WorldError {
+    /// The scenario describes no valid channel.
+    #[error(transparent)]
+    Channel(#[from] ChannelError),
+    /// The walking speeds are not valid.
+    #[error(transparent)]
+    Mobility(#[from] MobilityError),
+    /// The obstacles cannot be placed.
+    #[error(transparent)]
+    Obstacles(#[from] ObstacleError),
+    /// The file of recorded movement cannot be read.
+    #[error("users.trace: {path}: {reason}")]
+    TraceFile {
+        /// The file.
+        path: String,
+        /// What the operating system says.
+        reason: std::io::Error,
+    },
+    /// The recorded movement is not valid.
+    #[error("users.trace: {path}: {reason}")]
+    Trace {
+        /// The file.
+        path: String,
+        /// What is wrong, with the line.
+        reason: TraceError,
+    },
+}
+
+/// The room at one instant.
+#[derive(Clone, Debug)]
+pub struct World {
+    model: ChannelModel,
+    floor: Floor,
+    speeds: Speeds,
+    hard_core: HardCore,
+    blockage: Blockage,
+    mobility: Mobility,
+    walkers: Vec<Walker>,
+    positions: Vec<Vec3>,
+    /// Obstacles first, then one body a user where bodies block.
+    blockers: Vec<Cylinder>,
+    obstacles: usize,
+    forced: Vec<bool>,
+    min_rate_bps: Vec<f64>,
+    scene: Scene,
+    time_s: f64,
+}
+
+impl World {
+    /// The world of a scenario; `seed` stands in place of the scenario's own. Reads the file `users.trace` where one is given.
+    ///
+    /// # Errors
+    /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recording are not valid.
+    pub fn new(scenario: &Scenario, seed: u64) -> Result<Self, WorldError> {
+        let model = scenario.channel_model()?;
+        let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
+        let speeds = Speeds::new(scenario.users.speed_min_m_s, scenario.users.speed_max_m_s)?;
+        let users = scenario.users.count;
+        let mobility = match &scenario.users.trace {
+            Some(path) => Mobility::Trace(read_trace(path, users, &floor)?),
+            None => Mobility::random_waypoint(floor, speeds, users, seed),
+        };
+        let blockage = scenario.blockage.clone();
+        let start = Vec3::new(0.0, 0.0, scenario.receiver.height_m);
+        let mut world = Self {
+            scene: Scene::new(&model, users),
+            model,
+            floor,
+            speeds,
+            hard_core: HardCore::new(blockage.obstacles_per_m2, blockage.obstacle_min_distance_m)?,
+            mobility,
+            walkers: vec![Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] }; users],
+            positions: vec![start; users],
+            blockers: Vec::new(),
+            obstacles: 0,
+            forced: (0..users).map(|user| user < blockage.forced_users).collect(),
+            min_rate_bps: scenario.min_rate_bps(),
+            time_s: 0.0,
+            blockage,
+        };
+        world.place_obstacles(seed);
+        world.refresh();
+        Ok(world)
+    }
+
+    /// Begins again with another seed: new walks and new obstacles in the same room, at time 0. A recording goes on.
+    pub fn restart(&mut self, seed: u64) {
+        if let Mobility::RandomWaypoint(_) = self.mobility {
+            self.mobility = Mobility::random_waypoint(self.floor, self.speeds, self.walkers.len(), seed);
+        }
+        self.time_s = 0.0;
+        self.place_obstacles(seed);
+        self.refresh();
+    }
+
+    /// Lets `dt_s` seconds pass and brings the scene up to date.
+    pub fn step(&mut self, dt_s: f64) {
+        self.advance(dt_s);
+        self.refresh();
+    }
+
+    /// Lets `dt_s` seconds pass without computing the scene; [`World::refresh`] does that.
+    pub fn advance(&mut self, dt_s: f64) {
+        self.time_s += dt_s;
+        self.mobility.step(dt_s);
+    }
+
+    /// Brings positions, blockers and scene up to date.
+    pub fn refresh(&mut self) {
+        self.mobility.write(&mut self.walkers);
+        for (position, walker) in self.positions.iter_mut().zip(&self.walkers) {
+            *position = walker.position;
+        }
+        let offset = self.blockage.body_offset_m;
+        for (body, walker) in self.blockers[self.obstacles..].iter_mut().zip(&self.walkers) {
+            body.x_m = walker.position.x - offset * walker.direction[0];
+            body.y_m = walker.position.y - offset * walker.direction[1];
+        }
+        self.scene.update(&self.model, &self.positions, &self.blockers, &self.forced);
+    }
+
+    /// The users: where they are, which way they face, how they move.
+    pub fn users(&self) -> &[Walker] {
+        &self.walkers
+    }
+
+    /// Positions of the users' receivers in m.
+    pub fn positions(&self) -> &[Vec3] {
+        &self.positions
+    }
+
+    /// Everything that blocks light: the obstacles, then the users' bodies.
+    pub fn blockers(&self) -> &[Cylinder] {
+        &self.blockers
+    }
+
+    /// What stands in the room without moving.
+    pub fn obstacles(&self) -> &[Cylinder] {
+        &self.blockers[..self.obstacles]
+    }
+
+    /// Whose direct path is off, whatever stands there.
+    pub fn forced(&self) -> &[bool] {
+        &self.forced
+    }
+
+    /// Each user's minimum rate in bit/s.
+    pub fn min_rate_bps(&self) -> &[f64] {
+        &self.min_rate_bps
+    }
+
+    /// The channel at this instant.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The room's equipment.
+    pub fn model(&self) -> &ChannelModel {
+        &self.model
+    }
+
+    /// Seconds since the start.
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// Turns the direct path of the first `users` people off and that of the others on; from the next refresh on.
+    pub fn set_forced(&mut self, users: usize) {
+        for (user, forced) in self.forced.iter_mut().enumerate() {
+            *forced = user < users;
+        }
+    }
+
+    /// New walking speeds in m/s; no effect on a recording.
+    ///
+    /// # Errors
+    /// [`MobilityError`] for speeds that are not valid; the old ones stay.
+    pub fn set_speed(&mut self, min_m_s: f64, max_m_s: f64) -> Result<(), MobilityError> {
+        self.speeds = Speeds::new(min_m_s, max_m_s)?;
+        self.mobility.set_speeds(self.speeds);
+        Ok(())
+    }
+
+    /// Another transmitted power in W; false, and no change, when it is not a positive number.
+    pub fn set_power(&mut self, power_w: f64) -> bool {
+        let valid = power_w.is_finite() && power_w > 0.0;
+        if valid {
+            self.model.budget.power_w = power_w;
+        }
+        valid
+    }
+
+    fn place_obstacles(&mut self, seed: u64) {
+        let blockage = &self.blockage;
+        let points = self.hard_core.sample(&self.floor, &mut random::stream(seed, Purpose::Obstacles, 0));
+        let cylinder = |at: [f64; 2], radius_m, height_m| Cylinder { x_m: at[0], y_m: at[1], radius_m, height_m };
+        self.blockers.clear();
+        self.blockers.extend(
+            points.into_iter().map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)),
+        );
+        self.obstacles = self.blockers.len();
+        if blockage.bodies {
+            let body = cylinder([0.0, 0.0], blockage.body_radius_m, blockage.body_height_m);
+            self.blockers.extend(std::iter::repeat_n(body, self.walkers.len()));
+        }
+    }
+}
+
+fn read_trace(path: &str, users: usize, floor: &Floor) -> Result<Trace, WorldError> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|reason| WorldError::TraceFile { path: path.to_owned(), reason })?;
+    Trace::parse(&text, users, floor).map_err(|reason| WorldError::Trace { path: path.to_owned(), reason })
+}

@@ -1,0 +1,195 @@
+//! What the users get, beside what they would get without the array, with the mirrors left flat, and at best.
+//!
+//! All four are computed for the same instant with the same people and obstacles, and summed over the same instants, so that their
+//! ratios compare like with like. The best is the oracle with minimum rates, [`QOS_PENALTY`] bit/s for each bit/s that is missing.
+
+use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::{ChannelModel, Cylinder, LinkBudget, MirrorAngles, Scene, Vec3};
+use heliostat_proto::SumRates;
+
+use crate::mobility::Walker;
+use crate::world::World;
+
+/// Weight of a missing minimum rate in the oracle: a need is met wherever it can be.
+pub const QOS_PENALTY: f64 = 50.0;
+
+/// Everything that decides the rates at one instant.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    /// The latest tick.
+    pub tick: u64,
+    /// Room time in ns.
+    pub time_ns: u64,
+    /// Whether the array has been commanded at all; instants before that are not counted.
+    pub commanded: bool,
+    /// Positions of the receivers in m.
+    pub positions: Vec<Vec3>,
+    /// Way each user faces, in radians from +x towards +y.
+    pub headings: Vec<f64>,
+    /// Obstacles, then bodies.
+    pub blockers: Vec<Cylinder>,
+    /// How many of them are obstacles.
+    pub obstacles: usize,
+    /// Whose direct path is off.
+    pub forced: Vec<bool>,
+    /// Minimum rates in bit/s.
+    pub min_rate_bps: Vec<f64>,
+    /// Power, noise and band.
+    pub budget: LinkBudget,
+    /// Where the mirrors point.
+    pub angles: MirrorAngles,
+}
+
+impl Snapshot {
+    /// The world as it is now, with the mirrors at `angles`.
+    pub fn new(world: &World, angles: &MirrorAngles) -> Self {
+        Self {
+            tick: 0,
+            time_ns: 0,
+            commanded: true,
+            positions: world.positions().to_vec(),
+            headings: world.users().iter().map(Walker::heading).collect(),
+            blockers: world.blockers().to_vec(),
+            obstacles: world.obstacles().len(),
+            forced: world.forced().to_vec(),
+            min_rate_bps: world.min_rate_bps().to_vec(),
+            budget: world.model().budget.clone(),
+            angles: angles.clone(),
+        }
+    }
+}
+
+/// One instant, measured.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measured {
+    /// Sums of all users' rates in bit/s.
+    pub sum_rates_bps: SumRates,
+    /// Each user's rate in bit/s, with the mirrors as they are.
+    pub rates_bps: Vec<f64>,
+    /// Each user's SINR, with the mirrors as they are.
+    pub sinr: Vec<f64>,
+    /// Each user's gain over the direct path.
+    pub los_gain: Vec<f64>,
+    /// Each user's gain over the mirrors as they are.
+    pub irs_gain: Vec<f64>,
+    /// Whose direct path is off.
+    pub los_blocked: Vec<bool>,
+    /// Users whose minimum rate is met.
+    pub met: usize,
+    /// Users whose minimum rate the oracle would meet.
+    pub met_oracle: usize,
+}
+
+/// Measures instants; holds its own model, scene and solver, so that it can work beside the room.
+#[derive(Debug)]
+pub struct Yardstick {
+    model: ChannelModel,
+    scene: Scene,
+    solver: Solver,
+    flat: MirrorAngles,
+    best: MirrorAngles,
+    rates: Vec<f64>,
+    measured: Measured,
+}
+
+impl Yardstick {
+    /// A yardstick for the room of this world.
+    pub fn new(world: &World) -> Self {
+        let model = world.model().clone();
+        let (users, mirrors) = (world.users().len(), model.mirrors.len());
+        Self {
+            scene: Scene::new(&model, users),
+            solver: Solver::new(users, mirrors),
+            flat: MirrorAngles::flat(mirrors),
+            best: MirrorAngles::flat(mirrors),
+            rates: vec![0.0; users],
+            measured: Measured {
+                rates_bps: vec![0.0; users],
+                sinr: vec![0.0; users],
+                los_gain: vec![0.0; users],
+                irs_gain: vec![0.0; users],
+                los_blocked: vec![false; users],
+                ..Measured::default()
+            },
+            model,
+        }
+    }
+
+    /// Measures one instant.
+    pub fn measure(&mut self, at: &Snapshot) -> &Measured {
+        let Self { model, scene, solver, flat, best, rates, measured } = self;
+        model.budget.clone_from(&at.budget);
+        scene.update(model, &at.positions, &at.blockers, &at.forced);
+        measured.los_blocked.copy_from_slice(scene.los_blocked());
+        let met = |rates: &[f64]| rates.iter().zip(&at.min_rate_bps).filter(|(rate, wanted)| rate >= wanted).count();
+
+        measured.los_gain.copy_from_slice(scene.los_gain());
+        scene.irs_gain(model, &at.angles, &mut measured.irs_gain);
+        scene.sinr(model, &at.angles, &mut measured.sinr);
+        scene.rates_bps(model, &at.angles, &mut measured.rates_bps);
+        measured.sum_rates_bps.policy = measured.rates_bps.iter().sum();
+        measured.met = met(&measured.rates_bps);
+
+        let direct = |gain: &f64| model.budget.rate_bps(model.budget.sinr(*gain), at.positions.len());
+        measured.sum_rates_bps.no_irs = scene.los_gain().iter().map(direct).sum();
+
+        scene.rates_bps(model, flat, rates);
+        measured.sum_rates_bps.flat = rates.iter().sum();
+
+        let need = Need { min_rate_bps: &at.min_rate_bps, qos_penalty: QOS_PENALTY };
+        solver.solve(model, scene, &need, Method::Oracle, best);
+        scene.rates_bps(model, best, rates);
+        measured.sum_rates_bps.oracle = rates.iter().sum();
+        measured.met_oracle = met(rates);
+        measured
+    }
+}
+
+/// Sums over instants.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tally {
+    /// Instants.
+    pub samples: u64,
+    users: u64,
+    sums: SumRates,
+    met: u64,
+    met_oracle: u64,
+    blocked: u64,
+}
+
+impl Tally {
+    /// Adds one instant.
+    pub fn add(&mut self, measured: &Measured) {
+        self.samples += 1;
+        self.users += measured.rates_bps.len() as u64;
+        self.sums.policy += measured.sum_rates_bps.policy;
+        self.sums.no_irs += measured.sum_rates_bps.no_irs;
+        self.sums.flat += measured.sum_rates_bps.flat;
+        self.sums.oracle += measured.sum_rates_bps.oracle;
+        self.met += measured.met as u64;
+        self.met_oracle += measured.met_oracle as u64;
+        self.blocked += measured.los_blocked.iter().filter(|blocked| **blocked).count() as u64;
+    }
+
+    /// Mean sum rates in bit/s; zeros before the first instant.
+    pub fn mean_sum_rates_bps(&self) -> SumRates {
+        let mean = |sum: f64| sum / self.samples.max(1) as f64;
+        SumRates {
+            policy: mean(self.sums.policy),
+            no_irs: mean(self.sums.no_irs),
+            flat: mean(self.sums.flat),
+            oracle: mean(self.sums.oracle),
+        }
+    }
+
+    /// Share of users and instants with the minimum rate met, by the mirrors as they were and by the oracle.
+    pub fn qos_met(&self) -> (f64, f64) {
+        let share = |count: u64| count as f64 / self.users.max(1) as f64;
+        (share(self.met), share(self.met_oracle))
+    }
+
+    /// Mean number of users whose direct path is off.
+    pub fn blocked_users_mean(&self) -> f64 {
+        self.blocked as f64 / self.samples.max(1) as f64
+    }
+}

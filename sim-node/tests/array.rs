@@ -1,0 +1,126 @@
+//! The rules of the array's guard, one by one.
+
+use heliostat_proto::{ArrayState, MirrorCommand};
+use heliostat_sim_node::array::{Array, CLOCK_LEAD_MAX_NS, HOLD_NS, Limits, Refusal};
+use heliostat_sim_node::clock::Moment;
+
+const MS: u64 = 1_000_000;
+/// Any UTC; local time starts elsewhere, since nothing may mix the two.
+const UTC: u64 = 1_800_000_000_000_000_000;
+
+fn at(ms: u64) -> Moment {
+    Moment { local_ns: ms * MS, room_ns: UTC + ms * MS }
+}
+
+fn array() -> Array {
+    Array::new(Limits { mirrors: 2, range_rad: 0.5, hold_ns: HOLD_NS })
+}
+
+fn command(epoch: u64, sequence: u64, made_at_ms: u64) -> MirrorCommand {
+    MirrorCommand {
+        epoch,
+        sequence,
+        answers: 7,
+        time_ns: at(made_at_ms).room_ns,
+        validity_ms: 200,
+        roll: vec![0.1, 0.2],
+        yaw: vec![-0.1, -0.2],
+    }
+}
+
+#[test]
+fn follows_holds_and_parks() {
+    let mut array = array();
+    assert_eq!((array.state(), array.parks_at_ns()), (ArrayState::Parked, None));
+    array.receive(at(10), &command(1, 1, 5)).unwrap();
+    assert_eq!(array.state(), ArrayState::Following);
+    assert!((array.target().roll[1] - 0.2).abs() < 1e-7 && (array.target().yaw[0] + 0.1).abs() < 1e-7);
+    // 200 ms from the time at which the command was made.
+    assert!(!array.advance(204 * MS));
+    assert_eq!(array.state(), ArrayState::Following);
+    assert!(!array.advance(205 * MS));
+    assert_eq!(array.state(), ArrayState::Holding);
+    assert!(array.target().roll[1] > 0.0, "the last command is held");
+    let parks_at = array.parks_at_ns().unwrap();
+    assert_eq!(parks_at, 205 * MS + HOLD_NS);
+    assert!(!array.advance(parks_at - 1));
+    assert!(array.advance(parks_at), "the array parks");
+    assert_eq!(array.state(), ArrayState::Parked);
+    assert!(array.target().roll.iter().chain(&array.target().yaw).all(|angle| *angle == 0.0));
+    assert!(!array.advance(parks_at + 1), "and parks once");
+    assert_eq!(array.followed().unwrap().answers, 7);
+}
+
+#[test]
+fn a_command_after_the_validity_of_the_last_is_late_but_followed() {
+    let mut array = array();
+    array.receive(at(0), &command(1, 1, 0)).unwrap();
+    array.receive(at(100), &command(1, 2, 100)).unwrap();
+    assert_eq!(array.counters().late, 0);
+    array.receive(at(301), &command(1, 3, 300)).unwrap();
+    assert_eq!((array.counters().late, array.counters().accepted), (1, 3));
+    assert_eq!(array.state(), ArrayState::Following);
+}
+
+#[test]
+fn every_refusal_has_a_name_and_changes_nothing() {
+    let mut array = array();
+    array.receive(at(1000), &command(5, 10, 1000)).unwrap();
+    let before = (array.target().clone(), array.parks_at_ns(), *array.followed().unwrap());
+    let with = |change: fn(&mut MirrorCommand)| {
+        let mut command = command(5, 11, 1000);
+        change(&mut command);
+        command
+    };
+    let cases = [
+        ("wrong-mirror-count", with(|c| c.roll.push(0.0))),
+        ("wrong-mirror-count", with(|c| c.yaw.clear())),
+        ("not-finite", with(|c| c.roll[1] = f32::NAN)),
+        ("not-finite", with(|c| c.yaw[0] = f32::INFINITY)),
+        ("lower-epoch", with(|c| c.epoch = 4)),
+        ("old-sequence", with(|c| c.sequence = 10)),
+        ("old-sequence", with(|c| c.sequence = 9)),
+        ("expired", with(|c| c.time_ns -= 200 * MS)),
+        ("expired", with(|c| c.validity_ms = 0)),
+        ("from-future", with(|c| c.time_ns += CLOCK_LEAD_MAX_NS + 2 * MS)),
+    ];
+    for (name, command) in &cases {
+        assert_eq!(array.receive(at(1001), command).unwrap_err().name(), *name, "{command:?}");
+        assert_eq!(before, (array.target().clone(), array.parks_at_ns(), *array.followed().unwrap()), "{name}");
+    }
+    let counters = *array.counters();
+    assert_eq!((counters.rejected, counters.old_epoch, counters.old_sequence, counters.expired), (4, 1, 2, 3));
+    assert_eq!((counters.refused(), counters.accepted), (10, 1));
+    array.count_malformed();
+    assert_eq!(array.counters().rejected, 5);
+    array.receive(at(1001), &with(|_| {})).unwrap();
+}
+
+#[test]
+fn a_higher_epoch_takes_over_whatever_its_sequence_and_fences_the_old_one() {
+    let mut array = array();
+    array.receive(at(0), &command(1, 900, 0)).unwrap();
+    array.receive(at(1), &command(2, 1, 1)).unwrap();
+    assert_eq!(array.receive(at(2), &command(1, 901, 2)), Err(Refusal::LowerEpoch { found: 1, followed: 2 }));
+}
+
+#[test]
+fn angles_beyond_the_range_are_cut_and_counted_once_a_command() {
+    let mut array = array();
+    let mut wide = command(1, 1, 0);
+    wide.roll = vec![3.0, -3.0];
+    wide.yaw = vec![0.5, -0.5];
+    array.receive(at(0), &wide).unwrap();
+    assert_eq!((array.target().roll.as_slice(), array.counters().clipped), ([0.5, -0.5].as_slice(), 1));
+    let mut edge = command(1, 2, 0);
+    edge.yaw = vec![0.5, -0.5];
+    array.receive(at(0), &edge).unwrap();
+    assert_eq!(array.counters().clipped, 1, "the edge of the range is within it");
+}
+
+#[test]
+fn a_sender_whose_clock_is_ahead_does_not_keep_the_array_from_parking() {
+    let mut array = array();
+    array.receive(at(0), &command(1, 1, 40)).unwrap();
+    assert_eq!(array.parks_at_ns(), Some(200 * MS + HOLD_NS));
+}

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Kind;
 use crate::error::CodecError;
-use crate::messages::Stamp;
+use crate::messages::{Stamp, check_mirrors};
 
 /// What one axis of every mirror can do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -73,7 +73,7 @@ pub struct Capabilities {
 impl Capabilities {
     /// Number of mirrors.
     pub fn mirrors(&self) -> usize {
-        self.rows as usize * self.columns as usize
+        (self.rows as usize).saturating_mul(self.columns as usize)
     }
 
     /// Whether the array has so many mirrors.
@@ -81,9 +81,7 @@ impl Capabilities {
     /// # Errors
     /// [`CodecError::WrongMirrors`].
     pub fn check_mirrors(&self, wanted: usize) -> Result<(), CodecError> {
-        let found = self.mirrors();
-        let kind = Kind::Capabilities;
-        if found == wanted { Ok(()) } else { Err(CodecError::WrongMirrors { kind, found, wanted }) }
+        check_mirrors(Kind::Capabilities, self.mirrors(), wanted)
     }
 }
 
@@ -131,8 +129,6 @@ impl Calibration {
     /// # Errors
     /// [`CodecError::WrongMirrors`].
     pub fn check_mirrors(&self, wanted: usize) -> Result<(), CodecError> {
-        let found = self.roll_offset_rad.len();
-        let kind = Kind::Calibration;
-        if found == wanted { Ok(()) } else { Err(CodecError::WrongMirrors { kind, found, wanted }) }
+        check_mirrors(Kind::Calibration, self.roll_offset_rad.len(), wanted)
     }
 }

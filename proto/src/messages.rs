@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::CodecError;
 use crate::keys::NodeKind;
-use crate::{Kind, Nanos};
+use crate::{Kind, MAX_TEXT, Nanos};
 
 /// Who says it, how many times they spoke before, and when it was true.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,6 +44,16 @@ pub struct UserReport {
     pub users: Vec<UserState>,
 }
 
+impl UserReport {
+    /// Whether the report is about so many users.
+    ///
+    /// # Errors
+    /// [`CodecError::WrongUsers`].
+    pub fn check_users(&self, wanted: usize) -> Result<(), CodecError> {
+        check_users(Kind::UserReport, self.users.len(), wanted)
+    }
+}
+
 /// The light that one user receives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct UserChannel {
@@ -66,6 +76,16 @@ pub struct ChannelReport {
     pub tick: u64,
     /// One entry a user.
     pub users: Vec<UserChannel>,
+}
+
+impl ChannelReport {
+    /// Whether the report is about so many users.
+    ///
+    /// # Errors
+    /// [`CodecError::WrongUsers`].
+    pub fn check_users(&self, wanted: usize) -> Result<(), CodecError> {
+        check_users(Kind::ChannelReport, self.users.len(), wanted)
+    }
 }
 
 /// An upright cylinder that stands on the floor and stops light.
@@ -277,6 +297,15 @@ pub struct NodeStatus {
     pub last_problem: String,
 }
 
+impl NodeStatus {
+    /// Notes what went wrong, cut to what a message may hold.
+    pub fn set_problem(&mut self, problem: &str) {
+        let end = (0..=problem.len().min(MAX_TEXT)).rev().find(|at| problem.is_char_boundary(*at)).unwrap_or(0);
+        self.last_problem.clear();
+        self.last_problem.push_str(&problem[..end]);
+    }
+}
+
 /// One user as the simulator knows them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TruthUser {
@@ -330,6 +359,10 @@ pub struct RoomTruth {
     pub sum_rate_bps: SumRates,
 }
 
-fn check_mirrors(kind: Kind, found: usize, wanted: usize) -> Result<(), CodecError> {
+pub(crate) fn check_mirrors(kind: Kind, found: usize, wanted: usize) -> Result<(), CodecError> {
     if found == wanted { Ok(()) } else { Err(CodecError::WrongMirrors { kind, found, wanted }) }
+}
+
+fn check_users(kind: Kind, found: usize, wanted: usize) -> Result<(), CodecError> {
+    if found == wanted { Ok(()) } else { Err(CodecError::WrongUsers { kind, found, wanted }) }
 }

@@ -1,0 +1,92 @@
+//! The bytes of each message, pinned. A failure here is a change of the contract, not a test to update: the old bytes stay
+//! valid for version 1, and new ones need a new version or a new kind.
+
+mod common;
+
+use common::*;
+use heliostat_proto::{Message, decode};
+
+const USER_REPORT: &str = "\
+    0101f0bdf3d589cf959a12ac0280cffea7a4deb2c318e80701030000c03f000080be9a99593f0000003f000080bf00247449";
+const CHANNEL_REPORT: &str = "\
+    0102f0bdf3d589cf959a12ac0280cffea7a4deb2c318e807010300000000acc5a73500002a42";
+const OBSTACLE_REPORT: &str = "\
+    0103f0bdf3d589cf959a12ac0280cffea7a4deb2c31801000080bf000000400000803e0000e03f";
+const MIRROR_COMMAND: &str = "\
+    010407ac02e80780cffea7a4deb2c318c801020000003e000000bf02000000000000803e";
+const MIRROR_TELEMETRY: &str = "\
+    0105f0bdf3d589cf959a12ac0280cffea7a4deb2c3180107ac02e807c0d3bba8a4deb2c318e095daa8a4deb2c3180202ab02040102000506\
+    000100001242020000003e000000bf02000000000000803e020000003e0000c0be000101";
+const NODE_STATUS: &str = "\
+    0106f0bdf3d589cf959a12ac0280cffea7a4deb2c3180106726f6f6d204105302e312e300772756e6e696e67066330666665650080cffea7\
+    a4deb2c31801057469636b73e807010973706565645f6d5f73000000000000f83f01046c6f6f700200000000000059400000000000c06240\
+    0000000000c062400000000000c062400000000000c0624002c2b5";
+const ROOM_TRUTH: &str = "\
+    0107f0bdf3d589cf959a12ac0280cffea7a4deb2c318e80701030000c03f000080be9a99593f0000003f010000000000acc5a73500002a42\
+    8096184a0024744901000080bf000000400000803e0000e03f00000000d012434100000000000000000000000080842e4100000000d01243\
+    41";
+const CAPABILITIES: &str = "\
+    0108f0bdf3d589cf959a12ac0280cffea7a4deb2c3180e4c6162207469702d74696c742032076c616220312e300102000080be0000803e00\
+    0000410000003c00000039000000bf0000003f000000410000003c00000039010100007a44d00f0000000000000000";
+const EMERGENCY_STOP: &str = "\
+    0109f0bdf3d589cf959a12ac0280cffea7a4deb2c3180103616e6e05636c656172";
+const CALIBRATION: &str = "\
+    010af0bdf3d589cf959a12ac0280cffea7a4deb2c318020000803c00000000020000803f0000843f0200000000000080bc020000803f0000\
+    803f";
+
+const ALL: [&str; 10] = [
+    USER_REPORT,
+    CHANNEL_REPORT,
+    OBSTACLE_REPORT,
+    MIRROR_COMMAND,
+    MIRROR_TELEMETRY,
+    NODE_STATUS,
+    ROOM_TRUTH,
+    CAPABILITIES,
+    EMERGENCY_STOP,
+    CALIBRATION,
+];
+
+fn holds<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
+    assert_eq!(hex(&encoded(message)), bytes, "bytes of a {}", T::KIND);
+    assert_eq!(&decode::<T>(&unhex(bytes)).expect("golden bytes are sound"), message, "a {} read back", T::KIND);
+}
+
+#[test]
+fn each_message_has_the_bytes_of_version_1() {
+    holds(&user_report(), USER_REPORT);
+    holds(&channel_report(), CHANNEL_REPORT);
+    holds(&obstacle_report(), OBSTACLE_REPORT);
+    holds(&mirror_command(), MIRROR_COMMAND);
+    holds(&mirror_telemetry(), MIRROR_TELEMETRY);
+    holds(&node_status(), NODE_STATUS);
+    holds(&room_truth(), ROOM_TRUTH);
+    holds(&capabilities(), CAPABILITIES);
+    holds(&emergency_stop(), EMERGENCY_STOP);
+    holds(&calibration(), CALIBRATION);
+}
+
+/// Each enumeration on the wire is numbered in the order written in CONTRACT.md.
+#[test]
+fn enumerations_keep_their_numbers() {
+    use heliostat_proto::{ArrayState, NodeKind};
+    let states =
+        [ArrayState::Parked, ArrayState::Following, ArrayState::Holding, ArrayState::Stopped, ArrayState::Fault];
+    for (number, state) in states.into_iter().enumerate() {
+        let payload = encoded(&heliostat_proto::MirrorTelemetry { state, ..Default::default() });
+        assert_eq!(usize::from(payload[5]), number, "{state:?} follows header and an empty stamp");
+    }
+    for (number, node) in NodeKind::ALL.into_iter().enumerate() {
+        let payload = encoded(&heliostat_proto::NodeStatus { node, ..Default::default() });
+        assert_eq!(usize::from(payload[5]), number, "{node}");
+    }
+}
+
+#[test]
+fn the_document_shows_the_same_bytes() {
+    let document = include_str!("../../CONTRACT.md");
+    let shown: Vec<String> = document.split("```").map(|part| part.split_whitespace().skip(1).collect()).collect();
+    for (bytes, (name, _)) in ALL.into_iter().zip(payloads()) {
+        assert!(shown.iter().any(|part| part == bytes), "CONTRACT.md lacks the bytes of the {name}: {bytes}");
+    }
+}

@@ -1,0 +1,287 @@
+//! What the codec refuses, and how it names it.
+
+mod common;
+
+use common::*;
+use heliostat_proto::*;
+
+fn refusal<T: Message + std::fmt::Debug>(payload: &[u8]) -> CodecError {
+    decode::<T>(payload).expect_err("this payload is unsound")
+}
+
+/// The payload with four bytes replaced by those of a number.
+fn with_f32(mut payload: Vec<u8>, at: usize, value: f32) -> Vec<u8> {
+    payload[at..at + 4].copy_from_slice(&value.to_le_bytes());
+    payload
+}
+
+fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
+    match kind {
+        Kind::UserReport => decode::<UserReport>(payload).err(),
+        Kind::ChannelReport => decode::<ChannelReport>(payload).err(),
+        Kind::ObstacleReport => decode::<ObstacleReport>(payload).err(),
+        Kind::MirrorCommand => decode::<MirrorCommand>(payload).err(),
+        Kind::MirrorTelemetry => decode::<MirrorTelemetry>(payload).err(),
+        Kind::NodeStatus => decode::<NodeStatus>(payload).err(),
+        Kind::RoomTruth => decode::<RoomTruth>(payload).err(),
+        Kind::Capabilities => decode::<Capabilities>(payload).err(),
+        Kind::EmergencyStop => decode::<EmergencyStop>(payload).err(),
+        Kind::Calibration => decode::<Calibration>(payload).err(),
+    }
+}
+
+#[test]
+fn the_version_is_refused_before_anything_else() {
+    for version in (0..=u8::MAX).filter(|version| *version != VERSION) {
+        assert_eq!(refusal::<MirrorCommand>(&[version]), CodecError::WrongVersion { found: version });
+        let mut payload = encoded(&mirror_command());
+        payload[0] = version;
+        payload[1] = 200;
+        payload.truncate(5);
+        assert_eq!(refusal::<MirrorCommand>(&payload), CodecError::WrongVersion { found: version });
+    }
+}
+
+#[test]
+fn a_payload_without_header_is_refused() {
+    assert_eq!(refusal::<UserReport>(&[]), CodecError::NoHeader { found: 0 });
+    assert_eq!(refusal::<UserReport>(&[VERSION]), CodecError::NoHeader { found: 1 });
+}
+
+#[test]
+fn another_kind_is_refused_by_both_names() {
+    let error = refusal::<MirrorCommand>(&encoded(&user_report()));
+    assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, wanted: Kind::MirrorCommand });
+    assert_eq!(error.to_string(), "payload holds a user report: wanted a mirror command");
+    for number in [0, 11, 255] {
+        assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
+    }
+}
+
+#[test]
+fn every_message_is_refused_at_every_shorter_length() {
+    for (name, payload) in payloads() {
+        let kind = codec::kind_of(&payload).expect("samples are sound");
+        assert_eq!(any_refusal(kind, &payload), None, "{name} whole");
+        for length in 2..payload.len() {
+            let error = any_refusal(kind, &payload[..length]);
+            let truncated = matches!(error, Some(CodecError::Truncated { kind: named, .. }) if named == kind);
+            assert!(truncated, "{name} cut to {length} bytes: {error:?}");
+        }
+    }
+}
+
+#[test]
+fn the_field_in_which_a_payload_ends_is_named() {
+    let payload = encoded(&mirror_command());
+    let field = |length: usize| match refusal::<MirrorCommand>(&payload[..length]) {
+        CodecError::Truncated { field, .. } => field,
+        other => panic!("{other}"),
+    };
+    assert_eq!(field(2), "epoch");
+    assert_eq!(field(8), "time_ns");
+    assert_eq!(field(25), "roll");
+    assert_eq!(field(payload.len() - 1), "yaw");
+}
+
+#[test]
+fn bytes_after_the_last_field_are_counted() {
+    for (name, mut payload) in payloads() {
+        let kind = codec::kind_of(&payload).expect("samples are sound");
+        payload.extend_from_slice(&[0, 0, 0]);
+        assert_eq!(any_refusal(kind, &payload), Some(CodecError::TrailingBytes { kind, extra: 3 }), "{name}");
+    }
+}
+
+#[test]
+fn a_payload_over_the_limit_is_refused_whatever_it_holds() {
+    let payload = vec![0; MAX_PAYLOAD + 1];
+    assert_eq!(refusal::<UserReport>(&payload), CodecError::Oversized { found: MAX_PAYLOAD + 1 });
+}
+
+#[test]
+fn the_largest_messages_fit_into_a_payload() {
+    let angles = vec![0.1; MAX_MIRRORS];
+    let telemetry = MirrorTelemetry {
+        roll_commanded: angles.clone(),
+        yaw_commanded: angles.clone(),
+        roll_measured: angles.clone(),
+        yaw_measured: angles,
+        unusable: vec![u32::MAX; MAX_MIRRORS],
+        ..mirror_telemetry()
+    };
+    let payload = encoded(&telemetry);
+    assert!(payload.len() <= MAX_PAYLOAD);
+    assert_eq!(decode(&payload), Ok(telemetry));
+}
+
+#[test]
+fn lists_over_their_limit_are_refused_by_their_length_alone() {
+    let mut payload = encoded(&UserReport { stamp: stamp(), tick: 1, users: vec![] });
+    payload.pop();
+    payload.extend_from_slice(&[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x01]);
+    let wanted = CodecError::TooMany { kind: Kind::UserReport, field: "users", found: u64::MAX, limit: MAX_USERS };
+    assert_eq!(refusal::<UserReport>(&payload), wanted);
+    let crowd = UserReport { users: vec![UserState::default(); MAX_USERS + 1], ..user_report() };
+    let wanted = CodecError::TooMany { kind: Kind::UserReport, field: "users", found: 65, limit: 64 };
+    assert_eq!(encode(&crowd, &mut Vec::new()), Err(wanted));
+    let wall = MirrorCommand { roll: vec![0.0; MAX_MIRRORS + 1], yaw: vec![], ..mirror_command() };
+    assert!(matches!(encode(&wall, &mut Vec::new()), Err(CodecError::TooMany { field: "roll", .. })));
+}
+
+#[test]
+fn roll_and_yaw_go_together() {
+    let mut payload = encoded(&mirror_command());
+    payload.truncate(payload.len() - 9);
+    payload.push(1);
+    payload.extend_from_slice(&0.5f32.to_le_bytes());
+    let error = refusal::<MirrorCommand>(&payload);
+    let wanted =
+        CodecError::LengthMismatch { kind: Kind::MirrorCommand, field: "yaw", found: 1, like: "roll", wanted: 2 };
+    assert_eq!(error, wanted);
+    assert_eq!(error.to_string(), "mirror command: yaw has 1 entries: wanted 2, as many as roll");
+    let half = MirrorTelemetry { roll_measured: vec![0.0], ..mirror_telemetry() };
+    assert!(matches!(
+        encode(&half, &mut Vec::new()),
+        Err(CodecError::LengthMismatch { field: "roll_measured", found: 1, wanted: 2, .. })
+    ));
+    let short = Calibration { yaw_gain: vec![1.0], ..calibration() };
+    assert!(matches!(encode(&short, &mut Vec::new()), Err(CodecError::LengthMismatch { field: "yaw_gain", .. })));
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_refused_with_field_and_index() {
+    let payload = encoded(&mirror_command());
+    let end = payload.len();
+    for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        for (at, named, place) in [(end - 4, "yaw", 1), (end - 8, "yaw", 0), (end - 13, "roll", 1)] {
+            match refusal::<MirrorCommand>(&with_f32(payload.clone(), at, value)) {
+                CodecError::NotFinite { kind: Kind::MirrorCommand, field, index, value: found } => {
+                    assert_eq!((field, index), (named, place));
+                    assert!(!found.is_finite());
+                }
+                other => panic!("{other}"),
+            }
+        }
+    }
+    let error = refusal::<MirrorCommand>(&with_f32(payload, end - 4, f32::NAN));
+    assert_eq!(error.to_string(), "mirror command: yaw at index 1 is NaN: wanted a finite number");
+}
+
+/// Overwrites every place where the sample may hold a number, so that none is forgotten by the checks.
+#[test]
+fn no_message_lets_a_nan_through() {
+    for (name, payload) in payloads() {
+        let kind = codec::kind_of(&payload).expect("samples are sound");
+        let mut reached = false;
+        for at in 2..payload.len() - 3 {
+            let poisoned = with_f32(payload.clone(), at, f32::NAN);
+            reached |= matches!(any_refusal(kind, &poisoned), Some(CodecError::NotFinite { .. }));
+        }
+        assert!(reached || kind == Kind::EmergencyStop || kind == Kind::NodeStatus, "{name}");
+    }
+    let mut status = node_status();
+    status.gauges[0].1 = f64::NAN;
+    assert!(matches!(encode(&status, &mut Vec::new()), Err(CodecError::NotFinite { field: "gauges", .. })));
+    let mut status = node_status();
+    status.timings[0].1.p99 = f64::INFINITY;
+    assert!(matches!(encode(&status, &mut Vec::new()), Err(CodecError::NotFinite { field: "timings", .. })));
+    let mut truth = room_truth();
+    truth.sum_rate_bps.oracle = f64::NAN;
+    assert!(matches!(
+        encode(&truth, &mut Vec::new()),
+        Err(CodecError::NotFinite { field: "sum_rate_bps", index: 3, .. })
+    ));
+}
+
+#[test]
+fn numbers_without_meaning_are_refused() {
+    let mut obstacles = obstacle_report();
+    obstacles.obstacles[0].radius_m = -0.1;
+    let error = encode(&obstacles, &mut Vec::new()).expect_err("a radius is not negative");
+    assert!(error.to_string().starts_with("obstacle report: obstacles.radius_m at index 0 is -0.1"), "{error}");
+    let mut users = user_report();
+    users.users[0].min_rate_bps = -1.0;
+    assert!(matches!(
+        encode(&users, &mut Vec::new()),
+        Err(CodecError::OutOfDomain { field: "users.min_rate_bps", .. })
+    ));
+    let mut range = capabilities();
+    range.roll.min_rad = 1.0;
+    assert!(matches!(encode(&range, &mut Vec::new()), Err(CodecError::OutOfDomain { field: "roll", .. })));
+    let wall = Capabilities { rows: u32::MAX, columns: u32::MAX, ..capabilities() };
+    assert!(matches!(encode(&wall, &mut Vec::new()), Err(CodecError::TooMany { field: "rows * columns", .. })));
+}
+
+#[test]
+fn bytes_that_are_no_value_are_refused_with_the_field() {
+    let command = encoded(&mirror_command());
+    let mut endless = command.clone();
+    endless.splice(2..3, [0xff; 11]);
+    assert!(matches!(refusal::<MirrorCommand>(&endless), CodecError::Malformed { field: "epoch", .. }));
+    let mut telemetry = encoded(&mirror_telemetry());
+    telemetry[22] = 9;
+    assert!(matches!(refusal::<MirrorTelemetry>(&telemetry), CodecError::Malformed { field: "state", .. }));
+    let mut stop = encoded(&emergency_stop());
+    let last = stop.len() - 1;
+    stop[last] = 0xff;
+    assert!(matches!(refusal::<EmergencyStop>(&stop), CodecError::Malformed { field: "reason", .. }));
+}
+
+#[test]
+fn texts_are_limited_and_problems_are_cut_to_fit() {
+    let long = NodeStatus { name: "x".repeat(MAX_TEXT + 1), ..node_status() };
+    let wanted = CodecError::TooMany { kind: Kind::NodeStatus, field: "name", found: 1025, limit: MAX_TEXT };
+    assert_eq!(encode(&long, &mut Vec::new()), Err(wanted));
+    let mut status = node_status();
+    status.set_problem(&"µ".repeat(MAX_TEXT));
+    assert_eq!(status.last_problem.len(), MAX_TEXT);
+    status.set_problem(&format!("x{}", "µ".repeat(MAX_TEXT)));
+    assert_eq!(status.last_problem.len(), MAX_TEXT - 1, "no character is cut in two");
+    assert_eq!(encode(&status, &mut Vec::new()), Ok(()));
+}
+
+#[test]
+fn a_refused_message_leaves_no_bytes() {
+    let mut buffer = vec![1, 2, 3];
+    let nan = MirrorCommand { roll: vec![f32::NAN], yaw: vec![0.0], ..mirror_command() };
+    assert!(encode(&nan, &mut buffer).is_err());
+    assert!(buffer.is_empty());
+}
+
+#[test]
+fn counts_are_held_against_the_receiver() {
+    assert_eq!(mirror_command().check_mirrors(2), Ok(()));
+    let error = mirror_command().check_mirrors(100).expect_err("the command is for two");
+    assert_eq!(error.to_string(), "mirror command for 2 mirrors: this array has 100");
+    assert!(mirror_telemetry().check_mirrors(3).is_err());
+    assert!(capabilities().check_mirrors(3).is_err());
+    assert!(calibration().check_mirrors(3).is_err());
+    assert_eq!(user_report().check_users(1), Ok(()));
+    let error = channel_report().check_users(5).expect_err("the report is about one");
+    assert_eq!(error, CodecError::WrongUsers { kind: Kind::ChannelReport, found: 1, wanted: 5 });
+}
+
+#[test]
+fn rooms_have_plain_names() {
+    assert_eq!(Room::new(""), Err(RoomError::Empty));
+    assert!(matches!(Room::new(&"a".repeat(65)), Err(RoomError::TooLong { found: 65 })));
+    for bad in ["a/b", "*", "a b", "a$", "ä", "a?", "a#", "@x", "a.b", "\n"] {
+        assert!(matches!(Room::new(bad), Err(RoomError::BadCharacter { .. })), "{bad:?}");
+    }
+    let room = Room::new("Lab_2-b").expect("a plain name");
+    assert_eq!(room.command(), "heliostat/v1/Lab_2-b/mirrors/command");
+    assert_eq!(room.status(NodeKind::SimNode), "heliostat/v1/Lab_2-b/status/sim-node");
+    assert_eq!("Lab_2-b".parse(), Ok(room));
+}
+
+#[test]
+fn liveliness_keys_are_read_back() {
+    let room = Room::new("demo").expect("a plain name");
+    let key = room.alive(NodeKind::Driver, 0xabc);
+    assert_eq!(key, "heliostat/v1/demo/alive/driver/0000000000000abc");
+    assert_eq!(keys::parse_alive(&key), Some((NodeKind::Driver, 0xabc)));
+    for other in [room.users(), room.all_alive(), format!("{key}/more"), "heliostat/v2/demo/alive/driver/1".into()] {
+        assert_eq!(keys::parse_alive(&other), None, "{other}");
+    }
+}

@@ -26,7 +26,8 @@ pub fn gain(led: &Led, receiver: &Receiver, branch: &Branch, detector: &Vec3) ->
         return Err(GeometryError::Coincident { what: "an LED and a detector" });
     }
     let order = led.lambertian_order();
-    let sum: f64 = points.iter().map(|point| unit_gain(point, order, branch, detector)).sum();
+    let sum: f64 =
+        points.iter().map(|point| unit_gain(point, order, (&branch.normal, branch.fov_cosine()), detector)).sum();
     Ok(front_factor(order, receiver) * receiver.concentrator_gain(branch) * sum / points.len() as f64)
 }
 
@@ -36,14 +37,15 @@ pub(crate) fn front_factor(order: f64, receiver: &Receiver) -> f64 {
 }
 
 /// cos^n(irradiance) cos(incidence) / D^2 of one point of an LED within the field of view, zero elsewhere; in 1/m2.
-pub(crate) fn unit_gain(point: &Vec3, order: f64, branch: &Branch, detector: &Vec3) -> f64 {
+#[inline]
+pub(crate) fn unit_gain(point: &Vec3, order: f64, (normal, fov_cosine): (&Vec3, f64), detector: &Vec3) -> f64 {
     let towards_led = point - detector;
     let squared = towards_led.norm_squared();
     let distance = squared.sqrt();
     let irradiance_cosine = towards_led.z / distance;
-    let incidence_cosine = towards_led.dot(&branch.normal) / distance;
+    let incidence_cosine = towards_led.dot(normal) / distance;
     // Written so that a distance of zero or a coordinate that is not a number fails the test.
-    if irradiance_cosine > 0.0 && incidence_cosine > 0.0 && incidence_cosine >= branch.fov_cosine() {
+    if irradiance_cosine > 0.0 && incidence_cosine > 0.0 && incidence_cosine >= fov_cosine {
         lambertian(irradiance_cosine, order) * incidence_cosine / squared
     } else {
         0.0

@@ -64,8 +64,8 @@ pub(crate) struct Panel {
     pub centre: Vec3,
     /// The points that stand for the panel, in m.
     pub points: Vec<Vec3>,
-    /// The same points in groups, as lists of x, y and weight; the last group is filled up with weight 0.
-    pub lanes: Vec<PointLanes>,
+    /// The same points in groups; the last group is filled up with weight 0.
+    pub lanes: Vec<PointLanes<POINT_LANES>>,
     /// Largest distance of a point from the panel's centre in m.
     pub radius: f64,
     pub order: f64,
@@ -77,8 +77,13 @@ pub(crate) struct Panel {
     pub towards_mirror: Vec<f64>,
 }
 
-/// x, y and weight of a few points of a panel; all have the panel's height.
-pub(crate) type PointLanes = ([f64; POINT_LANES], [f64; POINT_LANES], [f64; POINT_LANES]);
+/// A few points of a panel: offsets from its centre in m, and weight.
+#[derive(Clone, Debug)]
+pub(crate) struct PointLanes<const N: usize> {
+    pub x: [f64; N],
+    pub y: [f64; N],
+    pub weight: [f64; N],
+}
 
 /// What is known of one branch.
 #[derive(Clone, Debug)]
@@ -154,7 +159,7 @@ impl Panel {
             radius: points.iter().map(|point| (point - led.position).norm()).fold(0.0, f64::max),
             centre: led.position,
             front: front / points.len() as f64,
-            lanes: points.chunks(POINT_LANES).map(point_lanes).collect(),
+            lanes: points.chunks(POINT_LANES).map(|chunk| PointLanes::new(chunk, &led.position)).collect(),
             points,
             order,
             distance,
@@ -163,11 +168,18 @@ impl Panel {
     }
 }
 
-fn point_lanes(points: &[Vec3]) -> PointLanes {
-    let lane = |index: usize| points[index.min(points.len() - 1)];
-    (
-        std::array::from_fn(|index| lane(index).x),
-        std::array::from_fn(|index| lane(index).y),
-        std::array::from_fn(|index| if index < points.len() { 1.0 } else { 0.0 }),
-    )
+impl PointLanes<1> {
+    /// All of a point LED.
+    pub const CENTRE: Self = Self { x: [0.0], y: [0.0], weight: [1.0] };
+}
+
+impl<const N: usize> PointLanes<N> {
+    fn new(points: &[Vec3], centre: &Vec3) -> Self {
+        let offset = |index: usize| points.get(index).map_or(Vec3::zeros(), |point| point - centre);
+        Self {
+            x: std::array::from_fn(|index| offset(index).x),
+            y: std::array::from_fn(|index| offset(index).y),
+            weight: std::array::from_fn(|index| if index < points.len() { 1.0 } else { 0.0 }),
+        }
+    }
 }

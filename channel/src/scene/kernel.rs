@@ -8,8 +8,7 @@
 use crate::Vec3;
 use crate::emitter::lambertian;
 use crate::mirrors::{MirrorAngles, MirrorArray};
-use crate::model::{ChannelModel, Panel};
-use crate::receiver::BRANCHES_MAX;
+use crate::model::{ChannelModel, Panel, PointLanes};
 use crate::specular::Plate;
 use crate::trig::{BLOCK, Lanes, sin_cos};
 
@@ -33,14 +32,37 @@ pub(crate) struct Turned {
     half_height: f64,
 }
 
-/// The centre of an LED panel as a block of mirrors sees it, in m.
+/// An LED panel as a block of mirrors sees it: what tells whether its light can reach a point over them.
+///
+/// Where the ray from the panel's centre S to a point R meets the mirror's plane, weighted with both heights above it, is linear in R:
+/// (S . n) (R . u) + (R . n) (S . u) along an axis u, all from the mirror's centre. So each of these is a constant and a slope.
 pub(crate) struct Source {
-    /// Height above each mirror's plane.
+    /// Height of the panel's centre above each mirror's plane in m.
     above: Lanes,
-    along_width: Lanes,
-    along_height: Lanes,
+    /// Height of a point above each mirror's plane in m.
+    height: Form,
+    /// Weighted place along the width in m2.
+    across: Form,
+    /// Weighted place along the height in m2.
+    up: Form,
     /// Largest distance of a point of the panel from its centre.
     radius: f64,
+}
+
+/// For each mirror of a block a number that is linear in a point: a constant and a slope.
+struct Form {
+    constant: Lanes,
+    slope: [Lanes; 3],
+}
+
+impl Form {
+    #[inline(always)]
+    fn at(&self, point: &Vec3, lane: usize) -> f64 {
+        self.constant[lane]
+            + self.slope[0][lane] * point.x
+            + self.slope[1][lane] * point.y
+            + self.slope[2][lane] * point.z
+    }
 }
 
 impl Turned {
@@ -75,8 +97,15 @@ impl Turned {
 
     /// How the mirrors see an LED panel.
     pub fn source(&self, panel: &Panel) -> Source {
-        let (above, along_width, along_height) = self.seen(&panel.centre);
-        Source { above, along_width, along_height, radius: panel.radius }
+        let width = [self.width[0], self.width[1], [0.0; BLOCK]];
+        let above = self.along(&self.normal, &panel.centre);
+        Source {
+            height: self.form(&[1.0; BLOCK], &self.normal, (&[0.0; BLOCK], &self.normal)),
+            across: self.form(&above, &width, (&self.along(&width, &panel.centre), &self.normal)),
+            up: self.form(&above, &self.height, (&self.along(&self.height, &panel.centre), &self.normal)),
+            above,
+            radius: panel.radius,
+        }
     }
 
     /// For each lane a number that is negative when no light of the panel can reach the point over that mirror.
@@ -85,17 +114,23 @@ impl Turned {
     /// this bound rules out, no point of the panel can reach. What it lets through is then computed exactly.
     #[inline]
     pub fn candidates(&self, source: &Source, point: &Vec3) -> Lanes {
-        let (above, along_width, along_height) = self.seen(point);
         let mut slack = [0.0; BLOCK];
         for lane in 0..BLOCK {
-            let heights = source.above[lane] + above[lane] + source.radius;
-            let off = |along: f64, source_along: f64| (source.above[lane] * along + above[lane] * source_along).abs();
-            let spread = |along: f64| source.radius * (along.abs() + above[lane]) + ROUNDING_M2;
-            let across = self.half_width * heights + spread(along_width[lane])
-                - off(along_width[lane], source.along_width[lane]);
-            let up = self.half_height * heights + spread(along_height[lane])
-                - off(along_height[lane], source.along_height[lane]);
-            slack[lane] = across.min(up).min(above[lane]);
+            let height = source.height.at(point, lane);
+            let heights = source.above[lane] + height + source.radius;
+            let across = self.half_width * heights + ROUNDING_M2 - source.across.at(point, lane).abs();
+            let up = self.half_height * heights + ROUNDING_M2 - source.up.at(point, lane).abs();
+            // min keeps a number when the other is none, so the height goes through the comparison of all three.
+            slack[lane] = if across < up { across } else { up };
+            slack[lane] = if height > 0.0 { slack[lane] } else { -1.0 };
+        }
+        if source.radius > 0.0 {
+            let width = [self.width[0], self.width[1], [0.0; BLOCK]];
+            let (along_width, along_height) = (self.along(&width, point), self.along(&self.height, point));
+            for lane in 0..BLOCK {
+                let farthest = along_width[lane].abs().max(along_height[lane].abs()) + source.height.at(point, lane);
+                slack[lane] += source.radius * farthest;
+            }
         }
         slack
     }
@@ -127,18 +162,30 @@ impl Turned {
         }
     }
 
-    /// A point in each mirror's own axes: height above the plane, along the width, along the height.
+    /// Coordinate of a point along an axis of each mirror, from its centre, in m.
     #[inline]
-    fn seen(&self, point: &Vec3) -> (Lanes, Lanes, Lanes) {
-        let (mut above, mut along_width, mut along_height) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+    fn along(&self, axis: &[Lanes; 3], point: &Vec3) -> Lanes {
+        let mut along = [0.0; BLOCK];
         for lane in 0..BLOCK {
-            let (x, y, z) =
-                (point.x - self.centre[0][lane], point.y - self.centre[1][lane], point.z - self.centre[2][lane]);
-            above[lane] = self.normal[0][lane] * x + self.normal[1][lane] * y + self.normal[2][lane] * z;
-            along_width[lane] = self.width[0][lane] * x + self.width[1][lane] * y;
-            along_height[lane] = self.height[0][lane] * x + self.height[1][lane] * y + self.height[2][lane] * z;
+            along[lane] = axis[0][lane] * (point.x - self.centre[0][lane])
+                + axis[1][lane] * (point.y - self.centre[1][lane])
+                + axis[2][lane] * (point.z - self.centre[2][lane]);
         }
-        (above, along_width, along_height)
+        along
+    }
+
+    /// a (R - p) . u + b (R - p) . v as a form in R.
+    #[inline]
+    fn form(&self, a: &Lanes, u: &[Lanes; 3], (b, v): (&Lanes, &[Lanes; 3])) -> Form {
+        let mut form = Form { constant: [0.0; BLOCK], slope: [[0.0; BLOCK]; 3] };
+        for axis in 0..3 {
+            for lane in 0..BLOCK {
+                let slope = a[lane] * u[axis][lane] + b[lane] * v[axis][lane];
+                form.slope[axis][lane] = slope;
+                form.constant[lane] -= slope * self.centre[axis][lane];
+            }
+        }
+        form
     }
 }
 
@@ -161,66 +208,104 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
 ///
 /// The same as [`specular::gain`](crate::specular::gain), with the detector mirrored in place of the source: D = |S - R'|, where R' is the
 /// image of the detector, serves all points of the panel. The irradiance cosine is then (S_z - R'_z) / D and the incidence cosine on a
-/// branch (S' - R) . n_b / D, with S' = S - 2 a n at height a above the mirror.
+/// branch (S' - R) . n_b / D, with S' = S - 2 a n at height a above the mirror. As the panel is level, every one of these numerators is
+/// linear in a point's offset from the panel's centre.
 ///
 /// `gains`: one a branch, dimensionless.
 #[inline]
 pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, detector: &Vec3, gains: &mut [f64]) {
+    // A point LED has no use for the other lanes.
+    if panel.points.len() == 1 {
+        add_points(model, (panel, &[PointLanes::CENTRE]), plate, detector, gains);
+    } else {
+        add_points(model, (panel, &panel.lanes), plate, detector, gains);
+    }
+}
+
+#[inline(always)]
+fn add_points<const N: usize>(
+    model: &ChannelModel,
+    (panel, points): (&Panel, &[PointLanes<N>]),
+    plate: &Plate,
+    detector: &Vec3,
+    gains: &mut [f64],
+) {
     let to_detector = detector - plate.centre;
+    let to_panel = panel.centre - plate.centre;
     let detector_above = to_detector.dot(&plate.normal);
     let image = detector - 2.0 * detector_above * plate.normal;
-    let rise = panel.centre.z - image.z;
+    let towards_panel = panel.centre - image;
     // Written so that a coordinate that is not a number fails the test.
-    if !(detector_above > 0.0 && rise > 0.0) {
+    if !(detector_above > 0.0 && towards_panel.z > 0.0) {
         return;
     }
-    let along_width = to_detector.dot(&plate.width_axis);
-    let along_height = to_detector.dot(&plate.height_axis);
-    let branches = gains.len();
-    let mut sums = [[0.0; POINT_LANES]; BRANCHES_MAX];
-    for (xs, ys, weights) in &panel.lanes {
-        let mut squared = [0.0; POINT_LANES];
-        let mut above = [0.0; POINT_LANES];
-        let mut share = [0.0; POINT_LANES];
-        for lane in 0..POINT_LANES {
-            let point = Vec3::new(xs[lane], ys[lane], panel.centre.z);
-            let to_point = point - plate.centre;
-            above[lane] = to_point.dot(&plate.normal);
-            let heights = above[lane] + detector_above;
-            let across = above[lane] * along_width + detector_above * to_point.dot(&plate.width_axis);
-            let up = above[lane] * along_height + detector_above * to_point.dot(&plate.height_axis);
-            let inside = (above[lane] > 0.0)
-                & (across.abs() <= plate.half_width_m * heights)
-                & (up.abs() <= plate.half_height_m * heights);
-            squared[lane] = (point - image).norm_squared();
-            share[lane] = if inside { weights[lane] } else { 0.0 };
+    let above = Linear::new(to_panel.dot(&plate.normal), &plate.normal);
+    // Heights-weighted place where the ray meets the mirror's plane, along one of its axes; see `Plate::path`.
+    let hit = |axis: &Vec3| {
+        let along = to_detector.dot(axis);
+        let slope = along * plate.normal + detector_above * axis;
+        Linear::new(above.centre * along + detector_above * to_panel.dot(axis), &slope)
+    };
+    let (across, up) = (hit(&plate.width_axis), hit(&plate.height_axis));
+    let front = model.reflectivity() * panel.front;
+    for lanes in points {
+        let mut squared = [0.0; N];
+        let mut share = [0.0; N];
+        for lane in 0..N {
+            let (x, y) = (lanes.x[lane], lanes.y[lane]);
+            let height = above.at(x, y);
+            let heights = height + detector_above;
+            let inside = (height > 0.0)
+                & (across.at(x, y).abs() <= plate.half_width_m * heights)
+                & (up.at(x, y).abs() <= plate.half_height_m * heights);
+            let (dx, dy) = (towards_panel.x + x, towards_panel.y + y);
+            squared[lane] = dx * dx + dy * dy + towards_panel.z * towards_panel.z;
+            share[lane] = if inside { lanes.weight[lane] } else { 0.0 };
         }
-        fade(&mut share, &squared, rise, panel.order);
-        for (sum, branch) in sums[..branches].iter_mut().zip(&model.detectors) {
-            let normal_part = 2.0 * plate.normal.dot(&branch.normal);
+        fade(&mut share, &squared, towards_panel.z, panel.order);
+        for (gain, branch) in gains.iter_mut().zip(&model.detectors) {
+            let turned = branch.normal - 2.0 * plate.normal.dot(&branch.normal) * plate.normal;
+            let facing = Linear::new(towards_panel.dot(&turned), &turned);
             let least = branch.fov_cosine * branch.fov_cosine;
-            for lane in 0..POINT_LANES {
-                let point = Vec3::new(xs[lane], ys[lane], panel.centre.z);
-                let facing = (point - detector).dot(&branch.normal) - above[lane] * normal_part;
+            let mut detected = [0.0; N];
+            for lane in 0..N {
+                let facing = facing.at(lanes.x[lane], lanes.y[lane]);
                 let seen = (facing > 0.0) & (facing * facing >= least * squared[lane]);
-                sum[lane] += if seen { share[lane] * facing } else { 0.0 };
+                detected[lane] = if seen { share[lane] * facing } else { 0.0 };
             }
+            *gain += front * branch.concentrator_gain * detected.iter().sum::<f64>();
         }
     }
-    for ((gain, sum), branch) in gains.iter_mut().zip(&sums).zip(&model.detectors) {
-        *gain += model.reflectivity() * panel.front * branch.concentrator_gain * sum.iter().sum::<f64>();
+}
+
+/// A quantity that is linear in a point's offset from the panel's centre.
+struct Linear {
+    centre: f64,
+    x: f64,
+    y: f64,
+}
+
+impl Linear {
+    #[inline(always)]
+    fn new(centre: f64, slope: &Vec3) -> Self {
+        Self { centre, x: slope.x, y: slope.y }
+    }
+
+    #[inline(always)]
+    fn at(&self, x: f64, y: f64) -> f64 {
+        self.centre + self.x * x + self.y * y
     }
 }
 
 /// Multiplies each share by cos^n(irradiance) / D^3: the incidence cosine's own 1 / D is in it.
-#[inline]
-fn fade(share: &mut [f64; POINT_LANES], squared: &[f64; POINT_LANES], rise: f64, order: f64) {
+#[inline(always)]
+fn fade<const N: usize>(share: &mut [f64; N], squared: &[f64; N], rise: f64, order: f64) {
     if order == 1.0 {
-        for lane in 0..POINT_LANES {
+        for lane in 0..N {
             share[lane] *= rise / (squared[lane] * squared[lane]);
         }
     } else {
-        for lane in 0..POINT_LANES {
+        for lane in 0..N {
             if share[lane] > 0.0 {
                 let distance = squared[lane].sqrt();
                 share[lane] *= lambertian(rise / distance, order) / (squared[lane] * distance);

@@ -59,7 +59,7 @@ impl Triangle {
             let corners = [along(apex), along(left), along(right)];
             let least = corners.iter().copied().fold(f64::INFINITY, f64::min);
             let most = corners.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            Axis { x, y, least, most, length: x.hypot(y) }
+            Axis { x, y, least, most, length: (x * x + y * y).sqrt() }
         };
         Self { axes: [across(apex, left), across(apex, right), across(left, right)] }
     }

@@ -77,10 +77,10 @@ impl Scene {
     fn direct(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let panel = &model.panels[led];
         let clear = &mut self.los_clear[user * self.branches..(user + 1) * self.branches];
-        for ((out, branch), detector) in clear.iter_mut().zip(&model.receiver.branches).zip(&model.detectors) {
-            let sum: f64 =
-                panel.points.iter().map(|point| unit_gain(point, panel.order, branch, &self.positions[user])).sum();
-            *out = panel.front * detector.concentrator_gain * sum;
+        for (out, detector) in clear.iter_mut().zip(&model.detectors) {
+            let branch = (&detector.normal, detector.fov_cosine);
+            let gain = |point| unit_gain(point, panel.order, branch, &self.positions[user]);
+            *out = panel.front * detector.concentrator_gain * panel.points.iter().map(gain).sum::<f64>();
         }
     }
 }

@@ -16,7 +16,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 const USERS: usize = 5;
-const STATES: usize = 64;
+const STATES: usize = 640;
 
 struct State {
     users: Vec<Vec3>,

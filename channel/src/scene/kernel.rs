@@ -113,6 +113,7 @@ impl Turned {
     /// A point of the panel is at most `radius` from its centre, so each of its coordinates in the mirror's axes differs by no more: what
     /// this bound rules out, no point of the panel can reach. What it lets through is then computed exactly.
     #[inline]
+    #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
     pub fn candidates(&self, source: &Source, point: &Vec3) -> Lanes {
         let mut slack = [0.0; BLOCK];
         for lane in 0..BLOCK {

@@ -1,1 +1,31 @@
-//! Placeholder.
+//! Training, evaluation and export of the policies that learn.
+//!
+//! A learner meets a simulated room ([`env`](mod@env)) through the same observation encoder and the same decoder that serve in the
+//! controller; what comes out is one ONNX file in which features, network and decoder are a single graph ([`export`]).
+//!
+//! Nothing here runs beside a live room: no transport, no clock, no deadline.
+//!
+//! # Parts
+//! - [`ddpg`]: Algorithm 1; its head lists every departure from the paper.
+//! - [`features`], [`actor`], [`networks`], [`explore`], [`replay`]: what learners share.
+//! - [`evaluate`]: held-out states and the ratio to the oracle.
+//! - [`checkpoint`], [`curve`]: what a run leaves on disk while it goes on.
+//! - [`export`], [`onnx`], [`card`]: what it leaves when it is done.
+//! - [`train`]: the `heliostat train` command.
+
+pub mod actor;
+pub mod card;
+pub mod checkpoint;
+pub mod curve;
+pub mod ddpg;
+pub mod env;
+pub mod evaluate;
+pub mod explore;
+pub mod export;
+pub mod features;
+pub mod networks;
+pub mod onnx;
+pub mod replay;
+pub mod train;
+
+pub use train::{TrainArgs, run_train};

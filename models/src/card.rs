@@ -1,0 +1,131 @@
+//! The model card: what an actor is, the command that made it, and how good it is.
+
+use std::fmt::Write;
+use std::time::Duration;
+
+use heliostat_scenario::Scenario;
+
+use crate::ddpg::Settings;
+use crate::evaluate::Score;
+
+/// A score in one kind of room.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct ScoreRow {
+    /// Users.
+    pub users: usize,
+    /// How many have their direct path forced off.
+    pub forced: usize,
+    /// States judged.
+    pub states: usize,
+    /// The score.
+    pub score: Score,
+}
+
+/// Everything that a card tells.
+#[derive(Clone, Debug)]
+pub struct Card<'a> {
+    /// File name of the actor.
+    pub file: &'a str,
+    /// The command that makes it.
+    pub command: &'a str,
+    /// The run's numbers.
+    pub settings: &'a Settings,
+    /// The room.
+    pub scenario: &'a Scenario,
+    /// How long training took, without the final evaluation; `None` when it was resumed.
+    pub duration: Option<Duration>,
+    /// Scores on held-out states.
+    pub scores: &'a [ScoreRow],
+}
+
+impl Card<'_> {
+    /// The card as Markdown.
+    pub fn markdown(&self) -> String {
+        let mut text = String::new();
+        self.write(&mut text).expect("writing into a string does not fail");
+        text
+    }
+
+    fn write(&self, text: &mut String) -> std::fmt::Result {
+        let (settings, scenario) = (self.settings, self.scenario);
+        writeln!(text, "# {}\n", self.file)?;
+        writeln!(
+            text,
+            "Turns the {} mirrors of a {} x {} array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version 1; \
+             output: roll and yaw of each mirror in radians. Features, network and geometric decoder are all inside the graph.\n",
+            scenario.mirror_count(),
+            scenario.mirrors.rows,
+            scenario.mirrors.columns,
+            scenario.channel.mode.name()
+        )?;
+        writeln!(text, "Made by\n\n```sh\n{}\n```\n", self.command)?;
+        writeln!(text, "| | |\n| --- | --- |")?;
+        writeln!(
+            text,
+            "| algorithm | DDPG with the K-weight head; departures from the paper at the head of `models/src/ddpg.rs` |"
+        )?;
+        writeln!(
+            text,
+            "| scenario | {} (hash {}, geometry {}) |",
+            scenario.name,
+            scenario.hash(),
+            scenario.geometry_hash()
+        )?;
+        writeln!(
+            text,
+            "| training | {} episodes of {} steps, seed {} |",
+            settings.episodes, settings.steps, settings.seed
+        )?;
+        match self.duration {
+            Some(duration) => writeln!(text, "| duration | {:.0} s on {} |", duration.as_secs_f64(), hardware())?,
+            None => writeln!(text, "| duration | resumed; last part on {} |", hardware())?,
+        }
+        writeln!(text, "| settings | `{}` |", serde_json::to_string(settings).unwrap_or_default())?;
+        writeln!(text, "| licence | {} |\n", env!("CARGO_PKG_LICENSE"))?;
+        self.write_scores(text)?;
+        writeln!(
+            text,
+            "\nLimits: one access point, the geometry named above, true positions and gains without delay. A controller refuses the \
+             actor elsewhere."
+        )
+    }
+
+    fn write_scores(&self, text: &mut String) -> std::fmt::Result {
+        writeln!(
+            text,
+            "Held-out states of the scenario with its own noise, mean and 95 % interval; ratio to the oracle that keeps minimum rates, \
+             state by state; `b` users have their direct path forced off, besides those in the shadow of bodies and obstacles.\n"
+        )?;
+        writeln!(
+            text,
+            "| users | b | states | no array, Mbit/s | actor, Mbit/s | oracle, Mbit/s | ratio | needs met (oracle) |"
+        )?;
+        writeln!(text, "| --- | --- | --- | --- | --- | --- | --- | --- |")?;
+        for ScoreRow { users, forced, states, score } in self.scores {
+            writeln!(
+                text,
+                "| {users} | {forced} | {states} | {:.1} | {:.1} ± {:.1} | {:.1} | {:.4} ± {:.4} | {:.3} ({:.3}) |",
+                score.no_irs_mbps.mean,
+                score.sum_rate_mbps.mean,
+                score.sum_rate_mbps.ci95,
+                score.oracle_mbps.mean,
+                score.ratio_to_oracle.mean,
+                score.ratio_to_oracle.ci95,
+                score.qos_met,
+                score.oracle_qos_met
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Number of cores and, where the system tells, their model.
+pub fn hardware() -> String {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let listing = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = listing.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    match model {
+        Some((_, name)) => format!("{cores} cores of {}", name.trim()),
+        None => format!("{cores} cores, {}", std::env::consts::ARCH),
+    }
+}

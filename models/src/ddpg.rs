@@ -1,0 +1,348 @@
+//! Algorithm 1 of the paper: DDPG, with one weight a user as the action.
+//!
+//! # Departures from the paper, and why
+//! 1. **Action.** One logit in [-1, 1] for each user, turned into a weight and then, by the geometric decoder, into all angles;
+//!    not 200 raw angles. With raw angles almost every output ends stuck at its bound and the result is worse than flat mirrors.
+//! 2. **State.** Features of positions, direct gains, steering gains and needs ([`crate::features`]); the current angles are part of the
+//!    observation vector but no feature, since without actuator dynamics the best angles do not depend on them.
+//! 3. **Reward.** The printed penalty falls on users whose need is met. The shortfall is punished instead; `reward` has the printed
+//!    form. The reward is divided by the bandwidth, so that values are of order one.
+//! 4. **Exploration.** Additive noise, as Algorithm 1 says; the text says epsilon-greedy, which `exploration` has too.
+//! 5. **Episodes.** Steps an episode are not given in the paper: 40, of one second each. Every episode has a new room.
+//! 6. **Several users.** Slots for 1 to 10 users with a mask, so that one actor serves any of these numbers.
+//!
+//! Preset `paper` departs in nothing else: plain 128/64 and 256/128 networks, gamma 0.9, tau 0.01, batch 32, replay 10000, rates 1e-3
+//! and 1e-2, 1000 episodes. Preset `tuned` (the default) further departs, each for what it measured (see the model cards):
+//! 7. **Set networks.** The same widths, shared by all users, with pooled context: the answer cannot depend on the users' order.
+//! 8. **Value of each user.** The critic predicts every user's part of the reward, and its value is their mean: several times the
+//!    learning signal from each transition.
+//! 9. **gamma = 0.** An action does not influence later states here, so their values are only noise in the target.
+//! 10. **Equal-share prior.** Weights are relative to 1 / sum_m a_km, so a logit of zero is already sensible for any gain.
+//! 11. **Centred logits** in the critic: weights that differ by a common factor decode to the same angles.
+//! 12. **Rates that fall** to a tenth over the run, and a larger batch.
+
+use anyhow::{Context, bail};
+use candle_core::{Device, Tensor};
+use heliostat_scenario::Scenario;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::actor::{ACTOR_INPUTS, Actor, States};
+use crate::env::{Environment, Reward, RewardForm, Rooms};
+use crate::explore::{Exploration, Kind};
+use crate::features::{Head, Layout, Prior};
+use crate::networks::{Adam, Encoder, Network, Shape, soft_update};
+use crate::replay::Replay;
+
+/// What the critic learns to predict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Value {
+    /// The whole reward, as in the paper.
+    Total,
+    /// Each user's part; for set networks.
+    EachUser,
+}
+
+/// What the critic sees of an action, besides the logits themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Sight {
+    /// Nothing.
+    Logits,
+    /// The amplitude that each user gets, by the smooth copy of the decoder.
+    Decoded,
+}
+
+/// Every number of a training run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// How the networks read the users.
+    pub encoder: Encoder,
+    /// From logits to weights.
+    pub head: Head,
+    /// How often the actor's network is applied.
+    pub rounds: usize,
+    /// What the critic predicts.
+    pub value: Value,
+    /// What the critic sees of an action.
+    pub sight: Sight,
+    /// Discount factor.
+    pub gamma: f64,
+    /// Share of the new parameters in each update of a target network.
+    pub tau: f64,
+    /// Learning rate of the actor.
+    pub actor_rate: f64,
+    /// Learning rate of the critic.
+    pub critic_rate: f64,
+    /// Learning rates at the end of the run, relative to the start.
+    pub rate_end: f64,
+    /// Transitions in an update.
+    pub batch: usize,
+    /// Transitions kept.
+    pub replay: usize,
+    /// Transitions before the first update.
+    pub warm_up: usize,
+    /// How actions are disturbed.
+    pub exploration: Exploration,
+    /// The reward.
+    pub reward: Reward,
+    /// Which rooms.
+    pub rooms: Rooms,
+    /// Episodes.
+    pub episodes: usize,
+    /// Steps in an episode.
+    pub steps: usize,
+    /// Seconds between two steps.
+    pub step_s: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+}
+
+impl Settings {
+    /// The paper's numbers.
+    pub fn paper(seed: u64) -> Self {
+        Self {
+            encoder: Encoder::Mlp,
+            head: Head { prior: Prior::Uniform, range: 4.0 },
+            rounds: 1,
+            value: Value::Total,
+            sight: Sight::Logits,
+            gamma: 0.9,
+            tau: 0.01,
+            actor_rate: 1e-3,
+            critic_rate: 1e-2,
+            rate_end: 1.0,
+            batch: 32,
+            replay: 10_000,
+            warm_up: 500,
+            exploration: Exploration { kind: Kind::Additive, start: 0.4, end: 0.05 },
+            reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
+            rooms: Rooms::Randomised,
+            episodes: 1000,
+            steps: 40,
+            step_s: 1.0,
+            seed,
+        }
+    }
+
+    /// The numbers of the shipped actors.
+    pub fn tuned(seed: u64) -> Self {
+        Self {
+            encoder: Encoder::Set,
+            head: Head { prior: Prior::EqualShare, range: 2.0 },
+            rounds: 2,
+            value: Value::EachUser,
+            sight: Sight::Decoded,
+            gamma: 0.0,
+            actor_rate: 5e-4,
+            critic_rate: 1e-3,
+            rate_end: 0.1,
+            batch: 64,
+            ..Self::paper(seed)
+        }
+    }
+
+    /// The same numbers with changes of the form `key=value`; a dot leads into a group, as in `exploration.start=0.2`.
+    ///
+    /// # Errors
+    /// A message that names the change when there is no such key or the value does not fit.
+    pub fn with_options(&self, options: &[String]) -> anyhow::Result<Self> {
+        let mut tree = serde_json::to_value(self)?;
+        for option in options {
+            let (path, value) =
+                option.split_once('=').with_context(|| format!("--option {option}: wanted KEY=VALUE"))?;
+            let pointer = format!("/{}", path.trim().replace('.', "/"));
+            let Some(place) = tree.pointer_mut(&pointer) else {
+                bail!("--option {option}: no such key; there are {}", serde_json::to_string(self)?);
+            };
+            *place = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+            serde_json::from_value::<Self>(tree.clone()).with_context(|| format!("--option {option}"))?;
+        }
+        Ok(serde_json::from_value(tree)?)
+    }
+}
+
+/// What one episode brought, as means over its steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Episode {
+    /// Its number, counted from 1.
+    pub number: usize,
+    /// Steps taken since the start of training.
+    pub steps: usize,
+    /// Reward of the disturbed actions in Mbit/s.
+    pub reward_mbps: f64,
+    /// Their sum rate in Mbit/s.
+    pub sum_rate_mbps: f64,
+}
+
+/// The state of a training run between two episodes; a checkpoint holds all of it.
+pub struct Trainer {
+    pub(crate) settings: Settings,
+    pub(crate) scenario: Scenario,
+    pub(crate) actor: Actor,
+    pub(crate) critic: Network,
+    pub(crate) actor_target: Actor,
+    pub(crate) critic_target: Network,
+    pub(crate) actor_adam: Adam,
+    pub(crate) critic_adam: Adam,
+    pub(crate) replay: Replay,
+    pub(crate) rng: ChaCha8Rng,
+    pub(crate) episode: usize,
+}
+
+impl Trainer {
+    /// A run at its beginning.
+    ///
+    /// # Errors
+    /// A scenario with several access points (the decoder in the graph knows one), or a setting without sense.
+    pub fn new(scenario: Scenario, settings: Settings) -> anyhow::Result<Self> {
+        let lamps = scenario.led.positions_m.len();
+        anyhow::ensure!(lamps == 1, "an actor is made for one access point, but led.positions_m lists {lamps}");
+        let per_user = settings.value == Value::EachUser;
+        anyhow::ensure!(!per_user || settings.encoder == Encoder::Set, "only set networks value each user");
+        let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
+        let layout = Layout::of(&scenario);
+        let slots = layout.slots();
+        let encoder = settings.encoder;
+        let actor = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: [128, 64], outputs: slots };
+        let critic = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: [256, 128], outputs: 1 };
+        let actor =
+            Actor { network: Network::new(actor, &mut rng)?, layout, head: settings.head, rounds: settings.rounds };
+        let critic = Network::new(critic, &mut rng)?;
+        let width = States::width(layout);
+        let next = if settings.gamma > 0.0 { width } else { 0 };
+        Ok(Self {
+            actor_target: actor.copy()?,
+            critic_target: critic.copy()?,
+            actor_adam: Adam::new(&actor.network, settings.actor_rate),
+            critic_adam: Adam::new(&critic, settings.critic_rate),
+            replay: Replay::new(settings.replay, [width, slots, slots, next]),
+            actor,
+            critic,
+            rng,
+            scenario,
+            settings,
+            episode: 0,
+        })
+    }
+
+    /// The actor as it is now.
+    pub fn actor(&self) -> &Actor {
+        &self.actor
+    }
+
+    /// The run's numbers.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The room that the run is about.
+    pub fn scenario(&self) -> &Scenario {
+        &self.scenario
+    }
+
+    /// Episodes done.
+    pub fn episodes_done(&self) -> usize {
+        self.episode
+    }
+
+    /// Trains for one episode in a room of its own.
+    ///
+    /// # Errors
+    /// Those of the room and of candle.
+    pub fn run_episode(&mut self) -> anyhow::Result<Episode> {
+        let slots = self.actor.layout.slots();
+        let room = self.settings.rooms.draw(&self.scenario, slots, &mut self.rng);
+        let mut environment = Environment::new(&room, self.actor.layout, self.rng.random())?;
+        let magnitude = self.settings.exploration.magnitude(self.episode, self.settings.episodes);
+        self.set_learning_rates();
+        let mut summary = Episode::default();
+        let mut rewards = vec![0.0; slots];
+        for _ in 0..self.settings.steps {
+            let state = environment.state().to_vec();
+            let mut action = self.actor.logits(&state)?;
+            self.settings.exploration.disturb(magnitude, &mut action[..environment.users()], &mut self.rng);
+            let outcome = environment.act(&action, self.settings.head, self.settings.reward, &mut rewards);
+            environment.step(self.settings.step_s)?;
+            let next = if self.settings.gamma > 0.0 { environment.state() } else { &[] };
+            self.replay.push([&state, &action, &rewards, next]);
+            if self.replay.len() >= self.settings.warm_up.max(self.settings.batch) {
+                self.update()?;
+            }
+            summary.reward_mbps += outcome.reward_mbps / self.settings.steps as f64;
+            summary.sum_rate_mbps += outcome.sum_rate_mbps / self.settings.steps as f64;
+        }
+        self.episode += 1;
+        Ok(Episode { number: self.episode, steps: self.episode * self.settings.steps, ..summary })
+    }
+
+    /// One update of critic, actor and targets from a minibatch.
+    fn update(&mut self) -> candle_core::Result<()> {
+        let (batch, layout) = (self.settings.batch, self.actor.layout);
+        let [states, action, rewards, next] = self.replay.sample(batch, &mut self.rng);
+        let states = States::new(states, batch, layout)?;
+        let action = Tensor::from_vec(action, (batch, layout.slots()), &Device::Cpu)?;
+        let rewards = Tensor::from_vec(rewards, (batch, layout.slots()), &Device::Cpu)?;
+        let mut target = self.reduce(&rewards, &states.present)?;
+        if self.settings.gamma > 0.0 {
+            let next = States::new(next, batch, layout)?;
+            let next_value = self.value(&self.critic_target, &next, &self.actor_target.forward(&next)?)?;
+            target = (target + (next_value.detach() * self.settings.gamma)?)?;
+        }
+        let error = (self.value(&self.critic, &states, &action)? - target)?;
+        self.critic_adam.step(&self.critic, &error.sqr()?.mean_all()?.backward()?)?;
+
+        let value = self.value(&self.critic.frozen(), &states, &self.actor.forward(&states)?)?;
+        let value = if value.rank() == 2 { mean_present(&value, &states.present)? } else { value };
+        self.actor_adam.step(&self.actor.network, &value.mean_all()?.neg()?.backward()?)?;
+
+        if self.settings.gamma > 0.0 {
+            soft_update(&self.actor_target.network, &self.actor.network, self.settings.tau)?;
+            soft_update(&self.critic_target, &self.critic, self.settings.tau)?;
+        }
+        Ok(())
+    }
+
+    /// Rewards in the form that the critic predicts: (batch, slots) or (batch).
+    fn reduce(&self, parts: &Tensor, present: &Tensor) -> candle_core::Result<Tensor> {
+        match self.settings.value {
+            Value::EachUser => parts.mul(present),
+            Value::Total => mean_present(parts, present),
+        }
+    }
+
+    /// What a critic predicts: (batch, slots), zero in absent slots, or (batch).
+    fn value(&self, critic: &Network, states: &States, action: &Tensor) -> candle_core::Result<Tensor> {
+        let present = &states.present;
+        let amplitude = match self.settings.sight {
+            Sight::Logits => states.amplitude(&action.zeros_like()?, self.settings.head)?,
+            Sight::Decoded => states.amplitude(action, self.settings.head)?,
+        };
+        let action = match self.settings.encoder {
+            Encoder::Set => action.broadcast_sub(&mean_present(action, present)?.unsqueeze(1)?)?.mul(present)?,
+            Encoder::Mlp => action.clone(),
+        };
+        let columns = [action, amplitude.mul(present)?].map(|column| column.unsqueeze(2));
+        let [action, amplitude] = columns;
+        let output = critic.forward(&Tensor::cat(&[&states.features, &action?, &amplitude?], 2)?, present)?;
+        match self.settings.encoder {
+            Encoder::Set => self.reduce(&output, present),
+            Encoder::Mlp => output.squeeze(1),
+        }
+    }
+
+    /// Both learning rates fall geometrically over the run.
+    fn set_learning_rates(&mut self) {
+        let progress = self.episode as f64 / self.settings.episodes.max(1) as f64;
+        let factor = self.settings.rate_end.powf(progress);
+        self.actor_adam.set_learning_rate(self.settings.actor_rate * factor);
+        self.critic_adam.set_learning_rate(self.settings.critic_rate * factor);
+    }
+}
+
+/// The mean over the users present, (batch).
+fn mean_present(values: &Tensor, present: &Tensor) -> candle_core::Result<Tensor> {
+    values.mul(present)?.sum(1)?.div(&present.sum(1)?)
+}

@@ -1,0 +1,230 @@
+//! The room as a learner sees it: a simulated world, the controller's observation, the decoder and the reward.
+//!
+//! No transport, delay, noise or actuator is in between: an action is judged in the very state in which it was chosen. The
+//! reward is computed from the true evaluation of the decoded angles, with the spill of each spot onto other users and the average over
+//! the light's panel, not from the steering table that the decoder chooses by.
+
+use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_channel::{ChannelModel, Vec3, decode};
+use heliostat_controller::observation::Observation;
+use heliostat_scenario::{ChannelMode, MinRate, Scenario};
+use heliostat_sim_node::world::World;
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+
+use crate::actor::States;
+use crate::features::{FEATURES, Head, Layout};
+
+/// How a missed or met minimum rate enters the reward.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RewardForm {
+    /// sum_k [R_k - lambda max(0, R_min,k - R_k)]: the shortfall is punished.
+    Shortfall,
+    /// As printed: lambda counts for users whose need **is** met. What it multiplies is not defined there; R_min,k is taken.
+    AsPrinted,
+}
+
+/// The reward, in units of the bandwidth so that it is of order one: user k's part is (K / B) [R_k - penalty].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Reward {
+    /// Which penalty.
+    pub form: RewardForm,
+    /// Its weight lambda.
+    pub lambda: f64,
+}
+
+impl Reward {
+    fn of(&self, rate_bps: f64, min_rate_bps: f64) -> f64 {
+        let penalty = match self.form {
+            RewardForm::Shortfall => (min_rate_bps - rate_bps).max(0.0),
+            RewardForm::AsPrinted if rate_bps >= min_rate_bps => min_rate_bps,
+            RewardForm::AsPrinted => 0.0,
+        };
+        rate_bps - self.lambda * penalty
+    }
+}
+
+/// What came of an action.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outcome {
+    /// sum_k [R_k - penalty] in Mbit/s.
+    pub reward_mbps: f64,
+    /// sum_k R_k in Mbit/s.
+    pub sum_rate_mbps: f64,
+}
+
+/// A simulated room with the learner's buffers.
+pub struct Environment {
+    world: World,
+    layout: Layout,
+    observation: Observation,
+    vector: Vec<f32>,
+    state: Vec<f32>,
+    rates_bps: Vec<f64>,
+}
+
+impl Environment {
+    /// A fresh room, already observed.
+    ///
+    /// # Errors
+    /// A scenario that makes no room, or one with more users than the layout has slots.
+    pub fn new(scenario: &Scenario, layout: Layout, seed: u64) -> anyhow::Result<Self> {
+        let world = World::new(scenario, seed)?;
+        let users = scenario.users.count;
+        let mut observation = Observation::new(world.model(), users);
+        observation.min_rate_bps.copy_from_slice(world.min_rate_bps());
+        let mut environment = Self {
+            layout,
+            observation,
+            vector: vec![0.0; layout.encoder.len()],
+            state: vec![0.0; States::width(layout)],
+            rates_bps: vec![0.0; users],
+            world,
+        };
+        environment.observe()?;
+        Ok(environment)
+    }
+
+    /// Users in the room.
+    pub fn users(&self) -> usize {
+        self.rates_bps.len()
+    }
+
+    /// The channel of this room.
+    pub fn model(&self) -> &ChannelModel {
+        self.world.model()
+    }
+
+    /// What a policy sees now.
+    pub fn observation(&self) -> &Observation {
+        &self.observation
+    }
+
+    /// The same as the actor's input vector.
+    pub fn vector(&self) -> &[f32] {
+        &self.vector
+    }
+
+    /// The same as the row of a state ([`States::new`]).
+    pub fn state(&self) -> &[f32] {
+        &self.state
+    }
+
+    /// Lets time pass and looks again.
+    ///
+    /// # Errors
+    /// As [`Environment::new`].
+    pub fn step(&mut self, dt_s: f64) -> anyhow::Result<()> {
+        self.world.step(dt_s);
+        self.observe()
+    }
+
+    /// Turns the mirrors by an actor's logits; the users' true rates in bit/s.
+    pub fn rates_bps(&mut self, logits: &[f32], head: Head) -> &[f64] {
+        let model = self.world.model();
+        let action = Action { vector: &self.vector, logits, layout: self.layout, head };
+        self.observation.angles = decode_logits(model, &self.observation, &action);
+        self.observation.scene.rates_bps(model, &self.observation.angles, &mut self.rates_bps);
+        &self.rates_bps
+    }
+
+    /// The same, judged: `rewards` takes each user's part, 0 in absent slots.
+    pub fn act(&mut self, logits: &[f32], head: Head, reward: Reward, rewards: &mut [f32]) -> Outcome {
+        self.rates_bps(logits, head);
+        rewards.fill(0.0);
+        let scale = self.rates_bps.len() as f64 / self.world.model().budget.bandwidth_hz;
+        let mut outcome = Outcome::default();
+        for ((slot, rate), need) in rewards.iter_mut().zip(&self.rates_bps).zip(&self.observation.min_rate_bps) {
+            let part = reward.of(*rate, *need);
+            *slot = (scale * part) as f32;
+            outcome.reward_mbps += 1e-6 * part;
+            outcome.sum_rate_mbps += 1e-6 * rate;
+        }
+        outcome
+    }
+
+    fn observe(&mut self) -> anyhow::Result<()> {
+        let seen = &mut self.observation;
+        for (user, walker) in self.world.users().iter().enumerate() {
+            seen.positions[user] = walker.position;
+            seen.velocities[user] = Vec3::new(walker.velocity[0], walker.velocity[1], 0.0);
+        }
+        seen.scene.clone_from(self.world.scene());
+        self.layout.encoder.encode(self.world.model(), seen, &mut self.vector)?;
+        let (features, steering) = self.state.split_at_mut(self.layout.slots() * FEATURES);
+        self.layout.features(&self.vector, features);
+        steering.copy_from_slice(&self.vector[self.layout.encoder.steering_amplitude()]);
+        Ok(())
+    }
+}
+
+/// An actor's answer to an observation vector.
+#[derive(Clone, Copy, Debug)]
+pub struct Action<'a> {
+    /// The observation vector.
+    pub vector: &'a [f32],
+    /// One logit for each slot.
+    pub logits: &'a [f32],
+    /// The vector's layout.
+    pub layout: Layout,
+    /// From logits to weights.
+    pub head: Head,
+}
+
+/// The mirror angles of an actor's logits, by the one decoder.
+pub fn decode_logits(model: &ChannelModel, observation: &Observation, action: &Action<'_>) -> MirrorAngles {
+    let weights = action.layout.weights(action.vector, action.logits, action.head);
+    let weights: Vec<f64> = weights[..observation.users()].iter().map(|&weight| f64::from(weight)).collect();
+    let mut angles = MirrorAngles::flat(observation.mirrors());
+    decode::decode(model, &observation.scene, &weights, &mut angles);
+    angles
+}
+
+/// Which rooms an actor is trained in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rooms {
+    /// Always the scenario as it stands; only walks and obstacles are drawn anew each episode.
+    Fixed,
+    /// Users, forced blockage, noise and needs are drawn anew each episode around the scenario.
+    Randomised,
+}
+
+/// Most users whose direct path is forced off in a randomised room.
+const FORCED_MAX: usize = 5;
+
+impl Rooms {
+    /// The scenario of one episode.
+    ///
+    /// Randomised: in half the episodes as many users as the scenario has, otherwise 1 to `slots`; 0 to 5 of them forced off;
+    /// noise log-uniform from 0.5 to 25 times the scenario's (2e-15 to 1e-13 A2 by default; from 0.25 to 4 times in the paper's
+    /// modes, where more noise leaves nothing to see); needs uniform from 0 to twice the scenario's.
+    pub fn draw(self, scenario: &Scenario, slots: usize, rng: &mut impl Rng) -> Scenario {
+        let mut room = scenario.clone();
+        if self == Self::Fixed {
+            return room;
+        }
+        let count = scenario.users.count.min(slots);
+        room.users.count = if rng.random_bool(0.5) { count } else { rng.random_range(1..=slots) };
+        room.blockage.forced_users = rng.random_range(0..=room.users.count.min(FORCED_MAX));
+        let (low, high) = match scenario.channel.mode {
+            ChannelMode::Specular => (0.5_f64, 25.0_f64),
+            ChannelMode::Paper | ChannelMode::PaperCalibrated => (0.25, 4.0),
+        };
+        let factor = low * (high / low).powf(rng.random::<f64>());
+        room.noise.variance_a2 = Some(noise_variance_a2(scenario) * factor);
+        let need = match &scenario.users.min_rate_mbps {
+            MinRate::All(rate) => *rate,
+            MinRate::Each(rates) => rates.iter().copied().fold(0.0, f64::max),
+        };
+        room.users.min_rate_mbps = MinRate::All(need * rng.random_range(0.0..2.0));
+        room
+    }
+}
+
+fn noise_variance_a2(scenario: &Scenario) -> f64 {
+    let noise = &scenario.noise;
+    let density = noise.background_shot_a2_per_hz + noise.thermal_a2_per_hz + noise.preamplifier_a2_per_hz;
+    noise.variance_a2.unwrap_or(density * 1e6 * scenario.link.bandwidth_mhz)
+}

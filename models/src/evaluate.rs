@@ -1,0 +1,136 @@
+//! Held-out states, and how near to the best possible an actor comes on them.
+//!
+//! The yardstick is the oracle with minimum rates: its angles and the actor's are judged by the same true evaluation. The
+//! oracle ignores that a spot spills onto other users, so a ratio slightly above 1 is legitimate.
+
+use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::yardstick::QOS_PENALTY;
+use serde::Serialize;
+
+use crate::actor::Actor;
+use crate::env::Environment;
+
+/// Seconds that users walk before a state is taken, so that places and headings are those of a walk that goes on.
+const SETTLE_S: f64 = 20.0;
+
+/// Keeps held-out rooms apart from those of training, whose seeds are drawn from the trainer's generator.
+const HELD_OUT_SEED: u64 = 0x4e1d_0000_0000;
+
+/// A mean with half the width of its 95 % interval (normal approximation).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The mean.
+    pub mean: f64,
+    /// 1.96 standard errors.
+    pub ci95: f64,
+}
+
+impl Estimate {
+    /// The estimate from independent values.
+    pub fn of(values: &[f64]) -> Self {
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count;
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
+        Self { mean, ci95: 1.96 * (variance / count).sqrt() }
+    }
+}
+
+/// An actor's score on held-out states.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Score {
+    /// Mean sum rate in Mbit/s.
+    pub sum_rate_mbps: Estimate,
+    /// The same without the array.
+    pub no_irs_mbps: Estimate,
+    /// The same of the oracle with minimum rates.
+    pub oracle_mbps: Estimate,
+    /// Ratio of sum rates to the oracle, state by state.
+    pub ratio_to_oracle: Estimate,
+    /// Share of users whose minimum rate is met.
+    pub qos_met: f64,
+    /// The same of the oracle.
+    pub oracle_qos_met: f64,
+}
+
+struct State {
+    environment: Environment,
+    no_irs_bps: f64,
+    oracle_bps: f64,
+    oracle_met: f64,
+}
+
+/// A set of states that training never sees; the same for every training seed.
+#[derive(Default)]
+pub struct HeldOut {
+    states: Vec<State>,
+}
+
+impl HeldOut {
+    /// Adds states of a scenario, each in a room of its own and solved by the oracle.
+    ///
+    /// # Errors
+    /// A scenario that makes no room.
+    pub fn add(&mut self, scenario: &Scenario, actor: &Actor, count: usize) -> anyhow::Result<()> {
+        let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
+        for index in 0..count as u64 {
+            let mut environment = Environment::new(scenario, actor.layout, HELD_OUT_SEED + index)?;
+            environment.step(SETTLE_S)?;
+            self.states.push(Self::solve(environment, &mut solver));
+        }
+        Ok(())
+    }
+
+    fn solve(environment: Environment, solver: &mut Solver) -> State {
+        let (model, seen) = (environment.model(), environment.observation());
+        let users = seen.users();
+        let need = Need { min_rate_bps: &seen.min_rate_bps, qos_penalty: QOS_PENALTY };
+        let mut angles = MirrorAngles::flat(seen.mirrors());
+        solver.solve(model, &seen.scene, &need, Method::Oracle, &mut angles);
+        let mut rates = vec![0.0; users];
+        seen.scene.rates_bps(model, &angles, &mut rates);
+        let direct = seen.scene.los_gain().iter().map(|gain| model.budget.rate_bps(model.budget.sinr(*gain), users));
+        State {
+            no_irs_bps: direct.sum(),
+            oracle_bps: rates.iter().sum(),
+            oracle_met: met(&rates, &seen.min_rate_bps),
+            environment,
+        }
+    }
+
+    /// The actor's score, without exploration.
+    ///
+    /// # Errors
+    /// Those of the network.
+    pub fn score(&mut self, actor: &Actor) -> anyhow::Result<Score> {
+        let mut rows = Vec::with_capacity(self.states.len());
+        for state in &mut self.states {
+            let logits = actor.logits(state.environment.state())?;
+            let rates = state.environment.rates_bps(&logits, actor.head).to_vec();
+            rows.push((rates.iter().sum::<f64>(), met(&rates, &state.environment.observation().min_rate_bps)));
+        }
+        let mbps = |value: f64| 1e-6 * value;
+        let estimate = |value: &dyn Fn(usize) -> f64| Estimate::of(&(0..rows.len()).map(value).collect::<Vec<_>>());
+        Ok(Score {
+            sum_rate_mbps: estimate(&|index| mbps(rows[index].0)),
+            no_irs_mbps: estimate(&|index| mbps(self.states[index].no_irs_bps)),
+            oracle_mbps: estimate(&|index| mbps(self.states[index].oracle_bps)),
+            ratio_to_oracle: self.ratio(&rows),
+            qos_met: estimate(&|index| rows[index].1).mean,
+            oracle_qos_met: estimate(&|index| self.states[index].oracle_met).mean,
+        })
+    }
+
+    /// States in which nobody can be served have no ratio.
+    fn ratio(&self, rows: &[(f64, f64)]) -> Estimate {
+        let pairs = rows.iter().zip(&self.states).filter(|(_, state)| state.oracle_bps > 0.0);
+        Estimate::of(&pairs.map(|(row, state)| row.0 / state.oracle_bps).collect::<Vec<_>>())
+    }
+}
+
+/// Share of users whose need is met; a need that is missed by rounding alone counts as met.
+fn met(rates: &[f64], needs: &[f64]) -> f64 {
+    let count = rates.iter().zip(needs).filter(|(rate, need)| **rate >= **need * (1.0 - 1e-9)).count();
+    count as f64 / rates.len() as f64
+}

@@ -1,0 +1,97 @@
+//! Exploration: how an action is disturbed while the actor learns.
+//!
+//! The paper names epsilon-greedy in its text and additive noise in Algorithm 1. Both are here; the magnitude falls
+//! geometrically from the first episode to the last.
+
+use rand::{Rng, RngExt};
+
+/// Which disturbance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Gaussian noise added to each logit (Algorithm 1); the magnitude is its standard deviation.
+    Additive,
+    /// With a probability equal to the magnitude, all logits are drawn uniformly from [-1, 1].
+    EpsilonGreedy,
+}
+
+/// A disturbance whose magnitude falls over the episodes.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Exploration {
+    /// Which disturbance.
+    pub kind: Kind,
+    /// Magnitude in the first episode.
+    pub start: f64,
+    /// Magnitude in the last episode.
+    pub end: f64,
+}
+
+impl Exploration {
+    /// The magnitude in one of `episodes` episodes, counted from 0: start (end / start)^(episode / (episodes - 1)).
+    pub fn magnitude(&self, episode: usize, episodes: usize) -> f64 {
+        let progress = episode as f64 / (episodes.saturating_sub(1).max(1)) as f64;
+        self.start * (self.end / self.start).powf(progress.min(1.0))
+    }
+
+    /// Disturbs the logits of the users present, which lead the slots; they stay within [-1, 1].
+    pub fn disturb(&self, magnitude: f64, logits: &mut [f32], rng: &mut impl Rng) {
+        match self.kind {
+            Kind::Additive => {
+                for logit in logits {
+                    *logit = (*logit + (magnitude * normal(rng)) as f32).clamp(-1.0, 1.0);
+                }
+            }
+            Kind::EpsilonGreedy => {
+                if rng.random::<f64>() < magnitude {
+                    logits.fill_with(|| rng.random_range(-1.0..1.0));
+                }
+            }
+        }
+    }
+}
+
+/// One draw from the standard normal distribution, by the Box-Muller transform.
+fn normal(rng: &mut impl Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn the_magnitude_falls_from_start_to_end() {
+        let exploration = Exploration { kind: Kind::Additive, start: 0.4, end: 0.1 };
+        assert!((exploration.magnitude(0, 11) - 0.4).abs() < 1e-12);
+        assert!((exploration.magnitude(5, 11) - 0.2).abs() < 1e-12);
+        assert!((exploration.magnitude(10, 11) - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn additive_noise_has_the_stated_spread_and_stays_in_range() {
+        let exploration = Exploration { kind: Kind::Additive, start: 1.0, end: 1.0 };
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut logits = vec![0.0_f32; 20_000];
+        exploration.disturb(0.2, &mut logits, &mut rng);
+        let variance = logits.iter().map(|value| f64::from(value * value)).sum::<f64>() / logits.len() as f64;
+        assert!((variance.sqrt() - 0.2).abs() < 0.005, "standard deviation {}", variance.sqrt());
+        exploration.disturb(5.0, &mut logits, &mut rng);
+        assert!(logits.iter().all(|value| value.abs() <= 1.0));
+    }
+
+    #[test]
+    fn epsilon_is_the_share_of_random_actions() {
+        let exploration = Exploration { kind: Kind::EpsilonGreedy, start: 1.0, end: 1.0 };
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let disturbed = (0..4000).filter(|_| {
+            let mut logits = [0.5_f32; 3];
+            exploration.disturb(0.25, &mut logits, &mut rng);
+            logits != [0.5; 3]
+        });
+        let share = disturbed.count() as f64 / 4000.0;
+        assert!((share - 0.25).abs() < 0.03, "share {share}");
+    }
+}

@@ -1,0 +1,268 @@
+//! The networks of actor and critic, their initialisation, and the optimiser.
+//!
+//! A [`Network`] reads one row of features for each user slot and a mask of the slots in use. [`Encoder::Mlp`] is the paper's
+//! plain network over all slots in a row; [`Encoder::Set`] applies the same layers to each user beside a pooled context, so
+//! its answer does not depend on the users' order and holds for any number of them.
+//!
+//! Every random number comes from a generator that the caller passes in; candle's own is never used.
+
+use candle_core::{Device, Result, Tensor, Var, backprop::GradStore};
+use rand::{Rng, RngExt};
+
+/// How a network reads the users' slots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Encoder {
+    /// Shared layers for each user, with the mean and the maximum over users as context of the second layer.
+    Set,
+    /// The paper's two layers over all slots side by side.
+    Mlp,
+}
+
+/// The size of a network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// How the slots are read.
+    pub encoder: Encoder,
+    /// Slots for users.
+    pub slots: usize,
+    /// Inputs for each slot.
+    pub inputs: usize,
+    /// Widths of the two hidden layers.
+    pub hidden: [usize; 2],
+    /// Outputs of an [`Encoder::Mlp`]; a set network has one output for each slot.
+    pub outputs: usize,
+}
+
+/// The largest magnitude of a fresh output layer, so that the first actions are near zero and the first values too.
+const HEAD_INITIAL: f32 = 3e-3;
+
+/// One fully connected layer: `y = x W + b`, with W of shape (inputs, outputs).
+#[derive(Clone, Debug)]
+pub struct Linear {
+    /// The name under which checkpoints and exported graphs hold it.
+    pub name: &'static str,
+    /// W, (inputs, outputs).
+    pub weight: Tensor,
+    /// b, (outputs).
+    pub bias: Tensor,
+}
+
+impl Linear {
+    fn new(name: &'static str, inputs: usize, outputs: usize, rng: &mut impl Rng) -> Result<Self> {
+        let limit = if name == "head" { HEAD_INITIAL } else { 1.0 / (inputs as f32).sqrt() };
+        let mut draw = |count: usize| -> Vec<f32> { (0..count).map(|_| rng.random_range(-limit..limit)).collect() };
+        let weight = Var::from_vec(draw(inputs * outputs), (inputs, outputs), &Device::Cpu)?;
+        let bias = Var::from_vec(draw(outputs), outputs, &Device::Cpu)?;
+        Ok(Self { name, weight: weight.into_inner(), bias: bias.into_inner() })
+    }
+
+    fn forward(&self, input: &Tensor) -> Result<Tensor> {
+        input.matmul(&self.weight)?.broadcast_add(&self.bias)
+    }
+}
+
+/// A network of two hidden layers over the users' slots.
+#[derive(Clone, Debug)]
+pub struct Network {
+    shape: Shape,
+    layers: Vec<Linear>,
+}
+
+impl Network {
+    /// A network with fresh parameters.
+    ///
+    /// # Errors
+    /// Those of candle, when memory runs out.
+    pub fn new(shape: Shape, rng: &mut impl Rng) -> Result<Self> {
+        let [first, second] = shape.hidden;
+        let layers = match shape.encoder {
+            Encoder::Set => vec![
+                Linear::new("first", shape.inputs, first, rng)?,
+                Linear::new("second", first, second, rng)?,
+                Linear::new("context", 2 * first, second, rng)?,
+                Linear::new("head", second, 1, rng)?,
+            ],
+            Encoder::Mlp => vec![
+                Linear::new("first", shape.slots * shape.inputs, first, rng)?,
+                Linear::new("second", first, second, rng)?,
+                Linear::new("head", second, shape.outputs, rng)?,
+            ],
+        };
+        Ok(Self { shape, layers })
+    }
+
+    /// Its size.
+    pub fn shape(&self) -> Shape {
+        self.shape
+    }
+
+    /// Its layers, in the order in which data passes them.
+    pub fn layers(&self) -> &[Linear] {
+        &self.layers
+    }
+
+    /// The layer of that name.
+    ///
+    /// # Panics
+    /// When there is none: the names are fixed by [`Network::new`].
+    pub fn layer(&self, name: &str) -> &Linear {
+        self.layers.iter().find(|layer| layer.name == name).expect("layer names are fixed by the encoder")
+    }
+
+    /// Its parameters, in a fixed order.
+    pub fn parameters(&self) -> Vec<&Tensor> {
+        self.layers.iter().flat_map(|layer| [&layer.weight, &layer.bias]).collect()
+    }
+
+    /// The same parameters, through which no gradient flows. Later changes of the original show here too.
+    pub fn frozen(&self) -> Self {
+        let freeze =
+            |layer: &Linear| Linear { name: layer.name, weight: layer.weight.detach(), bias: layer.bias.detach() };
+        Self { shape: self.shape, layers: self.layers.iter().map(freeze).collect() }
+    }
+
+    /// A copy with parameters of its own.
+    ///
+    /// # Errors
+    /// Those of candle, when memory runs out.
+    pub fn copy(&self) -> Result<Self> {
+        let own =
+            |tensor: &Tensor| Ok::<_, candle_core::Error>(Var::from_tensor(&tensor.detach().copy()?)?.into_inner());
+        let layer =
+            |layer: &Linear| Ok(Linear { name: layer.name, weight: own(&layer.weight)?, bias: own(&layer.bias)? });
+        Ok(Self { shape: self.shape, layers: self.layers.iter().map(layer).collect::<Result<_>>()? })
+    }
+
+    /// Outputs before any activation: (batch, slots) of a set network, (batch, outputs) of the plain one.
+    ///
+    /// `input` is (batch, slots, inputs), zero in absent slots; `present` is (batch, slots), 1 or 0.
+    ///
+    /// # Errors
+    /// Those of candle, when shapes do not fit.
+    pub fn forward(&self, input: &Tensor, present: &Tensor) -> Result<Tensor> {
+        let (batch, slots, inputs) = input.dims3()?;
+        match self.shape.encoder {
+            Encoder::Mlp => {
+                let mut hidden = input.reshape((batch, slots * inputs))?;
+                for name in ["first", "second"] {
+                    hidden = self.layer(name).forward(&hidden)?.relu()?;
+                }
+                self.layer("head").forward(&hidden)
+            }
+            Encoder::Set => {
+                let rows = input.reshape((batch * slots, inputs))?;
+                let first = self.layer("first").forward(&rows)?.relu()?;
+                let context = self.layer("context").forward(&pool(&first, present)?)?;
+                let second = self.layer("second").forward(&first)?.reshape((batch, slots, ()))?;
+                let second = second.broadcast_add(&context.unsqueeze(1)?)?.relu()?;
+                self.layer("head").forward(&second.reshape((batch * slots, ()))?)?.reshape((batch, slots))
+            }
+        }
+    }
+}
+
+/// Mean and maximum over the users present, (batch, 2 width), of rows (batch x slots, width) that are nowhere negative.
+fn pool(rows: &Tensor, present: &Tensor) -> Result<Tensor> {
+    let (batch, slots) = present.dims2()?;
+    let masked = rows.reshape((batch, slots, ()))?.broadcast_mul(&present.unsqueeze(2)?)?;
+    let mean = masked.sum(1)?.broadcast_div(&present.sum_keepdim(1)?)?;
+    Tensor::cat(&[mean, masked.max(1)?], 1)
+}
+
+/// Moves `target` towards `source`: target <- tau source + (1 - tau) target.
+///
+/// # Errors
+/// Those of candle, when the networks differ in shape.
+pub fn soft_update(target: &Network, source: &Network, tau: f64) -> Result<()> {
+    for (target, source) in target.parameters().into_iter().zip(source.parameters()) {
+        let moved = ((source.detach() * tau)? + (target.detach() * (1.0 - tau))?)?;
+        assign(target, &moved)?;
+    }
+    Ok(())
+}
+
+/// Overwrites a parameter in place.
+///
+/// # Errors
+/// Those of candle, when shapes differ.
+pub fn assign(parameter: &Tensor, value: &Tensor) -> Result<()> {
+    Var::from_tensor(parameter)?.set(value)
+}
+
+/// Adam, with its state in plain vectors so that a checkpoint holds all of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Adam {
+    learning_rate: f64,
+    step: u64,
+    first_moment: Vec<Vec<f32>>,
+    second_moment: Vec<Vec<f32>>,
+}
+
+impl Adam {
+    const BETA: [f64; 2] = [0.9, 0.999];
+    const EPSILON: f32 = 1e-8;
+
+    /// An optimiser for the parameters of one network.
+    pub fn new(network: &Network, learning_rate: f64) -> Self {
+        let zeros: Vec<Vec<f32>> = network.parameters().iter().map(|tensor| vec![0.0; tensor.elem_count()]).collect();
+        Self { learning_rate, step: 0, first_moment: zeros.clone(), second_moment: zeros }
+    }
+
+    /// Sets the learning rate of the steps to come.
+    pub fn set_learning_rate(&mut self, learning_rate: f64) {
+        self.learning_rate = learning_rate;
+    }
+
+    /// Steps taken, first moments and second moments.
+    pub fn state(&self) -> (u64, &[Vec<f32>], &[Vec<f32>]) {
+        (self.step, &self.first_moment, &self.second_moment)
+    }
+
+    /// Takes the place of a state that [`Adam::state`] gave; refuses vectors of other lengths.
+    ///
+    /// # Errors
+    /// A message when the lengths differ.
+    pub fn restore(
+        &mut self,
+        step: u64,
+        first: Vec<Vec<f32>>,
+        second: Vec<Vec<f32>>,
+    ) -> std::result::Result<(), String> {
+        let lengths = |moments: &[Vec<f32>]| moments.iter().map(Vec::len).collect::<Vec<_>>();
+        let wanted = lengths(&self.first_moment);
+        if lengths(&first) != wanted || lengths(&second) != wanted {
+            return Err(format!(
+                "optimiser state does not fit: wanted lengths {wanted:?}, found {:?}",
+                lengths(&first)
+            ));
+        }
+        (self.step, self.first_moment, self.second_moment) = (step, first, second);
+        Ok(())
+    }
+
+    /// One step down the gradient.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn step(&mut self, network: &Network, gradients: &GradStore) -> Result<()> {
+        self.step += 1;
+        let power = |beta: f64| 1.0 - beta.powf(self.step as f64);
+        let [beta1, beta2] = Self::BETA;
+        let rate = (self.learning_rate * power(beta2).sqrt() / power(beta1)) as f32;
+        let (beta1, beta2) = (beta1 as f32, beta2 as f32);
+        for (index, parameter) in network.parameters().into_iter().enumerate() {
+            let Some(gradient) = gradients.get(parameter) else { continue };
+            let gradient = gradient.flatten_all()?.to_vec1::<f32>()?;
+            let mut value = parameter.flatten_all()?.to_vec1::<f32>()?;
+            let moments = self.first_moment[index].iter_mut().zip(&mut self.second_moment[index]);
+            for ((value, gradient), (first, second)) in value.iter_mut().zip(&gradient).zip(moments) {
+                *first = beta1 * *first + (1.0 - beta1) * gradient;
+                *second = beta2 * *second + (1.0 - beta2) * gradient * gradient;
+                *value -= rate * *first / (second.sqrt() + Self::EPSILON);
+            }
+            assign(parameter, &Tensor::from_vec(value, parameter.shape(), &Device::Cpu)?)?;
+        }
+        Ok(())
+    }
+}

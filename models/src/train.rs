@@ -1,0 +1,244 @@
+//! `heliostat train`: trains a policy, shows how it goes, and leaves an actor with its card.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use heliostat_controller::observation::OBSERVATION_VERSION;
+use heliostat_controller::policy::actor_file::key;
+use heliostat_controller::policy::shipped;
+use heliostat_scenario::{Scenario, ScenarioArgs};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::actor::Actor;
+use crate::card::{Card, ScoreRow, hardware};
+use crate::curve::Curve;
+use crate::ddpg::{Settings, Trainer};
+use crate::evaluate::{HeldOut, Score};
+use crate::export::export;
+
+/// Train a policy for a scenario and export it as an ONNX actor.
+#[derive(Clone, Debug, clap::Args)]
+pub struct TrainArgs {
+    /// What to train
+    #[arg(value_enum)]
+    algorithm: Algorithm,
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    /// Where the numbers of the run come from
+    #[arg(long, value_enum, default_value_t = Preset::Tuned)]
+    preset: Preset,
+    /// Episodes, in place of the preset's
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    episodes: Option<u32>,
+    /// Steps in an episode, in place of the preset's
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    steps: Option<u32>,
+    /// Change a number of the preset, for example --option gamma=0.9 or --option encoder=mlp (repeatable)
+    #[arg(long = "option", value_name = "KEY=VALUE")]
+    options: Vec<String>,
+    /// Folder for the actor, its card, the learning curve and the checkpoint
+    #[arg(long, value_name = "DIR", default_value = "training")]
+    out: PathBuf,
+    /// Go on from the checkpoint in the folder
+    #[arg(long)]
+    resume: bool,
+    /// Episodes between two checkpoints, and between two evaluations
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// Held-out states for each row of the final scores
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    states: u32,
+    /// Print one JSON object at the end, and no progress
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Algorithm {
+    /// Algorithm 1 of the paper with one weight a user as the action
+    Ddpg,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Preset {
+    /// What the shipped actors were made with
+    Tuned,
+    /// The paper's networks, rates and buffer
+    Paper,
+}
+
+/// States of each forced-blockage count that are watched while training goes on.
+const WATCHED_STATES: usize = 24;
+
+/// Forced-blockage counts that are watched and scored; 5 stands for all users where there are fewer.
+const FORCED: [usize; 3] = [0, 2, 5];
+
+/// User counts of the final scores, besides the scenario's own.
+const USERS: [usize; 2] = [3, 8];
+
+/// Runs the command.
+///
+/// # Errors
+/// A scenario or option that makes no sense, or a file that cannot be read or written.
+pub fn run_train(args: TrainArgs) -> anyhow::Result<()> {
+    let scenario = args.scenario.load()?;
+    let settings = args.settings(scenario.seed)?;
+    let mut trainer = Trainer::new(scenario, settings)?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let checkpoint = args.out.join("checkpoint.safetensors");
+    if args.resume {
+        trainer.load(&checkpoint)?;
+    }
+    let resumed = trainer.episodes_done() > 0;
+    let start = Instant::now();
+    learn(&mut trainer, &args, &checkpoint)?;
+    let duration = (!resumed).then(|| start.elapsed());
+    finish(&trainer, &args, duration)
+}
+
+impl TrainArgs {
+    fn settings(&self, seed: u64) -> anyhow::Result<Settings> {
+        let preset = match self.preset {
+            Preset::Tuned => Settings::tuned(seed),
+            Preset::Paper => Settings::paper(seed),
+        };
+        let mut settings = preset.with_options(&self.options)?;
+        settings.episodes = self.episodes.map_or(settings.episodes, |count| count as usize);
+        settings.steps = self.steps.map_or(settings.steps, |count| count as usize);
+        Ok(settings)
+    }
+
+    /// The command that repeats the run, in canonical form.
+    fn command(&self, seed: u64) -> String {
+        let preset = if self.preset == Preset::Paper { " --preset paper" } else { "" };
+        let mut command = format!("heliostat train ddpg --scenario {} --seed {seed}{preset}", self.scenario.scenario);
+        let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", value]);
+        self.scenario.overrides.iter().for_each(|text| add("--set", text));
+        self.options.iter().for_each(|text| add("--option", text));
+        self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
+        self.steps.iter().for_each(|count| add("--steps", &count.to_string()));
+        command
+    }
+}
+
+fn learn(trainer: &mut Trainer, args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<()> {
+    let episodes = trainer.settings().episodes;
+    let mut curve = Curve::open(&args.out.join("curve.csv"), trainer.episodes_done())?;
+    let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(episodes as u64) };
+    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes, {eta} left  {msg}")?);
+    bar.set_message("solving held-out states");
+    bar.set_position(trainer.episodes_done() as u64);
+    let mut watched = watched(trainer.scenario(), trainer.actor())?;
+    while trainer.episodes_done() < episodes {
+        let episode = trainer.run_episode()?;
+        let due = episode.number % args.every as usize == 0 || episode.number == episodes;
+        let score = if due { Some(watched.score(trainer.actor())?) } else { None };
+        curve.add(&episode, score.as_ref())?;
+        bar.inc(1);
+        if let Some(score) = score {
+            trainer.save(checkpoint)?;
+            let (ratio, met) = (score.ratio_to_oracle.mean, score.qos_met);
+            bar.set_message(format!("{ratio:.3} of the oracle, needs met {met:.3}"));
+        }
+    }
+    bar.finish();
+    Ok(())
+}
+
+/// A mixture of blockage counts in rooms of the scenario.
+fn watched(scenario: &Scenario, actor: &Actor) -> anyhow::Result<HeldOut> {
+    let mut all = HeldOut::default();
+    for forced in forced_counts(scenario.users.count) {
+        all.add(&room(scenario, scenario.users.count, forced), actor, WATCHED_STATES)?;
+    }
+    Ok(all)
+}
+
+/// [`FORCED`], cut to the number of users and without repetition.
+fn forced_counts(users: usize) -> Vec<usize> {
+    let mut counts = FORCED.map(|forced| forced.min(users)).to_vec();
+    counts.dedup();
+    counts
+}
+
+fn room(scenario: &Scenario, users: usize, forced: usize) -> Scenario {
+    let mut room = scenario.clone();
+    if users != scenario.users.count {
+        let need = scenario.min_rate_bps().iter().copied().fold(0.0, f64::max) * 1e-6;
+        room.users.min_rate_mbps = heliostat_scenario::MinRate::All(need);
+    }
+    (room.users.count, room.blockage.forced_users) = (users, forced);
+    room
+}
+
+/// Scores the finished actor and writes it with its card.
+fn finish(trainer: &Trainer, args: &TrainArgs, duration: Option<Duration>) -> anyhow::Result<()> {
+    let (scenario, settings) = (trainer.scenario(), trainer.settings());
+    let scores = final_scores(trainer, args.states as usize)?;
+    let command = args.command(settings.seed);
+    let bytes = onnx_file(trainer, &command, &scores)?;
+    let file = shipped::name_for(scenario);
+    let path = args.out.join(&file);
+    std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+    let card = Card { file: &file, command: &command, settings, scenario, duration, scores: &scores };
+    let card_path = path.with_extension("md");
+    std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
+    if args.json {
+        println!("{}", report(&path, &command, duration, &scores));
+    } else {
+        println!("{}", card.markdown());
+        println!("actor: {}\ncard:  {}", path.display(), card_path.display());
+    }
+    Ok(())
+}
+
+fn final_scores(trainer: &Trainer, states: usize) -> anyhow::Result<Vec<ScoreRow>> {
+    let mut users = USERS.to_vec();
+    users.push(trainer.scenario().users.count);
+    users.sort_unstable();
+    users.dedup();
+    let mut rows = Vec::new();
+    for &users in &users {
+        for forced in forced_counts(users) {
+            let mut held_out = HeldOut::default();
+            held_out.add(&room(trainer.scenario(), users, forced), trainer.actor(), states)?;
+            rows.push(ScoreRow { users, forced, states, score: held_out.score(trainer.actor())? });
+        }
+    }
+    Ok(rows)
+}
+
+/// The trained actor as an ONNX file with its metadata.
+fn onnx_file(trainer: &Trainer, command: &str, scores: &[ScoreRow]) -> anyhow::Result<Vec<u8>> {
+    let (scenario, actor) = (trainer.scenario(), trainer.actor());
+    let score = |row: &ScoreRow| {
+        let Score { ratio_to_oracle: ratio, qos_met, .. } = row.score;
+        format!("K={} b={}: {:.4} +- {:.4}, needs met {qos_met:.3}", row.users, row.forced, ratio.mean, ratio.ci95)
+    };
+    let metadata = [
+        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+        (key::USERS_MAX, actor.layout.slots().to_string()),
+        (key::MIRRORS, scenario.mirror_count().to_string()),
+        (key::MODE, scenario.channel.mode.name().into()),
+        (key::GEOMETRY, scenario.geometry_hash()),
+        (key::TRAINING_COMMAND, command.into()),
+        (key::SEED, trainer.settings().seed.to_string()),
+        (key::SCENARIO, format!("{} {}", scenario.name, scenario.hash())),
+        (key::SCORES, scores.iter().map(score).collect::<Vec<_>>().join("; ")),
+        (key::LICENCE, env!("CARGO_PKG_LICENSE").into()),
+    ];
+    let metadata = metadata.map(|(key, value)| (key.to_string(), value));
+    let model = scenario.channel_model()?;
+    Ok(export(actor, &model, &metadata)?)
+}
+
+fn report(path: &Path, command: &str, duration: Option<Duration>, scores: &[ScoreRow]) -> serde_json::Value {
+    serde_json::json!({
+        "actor": path.display().to_string(),
+        "command": command,
+        "duration_s": duration.map(|duration| duration.as_secs_f64()),
+        "hardware": hardware(),
+        "scores": scores,
+    })
+}

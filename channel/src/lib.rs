@@ -19,6 +19,7 @@
 //! - [`model`]: the parts above, checked, as one [`ChannelModel`].
 //! - [`scene`]: all users and mirrors at once, without allocation.
 //! - [`decode`]: from weights of users to angles of mirrors.
+//! - [`solver`]: which mirror should serve whom; the oracle and what the model-based policies use.
 
 pub mod angle;
 pub mod blockage;
@@ -32,6 +33,7 @@ pub mod mirrors;
 pub mod model;
 pub mod receiver;
 pub mod scene;
+pub mod solver;
 pub mod specular;
 mod trig;
 
@@ -44,6 +46,7 @@ pub use mirrors::{ArraySpec, MirrorAngles, MirrorArray, Wall};
 pub use model::{ChannelModel, Mode};
 pub use receiver::{Branch, Combining, Receiver};
 pub use scene::Scene;
+pub use solver::{Method, Need, Problem, Solution, Solver, SolverError};
 
 /// A point or a direction in three dimensions, in m where it is a point.
 pub type Vec3 = nalgebra::Vector3<f64>;

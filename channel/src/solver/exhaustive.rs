@@ -1,0 +1,60 @@
+//! Every assignment, by depth-first search with an exact bound.
+
+use super::SolverError;
+use super::assignment::Assignment;
+use super::table::{Table, Utility};
+
+/// Most assignments (users to the power of mirrors) that an exhaustive search accepts.
+pub const ASSIGNMENTS_MAX: f64 = 2e7;
+
+/// Writes the best assignment to `best`.
+pub(super) fn search(table: &Table, utility: &Utility, best: &mut Assignment) -> Result<(), SolverError> {
+    let (users, mirrors) = (table.users, table.mirrors);
+    let assignments = (users as f64).powf(mirrors as f64);
+    if assignments > ASSIGNMENTS_MAX {
+        return Err(SolverError::TooMany { users, mirrors, assignments });
+    }
+    best.served.fill(0);
+    best.settle(table, utility);
+    let mut walk = Walk { table, utility, best, served: vec![0; mirrors] };
+    // What the mirrors from m on can give each user together. Shape: (M + 1) * K.
+    let mut ahead = vec![0.0; (mirrors + 1) * users];
+    for m in (0..mirrors).rev() {
+        for k in 0..users {
+            ahead[m * users + k] = ahead[(m + 1) * users + k] + table.line(m)[k];
+        }
+    }
+    walk.descend(0, &table.floor, &ahead);
+    walk.best.settle(table, utility);
+    Ok(())
+}
+
+struct Walk<'a> {
+    table: &'a Table,
+    utility: &'a Utility,
+    best: &'a mut Assignment,
+    served: Vec<usize>,
+}
+
+impl Walk<'_> {
+    fn descend(&mut self, m: usize, amplitude: &[f64], ahead: &[f64]) {
+        let users = self.table.users;
+        // No assignment of the rest is better than giving all of it to everybody: utilities never fall.
+        let bound: f64 = (0..users).map(|k| self.utility.value(k, amplitude[k] + ahead[m * users + k])).sum();
+        if bound <= self.best.nats {
+            return;
+        }
+        if m == self.table.mirrors {
+            self.best.nats = bound;
+            self.best.served.copy_from_slice(&self.served);
+            return;
+        }
+        let mut next = amplitude.to_vec();
+        for k in 0..users {
+            self.served[m] = k;
+            next[k] += self.table.line(m)[k];
+            self.descend(m + 1, &next, ahead);
+            next[k] = amplitude[k];
+        }
+    }
+}

@@ -1,0 +1,348 @@
+//! Searches over assignments: damped fixed point, greedy fill, single moves, and the oracle's many starts.
+
+use super::assignment::{Assignment, Scratch};
+use super::starts::Starts;
+use super::table::{Table, Utility};
+
+/// Most steps of one damped fixed point.
+const FIXED_POINT_STEPS: usize = 20;
+/// A fixed point ends when this many steps in a row have brought nothing.
+const PATIENCE: usize = 5;
+/// Passes of single moves over a fill.
+const FILL_PASSES: usize = 2;
+/// Most passes of single moves on the way to a local optimum.
+const MOVE_PASSES_MAX: usize = 50;
+/// Most rounds of swaps and chains on the way to a local optimum.
+const EXCHANGE_ROUNDS_MAX: usize = 20;
+/// Most users that are left out on trial.
+const LEAVE_OUT_TRIALS: usize = 16;
+/// How many assignments the oracle refines by swaps and chains.
+const REFINED: usize = 4;
+
+/// Workspace of the searches.
+#[derive(Clone, Debug)]
+pub(super) struct Search {
+    /// The last solution.
+    pub(super) best: Assignment,
+    trial: Assignment,
+    /// The best assignments of the oracle's starts, best first.
+    shortlist: Vec<Assignment>,
+    starts: Starts,
+    /// Users among whom mirrors are given out.
+    allowed: Vec<bool>,
+    /// Weights of the present step, and of the best step so far.
+    weights: Vec<f64>,
+    trial_weights: Vec<f64>,
+    amplitude: Vec<f64>,
+    /// Largest weight times gain of each mirror, and whose it is, as f64 so that both fit one SIMD register width.
+    strongest: Vec<f64>,
+    strongest_user: Vec<f64>,
+    invitation: Vec<f64>,
+    scratch: Scratch,
+}
+
+impl Search {
+    pub(super) fn new(users: usize, mirrors: usize) -> Self {
+        Self {
+            best: Assignment::new(users, mirrors),
+            trial: Assignment::new(users, mirrors),
+            shortlist: vec![Assignment::new(users, mirrors); REFINED],
+            starts: Starts::new(users),
+            allowed: vec![true; users],
+            weights: vec![0.0; users],
+            trial_weights: vec![0.0; users],
+            amplitude: vec![0.0; users],
+            strongest: vec![0.0; mirrors],
+            strongest_user: vec![0.0; mirrors],
+            invitation: vec![0.0; users],
+            scratch: Scratch::new(mirrors),
+        }
+    }
+
+    /// Damped fixed point from the given weights and from neutral ones; the better goes to `best`, its weights to `weights`.
+    pub(super) fn fixed_point(&mut self, table: &Table, utility: &Utility, weights: &mut [f64]) {
+        self.allowed.fill(true);
+        self.neutral_weights(table);
+        // A user who was given up has weight zero, and would never be tried again.
+        for (weight, &neutral) in weights.iter_mut().zip(&self.weights) {
+            if *weight <= 0.0 {
+                *weight = neutral;
+            }
+        }
+        self.iterate(table, utility);
+        self.best.copy_from(&self.trial);
+        self.weights.copy_from_slice(weights);
+        weights.copy_from_slice(&self.trial_weights);
+        self.iterate(table, utility);
+        if self.trial.nats > self.best.nats {
+            self.best.copy_from(&self.trial);
+            weights.copy_from_slice(&self.trial_weights);
+        }
+    }
+
+    /// The better of fixed point, fill and last assignment after `passes` of single moves, then without the users who are best left out.
+    pub(super) fn greedy(&mut self, table: &Table, utility: &Utility, weights: &mut [f64], passes: usize) {
+        self.trial.served.copy_from_slice(&self.best.served);
+        self.trial.settle(table, utility);
+        self.move_passes(table, utility, passes);
+        self.shortlist[0].copy_from(&self.trial);
+        self.fixed_point(table, utility, weights);
+        self.trial.copy_from(&self.best);
+        self.move_passes(table, utility, passes);
+        self.keep_better();
+        self.trial.copy_from(&self.shortlist[0]);
+        self.keep_better();
+        self.allowed.fill(true);
+        self.fill(table, utility);
+        self.move_passes(table, utility, passes);
+        self.keep_better();
+        self.leave_out(table, utility, passes);
+        self.slopes(utility, weights);
+    }
+
+    /// Many starts, the best few refined; see [`Solver::oracle`](super::Solver::oracle).
+    pub(super) fn oracle(&mut self, table: &Table, utility: &Utility, weights: &mut [f64]) {
+        for entry in &mut self.shortlist {
+            entry.nats = f64::NEG_INFINITY;
+        }
+        self.starts.order(table, utility);
+        for index in 0..self.starts.len() {
+            self.starts.choose(index, &mut self.allowed);
+            self.neutral_weights(table);
+            self.iterate(table, utility);
+            self.move_passes(table, utility, MOVE_PASSES_MAX);
+            self.note_trial();
+            self.fill(table, utility);
+            self.move_passes(table, utility, MOVE_PASSES_MAX);
+            self.note_trial();
+        }
+        self.best.nats = f64::NEG_INFINITY;
+        for index in 0..REFINED {
+            if self.shortlist[index].nats > f64::NEG_INFINITY {
+                self.trial.copy_from(&self.shortlist[index]);
+                self.refine(table, utility);
+                self.keep_better();
+            }
+        }
+        if !self.starts.complete() {
+            self.leave_out(table, utility, MOVE_PASSES_MAX);
+            self.trial.copy_from(&self.best);
+            self.refine(table, utility);
+            self.keep_better();
+        }
+        self.slopes(utility, weights);
+    }
+
+    /// Writes the derivatives of the objective at the last solution.
+    pub(super) fn slopes(&self, utility: &Utility, weights: &mut [f64]) {
+        for (k, weight) in weights.iter_mut().enumerate() {
+            *weight = utility.slope(k, self.best.amplitude[k]);
+        }
+    }
+
+    /// Leaves out one served user after another, and keeps what helps.
+    ///
+    /// One mirror at a time can neither give up a user nor take one in: near amplitude zero the rate is flat.
+    fn leave_out(&mut self, table: &Table, utility: &Utility, passes: usize) {
+        let mut trials = 0;
+        let mut since_better = 0;
+        for user in (0..table.users).cycle() {
+            if trials == LEAVE_OUT_TRIALS || since_better == table.users {
+                break;
+            }
+            since_better += 1;
+            for (k, allowed) in self.allowed.iter_mut().enumerate() {
+                *allowed = k != user && self.best.amplitude[k] > table.floor[k];
+            }
+            if self.best.amplitude[user] > table.floor[user] && self.allowed.contains(&true) {
+                trials += 1;
+                self.fill(table, utility);
+                self.move_passes(table, utility, passes);
+                if self.keep_better() {
+                    since_better = 0;
+                }
+            }
+        }
+    }
+
+    /// Damped fixed point among the allowed users from the present weights; the best step goes to `trial` and `trial_weights`.
+    ///
+    /// The damping averages 1 / w, which for large amplitudes is proportional to the amplitude, and grows from step to step,
+    /// because the assignment jumps whenever a weight passes the ratio of two gains.
+    fn iterate(&mut self, table: &Table, utility: &Utility) {
+        self.trial.nats = f64::NEG_INFINITY;
+        let mut fruitless = 0;
+        for step in 1..=FIXED_POINT_STEPS {
+            self.assign(table);
+            let nats = utility.total(&self.amplitude);
+            if nats > self.trial.nats {
+                self.adopt(nats);
+                fruitless = 0;
+            } else {
+                fruitless += 1;
+                if fruitless == PATIENCE {
+                    break;
+                }
+            }
+            let share = 0.7 / (1.0 + step as f64 / 6.0);
+            for (k, weight) in self.weights.iter_mut().enumerate() {
+                let target = utility.slope(k, self.amplitude[k]);
+                let mean = (1.0 - share) * target + share * *weight;
+                *weight = if mean > 0.0 { *weight * target / mean } else { 0.0 };
+            }
+        }
+        self.trial.settle(table, utility);
+    }
+
+    /// Copies the present step to `trial`.
+    fn adopt(&mut self, nats: f64) {
+        self.trial.nats = nats;
+        self.trial_weights.copy_from_slice(&self.weights);
+        for (served, &user) in self.trial.served.iter_mut().zip(&self.strongest_user) {
+            *served = user as usize;
+        }
+    }
+
+    /// Gives each mirror to the allowed user with the largest weight times gain, and sums the amplitudes.
+    ///
+    /// Selections instead of branches over contiguous f64: the compiler makes SIMD of both passes.
+    fn assign(&mut self, table: &Table) {
+        self.strongest.fill(0.0);
+        self.strongest_user.fill(0.0);
+        for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
+            let weight = if self.allowed[k] { self.weights[k] } else { 0.0 };
+            if weight <= 0.0 {
+                continue;
+            }
+            let user = k as f64;
+            for ((&gain, strongest), owner) in line.iter().zip(&mut self.strongest).zip(&mut self.strongest_user) {
+                let worth = weight * gain;
+                let better = worth > *strongest;
+                *strongest = if better { worth } else { *strongest };
+                *owner = if better { user } else { *owner };
+            }
+        }
+        for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
+            self.amplitude[k] = table.floor[k] + owned_sum(line, &self.strongest_user, k as f64);
+        }
+    }
+
+    /// 1 / total gain: weights that ask nobody's channel to be good.
+    fn neutral_weights(&mut self, table: &Table) {
+        for (weight, line) in self.weights.iter_mut().zip(table.by_user.chunks_exact(table.mirrors)) {
+            let sum: f64 = line.iter().sum();
+            *weight = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+        }
+    }
+
+    /// Gives the mirrors out one after another, each to the allowed user to whom it is worth most, then moves single mirrors
+    /// among the allowed users. The result goes to `trial`.
+    ///
+    /// Works on [`Utility::invitation`], so that every allowed user is served as well as the others permit.
+    fn fill(&mut self, table: &Table, utility: &Utility) {
+        let first = self.allowed.iter().position(|&allowed| allowed).unwrap_or(0);
+        self.trial.served.fill(first);
+        self.amplitude.copy_from_slice(&table.floor);
+        for k in 0..table.users {
+            self.invitation[k] = utility.invitation(k, self.amplitude[k]);
+        }
+        for &m in &table.useful {
+            let (user, _) = self.most_invited(m, None, table, utility);
+            self.trial.served[m] = user.unwrap_or(first);
+            self.shift(self.trial.served[m], table.line(m)[self.trial.served[m]], utility);
+        }
+        for _ in 0..FILL_PASSES {
+            for &m in &table.useful {
+                let from = self.trial.served[m];
+                let loss = table.line(m)[from];
+                let without = (self.amplitude[from] - loss).max(table.floor[from]);
+                let lost = utility.invitation(from, without) / self.invitation[from];
+                let (user, gained) = self.most_invited(m, Some(from), table, utility);
+                if let Some(to) = user
+                    && lost * gained > 1.0 + 1e-9
+                {
+                    self.trial.served[m] = to;
+                    self.shift(from, without - self.amplitude[from], utility);
+                    self.shift(to, table.line(m)[to], utility);
+                }
+            }
+        }
+        self.trial.settle(table, utility);
+    }
+
+    /// The allowed user to whose invitation mirror m adds the largest factor, and that factor.
+    fn most_invited(&self, m: usize, except: Option<usize>, table: &Table, utility: &Utility) -> (Option<usize>, f64) {
+        let mut best = (None, 0.0);
+        for (k, &gain) in table.line(m).iter().enumerate() {
+            if self.allowed[k] && gain > 0.0 && except != Some(k) {
+                let factor = utility.invitation(k, self.amplitude[k] + gain) / self.invitation[k];
+                if factor > best.1 {
+                    best = (Some(k), factor);
+                }
+            }
+        }
+        best
+    }
+
+    fn shift(&mut self, user: usize, change: f64, utility: &Utility) {
+        self.amplitude[user] += change;
+        self.invitation[user] = utility.invitation(user, self.amplitude[user]);
+    }
+
+    /// At most `passes` passes of single moves on `trial`, fewer when nothing moves any more.
+    fn move_passes(&mut self, table: &Table, utility: &Utility, passes: usize) {
+        for _ in 0..passes {
+            if !self.trial.move_each(table, utility) {
+                break;
+            }
+        }
+        self.trial.settle(table, utility);
+    }
+
+    /// Moves, swaps and, where a minimum rate puts a kink into the objective, chains, until `trial` is a local optimum.
+    fn refine(&mut self, table: &Table, utility: &Utility) {
+        for _ in 0..EXCHANGE_ROUNDS_MAX {
+            self.move_passes(table, utility, MOVE_PASSES_MAX);
+            let swapped = self.trial.swap_pairs(table, utility, &mut self.scratch);
+            let chained = utility.penalised() && self.trial.chain_moves(table, utility, &mut self.scratch);
+            if !swapped && !chained {
+                break;
+            }
+        }
+        self.trial.settle(table, utility);
+    }
+
+    /// Copies `trial` to `best` if it is better. Whether it was.
+    fn keep_better(&mut self) -> bool {
+        let better = self.trial.nats > self.best.nats;
+        if better {
+            self.best.copy_from(&self.trial);
+        }
+        better
+    }
+
+    /// Enters `trial` into the shortlist, unless it is no better than the last of it or there already.
+    fn note_trial(&mut self) {
+        let nats = self.trial.nats;
+        let same = |entry: &Assignment| (entry.nats - nats).abs() <= 1e-12 * nats.abs();
+        let place = self.shortlist.partition_point(|entry| entry.nats > nats + 1e-12 * nats.abs());
+        if place < REFINED && !same(&self.shortlist[place]) {
+            self.shortlist[place..].rotate_right(1);
+            self.shortlist[place].copy_from(&self.trial);
+        }
+    }
+}
+
+/// Sum of the gains of the mirrors that a user owns, in four independent sums so that additions overlap.
+fn owned_sum(line: &[f64], owners: &[f64], user: f64) -> f64 {
+    let mut sums = [0.0; 4];
+    let (lines, rest) = line.as_chunks::<4>();
+    let (owner_lines, owner_rest) = owners.as_chunks::<4>();
+    for (gains, owners) in lines.iter().zip(owner_lines) {
+        for lane in 0..4 {
+            sums[lane] += if owners[lane] == user { gains[lane] } else { 0.0 };
+        }
+    }
+    let tail: f64 = rest.iter().zip(owner_rest).map(|(&gain, &owner)| if owner == user { gain } else { 0.0 }).sum();
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + tail
+}

@@ -1,0 +1,186 @@
+//! The numbers of a problem as the searches read them: dimensionless amplitudes in two layouts, and each user's utility.
+
+use super::Problem;
+
+/// Amplitudes are cut off here, so that no sum of squares overflows.
+const AMPLITUDE_MAX: f64 = 1e60;
+
+/// One user's utility of an amplitude x = s H, in nats: v(x) = ln(1 + x^2), less the penalty of a rate below the minimum.
+///
+/// u(x) = v - penalty max(0, need - v); the sum over users times B/K / ln 2 is the objective in bit/s. It is convex below x = 1
+/// and concave above, with a kink at `threshold`.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Utility {
+    /// Minimum rate of each user in nats.
+    need: Vec<f64>,
+    /// Amplitude at which each user's minimum rate is met; 0 when nothing is penalised.
+    threshold: Vec<f64>,
+    penalty: f64,
+    /// Turns nats into bit/s.
+    bps_per_nat: f64,
+}
+
+impl Utility {
+    pub(super) fn new(users: usize) -> Self {
+        Self { need: vec![0.0; users], threshold: vec![0.0; users], penalty: 0.0, bps_per_nat: 0.0 }
+    }
+
+    /// Reads scales and needs.
+    pub(super) fn load(&mut self, problem: &Problem) {
+        self.bps_per_nat = problem.rate_scale_bps * std::f64::consts::LOG2_E;
+        self.penalty = if problem.qos_penalty > 0.0 { problem.qos_penalty } else { 0.0 };
+        for (k, (need, threshold)) in self.need.iter_mut().zip(&mut self.threshold).enumerate() {
+            let wanted = problem.min_rate_bps.get(k).copied().unwrap_or(0.0);
+            let binds = self.penalty > 0.0 && wanted > 0.0;
+            *need = if binds { wanted / self.bps_per_nat } else { 0.0 };
+            *threshold = need.exp_m1().sqrt();
+        }
+    }
+
+    /// Rate at an amplitude in nats, without penalty.
+    fn nats(amplitude: f64) -> f64 {
+        (amplitude * amplitude).ln_1p()
+    }
+
+    /// Utility of user k in nats.
+    pub(super) fn value(&self, k: usize, amplitude: f64) -> f64 {
+        let nats = Self::nats(amplitude);
+        nats - self.penalty * (self.need[k] - nats).max(0.0)
+    }
+
+    /// How much steeper the utility of user k is than the rate.
+    #[inline]
+    pub(super) fn steepness(&self, k: usize, amplitude: f64) -> f64 {
+        if amplitude < self.threshold[k] { 1.0 + self.penalty } else { 1.0 }
+    }
+
+    /// Derivative of the utility of user k by amplitude; below the minimum rate, the slope of the line to it.
+    ///
+    /// The derivative is 0 at amplitude 0, where the penalty would pull nobody out of the dark; the line does.
+    #[inline]
+    pub(super) fn slope(&self, k: usize, amplitude: f64) -> f64 {
+        let short = self.threshold[k] - amplitude;
+        if short > 1e-9 {
+            return (1.0 + self.penalty) * (self.need[k] - Self::nats(amplitude)) / short;
+        }
+        2.0 * amplitude / (1.0 + amplitude * amplitude)
+    }
+
+    /// exp of the change in the utility of user k from one amplitude to another, given 1 / (1 + from^2).
+    ///
+    /// While the minimum rate is met this is a quotient, which saves the logarithms.
+    #[inline]
+    pub(super) fn factor(&self, k: usize, from: f64, inverse: f64, to: f64) -> f64 {
+        if from.min(to) >= self.threshold[k] {
+            return (1.0 + to * to) * inverse;
+        }
+        self.factor_across(k, from, to)
+    }
+
+    #[cold]
+    fn factor_across(&self, k: usize, from: f64, to: f64) -> f64 {
+        (self.value(k, to) - self.value(k, from)).exp()
+    }
+
+    /// exp of a concave stand-in for the utility of a user who shall be served.
+    ///
+    /// 1 + x^2 from x = 2 on, where the rate is worth its price, and below it 5 x^2 / 4, whose logarithm rises without bound
+    /// from zero: so a fill does not leave out a user because the first mirrors bring so little.
+    #[inline]
+    pub(super) fn invitation(&self, k: usize, amplitude: f64) -> f64 {
+        let squared = amplitude * amplitude;
+        let inviting = if amplitude < 2.0 { 1.25 * squared.max(0.0025) } else { 1.0 + squared };
+        if amplitude < self.threshold[k] { inviting * self.shortfall(k, amplitude) } else { inviting }
+    }
+
+    #[cold]
+    fn shortfall(&self, k: usize, amplitude: f64) -> f64 {
+        // At most 200 nats, so that the exponential stays far from underflow.
+        let penalty = self.penalty.min(200.0 / self.need[k]);
+        (penalty * (Self::nats(amplitude) - self.need[k])).exp()
+    }
+
+    /// Sum of utilities in nats.
+    pub(super) fn total(&self, amplitude: &[f64]) -> f64 {
+        amplitude.iter().enumerate().map(|(k, &x)| self.value(k, x)).sum()
+    }
+
+    /// The same in bit/s.
+    pub(super) fn objective_bps(&self, amplitude: &[f64]) -> f64 {
+        self.total(amplitude) * self.bps_per_nat
+    }
+
+    /// Sum of rates in bit/s, without penalties.
+    pub(super) fn sum_rate_bps(&self, amplitude: &[f64]) -> f64 {
+        amplitude.iter().map(|&x| Self::nats(x)).sum::<f64>() * self.bps_per_nat
+    }
+
+    /// Whether any minimum rate is penalised.
+    pub(super) fn penalised(&self) -> bool {
+        self.threshold.iter().any(|&threshold| threshold > 0.0)
+    }
+}
+
+/// Gains times the amplitude scale, by mirror and by user.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Table {
+    pub(super) users: usize,
+    pub(super) mirrors: usize,
+    /// Direct amplitude of each user.
+    pub(super) floor: Vec<f64>,
+    /// `[m * users + k]`: moves of one mirror read one line.
+    pub(super) by_mirror: Vec<f64>,
+    /// `[k * mirrors + m]`: a whole assignment is `users` passes over contiguous numbers.
+    pub(super) by_user: Vec<f64>,
+    /// Mirrors that reach anybody; the others cannot change a rate.
+    pub(super) useful: Vec<usize>,
+    /// Largest gain to each user.
+    pub(super) largest: Vec<f64>,
+}
+
+impl Table {
+    pub(super) fn new(users: usize, mirrors: usize) -> Self {
+        Self {
+            users,
+            mirrors,
+            floor: vec![0.0; users],
+            by_mirror: vec![0.0; users * mirrors],
+            by_user: vec![0.0; users * mirrors],
+            useful: Vec::with_capacity(mirrors),
+            largest: vec![0.0; users],
+        }
+    }
+
+    /// Copies the problem's gains. A gain that is negative or not finite counts as no gain.
+    pub(super) fn load(&mut self, problem: &Problem) {
+        let scale = problem.amplitude_scale;
+        for (floor, &gain) in self.floor.iter_mut().zip(problem.los) {
+            *floor = amplitude(gain, scale);
+        }
+        for (k, (line, source)) in
+            self.by_user.chunks_exact_mut(self.mirrors).zip(problem.steering.chunks_exact(self.mirrors)).enumerate()
+        {
+            let mut largest = 0.0_f64;
+            for (m, (cell, &gain)) in line.iter_mut().zip(source).enumerate() {
+                *cell = amplitude(gain, scale);
+                largest = largest.max(*cell);
+                self.by_mirror[m * self.users + k] = *cell;
+            }
+            self.largest[k] = largest;
+        }
+        self.useful.clear();
+        let lines = self.by_mirror.chunks_exact(self.users).enumerate();
+        self.useful.extend(lines.filter(|(_, line)| line.iter().any(|&gain| gain > 0.0)).map(|(m, _)| m));
+    }
+
+    /// Amplitudes that mirror m can give, one a user.
+    #[inline]
+    pub(super) fn line(&self, m: usize) -> &[f64] {
+        &self.by_mirror[m * self.users..(m + 1) * self.users]
+    }
+}
+
+fn amplitude(gain: f64, scale: f64) -> f64 {
+    let amplitude = gain * scale;
+    if amplitude > 0.0 && amplitude.is_finite() { amplitude.min(AMPLITUDE_MAX) } else { 0.0 }
+}

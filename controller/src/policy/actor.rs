@@ -3,11 +3,12 @@
 //! This is the only file that names the inference engine. The engine copies its input and allocates at each run; our part
 //! writes into one tensor that lives as long as the actor.
 
-use std::sync::Once;
+use std::sync::{Mutex, PoisonError};
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
 use ort::{
+    environment::Environment,
     session::{Session, builder::GraphOptimizationLevel},
     value::Tensor,
 };
@@ -94,14 +95,20 @@ impl Policy for Actor {
 }
 
 fn build_session(bytes: &[u8]) -> ort::Result<Session> {
-    static ENGINE: Once = Once::new();
-    ENGINE.call_once(|| {
-        ort::set_api(ort_tract::api());
-    });
-    let environment = ort::init().with_telemetry(false).build()?;
     // Without the level set by hand the engine runs the graph as written, thirty times slower.
-    let mut builder = Session::builder(&environment)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
+    let mut builder = Session::builder(&engine()?)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
     builder.commit_from_memory(bytes)
+}
+
+/// The inference engine. It can be started only once in a process, so all actors share it.
+fn engine() -> ort::Result<Environment> {
+    static ENGINE: Mutex<Option<Environment>> = Mutex::new(None);
+    let mut engine = ENGINE.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(engine) = engine.as_ref() {
+        return Ok(engine.clone());
+    }
+    ort::set_api(ort_tract::api());
+    Ok(engine.insert(ort::init().with_telemetry(false).build()?).clone())
 }
 
 fn widen(values: &[f32], out: &mut [f64]) {

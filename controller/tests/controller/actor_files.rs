@@ -1,0 +1,158 @@
+//! Which actors are refused, and with which words.
+
+use std::path::Path;
+
+use heliostat_channel::MirrorAngles;
+use heliostat_controller::{
+    observation::Observation,
+    policy::{
+        Actor, ActorSource, Policy, PolicyKind,
+        actor_file::{ActorError, ActorFile, key},
+        build,
+    },
+};
+use heliostat_scenario::Scenario;
+
+use crate::support::{ActorRecipe, model, scenario};
+
+fn refusal(recipe: &ActorRecipe, scenario: &Scenario) -> ActorError {
+    match Actor::load(&recipe.file(), scenario) {
+        Ok(_) => panic!("the actor was accepted"),
+        Err(error) => error,
+    }
+}
+
+#[track_caller]
+fn assert_says(error: &ActorError, words: &[&str]) {
+    let text = error.to_string();
+    for word in words {
+        assert!(text.contains(word), "\"{text}\" does not say \"{word}\"");
+    }
+}
+
+#[test]
+fn an_actor_that_fits_acts() {
+    let scenario = scenario(&[]);
+    let model = model(&scenario);
+    let mut actor = Actor::load(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap();
+    let mut angles = MirrorAngles::flat(9);
+    actor.act(&model, &Observation::new(&model, 3), &mut angles).unwrap();
+    assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| *angle == 0.25));
+    assert_eq!(actor.info().users_max, 4);
+}
+
+#[test]
+fn a_missing_file_says_how_to_get_one() {
+    let source = ActorSource::Path("/nowhere/actor.onnx".into());
+    let Err(error) = build(PolicyKind::Actor, &scenario(&[]), &source) else { panic!("accepted") };
+    assert_eq!(error, ActorError::Missing { path: "/nowhere/actor.onnx".into() });
+    assert_says(&error, &["/nowhere/actor.onnx", "heliostat train ddpg", "--policy fixed-point"]);
+}
+
+#[test]
+fn a_folder_is_no_file() {
+    let error = ActorFile::read(Path::new("/")).unwrap_err();
+    assert!(matches!(error, ActorError::Unreadable { .. }), "{error}");
+}
+
+#[test]
+fn no_actor_is_built_in_for_an_odd_array() {
+    let Err(error) = build(PolicyKind::Actor, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
+    assert_says(&error, &["specular-3x3.onnx", "heliostat train ddpg", "--model", "--policy fixed-point"]);
+}
+
+#[test]
+fn bytes_that_are_no_onnx_are_refused() {
+    let scenario = scenario(&[]);
+    for bytes in [&b"not a network"[..], b"", &[0xff; 64]] {
+        let file = ActorFile { origin: "junk.onnx".into(), bytes: bytes.to_vec().into() };
+        let Err(error) = Actor::load(&file, &scenario) else { panic!("accepted") };
+        assert!(matches!(error, ActorError::NotOnnx { .. }), "{error}");
+        assert_says(&error, &["junk.onnx"]);
+    }
+}
+
+#[test]
+fn a_truncated_file_is_refused() {
+    let scenario = scenario(&[]);
+    let bytes = ActorRecipe::fitting(&scenario).bytes();
+    for length in [1, bytes.len() / 2, bytes.len() - 1] {
+        let file = ActorFile { origin: "cut.onnx".into(), bytes: bytes[..length].to_vec().into() };
+        assert!(Actor::load(&file, &scenario).is_err(), "{length} bytes were accepted");
+    }
+}
+
+#[test]
+fn other_ports_are_refused() {
+    let scenario = scenario(&[]);
+    let error = refusal(&ActorRecipe { input_name: "state", ..ActorRecipe::fitting(&scenario) }, &scenario);
+    assert_says(&error, &["inputs", "state", "\"observation\""]);
+    let error = refusal(&ActorRecipe { output_name: "action", ..ActorRecipe::fitting(&scenario) }, &scenario);
+    assert_says(&error, &["outputs", "action", "\"angles\""]);
+}
+
+#[test]
+fn other_shapes_are_refused() {
+    let scenario = scenario(&[]);
+    // 4 users and 9 mirrors: 4 * (6 + 9) + 18 = 78.
+    let error = refusal(&ActorRecipe { input_length: 77, ..ActorRecipe::fitting(&scenario) }, &scenario);
+    assert_says(&error, &["observation", "f32 [1, 77]", "f32 [1, 78]", "4 users", "9 mirrors"]);
+    let error = refusal(&ActorRecipe { output_length: 9, ..ActorRecipe::fitting(&scenario) }, &scenario);
+    assert_says(&error, &["angles", "f32 [1, 9]", "f32 [1, 18]"]);
+}
+
+#[test]
+fn missing_and_unreadable_metadata_is_named() {
+    let scenario = scenario(&[]);
+    for key in [key::OBSERVATION_VERSION, key::USERS_MAX, key::MIRRORS, key::MODE, key::GEOMETRY] {
+        assert_says(&refusal(&ActorRecipe::fitting(&scenario).without_metadata(key), &scenario), &[key]);
+    }
+    let error = refusal(&ActorRecipe::fitting(&scenario).with_metadata(key::MIRRORS, "nine"), &scenario);
+    assert_says(&error, &[key::MIRRORS, "nine"]);
+}
+
+#[test]
+fn an_actor_of_another_observation_version_is_refused() {
+    let scenario = scenario(&[]);
+    let error = refusal(&ActorRecipe::fitting(&scenario).with_metadata(key::OBSERVATION_VERSION, "2"), &scenario);
+    assert_says(&error, &["observation version 2", "has 1", "train it again"]);
+}
+
+#[test]
+fn an_actor_for_another_array_is_refused() {
+    let recipe = ActorRecipe::fitting(&scenario(&[]));
+    let error = refusal(&recipe, &scenario(&["mirrors.rows=4"]));
+    assert_says(&error, &["mirrors of 9", "12 (4 x 3)", "heliostat train ddpg", "--policy fixed-point"]);
+}
+
+#[test]
+fn an_actor_for_fewer_users_is_refused() {
+    let recipe = ActorRecipe::fitting(&scenario(&[]));
+    assert_says(&refusal(&recipe, &scenario(&["users.count=5"])), &["at most 4", "has 5"]);
+}
+
+#[test]
+fn an_actor_of_another_mode_is_refused() {
+    let recipe = ActorRecipe::fitting(&scenario(&[]));
+    let error = refusal(&recipe, &scenario(&["channel.mode=paper"]));
+    assert_says(&error, &["specular", "has paper"]);
+}
+
+#[test]
+fn an_actor_of_another_geometry_is_refused_but_other_noise_is_not_geometry() {
+    let recipe = ActorRecipe::fitting(&scenario(&[]));
+    let error = refusal(&recipe, &scenario(&["mirrors.centre_height_m=1.8"]));
+    assert_says(&error, &["optical geometry", "heliostat train ddpg"]);
+    let noisier = scenario(&["noise.variance_a2=1e-13", "led.power_w=1.0", "users.speed_max_m_s=1.0"]);
+    assert!(Actor::load(&recipe.file(), &noisier).is_ok());
+}
+
+#[test]
+fn what_an_actor_gives_that_is_no_number_is_an_error() {
+    let scenario = scenario(&[]);
+    let recipe = ActorRecipe { bias: f32::INFINITY, ..ActorRecipe::fitting(&scenario) };
+    let mut actor = Actor::load(&recipe.file(), &scenario).unwrap();
+    let vector = vec![0.0; recipe.input_length];
+    let error = actor.answer(&vector, &mut MirrorAngles::flat(9)).unwrap_err();
+    assert!(error.to_string().contains("mirror 0"), "{error}");
+}

@@ -1,0 +1,142 @@
+//! Nothing is allocated between the first byte of a payload and the last byte of the command; what the inference engine
+//! allocates is its own, and is measured against the engine alone.
+
+use allocation_counter::measure;
+use clap::ValueEnum;
+use heliostat_channel::MirrorAngles;
+use heliostat_controller::{
+    core::{Controller, Decision},
+    inbox::Message,
+    policy::{ActorSource, PolicyKind, actor_file::ActorFile, build},
+};
+use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, UserReport, decode_into, encode};
+use heliostat_scenario::Scenario;
+use ort::{
+    session::{Session, builder::GraphOptimizationLevel},
+    value::Tensor,
+};
+
+use crate::support::{ActorRecipe, Room, controller, scenario};
+
+fn large() -> Scenario {
+    scenario(&["mirrors.rows=10", "mirrors.columns=10", "control.slew_deg_per_s=6000"])
+}
+
+fn actor_of(scenario: &Scenario) -> ActorFile {
+    ActorRecipe::fitting(scenario).file()
+}
+
+/// The payloads of some ticks, made before anything is measured.
+fn payloads(scenario: &Scenario) -> Vec<[Vec<u8>; 3]> {
+    let mut room = Room::new(scenario);
+    let bytes = |message: &dyn Fn(&mut Vec<u8>)| {
+        let mut payload = Vec::new();
+        message(&mut payload);
+        payload
+    };
+    (1..=60)
+        .map(|tick| {
+            let pillar = Obstacle { x_m: 1.0, y_m: 0.5, radius_m: 0.25, height_m: 1.75 };
+            let (gains, users) = (room.gains(tick, 1e-6), room.positions(tick));
+            let survey = room.survey(tick, vec![pillar; 3]);
+            [
+                bytes(&|out| encode(&survey, out).unwrap()),
+                bytes(&|out| encode(&gains, out).unwrap()),
+                bytes(&|out| encode(&users, out).unwrap()),
+            ]
+        })
+        .collect()
+}
+
+/// What is reused from tick to tick at the edge.
+#[derive(Default)]
+struct Scratch {
+    obstacles: ObstacleReport,
+    channel: ChannelReport,
+    users: UserReport,
+    payload: Vec<u8>,
+}
+
+fn tick(controller: &mut Controller, scratch: &mut Scratch, tick: u64, [survey, gains, users]: &[Vec<u8>; 3]) {
+    let now = Room::time(tick);
+    decode_into(&mut scratch.obstacles, survey).unwrap();
+    controller.receive(now, Message::Obstacles(&mut scratch.obstacles), &mut |_| {});
+    decode_into(&mut scratch.channel, gains).unwrap();
+    controller.receive(now, Message::Channel(&mut scratch.channel), &mut |_| {});
+    decode_into(&mut scratch.users, users).unwrap();
+    match controller.receive(now, Message::Users(&mut scratch.users), &mut |_| {}) {
+        Some(Decision::Move { command, .. }) => encode(command, &mut scratch.payload).unwrap(),
+        other => panic!("wanted a command, got {other:?}"),
+    }
+}
+
+/// Allocations in each of the last ticks, after the first have sized all buffers.
+fn allocations(scenario: &Scenario, kind: PolicyKind) -> Vec<u64> {
+    let source = ActorSource::Bytes(actor_of(scenario));
+    let mut controller = controller(scenario, build(kind, scenario, &source).unwrap());
+    let mut scratch = Scratch::default();
+    let payloads = payloads(scenario);
+    let counts = payloads.iter().enumerate().map(|(index, payloads)| {
+        measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total
+    });
+    counts.skip(20).collect()
+}
+
+#[test]
+fn no_policy_of_our_own_allocates() {
+    let scenario = large();
+    for kind in PolicyKind::value_variants().iter().filter(|kind| **kind != PolicyKind::Actor) {
+        let counts = allocations(&scenario, *kind);
+        assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
+    }
+}
+
+#[test]
+fn the_counter_sees_allocations() {
+    assert_eq!(measure(|| drop(vec![1u8; 100])).count_total, 1);
+}
+
+#[test]
+fn with_an_actor_only_the_engine_allocates() {
+    let scenario = large();
+    let bare = bare_engine_allocations(&scenario);
+    let counts = allocations(&scenario, PolicyKind::Actor);
+    assert!(bare > 0 && counts.iter().all(|count| *count == bare), "engine alone {bare}, with us {counts:?}");
+}
+
+/// Allocations of one run of the engine on the same network, without anything of ours.
+fn bare_engine_allocations(scenario: &Scenario) -> u64 {
+    let file = actor_of(scenario);
+    // Loading an actor of ours selects the backend of the engine.
+    build(PolicyKind::Actor, scenario, &ActorSource::Bytes(file.clone())).unwrap();
+    let environment = ort::init().with_telemetry(false).build().unwrap();
+    let mut session = Session::builder(&environment)
+        .unwrap()
+        .with_optimization_level(GraphOptimizationLevel::Level3)
+        .unwrap()
+        .commit_from_memory(&file.bytes)
+        .unwrap();
+    let length = ActorRecipe::fitting(scenario).input_length;
+    let input = Tensor::from_array(([1, length], vec![0.0_f32; length])).unwrap();
+    let mut run = || {
+        let outputs = session.run(ort::inputs![&input]).unwrap();
+        assert_eq!(outputs["angles"].try_extract_tensor::<f32>().unwrap().1.len(), 200);
+    };
+    (0..20).for_each(|_| run());
+    measure(run).count_total
+}
+
+#[test]
+fn a_failing_policy_does_not_make_the_fallback_allocate() {
+    let scenario = large();
+    let failing = crate::support::Scripted(|_, out: &mut MirrorAngles| {
+        out.roll[3] = f64::NAN;
+        Ok(())
+    });
+    let mut controller = controller(&scenario, Box::new(failing));
+    let mut scratch = Scratch::default();
+    for (index, payloads) in payloads(&scenario).iter().enumerate() {
+        let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
+        assert!(index < 20 || counted == 0, "tick {index}: {counted}");
+    }
+}

@@ -1,0 +1,9 @@
+//! The controller from outside: reports in, decisions out, without a bus.
+
+mod actor_files;
+mod allocations;
+mod decisions;
+mod observations;
+mod policies;
+mod reports;
+mod support;

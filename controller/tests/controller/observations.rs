@@ -1,0 +1,159 @@
+//! The observation's layout, and what is inferred from reports.
+
+use heliostat_channel::{MirrorAngles, Vec3};
+use heliostat_controller::{
+    inbox::Message,
+    observation::{EncodeError, Observation, ObservationEncoder, RoomState},
+    policy::Fixed,
+};
+use heliostat_proto::Obstacle;
+
+use crate::support::{Room, controller, model, receive, scenario};
+
+const POSITIONS: [Vec3; 3] = [Vec3::new(0.5, 0.25, 0.85), Vec3::new(-1.0, 1.5, 0.85), Vec3::new(2.0, -2.0, 0.85)];
+
+const STANDING: [Vec3; 3] = [Vec3::new(0.0, 0.0, 0.0); 3];
+
+const STATE: RoomState<'_> = RoomState {
+    tick: 5,
+    positions: &POSITIONS,
+    velocities: &STANDING,
+    min_rate_bps: &[1e6, 2e6, 0.0],
+    blockers: &[],
+    forced: &[false; 3],
+    measured_los_gain: None,
+};
+
+/// Version 1 of the layout, written out: a failure means a new version, not a test to update.
+#[test]
+fn the_layout_is_version_one() {
+    let scenario = scenario(&[]);
+    let model = model(&scenario);
+    let mut observation = Observation::new(&model, 3);
+    observation.set_state(&model, &STATE);
+    observation.set_angles(&MirrorAngles { roll: (0..9).map(f64::from).collect(), yaw: vec![-0.5; 9] });
+
+    let encoder = ObservationEncoder::new(4, 9);
+    assert_eq!(encoder.len(), 78);
+    let mut vector = vec![f32::NAN; 78];
+    encoder.encode(&model, &observation, &mut vector).unwrap();
+
+    assert_eq!(vector[0..4], [1.0, 1.0, 1.0, 0.0]);
+    assert_eq!(vector[4..16], [0.5, 0.25, 0.85, -1.0, 1.5, 0.85, 2.0, -2.0, 0.85, 0.0, 0.0, 0.0]);
+    let scale = model.budget.amplitude_scale();
+    for user in 0..3 {
+        assert_eq!(vector[16 + user], (scale * observation.scene.los_gain()[user]) as f32);
+    }
+    assert!(vector[16] > 1.0, "an unblocked user is well above the noise: {}", vector[16]);
+    assert_eq!(vector[19], 0.0);
+    // Minimum rate times users over 20 MHz.
+    assert_eq!(vector[20..24], [0.15, 0.3, 0.0, 0.0]);
+    for (index, gain) in observation.scene.steering_gain().iter().enumerate() {
+        assert_eq!(vector[24 + index], (scale * gain) as f32);
+    }
+    assert!(vector[24..51].iter().any(|amplitude| *amplitude > 0.0));
+    assert_eq!(vector[51..60], [0.0; 9]);
+    assert_eq!(vector[60..69], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+    assert_eq!(vector[69..78], [-0.5; 9]);
+}
+
+#[test]
+fn the_parts_cover_the_vector_without_gap() {
+    let encoder = ObservationEncoder::new(10, 100);
+    let parts = [
+        encoder.present(),
+        encoder.positions(),
+        encoder.los_amplitude(),
+        encoder.need(),
+        encoder.steering_amplitude(),
+        encoder.angles(),
+    ];
+    assert_eq!(parts[0].start, 0);
+    assert!(parts.windows(2).all(|pair| pair[0].end == pair[1].start));
+    assert_eq!(parts[5].end, encoder.len());
+    assert_eq!(encoder.len(), 1260);
+}
+
+#[test]
+fn what_does_not_fit_is_an_error() {
+    let scenario = scenario(&[]);
+    let model = model(&scenario);
+    let observation = Observation::new(&model, 3);
+    let encode = |users_max, mirrors, length| {
+        ObservationEncoder::new(users_max, mirrors).encode(&model, &observation, &mut vec![0.0; length])
+    };
+    assert_eq!(encode(2, 9, 48), Err(EncodeError::Users { users: 3, capacity: 2 }));
+    assert_eq!(encode(4, 8, 72), Err(EncodeError::Mirrors { found: 9, wanted: 8 }));
+    assert_eq!(encode(4, 9, 77), Err(EncodeError::Buffer { found: 77, wanted: 78 }));
+}
+
+#[test]
+fn measured_gains_replace_modelled_ones() {
+    let scenario = scenario(&[]);
+    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let mut room = Room::new(&scenario);
+    receive(&mut controller, Room::time(1), Message::Users(&mut room.positions(1)));
+    let modelled = controller.observation().scene.los_gain().to_vec();
+    let mut gains = room.gains(2, 0.0);
+    for (index, user) in gains.users.iter_mut().enumerate() {
+        user.los_gain = index as f32 * 1e-7;
+    }
+    // Entries are told apart by their user, not by their place.
+    gains.users.reverse();
+    receive(&mut controller, Room::time(2), Message::Channel(&mut gains));
+    receive(&mut controller, Room::time(2), Message::Users(&mut room.positions(2)));
+    let measured = controller.observation().scene.los_gain();
+    assert!(modelled.iter().any(|gain| *gain > 0.0));
+    for (index, gain) in measured.iter().enumerate() {
+        assert_eq!(*gain, f64::from(index as f32 * 1e-7));
+    }
+}
+
+/// Somebody walks straight towards the light, so that their body, behind them, leaves it free; on the way back it is in between.
+#[test]
+fn bodies_stand_behind_the_walkers() {
+    let scenario = scenario(&["users.count=1", "receiver.height_m=1.0"]);
+    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let mut room = Room::new(&scenario);
+    let mut gain_when_walking = |tick, velocity: f32| {
+        let mut report = room.positions(tick);
+        report.users[0].position_m = [2.3, 0.0, 1.0];
+        report.users[0].velocity_m_s = [velocity, 0.0];
+        receive(&mut controller, Room::time(tick), Message::Users(&mut report)).command();
+        controller.observation().scene.los_gain()[0]
+    };
+    assert!(gain_when_walking(1, 0.0) > 0.0, "nobody knows yet where they face");
+    assert_eq!(gain_when_walking(2, 1.0), 0.0, "the body stands between the light and the device");
+    assert_eq!(gain_when_walking(3, 0.0), 0.0, "whoever stops still faces the same way");
+    assert!(gain_when_walking(4, -1.0) > 0.0);
+}
+
+#[test]
+fn bodies_can_be_left_out() {
+    let scenario = scenario(&["users.count=1", "receiver.height_m=1.0", "blockage.bodies=false"]);
+    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let mut report = Room::new(&scenario).positions(1);
+    report.users[0].position_m = [2.3, 0.0, 1.0];
+    report.users[0].velocity_m_s = [1.0, 0.0];
+    receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
+    assert!(controller.observation().scene.los_gain()[0] > 0.0);
+}
+
+#[test]
+fn surveyed_obstacles_stand_in_the_light() {
+    let scenario = scenario(&["users.count=1", "blockage.bodies=false"]);
+    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let mut room = Room::new(&scenario);
+    let mut report = room.positions(1);
+    let [x, y, _] = report.users[0].position_m;
+    receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
+    let free = controller.observation().scene.los_gain()[0];
+    let beside = Obstacle { x_m: 0.9 * x, y_m: 0.9 * y, radius_m: 0.1, height_m: 2.0 };
+    receive(&mut controller, Room::time(1), Message::Obstacles(&mut room.survey(1, vec![beside])));
+    receive(&mut controller, Room::time(2), Message::Users(&mut room.positions(2))).command();
+    let shaded = controller.observation().scene.los_gain()[0];
+    receive(&mut controller, Room::time(3), Message::Obstacles(&mut room.survey(3, Vec::new())));
+    receive(&mut controller, Room::time(3), Message::Users(&mut room.positions(3))).command();
+    let cleared = controller.observation().scene.los_gain()[0];
+    assert!(free > 0.0 && shaded == 0.0 && cleared > 0.0, "{free} {shaded} {cleared}");
+}

@@ -1,0 +1,135 @@
+//! Every policy that needs no file, on the same room.
+
+use clap::ValueEnum;
+use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
+use heliostat_controller::{
+    observation::{Observation, RoomState},
+    policy::{ActorSource, PolicyKind, build},
+};
+use heliostat_scenario::Scenario;
+
+use crate::support::{ActorRecipe, scenario};
+
+/// Three users of whom the first two have no direct path.
+fn observe(scenario: &Scenario) -> (ChannelModel, Observation) {
+    let model = scenario.channel_model().unwrap();
+    let mut observation = Observation::new(&model, 3);
+    observation.set_state(
+        &model,
+        &RoomState {
+            tick: 1,
+            positions: &[Vec3::new(-1.5, 0.5, 0.85), Vec3::new(1.5, 1.0, 0.85), Vec3::new(0.0, -1.0, 0.85)],
+            velocities: &[Vec3::zeros(); 3],
+            min_rate_bps: &[1e6; 3],
+            blockers: &[],
+            forced: &[true, true, false],
+            measured_los_gain: None,
+        },
+    );
+    (model, observation)
+}
+
+fn sum_rate(kind: PolicyKind, scenario: &Scenario) -> f64 {
+    let (model, observation) = observe(scenario);
+    let mut angles = MirrorAngles::flat(scenario.mirror_count());
+    let mut policy = build(kind, scenario, &ActorSource::Shipped).unwrap();
+    policy.act(&model, &observation, &mut angles).unwrap();
+    let mut rates = [0.0; 3];
+    observation.scene.rates_bps(&model, &angles, &mut rates);
+    rates.iter().sum()
+}
+
+fn large(overrides: &[&str]) -> Scenario {
+    let all: Vec<&str> = ["mirrors.rows=10", "mirrors.columns=10"].iter().chain(overrides).copied().collect();
+    scenario(&all)
+}
+
+#[test]
+fn every_policy_gives_finite_angles_in_every_mode() {
+    for mode in ["specular", "paper", "paper-calibrated"] {
+        let scenario = scenario(&[&format!("channel.mode={mode}")]);
+        let (model, observation) = observe(&scenario);
+        let actor = ActorSource::Bytes(ActorRecipe::fitting(&scenario).file());
+        for kind in PolicyKind::value_variants() {
+            let mut policy = build(*kind, &scenario, &actor).unwrap();
+            let mut angles = MirrorAngles { roll: vec![f64::NAN; 9], yaw: vec![f64::NAN; 9] };
+            policy.act(&model, &observation, &mut angles).unwrap();
+            assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| angle.is_finite()), "{mode} {kind:?}");
+            assert_eq!(kind.to_possible_value().unwrap().get_name(), policy.name());
+        }
+    }
+}
+
+#[test]
+fn model_based_beats_nearest_beats_flat_by_the_law_of_reflection() {
+    let scenario = large(&[]);
+    let rate = |kind| sum_rate(kind, &scenario);
+    let (fixed_point, greedy) = (rate(PolicyKind::FixedPoint), rate(PolicyKind::Greedy));
+    let (nearest, flat, none) = (rate(PolicyKind::Nearest), rate(PolicyKind::Flat), rate(PolicyKind::NoIrs));
+    assert!(greedy >= fixed_point, "{greedy} {fixed_point}");
+    assert!(fixed_point > nearest, "{fixed_point} {nearest}");
+    assert!(nearest > 1.2 * flat, "{nearest} {flat}");
+    assert!(flat >= none, "{flat} {none}");
+}
+
+#[test]
+fn policies_are_in_order_under_the_papers_equations_too() {
+    let scenario = large(&["channel.mode=paper-calibrated", "channel.gain_scale=85", "noise.variance_a2=2.9e-13"]);
+    let rate = |kind| sum_rate(kind, &scenario);
+    let (fixed_point, nearest) = (rate(PolicyKind::FixedPoint), rate(PolicyKind::Nearest));
+    let (flat, random, none) = (rate(PolicyKind::Flat), rate(PolicyKind::Random), rate(PolicyKind::NoIrs));
+    assert!(fixed_point > nearest && fixed_point > flat, "{fixed_point} {nearest} {flat}");
+    assert!(flat > random && random > none, "{flat} {random} {none}");
+}
+
+#[test]
+fn no_irs_sends_nothing_to_anybody() {
+    for mode in ["specular", "paper"] {
+        let scenario = large(&[&format!("channel.mode={mode}")]);
+        let (model, observation) = observe(&scenario);
+        let mut angles = MirrorAngles::flat(100);
+        let mut policy = build(PolicyKind::NoIrs, &scenario, &ActorSource::Shipped).unwrap();
+        policy.act(&model, &observation, &mut angles).unwrap();
+        let mut gains = [f64::NAN; 3];
+        observation.scene.irs_gain(&model, &angles, &mut gains);
+        assert_eq!(gains, [0.0; 3], "{mode}");
+    }
+}
+
+#[test]
+fn nearest_serves_whom_each_mirror_can_give_most() {
+    let scenario = large(&[]);
+    let (model, observation) = observe(&scenario);
+    let mut angles = MirrorAngles::flat(100);
+    build(PolicyKind::Nearest, &scenario, &ActorSource::Shipped)
+        .unwrap()
+        .act(&model, &observation, &mut angles)
+        .unwrap();
+    let mut gains = vec![0.0; 300];
+    observation.scene.irs_gain_each(&model, &angles, &mut gains);
+    let steering = observation.scene.steering_gain();
+    for mirror in 0..100 {
+        let best = (0..3).map(|user| steering[user * 100 + mirror]).fold(0.0, f64::max);
+        let given = (0..3).map(|user| gains[user * 100 + mirror]).fold(0.0, f64::max);
+        assert!(best > 0.0 && given > 0.9 * best, "mirror {mirror}: {given} of {best}");
+    }
+}
+
+#[test]
+fn random_is_one_draw_by_seed_within_the_range() {
+    let draw = |seed: u64| {
+        let scenario = large(&["control.range_deg=30", &format!("seed={seed}")]);
+        let (model, observation) = observe(&scenario);
+        let mut policy = build(PolicyKind::Random, &scenario, &ActorSource::Shipped).unwrap();
+        let mut angles = [MirrorAngles::flat(100), MirrorAngles::flat(100)];
+        policy.act(&model, &observation, &mut angles[0]).unwrap();
+        policy.act(&model, &observation, &mut angles[1]).unwrap();
+        assert_eq!(angles[0], angles[1], "held for the run");
+        angles[0].clone()
+    };
+    let angles = draw(1);
+    assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| angle.abs() <= 30f64.to_radians()));
+    assert!(angles.roll != angles.yaw);
+    assert_eq!(angles, draw(1));
+    assert!(angles != draw(2));
+}

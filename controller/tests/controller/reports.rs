@@ -1,0 +1,142 @@
+//! Which reports are taken, and under which name the others are refused.
+
+use heliostat_controller::{
+    core::{Controller, Departure},
+    inbox::Message,
+    policy::Fixed,
+    refused::{Refusal, Stream},
+};
+use heliostat_proto::{MirrorTelemetry, Obstacle, Stamp};
+
+use crate::support::{MS, Outcome, Room, SOURCE, controller, receive, scenario};
+
+fn flat(overrides: &[&str]) -> (Controller, Room) {
+    let scenario = scenario(overrides);
+    (controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count()))), Room::new(&scenario))
+}
+
+fn refused(controller: &Controller, stream: Stream, refusal: Refusal) -> u64 {
+    controller.inbox().refused().get(stream, refusal)
+}
+
+#[test]
+fn a_position_report_completes_a_tick_and_a_channel_report_does_not() {
+    let (mut controller, mut room) = flat(&[]);
+    let now = Room::time(3);
+    assert_eq!(receive(&mut controller, now, Message::Channel(&mut room.gains(3, 1e-6))), Outcome::Nothing);
+    let command = receive(&mut controller, now, Message::Users(&mut room.positions(3))).command();
+    assert_eq!((command.answers, command.sequence, command.epoch), (3, 1, 7));
+    assert_eq!((command.time_ns, command.validity_ms), (now, 200));
+    assert_eq!(controller.inbox().refused().total(), 0);
+}
+
+#[test]
+fn a_report_that_is_too_old_gets_no_command() {
+    let (mut controller, mut room) = flat(&[]);
+    let late = Room::time(1) + 501 * MS;
+    let outcome = receive(&mut controller, late, Message::Users(&mut room.positions(1)));
+    assert_eq!(outcome, Outcome::Held(Departure::StaleReport));
+    assert_eq!(refused(&controller, Stream::Users, Refusal::Stale), 1);
+    assert_eq!(controller.counters().departures(Departure::StaleReport), 1);
+
+    let in_time = Room::time(2) + 500 * MS;
+    receive(&mut controller, in_time, Message::Users(&mut room.positions(2))).command();
+}
+
+#[test]
+fn a_report_from_the_future_is_refused_beyond_what_clocks_may_differ() {
+    let (mut controller, mut room) = flat(&[]);
+    let early = Room::time(1) - 51 * MS;
+    let outcome = receive(&mut controller, early, Message::Users(&mut room.positions(1)));
+    assert_eq!(outcome, Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::FromFuture), 1);
+    let outcome = receive(&mut controller, Room::time(2) - 49 * MS, Message::Users(&mut room.positions(2)));
+    assert_eq!(outcome.command().answers, 2);
+}
+
+#[test]
+fn repeated_and_reordered_reports_are_refused() {
+    let (mut controller, mut room) = flat(&[]);
+    let (mut first, mut second) = (room.positions(1), room.positions(2));
+    let (mut again, now) = (second.clone(), Room::time(2));
+    receive(&mut controller, now, Message::Users(&mut second)).command();
+    assert_eq!(receive(&mut controller, now, Message::Users(&mut again)), Outcome::Nothing);
+    assert_eq!(receive(&mut controller, now, Message::Users(&mut first)), Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::Repeated), 1);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::OutOfOrder), 1);
+}
+
+#[test]
+fn a_second_source_is_refused_and_named_until_the_first_is_silent() {
+    let (mut controller, mut room) = flat(&[]);
+    room.tick(&mut controller, 1).command();
+    let mut other = Room { source: 0x52, ..room };
+    assert_eq!(other.tick(&mut controller, 2), Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::ForeignSource), 1);
+    assert_eq!(refused(&controller, Stream::Channel, Refusal::ForeignSource), 1);
+    assert_eq!(controller.inbox().refused().last_foreign_source(), Some(0x52));
+    assert_eq!(controller.inbox().source(), Some(SOURCE));
+
+    // Silent for more than a second: ticks are 10 ms.
+    other.tick(&mut controller, 102).command();
+    assert_eq!(controller.inbox().source(), Some(0x52));
+    assert_eq!(controller.inbox().sources(), 2);
+}
+
+#[test]
+fn nothing_of_the_first_source_is_mixed_into_the_second() {
+    let (mut controller, mut room) = flat(&[]);
+    room.tick(&mut controller, 1).command();
+    let mut other = Room { source: 0x52, ..room };
+    let now = Room::time(102);
+    receive(&mut controller, now, Message::Users(&mut other.positions(102))).command();
+    assert!(controller.inbox().channel(now).is_none());
+    assert_eq!(controller.counters().departures(Departure::ChannelMissing), 1);
+}
+
+#[test]
+fn a_source_that_said_goodbye_frees_the_room_at_once() {
+    let (mut controller, mut room) = flat(&[]);
+    room.tick(&mut controller, 1).command();
+    controller.source_gone(0x99);
+    assert_eq!(controller.inbox().source(), Some(SOURCE));
+    controller.source_gone(SOURCE);
+    let mut other = Room { source: 0x52, ..room };
+    assert_eq!(other.tick(&mut controller, 2).command().answers, 2);
+}
+
+#[test]
+fn a_report_about_another_number_of_users_is_refused() {
+    let (mut controller, mut room) = flat(&[]);
+    room.users = 4;
+    assert_eq!(room.tick(&mut controller, 1), Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::WrongUserCount), 1);
+    assert_eq!(refused(&controller, Stream::Channel, Refusal::WrongUserCount), 1);
+    assert_eq!(controller.inbox().source(), None, "a report that is refused does not claim the room");
+}
+
+#[test]
+fn values_that_no_room_gives_are_refused() {
+    let (mut controller, mut room) = flat(&[]);
+    let now = Room::time(1);
+    let mut outside = room.positions(1);
+    outside.users[1].position_m[0] = 3.6;
+    assert_eq!(receive(&mut controller, now, Message::Users(&mut outside)), Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::OutsideRoom), 1);
+
+    receive(&mut controller, now, Message::Channel(&mut room.gains(1, -1e-9)));
+    assert_eq!(refused(&controller, Stream::Channel, Refusal::Implausible), 1);
+
+    let hollow = Obstacle { x_m: 0.0, y_m: 0.0, radius_m: 0.0, height_m: 1.0 };
+    receive(&mut controller, now, Message::Obstacles(&mut room.survey(1, vec![hollow])));
+    assert_eq!(refused(&controller, Stream::Obstacles, Refusal::Implausible), 1);
+
+    let mut telemetry = MirrorTelemetry {
+        stamp: Stamp { source: 9, sequence: 1, time_ns: now },
+        roll_commanded: vec![0.0; 8],
+        yaw_commanded: vec![0.0; 8],
+        ..MirrorTelemetry::default()
+    };
+    receive(&mut controller, now, Message::Telemetry(&mut telemetry));
+    assert_eq!(refused(&controller, Stream::Telemetry, Refusal::WrongMirrorCount), 1);
+}

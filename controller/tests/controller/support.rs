@@ -1,0 +1,240 @@
+//! A small room that reports, and actors made to order.
+
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_controller::{
+    core::{Controller, Decision, Departure},
+    inbox::Message,
+    observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
+    policy::{
+        Policy, PolicyError,
+        actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key},
+    },
+};
+use heliostat_proto::{
+    ChannelReport, MirrorCommand, Nanos, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState,
+};
+use heliostat_scenario::Scenario;
+use prost::Message as _;
+use tract_onnx::pb::{
+    GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, TensorShapeProto,
+    TypeProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto, type_proto,
+};
+
+pub const MS: Nanos = 1_000_000;
+pub const SOURCE: u64 = 0x51;
+pub const START: Nanos = 1_000 * MS;
+
+/// The default scenario with three by three mirrors and three users.
+pub fn scenario(overrides: &[&str]) -> Scenario {
+    let small = ["mirrors.rows=3", "mirrors.columns=3", "users.count=3"];
+    let overrides: Vec<String> = small.iter().chain(overrides).map(|text| text.to_string()).collect();
+    Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap()
+}
+
+pub fn model(scenario: &Scenario) -> ChannelModel {
+    scenario.channel_model().unwrap()
+}
+
+pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
+    Controller::new(scenario, model(scenario), policy, 7)
+}
+
+/// What came of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    Nothing,
+    Moved(MirrorCommand),
+    Held(Departure),
+}
+
+impl Outcome {
+    pub fn command(self) -> MirrorCommand {
+        match self {
+            Self::Moved(command) => command,
+            other => panic!("wanted a command, got {other:?}"),
+        }
+    }
+}
+
+pub fn receive(controller: &mut Controller, now: Nanos, message: Message<'_>) -> Outcome {
+    match controller.receive(now, message, &mut |_| {}) {
+        None => Outcome::Nothing,
+        Some(Decision::Move { command, .. }) => Outcome::Moved(command.clone()),
+        Some(Decision::Hold(departure)) => Outcome::Held(departure),
+    }
+}
+
+/// A room with people who walk in circles and report every 10 ms.
+pub struct Room {
+    pub source: u64,
+    pub users: usize,
+    pub sequence: u64,
+}
+
+impl Room {
+    pub fn new(scenario: &Scenario) -> Self {
+        Self { source: SOURCE, users: scenario.users.count, sequence: 0 }
+    }
+
+    /// Time of the n-th tick.
+    pub fn time(tick: u64) -> Nanos {
+        START + tick * 10 * MS
+    }
+
+    fn stamp(&mut self, tick: u64) -> Stamp {
+        self.sequence += 1;
+        Stamp { source: self.source, sequence: self.sequence, time_ns: Self::time(tick) }
+    }
+
+    pub fn positions(&mut self, tick: u64) -> UserReport {
+        let stamp = self.stamp(tick);
+        let users = (0..self.users).map(|user| walker(user, self.users, tick)).collect();
+        UserReport { stamp, tick, users }
+    }
+
+    /// Everybody measures the same gain of the direct path.
+    pub fn gains(&mut self, tick: u64, los_gain: f32) -> ChannelReport {
+        let stamp = self.stamp(tick);
+        let one = |user: usize| UserChannel { user: user as u32, los_gain, irs_gain: 0.0, sinr: 0.0 };
+        ChannelReport { stamp, tick, users: (0..self.users).map(one).collect() }
+    }
+
+    pub fn survey(&mut self, tick: u64, obstacles: Vec<Obstacle>) -> ObstacleReport {
+        ObstacleReport { stamp: self.stamp(tick), obstacles }
+    }
+
+    /// Reports gains and then positions of a tick, at its time.
+    pub fn tick(&mut self, controller: &mut Controller, tick: u64) -> Outcome {
+        receive(controller, Self::time(tick), Message::Channel(&mut self.gains(tick, 1e-6)));
+        receive(controller, Self::time(tick), Message::Users(&mut self.positions(tick)))
+    }
+}
+
+fn walker(user: usize, users: usize, tick: u64) -> UserState {
+    let turn = std::f64::consts::TAU * user as f64 / users as f64 + 0.01 * tick as f64;
+    let (sin, cos) = turn.sin_cos();
+    UserState {
+        user: user as u32,
+        position_m: [(1.4 * cos) as f32, (1.1 * sin) as f32, 0.85],
+        velocity_m_s: [(-1.4 * sin) as f32, (1.1 * cos) as f32],
+        min_rate_bps: 1e6,
+    }
+}
+
+/// A policy that does as it is told.
+pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> Result<(), PolicyError>);
+
+impl Policy for Scripted {
+    fn name(&self) -> &str {
+        "scripted"
+    }
+
+    fn act(&mut self, _: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> Result<(), PolicyError> {
+        (self.0)(observation, out)
+    }
+}
+
+/// An ONNX file to order: a network of one layer whose weights are zero, so that it answers its bias.
+pub struct ActorRecipe {
+    pub input_name: &'static str,
+    pub output_name: &'static str,
+    pub input_length: usize,
+    pub output_length: usize,
+    pub bias: f32,
+    pub metadata: Vec<(&'static str, String)>,
+}
+
+impl ActorRecipe {
+    /// An actor that fits the scenario and sees up to four users.
+    pub fn fitting(scenario: &Scenario) -> Self {
+        let (users_max, mirrors) = (4, scenario.mirror_count());
+        Self {
+            input_name: INPUT_NAME,
+            output_name: OUTPUT_NAME,
+            input_length: ObservationEncoder::new(users_max, mirrors).len(),
+            output_length: 2 * mirrors,
+            bias: 0.25,
+            metadata: vec![
+                (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+                (key::USERS_MAX, users_max.to_string()),
+                (key::MIRRORS, mirrors.to_string()),
+                (key::MODE, scenario.channel.mode.name().into()),
+                (key::GEOMETRY, scenario.geometry_hash()),
+            ],
+        }
+    }
+
+    pub fn with_metadata(mut self, key: &'static str, value: &str) -> Self {
+        self.metadata.retain(|(name, _)| *name != key);
+        self.metadata.push((key, value.into()));
+        self
+    }
+
+    pub fn without_metadata(mut self, key: &'static str) -> Self {
+        self.metadata.retain(|(name, _)| *name != key);
+        self
+    }
+
+    pub fn bytes(&self) -> Vec<u8> {
+        let (inputs, outputs) = (self.input_length, self.output_length);
+        let node = |op: &str, input: [&str; 2], output: &str| NodeProto {
+            name: op.into(),
+            op_type: op.into(),
+            input: input.map(String::from).into(),
+            output: vec![output.into()],
+            ..NodeProto::default()
+        };
+        let graph = GraphProto {
+            name: "test".into(),
+            node: vec![
+                node("MatMul", [self.input_name, "weights"], "product"),
+                node("Add", ["product", "bias"], self.output_name),
+            ],
+            initializer: vec![
+                tensor("weights", &[inputs, outputs], vec![0.0; inputs * outputs]),
+                tensor("bias", &[1, outputs], vec![self.bias; outputs]),
+            ],
+            input: vec![port(self.input_name, inputs)],
+            output: vec![port(self.output_name, outputs)],
+            ..GraphProto::default()
+        };
+        let entry =
+            |(key, value): &(&str, String)| StringStringEntryProto { key: key.to_string(), value: value.clone() };
+        ModelProto {
+            ir_version: 8,
+            opset_import: vec![OperatorSetIdProto { domain: String::new(), version: 17 }],
+            graph: Some(graph),
+            metadata_props: self.metadata.iter().map(entry).collect(),
+            ..ModelProto::default()
+        }
+        .encode_to_vec()
+    }
+
+    pub fn file(&self) -> ActorFile {
+        ActorFile { origin: "test.onnx".into(), bytes: self.bytes().into() }
+    }
+}
+
+fn tensor(name: &str, shape: &[usize], values: Vec<f32>) -> TensorProto {
+    TensorProto {
+        name: name.into(),
+        dims: shape.iter().map(|size| *size as i64).collect(),
+        data_type: DataType::Float as i32,
+        float_data: values,
+        ..TensorProto::default()
+    }
+}
+
+fn port(name: &str, length: usize) -> ValueInfoProto {
+    let dimension = |size: usize| tensor_shape_proto::Dimension {
+        value: Some(tensor_shape_proto::dimension::Value::DimValue(size as i64)),
+        ..tensor_shape_proto::Dimension::default()
+    };
+    let shape = TensorShapeProto { dim: vec![dimension(1), dimension(length)] };
+    let tensor = type_proto::Tensor { elem_type: DataType::Float as i32, shape: Some(shape) };
+    ValueInfoProto {
+        name: name.into(),
+        r#type: Some(TypeProto { value: Some(type_proto::Value::TensorType(tensor)), ..TypeProto::default() }),
+        ..ValueInfoProto::default()
+    }
+}

@@ -1,0 +1,142 @@
+//! The exported graph against the trainer's own forward pass and the channel's decoder.
+
+use heliostat_channel::MirrorAngles;
+use heliostat_controller::observation::OBSERVATION_VERSION;
+use heliostat_controller::policy::Actor as Served;
+use heliostat_controller::policy::actor_file::{ActorFile, key};
+use heliostat_models::actor::Actor;
+use heliostat_models::ddpg::{Settings, Trainer};
+use heliostat_models::env::{Action, Environment, Rooms, decode_logits};
+use heliostat_models::export::export;
+use heliostat_models::networks::{Encoder, assign};
+use heliostat_scenario::{ChannelMode, Scenario};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Two scores of one mirror that differ by less than this, relative to the larger, may be ordered either way in f32 and f64.
+const NEAR_TIE: f64 = 1e-5;
+
+/// A served mirror may be a near tie as rarely as this.
+const NEAR_TIES_MAX: f64 = 1e-3;
+
+const OBSERVATIONS: usize = 1000;
+
+fn settings(encoder: Encoder) -> Settings {
+    match encoder {
+        Encoder::Set => Settings::tuned(5),
+        Encoder::Mlp => Settings::paper(5),
+    }
+}
+
+/// An actor whose logits spread over [-1, 1], as a trained one's do.
+fn lively_actor(scenario: &Scenario, encoder: Encoder) -> Actor {
+    let trainer = Trainer::new(scenario.clone(), settings(encoder)).expect("a valid run");
+    let actor = trainer.actor().clone();
+    let head = actor.network.layer("head");
+    assign(&head.weight, &(head.weight.detach() * 300.0).expect("a product")).expect("the same shape");
+    actor
+}
+
+fn served(actor: &Actor, scenario: &Scenario) -> Served {
+    let entries = [
+        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+        (key::USERS_MAX, actor.layout.slots().to_string()),
+        (key::MIRRORS, scenario.mirror_count().to_string()),
+        (key::MODE, scenario.channel.mode.name().to_string()),
+        (key::GEOMETRY, scenario.geometry_hash()),
+    ];
+    let metadata = entries.map(|(key, value)| (key.to_string(), value));
+    let model = scenario.channel_model().expect("a valid channel");
+    let bytes = export(actor, &model, &metadata).expect("an exported actor");
+    let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
+    Served::load(&file, scenario).expect("the engine takes the graph")
+}
+
+/// Whether the two best scores of a mirror are too close to be ordered safely.
+fn near_tie(weights: &[f32], steering: impl Fn(usize) -> f32) -> bool {
+    let mut scores: Vec<f64> =
+        weights.iter().enumerate().map(|(slot, weight)| f64::from(*weight) * f64::from(steering(slot))).collect();
+    scores.sort_by(|a, b| b.total_cmp(a));
+    scores[0] > 0.0 && scores[0] - scores[1] < NEAR_TIE * scores[0]
+}
+
+/// The largest difference in angle over all mirrors that are no near tie, and the share of those that are.
+fn compare(scenario: &Scenario, encoder: Encoder) -> (f64, f64) {
+    let actor = lively_actor(scenario, encoder);
+    let mut served = served(&actor, scenario);
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mirrors = scenario.mirror_count();
+    let mut got = MirrorAngles::flat(mirrors);
+    let (mut worst, mut ties) = (0.0_f64, 0);
+    for _ in 0..OBSERVATIONS {
+        let room = Rooms::Randomised.draw(scenario, actor.layout.slots(), &mut rng);
+        let environment = Environment::new(&room, actor.layout, rng.random()).expect("a valid room");
+        let vector = environment.vector();
+        let logits = actor.logits(environment.state()).expect("logits");
+        let action = Action { vector, logits: &logits, layout: actor.layout, head: actor.head };
+        let wanted = decode_logits(environment.model(), environment.observation(), &action);
+        served.answer(vector, &mut got).expect("angles");
+        let weights = actor.layout.weights(vector, &logits, actor.head);
+        for mirror in 0..mirrors {
+            let steering = |slot: usize| actor.layout.steering_of(vector, slot)[mirror];
+            if scenario.channel.mode == ChannelMode::Specular && near_tie(&weights, steering) {
+                ties += 1;
+                continue;
+            }
+            let roll = (wanted.roll[mirror] - got.roll[mirror]).abs();
+            let yaw = (wanted.yaw[mirror] - got.yaw[mirror]).abs();
+            worst = worst.max(roll).max(yaw);
+        }
+    }
+    (worst, f64::from(ties) / (OBSERVATIONS * mirrors) as f64)
+}
+
+fn check(scenario: &Scenario, encoder: Encoder) {
+    let (worst, ties) = compare(scenario, encoder);
+    assert!(worst < 1e-5, "angles differ by up to {worst} rad");
+    assert!(ties < NEAR_TIES_MAX, "{ties} of the mirrors are near ties");
+}
+
+#[test]
+fn specular_graph_is_the_trainers_forward_pass() {
+    check(&Scenario::builtin("specular").expect("built in"), Encoder::Set);
+}
+
+#[test]
+fn specular_graph_of_the_plain_network_is_the_trainers_forward_pass() {
+    check(&Scenario::builtin("specular").expect("built in"), Encoder::Mlp);
+}
+
+#[test]
+fn paper_graph_is_the_trainers_forward_pass() {
+    check(&Scenario::builtin("paper").expect("built in"), Encoder::Set);
+}
+
+#[test]
+fn another_wall_and_array_work_too() {
+    let overrides = ["mirrors.wall=+x", "mirrors.rows=3", "mirrors.columns=4"].map(String::from);
+    let scenario = Scenario::builtin("specular").and_then(|scenario| scenario.with_overrides(&overrides));
+    check(&scenario.expect("a valid scenario"), Encoder::Set);
+}
+
+#[test]
+fn an_actor_does_not_mind_the_order_of_users() {
+    let scenario = Scenario::builtin("specular").expect("built in");
+    let actor = lively_actor(&scenario, Encoder::Set);
+    let environment = Environment::new(&scenario, actor.layout, 3).expect("a valid room");
+    let slots = actor.layout.slots();
+    let state = environment.state();
+    let features = state.len() / slots - scenario.mirror_count();
+    let (head, tail) = state.split_at(slots * features);
+    let swap = |rows: &[f32], width: usize| -> Vec<f32> {
+        let order = [3, 1, 2, 0].into_iter().chain(4..slots);
+        order.flat_map(|slot| rows[slot * width..][..width].to_vec()).collect()
+    };
+    let swapped = [swap(head, features), swap(tail, scenario.mirror_count())].concat();
+    let before = actor.logits(state).expect("logits");
+    let after = actor.logits(&swapped).expect("logits");
+    assert!((before[0] - before[3]).abs() > 1e-3, "users 0 and 3 must differ for the test to mean anything");
+    for (slot, other) in [(0, 3), (1, 1), (2, 2), (3, 0)] {
+        assert!((before[slot] - after[other]).abs() < 1e-5, "slot {slot}: {} and {}", before[slot], after[other]);
+    }
+}

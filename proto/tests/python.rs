@@ -1,0 +1,80 @@
+//! The Python in CONTRACT.md, run as it stands there against the golden bytes.
+
+mod common;
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::process::{Command, Stdio};
+
+use common::*;
+
+/// What the document's code has to do with each sample.
+const TRIAL: &str = r#"
+def refused(payload, kind):
+    try:
+        decode(payload, kind)
+    except Refused:
+        return True
+    return False
+
+for kind, text in SAMPLES.items():
+    payload = bytes.fromhex(text)
+    message = decode(payload, kind)
+    assert encode(message, kind) == payload, kind
+    for length in range(len(payload)):
+        assert refused(payload[:length], kind), (kind, length)
+    assert refused(payload + b"\0", kind), kind
+    assert refused(b"\2" + payload[1:], kind), kind
+    assert refused(payload, kind % 10 + 1), kind
+
+command = decode(bytes.fromhex(SAMPLES[4]), 4)
+assert command == {"epoch": 7, "sequence": 300, "answers": 1000, "time_ns": 1767323045678000000, "validity_ms": 200,
+                   "roll": [0.125, -0.5], "yaw": [0.0, 0.25]}, command
+telemetry = decode(bytes.fromhex(SAMPLES[5]), 5)
+assert telemetry["counters"]["expired"] == 6 and telemetry["temperature_c"] == 36.5, telemetry
+assert telemetry["roll_measured"] == [0.125, -0.375] and telemetry["unusable"] == [1], telemetry
+
+nan = bytes.fromhex(SAMPLES[4])[:-4] + struct.pack("<f", math.nan)
+assert refused(nan, 4)
+assert refused(bytes(MAX_PAYLOAD + 1), 4)
+for wrong in [dict(command, yaw=[0.0]), dict(command, roll=[math.nan, 0.0]), dict(command, epoch=1 << 64)]:
+    try:
+        encode(wrong, 4)
+        raise AssertionError(wrong)
+    except Refused:
+        pass
+print("sound")
+"#;
+
+/// The first Python block of the document.
+fn code() -> &'static str {
+    let document = include_str!("../../CONTRACT.md");
+    let (_, rest) = document.split_once("```python\n").expect("CONTRACT.md has Python code");
+    rest.split_once("```").expect("the code ends").0
+}
+
+#[test]
+fn the_code_in_the_document_reads_and_writes_the_golden_bytes() {
+    let python = Command::new("python3").args(["-I", "-"]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+    let mut python = match python {
+        Ok(python) => python,
+        Err(error) if std::env::var_os("CI").is_some() => panic!("python3 is required where CI is set: {error}"),
+        Err(error) => {
+            println!("skipped: python3 cannot be run: {error}");
+            return;
+        }
+    };
+    let mut script = code().to_owned();
+    script.push_str("\nSAMPLES = {\n");
+    for (_, payload) in payloads() {
+        writeln!(script, "    {}: \"{}\",", payload[1], hex(&payload)).expect("a string takes any text");
+    }
+    script.push_str("}\n");
+    script.push_str(TRIAL);
+    let mut input = python.stdin.take().expect("its input is piped");
+    input.write_all(script.as_bytes()).expect("python3 reads the script");
+    drop(input);
+    let output = python.wait_with_output().expect("python3 ends");
+    assert!(output.status.success(), "the code in CONTRACT.md fails, see above");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "sound");
+}

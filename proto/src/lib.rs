@@ -56,5 +56,8 @@ pub const MAX_ENTRIES: usize = 256;
 /// Longest text in bytes of UTF-8.
 pub const MAX_TEXT: usize = 1024;
 
+/// How far a sender's clock may be ahead of a receiver's before a message counts as one from the future.
+pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
+
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
 pub type Nanos = u64;

@@ -138,7 +138,7 @@ impl MirrorCommand {
         check_mirrors(Kind::MirrorCommand, self.roll.len(), wanted)
     }
 
-    /// The last moment at which the command may be applied or held.
+    /// When the command stops being valid: from this moment on it is neither applied nor followed.
     pub fn expires_ns(&self) -> Nanos {
         self.time_ns.saturating_add(u64::from(self.validity_ms) * 1_000_000)
     }
@@ -191,7 +191,8 @@ pub struct Counters {
     pub old_epoch: u64,
     /// Refused because this sequence or a later one of the epoch was followed before.
     pub old_sequence: u64,
-    /// Refused because the validity had ended on arrival, or begins in the future.
+    /// Refused because the validity had ended on arrival, or the command is from the future by more than
+    /// [`CLOCK_LEAD_MAX_NS`](crate::CLOCK_LEAD_MAX_NS).
     pub expired: u64,
     /// Refused because an emergency stop is latched.
     pub stopped: u64,

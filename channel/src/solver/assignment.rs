@@ -5,10 +5,10 @@ use super::table::{Table, Utility};
 /// A move must raise the product of (1 + x^2) by more than this share, so that rounding cannot make a search cycle.
 const WORTHWHILE: f64 = 1.0 + 1e-12;
 
-/// Most exchanges between the same users in one round.
-const EXCHANGES_MAX: usize = 200;
-/// Chains are looked for among at most this many users: their number grows with the cube.
-const CHAIN_USERS_MAX: usize = 6;
+/// Most pairs that move between the same users in one round.
+const PAIRS_MAX: usize = 200;
+/// Any two moves are combined among at most this many users: the combinations grow with the fourth power.
+const PAIRS_USERS_MAX: usize = 6;
 
 /// Which user each mirror serves, and the amplitudes that follow.
 #[derive(Clone, Debug)]
@@ -98,36 +98,36 @@ impl Assignment {
         let mut changed = false;
         for i in 0..table.users {
             for j in i + 1..table.users {
-                changed |= self.exchange_all([i, j, i], table, utility, scratch);
+                changed |= self.pair_all([(i, j), (j, i)], table, utility, scratch);
             }
         }
         changed
     }
 
-    /// Moves one mirror from i to j and another on from j to l, wherever that is worthwhile. Whether any changed.
+    /// Moves any two mirrors at once wherever that is worthwhile. Whether any changed.
     ///
-    /// At the kink of a minimum rate neither move may help alone: j can spare nothing until it is given something. Does nothing
-    /// for more than [`CHAIN_USERS_MAX`] users.
-    pub(super) fn chain_moves(&mut self, table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
-        let mut changed = false;
+    /// At the kink of a minimum rate neither move may help alone: a user can spare nothing until given something, and may need two
+    /// mirrors to get there. Does nothing for more than [`PAIRS_USERS_MAX`] users.
+    pub(super) fn move_pairs(&mut self, table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
         let users = table.users;
-        if users > CHAIN_USERS_MAX {
+        if users > PAIRS_USERS_MAX {
             return false;
         }
-        for i in 0..users {
-            for j in (0..users).filter(|&j| j != i) {
-                for l in (0..users).filter(|&l| l != i && l != j) {
-                    changed |= self.exchange_all([i, j, l], table, utility, scratch);
-                }
+        let moves = users * users;
+        let ends = |code: usize| (code / users, code % users);
+        let mut changed = false;
+        for first in (0..moves).filter(|&code| ends(code).0 != ends(code).1) {
+            for second in (first..moves).filter(|&code| ends(code).0 != ends(code).1) {
+                changed |= self.pair_all([ends(first), ends(second)], table, utility, scratch);
             }
         }
         changed
     }
 
-    fn exchange_all(&mut self, path: [usize; 3], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
+    fn pair_all(&mut self, moves: [Ends; 2], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
         let mut changed = false;
-        for _ in 0..EXCHANGES_MAX {
-            if !self.exchange(path, table, utility, scratch) {
+        for _ in 0..PAIRS_MAX {
+            if !self.pair(moves, table, utility, scratch) {
                 break;
             }
             changed = true;
@@ -135,56 +135,101 @@ impl Assignment {
         changed
     }
 
-    /// One exchange along i, j, l: a mirror m goes from i to j and a mirror n from j to l, where l may be i. Whether one was made.
+    /// Two moves at once: a mirror m between the users of the first, a mirror n between those of the second. Whether
+    /// any such pair was worthwhile, and was moved.
     ///
-    /// ln(1 + u) <= u bounds what it can bring by r_m + r_n + slack, with r_m = w_j a_jm - w_i a_im the first-order worth
-    /// of moving m, r_n that of moving n, and the slack for the squares of the changes. Pairs whose
+    /// ln(1 + u) <= u bounds what they can bring by r_m + r_n + slack, with r_m = w_j a_jm - w_i a_im the first-order worth
+    /// of moving m from i to j, and the slack for the squares of the changes. Pairs whose
     /// bound is not positive are skipped; the bound is exact, so nothing is missed.
-    fn exchange(&mut self, path: [usize; 3], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
-        let [i, j, l] = path;
-        let rows = path.map(|k| &table.by_user[k * table.mirrors..(k + 1) * table.mirrors]);
-        let bounds = path.map(|k| self.bound(k, table, utility));
-        let slack = bounds[0].1 + bounds[1].1 + if l == i { 0.0 } else { bounds[2].1 };
-        let weights = bounds.map(|bound| bound.0);
-        scratch
-            .gather(&self.served, table, path, |m, from, to| weights[to] * rows[to][m] - weights[from] * rows[from][m]);
-        for &(m, leave) in &scratch.first {
-            if leave + scratch.best_second + slack <= 0.0 {
+    fn pair(&mut self, moves: [Ends; 2], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
+        let touched = Touched::by(moves);
+        let slack: f64 = touched.users().iter().map(|&k| self.slack(k, moves, table, utility)).sum();
+        scratch.gather(self, moves, table, utility);
+        for &(m, worth_m) in &scratch.first {
+            if worth_m + scratch.best_second + slack <= 0.0 {
                 continue;
             }
-            let mut partner = None;
             let mut best = WORTHWHILE;
-            for &(n, on) in &scratch.second {
-                if leave + on + slack <= 0.0 {
+            let mut partner = None;
+            for &(n, worth_n) in &scratch.second {
+                if worth_m + worth_n + slack <= 0.0 || m == n {
                     continue;
                 }
-                let to_i = self.amplitude[i] - rows[0][m] + if l == i { rows[0][n] } else { 0.0 };
-                let to_j = self.amplitude[j] - rows[1][n] + rows[1][m];
-                let mut factor = self.factor(utility, i, to_i.max(table.floor[i]))
-                    * self.factor(utility, j, to_j.max(table.floor[j]));
-                if l != i {
-                    factor *= self.factor(utility, l, self.amplitude[l] + rows[2][n]);
-                }
+                let factor: f64 = touched
+                    .users()
+                    .iter()
+                    .map(|&k| self.factor(utility, k, self.amplitude_after(k, [(m, moves[0]), (n, moves[1])], table)))
+                    .product();
                 if factor > best {
                     (best, partner) = (factor, Some(n));
                 }
             }
             if let Some(n) = partner {
-                (self.served[m], self.served[n]) = (j, l);
-                self.set(i, (self.amplitude[i] - rows[0][m]).max(table.floor[i]));
-                self.set(j, (self.amplitude[j] - rows[1][n] + rows[1][m]).max(table.floor[j]));
-                self.set(l, self.amplitude[l] + rows[2][n]);
+                let after = touched.users.map(|k| self.amplitude_after(k, [(m, moves[0]), (n, moves[1])], table));
+                for (&k, &amplitude) in touched.users().iter().zip(&after) {
+                    self.set(k, amplitude);
+                }
+                (self.served[m], self.served[n]) = (moves[0].1, moves[1].1);
                 return true;
             }
         }
         false
     }
 
-    /// Slope of the rate at the amplitude of user k times the steepness, and the most that the square term can add.
-    fn bound(&self, k: usize, table: &Table, utility: &Utility) -> (f64, f64) {
-        let steepness = utility.steepness(k, self.amplitude[k]);
-        let largest = table.largest[k];
-        (2.0 * self.amplitude[k] * self.inverse[k] * steepness, largest * largest * self.inverse[k] * steepness)
+    /// Amplitude of user k after two moves.
+    #[inline]
+    fn amplitude_after(&self, k: usize, moves: [(usize, Ends); 2], table: &Table) -> f64 {
+        let mut amplitude = self.amplitude[k];
+        for (m, (from, to)) in moves {
+            let gain = table.by_mirror[m * table.users + k];
+            if to == k {
+                amplitude += gain;
+            } else if from == k {
+                amplitude -= gain;
+            }
+        }
+        amplitude.max(table.floor[k])
+    }
+
+    /// Derivative of the rate of user k by amplitude, times the steepness.
+    fn weight(&self, k: usize, utility: &Utility) -> f64 {
+        2.0 * self.amplitude[k] * self.inverse[k] * utility.steepness(k, self.amplitude[k])
+    }
+
+    /// The most that the square of a change by two moves can add to the rate of user k, times the steepness.
+    fn slack(&self, k: usize, [first, second]: [Ends; 2], table: &Table, utility: &Utility) -> f64 {
+        // One mirror given and one taken change less than either; two given or two taken add up.
+        let mirrors =
+            if first.0 == second.0 && k == first.0 || first.1 == second.1 && k == first.1 { 2.0 } else { 1.0 };
+        let largest = mirrors * table.largest[k];
+        largest * largest * self.inverse[k] * utility.steepness(k, self.amplitude[k])
+    }
+}
+
+/// The user from whom and the user to whom a mirror moves.
+type Ends = (usize, usize);
+
+/// The two to four users whose amplitudes a pair of moves changes.
+#[derive(Clone, Copy)]
+struct Touched {
+    users: [usize; 4],
+    count: usize,
+}
+
+impl Touched {
+    fn by(moves: [Ends; 2]) -> Self {
+        let mut touched = Self { users: [moves[0].0; 4], count: 0 };
+        for k in [moves[0].0, moves[0].1, moves[1].0, moves[1].1] {
+            if !touched.users().contains(&k) {
+                touched.users[touched.count] = k;
+                touched.count += 1;
+            }
+        }
+        touched
+    }
+
+    fn users(&self) -> &[usize] {
+        &self.users[..self.count]
     }
 }
 
@@ -201,24 +246,22 @@ impl Scratch {
         Self { first: Vec::with_capacity(mirrors), second: Vec::with_capacity(mirrors), best_second: f64::NEG_INFINITY }
     }
 
-    /// `worth` takes a mirror and the places in the path between which it moves.
-    fn gather(
-        &mut self,
-        served: &[usize],
-        table: &Table,
-        [i, j, _]: [usize; 3],
-        worth: impl Fn(usize, usize, usize) -> f64,
-    ) {
+    fn gather(&mut self, assignment: &Assignment, moves: [Ends; 2], table: &Table, utility: &Utility) {
         self.first.clear();
         self.second.clear();
         self.best_second = f64::NEG_INFINITY;
+        let [(from, to), (from_second, to_second)] = moves;
+        let weight = |k: usize| assignment.weight(k, utility);
+        let [paid, bought, paid_second, bought_second] = [from, to, from_second, to_second].map(weight);
         for &m in &table.useful {
-            if served[m] == i {
-                self.first.push((m, worth(m, 0, 1)));
-            } else if served[m] == j {
-                let on = worth(m, 1, 2);
-                self.best_second = self.best_second.max(on);
-                self.second.push((m, on));
+            let line = table.line(m);
+            if assignment.served[m] == from {
+                self.first.push((m, bought * line[to] - paid * line[from]));
+            }
+            if assignment.served[m] == from_second {
+                let worth = bought_second * line[to_second] - paid_second * line[from_second];
+                self.best_second = self.best_second.max(worth);
+                self.second.push((m, worth));
             }
         }
     }

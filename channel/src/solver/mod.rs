@@ -15,7 +15,7 @@
 //! | --- | --- | --- |
 //! | [`Solver::fixed_point`] | damped fixed point over the weights, from the last weights and from neutral ones | a policy |
 //! | [`Solver::greedy`] | the same and a fill, passes of single moves, and leaving users out | a policy |
-//! | [`Solver::oracle`] | both from all subsets of users, then moves, swaps and chains to a local optimum | the yardstick |
+//! | [`Solver::oracle`] | both from all subsets of users, then moves, swaps and pairs of moves to a local optimum | the yardstick |
 //! | [`Solver::exhaustive`] | every assignment | checking the oracle |
 //!
 //! What is left out: the spill of one user's spot onto another. The true gain of the angles can therefore be a little larger than
@@ -158,7 +158,7 @@ impl Solver {
     /// The yardstick: many starts, each to a local optimum. The result does not depend on earlier calls.
     ///
     /// Assignment: for each subset of users (all 2^K - 1 up to K = 6; at most a few dozen nested ones above) a damped
-    /// fixed point and a greedy fill among its users and single moves among all; the best few continue with pair swaps, and with chains of two moves when a rate is
+    /// fixed point and a greedy fill among its users and single moves among all; the best few continue with pair swaps, and with any two moves at once when a rate is
     /// penalised, until nothing helps. Normals: the fixed point from each user, pairs of users, uniform and spread weights.
     ///
     /// # Panics

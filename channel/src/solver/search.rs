@@ -12,12 +12,16 @@ const PATIENCE: usize = 5;
 const FILL_PASSES: usize = 2;
 /// Most passes of single moves on the way to a local optimum.
 const MOVE_PASSES_MAX: usize = 50;
-/// Most rounds of swaps and chains on the way to a local optimum.
+/// Most rounds of swaps on the way to a local optimum.
 const EXCHANGE_ROUNDS_MAX: usize = 20;
 /// Most users that are left out on trial.
 const LEAVE_OUT_TRIALS: usize = 16;
-/// How many assignments the oracle refines by swaps and chains.
-const REFINED: usize = 4;
+/// Most rounds of pairs of moves.
+const PAIR_ROUNDS_MAX: usize = 3;
+/// How many assignments the oracle refines by swaps, at least and at most: small problems can afford more.
+const REFINED: std::ops::RangeInclusive<usize> = 4..=16;
+/// Users times mirrors times refined assignments.
+const REFINED_WORK: usize = 2000;
 
 /// Workspace of the searches.
 #[derive(Clone, Debug)]
@@ -46,7 +50,10 @@ impl Search {
         Self {
             best: Assignment::new(users, mirrors),
             trial: Assignment::new(users, mirrors),
-            shortlist: vec![Assignment::new(users, mirrors); REFINED],
+            shortlist: vec![
+                Assignment::new(users, mirrors);
+                (REFINED_WORK / (users * mirrors)).clamp(*REFINED.start(), *REFINED.end())
+            ],
             starts: Starts::new(users),
             allowed: vec![true; users],
             weights: vec![0.0; users],
@@ -117,10 +124,14 @@ impl Search {
             self.note_trial();
         }
         self.best.nats = f64::NEG_INFINITY;
-        for index in 0..REFINED {
+        let small = self.shortlist.len() == *REFINED.end();
+        for index in 0..self.shortlist.len() {
             if self.shortlist[index].nats > f64::NEG_INFINITY {
                 self.trial.copy_from(&self.shortlist[index]);
                 self.refine(table, utility);
+                if utility.penalised() && small {
+                    self.move_pairs(table, utility);
+                }
                 self.keep_better();
             }
         }
@@ -128,6 +139,14 @@ impl Search {
             self.leave_out(table, utility, MOVE_PASSES_MAX);
             self.trial.copy_from(&self.best);
             self.refine(table, utility);
+            self.keep_better();
+        }
+        if utility.penalised() && small {
+            self.force_moves(table, utility);
+        }
+        if utility.penalised() && !small {
+            self.trial.copy_from(&self.best);
+            self.move_pairs(table, utility);
             self.keep_better();
         }
         self.slopes(utility, weights);
@@ -299,17 +318,47 @@ impl Search {
         self.trial.settle(table, utility);
     }
 
-    /// Moves, swaps and, where a minimum rate puts a kink into the objective, chains, until `trial` is a local optimum.
+    /// Moves and swaps until `trial` is a local optimum.
     fn refine(&mut self, table: &Table, utility: &Utility) {
         for _ in 0..EXCHANGE_ROUNDS_MAX {
             self.move_passes(table, utility, MOVE_PASSES_MAX);
-            let swapped = self.trial.swap_pairs(table, utility, &mut self.scratch);
-            let chained = utility.penalised() && self.trial.chain_moves(table, utility, &mut self.scratch);
-            if !swapped && !chained {
+            if !self.trial.swap_pairs(table, utility, &mut self.scratch) {
                 break;
             }
         }
         self.trial.settle(table, utility);
+    }
+
+    /// Any two moves at once and what follows from them, on `trial`: a minimum rate puts a kink into the objective, at which
+    /// moves and swaps get stuck.
+    fn move_pairs(&mut self, table: &Table, utility: &Utility) {
+        for _ in 0..PAIR_ROUNDS_MAX {
+            if !self.trial.move_pairs(table, utility, &mut self.scratch) {
+                break;
+            }
+            self.refine(table, utility);
+        }
+    }
+
+    /// Forces each single move on `best` and sees what it leads to: three moves at once, and more. For small problems.
+    fn force_moves(&mut self, table: &Table, utility: &Utility) {
+        for _ in 0..PAIR_ROUNDS_MAX {
+            let before = self.best.nats;
+            for &m in &table.useful {
+                for user in 0..table.users {
+                    self.trial.copy_from(&self.best);
+                    self.trial.served[m] = user;
+                    self.trial.settle(table, utility);
+                    // Swaps and pairs first: a single move would only take the mirror back.
+                    self.trial.swap_pairs(table, utility, &mut self.scratch);
+                    self.move_pairs(table, utility);
+                    self.keep_better();
+                }
+            }
+            if self.best.nats <= before {
+                break;
+            }
+        }
     }
 
     /// Copies `trial` to `best` if it is better. Whether it was.
@@ -326,7 +375,7 @@ impl Search {
         let nats = self.trial.nats;
         let same = |entry: &Assignment| (entry.nats - nats).abs() <= 1e-12 * nats.abs();
         let place = self.shortlist.partition_point(|entry| entry.nats > nats + 1e-12 * nats.abs());
-        if place < REFINED && !same(&self.shortlist[place]) {
+        if place < self.shortlist.len() && !same(&self.shortlist[place]) {
             self.shortlist[place..].rotate_right(1);
             self.shortlist[place].copy_from(&self.trial);
         }

@@ -1,0 +1,295 @@
+//! The solver on assignments: against brute force, against the simple policies, and at the edges.
+
+mod common;
+
+use common::{Random, Room};
+use heliostat_channel::{ChannelModel, Need, Problem, Scene, Solution, Solver, SolverError};
+
+/// Noise levels that the rooms of these tests take in turn, in A2.
+const NOISE_A2: [f64; 4] = [4e-15, 6.5e-15, 2e-14, 9e-14];
+
+/// A room with rows x columns mirrors and people who stand where walkers are found, `blocked` of them without direct light.
+struct State {
+    model: ChannelModel,
+    scene: Scene,
+    min_rate_bps: Vec<f64>,
+}
+
+impl State {
+    fn new(random: &mut Random, users: usize, (rows, columns): (usize, usize), blocked: usize, noise_a2: f64) -> Self {
+        let mut room = Room::paper();
+        (room.array.rows, room.array.columns) = (rows, columns);
+        room.budget.noise.variance_a2 = Some(noise_a2);
+        let model = room.model();
+        let mut scene = Scene::new(&model, users);
+        let positions: Vec<_> = (0..users).map(|_| random.walker()).collect();
+        let forced: Vec<bool> = (0..users).map(|k| k < blocked).collect();
+        scene.update(&model, &positions, &[], &forced);
+        Self { model, scene, min_rate_bps: vec![1e6; users] }
+    }
+
+    fn problem(&self, qos_penalty: f64) -> Problem<'_> {
+        Problem::of_scene(&self.model, &self.scene, &Need { min_rate_bps: &self.min_rate_bps, qos_penalty })
+    }
+}
+
+/// What an assignment is worth, computed from the definition.
+fn objective(problem: &Problem, served: &[usize]) -> f64 {
+    let mut gain = problem.los.to_vec();
+    for (m, &k) in served.iter().enumerate() {
+        gain[k] += problem.steering[k * problem.mirrors + m];
+    }
+    (0..problem.users)
+        .map(|k| {
+            let amplitude = problem.amplitude_scale * gain[k];
+            let rate = problem.rate_scale_bps * (1.0 + amplitude * amplitude).log2();
+            rate - problem.qos_penalty * (problem.min_rate_bps[k] - rate).max(0.0)
+        })
+        .sum()
+}
+
+fn solver_for(problem: &Problem) -> Solver {
+    Solver::new(problem.users, problem.mirrors)
+}
+
+fn assert_same(found: f64, wanted: f64, relative: f64, case: &str) {
+    assert!((found - wanted).abs() <= relative * wanted.abs(), "{case}: {found} instead of {wanted}");
+}
+
+#[test]
+fn oracle_equals_brute_force_with_nine_mirrors_and_three_users() {
+    let mut random = Random::new(9);
+    for case in 0..120 {
+        let blocked = case % 4;
+        let state = State::new(&mut random, 3, (3, 3), blocked, NOISE_A2[(case / 4) % 4]);
+        for qos_penalty in [0.0, 50.0] {
+            let problem = state.problem(qos_penalty);
+            let mut solver = solver_for(&problem);
+            let wanted = solver.exhaustive(&problem).expect("3^9 assignments can be tried").objective_bps;
+            assert_same(wanted, objective(&problem, solver.served()), 1e-9, "exhaustive search against the definition");
+            let found = solver.oracle(&problem).objective_bps;
+            assert_same(found, wanted, 1e-9, &format!("case {case}, {blocked} blocked, penalty {qos_penalty}"));
+        }
+    }
+}
+
+#[test]
+fn exhaustive_search_finds_what_plain_counting_finds() {
+    let mut random = Random::new(10);
+    for blocked in 0..3 {
+        let state = State::new(&mut random, 3, (2, 3), blocked, 2e-14);
+        let problem = state.problem(50.0);
+        let best = (0..3_usize.pow(6))
+            .map(|code| {
+                let served: Vec<usize> = (0..6).map(|m| code / 3_usize.pow(m) % 3).collect();
+                objective(&problem, &served)
+            })
+            .fold(f64::NEG_INFINITY, f64::max);
+        let found = solver_for(&problem).exhaustive(&problem).expect("3^6 assignments can be tried");
+        assert_same(found.objective_bps, best, 1e-12, "counting");
+    }
+}
+
+#[test]
+fn oracle_never_loses_to_anybody() {
+    let mut random = Random::new(11);
+    for case in 0..200 {
+        let users = 1 + case % 7;
+        let blocked = (random.next() % (users as u64 + 1)) as usize;
+        let state = State::new(&mut random, users, (5, 6), blocked, NOISE_A2[(case / 7) % 4]);
+        for qos_penalty in [0.0, 50.0] {
+            let problem = state.problem(qos_penalty);
+            let mut solver = solver_for(&problem);
+            let mut others = vec![
+                ("fixed point", solver.fixed_point(&problem).objective_bps),
+                ("greedy", solver.greedy(&problem, 3).objective_bps),
+                ("nearest", objective(&problem, &nearest(&problem))),
+            ];
+            for _ in 0..20 {
+                let served: Vec<usize> = (0..30).map(|_| (random.next() % users as u64) as usize).collect();
+                others.push(("random", objective(&problem, &served)));
+            }
+            let oracle = solver.oracle(&problem);
+            assert_same(oracle.objective_bps, objective(&problem, solver.served()), 1e-9, "definition");
+            for (name, value) in others {
+                let allowed = 1e-9 * value.abs();
+                assert!(
+                    oracle.objective_bps >= value - allowed,
+                    "case {case}, {users} users, {blocked} blocked, penalty {qos_penalty}: {name} has {value}, the oracle {}",
+                    oracle.objective_bps
+                );
+            }
+        }
+    }
+}
+
+fn nearest(problem: &Problem) -> Vec<usize> {
+    let gain = |k: usize, m: usize| problem.steering[k * problem.mirrors + m];
+    (0..problem.mirrors)
+        .map(|m| (0..problem.users).max_by(|&a, &b| gain(a, m).total_cmp(&gain(b, m))).expect("there is a user"))
+        .collect()
+}
+
+#[test]
+fn no_single_move_and_no_swap_improves_the_oracle() {
+    let mut random = Random::new(12);
+    for case in 0..12 {
+        let state = State::new(&mut random, 4, (5, 5), case % 5, NOISE_A2[case % 4]);
+        let problem = state.problem(if case % 2 == 0 { 0.0 } else { 50.0 });
+        let mut solver = solver_for(&problem);
+        let best = solver.oracle(&problem).objective_bps;
+        let served = solver.served().to_vec();
+        for m in 0..25 {
+            for k in 0..4 {
+                let mut other = served.clone();
+                other[m] = k;
+                assert!(objective(&problem, &other) <= best + 1e-9 * best.abs(), "case {case}: mirror {m} to user {k}");
+            }
+            for n in 0..m {
+                let mut other = served.clone();
+                other.swap(m, n);
+                assert!(objective(&problem, &other) <= best + 1e-9 * best.abs(), "case {case}: swap of {m} and {n}");
+            }
+        }
+    }
+}
+
+#[test]
+fn more_mirrors_are_never_worse() {
+    let mut random = Random::new(13);
+    for case in 0..20 {
+        let state = State::new(&mut random, 4, (6, 6), case % 5, NOISE_A2[case % 4]);
+        let whole = state.problem(0.0);
+        let mut before = 0.0;
+        for mirrors in [1, 2, 5, 9, 16, 25, 36] {
+            let steering: Vec<f64> = whole.steering.chunks(36).flat_map(|line| line[..mirrors].to_vec()).collect();
+            let problem = Problem { mirrors, steering: &steering, ..whole };
+            let found = solver_for(&problem).oracle(&problem).objective_bps;
+            assert!(found >= before, "case {case}: {mirrors} mirrors give {found}, fewer {before}");
+            before = found;
+        }
+    }
+}
+
+#[test]
+fn the_oracle_forgets_and_the_policies_stay_finite() {
+    let mut random = Random::new(14);
+    let mut used = Solver::new(5, 20);
+    for case in 0..200 {
+        let mut los: Vec<f64> = (0..5).map(|_| spoiled(&mut random, 1e-6)).collect();
+        let steering: Vec<f64> = (0..100).map(|_| spoiled(&mut random, 5e-8)).collect();
+        if case % 10 == 0 {
+            los.fill(0.0);
+        }
+        let problem = Problem {
+            users: 5,
+            mirrors: 20,
+            los: &los,
+            steering: &steering,
+            directions: None,
+            amplitude_scale: 5e6,
+            rate_scale_bps: 4e6,
+            min_rate_bps: &[1e6, 0.0, 3e7],
+            qos_penalty: if case % 2 == 0 { 0.0 } else { 50.0 },
+        };
+        for solution in [used.fixed_point(&problem), used.greedy(&problem, 3), used.oracle(&problem)] {
+            assert!(solution.objective_bps.is_finite() && solution.sum_rate_bps.is_finite(), "case {case}");
+        }
+        assert!(used.weights().iter().all(|weight| weight.is_finite() && *weight >= 0.0), "case {case}");
+        assert!(used.served().iter().all(|&k| k < 5));
+        let fresh = Solver::new(5, 20).oracle(&problem);
+        assert_eq!(used.oracle(&problem), fresh, "case {case}: the oracle depends on what was solved before");
+    }
+}
+
+/// A gain that is often zero, sometimes absurd.
+fn spoiled(random: &mut Random, size: f64) -> f64 {
+    match random.next() % 20 {
+        0..6 => 0.0,
+        6 => f64::NAN,
+        7 => f64::INFINITY,
+        8 => -size,
+        9 => 1e300,
+        _ => random.uniform(0.0, size),
+    }
+}
+
+#[test]
+fn one_user_gets_every_mirror_and_one_mirror_goes_to_one_user() {
+    let mut random = Random::new(15);
+    let state = State::new(&mut random, 1, (4, 4), 1, 6.5e-15);
+    let problem = state.problem(50.0);
+    let mut solver = solver_for(&problem);
+    let all = objective(&problem, &[0; 16]);
+    for solution in [solver.fixed_point(&problem), solver.greedy(&problem, 1), solver.oracle(&problem)] {
+        assert_same(solution.objective_bps, all, 1e-12, "one user");
+    }
+    let state = State::new(&mut random, 6, (1, 1), 3, 6.5e-15);
+    let problem = state.problem(0.0);
+    let best = (0..6).map(|k| objective(&problem, &[k])).fold(0.0, f64::max);
+    assert_same(solver_for(&problem).greedy(&problem, 1).objective_bps, best, 1e-12, "one mirror");
+    assert_same(solver_for(&problem).oracle(&problem).objective_bps, best, 1e-12, "one mirror");
+}
+
+#[test]
+fn users_whom_no_mirror_reaches_cost_nothing() {
+    let mut random = Random::new(16);
+    let state = State::new(&mut random, 4, (5, 5), 2, 6.5e-15);
+    let whole = state.problem(0.0);
+    let mut steering = whole.steering.to_vec();
+    steering[..25].fill(0.0);
+    let problem = Problem { steering: &steering, ..whole };
+    let mut solver = solver_for(&problem);
+    solver.oracle(&problem);
+    assert!(solver.served().iter().all(|&k| k != 0), "a mirror is wasted on a user whom it cannot reach");
+    let nothing = vec![0.0; 100];
+    let problem = Problem { steering: &nothing, ..whole };
+    let direct = objective(&problem, &[0; 25]);
+    for solution in [solver.fixed_point(&problem), solver.greedy(&problem, 1), solver.oracle(&problem)] {
+        assert_same(solution.objective_bps, direct, 1e-12, "no gain anywhere");
+    }
+}
+
+#[test]
+fn a_minimum_rate_is_bought_where_it_can_be() {
+    let mut random = Random::new(17);
+    let mut plain_met = 0;
+    for _ in 0..20 {
+        let state = State::new(&mut random, 5, (10, 10), 5, 6.5e-15);
+        // The penalty is 50 a missing bit/s; a mirror more or less can leave 1 % of the need open.
+        let need_met = |solution: Solution| solution.sum_rate_bps - solution.objective_bps < 50.0 * 1e4;
+        let problem = state.problem(50.0);
+        let with_need = solver_for(&problem).oracle(&problem);
+        assert!(need_met(with_need), "five blocked users can all have 1 Mbit/s from 100 mirrors: {with_need:?}");
+        let plain = solver_for(&problem).oracle(&state.problem(0.0));
+        assert!(plain.sum_rate_bps >= with_need.sum_rate_bps, "a need cannot raise the sum rate");
+        plain_met += usize::from(plain.sum_rate_bps - with_need.sum_rate_bps < 1.0);
+    }
+    assert!(plain_met < 20, "without a need somebody is left out now and then");
+}
+
+#[test]
+fn too_large_a_search_is_refused() {
+    let mut random = Random::new(18);
+    let state = State::new(&mut random, 3, (10, 10), 0, 4e-15);
+    let problem = state.problem(0.0);
+    let refused = solver_for(&problem).exhaustive(&problem).expect_err("3^100 assignments");
+    assert!(matches!(refused, SolverError::TooMany { users: 3, mirrors: 100, .. }), "{refused}");
+}
+
+#[test]
+fn many_users_and_many_mirrors() {
+    let mut random = Random::new(19);
+    for (users, side, blocked) in [(10, 10, 10), (30, 7, 12), (50, 10, 25), (5, 64, 5)] {
+        let state = State::new(&mut random, users, (side, side), blocked, 6.5e-15);
+        let problem = state.problem(0.0);
+        let mut solver = solver_for(&problem);
+        let fixed = solver.fixed_point(&problem).objective_bps;
+        let greedy = solver.greedy(&problem, 3).objective_bps;
+        assert!(greedy >= fixed, "{users} users: {greedy} below {fixed}");
+        if side < 64 {
+            let oracle = solver.oracle(&problem).objective_bps;
+            assert!(oracle >= greedy, "{users} users: {oracle} below {greedy}");
+        }
+    }
+}

@@ -6,12 +6,14 @@
 
 use std::fmt;
 
-use postcard::ser_flavors::Flavor;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::error::CodecError;
 use crate::fields::Fields;
 use crate::{MAX_PAYLOAD, VERSION};
+
+/// Bytes that a buffer is given before it is known how many it needs.
+const MIN_ROOM: usize = 256;
 
 /// What a payload holds; the number is its second byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -84,17 +86,25 @@ pub trait Message: Fields + Serialize + Default {
 /// # Errors
 /// [`CodecError`] where [`decode`] would refuse the payload; the buffer is left empty.
 pub fn encode<T: Message>(message: &T, out: &mut Vec<u8>) -> Result<(), CodecError> {
-    out.clear();
-    message.check(T::KIND)?;
-    out.extend_from_slice(&[VERSION, T::KIND as u8]);
-    postcard::serialize_with_flavor(message, Sink(out))
-        .expect("writing into memory fails only for lists of unknown length, and no message has one");
-    if out.len() > MAX_PAYLOAD {
-        let found = out.len();
-        out.clear();
-        return Err(CodecError::Oversized { found });
+    message.check(T::KIND).inspect_err(|_| out.clear())?;
+    // A slice of fixed length takes numbers several times faster than a vector that checks whether to grow at each of them.
+    let mut room = out.capacity().clamp(MIN_ROOM, MAX_PAYLOAD);
+    loop {
+        out.resize(room, 0);
+        out[..2].copy_from_slice(&[VERSION, T::KIND as u8]);
+        match postcard::to_slice(message, &mut out[2..]).map(|body| body.len()) {
+            Ok(body) => {
+                out.truncate(2 + body);
+                return Ok(());
+            }
+            // Out of reach as long as the limits of lists and texts keep every message below it.
+            Err(_) if room == MAX_PAYLOAD => {
+                out.clear();
+                return Err(CodecError::Oversized { found: MAX_PAYLOAD + 1 });
+            }
+            Err(_) => room = (2 * room).min(MAX_PAYLOAD),
+        }
     }
-    Ok(())
 }
 
 /// Reads a message from a payload.
@@ -138,27 +148,6 @@ pub fn kind_of(payload: &[u8]) -> Result<Kind, CodecError> {
             Kind::ALL.into_iter().find(|kind| *kind as u8 == number).ok_or(CodecError::UnknownKind { found: number })
         }
         _ => Err(CodecError::NoHeader { found: payload.len() }),
-    }
-}
-
-/// Appends to a buffer what postcard writes.
-struct Sink<'a>(&'a mut Vec<u8>);
-
-impl Flavor for Sink<'_> {
-    type Output = ();
-
-    fn try_extend(&mut self, data: &[u8]) -> postcard::Result<()> {
-        self.0.extend_from_slice(data);
-        Ok(())
-    }
-
-    fn try_push(&mut self, data: u8) -> postcard::Result<()> {
-        self.0.push(data);
-        Ok(())
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        Ok(())
     }
 }
 

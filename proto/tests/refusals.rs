@@ -113,6 +113,20 @@ fn the_largest_messages_fit_into_a_payload() {
     let payload = encoded(&telemetry);
     assert!(payload.len() <= MAX_PAYLOAD);
     assert_eq!(decode(&payload), Ok(telemetry));
+    let text = "x".repeat(MAX_TEXT);
+    let status = NodeStatus {
+        name: text.clone(),
+        software: text.clone(),
+        state: text.clone(),
+        scenario: text.clone(),
+        policy: text.clone(),
+        counters: vec![(text.clone(), u64::MAX); MAX_ENTRIES],
+        gauges: vec![(text.clone(), 1.0); MAX_ENTRIES],
+        timings: vec![(text.clone(), Quantiles { count: u64::MAX, ..Quantiles::default() }); MAX_ENTRIES],
+        last_problem: text,
+        ..node_status()
+    };
+    assert_eq!(decode(&encoded(&status)), Ok(status));
 }
 
 #[test]

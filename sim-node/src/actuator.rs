@@ -48,8 +48,7 @@ impl Actuator {
     /// The offsets of the mounting are drawn from `rng` here; drift and jitter follow from it.
     pub fn new(parameters: &ActuatorParameters, mirrors: usize, mut rng: RoomRng) -> Self {
         let axes = 2 * mirrors;
-        let second_order =
-            parameters.second_order.map(|(frequency, damping)| SecondOrder { frequency, damping });
+        let second_order = parameters.second_order.map(|(frequency, damping)| SecondOrder { frequency, damping });
         let offset = (0..axes).map(|_| parameters.offset_rad * random::normal(&mut rng)).collect();
         let flat = MirrorAngles { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] };
         let mut actuator = Self {

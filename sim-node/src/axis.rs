@@ -100,7 +100,8 @@ impl Dynamics {
         let forced_speed_start = rate - self.exponential_gain * transient * cut_off;
         let (e, v) = (state.angle - forced_start, state.speed - forced_speed_start);
         let drag = damping * frequency;
-        state.angle = e * (by.even + drag * by.odd) + v * by.odd + end - line_lag + self.exponential_gain * transient_end;
+        state.angle =
+            e * (by.even + drag * by.odd) + v * by.odd + end - line_lag + self.exponential_gain * transient_end;
         state.speed = v * (by.even - drag * by.odd) - e * frequency * frequency * by.odd + rate
             - self.exponential_gain * transient_end * cut_off;
     }

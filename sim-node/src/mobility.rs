@@ -14,7 +14,9 @@ use crate::trace::Trace;
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MobilityError {
     /// At zero speed a leg never ends, so the slowest speed must be positive unless nobody moves at all.
-    #[error("speeds from {min} to {max} m/s: the slowest must be above 0 and at most the fastest (or both 0: nobody moves)")]
+    #[error(
+        "speeds from {min} to {max} m/s: the slowest must be above 0 and at most the fastest (or both 0: nobody moves)"
+    )]
     Speed {
         /// Slowest speed in m/s.
         min: f64,

@@ -16,7 +16,9 @@ use crate::random::{self, RoomRng};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ObstacleError {
     /// The process cannot be denser than 1 / (pi d^2), however many parents are thrown.
-    #[error("{intensity} obstacles a m2 at least {min_distance_m} m apart: a hard-core process stays below {limit:.4} a m2")]
+    #[error(
+        "{intensity} obstacles a m2 at least {min_distance_m} m apart: a hard-core process stays below {limit:.4} a m2"
+    )]
     TooDense {
         /// Intensity asked for, in 1/m2.
         intensity: f64,

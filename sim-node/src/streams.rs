@@ -133,8 +133,7 @@ impl Reports {
     }
 
     fn user_report(&mut self, now: Moment, world: &World) -> UserReport {
-        let (spread, velocity_spread) =
-            (self.settings.positions.noise_m, self.settings.positions.velocity_noise_m_s);
+        let (spread, velocity_spread) = (self.settings.positions.noise_m, self.settings.positions.velocity_noise_m_s);
         let stamp = self.stamp(self.tick, now);
         // Noise is drawn even where its size is 0, so that switching one on leaves the others as they were.
         let rng = &mut self.position_noise;

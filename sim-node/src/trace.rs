@@ -202,7 +202,8 @@ mod tests {
     const TWO: &str = "time,user,x,y\n# a comment\n10,0,0,0\n10, 1, 1, 1\n\n12,0,2,0\n14,0,2,2\n";
 
     fn at(trace: &Trace) -> Vec<Walker> {
-        let mut out = vec![Walker { position: Vec3::new(9.0, 9.0, 0.85), direction: [0.0, 1.0], velocity: [9.0, 9.0] }; 2];
+        let mut out =
+            vec![Walker { position: Vec3::new(9.0, 9.0, 0.85), direction: [0.0, 1.0], velocity: [9.0, 9.0] }; 2];
         trace.write(&mut out);
         out
     }

@@ -212,9 +212,8 @@ impl World {
         let points = self.hard_core.sample(&self.floor, &mut random::stream(seed, Purpose::Obstacles, 0));
         let cylinder = |at: [f64; 2], radius_m, height_m| Cylinder { x_m: at[0], y_m: at[1], radius_m, height_m };
         self.blockers.clear();
-        self.blockers.extend(
-            points.into_iter().map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)),
-        );
+        self.blockers
+            .extend(points.into_iter().map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)));
         self.obstacles = self.blockers.len();
         if blockage.bodies {
             let body = cylinder([0.0, 0.0], blockage.body_radius_m, blockage.body_height_m);
@@ -224,7 +223,7 @@ impl World {
 }
 
 fn read_trace(path: &str, users: usize, floor: &Floor) -> Result<Trace, WorldError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|reason| WorldError::TraceFile { path: path.to_owned(), reason })?;
+    let text =
+        std::fs::read_to_string(path).map_err(|reason| WorldError::TraceFile { path: path.to_owned(), reason })?;
     Trace::parse(&text, users, floor).map_err(|reason| WorldError::Trace { path: path.to_owned(), reason })
 }

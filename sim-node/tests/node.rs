@@ -1,0 +1,168 @@
+//! The node on the bus: closed loop, hostile payloads, two simulators, lockstep. Sessions of one process stand for processes.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
+use heliostat_proto::{MirrorCommand, NodeKind, Room, UserReport, decode, encode};
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::Summary;
+use heliostat_sim_node::node::{self, NodeError, Pace, Settings};
+
+fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
+    let scenario = Scenario::builtin("specular").unwrap();
+    Settings { scenario, bus: BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint), pace }
+}
+
+fn live(milliseconds: u64) -> Pace {
+    Pace::Live { duration: Some(Duration::from_millis(milliseconds)) }
+}
+
+fn run(settings: &Settings) -> Result<Summary, NodeError> {
+    node::run(settings, &AtomicBool::new(false))
+}
+
+/// A controller in small: answers every report with angles that follow from the report alone.
+struct Answerer {
+    _bus: Bus,
+    _declared: (Subscription, Token),
+}
+
+impl Answerer {
+    fn start(room: &str, endpoint: &str, epoch: u64) -> Self {
+        let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).connect_to(endpoint)).unwrap();
+        let keys = bus.room().clone();
+        let commands = bus.publisher(&keys.command(), Class::Control).unwrap();
+        let sequence = AtomicU64::new(0);
+        let subscription = bus.subscribe(&keys.users(), move |payload| {
+            let report: UserReport = decode(payload).unwrap();
+            let lean = report.users[0].position_m[0] / 10.0;
+            let command = MirrorCommand {
+                epoch,
+                sequence: sequence.fetch_add(1, Ordering::Relaxed) + 1,
+                answers: report.tick,
+                time_ns: report.stamp.time_ns,
+                validity_ms: 200,
+                roll: vec![lean; 100],
+                yaw: vec![-lean; 100],
+            };
+            let mut payload = Vec::new();
+            encode(&command, &mut payload).unwrap();
+            commands.put(&payload).unwrap();
+        });
+        let declared = (subscription.unwrap(), bus.announce(&keys.alive(NodeKind::Controller, epoch)).unwrap());
+        Self { _bus: bus, _declared: declared }
+    }
+}
+
+#[test]
+fn every_tick_is_answered_in_the_closed_loop() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let _controller = Answerer::start("closed", &endpoint, 1);
+    let summary = run(&settings("closed", &endpoint, live(2000))).unwrap();
+    assert!((195..=201).contains(&summary.ticks), "{summary:?}");
+    assert_eq!(summary.commands + summary.unattended_ticks + summary.lost_ticks, summary.ticks, "{summary:?}");
+    assert_eq!(summary.lost_ticks, 0, "{summary:?}");
+    assert_eq!(summary.loop_us.count, summary.commands);
+    assert!(summary.truth_samples > 20 && summary.ratio_to_oracle.unwrap() > 0.0, "{summary:?}");
+    assert!(summary.refused.is_empty(), "{summary:?}");
+    println!("loop: {:?}; truth {:.0} us", summary.loop_us, summary.truth_us_mean);
+}
+
+#[test]
+fn nobody_there_is_no_loss() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let summary = run(&settings("empty", &endpoint, live(300))).unwrap();
+    assert_eq!((summary.lost_ticks, summary.commands, summary.ratio_to_oracle), (0, 0, None));
+    assert_eq!(summary.unattended_ticks, summary.ticks);
+}
+
+#[test]
+fn hostile_payloads_are_counted_by_name_and_stop_nothing() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let settings = settings("hostile", &endpoint, live(2500));
+    let node = std::thread::spawn(move || run(&settings));
+    let bus = Bus::open(&BusConfig::new(Room::new("hostile").unwrap()).connect_to(&endpoint)).unwrap();
+    let mut waited = 0;
+    while bus.alive(&bus.room().alive_of(NodeKind::SimNode), Duration::from_millis(100)).unwrap().is_empty() {
+        waited += 1;
+        assert!(waited < 50, "the simulator never announced itself");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let good = MirrorCommand { epoch: 3, sequence: 1, validity_ms: 200, ..MirrorCommand::default() };
+    let bytes = |command: &MirrorCommand| {
+        let mut payload = Vec::new();
+        encode(command, &mut payload).unwrap();
+        payload
+    };
+    let small = bytes(&MirrorCommand { roll: vec![0.0; 49], yaw: vec![0.0; 49], ..good.clone() });
+    let mut not_a_number = small.clone();
+    let end = not_a_number.len();
+    not_a_number[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    let mut trailing = small.clone();
+    trailing.push(0);
+    let mut version = small.clone();
+    version[0] = 99;
+    let mut kind = small.clone();
+    kind[1] = 1;
+    let expired = bytes(&MirrorCommand { roll: vec![0.0; 100], yaw: vec![0.0; 100], ..good });
+    let cases: [(&str, &[u8]); 9] = [
+        ("wrong-mirror-count", &small),
+        ("not-finite", &not_a_number),
+        ("trailing-bytes", &trailing),
+        ("wrong-version", &version),
+        ("wrong-kind", &kind),
+        ("truncated", &small[..small.len() / 2]),
+        ("oversized", &vec![1; 2 << 20]),
+        ("expired", &expired),
+        ("wrong-version", b"garbage"),
+    ];
+    let publisher = bus.publisher(&bus.room().command(), Class::Order).unwrap();
+    for (_, payload) in &cases {
+        publisher.put(payload).unwrap();
+    }
+    let summary = node.join().unwrap().unwrap();
+    for (name, _) in &cases {
+        let wanted = cases.iter().filter(|(other, _)| other == name).count() as u64;
+        assert_eq!(summary.refused.get(*name), Some(&wanted), "{name}: {:?}", summary.refused);
+    }
+    assert_eq!(summary.commands, 0);
+    assert!(!summary.last_problem.is_empty());
+    assert!(summary.ticks > 240, "{summary:?}");
+}
+
+#[test]
+fn a_second_simulator_in_the_room_is_refused_by_name() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let first = settings("taken", &endpoint, live(2500));
+    let node = std::thread::spawn(move || run(&first));
+    std::thread::sleep(Duration::from_millis(700));
+    let second = |room: &str| Settings {
+        bus: BusConfig::new(Room::new(room).unwrap()).connect_to(&endpoint),
+        ..settings(room, &endpoint, live(100))
+    };
+    let error = run(&second("taken")).unwrap_err();
+    assert!(matches!(error, NodeError::AnotherSimulator { .. }), "{error}");
+    assert!(run(&second("free")).is_ok(), "another room is another matter");
+    let summary = node.join().unwrap().unwrap();
+    assert!(summary.ticks > 200, "the first one goes on: {summary:?}");
+}
+
+fn lockstep(room: &str, seed: u64, epoch: u64) -> Summary {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let mut settings = settings(room, &endpoint, Pace::Lockstep { ticks: 150 });
+    let overrides =
+        [format!("seed={seed}"), "streams.channel.latency_ms=7".into(), "streams.positions.noise_m=0.01".into()];
+    settings.scenario = settings.scenario.with_overrides(&overrides).unwrap();
+    let _controller = Answerer::start(room, &endpoint, epoch);
+    run(&settings).unwrap()
+}
+
+#[test]
+fn lockstep_repeats_bit_for_bit_from_the_same_seed() {
+    let (first, second, other) = (lockstep("step", 5, 1), lockstep("step", 5, 77), lockstep("step", 6, 1));
+    assert_eq!((first.ticks, first.commands, first.lost_ticks), (150, 150, 0));
+    assert_eq!(first.hash, second.hash);
+    assert_eq!((first.sum_rate_mbps, first.qos_met), (second.sum_rate_mbps, second.qos_met));
+    assert_ne!(first.hash, other.hash);
+}

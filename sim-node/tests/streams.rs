@@ -1,0 +1,122 @@
+//! The report streams: rates, latencies, order, noise.
+
+use heliostat_proto::{ChannelReport, UserReport};
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::SimulatedRoom;
+use heliostat_sim_node::clock::Moment;
+use heliostat_sim_node::streams::{Report, Reports};
+
+const MS: u64 = 1_000_000;
+const SOURCE: u64 = 42;
+
+/// Runs the streams in simulated time; gives each report with the time of its release.
+fn run(overrides: &[&str], until_ms: u64) -> Vec<(u64, Report)> {
+    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+    let mut room = SimulatedRoom::new(&scenario, 3).unwrap();
+    let mut reports = Reports::new(&scenario.streams, scenario.users.count, 3, SOURCE);
+    let mut out = Vec::new();
+    loop {
+        let now = reports.next_sample_ns().min(reports.next_release_ns());
+        if now > until_ms * MS {
+            return out;
+        }
+        room.advance(now);
+        reports.sample(Moment::simulated(now), room.world(), room.angles());
+        while let Some(report) = reports.release(now) {
+            out.push((now, report));
+        }
+    }
+}
+
+fn users(reports: &[(u64, Report)]) -> Vec<(u64, &UserReport)> {
+    reports
+        .iter()
+        .filter_map(|(at, report)| if let Report::Users(r) = report { Some((*at, r)) } else { None })
+        .collect()
+}
+
+fn channels(reports: &[(u64, Report)]) -> Vec<(u64, &ChannelReport)> {
+    reports
+        .iter()
+        .filter_map(|(at, report)| if let Report::Channel(r) = report { Some((*at, r)) } else { None })
+        .collect()
+}
+
+#[test]
+fn each_stream_has_its_own_rate_and_latency_and_stamps_tell_the_sample() {
+    let settings = [
+        "streams.positions.rate_hz=50",
+        "streams.positions.latency_ms=30",
+        "streams.channel.rate_hz=100",
+        "streams.channel.latency_ms=5",
+        "streams.obstacles.rate_hz=0",
+    ];
+    let reports = run(&settings, 1000);
+    let (users, channels) = (users(&reports), channels(&reports));
+    assert_eq!((users.len(), channels.len()), (49, 100));
+    assert_eq!(users.len() + channels.len(), reports.len(), "obstacles are switched off");
+    for (i, (at, report)) in users.iter().enumerate() {
+        assert_eq!((report.tick, report.stamp.sequence), (i as u64 + 1, i as u64 + 1));
+        assert_eq!(report.stamp.source, SOURCE);
+        assert_eq!(report.stamp.time_ns, i as u64 * 20 * MS);
+        assert_eq!(at - report.stamp.time_ns, 30 * MS);
+    }
+    for (i, (at, report)) in channels.iter().enumerate() {
+        assert_eq!(report.stamp.sequence, i as u64 + 1);
+        assert_eq!(at - report.stamp.time_ns, 5 * MS);
+        assert_eq!(report.tick, i as u64 / 2 + 1, "the tick in which it was sampled");
+    }
+}
+
+#[test]
+fn positions_come_last_at_the_same_instant_since_they_complete_the_tick() {
+    let reports = run(&["streams.obstacles.rate_hz=50"], 100);
+    let rank = |report: &Report| match report {
+        Report::Obstacles(_) => 0,
+        Report::Channel(_) => 1,
+        Report::Users(_) => 2,
+    };
+    let order: Vec<(u64, i32)> = reports.iter().map(|(at, report)| (*at, rank(report))).collect();
+    assert!(order.is_sorted(), "{order:?}");
+    assert_eq!(order[..3], [(0, 0), (0, 1), (0, 2)]);
+    assert_eq!(order[3..5], [(10 * MS, 1), (10 * MS, 2)]);
+}
+
+#[test]
+fn noise_has_its_size_and_one_noise_leaves_the_others_alone() {
+    let quiet = run(&[], 20_000);
+    let noisy = run(&["streams.positions.noise_m=0.05", "streams.positions.velocity_noise_m_s=0.2"], 20_000);
+    let deviation = |pick: fn(&UserReport, usize) -> f32| {
+        let pairs = users(&quiet)
+            .into_iter()
+            .zip(users(&noisy))
+            .flat_map(|((_, a), (_, b))| (0..5).map(move |user| f64::from(pick(b, user) - pick(a, user))));
+        let squares: Vec<f64> = pairs.map(|difference| difference * difference).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    assert!((deviation(|r, u| r.users[u].position_m[0]) / 0.05 - 1.0).abs() < 0.05);
+    assert!((deviation(|r, u| r.users[u].position_m[2]) / 0.05 - 1.0).abs() < 0.05);
+    assert!((deviation(|r, u| r.users[u].velocity_m_s[1]) / 0.2 - 1.0).abs() < 0.05);
+    assert_eq!(channels(&quiet), channels(&noisy));
+}
+
+#[test]
+fn gain_noise_is_relative_and_blocked_stays_blocked() {
+    let quiet = run(&["blockage.forced_users=1"], 20_000);
+    let noisy = run(&["blockage.forced_users=1", "streams.channel.noise_relative=0.1"], 20_000);
+    let mut ratios = Vec::new();
+    for ((_, a), (_, b)) in channels(&quiet).into_iter().zip(channels(&noisy)) {
+        assert_eq!((a.users[0].los_gain, b.users[0].los_gain), (0.0, 0.0));
+        for (a, b) in a.users.iter().zip(&b.users).filter(|(a, _)| a.los_gain > 0.0) {
+            let ratio = f64::from(b.los_gain / a.los_gain);
+            ratios.push(ratio);
+            if a.irs_gain == 0.0 {
+                assert!((f64::from(b.sinr / a.sinr) - ratio * ratio).abs() < 1e-4);
+            }
+        }
+    }
+    let deviation = (ratios.iter().map(|r| (r - 1.0).powi(2)).sum::<f64>() / ratios.len() as f64).sqrt();
+    assert!((deviation / 0.1 - 1.0).abs() < 0.05, "{deviation}");
+    assert_eq!(users(&quiet), users(&noisy));
+}

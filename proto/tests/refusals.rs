@@ -182,8 +182,11 @@ fn numbers_that_are_not_finite_are_refused_with_field_and_index() {
     assert_eq!(error.to_string(), "mirror command: yaw at index 1 is NaN: wanted a finite number");
 }
 
+/// A field's name, and what makes it NaN.
+type Alteration<T> = (&'static str, fn(&mut T));
+
 /// Each alteration must be refused as not finite, under the field's name.
-fn poisoned<T: Message + Clone>(sample: &T, alterations: &[(&str, fn(&mut T))]) {
+fn poisoned<T: Message + Clone>(sample: &T, alterations: &[Alteration<T>]) {
     for (wanted, alter) in alterations {
         let mut message = sample.clone();
         alter(&mut message);

@@ -1,9 +1,12 @@
 //! How long a decision takes without transport, policy by policy: from the payload of a position report to the payload of the
 //! command, in a hot loop and with a pause of 10 ms before each report, as at 100 reports a second.
 //!
-//! `cargo run --release --example decision_times -- [--scenario FILE] [--set table.key=value] [--decisions N]`
+//! `cargo run --release --example decision_times -- [--scenario FILE] [--set table.key=value] [--model FILE]`
 
-use std::time::{Duration, Instant};
+use std::{
+    path::PathBuf,
+    time::{Duration, Instant},
+};
 
 use anyhow::Result;
 use clap::{Parser, ValueEnum};
@@ -23,6 +26,9 @@ use heliostat_scenario::{Scenario, ScenarioArgs};
 struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
+    /// ONNX file of the actor, in place of the built-in one
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
     /// Decisions a policy in the hot loop
     #[arg(long, default_value_t = 5000)]
     decisions: u64,
@@ -37,6 +43,7 @@ const INTERVAL: Duration = Duration::from_millis(10);
 fn main() -> Result<()> {
     let args = Args::parse();
     let scenario = args.scenario.load()?;
+    let actor = args.model.map_or(ActorSource::Shipped, ActorSource::Path);
     println!("{} users, {} mirrors; times in us", scenario.users.count, scenario.mirror_count());
     println!(
         "{:<12} {:>6} {:>9} {:>9} {:>9} | {:>8} {:>8} {:>8}",
@@ -44,7 +51,7 @@ fn main() -> Result<()> {
     );
     for kind in PolicyKind::value_variants() {
         for (pace, pause, decisions) in [("hot", Duration::ZERO, args.decisions), ("10 ms", INTERVAL, args.paced)] {
-            let policy = match build(*kind, &scenario, &ActorSource::Shipped) {
+            let policy = match build(*kind, &scenario, &actor) {
                 Ok(policy) => policy,
                 Err(error) => {
                     println!("{error}");

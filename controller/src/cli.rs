@@ -1,6 +1,6 @@
 //! The flags of the controller, for its own program and for the `heliostat` command line.
 
-use std::{path::PathBuf, time::Duration};
+use std::{io::IsTerminal, path::PathBuf, time::Duration};
 
 use anyhow::{Context, bail};
 use heliostat_bus::BusArgs;
@@ -10,6 +10,9 @@ use crate::{
     node::{self, NodeConfig, Pace},
     policy::PolicyKind,
 };
+
+/// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
+const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_controller=info";
 
 /// Run the central unit: reports in, mirror commands out.
 ///
@@ -88,7 +91,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 /// Text goes to standard error, so that standard output holds the summary alone; RUST_LOG chooses how much.
 fn log_to_stderr() {
     use tracing_subscriber::EnvFilter;
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn,heliostat_controller=info"));
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_LOG));
     // Another part of the same process may have set one up already.
-    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr)
+        .try_init();
 }

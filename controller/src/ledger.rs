@@ -143,9 +143,9 @@ fn nanoseconds(duration: Duration) -> u64 {
 }
 
 fn quantiles_us(histogram: &Histogram<u64>) -> Quantiles {
-    let at = |quantile: f64| histogram.value_at_quantile(quantile) as f64 * 1e-3;
+    let at = |quantile: f64| histogram.value_at_quantile(quantile) as f64 / 1e3;
     let (p50, p90, p99, p999) = (at(0.5), at(0.9), at(0.99), at(0.999));
-    Quantiles { count: histogram.len(), p50, p90, p99, p999, max: histogram.max() as f64 * 1e-3 }
+    Quantiles { count: histogram.len(), p50, p90, p99, p999, max: histogram.max() as f64 / 1e3 }
 }
 
 #[cfg(test)]

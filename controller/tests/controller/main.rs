@@ -3,6 +3,7 @@
 mod actor_files;
 mod allocations;
 mod decisions;
+mod node;
 mod observations;
 mod policies;
 mod reports;

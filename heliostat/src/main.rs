@@ -1,1 +1,16 @@
-fn main() {}
+//! The command line of Heliostat.
+
+use std::process::ExitCode;
+
+mod cli;
+mod commands;
+
+fn main() -> ExitCode {
+    match cli::run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("heliostat: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

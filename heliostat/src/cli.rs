@@ -1,0 +1,48 @@
+//! The commands and their help.
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+use crate::commands::{demo, link, map, scenario};
+
+/// Real-time control of a wall of MEMS mirrors that steers light to people.
+///
+/// A ceiling LED serves moving users; people and furniture block the direct path; a wall of mirrors brings the light round
+/// the obstacle. Start with `heliostat demo`.
+#[derive(Debug, Parser)]
+#[command(name = "heliostat", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a simulated room and a controller as two processes and watch them
+    Demo(demo::Args),
+    /// Run the central unit: reports in, mirror commands out
+    Controller(heliostat_controller::cli::Args),
+    /// Run the simulated room: users, obstacles, mirrors, reports
+    SimNode(heliostat_sim_node::cli::Args),
+    /// Train a policy and export it as an ONNX file
+    Train(heliostat_models::TrainArgs),
+    /// Compute the link budget of users under given mirror angles
+    Link(link::Args),
+    /// Draw rate, SINR or coverage over the floor as a heat map
+    Map(map::Args),
+    /// Check, write or print a scenario file
+    Scenario(scenario::Args),
+}
+
+/// Reads the command line and runs the command.
+pub fn run() -> Result<()> {
+    match Cli::parse().command {
+        Command::Demo(args) => demo::run(args),
+        Command::Controller(args) => heliostat_controller::cli::run(args),
+        Command::SimNode(args) => heliostat_sim_node::cli::run(args),
+        Command::Train(args) => heliostat_models::run_train(args),
+        Command::Link(args) => link::run(args),
+        Command::Map(args) => map::run(args),
+        Command::Scenario(args) => scenario::run(args),
+    }
+}

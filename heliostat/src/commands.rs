@@ -1,0 +1,6 @@
+//! One module a command.
+
+pub mod demo;
+pub mod link;
+pub mod map;
+pub mod scenario;

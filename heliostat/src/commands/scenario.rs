@@ -1,0 +1,82 @@
+//! `heliostat scenario`: check a file, write a commented one, print the effective one.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
+
+/// Check, write or print a scenario.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Say what is wrong in a scenario file, with the line
+    Check {
+        /// The file
+        file: String,
+        /// Print the verdict as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// Write a commented scenario file to start from
+    New {
+        /// Where to; nothing is overwritten
+        file: PathBuf,
+        /// Which built-in scenario to start from
+        #[arg(long, default_value = BUILTIN_NAMES[0], value_parser = BUILTIN_NAMES)]
+        from: String,
+    },
+    /// Print the effective scenario as TOML, every key written out
+    Show {
+        #[command(flatten)]
+        scenario: ScenarioArgs,
+    },
+}
+
+/// Runs the subcommand.
+pub fn run(args: Args) -> Result<()> {
+    match args.action {
+        Action::Check { file, json } => check(file, json),
+        Action::New { file, from } => {
+            let mut out = OpenOptions::new().write(true).create_new(true).open(&file).with_context(|| {
+                format!("cannot write {}: choose a path that does not exist yet, in a folder that does", file.display())
+            })?;
+            out.write_all(Scenario::builtin_text(&from)?.as_bytes())?;
+            println!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display());
+            Ok(())
+        }
+        Action::Show { scenario } => {
+            print!("{}", scenario.load()?.to_toml());
+            Ok(())
+        }
+    }
+}
+
+fn check(file: String, json: bool) -> Result<()> {
+    let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
+    let verdict = args.load().map_err(anyhow::Error::from).and_then(|scenario| {
+        scenario.channel_model()?;
+        Ok(scenario)
+    });
+    if json {
+        let problem = verdict.as_ref().err().map(|error| format!("{error:#}"));
+        println!("{}", serde_json::json!({ "file": args.scenario, "valid": verdict.is_ok(), "problem": problem }));
+    } else if let Ok(scenario) = &verdict {
+        println!(
+            "{}: valid: {} mode, {} users, {} x {} mirrors, configuration {}",
+            args.scenario,
+            scenario.channel.mode.name(),
+            scenario.users.count,
+            scenario.mirrors.rows,
+            scenario.mirrors.columns,
+            scenario.hash()
+        );
+    }
+    verdict.map(|_| ()).with_context(|| format!("{} cannot be used", args.scenario))
+}

@@ -1,0 +1,34 @@
+//! What a stranger meets first.
+
+use std::process::{Command, Output};
+
+fn heliostat(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).output().expect("the program starts")
+}
+
+#[test]
+fn every_command_explains_itself() {
+    let commands = ["demo", "controller", "sim-node", "train", "link", "map", "scenario"];
+    let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");
+    for command in commands {
+        assert!(overview.contains(command), "{command} is missing in: {overview}");
+        let help = heliostat(&[command, "--help"]);
+        assert!(help.status.success() && help.stdout.len() > 200, "{command}");
+    }
+}
+
+#[test]
+fn scenario_new_writes_a_file_that_check_accepts() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("room.toml");
+    let file = file.to_str().expect("a plain path");
+    assert!(heliostat(&["scenario", "new", file]).status.success());
+    assert!(!heliostat(&["scenario", "new", file]).status.success(), "nothing is overwritten");
+    assert!(heliostat(&["scenario", "check", file]).status.success());
+
+    let text = std::fs::read_to_string(file).expect("readable").replace("rows = 10", "rwos = 10");
+    std::fs::write(file, text).expect("writable");
+    let refused = heliostat(&["scenario", "check", file]);
+    let errors = String::from_utf8(refused.stderr).expect("text");
+    assert!(!refused.status.success() && errors.contains("rwos") && errors.contains("line"), "{errors}");
+}

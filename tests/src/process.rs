@@ -1,0 +1,157 @@
+//! A program of this workspace as an operating-system process.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+
+use serde_json::Value;
+
+use crate::wait_until;
+
+/// A running program; it is killed when dropped.
+pub struct Process {
+    child: Child,
+    output: Arc<Mutex<String>>,
+    errors: Arc<Mutex<String>>,
+    readers: Vec<JoinHandle<()>>,
+}
+
+impl Process {
+    /// Starts `heliostat` with these arguments.
+    ///
+    /// # Panics
+    /// When the program is not built or does not start.
+    pub fn heliostat(arguments: &[&str]) -> Self {
+        Self::program("heliostat", arguments)
+    }
+
+    /// Starts a program of the workspace with these arguments.
+    ///
+    /// # Panics
+    /// When the program is not built or does not start.
+    pub fn program(name: &str, arguments: &[&str]) -> Self {
+        let path = built(name);
+        let mut child = Command::new(&path)
+            .args(arguments)
+            .current_dir(workspace())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap_or_else(|error| panic!("{} does not start: {error}", path.display()));
+        let (output, errors) = (Arc::default(), Arc::default());
+        let stdout = child.stdout.take().expect("standard output is piped");
+        let stderr = child.stderr.take().expect("standard error is piped");
+        let readers = vec![collect(stdout, &output), collect(stderr, &errors)];
+        Self { child, output, errors, readers }
+    }
+
+    /// Sends SIGKILL: the process gets no chance to say or do anything.
+    pub fn kill(&mut self) {
+        self.child.kill().expect("the process can be killed");
+        self.child.wait().expect("the process can be waited for");
+    }
+
+    /// The operating system's number of the process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Whether it still runs.
+    pub fn is_running(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
+    }
+
+    /// What it has written to standard error so far.
+    pub fn errors(&self) -> String {
+        self.errors.lock().expect("no reader panics").clone()
+    }
+
+    /// Closes its standard input, which ends a process started with `--exit-with-parent`, and waits for it.
+    pub fn end(mut self) -> Ended {
+        drop(self.child.stdin.take());
+        self.wait()
+    }
+
+    /// Waits for its end.
+    ///
+    /// # Panics
+    /// When it does not end in good time.
+    pub fn wait(mut self) -> Ended {
+        let mut status = None;
+        wait_until("the end of a process", || {
+            status = self.child.try_wait().expect("the process can be waited for");
+            status.is_some()
+        });
+        self.readers.drain(..).for_each(|reader| reader.join().expect("no reader panics"));
+        Ended { status: status.expect("waited for"), output: self.output.lock().expect("no reader panics").clone(), errors: self.errors() }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if self.is_running() {
+            self.child.kill().ok();
+            self.child.wait().ok();
+        }
+    }
+}
+
+/// What an ended process left behind.
+#[derive(Debug)]
+pub struct Ended {
+    /// Its exit status.
+    pub status: ExitStatus,
+    /// Its standard output.
+    pub output: String,
+    /// Its standard error.
+    pub errors: String,
+}
+
+impl Ended {
+    /// The JSON object on the last line of its output, after a good end.
+    ///
+    /// # Panics
+    /// When the exit status is bad, or the last line is no JSON.
+    pub fn json(&self) -> Value {
+        assert!(self.status.success(), "{}: {}", self.status, self.errors);
+        let line = self.output.lines().last().unwrap_or_default();
+        serde_json::from_str(line).unwrap_or_else(|error| panic!("the last line is no JSON ({error}): {line}"))
+    }
+
+    /// Its standard error, after a bad end.
+    ///
+    /// # Panics
+    /// When the exit status is good.
+    pub fn refusal(&self) -> &str {
+        assert!(!self.status.success(), "ended well, with: {}", self.output);
+        &self.errors
+    }
+}
+
+fn collect(mut stream: impl Read + Send + 'static, into: &Arc<Mutex<String>>) -> JoinHandle<()> {
+    let into = Arc::clone(into);
+    std::thread::spawn(move || {
+        for line in BufReader::new(&mut stream).lines().map_while(Result::ok) {
+            let mut text = into.lock().expect("no reader panics");
+            text.push_str(&line);
+            text.push('\n');
+        }
+    })
+}
+
+/// The workspace's folder.
+pub(crate) fn workspace() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// A program built beside this test: tests run from `target/PROFILE/deps`, programs are in `target/PROFILE`.
+fn built(name: &str) -> PathBuf {
+    let test = std::env::current_exe().expect("a test has a file");
+    let folder = test.parent().and_then(|deps| deps.parent()).expect("a test lies in target/PROFILE/deps");
+    let path = folder.join(name).with_extension(std::env::consts::EXE_EXTENSION);
+    assert!(path.exists(), "{} is not built: run the tests with `cargo test --release --workspace`", path.display());
+    path
+}

@@ -1,0 +1,79 @@
+//! The main job, as a stranger starts it: two processes, one contract, mirrors that follow people.
+
+use heliostat_tests::Process;
+use serde_json::Value;
+
+fn demo(arguments: &[&str]) -> Value {
+    let all: Vec<&str> = ["demo", "--seconds", "3", "--json"].iter().chain(arguments).copied().collect();
+    Process::heliostat(&all).wait().json()
+}
+
+fn number(summary: &Value, path: &str) -> f64 {
+    summary.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {path} in {summary}"))
+}
+
+fn assert_complete(summary: &Value) {
+    for time in ["decision_us", "loop_us"] {
+        let quantiles = ["p50", "p90", "p99", "p999", "max"].map(|name| number(summary, &format!("/{time}/{name}")));
+        assert!(quantiles[0] > 0.0 && quantiles.is_sorted(), "{time}: {quantiles:?}");
+    }
+    for name in ["ticks", "commands", "lost_ticks", "over_budget", "ratio_to_oracle", "qos_met"] {
+        number(summary, &format!("/{name}"));
+    }
+    // Three seconds at 100 reports a second, each answered; a busy machine may be late, but it loses nothing.
+    assert!(number(summary, "/commands") > 200.0, "{summary}");
+    assert_eq!(number(summary, "/lost_ticks"), 0.0, "{summary}");
+    assert_eq!(summary["refused_by_room"], serde_json::json!({}), "{summary}");
+    assert_eq!(summary["refused_by_controller"], serde_json::json!({}), "{summary}");
+}
+
+#[test]
+fn the_shipped_actor_brings_light_to_people_in_shadow() {
+    let summary = demo(&["--set", "blockage.forced_users=2"]);
+    assert_complete(&summary);
+    assert_eq!(summary["fallbacks"], serde_json::json!({}), "{summary}");
+    let (policy, no_irs) = (number(&summary, "/sum_rate_mbps/policy"), number(&summary, "/sum_rate_mbps/no_irs"));
+    assert!(policy > 1.5 * no_irs, "{summary}");
+    assert!(number(&summary, "/ratio_to_oracle") > 0.85, "{summary}");
+    assert!(number(&summary, "/sum_rate_mbps/flat") <= number(&summary, "/sum_rate_mbps/oracle"), "{summary}");
+}
+
+#[test]
+fn model_based_policies_need_no_actor() {
+    for (policy, least) in [("fixed-point", 0.9), ("nearest", 0.5)] {
+        let summary = demo(&["--policy", policy, "--set", "blockage.forced_users=2"]);
+        assert_complete(&summary);
+        assert_eq!(summary["policy"], policy);
+        assert!(number(&summary, "/ratio_to_oracle") > least, "{summary}");
+    }
+}
+
+#[test]
+fn the_papers_equations_run_in_the_same_loop() {
+    let summary = demo(&["--scenario", "deploy/scenarios/paper.toml"]);
+    assert_complete(&summary);
+    assert!(number(&summary, "/ratio_to_oracle") > 0.95, "{summary}");
+}
+
+#[test]
+fn another_room_works_and_an_actor_that_does_not_fit_says_so() {
+    let other = ["--set", "mirrors.rows=7", "--set", "mirrors.columns=7", "--set", "users.count=3", "--set", "noise.variance_a2=2e-14"];
+    assert_complete(&demo(&other));
+
+    let odd = ["--set", "mirrors.rows=6", "--set", "mirrors.columns=9"];
+    let arguments: Vec<&str> = ["demo", "--seconds", "3", "--json"].into_iter().chain(odd).collect();
+    let ended = Process::heliostat(&arguments).wait();
+    let refusal = ended.refusal();
+    assert!(refusal.contains("controller") && refusal.contains("heliostat train ddpg"), "{refusal}");
+    assert!(refusal.contains("fixed-point"), "it names a policy that needs no training: {refusal}");
+
+    let with_model: Vec<&str> = odd.into_iter().chain(["--policy", "fixed-point"]).collect();
+    assert_complete(&demo(&with_model));
+}
+
+#[test]
+fn a_scenario_that_cannot_be_is_refused_before_anything_starts() {
+    let ended = Process::heliostat(&["demo", "--set", "mirrors.reflectivity=2"]).wait();
+    assert!(ended.refusal().contains("mirrors.reflectivity = 2"), "{}", ended.errors);
+    assert!(!ended.errors.contains("is process"), "{}", ended.errors);
+}

@@ -1,0 +1,144 @@
+//! Payloads that nobody should send, on every key that anybody listens to: nothing crashes, each is counted and named.
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_proto::{
+    ChannelReport, MirrorCommand, NodeKind, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState, codec,
+};
+use heliostat_tests::{Process, Witness, wait_until};
+
+/// What no number in a message may be.
+const NAN: [u8; 4] = f32::NAN.to_le_bytes();
+/// A number that stands once in each of the test's messages, to be replaced by one that is none.
+const MARK: f32 = 0.123_456_79;
+
+/// A valid payload and, by the name under which it must be counted, what becomes of it in bad hands.
+fn hostile(valid: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
+    let mut wrong_version = valid.to_vec();
+    wrong_version[0] = 9;
+    let mut wrong_kind = valid.to_vec();
+    wrong_kind[1] = 200;
+    let mut trailing = valid.to_vec();
+    trailing.push(0);
+    let mut nan = valid.to_vec();
+    let place = valid.windows(4).position(|bytes| bytes == MARK.to_le_bytes()).expect("the mark is there");
+    nan[place..place + 4].copy_from_slice(&NAN);
+    vec![
+        ("wrong-version", wrong_version),
+        ("wrong-kind", wrong_kind),
+        ("trailing-bytes", trailing),
+        ("not-finite", nan),
+        ("truncated", valid[..valid.len() / 2].to_vec()),
+        ("truncated", Vec::new()),
+        ("oversized", vec![1; 2 << 20]),
+        ("wrong-version", b"garbage".to_vec()),
+    ]
+}
+
+fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    codec::encode(message, &mut bytes).expect("the message is valid");
+    bytes
+}
+
+/// A room, a controller, and a witness who knows the newest position report.
+fn running() -> (Process, Process, Witness) {
+    let (room, controller) = (free_loopback_endpoint().expect("a port"), free_loopback_endpoint().expect("a port"));
+    let sim = Process::heliostat(&["sim-node", "--listen", &room, "--exit-with-parent", "--json"]);
+    let central = Process::heliostat(&[
+        "controller", "--policy", "nearest", "--connect", &room, "--listen", &controller, "--exit-with-parent", "--json",
+    ]);
+    let witness = Witness::connect("demo", &[&room, &controller]);
+    witness.wait_for_commands();
+    (sim, central, witness)
+}
+
+#[test]
+fn the_controller_counts_and_names_whatever_is_wrong() {
+    let (sim, central, witness) = running();
+    let room = witness.room().clone();
+    let real = witness.users().expect("heard");
+    let user = |user| UserState { user, position_m: [MARK, 0.0, 0.85], velocity_m_s: [0.0, 0.0], min_rate_bps: 1e6 };
+    let channel = |user| UserChannel { user, los_gain: MARK, irs_gain: 0.0, sinr: 0.0 };
+    let users = UserReport { users: vec![user(0), user(1)], ..real.clone() };
+    let channels = ChannelReport { stamp: real.stamp, tick: real.tick, users: vec![channel(0)] };
+    let obstacle = Obstacle { x_m: MARK, y_m: 0.0, radius_m: 0.3, height_m: 1.0 };
+    let obstacles = ObstacleReport { stamp: real.stamp, obstacles: vec![obstacle] };
+
+    let attacks = [
+        ("users", room.users(), encoded(&users)),
+        ("channel", room.channel(), encoded(&channels)),
+        ("obstacles", room.obstacles(), encoded(&obstacles)),
+    ];
+    for (stream, key, valid) in &attacks {
+        for (name, payload) in hostile(valid) {
+            let counter = format!("refused:{stream}:{name}");
+            let before = witness.counter(NodeKind::Controller, &counter);
+            witness.say(key, &payload);
+            wait_until(&counter, || witness.counter(NodeKind::Controller, &counter) > before);
+        }
+    }
+
+    // Well-formed, from the source that owns the room, and still wrong.
+    let later = |sequence: u64, users: Vec<UserState>| UserReport {
+        stamp: Stamp { sequence: real.stamp.sequence + sequence, ..witness.users().expect("heard").stamp },
+        tick: real.tick,
+        users,
+    };
+    let five: Vec<UserState> = (0..5).map(user).collect();
+    let mut stale = later(1_000_000, five.clone());
+    stale.stamp.time_ns -= 10_000_000_000;
+    let mut outside = later(1_000_000, five.clone());
+    outside.users[0].position_m = [99.0, 0.0, 0.85];
+    for (name, report) in [
+        ("wrong-user-count", later(1_000_000, vec![user(0), user(1)])),
+        ("stale", stale),
+        ("outside-room", outside),
+        ("out-of-order", UserReport { stamp: Stamp { sequence: 1, ..real.stamp }, tick: 1, users: five }),
+    ] {
+        let counter = format!("refused:users:{name}");
+        witness.say(&room.users(), &encoded(&report));
+        wait_until(&counter, || witness.counter(NodeKind::Controller, &counter) > 0);
+    }
+    assert!(!witness.status(NodeKind::Controller).expect("heard").last_problem.is_empty());
+
+    witness.wait_for_commands();
+    let summary = central.end().json();
+    assert!(summary["refused"]["users:not-finite"].as_u64() > Some(0), "{summary}");
+    sim.end().json();
+}
+
+#[test]
+fn the_array_counts_and_names_whatever_is_wrong() {
+    let (sim, central, witness) = running();
+    let key = witness.room().command();
+    let (_, real) = witness.command();
+    let real = real.expect("heard");
+    let command = |mirrors: usize| MirrorCommand {
+        epoch: real.epoch,
+        sequence: real.sequence + 1_000_000,
+        roll: vec![MARK; mirrors],
+        yaw: vec![0.0; mirrors],
+        ..witness.command().1.expect("heard")
+    };
+    let counted = |name: &str| format!("refused:command:{name}");
+    for (name, payload) in hostile(&encoded(&command(100))) {
+        let before = witness.counter(NodeKind::SimNode, &counted(name));
+        witness.say(&key, &payload);
+        wait_until(&counted(name), || witness.counter(NodeKind::SimNode, &counted(name)) > before);
+    }
+    let mut expired = command(100);
+    expired.time_ns -= 60_000_000_000;
+    for (name, payload) in [
+        ("wrong-mirror-count", command(99)),
+        ("expired", expired),
+        ("lower-epoch", MirrorCommand { epoch: 1, ..command(100) }),
+        ("old-sequence", MirrorCommand { sequence: 1, ..command(100) }),
+    ] {
+        witness.say(&key, &encoded(&payload));
+        wait_until(&counted(name), || witness.counter(NodeKind::SimNode, &counted(name)) > 0);
+    }
+    witness.wait_for_commands();
+    let summary = sim.end().json();
+    assert!(summary["refused"]["command:wrong-mirror-count"].as_u64() > Some(0), "{summary}");
+    central.end().json();
+}

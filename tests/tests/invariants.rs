@@ -1,0 +1,75 @@
+//! Rules of ARCHITECTURE.md that can be read off manifests and sources.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn dependencies(member: &str) -> Vec<String> {
+    let text = fs::read_to_string(root().join(member).join("Cargo.toml")).expect("a member has a manifest");
+    let manifest: toml::Table = toml::from_str(&text).expect("a manifest is TOML");
+    manifest["dependencies"].as_table().expect("a table").keys().cloned().collect()
+}
+
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    entries
+        .flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] })
+        .filter(|path| path.extension().is_some_and(|extension| extension == "rs"))
+        .collect()
+}
+
+/// Files outside `allowed` whose code, comments aside, contains one of the words.
+fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
+    let members = ["channel", "scenario", "proto", "bus", "sim-node", "controller", "models", "heliostat"];
+    let files = members.iter().flat_map(|member| sources(&root().join(member).join("src")));
+    files
+        .filter(|path| !allowed.iter().any(|place| path.starts_with(root().join(place))))
+        .filter(|path| {
+            let text = fs::read_to_string(path).expect("a source is readable");
+            let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+            code.into_iter().any(|line| words.iter().any(|word| line.contains(word)))
+        })
+        .map(|path| path.display().to_string())
+        .collect()
+}
+
+#[test]
+fn controller_and_simulator_do_not_know_each_other() {
+    assert!(!dependencies("controller").contains(&"heliostat-sim-node".to_string()));
+    assert!(!dependencies("sim-node").contains(&"heliostat-controller".to_string()));
+}
+
+#[test]
+fn what_is_deployed_carries_no_training_and_no_plots() {
+    for member in ["channel", "scenario", "proto", "bus", "sim-node", "controller"] {
+        for heavy in ["candle-core", "candle-nn", "plotters", "heliostat-models"] {
+            assert!(!dependencies(member).contains(&heavy.to_string()), "{member} depends on {heavy}");
+        }
+    }
+}
+
+#[test]
+fn each_foreign_library_has_one_door() {
+    assert_eq!(offenders(&["zenoh::"], &["bus"]), Vec::<String>::new());
+    assert_eq!(offenders(&["ort::", "ort_tract"], &["controller/src/policy/actor.rs"]), Vec::<String>::new());
+    assert_eq!(offenders(&["postcard::"], &["proto/src/codec.rs"]), Vec::<String>::new());
+}
+
+#[test]
+fn the_channel_reads_no_clock_opens_nothing_and_draws_nothing() {
+    let words = ["std::time", "std::fs", "std::net", "std::env", "println!", "rand::", "SystemTime", "Instant::"];
+    let elsewhere = ["scenario", "proto", "bus", "sim-node", "controller", "models", "heliostat"];
+    assert_eq!(offenders(&words, &elsewhere), Vec::<String>::new());
+    assert!(!dependencies("channel").iter().any(|name| name.starts_with("rand")));
+}
+
+#[test]
+fn the_readme_names_the_test_command_that_continuous_integration_runs() {
+    let command = "cargo test --release --workspace";
+    for file in ["README.md", ".ci/run", "CONTRIBUTING.md"] {
+        assert!(fs::read_to_string(root().join(file)).expect("readable").contains(command), "{file}");
+    }
+}

@@ -1,0 +1,25 @@
+//! The same seed twice in lockstep: the same run, bit for bit, across processes.
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_tests::Process;
+
+fn hash(policy: &str, seed: &str) -> String {
+    let endpoint = free_loopback_endpoint().expect("a free port");
+    let room = Process::heliostat(&["sim-node", "--lockstep", "300", "--seed", seed, "--listen", &endpoint, "--json"]);
+    let controller = Process::heliostat(&[
+        "controller", "--lockstep", "--seed", seed, "--policy", policy, "--connect", &endpoint, "--exit-with-parent", "--json",
+    ]);
+    let summary = room.wait().json();
+    controller.end().json();
+    assert_eq!(summary["commands"].as_u64(), Some(300), "{summary}");
+    summary["hash"].as_str().expect("a lockstep run has a hash").to_string()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_run_and_another_seed_another() {
+    for policy in ["actor", "fixed-point"] {
+        let first = hash(policy, "7");
+        assert_eq!(first, hash(policy, "7"), "{policy}");
+        assert_ne!(first, hash(policy, "8"), "{policy}");
+    }
+}

@@ -1,0 +1,140 @@
+//! Processes that die, come back, or find their place taken.
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_proto::{ArrayState, NodeKind};
+use heliostat_tests::{Process, Witness, wait_until};
+
+/// A room, a controller and a witness of both.
+struct Setting {
+    room_endpoint: String,
+    controller_endpoint: String,
+}
+
+impl Setting {
+    fn new() -> Self {
+        Self {
+            room_endpoint: free_loopback_endpoint().expect("a free port"),
+            controller_endpoint: free_loopback_endpoint().expect("a free port"),
+        }
+    }
+
+    fn room(&self) -> Process {
+        Process::heliostat(&["sim-node", "--listen", &self.room_endpoint, "--exit-with-parent", "--json"])
+    }
+
+    fn controller(&self) -> Process {
+        Process::heliostat(&[
+            "controller",
+            "--policy",
+            "fixed-point",
+            "--connect",
+            &self.room_endpoint,
+            "--listen",
+            &self.controller_endpoint,
+            "--exit-with-parent",
+            "--json",
+        ])
+    }
+
+    fn witness(&self) -> Witness {
+        Witness::connect("demo", &[&self.room_endpoint, &self.controller_endpoint])
+    }
+}
+
+#[test]
+fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
+    let setting = Setting::new();
+    let room = setting.room();
+    let mut controller = setting.controller();
+    let witness = setting.witness();
+    witness.wait_for_commands();
+    let turned = || witness.telemetry().is_some_and(|array| array.yaw_commanded.iter().any(|yaw| *yaw != 0.0));
+    wait_until("mirrors that turn", turned);
+    let first_epoch = witness.telemetry().expect("heard").epoch;
+
+    controller.kill();
+    wait_until("a parked array", || witness.telemetry().is_some_and(|array| array.state == ArrayState::Parked));
+    let parked = witness.telemetry().expect("heard");
+    assert!(parked.roll_commanded.iter().chain(&parked.yaw_commanded).all(|angle| *angle == 0.0), "{parked:?}");
+
+    let controller = setting.controller();
+    wait_until("an array that follows the new controller", || {
+        witness.telemetry().is_some_and(|array| array.state == ArrayState::Following && array.epoch > first_epoch)
+    });
+    witness.wait_for_commands();
+    let room_summary = room.end().json();
+    let summary = controller.end().json();
+    assert!(summary["commands"].as_u64() > Some(0), "{summary}");
+    assert!(room_summary["lost_ticks"].as_u64() > Some(0), "ticks went unanswered while nobody was there: {room_summary}");
+}
+
+#[test]
+fn the_controller_serves_a_simulator_that_comes_back() {
+    let setting = Setting::new();
+    let mut room = setting.room();
+    let controller = setting.controller();
+    let witness = setting.witness();
+    witness.wait_for_commands();
+    let first = witness.users().expect("heard").stamp.source;
+
+    room.kill();
+    let room = setting.room();
+    wait_until("reports of the new simulator", || witness.users().is_some_and(|report| report.stamp.source != first));
+    witness.wait_for_commands();
+    let summary = room.end().json();
+    assert!(summary["commands"].as_u64() > Some(0), "{summary}");
+    let summary = controller.end().json();
+    assert_eq!(summary["sources"].as_u64(), Some(2), "{summary}");
+}
+
+#[test]
+fn a_second_simulator_in_the_room_is_refused() {
+    let setting = Setting::new();
+    let _room = setting.room();
+    let witness = setting.witness();
+    wait_until("the first simulator", || witness.users().is_some());
+    let elsewhere = free_loopback_endpoint().expect("a free port");
+    let second = Process::heliostat(&["sim-node", "--listen", &elsewhere, "--connect", &setting.room_endpoint]).wait();
+    assert!(second.refusal().contains("demo") && second.refusal().contains("already"), "{}", second.errors);
+}
+
+#[test]
+fn two_simulators_that_cannot_see_each_other_are_never_mixed() {
+    let setting = Setting::new();
+    let _room = setting.room();
+    let controller = setting.controller();
+    let witness = setting.witness();
+    witness.wait_for_commands();
+    let owner = witness.users().expect("heard").stamp.source;
+
+    // The second one knows the controller only: peers do not pass on what others say.
+    let second = Process::heliostat(&["sim-node", "--connect", &setting.controller_endpoint, "--exit-with-parent", "--json"]);
+    wait_until("foreign reports that are counted and named", || {
+        witness.counter(NodeKind::Controller, "refused:users:foreign-source") > 20
+    });
+    let status = witness.status(NodeKind::Controller).expect("heard");
+    assert!(status.last_problem.contains("another source") || status.last_problem.contains("foreign"), "{status:?}");
+    witness.wait_for_commands();
+    let answered = witness.telemetry().expect("heard");
+    assert!(answered.applied_sequence > 0 && witness.users().expect("heard").stamp.source == owner);
+    second.end();
+    let summary = controller.end().json();
+    assert_eq!(summary["sources"].as_u64(), Some(1), "{summary}");
+}
+
+#[test]
+fn the_demo_tells_of_a_part_that_dies() {
+    let demo = Process::heliostat(&["demo", "--seconds", "60", "--json", "--policy", "flat"]);
+    let part = |demo: &Process| {
+        let errors = demo.errors();
+        let rest = errors.split_once("controller is process ")?.1;
+        rest.split(|c: char| !c.is_ascii_digit()).next()?.parse::<u32>().ok()
+    };
+    wait_until("a live demo", || demo.errors().contains("sum rate"));
+    let controller = part(&demo).expect("the demo names its processes");
+    let killed = std::process::Command::new("kill").args(["-KILL", &controller.to_string()]).status();
+    assert!(killed.expect("there is a kill command").success());
+    let ended = demo.wait();
+    assert!(ended.refusal().contains("the controller process ended early"), "{}", ended.errors);
+    assert!(ended.errors.contains("signal: 9"), "{}", ended.errors);
+}

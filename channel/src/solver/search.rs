@@ -8,6 +8,9 @@ use super::table::{Table, Utility};
 const FIXED_POINT_STEPS: usize = 20;
 /// A fixed point ends when this many steps in a row have brought nothing.
 const PATIENCE: usize = 5;
+/// Most steps in which the weights of the needy rise, and by how much each time.
+const RAISING_STEPS: usize = 40;
+const RAISE: f64 = 1.07;
 /// Passes of single moves over a fill.
 const FILL_PASSES: usize = 2;
 /// Most passes of single moves on the way to a local optimum.
@@ -210,7 +213,34 @@ impl Search {
                 *weight = if mean > 0.0 { *weight * target / mean } else { 0.0 };
             }
         }
+        if utility.penalised() {
+            self.raise_the_needy(table, utility);
+        }
         self.trial.settle(table, utility);
+    }
+
+    /// Raises the weights of those whose need is not met, step by step from the best weights met so far.
+    ///
+    /// At the kink of a minimum rate the derivative jumps by a factor of 1 + lambda, and the fixed point jumps with it.
+    fn raise_the_needy(&mut self, table: &Table, utility: &Utility) {
+        self.weights.copy_from_slice(&self.trial_weights);
+        for _ in 0..RAISING_STEPS {
+            self.assign(table);
+            let nats = utility.total(&self.amplitude);
+            if nats > self.trial.nats {
+                self.adopt(nats);
+            }
+            let mut raised = false;
+            for (k, weight) in self.weights.iter_mut().enumerate() {
+                if self.allowed[k] && utility.steepness(k, self.amplitude[k]) > 1.0 {
+                    *weight *= RAISE;
+                    raised = true;
+                }
+            }
+            if !raised {
+                break;
+            }
+        }
     }
 
     /// Copies the present step to `trial`.

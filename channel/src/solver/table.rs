@@ -77,9 +77,12 @@ impl Utility {
         self.factor_across(k, from, to)
     }
 
-    #[cold]
     fn factor_across(&self, k: usize, from: f64, to: f64) -> f64 {
-        (self.value(k, to) - self.value(k, from)).exp()
+        let at_threshold = 1.0 + self.threshold[k] * self.threshold[k];
+        let (before, after) = (1.0 + from * from, 1.0 + to * to);
+        let below = after.min(at_threshold) / before.min(at_threshold);
+        let above = after.max(at_threshold) / before.max(at_threshold);
+        power(below, 1.0 + self.penalty) * above
     }
 
     /// exp of a concave stand-in for the utility of a user who shall be served.
@@ -93,11 +96,10 @@ impl Utility {
         if amplitude < self.threshold[k] { inviting * self.shortfall(k, amplitude) } else { inviting }
     }
 
-    #[cold]
     fn shortfall(&self, k: usize, amplitude: f64) -> f64 {
-        // At most 200 nats, so that the exponential stays far from underflow.
-        let penalty = self.penalty.min(200.0 / self.need[k]);
-        (penalty * (Self::nats(amplitude) - self.need[k])).exp()
+        // At most 200 nats, so that the power stays far from underflow.
+        let penalty = self.penalty.min((200.0 / self.need[k]).floor());
+        power((1.0 + amplitude * amplitude) / (1.0 + self.threshold[k] * self.threshold[k]), penalty)
     }
 
     /// Sum of utilities in nats.
@@ -119,6 +121,13 @@ impl Utility {
     pub(super) fn penalised(&self) -> bool {
         self.threshold.iter().any(|&threshold| threshold > 0.0)
     }
+}
+
+/// base^exponent, by multiplications where the exponent is a small whole number, as a penalty usually is.
+#[inline]
+fn power(base: f64, exponent: f64) -> f64 {
+    let whole = exponent as i32;
+    if f64::from(whole) == exponent && whole <= 64 { base.powi(whole) } else { base.powf(exponent) }
 }
 
 /// Gains times the amplitude scale, by mirror and by user.

@@ -1,0 +1,35 @@
+//! After construction a step does not allocate, in any mode.
+
+mod common;
+
+use common::{PAPER, Random, Room, angle_diversity, led};
+use heliostat_channel::decode::{aim_at_point, decode};
+use heliostat_channel::{Combining, MirrorAngles, Scene};
+
+#[test]
+fn a_step_does_not_allocate() {
+    let mut branches = Room::paper();
+    branches.receiver.branches = angle_diversity();
+    branches.receiver.combining = Combining::MaximalRatio;
+    branches.leds.push(led(1.0, 1.0, 0.1));
+    for room in [Room::paper(), Room::paper().with_panel(), Room::paper().with_mode(PAPER), branches] {
+        let model = room.model();
+        let mut random = Random::new(41);
+        let users = random.positions(20);
+        let blockers = random.blockers(&users);
+        let mut scene = Scene::new(&model, 20);
+        let mut angles = MirrorAngles::flat(100);
+        let (mut rates, mut each) = ([0.0; 20], vec![0.0; 2000]);
+        let counted = allocation_counter::measure(|| {
+            scene.update(&model, &users, &blockers, &[false; 20]);
+            decode(&model, &scene, &[1.0; 20], &mut angles);
+            scene.rates_bps(&model, &angles, &mut rates);
+            scene.irs_gain_each(&model, &angles, &mut each);
+            aim_at_point(&model, &users[3], &mut angles);
+            scene.irs_gain(&model, &angles, &mut rates);
+            scene.set_los_gain(&rates);
+        });
+        assert_eq!(counted.count_total, 0);
+        assert!(each.iter().any(|gain| *gain > 0.0));
+    }
+}

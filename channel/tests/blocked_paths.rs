@@ -1,0 +1,164 @@
+//! Cylinders in the light: the segment test, what may be skipped, and the paper's shadow length.
+
+mod common;
+
+use common::{Random, Room};
+use heliostat_channel::blockage::{Cylinder, blocks, shadow_length};
+use heliostat_channel::{Scene, Vec3, Wall};
+
+const PERSON: Cylinder = Cylinder { x_m: 1.0, y_m: 0.0, radius_m: 0.25, height_m: 1.75 };
+
+fn at(x: f64, y: f64, z: f64) -> Vec3 {
+    Vec3::new(x, y, z)
+}
+
+#[test]
+fn through_over_and_beside() {
+    assert!(blocks(&PERSON, &at(0.0, 0.0, 1.0), &at(2.0, 0.0, 1.0)), "through the middle");
+    assert!(!blocks(&PERSON, &at(0.0, 0.0, 1.8), &at(2.0, 0.0, 1.8)), "over the top");
+    assert!(!blocks(&PERSON, &at(0.0, 0.26, 1.0), &at(2.0, 0.26, 1.0)), "beside");
+    assert!(blocks(&PERSON, &at(0.0, 0.24, 1.0), &at(2.0, 0.24, 1.0)), "through the edge");
+    assert!(!blocks(&PERSON, &at(0.0, 0.0, 1.0), &at(0.7, 0.0, 1.0)), "ends before");
+    assert!(!blocks(&PERSON, &at(1.3, 0.0, 1.0), &at(2.0, 0.0, 1.0)), "starts behind");
+    assert!(blocks(&PERSON, &at(1.0, 0.0, 1.0), &at(1.1, 0.0, 1.0)), "inside");
+    assert!(!blocks(&PERSON, &at(0.0, 0.0, -0.2), &at(2.0, 0.0, -0.1)), "below the floor");
+}
+
+#[test]
+fn slanted_and_upright_segments() {
+    // Falls from 3 m over the axis; passes the near side at 1.75 m or just above it.
+    let over = |x: f64| blocks(&PERSON, &at(0.0, 0.0, 3.0), &at(x, 0.0, 0.85));
+    assert!(over(2.0), "2.19 m at the near side, 1.66 m at the far side");
+    assert!(!over(2.2), "1.78 m at the far side");
+    assert!(over(2.1), "1.72 m at the far side");
+    assert!(blocks(&PERSON, &at(1.0, 0.2, 3.0), &at(1.0, 0.2, 0.85)), "straight down into the top");
+    assert!(!blocks(&PERSON, &at(1.0, 0.2, 3.0), &at(1.0, 0.2, 1.8)), "straight down, not far enough");
+    assert!(!blocks(&PERSON, &at(1.0, 0.3, 3.0), &at(1.0, 0.3, 0.85)), "straight down beside it");
+}
+
+/// A segment is blocked when one of many points along it is inside the cylinder.
+#[test]
+fn agrees_with_points_along_the_segment() {
+    let mut random = Random::new(21);
+    let mut blocked = 0;
+    for _ in 0..3000 {
+        let cylinder = Cylinder {
+            x_m: random.uniform(-2.0, 2.0),
+            y_m: random.uniform(-2.0, 2.0),
+            radius_m: random.uniform(0.1, 0.6),
+            height_m: random.uniform(0.5, 2.5),
+        };
+        let a = at(random.uniform(-2.5, 2.5), random.uniform(-2.5, 2.5), random.uniform(0.0, 3.0));
+        let b = at(random.uniform(-2.5, 2.5), random.uniform(-2.5, 2.5), random.uniform(0.0, 3.0));
+        let inside = |grow: f64| {
+            (0..=2000).any(|step| {
+                let point = a + (b - a) * (f64::from(step) / 2000.0);
+                let (x, y) = (point.x - cylinder.x_m, point.y - cylinder.y_m);
+                x.hypot(y) < cylinder.radius_m + grow && point.z < cylinder.height_m + grow
+            })
+        };
+        let found = blocks(&cylinder, &a, &b);
+        assert_eq!(found, blocks(&cylinder, &b, &a), "the same both ways");
+        // The points are up to 4 mm apart, so a graze can be missed; shrunk and grown cylinders bracket it.
+        assert!(!inside(-0.005) || found);
+        assert!(inside(0.005) || !found);
+        blocked += usize::from(found);
+    }
+    assert!((100..2900).contains(&blocked), "{blocked}");
+}
+
+/// What the scene skips changes nothing: every leg against every cylinder, one by one.
+#[test]
+fn skipping_is_exact() {
+    let mut random = Random::new(22);
+    let mut blocked = 0;
+    for round in 0..400 {
+        let mut room = Room::paper();
+        room.array.wall = [Wall::PlusY, Wall::PlusX, Wall::MinusY, Wall::MinusX][round % 4];
+        // Low arrays and tall cylinders, so that both legs are blocked at times; one column now and then.
+        room.array.centre_height_m = random.uniform(0.9, 2.2);
+        room.array.columns = if round % 5 == 0 { 1 } else { 10 };
+        let model = room.model();
+        let users = random.positions(4);
+        let mut blockers = random.blockers(&users);
+        for blocker in &mut blockers {
+            blocker.height_m = random.uniform(0.8, 2.8);
+        }
+        let mut scene = Scene::new(&model, 4);
+        scene.update(&model, &users, &blockers, &[false; 4]);
+        let led = &model.leds[0].position;
+        for (user, position) in users.iter().enumerate() {
+            for (mirror, centre) in model.mirrors.positions().iter().enumerate() {
+                let clear = !blockers.iter().any(|c| blocks(c, led, centre) || blocks(c, position, centre));
+                let found = scene.leg_visible()[user * model.mirrors.len() + mirror];
+                assert_eq!(found, clear, "user {user} mirror {mirror} in round {round}");
+                blocked += usize::from(!clear);
+            }
+            let direct = !blockers.iter().any(|c| blocks(c, led, position));
+            assert_eq!(scene.los_blocked()[user], !direct);
+            assert_eq!(scene.los_gain()[user] > 0.0, direct);
+        }
+    }
+    assert!(blocked > 10_000, "{blocked} blocked legs");
+}
+
+#[test]
+fn forced_users_lose_the_direct_path_only() {
+    let model = Room::paper().model();
+    let users = Random::new(23).positions(3);
+    let mut scene = Scene::new(&model, 3);
+    scene.update(&model, &users, &[], &[false, true, false]);
+    assert_eq!(scene.los_blocked(), [false, true, false]);
+    assert_eq!(scene.los_gain()[1], 0.0);
+    assert!(scene.los_gain()[0] > 0.0 && scene.leg_visible().iter().all(|visible| *visible));
+    scene.update(&model, &users, &[], &[false; 3]);
+    assert!(scene.los_gain()[1] > 0.0, "the flag is not kept");
+}
+
+/// Eq. (5) in explicit form: a thin blocker's shadow on the receiver plane begins and ends where the segment test says.
+#[test]
+fn shadow_length_of_a_thin_blocker() {
+    let (plane, led_height) = (0.85, 3.0);
+    for (distance, height) in [(0.5, 1.75), (1.0, 1.2), (1.5, 1.5)] {
+        let blocker = Cylinder { x_m: distance, y_m: 0.0, radius_m: 1e-4, height_m: height };
+        let led = at(0.0, 0.0, led_height);
+        let shadow = shadow_length(distance, height - plane, led_height - plane).expect("in range");
+        let dark = |beyond: f64| blocks(&blocker, &led, &at(distance + beyond, 0.0, plane));
+        assert!(dark(0.01) && dark(shadow - 0.002), "{shadow}");
+        assert!(!dark(shadow + 0.002) && !dark(-0.01), "{shadow}");
+        // As printed, (d_L - d_B) = h_B d_L / h_l, with d_L = d_B + shadow.
+        let printed = (height - plane) * (distance + shadow) / (led_height - plane);
+        assert!((printed - shadow).abs() < 1e-12);
+    }
+}
+
+/// The rectangle of eq. (5) is as wide as the blocker; the shadow of a point of light widens with the distance.
+#[test]
+fn the_rectangle_of_eq_5_understates_the_shadow() {
+    let led = at(0.0, 0.0, 3.0);
+    let shadow = shadow_length(PERSON.x_m, 1.75 - 0.85, 3.0 - 0.85).expect("in range");
+    let in_rectangle = |x: f64, y: f64| (1.0..=1.0 + shadow).contains(&x) && y.abs() <= PERSON.radius_m;
+    let (mut dark, mut covered, mut bright_inside) = (0, 0, 0);
+    for ix in 0..300 {
+        for iy in -100..=100 {
+            let (x, y) = (f64::from(ix) * 0.01, f64::from(iy) * 0.01);
+            let blocked = blocks(&PERSON, &led, &at(x, y, 0.85));
+            dark += usize::from(blocked);
+            covered += usize::from(blocked && in_rectangle(x, y));
+            bright_inside += usize::from(!blocked && in_rectangle(x, y));
+        }
+    }
+    assert!((covered as f64) < 0.75 * dark as f64, "{covered} of {dark}");
+    assert_eq!(bright_inside, 0, "the rectangle lies within the shadow");
+}
+
+#[test]
+fn what_is_no_cylinder_is_refused() {
+    assert!(Cylinder::new(0.0, 0.0, 0.2, 1.75).is_ok());
+    assert!(Cylinder::new(f64::NAN, 0.0, 0.2, 1.75).is_err());
+    assert!(Cylinder::new(0.0, 0.0, 0.0, 1.75).is_err());
+    assert!(Cylinder::new(0.0, 0.0, 0.2, -1.0).is_err());
+    assert!(shadow_length(-1.0, 0.9, 2.15).is_err());
+    assert!(shadow_length(1.0, 0.9, 0.0).is_err());
+    assert_eq!(shadow_length(1.0, 2.15, 2.15), Ok(f64::INFINITY));
+}

@@ -16,8 +16,8 @@ pub const ACTOR_INPUTS: usize = FEATURES + 2;
 /// How often a claim is squared: the exponent 8 of the smooth decoder.
 pub const SQUARINGS: usize = 3;
 
-/// Keeps quotients finite for mirrors that no user sees.
-pub const NO_CLAIM: f32 = 1e-12;
+/// Keeps quotients finite for mirrors that no user sees; below every claim that counts, above the smallest normal number.
+pub const NO_CLAIM: f32 = 1e-30;
 
 /// States of rooms, as tensors.
 #[derive(Clone, Debug)]
@@ -26,12 +26,14 @@ pub struct States {
     pub features: Tensor,
     /// Who is there, (batch, slots).
     pub present: Tensor,
-    /// Steering amplitudes, (batch, slots, mirrors).
-    steering: Tensor,
     /// Sum of the steering amplitudes, (batch, slots, 1).
     total: Tensor,
-    /// Direct amplitude, (batch, slots).
+    /// Direct amplitude, (batch, slots, 1).
     direct: Tensor,
+    /// (a_km / sum_j a_jm)^8, (batch, slots, mirrors).
+    claims: Tensor,
+    /// The same times a_km.
+    gains: Tensor,
 }
 
 impl States {
@@ -49,13 +51,18 @@ impl States {
         let rows = Tensor::from_vec(rows, (batch, Self::width(layout)), &Device::Cpu)?;
         let features = rows.narrow(1, 0, slots * FEATURES)?.reshape((batch, slots, FEATURES))?;
         let steering = rows.narrow(1, slots * FEATURES, slots * mirrors)?.reshape((batch, slots, mirrors))?;
-        let column = |index| features.narrow(2, index, 1)?.squeeze(2)?.contiguous();
+        let column = |index| features.narrow(2, index, 1)?.contiguous();
+        let mut claims = steering.broadcast_div(&(steering.sum_keepdim(1)? + f64::from(NO_CLAIM))?)?;
+        for _ in 0..SQUARINGS {
+            claims = claims.sqr()?;
+        }
         Ok(Self {
-            present: column(0)?,
+            present: column(0)?.squeeze(2)?,
             direct: (column(LOG_DIRECT)?.exp()? - 1.0)?,
             total: steering.sum_keepdim(2)?,
+            gains: (&claims * &steering)?,
+            claims,
             features,
-            steering,
         })
     }
 
@@ -64,21 +71,22 @@ impl States {
     /// # Errors
     /// Those of candle, when shapes do not fit.
     pub fn amplitude(&self, logits: &Tensor, head: Head) -> Result<Tensor> {
-        let weight = (logits * f64::from(head.range))?.exp()?.unsqueeze(2)?;
+        let weight = (logits * f64::from(head.range))?.exp()?.mul(&self.present)?.unsqueeze(2)?;
         let weight = match head.prior {
             Prior::Uniform => weight,
             Prior::EqualShare => (weight / (&self.total + f64::from(TINY))?)?,
         };
-        let claim = self.steering.broadcast_mul(&weight)?;
-        // A common factor of all users changes nothing, so no gradient has to pass through the largest claim.
-        let largest = (claim.max_keepdim(1)?.detach() + f64::from(NO_CLAIM))?;
-        let mut claim = claim.broadcast_div(&largest)?;
+        // A common factor of all users changes nothing, so no gradient has to pass through their sum.
+        let mut weight = weight.broadcast_div(&weight.sum_keepdim(1)?.detach())?;
         for _ in 0..SQUARINGS {
-            claim = claim.sqr()?;
+            weight = weight.sqr()?;
         }
-        let all = (claim.sum_keepdim(1)? + f64::from(NO_CLAIM))?;
-        let given = (&self.steering * claim.broadcast_div(&all)?)?.sum(2)?;
-        ((&self.direct + given)? + 1.0)?.log()
+        // The power of w_k a_km is split, so that the large tables are raised to it once for all rounds.
+        let all = (weight.transpose(1, 2)?.contiguous()?.matmul(&self.claims)? + f64::from(NO_CLAIM))?;
+        // By way of the logarithm: the gradient of a quotient squares its divisor, which would vanish in f32.
+        let inverse = all.log()?.neg()?.exp()?.transpose(1, 2)?.contiguous()?;
+        let given = self.gains.matmul(&inverse)?.mul(&weight)?;
+        ((&self.direct + given)? + 1.0)?.log()?.squeeze(2)
     }
 }
 

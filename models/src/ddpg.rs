@@ -23,7 +23,7 @@
 
 use anyhow::{Context, bail};
 use candle_core::{Device, Tensor};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -128,10 +128,12 @@ impl Settings {
     }
 
     /// The numbers of the shipped actors.
-    pub fn tuned(seed: u64) -> Self {
+    pub fn tuned(seed: u64, mode: ChannelMode) -> Self {
+        // Under the paper's equations equal weights are near the optimum; by the law of reflection equal shares are.
+        let prior = if mode == ChannelMode::Specular { Prior::EqualShare } else { Prior::Uniform };
         Self {
             encoder: Encoder::Set,
-            head: Head { prior: Prior::EqualShare, range: 2.0 },
+            head: Head { prior, range: 2.0 },
             rounds: 2,
             value: Value::EachUser,
             sight: Sight::Decoded,
@@ -139,7 +141,8 @@ impl Settings {
             actor_rate: 5e-4,
             critic_rate: 1e-3,
             rate_end: 0.1,
-            batch: 64,
+            reward: Reward { form: RewardForm::Shortfall, lambda: 10.0 },
+            episodes: 300,
             ..Self::paper(seed)
         }
     }

@@ -7,6 +7,7 @@
 use std::ops::Range;
 
 use candle_core::Result;
+use heliostat_channel::mirrors::MirrorArray;
 use heliostat_channel::{ChannelModel, Mode, Vec3};
 use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 
@@ -28,6 +29,8 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
         let weights = weigh(&mut graph, &observed, &logits, actor.head);
         let amplitude = amplitude(&mut graph, &observed, &weights);
         let input = graph.concat(&[&observed.features, &logits, &amplitude], 1);
+        // Also keeps tract from splitting the product that follows into one for each column.
+        let input = graph.node("Mul", &[&input, &observed.present]);
         logits = network.apply(&mut graph, &input, &observed.present);
     }
     let weights = weigh(&mut graph, &observed, &logits, actor.head);
@@ -36,7 +39,7 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
         Mode::Paper { .. } => paper(&mut graph, model, &observed, &weights),
     };
     let mirrors = model.mirrors.len();
-    angles(&mut graph, &normal, mirrors);
+    angles(&mut graph, &normal);
     let input = (INPUT_NAME, actor.layout.encoder.len());
     Ok(graph.finish(&Ends { name: "heliostat-actor", input, output: (OUTPUT_NAME, 2 * mirrors) }, metadata))
 }
@@ -44,6 +47,7 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
 /// The parts of the observation that later stages use.
 struct Observed {
     slots: usize,
+    mirrors: usize,
     /// (slots, 1)
     present: Value,
     /// (slots, 3)
@@ -54,6 +58,10 @@ struct Observed {
     total: Value,
     /// (slots, 1)
     direct: Value,
+    /// (a_km / sum_j a_jm)^8, (slots, mirrors)
+    claims: Value,
+    /// The same times a_km, (slots, mirrors)
+    gains: Value,
     /// (slots, features)
     features: Value,
 }
@@ -75,6 +83,12 @@ fn observe(graph: &mut Graph, layout: &Layout) -> Observed {
     let tiny = graph.scalar(TINY);
     let sum = graph.sum(&steering, 1);
     let total = graph.node("Add", &[&sum, &tiny]);
+    let no_claim = graph.scalar(NO_CLAIM);
+    let all = graph.sum(&steering, 0);
+    let all = graph.node("Add", &[&all, &no_claim]);
+    let claims = graph.node("Div", &[&steering, &all]);
+    let claims = eighth_power(graph, claims);
+    let gains = graph.node("Mul", &[&claims, &steering]);
     let half_room = graph.constant("half_room", &[1, 2], &layout.half_room_m);
     let plane = graph.slice(&positions, 1, 0..2);
     let plane = graph.node("Div", &[&plane, &half_room]);
@@ -89,28 +103,32 @@ fn observe(graph: &mut Graph, layout: &Layout) -> Observed {
     let crowd = graph.node("Mul", &[&present, &users]);
     let crowd = graph.node("Div", &[&crowd, &slot_count]);
     let features = graph.concat(&[&present, &plane, &log_direct, &log_total, &need, &crowd], 1);
-    Observed { slots, present, positions, steering, total, direct, features }
+    Observed { slots, mirrors: encoder.mirrors(), present, positions, total, direct, claims, gains, features, steering }
 }
 
-/// ln(1 + amplitude) of each user under the weights by the smooth decoder, zero in absent slots; (slots, 1).
-fn amplitude(graph: &mut Graph, observed: &Observed, weights: &str) -> Value {
-    let (one, tiny) = (graph.scalar(1.0), graph.scalar(NO_CLAIM));
-    let claim = graph.node("Mul", &[&observed.steering, weights]);
-    let largest = graph.max(&claim, 0);
-    let largest = graph.node("Add", &[&largest, &tiny]);
-    let mut claim = graph.node("Div", &[&claim, &largest]);
+fn eighth_power(graph: &mut Graph, mut value: Value) -> Value {
     for _ in 0..SQUARINGS {
-        claim = graph.node("Mul", &[&claim, &claim]);
+        value = graph.node("Mul", &[&value, &value]);
     }
-    let all = graph.sum(&claim, 0);
-    let all = graph.node("Add", &[&all, &tiny]);
-    let share = graph.node("Div", &[&claim, &all]);
-    let given = graph.node("Mul", &[&observed.steering, &share]);
-    let given = graph.sum(&given, 1);
+    value
+}
+
+/// ln(1 + amplitude) of each user under the weights by the smooth decoder; (slots, 1).
+fn amplitude(graph: &mut Graph, observed: &Observed, weights: &str) -> Value {
+    let (one, no_claim) = (graph.scalar(1.0), graph.scalar(NO_CLAIM));
+    let all = graph.sum(weights, 0);
+    let weights = graph.node("Div", &[weights, &all]);
+    let weights = eighth_power(graph, weights);
+    let row = graph.reshape(&weights, &[1, observed.slots]);
+    let all = graph.node("MatMul", &[&row, &observed.claims]);
+    let all = graph.node("Add", &[&all, &no_claim]);
+    let inverse = graph.node("Div", &[&one, &all]);
+    let inverse = graph.reshape(&inverse, &[observed.mirrors, 1]);
+    let given = graph.node("MatMul", &[&observed.gains, &inverse]);
+    let given = graph.node("Mul", &[&given, &weights]);
     let amplitude = graph.node("Add", &[&observed.direct, &given]);
     let amplitude = graph.node("Add", &[&amplitude, &one]);
-    let amplitude = graph.node("Log", &[&amplitude]);
-    graph.node("Mul", &[&amplitude, &observed.present])
+    graph.node("Log", &[&amplitude])
 }
 
 /// The parameters of a network as constants of the graph, so that every round uses the same.
@@ -158,7 +176,7 @@ impl NetworkNodes {
             }
             Encoder::Set => {
                 let first = self.rectified(graph, "first", input);
-                let pooled = pool(graph, &first, present);
+                let pooled = pool(graph, &first, present, slots);
                 let context = self.linear(graph, "context", &pooled);
                 let second = self.linear(graph, "second", &first);
                 let second = graph.node("Add", &[&second, &context]);
@@ -172,12 +190,12 @@ impl NetworkNodes {
 }
 
 /// Mean and maximum over the users present of rows that are nowhere negative, (1, 2 width).
-fn pool(graph: &mut Graph, rows: &str, present: &str) -> Value {
+fn pool(graph: &mut Graph, rows: &str, present: &str, slots: usize) -> Value {
     let masked = graph.node("Mul", &[rows, present]);
     let sum = graph.sum(&masked, 0);
     let users = graph.sum(present, 0);
     let mean = graph.node("Div", &[&sum, &users]);
-    let max = graph.max(&masked, 0);
+    let max = graph.max_of_rows(&masked, slots);
     graph.concat(&[&mean, &max], 1)
 }
 
@@ -192,77 +210,88 @@ fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Va
     }
 }
 
-/// Mirror centres (mirrors, 3) and user positions (slots, 3) in the frame of the wall.
-fn in_wall_frame(graph: &mut Graph, model: &ChannelModel, observed: &Observed) -> (Value, Value) {
-    let mirrors = &model.mirrors;
-    let centres: Vec<f32> =
-        mirrors.positions().iter().flat_map(|centre| single(&mirrors.wall_from_room(centre))).collect();
-    let centres = graph.constant("centres", &[mirrors.len(), 3], &centres);
-    // Positions are rows, so the rotation stands on the right, transposed: its rows are the images of the room's axes.
-    let axes = [Vec3::x(), Vec3::y(), Vec3::z()];
-    let rotation: Vec<f32> = axes.iter().flat_map(|axis| single(&mirrors.wall_from_room(axis))).collect();
-    let rotation = graph.constant("wall_from_room_transposed", &[3, 3], &rotation);
-    let users = graph.node("MatMul", &[&observed.positions, &rotation]);
-    (centres, users)
+/// The coordinates of the mirrors' centres, (1, mirrors) each, in the frame of the wall.
+fn centres(graph: &mut Graph, mirrors: &MirrorArray) -> [Value; 3] {
+    let inside: Vec<Vec3> = mirrors.positions().iter().map(|centre| mirrors.wall_from_room(centre)).collect();
+    rows(graph, "centre", &inside)
 }
 
-fn single(vector: &Vec3) -> [f32; 3] {
-    [vector.x as f32, vector.y as f32, vector.z as f32]
+/// Vectors as constants of their x, y and z, (1, n) each.
+fn rows(graph: &mut Graph, name: &str, vectors: &[Vec3]) -> [Value; 3] {
+    [0, 1, 2].map(|axis| {
+        let values: Vec<f32> = vectors.iter().map(|vector| vector[axis] as f32).collect();
+        graph.constant(&format!("{name}_{axis}"), &[1, vectors.len()], &values)
+    })
 }
 
-/// Vectors scaled to length 1 along the last axis.
-fn unit(graph: &mut Graph, vectors: &str, axis: usize) -> Value {
-    let squares = graph.node("Mul", &[vectors, vectors]);
-    let squares = graph.sum(&squares, axis);
-    let length = graph.node("Sqrt", &[&squares]);
-    graph.node("Div", &[vectors, &length])
+/// The coordinates of the users, (slots, 1) each, in the frame of the wall.
+fn users(graph: &mut Graph, mirrors: &MirrorArray, observed: &Observed) -> [Value; 3] {
+    let room = [0, 1, 2].map(|axis| graph.slice(&observed.positions, 1, axis..axis + 1));
+    let axes = [Vec3::x(), Vec3::y(), Vec3::z()].map(|axis| mirrors.wall_from_room(&axis));
+    [0, 1, 2].map(|row| {
+        // Each coordinate of one frame is plus or minus one of the other, since walls stand at right angles.
+        let column = (0..3).find(|&column| axes[column][row] != 0.0).expect("a rotation has no empty row");
+        if axes[column][row] > 0.0 { room[column].clone() } else { graph.node("Neg", &[&room[column]]) }
+    })
 }
 
-/// Each mirror serves the user with the largest weighted amplitude, at the bisector; (mirrors, 3), any length.
-fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> Value {
+/// The length of vectors from their coordinates.
+fn length(graph: &mut Graph, [x, y, z]: &[Value; 3]) -> Value {
+    let [x, y, z] = [x, y, z].map(|value| graph.node("Mul", &[value, value]));
+    let sum = graph.node("Add", &[&x, &y]);
+    let sum = graph.node("Add", &[&sum, &z]);
+    graph.node("Sqrt", &[&sum])
+}
+
+/// Each mirror serves the user with the largest weighted amplitude, at the bisector; normals of any length, (1, mirrors) each.
+fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> [Value; 3] {
     let (mirrors, led) = (&model.mirrors, model.leds[0].position);
-    let (centres, users) = in_wall_frame(graph, model, observed);
     let scores = graph.node("Mul", &[&observed.steering, weights]);
     let served = graph.argmax(&scores, 0);
-    let target = graph.gather(&users, &served);
-    let towards_user = graph.node("Sub", &[&target, &centres]);
-    let towards_user = unit(graph, &towards_user, 1);
-    let towards = |centre: &Vec3| single(&mirrors.wall_from_room(&(led - centre).normalize()));
-    let towards_led: Vec<f32> = mirrors.positions().iter().flat_map(towards).collect();
-    let towards_led = graph.constant("towards_led", &[mirrors.len(), 3], &towards_led);
-    graph.node("Add", &[&towards_user, &towards_led])
+    let [users, centres] = [users(graph, mirrors, observed), centres(graph, mirrors)];
+    let towards_user = [0, 1, 2].map(|axis| {
+        let target = graph.gather(&users[axis], &served);
+        let target = graph.reshape(&target, &[1, observed.mirrors]);
+        graph.node("Sub", &[&target, &centres[axis]])
+    });
+    let towards_led: Vec<Vec3> =
+        mirrors.positions().iter().map(|centre| mirrors.wall_from_room(&(led - centre).normalize())).collect();
+    let towards_led = rows(graph, "towards_led", &towards_led);
+    // The bisector of two directions, times the distance to the user: its length does not matter.
+    let distance = length(graph, &towards_user);
+    [0, 1, 2].map(|axis| {
+        let scaled = graph.node("Mul", &[&towards_led[axis], &distance]);
+        graph.node("Add", &[&scaled, &towards_user[axis]])
+    })
 }
 
-/// The sum over users of weight, coefficient and direction, flat where it is zero; (mirrors, 3), any length.
-fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> Value {
-    let mirrors = model.mirrors.len();
-    let (centres, users) = in_wall_frame(graph, model, observed);
-    let users = graph.reshape(&users, &[observed.slots, 1, 3]);
-    let centres = graph.reshape(&centres, &[1, mirrors, 3]);
-    let directions = graph.node("Sub", &[&users, &centres]);
-    let directions = unit(graph, &directions, 2);
-    let scores = graph.node("Mul", &[&observed.steering, weights]);
-    let scores = graph.reshape(&scores, &[observed.slots, mirrors, 1]);
-    let pulls = graph.node("Mul", &[&directions, &scores]);
-    let pull = graph.sum(&pulls, 0);
-    let pull = graph.reshape(&pull, &[mirrors, 3]);
+/// The sum over users of weight, coefficient and direction, flat where it is zero; normals of any length, (1, mirrors) each.
+fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> [Value; 3] {
+    let mirrors = &model.mirrors;
+    let [users, centres] = [users(graph, mirrors, observed), centres(graph, mirrors)];
+    let towards_users = [0, 1, 2].map(|axis| graph.node("Sub", &[&users[axis], &centres[axis]]));
+    let distance = length(graph, &towards_users);
+    let pull = graph.node("Mul", &[&observed.steering, weights]);
+    let pull = graph.node("Div", &[&pull, &distance]);
+    let normal = towards_users.map(|coordinate| {
+        let parts = graph.node("Mul", &[&coordinate, &pull]);
+        graph.sum(&parts, 0)
+    });
     // Far below any pull that carries data; it decides only where there is none.
-    let flat = graph.constant("flat", &[1, 3], &[0.0, -1e-12, 0.0]);
-    graph.node("Add", &[&pull, &flat])
+    let inward = graph.scalar(-1e-12);
+    let [x, y, z] = normal;
+    [x, graph.node("Add", &[&y, &inward]), z]
 }
 
 /// Roll and yaw of normals in the frame of the wall; adds the output node.
-fn angles(graph: &mut Graph, normal: &str, mirrors: usize) {
-    let [x, y, z] = [0, 1, 2].map(|axis| graph.slice(normal, 1, axis..axis + 1));
-    let quotient = graph.node("Div", &[&x, &y]);
+fn angles(graph: &mut Graph, [x, y, z]: &[Value; 3]) {
+    let quotient = graph.node("Div", &[x, y]);
     let yaw = graph.node("Atan", &[&quotient]);
-    let plane = graph.slice(normal, 1, 0..2);
-    let squares = graph.node("Mul", &[&plane, &plane]);
-    let squares = graph.sum(&squares, 1);
-    let across = graph.node("Sqrt", &[&squares]);
-    let down = graph.node("Neg", &[&z]);
+    let [xx, yy] = [x, y].map(|value| graph.node("Mul", &[value, value]));
+    let across = graph.node("Add", &[&xx, &yy]);
+    let across = graph.node("Sqrt", &[&across]);
+    let down = graph.node("Neg", &[z]);
     let quotient = graph.node("Div", &[&down, &across]);
     let roll = graph.node("Atan", &[&quotient]);
-    let both = graph.concat(&[&roll, &yaw], 0);
-    graph.reshape(&both, &[1, 2 * mirrors]);
+    graph.concat(&[&roll, &yaw], 1);
 }

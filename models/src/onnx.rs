@@ -62,9 +62,20 @@ impl Graph {
         self.node_with("ReduceSum", &[input, &axes], vec![integer("keepdims", 1)])
     }
 
-    /// The maximum along an axis, which stays with extent 1.
-    pub fn max(&mut self, input: &str, axis: usize) -> Value {
-        self.node_with("ReduceMax", &[input], vec![integers("axes", &[axis as i64]), integer("keepdims", 1)])
+    /// The maximum over `count` rows, (1, width). A tree of element-wise maxima: ten times as fast in tract as its reduction.
+    pub fn max_of_rows(&mut self, input: &str, count: usize) -> Value {
+        if count == 1 {
+            return input.into();
+        }
+        let half = count / 2;
+        let [low, high] = [0..half, half..2 * half].map(|rows| self.slice(input, 0, rows));
+        let both = self.node("Max", &[&low, &high]);
+        let best = self.max_of_rows(&both, half);
+        if count % 2 == 0 {
+            return best;
+        }
+        let last = self.slice(input, 0, count - 1..count);
+        self.node("Max", &[&best, &last])
     }
 
     /// The first index of the maximum along an axis, which disappears.
@@ -174,9 +185,4 @@ fn integer(name: &str, value: i64) -> pb::AttributeProto {
         i: value,
         ..pb::AttributeProto::default()
     }
-}
-
-fn integers(name: &str, values: &[i64]) -> pb::AttributeProto {
-    let (name, ints) = (name.into(), values.to_vec());
-    pb::AttributeProto { name, r#type: AttributeType::Ints as i32, ints, ..pb::AttributeProto::default() }
 }

@@ -83,7 +83,7 @@ const USERS: [usize; 2] = [3, 8];
 /// A scenario or option that makes no sense, or a file that cannot be read or written.
 pub fn run_train(args: TrainArgs) -> anyhow::Result<()> {
     let scenario = args.scenario.load()?;
-    let settings = args.settings(scenario.seed)?;
+    let settings = args.settings(&scenario)?;
     let mut trainer = Trainer::new(scenario, settings)?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -98,10 +98,10 @@ pub fn run_train(args: TrainArgs) -> anyhow::Result<()> {
 }
 
 impl TrainArgs {
-    fn settings(&self, seed: u64) -> anyhow::Result<Settings> {
+    fn settings(&self, scenario: &Scenario) -> anyhow::Result<Settings> {
         let preset = match self.preset {
-            Preset::Tuned => Settings::tuned(seed),
-            Preset::Paper => Settings::paper(seed),
+            Preset::Tuned => Settings::tuned(scenario.seed, scenario.channel.mode),
+            Preset::Paper => Settings::paper(scenario.seed),
         };
         let mut settings = preset.with_options(&self.options)?;
         settings.episodes = self.episodes.map_or(settings.episodes, |count| count as usize);

@@ -21,16 +21,16 @@ const NEAR_TIES_MAX: f64 = 1e-3;
 
 const OBSERVATIONS: usize = 1000;
 
-fn settings(encoder: Encoder) -> Settings {
+fn settings(encoder: Encoder, mode: ChannelMode) -> Settings {
     match encoder {
-        Encoder::Set => Settings::tuned(5),
+        Encoder::Set => Settings::tuned(5, mode),
         Encoder::Mlp => Settings::paper(5),
     }
 }
 
 /// An actor whose logits spread over [-1, 1], as a trained one's do.
 fn lively_actor(scenario: &Scenario, encoder: Encoder) -> Actor {
-    let trainer = Trainer::new(scenario.clone(), settings(encoder)).expect("a valid run");
+    let trainer = Trainer::new(scenario.clone(), settings(encoder, scenario.channel.mode)).expect("a valid run");
     let actor = trainer.actor().clone();
     let head = actor.network.layer("head");
     assign(&head.weight, &(head.weight.detach() * 300.0).expect("a product")).expect("the same shape");

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use heliostat_models::ddpg::{Settings, Trainer};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{ChannelMode, Scenario};
 
 const EPISODES: usize = 6;
 
@@ -47,7 +47,7 @@ fn check(settings: Settings) {
 
 #[test]
 fn tuned_runs_resume_bit_for_bit() {
-    check(short(Settings::tuned(9)));
+    check(short(Settings::tuned(9, ChannelMode::Specular)));
 }
 
 #[test]
@@ -59,9 +59,9 @@ fn paper_runs_resume_bit_for_bit() {
 fn another_seed_is_another_run() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("checkpoint.safetensors");
-    let mut one = trainer(short(Settings::tuned(1)));
+    let mut one = trainer(short(Settings::tuned(1, ChannelMode::Specular)));
     run(&mut one, 1);
-    let mut two = trainer(short(Settings::tuned(2)));
+    let mut two = trainer(short(Settings::tuned(2, ChannelMode::Specular)));
     run(&mut two, 1);
     let parameters = |run: &Trainer| run.actor().network.layers()[0].bias.to_vec1::<f32>().expect("a vector");
     assert_ne!(parameters(&one), parameters(&two));
@@ -74,7 +74,7 @@ fn another_seed_is_another_run() {
 fn a_damaged_checkpoint_is_refused() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("checkpoint.safetensors");
-    let mut run = trainer(short(Settings::tuned(1)));
+    let mut run = trainer(short(Settings::tuned(1, ChannelMode::Specular)));
     let bytes = checkpoint(&run, &path);
     std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("the file");
     assert!(run.load(&path).is_err());

@@ -1,0 +1,27 @@
+//! A short run learns something, and its numbers stay numbers.
+
+use heliostat_models::ddpg::{Settings, Trainer};
+use heliostat_models::evaluate::HeldOut;
+use heliostat_scenario::{ChannelMode, Scenario};
+
+#[test]
+fn a_short_run_comes_nearer_to_the_oracle() {
+    let overrides = ["mirrors.rows=6", "mirrors.columns=6", "blockage.forced_users=5"].map(String::from);
+    let scenario = Scenario::builtin("specular").and_then(|scenario| scenario.with_overrides(&overrides));
+    let scenario = scenario.expect("a valid scenario");
+    let settings = Settings { episodes: 40, steps: 25, warm_up: 100, ..Settings::tuned(1, ChannelMode::Specular) };
+    let mut trainer = Trainer::new(scenario.clone(), settings).expect("a valid run");
+    let mut held_out = HeldOut::default();
+    held_out.add(&scenario, trainer.actor(), 25).expect("held-out states");
+    let before = held_out.score(trainer.actor()).expect("a score").ratio_to_oracle.mean;
+    for _ in 0..40 {
+        trainer.run_episode().expect("an episode");
+    }
+    let after = held_out.score(trainer.actor()).expect("a score").ratio_to_oracle.mean;
+    assert!(after > before + 0.02, "ratio to the oracle {before} before and {after} after training");
+    let parameters = trainer.actor().network.parameters();
+    let finite = |values: Vec<f32>| values.iter().all(|value| value.is_finite());
+    assert!(
+        parameters.iter().all(|tensor| finite(tensor.flatten_all().and_then(|flat| flat.to_vec1()).expect("values")))
+    );
+}

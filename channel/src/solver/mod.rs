@@ -159,7 +159,8 @@ impl Solver {
     ///
     /// Assignment: for each subset of users (all 2^K - 1 up to K = 6; at most a few dozen nested ones above) a damped
     /// fixed point and a greedy fill among its users and single moves among all; the best few continue with pair swaps, and with any two moves at once when a rate is
-    /// penalised, until nothing helps. Normals: the fixed point from each user, pairs of users, uniform and spread weights.
+    /// penalised, until nothing helps. It is a search and no proof: with 9 mirrors and 3 users it finds what
+    /// [`Solver::exhaustive`] finds, except in about 1 of 200 rooms where a minimum rate is penalised. Normals: the fixed point from each user, pairs of users, uniform and spread weights.
     ///
     /// # Panics
     /// When the problem has another size than the solver.

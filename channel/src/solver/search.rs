@@ -44,7 +44,7 @@ pub(super) struct Search {
     /// Largest weight times gain of each mirror, and whose it is, as f64 so that both fit one SIMD register width.
     strongest: Vec<f64>,
     strongest_user: Vec<f64>,
-    invitation: Vec<f64>,
+    inverse_invitation: Vec<f64>,
     scratch: Scratch,
 }
 
@@ -64,7 +64,7 @@ impl Search {
             amplitude: vec![0.0; users],
             strongest: vec![0.0; mirrors],
             strongest_user: vec![0.0; mirrors],
-            invitation: vec![0.0; users],
+            inverse_invitation: vec![0.0; users],
             scratch: Scratch::new(mirrors),
         }
     }
@@ -293,7 +293,7 @@ impl Search {
         self.trial.served.fill(first);
         self.amplitude.copy_from_slice(&table.floor);
         for k in 0..table.users {
-            self.invitation[k] = utility.invitation(k, self.amplitude[k]);
+            self.inverse_invitation[k] = 1.0 / utility.invitation(k, self.amplitude[k]);
         }
         for &m in &table.useful {
             let (user, _) = self.most_invited(m, None, table, utility);
@@ -305,7 +305,7 @@ impl Search {
                 let from = self.trial.served[m];
                 let loss = table.line(m)[from];
                 let without = (self.amplitude[from] - loss).max(table.floor[from]);
-                let lost = utility.invitation(from, without) / self.invitation[from];
+                let lost = utility.invitation(from, without) * self.inverse_invitation[from];
                 let (user, gained) = self.most_invited(m, Some(from), table, utility);
                 if let Some(to) = user
                     && lost * gained > 1.0 + 1e-9
@@ -324,7 +324,7 @@ impl Search {
         let mut best = (None, 0.0);
         for (k, &gain) in table.line(m).iter().enumerate() {
             if self.allowed[k] && gain > 0.0 && except != Some(k) {
-                let factor = utility.invitation(k, self.amplitude[k] + gain) / self.invitation[k];
+                let factor = utility.invitation(k, self.amplitude[k] + gain) * self.inverse_invitation[k];
                 if factor > best.1 {
                     best = (Some(k), factor);
                 }
@@ -335,7 +335,7 @@ impl Search {
 
     fn shift(&mut self, user: usize, change: f64, utility: &Utility) {
         self.amplitude[user] += change;
-        self.invitation[user] = utility.invitation(user, self.amplitude[user]);
+        self.inverse_invitation[user] = 1.0 / utility.invitation(user, self.amplitude[user]);
     }
 
     /// At most `passes` passes of single moves on `trial`, fewer when nothing moves any more.

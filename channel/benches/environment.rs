@@ -1,4 +1,4 @@
-//! Environment steps a second on one core: scene update and gains at given angles, K = 5, beside a straightforward
+//! Environment steps a second on one core: scene update and gains at given angles, beside a straightforward
 //! implementation of the same that calls the functions of one path for every pair.
 //!
 //! `cargo bench -p heliostat-channel`. Times depend on the machine; the ratio is what to compare.
@@ -15,7 +15,6 @@ use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Mode, Scene, Vec3,
 use std::hint::black_box;
 use std::time::Instant;
 
-const USERS: usize = 5;
 const STATES: usize = 640;
 
 struct State {
@@ -25,44 +24,53 @@ struct State {
 }
 
 fn main() {
-    println!("{:<34} {:>6} {:>12} {:>12} {:>7}", "mode", "M", "steps/s", "reference/s", "ratio");
-    for (name, room) in [
+    println!("{:<32} {:>4} {:>6} {:>12} {:>12} {:>7}", "mode", "K", "M", "steps/s", "reference/s", "ratio");
+    let rooms = [
         ("specular, point LED", Room::paper()),
         ("specular, panel of 5 x 5 points", Room::paper().with_panel()),
         ("paper", Room::paper().with_mode(PAPER)),
-    ] {
+    ];
+    for (name, room) in &rooms {
         for side in [7, 10, 32] {
-            let mut room = room.clone();
-            (room.array.rows, room.array.columns) = (side, side);
-            if side == 32 {
-                (room.array.mirror_width_m, room.array.mirror_height_m, room.array.gap_m) = (0.1, 0.04, 0.005);
-            }
-            let model = room.model();
-            let states: Vec<State> = (0..STATES).map(|seed| state(&model, seed as u64)).collect();
-            let mut scene = Scene::new(&model, USERS);
-            let mut gains = [0.0; USERS];
-            let fast = steps_per_second(|step| {
-                let state = &states[step % STATES];
-                scene.update(&model, &state.users, &state.blockers, &[false; USERS]);
-                scene.irs_gain(&model, &state.angles, &mut gains);
-                black_box(&gains);
-            });
-            let slow = steps_per_second(|step| {
-                black_box(reference(&model, &states[step % STATES]));
-            });
-            println!("{name:<34} {:>6} {fast:>12.0} {slow:>12.0} {:>7.1}", side * side, fast / slow);
+            compare(name, room, 5, side);
         }
+    }
+    for users in [10, 20, 40] {
+        compare(rooms[0].0, &rooms[0].1, users, 10);
     }
 }
 
+/// Prints one line for an array of `side` x `side` mirrors.
+fn compare(name: &str, room: &Room, users: usize, side: usize) {
+    let mut room = room.clone();
+    (room.array.rows, room.array.columns) = (side, side);
+    if side == 32 {
+        (room.array.mirror_width_m, room.array.mirror_height_m, room.array.gap_m) = (0.1, 0.04, 0.005);
+    }
+    let model = room.model();
+    let states: Vec<State> = (0..STATES).map(|seed| state(&model, users, seed as u64)).collect();
+    let mut scene = Scene::new(&model, users);
+    let (mut gains, forced) = (vec![0.0; users], vec![false; users]);
+    let fast = steps_per_second(|step| {
+        let state = &states[step % STATES];
+        scene.update(&model, &state.users, &state.blockers, &forced);
+        scene.irs_gain(&model, &state.angles, &mut gains);
+        black_box(&gains);
+    });
+    let slow = steps_per_second(|step| {
+        black_box(reference(&model, &states[step % STATES]));
+    });
+    println!("{name:<32} {users:>4} {:>6} {fast:>12.0} {slow:>12.0} {:>7.1}", side * side, fast / slow);
+}
+
 /// Users, obstacles and bodies at random; each mirror aimed at somebody.
-fn state(model: &ChannelModel, seed: u64) -> State {
+fn state(model: &ChannelModel, count: usize, seed: u64) -> State {
     let mut random = Random::new(seed);
-    let users = random.positions(USERS);
+    let users = random.positions(count);
     let blockers = random.blockers(&users);
-    let mut scene = Scene::new(model, USERS);
-    scene.update(model, &users, &blockers, &[false; USERS]);
-    let served: Vec<usize> = (0..model.mirrors.len()).map(|_| random.next() as usize % USERS).collect();
+    let mut scene = Scene::new(model, count);
+    scene.update(model, &users, &blockers, &vec![false; count]);
+    let served: Vec<usize> = (0..model.mirrors.len()).map(|_| random.next() as usize % count).collect();
     let mut angles = MirrorAngles::flat(served.len());
     aim(model, &scene, &served, &mut angles);
     State { users, blockers, angles }

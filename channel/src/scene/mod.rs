@@ -122,7 +122,7 @@ impl Scene {
         }
     }
 
-    /// Whether both legs over each mirror, LED to mirror and mirror to user, are clear. Shape: K * M.
+    /// Whether both legs over each mirror, LED to mirror and mirror to user, are clear; false behind the mirror wall. Shape: K * M.
     pub fn leg_visible(&self) -> &[bool] {
         &self.leg_visible
     }

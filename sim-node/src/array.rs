@@ -12,16 +12,14 @@
 //! [`CLOCK_LEAD_MAX_NS`] before a command counts as one from the future.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{ArrayState, Counters, MirrorCommand};
+use heliostat_proto::messages::fault;
+use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, Counters, MirrorCommand};
 use thiserror::Error;
 
 use crate::clock::Moment;
 
 /// How long the last command is held after its validity has ended, unless told otherwise.
 pub const HOLD_NS: u64 = 300_000_000;
-
-/// How far a sender's clock may be ahead; clocks kept by NTP in one building agree to milliseconds.
-pub const CLOCK_LEAD_MAX_NS: u64 = 50_000_000;
 
 /// What the array can do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,6 +117,7 @@ pub struct Array {
     valid_until_ns: u64,
     target: MirrorAngles,
     counters: Counters,
+    faults: u32,
 }
 
 impl Array {
@@ -131,6 +130,7 @@ impl Array {
             valid_until_ns: 0,
             target: MirrorAngles::flat(limits.mirrors),
             counters: Counters::default(),
+            faults: 0,
         }
     }
 
@@ -142,6 +142,7 @@ impl Array {
         self.advance(now.local_ns);
         let remaining_ns = self.check(now, command).inspect_err(|refusal| self.count(refusal))?;
         self.counters.accepted += 1;
+        self.faults &= !fault::CLOCK;
         self.counters.late += u64::from(self.followed.is_some() && self.state != ArrayState::Following);
         let range = self.limits.range_rad;
         let mut clipped = false;
@@ -205,6 +206,11 @@ impl Array {
         &self.counters
     }
 
+    /// Fault bits of the telemetry: the clock's, from a command of the future until one is accepted.
+    pub fn faults(&self) -> u32 {
+        self.faults
+    }
+
     /// What the array can do.
     pub fn limits(&self) -> &Limits {
         &self.limits
@@ -249,7 +255,11 @@ impl Array {
             Refusal::WrongCount { .. } | Refusal::NonFinite { .. } => &mut self.counters.rejected,
             Refusal::LowerEpoch { .. } => &mut self.counters.old_epoch,
             Refusal::OldSequence { .. } => &mut self.counters.old_sequence,
-            Refusal::Expired { .. } | Refusal::FromFuture { .. } => &mut self.counters.expired,
+            Refusal::Expired { .. } => &mut self.counters.expired,
+            Refusal::FromFuture { .. } => {
+                self.faults |= fault::CLOCK;
+                &mut self.counters.expired
+            }
         };
         *counter += 1;
     }

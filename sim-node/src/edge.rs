@@ -3,9 +3,9 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, Class, Presence, Publisher, Subscription, Token};
+use heliostat_bus::{Bus, BusConfig, Class, Presence, Publisher, Service, Subscription, Token};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{Message, MirrorTelemetry, NodeKind, Stamp, encode};
+use heliostat_proto::{Capabilities, Message, MirrorTelemetry, NodeKind, Stamp, encode};
 
 use crate::clock::Clock;
 use crate::inbox::Inbox;
@@ -29,7 +29,10 @@ pub(crate) struct Edge {
     channel: Outlet,
     obstacles: Outlet,
     telemetry: Outlet,
-    _declared: (Token, Subscription, Subscription),
+    capabilities: Outlet,
+    /// What whoever asks for the capabilities gets: the payload published last.
+    answer: Arc<Mutex<Vec<u8>>>,
+    _declared: (Token, Subscription, Subscription, Service),
 }
 
 /// A publisher with its buffer.
@@ -61,8 +64,11 @@ impl Edge {
     pub fn open(config: &BusConfig, telemetry: Class) -> Result<Self, NodeError> {
         let bus = Bus::open(config)?;
         let keys = config.room.clone();
-        if let Some(token) = bus.alive(&keys.alive_of(NodeKind::SimNode), ALIVE_LIMIT)?.into_iter().next() {
-            return Err(NodeError::AnotherSimulator { room: keys.to_string(), token });
+        // A driver turns the mirrors of its room as a simulator does: there can be only one of them.
+        for other in [NodeKind::SimNode, NodeKind::Driver] {
+            if let Some(token) = bus.alive(&keys.alive_of(other), ALIVE_LIMIT)?.into_iter().next() {
+                return Err(NodeError::RoomTaken { room: keys.to_string(), other, token });
+            }
         }
         let source = random_id();
         let clock = Clock::start_in(START_DELAY);
@@ -77,12 +83,19 @@ impl Edge {
                 seen.lock().unwrap_or_else(PoisonError::into_inner).push(key.to_owned());
             }
         })?;
+        let answer = Arc::new(Mutex::new(Vec::new()));
+        let latest = Arc::clone(&answer);
+        let service = bus.serve(&keys.capabilities(), move |payload| {
+            payload.extend_from_slice(&latest.lock().unwrap_or_else(PoisonError::into_inner));
+        })?;
         Ok(Self {
             users: Outlet::new(&bus, &keys.users(), Class::Control)?,
             channel: Outlet::new(&bus, &keys.channel(), Class::Control)?,
             obstacles: Outlet::new(&bus, &keys.obstacles(), Class::Control)?,
             telemetry: Outlet::new(&bus, &keys.telemetry(), telemetry)?,
-            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, commands, watch),
+            capabilities: Outlet::new(&bus, &keys.capabilities(), telemetry)?,
+            answer,
+            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, commands, watch, service),
             bus,
             clock,
             source,
@@ -138,6 +151,13 @@ impl Edge {
     pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), NodeError> {
         self.telemetry.encode(telemetry)?;
         self.telemetry.put()
+    }
+
+    /// Publishes the capabilities, and gives them to whoever asks from now on.
+    pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), NodeError> {
+        self.capabilities.encode(capabilities)?;
+        self.answer.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&self.capabilities.buffer);
+        self.capabilities.put()
     }
 
     /// The room's name.

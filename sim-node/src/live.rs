@@ -55,9 +55,9 @@ fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(
             }
         })?;
     }
-    if node.telemetry.take(now.local_ns).is_some() {
-        node.room.advance(now.local_ns);
-        node.publish_telemetry(now)?;
+    node.tell_mirrors(now)?;
+    if node.capabilities.take(now.local_ns).is_some() {
+        node.announce_capabilities(now)?;
     }
     if node.truth.take(now.local_ns).is_some() {
         node.room.advance(now.local_ns);
@@ -93,7 +93,7 @@ fn drain(node: &mut Node) {
 }
 
 fn next_event_ns(node: &Node) -> u64 {
-    let schedules = [node.telemetry, node.truth, node.status];
+    let schedules = [node.telemetry, node.truth, node.status, node.capabilities];
     let next = schedules.into_iter().filter_map(|schedule| schedule.next_ns()).min().unwrap_or(u64::MAX);
     next.min(node.reports.next_sample_ns()).min(node.reports.next_release_ns())
 }

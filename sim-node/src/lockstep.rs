@@ -31,6 +31,7 @@ const START_NS: u64 = 1_000_000_000;
 pub(crate) fn run(mut node: Node, ticks: u64, stop: &AtomicBool) -> Result<Summary, NodeError> {
     await_controller(&node, stop)?;
     let mut reporter = node.reporter()?;
+    node.announce_capabilities(Moment { local_ns: 0, room_ns: START_NS })?;
     let mut hash = Fnv1a::default();
     let mut answered = 0;
     while answered < ticks && !stop.load(Ordering::Relaxed) {
@@ -41,9 +42,7 @@ pub(crate) fn run(mut node: Node, ticks: u64, stop: &AtomicBool) -> Result<Summa
         while let Some(report) = node.reports.release(local_ns) {
             answered += publish(&mut node, &report, now, &mut hash, stop)?;
         }
-        if node.telemetry.take(local_ns).is_some() {
-            node.publish_telemetry(now)?;
-        }
+        node.tell_mirrors(now)?;
         if node.truth.take(local_ns).is_some() {
             hash.truth(reporter.truth(&node.snapshot(now))?);
         }

@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use heliostat_bus::{BusConfig, BusError, Class};
-use heliostat_proto::{CodecError, MirrorCommand, NodeKind, NodeStatus, Quantiles};
+use heliostat_proto::{ArrayState, CodecError, MirrorCommand, NodeKind, NodeStatus, Quantiles};
 use heliostat_scenario::Scenario;
 use thiserror::Error;
 
@@ -21,6 +21,9 @@ use crate::summary::Summary;
 use crate::world::WorldError;
 use crate::yardstick::Snapshot;
 use crate::{live, lockstep};
+
+/// Announcements of the array's capabilities a second.
+const CAPABILITIES_HZ: f64 = 1.0;
 
 /// Statuses a second.
 const STATUS_HZ: f64 = 2.0;
@@ -66,11 +69,13 @@ pub enum NodeError {
     /// A message of ours breaks the contract.
     #[error("a report cannot be published: {0}")]
     Codec(#[from] CodecError),
-    /// Another simulator has the room.
-    #[error("another simulator is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
-    AnotherSimulator {
+    /// Another simulator, or a driver, has the room.
+    #[error("another {other} is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
+    RoomTaken {
         /// Name of the room.
         room: String,
+        /// What has it.
+        other: NodeKind,
         /// The other's liveliness token.
         token: String,
     },
@@ -125,7 +130,11 @@ pub(crate) struct Node {
     pub telemetry: Schedule,
     pub truth: Schedule,
     pub status: Schedule,
-    pub telemetry_sequence: u64,
+    pub capabilities: Schedule,
+    telemetry_sequence: u64,
+    capabilities_sequence: u64,
+    /// As the last telemetry told it.
+    told_state: ArrayState,
     scenario: Scenario,
     scenario_hash: String,
     started_ns: u64,
@@ -151,7 +160,10 @@ impl Node {
             clock,
             ledger: Ledger::default(),
             refused: Refused::default(),
+            capabilities: Schedule::new(CAPABILITIES_HZ, between_ticks_ns),
             telemetry_sequence: 0,
+            capabilities_sequence: 0,
+            told_state: ArrayState::Parked,
             scenario,
         })
     }
@@ -178,10 +190,26 @@ impl Node {
         None
     }
 
-    pub fn publish_telemetry(&mut self, now: Moment) -> Result<(), NodeError> {
+    /// Publishes telemetry when it is due, or when the array's state has changed.
+    pub fn tell_mirrors(&mut self, now: Moment) -> Result<(), NodeError> {
+        let due = self.telemetry.take(now.local_ns).is_some();
+        if due {
+            self.room.advance(now.local_ns);
+        }
+        let state = self.room.array().state();
+        if !due && state == self.told_state {
+            return Ok(());
+        }
+        self.told_state = state;
         self.telemetry_sequence += 1;
         let stamp = self.edge.stamp(self.telemetry_sequence, now.room_ns);
         self.edge.publish_telemetry(&self.room.telemetry(stamp))
+    }
+
+    pub fn announce_capabilities(&mut self, now: Moment) -> Result<(), NodeError> {
+        self.capabilities_sequence += 1;
+        let stamp = self.edge.stamp(self.capabilities_sequence, now.room_ns);
+        self.edge.publish_capabilities(&self.room.capabilities(stamp))
     }
 
     pub fn snapshot(&self, now: Moment) -> Snapshot {

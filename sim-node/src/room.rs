@@ -1,8 +1,8 @@
 //! The room with its mirrors: world, array guard and actuator moving through the same time.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{MirrorCommand, MirrorTelemetry, Stamp};
-use heliostat_scenario::Scenario;
+use heliostat_proto::{AxisLimits, Capabilities, Feedback, MirrorCommand, MirrorTelemetry, Stamp, ValidityClock};
+use heliostat_scenario::{ActuatorParameters, Scenario};
 
 use crate::actuator::Actuator;
 use crate::array::{Array, HOLD_NS, Limits, Refusal};
@@ -16,6 +16,8 @@ pub struct SimulatedRoom {
     world: World,
     array: Array,
     actuator: Actuator,
+    parameters: ActuatorParameters,
+    hardware: String,
     world_ns: u64,
     mirrors_ns: u64,
 }
@@ -32,6 +34,8 @@ impl SimulatedRoom {
         Ok(Self {
             array: Array::new(Limits { mirrors, range_rad: parameters.range_rad, hold_ns: HOLD_NS }),
             actuator: Actuator::new(&parameters, mirrors, random::stream(seed, Purpose::Actuator, 0)),
+            hardware: format!("simulated mirrors, profile {:?}", scenario.actuator.profile).to_lowercase(),
+            parameters,
             world,
             world_ns: 0,
             mirrors_ns: 0,
@@ -96,11 +100,44 @@ impl SimulatedRoom {
             received_ns: followed.received.room_ns,
             applied_ns: followed.received.room_ns,
             counters: *self.array.counters(),
+            faults: self.array.faults(),
             roll_commanded: single(&target.roll),
             yaw_commanded: single(&target.yaw),
             roll_measured: single(&measured.roll),
             yaw_measured: single(&measured.yaw),
             ..MirrorTelemetry::default()
+        }
+    }
+
+    /// What the array is and can do.
+    pub fn capabilities(&self, stamp: Stamp) -> Capabilities {
+        let parameters = &self.parameters;
+        let range = parameters.range_rad;
+        // Two per cent of a step is left after four time constants of the envelope.
+        let settling_s =
+            parameters.second_order.map_or(0.0, |(frequency, damping)| 4.0 / (damping.min(1.0) * frequency));
+        let resolution = parameters.resolution_bits.map_or(0.0, |bits| 2.0 * range / 2.0_f64.powi(bits as i32));
+        let axis = AxisLimits {
+            min_rad: -range as f32,
+            max_rad: range as f32,
+            slew_rad_s: parameters.slew_rad_per_s.unwrap_or(0.0) as f32,
+            settling_s: if settling_s.is_finite() { (settling_s + parameters.delay_s) as f32 } else { 0.0 },
+            resolution_rad: resolution as f32,
+        };
+        let mirrors = &self.world.model().mirrors;
+        Capabilities {
+            stamp,
+            hardware: self.hardware.clone(),
+            driver: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
+            rows: mirrors.rows() as u32,
+            columns: mirrors.columns() as u32,
+            roll: axis,
+            yaw: axis,
+            feedback: Feedback::ClosedLoop,
+            validity_clock: ValidityClock::SourceTime,
+            command_rate_max_hz: 0.0,
+            park_after_ms: (self.array.limits().hold_ns / 1_000_000) as u32,
+            park_rad: [0.0, 0.0],
         }
     }
 

@@ -1,7 +1,8 @@
 //! The rules of the array's guard, one by one.
 
-use heliostat_proto::{ArrayState, MirrorCommand};
-use heliostat_sim_node::array::{Array, CLOCK_LEAD_MAX_NS, HOLD_NS, Limits, Refusal};
+use heliostat_proto::messages::fault;
+use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, MirrorCommand};
+use heliostat_sim_node::array::{Array, HOLD_NS, Limits, Refusal};
 use heliostat_sim_node::clock::Moment;
 
 const MS: u64 = 1_000_000;
@@ -93,7 +94,9 @@ fn every_refusal_has_a_name_and_changes_nothing() {
     assert_eq!((counters.refused(), counters.accepted), (10, 1));
     array.count_malformed();
     assert_eq!(array.counters().rejected, 5);
+    assert_eq!(array.faults(), fault::CLOCK, "a command from the future is a fault of the clocks");
     array.receive(at(1001), &with(|_| {})).unwrap();
+    assert_eq!(array.faults(), 0);
 }
 
 #[test]

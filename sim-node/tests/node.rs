@@ -142,7 +142,7 @@ fn a_second_simulator_in_the_room_is_refused_by_name() {
         ..settings(room, &endpoint, live(100))
     };
     let error = run(&second("taken")).unwrap_err();
-    assert!(matches!(error, NodeError::AnotherSimulator { .. }), "{error}");
+    assert!(matches!(error, NodeError::RoomTaken { other: NodeKind::SimNode, .. }), "{error}");
     assert!(run(&second("free")).is_ok(), "another room is another matter");
     let summary = node.join().unwrap().unwrap();
     assert!(summary.ticks > 200, "the first one goes on: {summary:?}");

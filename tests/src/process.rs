@@ -86,7 +86,11 @@ impl Process {
             status.is_some()
         });
         self.readers.drain(..).for_each(|reader| reader.join().expect("no reader panics"));
-        Ended { status: status.expect("waited for"), output: self.output.lock().expect("no reader panics").clone(), errors: self.errors() }
+        Ended {
+            status: status.expect("waited for"),
+            output: self.output.lock().expect("no reader panics").clone(),
+            errors: self.errors(),
+        }
     }
 }
 

@@ -33,7 +33,8 @@ impl Witness {
     /// When the bus does not open.
     pub fn connect(room: &str, endpoints: &[&str]) -> Self {
         let room = Room::new(room).expect("a test names its room well");
-        let config = endpoints.iter().fold(BusConfig::new(room.clone()), |config, endpoint| config.connect_to(endpoint));
+        let config =
+            endpoints.iter().fold(BusConfig::new(room.clone()), |config, endpoint| config.connect_to(endpoint));
         let bus = Bus::open(&config).expect("the bus opens");
         let heard: Arc<Mutex<Heard>> = Arc::default();
         let keys = [room.users(), room.command(), room.telemetry(), room.truth(), room.all_status()];

@@ -57,7 +57,16 @@ fn the_papers_equations_run_in_the_same_loop() {
 
 #[test]
 fn another_room_works_and_an_actor_that_does_not_fit_says_so() {
-    let other = ["--set", "mirrors.rows=7", "--set", "mirrors.columns=7", "--set", "users.count=3", "--set", "noise.variance_a2=2e-14"];
+    let other = [
+        "--set",
+        "mirrors.rows=7",
+        "--set",
+        "mirrors.columns=7",
+        "--set",
+        "users.count=3",
+        "--set",
+        "noise.variance_a2=2e-14",
+    ];
     assert_complete(&demo(&other));
 
     let odd = ["--set", "mirrors.rows=6", "--set", "mirrors.columns=9"];

@@ -45,7 +45,15 @@ fn running() -> (Process, Process, Witness) {
     let (room, controller) = (free_loopback_endpoint().expect("a port"), free_loopback_endpoint().expect("a port"));
     let sim = Process::heliostat(&["sim-node", "--listen", &room, "--exit-with-parent", "--json"]);
     let central = Process::heliostat(&[
-        "controller", "--policy", "nearest", "--connect", &room, "--listen", &controller, "--exit-with-parent", "--json",
+        "controller",
+        "--policy",
+        "nearest",
+        "--connect",
+        &room,
+        "--listen",
+        &controller,
+        "--exit-with-parent",
+        "--json",
     ]);
     let witness = Witness::connect("demo", &[&room, &controller]);
     witness.wait_for_commands();
@@ -89,11 +97,13 @@ fn the_controller_counts_and_names_whatever_is_wrong() {
     stale.stamp.time_ns -= 10_000_000_000;
     let mut outside = later(1_000_000, five.clone());
     outside.users[0].position_m = [99.0, 0.0, 0.85];
+    let mut early = later(0, five);
+    early.stamp.sequence = 1;
     for (name, report) in [
         ("wrong-user-count", later(1_000_000, vec![user(0), user(1)])),
         ("stale", stale),
         ("outside-room", outside),
-        ("out-of-order", UserReport { stamp: Stamp { sequence: 1, ..real.stamp }, tick: 1, users: five }),
+        ("out-of-order", early),
     ] {
         let counter = format!("refused:users:{name}");
         witness.say(&room.users(), &encoded(&report));

@@ -30,10 +30,16 @@ fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
         .filter(|path| {
             let text = fs::read_to_string(path).expect("a source is readable");
             let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
-            code.into_iter().any(|line| words.iter().any(|word| line.contains(word)))
+            code.into_iter().any(|line| words.iter().any(|word| stands_alone(line, word)))
         })
         .map(|path| path.display().to_string())
         .collect()
+}
+
+/// Whether the word stands in the line and is not the end of a longer name.
+fn stands_alone(line: &str, word: &str) -> bool {
+    line.match_indices(word)
+        .any(|(at, _)| !line[..at].ends_with(|before: char| before.is_alphanumeric() || before == '_'))
 }
 
 #[test]

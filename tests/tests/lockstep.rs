@@ -7,7 +7,16 @@ fn hash(policy: &str, seed: &str) -> String {
     let endpoint = free_loopback_endpoint().expect("a free port");
     let room = Process::heliostat(&["sim-node", "--lockstep", "300", "--seed", seed, "--listen", &endpoint, "--json"]);
     let controller = Process::heliostat(&[
-        "controller", "--lockstep", "--seed", seed, "--policy", policy, "--connect", &endpoint, "--exit-with-parent", "--json",
+        "controller",
+        "--lockstep",
+        "--seed",
+        seed,
+        "--policy",
+        policy,
+        "--connect",
+        &endpoint,
+        "--exit-with-parent",
+        "--json",
     ]);
     let summary = room.wait().json();
     controller.end().json();

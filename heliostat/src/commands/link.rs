@@ -191,7 +191,8 @@ fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<C
         file => read_csv::<ObstacleRow>(file)?
             .into_iter()
             .map(|row| {
-                let valid = [row.x, row.y].iter().all(|value| value.is_finite()) && row.radius > 0.0 && row.height >= 0.0;
+                let valid =
+                    [row.x, row.y].iter().all(|value| value.is_finite()) && row.radius > 0.0 && row.height >= 0.0;
                 ensure!(valid, "in {file}: an obstacle needs finite x and y, radius > 0 and height >= 0, not {row:?}");
                 Ok(Cylinder { x_m: row.x, y_m: row.y, radius_m: row.radius, height_m: row.height })
             })
@@ -237,13 +238,22 @@ impl LitRoom<'_> {
             "oracle" | "aimed" => angles = self.oracle(0.0),
             "nearest" => decode::decode(self.model, self.scene, &vec![1.0; self.scene.users()], &mut angles),
             _ if how.starts_with("user:") && !Path::new(how).exists() => {
-                let user: usize = how["user:".len()..].parse().with_context(|| format!("--angles {how}: wanted user:N"))?;
-                ensure!(user < self.scene.users(), "--angles {how}: users are counted from 0 to {}", self.scene.users() - 1);
+                let user: usize =
+                    how["user:".len()..].parse().with_context(|| format!("--angles {how}: wanted user:N"))?;
+                ensure!(
+                    user < self.scene.users(),
+                    "--angles {how}: users are counted from 0 to {}",
+                    self.scene.users() - 1
+                );
                 decode::aim_at_point(self.model, &self.scene.positions()[user], &mut angles);
             }
             file => {
                 let rows: Vec<AngleRow> = read_csv(file)?;
-                ensure!(rows.len() == mirrors, "{file} has angles for {} mirrors, the scenario has {mirrors}", rows.len());
+                ensure!(
+                    rows.len() == mirrors,
+                    "{file} has angles for {} mirrors, the scenario has {mirrors}",
+                    rows.len()
+                );
                 for (index, row) in rows.iter().enumerate() {
                     let allowed = row.roll_deg.abs() <= 90.0 && row.yaw_deg.abs() <= 90.0;
                     ensure!(allowed, "{file}, mirror {index}: wanted angles from -90 to 90 degrees, not {row:?}");
@@ -318,7 +328,11 @@ fn print_table(report: &LinkBudgetReport) {
         let [x, y, z] = link.position_m;
         let mut blocked = link.los_blocked_by.join(", ");
         if link.mirrors_blocked > 0 {
-            blocked.push_str(&format!("{}{} mirrors", if blocked.is_empty() { "" } else { "; " }, link.mirrors_blocked));
+            blocked.push_str(&format!(
+                "{}{} mirrors",
+                if blocked.is_empty() { "" } else { "; " },
+                link.mirrors_blocked
+            ));
         }
         println!(
             "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9.2} {:>11.3} {:>9.2e}  {blocked}",

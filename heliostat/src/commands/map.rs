@@ -129,11 +129,8 @@ impl Map {
             .map(|index| {
                 let x = ((index % columns) as f64 + 0.5) / columns as f64 - 0.5;
                 let y = ((index / columns) as f64 + 0.5) / rows as f64 - 0.5;
-                let place = Vec3::new(
-                    x * scenario.room.length_x_m,
-                    y * scenario.room.length_y_m,
-                    scenario.receiver.height_m,
-                );
+                let place =
+                    Vec3::new(x * scenario.room.length_x_m, y * scenario.room.length_y_m, scenario.receiver.height_m);
                 scene.update(model, &[place], &blockers, &[false]);
                 value(args.what, scenario, model, &scene, angles)
             })
@@ -202,11 +199,17 @@ fn draw(args: &Args, scenario: &Scenario, world: &World, map: &Map) -> Result<()
     }))?;
     let circle = |cylinder: &Cylinder| -> Vec<(f64, f64)> {
         let turn = |step: i32| std::f64::consts::TAU * f64::from(step) / 32.0;
-        let at = |angle: f64| (cylinder.x_m + cylinder.radius_m * angle.cos(), cylinder.y_m + cylinder.radius_m * angle.sin());
+        let at = |angle: f64| {
+            (cylinder.x_m + cylinder.radius_m * angle.cos(), cylinder.y_m + cylinder.radius_m * angle.sin())
+        };
         (0..=32).map(|step| at(turn(step))).collect()
     };
-    chart.draw_series(world.blockers().iter().map(|cylinder| PathElement::new(circle(cylinder), BLACK.stroke_width(2))))?;
-    chart.draw_series(world.users().iter().map(|user| Cross::new((user.position.x, user.position.y), 5, RED.stroke_width(2))))?;
+    chart.draw_series(
+        world.blockers().iter().map(|cylinder| PathElement::new(circle(cylinder), BLACK.stroke_width(2))),
+    )?;
+    chart.draw_series(
+        world.users().iter().map(|user| Cross::new((user.position.x, user.position.y), 5, RED.stroke_width(2))),
+    )?;
 
     let mut bar = ChartBuilder::on(&right)
         .margin(10)

@@ -77,7 +77,11 @@ impl Part {
             }
             if Instant::now() > deadline {
                 self.process.kill().ok();
-                bail!("the {} process did not end within {} s of being asked to, and was killed", self.name, patience.as_secs());
+                bail!(
+                    "the {} process did not end within {} s of being asked to, and was killed",
+                    self.name,
+                    patience.as_secs()
+                );
             }
             std::thread::sleep(Duration::from_millis(10));
         };
@@ -98,7 +102,11 @@ impl Part {
             reader.join().ok();
         });
         let words = self.last_words.lock().expect("no reader panics");
-        let words = if words.is_empty() { "nothing".to_string() } else { words.iter().cloned().collect::<Vec<_>>().join("\n  ") };
+        let words = if words.is_empty() {
+            "nothing".to_string()
+        } else {
+            words.iter().cloned().collect::<Vec<_>>().join("\n  ")
+        };
         format!("the {} process ended early ({status}); its last words:\n  {words}", self.name)
     }
 }

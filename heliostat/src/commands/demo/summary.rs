@@ -92,13 +92,21 @@ impl Summary {
             let Quantiles { p50, p90, p99, p999, max, .. } = time;
             println!("{name:<26}{p50:>9.0}{p90:>9.0}{p99:>9.0}{p999:>9.0}{max:>9.0}");
         }
-        println!("decisions over 0.5 ms: {} of {}{}", controller.over_budget, controller.decisions, list(&controller.over_budget_by));
+        println!(
+            "decisions over 0.5 ms: {} of {}{}",
+            controller.over_budget,
+            controller.decisions,
+            list(&controller.over_budget_by)
+        );
         println!();
         println!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle");
         let rates = &room.sum_rate_mbps;
-        for (name, rate) in
-            [(controller.policy.as_str(), rates.policy), ("no IRS", rates.no_irs), ("flat", rates.flat), ("oracle with QoS", rates.oracle)]
-        {
+        for (name, rate) in [
+            (controller.policy.as_str(), rates.policy),
+            ("no IRS", rates.no_irs),
+            ("flat", rates.flat),
+            ("oracle with QoS", rates.oracle),
+        ] {
             println!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)));
         }
         println!("users whose need is met: {} (oracle {})", share(room.qos_met), share(room.qos_met_oracle));

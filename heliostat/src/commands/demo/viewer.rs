@@ -102,7 +102,11 @@ fn frame(truth: &RoomTruth, heard: &Heard) -> Vec<String> {
         let bar = "#".repeat((user.rate_bps * 1e-6).clamp(0.0, 40.0).round() as usize);
         let met = if user.rate_bps >= user.min_rate_bps { "met " } else { "MISS" };
         let rate = user.rate_bps * 1e-6;
-        lines.push(format!("{:<6} {:>16}  {direct:<9} {rate:>10.2}  {met} {bar}", user.user, format!("{x:.2}, {y:.2}")));
+        lines.push(format!(
+            "{:<6} {:>16}  {direct:<9} {rate:>10.2}  {met} {bar}",
+            user.user,
+            format!("{x:.2}, {y:.2}")
+        ));
     }
     let sum = &truth.sum_rate_bps;
     lines.push(String::new());
@@ -112,9 +116,11 @@ fn frame(truth: &RoomTruth, heard: &Heard) -> Vec<String> {
         lines.push(format!("{name:<8} {:>8.2} Mb/s {:>5.1} %  {bar}", rate * 1e-6, share * 100.0));
     }
     lines.push(String::new());
-    for (label, node, name) in
-        [("decision", NodeKind::Controller, "decision"), ("loop", NodeKind::SimNode, "loop"), ("age", NodeKind::Controller, "age")]
-    {
+    for (label, node, name) in [
+        ("decision", NodeKind::Controller, "decision"),
+        ("loop", NodeKind::SimNode, "loop"),
+        ("age", NodeKind::Controller, "age"),
+    ] {
         let time = timing(heard, node, name);
         lines.push(format!(
             "{label:<9} p50 {:>9}  p99 {:>9}  max {:>9}",

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{demo, link, map, scenario};
+use crate::commands::{bench, demo, link, map, scenario};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -30,6 +30,8 @@ enum Command {
     Link(link::Args),
     /// Draw rate, SINR or coverage over the floor as a heat map
     Map(map::Args),
+    /// Measure speed, each figure beside a reference measured in the same run
+    Bench(bench::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
 }
@@ -43,6 +45,7 @@ pub fn run() -> Result<()> {
         Command::Train(args) => heliostat_models::run_train(args),
         Command::Link(args) => link::run(args),
         Command::Map(args) => map::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Scenario(args) => scenario::run(args),
     }
 }

@@ -1,0 +1,190 @@
+//! `heliostat bench env`: a step of the environment is blockage of every leg, direct and aimed gains, and gains at given angles.
+//!
+//! The reference does the same pair by pair with the channel's functions of one path, as a script would. The two take turns,
+//! so that a drift of the machine cancels in the ratio.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use heliostat_channel::blockage::blocks;
+use heliostat_channel::diffuse::{self, Reading};
+use heliostat_channel::specular::{self, Plate};
+use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Mode, Scene, Vec3, decode, los};
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::world::World;
+use serde::Serialize;
+
+/// Measure environment steps a second on one core for each mode, 49 to 1024 mirrors and 5 to 40 users.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Time spent on each row, in s
+    #[arg(long, default_value_t = 1.0)]
+    seconds: f64,
+}
+
+/// States that a row goes through: more than a branch predictor can learn.
+const STATES: u64 = 512;
+/// The two implementations take turns so many times.
+const TURNS: u32 = 5;
+
+#[derive(Debug, Serialize)]
+struct Row {
+    mode: String,
+    led: &'static str,
+    users: usize,
+    mirrors: usize,
+    steps_per_s: f64,
+    reference_steps_per_s: f64,
+    ratio: f64,
+}
+
+/// Runs the benchmark.
+pub fn run(args: &Args) -> Result<()> {
+    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: wanted 0.01 to 600", args.seconds);
+    let mut rows = Vec::new();
+    if !args.json {
+        println!(
+            "{:<18}{:<16}{:>6}{:>9}{:>13}{:>13}{:>8}",
+            "mode", "LED", "users", "mirrors", "steps/s", "reference/s", "ratio"
+        );
+    }
+    for (mode, panel) in [("specular", false), ("specular", true), ("paper", false), ("paper-calibrated", false)] {
+        for (users, side) in [(5, 7), (5, 10), (5, 32), (10, 10), (20, 10), (40, 10)] {
+            let row = measure(mode, panel, (users, side), Duration::from_secs_f64(args.seconds))?;
+            if !args.json {
+                println!(
+                    "{:<18}{:<16}{:>6}{:>9}{:>13.0}{:>13.0}{:>8.1}",
+                    row.mode, row.led, row.users, row.mirrors, row.steps_per_s, row.reference_steps_per_s, row.ratio
+                );
+            }
+            rows.push(row);
+        }
+    }
+    if args.json {
+        println!("{}", serde_json::json!({ "rows": rows }));
+    }
+    Ok(())
+}
+
+/// One moment of the room, with angles to evaluate.
+struct State {
+    users: Vec<Vec3>,
+    blockers: Vec<Cylinder>,
+    angles: MirrorAngles,
+}
+
+fn measure(mode: &str, panel: bool, (users, side): (usize, usize), time: Duration) -> Result<Row> {
+    let mut set = vec![
+        format!("led.side_m={}", if panel { 0.1 } else { 0.0 }),
+        format!("users.count={users}"),
+        format!("mirrors.rows={side}"),
+        format!("mirrors.columns={side}"),
+        "blockage.forced_users=0".into(),
+        "blockage.bodies=true".into(),
+        "blockage.obstacles_per_m2=0.08".into(),
+    ];
+    if side == 32 {
+        // So many mirrors fit on the wall only when they are smaller.
+        set.extend(["mirrors.width_m=0.1", "mirrors.height_m=0.04", "mirrors.gap_m=0.005"].map(String::from));
+    }
+    let scenario = Scenario::builtin(mode)?.with_overrides(&set)?;
+    let model = scenario.channel_model()?;
+    let states = (0..STATES).map(|seed| state(&scenario, &model, seed)).collect::<Result<Vec<_>>>()?;
+    let mut scene = Scene::new(&model, users);
+    let (mut gains, forced) = (vec![0.0; users], vec![false; users]);
+    let mut fast = Pace::default();
+    let mut slow = Pace::default();
+    for _ in 0..TURNS {
+        fast.run(&states, time / (2 * TURNS), |state| {
+            scene.update(&model, &state.users, &state.blockers, &forced);
+            scene.irs_gain(&model, &state.angles, &mut gains);
+            black_box(&gains);
+        });
+        slow.run(&states, time / (2 * TURNS), |state| {
+            black_box(reference(&model, state));
+        });
+    }
+    let (steps_per_s, reference_steps_per_s) = (fast.per_second(), slow.per_second());
+    Ok(Row {
+        mode: mode.into(),
+        led: if panel { "5 x 5 points" } else { "point" },
+        users,
+        mirrors: model.mirrors.len(),
+        steps_per_s,
+        reference_steps_per_s,
+        ratio: steps_per_s / reference_steps_per_s,
+    })
+}
+
+/// Users, obstacles and bodies as the simulator places them; the mirrors serve the users in turn.
+fn state(scenario: &Scenario, model: &ChannelModel, seed: u64) -> Result<State> {
+    let world = World::new(scenario, seed)?;
+    let served: Vec<usize> = (0..model.mirrors.len()).map(|mirror| mirror % scenario.users.count).collect();
+    let mut angles = MirrorAngles::flat(served.len());
+    decode::aim(model, world.scene(), &served, &mut angles);
+    Ok(State { users: world.positions().to_vec(), blockers: world.blockers().to_vec(), angles })
+}
+
+/// Steps made and the time that they took.
+#[derive(Default)]
+struct Pace {
+    steps: u64,
+    spent: Duration,
+}
+
+impl Pace {
+    fn run(&mut self, states: &[State], time: Duration, mut step: impl FnMut(&State)) {
+        let start = Instant::now();
+        while start.elapsed() < time {
+            // The clock is read once in a while only, so that its cost does not count.
+            for state in states.iter().cycle().skip(self.steps as usize % states.len()).take(16) {
+                step(state);
+            }
+            self.steps += 16;
+        }
+        self.spent += start.elapsed();
+    }
+
+    fn per_second(&self) -> f64 {
+        self.steps as f64 / self.spent.as_secs_f64()
+    }
+}
+
+/// The same step, pair by pair: direct gain, gain of the aimed mirror, gain at the given angles.
+fn reference(model: &ChannelModel, state: &State) -> f64 {
+    let (led, receiver, branch) = (&model.leds[0], &model.receiver, &model.receiver.branches[0]);
+    let clear = |a: &Vec3, b: &Vec3| !state.blockers.iter().any(|cylinder| blocks(cylinder, a, b));
+    let mut total = 0.0;
+    for user in &state.users {
+        if clear(&led.position, user) {
+            total += los::gain(led, receiver, branch, user).unwrap_or_default();
+        }
+        for (mirror, centre) in model.mirrors.positions().iter().enumerate() {
+            if !(clear(&led.position, centre) && clear(centre, user)) {
+                continue;
+            }
+            let aimed = specular::bisector(centre, &led.position, user).map(|normal| model.mirrors.angles_of(&normal));
+            let given = (state.angles.roll[mirror], state.angles.yaw[mirror]);
+            total += pair(model, mirror, aimed.unwrap_or_default(), user) + pair(model, mirror, given, user);
+        }
+    }
+    total
+}
+
+fn pair(model: &ChannelModel, mirror: usize, (roll, yaw): (f64, f64), user: &Vec3) -> f64 {
+    let (led, receiver, branch) = (&model.leds[0], &model.receiver, &model.receiver.branches[0]);
+    match model.mode {
+        Mode::Specular => {
+            let plate = Plate::of(&model.mirrors, mirror, roll, yaw);
+            let reflectivity = model.mirrors.spec().reflectivity;
+            specular::gain(led, &plate, reflectivity, (receiver, branch), user).unwrap_or_default()
+        }
+        Mode::Paper { .. } => {
+            diffuse::gain(Reading::Sensible, (led, &model.mirrors, mirror), (roll, yaw), (receiver, branch), user)
+        }
+    }
+}

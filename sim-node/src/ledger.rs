@@ -110,7 +110,8 @@ impl Ledger {
 
     /// Ticks before anybody answered.
     pub fn unattended(&self) -> u64 {
-        self.unattended
+        let waiting = if self.attended { 0 } else { self.in_flight.len() as u64 };
+        self.unattended + waiting
     }
 
     /// From the publication of a tick to the arrival of the command that answers it.
@@ -150,6 +151,7 @@ mod tests {
         for tick in 1..=6 {
             ledger.published(tick, tick * 1000);
         }
+        assert_eq!((ledger.unattended(), ledger.lost()), (6, 0));
         // Ticks 1 and 2 went out before anybody was there.
         assert_eq!(ledger.answered(3, 4000), Some(1000));
         assert_eq!(ledger.answered(5, 5200), Some(200));

@@ -88,7 +88,9 @@ pub enum NodeError {
         waited_s: u64,
     },
     /// Lockstep: a tick was not answered.
-    #[error("tick {tick} was not answered within {waited_s} s{last_problem}")]
+    #[error(
+        "tick {tick} was not answered within {waited_s} s (the controller needs --lockstep to take its time from the room){last_problem}"
+    )]
     NoAnswer {
         /// The tick.
         tick: u64,

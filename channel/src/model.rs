@@ -18,7 +18,7 @@ pub const LEDS_MAX: usize = 64;
 pub enum Mode {
     /// The law of reflection (see [`specular`](crate::specular)): for real hardware.
     Specular,
-    /// Eqs. (2) and (3) of the paper (see [`diffuse`](crate::diffuse)): for comparison with it.
+    /// Eqs. (2) and (3) of the paper (see [`diffuse`]): for comparison with it.
     Paper {
         /// Whether the symbols are read literally ([`Reading::Literal`]).
         literal: bool,

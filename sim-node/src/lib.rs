@@ -7,7 +7,7 @@
 //! - [`world`]: people, obstacles and the channel between them; what the trainer steps.
 //! - [`mobility`], [`trace`], [`obstacles`]: the random waypoint walk, recordings in its place, the hard-core process.
 //! - [`actuator`]: how mirrors follow their commands.
-//! - [`array`]: which commands the array follows, and when it holds and parks.
+//! - [`mod@array`]: which commands the array follows, and when it holds and parks.
 //! - [`streams`], [`schedule`]: what is reported, when, how late and how exactly.
 //! - [`room`]: all of these moving through the same time.
 //! - [`yardstick`]: what the users get, beside no array, flat mirrors and the best there is.

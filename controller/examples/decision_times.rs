@@ -116,7 +116,7 @@ impl Reports {
         let pillar = |x_m: f32, y_m: f32| Obstacle { x_m, y_m, radius_m: 0.25, height_m: 1.75 };
         self.obstacles = ObstacleReport { stamp, obstacles: vec![pillar(1.2, 0.8), pillar(-1.0, -0.6)] };
         self.users = UserReport { stamp, tick, users: (0..users).map(|user| walker(user, users, tick)).collect() };
-        let gain = |user: usize| if user % 2 == 0 { 0.0 } else { 8e-7 };
+        let gain = |user: usize| if user.is_multiple_of(2) { 0.0 } else { 8e-7 };
         let measured = |user: usize| UserChannel { user: user as u32, los_gain: gain(user), irs_gain: 0.0, sinr: 0.0 };
         self.channel = ChannelReport { stamp, tick, users: (0..users).map(measured).collect() };
     }

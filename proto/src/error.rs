@@ -139,3 +139,22 @@ pub enum CodecError {
         wanted: usize,
     },
 }
+
+impl CodecError {
+    /// The name under which nodes count this refusal.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Oversized { .. } => "oversized",
+            Self::NoHeader { .. } | Self::Truncated { .. } => "truncated",
+            Self::WrongVersion { .. } => "wrong-version",
+            Self::UnknownKind { .. } | Self::WrongKind { .. } => "wrong-kind",
+            Self::Malformed { .. } => "malformed",
+            Self::TrailingBytes { .. } => "trailing-bytes",
+            Self::TooMany { .. } | Self::LengthMismatch { .. } => "bad-length",
+            Self::NotFinite { .. } => "not-finite",
+            Self::OutOfDomain { .. } => "implausible",
+            Self::WrongMirrors { .. } => "wrong-mirror-count",
+            Self::WrongUsers { .. } => "wrong-user-count",
+        }
+    }
+}

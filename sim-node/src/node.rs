@@ -237,7 +237,7 @@ impl Node {
             ("unattended_ticks", summary.unattended_ticks),
             ("clipped_commands", summary.clipped_commands),
         ];
-        let refused = summary.refused.into_iter().map(|(name, count)| (format!("refused_{name}"), count));
+        let refused = summary.refused.into_iter().map(|(name, count)| (format!("refused:{name}"), count));
         let us = summary.loop_us;
         let quantiles =
             Quantiles { count: us.count, p50: us.p50, p90: us.p90, p99: us.p99, p999: us.p999, max: us.max };
@@ -258,7 +258,7 @@ impl Node {
 
     pub fn summary(&self, measurements: &Measurements) -> Summary {
         let counters = self.room.array().counters();
-        let refused = self.refused.counts().iter().map(|(name, count)| ((*name).to_owned(), *count));
+        let refused = self.refused.counts().iter().map(|(name, count)| (name.clone(), *count));
         let mut summary = Summary {
             scenario: self.scenario.name.clone(),
             scenario_hash: self.scenario_hash.clone(),

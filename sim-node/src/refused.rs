@@ -9,59 +9,42 @@ use crate::array::Refusal;
 /// Counts of refusals by name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
-    counts: BTreeMap<&'static str, u64>,
+    counts: BTreeMap<String, u64>,
     last_problem: String,
 }
 
 impl Refused {
     /// A payload on the command key that is no command.
     pub fn malformed(&mut self, error: &CodecError) {
-        self.note(codec_name(error), 1, format!("command key: {error}"));
+        self.note(&format!("command:{}", error.name()), 1, format!("command key: {error}"));
     }
 
     /// A command that the array does not follow.
     pub fn command(&mut self, refusal: &Refusal) {
-        self.note(refusal.name(), 1, format!("command: {refusal}"));
+        self.note(&format!("command:{}", refusal.name()), 1, format!("command: {refusal}"));
     }
 
     /// Anything else, under a name.
-    pub fn note(&mut self, name: &'static str, times: u64, problem: String) {
-        *self.counts.entry(name).or_default() += times;
+    pub fn note(&mut self, name: &str, times: u64, problem: String) {
+        *self.counts.entry(name.to_owned()).or_default() += times;
         self.last_problem = problem;
     }
 
     /// Sets a count that is kept elsewhere; none of it is no entry.
-    pub fn set(&mut self, name: &'static str, count: u64) {
+    pub fn set(&mut self, name: &str, count: u64) {
         if count > 0 {
-            self.counts.insert(name, count);
+            self.counts.insert(name.to_owned(), count);
         }
     }
 
     /// The counts by name.
-    pub fn counts(&self) -> &BTreeMap<&'static str, u64> {
+    pub fn counts(&self) -> &BTreeMap<String, u64> {
         &self.counts
     }
 
     /// The last problem; empty while there was none.
     pub fn last_problem(&self) -> &str {
         &self.last_problem
-    }
-}
-
-/// The name under which a malformed payload is counted.
-fn codec_name(error: &CodecError) -> &'static str {
-    match error {
-        CodecError::Oversized { .. } => "oversized",
-        CodecError::NoHeader { .. } | CodecError::Truncated { .. } => "truncated",
-        CodecError::WrongVersion { .. } => "wrong-version",
-        CodecError::UnknownKind { .. } | CodecError::WrongKind { .. } => "wrong-kind",
-        CodecError::TrailingBytes { .. } => "trailing-bytes",
-        CodecError::TooMany { .. } | CodecError::LengthMismatch { .. } => "bad-length",
-        CodecError::NotFinite { .. } => "not-finite",
-        CodecError::WrongMirrors { .. } => "wrong-mirror-count",
-        CodecError::WrongUsers { .. } => "wrong-user-count",
-        CodecError::OutOfDomain { .. } => "implausible",
-        CodecError::Malformed { .. } => "malformed",
     }
 }
 
@@ -75,7 +58,10 @@ mod tests {
         refused.malformed(&CodecError::WrongVersion { found: 9 });
         refused.malformed(&CodecError::WrongVersion { found: 8 });
         refused.command(&Refusal::OldSequence { found: 3, last: 4 });
-        assert_eq!(refused.counts(), &BTreeMap::from([("old-sequence", 1), ("wrong-version", 2)]));
+        assert_eq!(
+            refused.counts(),
+            &BTreeMap::from([("command:old-sequence".into(), 1), ("command:wrong-version".into(), 2)])
+        );
         assert_eq!(refused.last_problem(), "command: sequence 3 after 4 of the same epoch");
     }
 }

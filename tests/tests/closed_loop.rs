@@ -23,7 +23,8 @@ fn assert_complete(summary: &Value) {
     // Three seconds at 100 reports a second, each answered; a busy machine may be late, but it loses nothing.
     assert!(number(summary, "/commands") > 200.0, "{summary}");
     assert_eq!(number(summary, "/lost_ticks"), 0.0, "{summary}");
-    assert_eq!(summary["refused_by_room"], serde_json::json!({}), "{summary}");
+    let refused = summary["refused_by_room"].as_object().expect("an object");
+    assert!(!refused.keys().any(|name| name.starts_with("command:")), "{summary}");
     assert_eq!(summary["refused_by_controller"], serde_json::json!({}), "{summary}");
 }
 

@@ -93,22 +93,19 @@ fn the_controller_counts_and_names_whatever_is_wrong() {
         users,
     };
     let five: Vec<UserState> = (0..5).map(user).collect();
-    let mut stale = later(1_000_000, five.clone());
-    stale.stamp.time_ns -= 10_000_000_000;
-    let mut outside = later(1_000_000, five.clone());
-    outside.users[0].position_m = [99.0, 0.0, 0.85];
-    let mut early = later(0, five);
-    early.stamp.sequence = 1;
-    for (name, report) in [
-        ("wrong-user-count", later(1_000_000, vec![user(0), user(1)])),
-        ("stale", stale),
-        ("outside-room", outside),
-        ("out-of-order", early),
-    ] {
-        let counter = format!("refused:users:{name}");
+    // Each is made when it is said: a stamp grows old while the one before is waited for.
+    let say = |name: &str, spoil: &dyn Fn(&mut UserReport)| {
+        let mut report = later(1_000_000, five.clone());
+        spoil(&mut report);
         witness.say(&room.users(), &encoded(&report));
+        let counter = format!("refused:users:{name}");
         wait_until(&counter, || witness.counter(NodeKind::Controller, &counter) > 0);
-    }
+    };
+    say("wrong-user-count", &|report| report.users.truncate(2));
+    say("stale", &|report| report.stamp.time_ns -= 10_000_000_000);
+    say("from-future", &|report| report.stamp.time_ns += 10_000_000_000);
+    say("outside-room", &|report| report.users[0].position_m = [99.0, 0.0, 0.85]);
+    say("out-of-order", &|report| report.stamp.sequence = 1);
     assert!(!witness.status(NodeKind::Controller).expect("heard").last_problem.is_empty());
 
     witness.wait_for_commands();

@@ -14,6 +14,8 @@ use heliostat_sim_node::world::World;
 use plotters::prelude::*;
 
 /// Draw the rate, SINR or coverage over the floor as an SVG heat map.
+///
+/// Circles are obstacles and bodies, red crosses users, the blue line the mirrors.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -190,7 +192,7 @@ fn draw(args: &Args, scenario: &Scenario, world: &World, map: &Map) -> Result<()
         .x_label_area_size(40)
         .y_label_area_size(50)
         .build_cartesian_2d(-half_x..half_x, -half_y..half_y)?;
-    chart.configure_mesh().disable_mesh().x_desc("x (m)").y_desc("y (m); mirrors' wall by scenario").draw()?;
+    chart.configure_mesh().disable_mesh().x_desc("x (m)").y_desc("y (m)").draw()?;
     let (width, height) = (2.0 * half_x / map.columns as f64, 2.0 * half_y / map.rows as f64);
     chart.draw_series(map.values.iter().enumerate().map(|(index, value)| {
         let x = (index % map.columns) as f64 * width - half_x;
@@ -211,13 +213,23 @@ fn draw(args: &Args, scenario: &Scenario, world: &World, map: &Map) -> Result<()
         world.users().iter().map(|user| Cross::new((user.position.x, user.position.y), 5, RED.stroke_width(2))),
     )?;
 
+    let mirrors = &world.model().mirrors;
+    let foot = |index: usize| (mirrors.positions()[index].x, mirrors.positions()[index].y);
+    let wall = vec![foot(0), foot(mirrors.columns() - 1)];
+    chart.draw_series([PathElement::new(wall, BLUE.stroke_width(8))])?;
+
     let mut bar = ChartBuilder::on(&right)
         .margin(10)
         .margin_top(40)
         .margin_bottom(50)
         .y_label_area_size(45)
         .build_cartesian_2d(0.0..1.0, low..low + span)?;
-    bar.configure_mesh().disable_mesh().disable_x_axis().y_desc(args.what.label()).draw()?;
+    bar.configure_mesh()
+        .disable_mesh()
+        .disable_x_axis()
+        .y_label_style(("sans-serif", 13))
+        .y_desc(args.what.label())
+        .draw()?;
     bar.draw_series((0..128).map(|step| {
         let (from, to) = (f64::from(step) / 128.0, f64::from(step + 1) / 128.0);
         Rectangle::new([(0.0, low + from * span), (1.0, low + to * span)], colour(from).filled())

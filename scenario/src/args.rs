@@ -32,7 +32,20 @@ impl ScenarioArgs {
             }
             other => other,
         };
-        Scenario::from_toml_with(&self.text()?, &overrides).map_err(in_file)
+        let mut scenario = Scenario::from_toml_with(&self.text()?, &overrides).map_err(in_file)?;
+        self.find_trace(&mut scenario);
+        Ok(scenario)
+    }
+
+    /// A recording that the file names lies beside the file; one that a flag names lies where the shell is.
+    fn find_trace(&self, scenario: &mut Scenario) {
+        let by_flag = |text: &String| text.split_once('=').is_some_and(|(key, _)| key.trim() == "users.trace");
+        if let Some(trace) = &mut scenario.users.trace
+            && !self.overrides.iter().any(by_flag)
+            && let Some(folder) = Path::new(&self.scenario).parent()
+        {
+            *trace = folder.join(&trace).to_string_lossy().into_owned();
+        }
     }
 
     /// The text of the file or of the built-in scenario.

@@ -290,13 +290,14 @@ pub enum MinRate {
 pub struct Users {
     /// How many.
     pub count: usize,
-    /// Slowest speed of a leg in m/s.
+    /// Slowest speed of a leg in m/s; 0 only where the fastest is 0 too, and nobody moves.
     pub speed_min_m_s: f64,
     /// Fastest speed of a leg in m/s.
     pub speed_max_m_s: f64,
     /// Minimum rate R_min in Mbit/s.
     pub min_rate_mbps: MinRate,
-    /// A CSV file of recorded movement (`time,user,x,y`) in place of the random walk.
+    /// A CSV file of recorded movement (`time,user,x,y`) in place of the random walk. In a scenario file a relative path counts from that
+    /// file's folder, in `--set` from the working directory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
 }

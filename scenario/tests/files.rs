@@ -1,6 +1,6 @@
 //! Scenario files: the built-in ones are valid, and each mistake is refused by name, with its line.
 
-use heliostat_scenario::{BUILTIN_NAMES, ChannelMode, MinRate, Scenario, ScenarioError};
+use heliostat_scenario::{BUILTIN_NAMES, ChannelMode, MinRate, Scenario, ScenarioArgs, ScenarioError};
 
 #[test]
 fn every_built_in_scenario_is_valid_and_bears_its_name() {
@@ -34,6 +34,46 @@ fn a_value_outside_its_domain_is_refused_with_key_line_and_domain() {
     let message = Scenario::from_toml("[mirrors]\nrows = 7\nreflectivity = 1.5\n").unwrap_err().to_string();
     assert!(message.contains("line 3") && message.contains("mirrors.reflectivity = 1.5"), "{message}");
     assert!(message.contains("from 0 to 1"), "{message}");
+}
+
+#[test]
+fn each_refusal_names_its_line() {
+    for (text, line, named) in [
+        ("name = \"x\"\nroom.height_m = \"three\"\n", "line 2", "height_m"),
+        ("[room]\nheight_m = 3.0\n\n[rom]\n", "line 4", "rom"),
+        ("[room]\nheight_m = 3.0\nheight_m = 4.0\n", "line 3", "height_m"),
+        ("[room\n", "line 1", "[room"),
+        ("[users]\ncount = 5\n\nmin_rate_mbps = [1.0]\n", "line 4", "users.min_rate_mbps"),
+        ("[streams.positions]\nlatency_ms = 1.0\nrate_hz = 0.0\n", "line 3", "streams.positions.rate_hz"),
+        ("[receiver]\nbranches = [\n  { tilt_deg = 200.0, azimuth_deg = 0.0, fov_deg = 35.0 },\n]\n", "line 2", "tilt_deg"),
+        ("[led]\n# high up\npositions_m = [[0.0, 0.0, 3.5]]\n", "line 3", "led.positions_m"),
+    ] {
+        let message = Scenario::from_toml(text).unwrap_err().to_string();
+        assert!(message.contains(line) && message.contains(named), "{text}: {message}");
+    }
+}
+
+#[test]
+fn nobody_need_move_but_a_leg_must_end() {
+    let with = |min: f64, max: f64| {
+        Scenario::from_toml(&format!("[users]\nspeed_min_m_s = {min:?}\nspeed_max_m_s = {max:?}")).is_ok()
+    };
+    assert!(with(0.0, 0.0) && with(0.5, 0.5));
+    assert!(!with(0.0, 1.0) && !with(1.0, 0.0) && !with(-1.0, 0.0));
+}
+
+#[test]
+fn a_recording_lies_beside_the_file_that_names_it() {
+    let folder = std::env::temp_dir().join(format!("heliostat-scenario-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let file = folder.join("room.toml");
+    std::fs::write(&file, "[users]\ntrace = \"walk.csv\"\n").unwrap();
+    let mut args = ScenarioArgs { scenario: file.display().to_string(), ..ScenarioArgs::default() };
+    let trace = |args: &ScenarioArgs| args.load().unwrap().users.trace.unwrap();
+    assert_eq!(trace(&args), folder.join("walk.csv").display().to_string());
+    args.overrides = vec!["users.trace=other.csv".into()];
+    assert_eq!(trace(&args), "other.csv");
+    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]

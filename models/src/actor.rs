@@ -13,11 +13,14 @@ use crate::networks::Network;
 /// Inputs of the actor's network for each user: the features, the logit of the round before, and ln(1 + amplitude).
 pub const ACTOR_INPUTS: usize = FEATURES + 2;
 
-/// How often a claim is squared: the exponent 8 of the smooth decoder.
+/// How often a claim is squared; makes [`EXPONENT`].
 pub const SQUARINGS: usize = 3;
 
-/// Keeps quotients finite for mirrors that no user sees; below every claim that counts, above the smallest normal number.
-pub const NO_CLAIM: f32 = 1e-30;
+/// The exponent of the smooth decoder.
+pub const EXPONENT: f32 = 8.0;
+
+/// Keeps quotients finite for mirrors that no user sees; far below every sum of claims that counts.
+pub const NO_CLAIM: f32 = 1e-20;
 
 /// States of rooms, as tensors.
 #[derive(Clone, Debug)]
@@ -26,11 +29,9 @@ pub struct States {
     pub features: Tensor,
     /// Who is there, (batch, slots).
     pub present: Tensor,
-    /// Sum of the steering amplitudes, (batch, slots, 1).
-    total: Tensor,
     /// Direct amplitude, (batch, slots, 1).
     direct: Tensor,
-    /// (a_km / sum_j a_jm)^8, (batch, slots, mirrors).
+    /// (p_k a_km / sum_j p_j a_jm)^8 with the weights p of logits of zero, (batch, slots, mirrors).
     claims: Tensor,
     /// The same times a_km.
     gains: Tensor,
@@ -46,20 +47,23 @@ impl States {
     ///
     /// # Errors
     /// Those of candle, when the length is not `batch` rows.
-    pub fn new(rows: Vec<f32>, batch: usize, layout: Layout) -> Result<Self> {
+    pub fn new(rows: Vec<f32>, batch: usize, layout: Layout, prior: Prior) -> Result<Self> {
         let (slots, mirrors) = (layout.slots(), layout.encoder.mirrors());
         let rows = Tensor::from_vec(rows, (batch, Self::width(layout)), &Device::Cpu)?;
         let features = rows.narrow(1, 0, slots * FEATURES)?.reshape((batch, slots, FEATURES))?;
         let steering = rows.narrow(1, slots * FEATURES, slots * mirrors)?.reshape((batch, slots, mirrors))?;
         let column = |index| features.narrow(2, index, 1)?.contiguous();
-        let mut claims = steering.broadcast_div(&(steering.sum_keepdim(1)? + f64::from(NO_CLAIM))?)?;
+        let asked = match prior {
+            Prior::Uniform => steering.clone(),
+            Prior::EqualShare => steering.broadcast_div(&(steering.sum_keepdim(2)? + f64::from(TINY))?)?,
+        };
+        let mut claims = asked.broadcast_div(&(asked.sum_keepdim(1)? + f64::from(NO_CLAIM))?)?;
         for _ in 0..SQUARINGS {
             claims = claims.sqr()?;
         }
         Ok(Self {
             present: column(0)?.squeeze(2)?,
             direct: (column(LOG_DIRECT)?.exp()? - 1.0)?,
-            total: steering.sum_keepdim(2)?,
             gains: (&claims * &steering)?,
             claims,
             features,
@@ -70,22 +74,13 @@ impl States {
     ///
     /// # Errors
     /// Those of candle, when shapes do not fit.
-    pub fn amplitude(&self, logits: &Tensor, head: Head) -> Result<Tensor> {
-        let weight = (logits * f64::from(head.range))?.exp()?.mul(&self.present)?.unsqueeze(2)?;
-        let weight = match head.prior {
-            Prior::Uniform => weight,
-            Prior::EqualShare => (weight / (&self.total + f64::from(TINY))?)?,
-        };
-        // A common factor of all users changes nothing, so no gradient has to pass through their sum.
-        let mut weight = weight.broadcast_div(&weight.sum_keepdim(1)?.detach())?;
-        for _ in 0..SQUARINGS {
-            weight = weight.sqr()?;
-        }
-        // The power of w_k a_km is split, so that the large tables are raised to it once for all rounds.
-        let all = (weight.transpose(1, 2)?.contiguous()?.matmul(&self.claims)? + f64::from(NO_CLAIM))?;
+    pub fn amplitude(&self, logits: &Tensor, range: f32) -> Result<Tensor> {
+        let weight = (logits * f64::from(EXPONENT * range))?.exp()?.mul(&self.present)?;
+        // The power of w_k a_km is split: the large tables, with the prior, are raised to it once for all rounds.
+        let all = (weight.unsqueeze(1)?.matmul(&self.claims)? + f64::from(NO_CLAIM))?;
         // By way of the logarithm: the gradient of a quotient squares its divisor, which would vanish in f32.
         let inverse = all.log()?.neg()?.exp()?.transpose(1, 2)?.contiguous()?;
-        let given = self.gains.matmul(&inverse)?.mul(&weight)?;
+        let given = self.gains.matmul(&inverse)?.mul(&weight.unsqueeze(2)?)?;
         ((&self.direct + given)? + 1.0)?.log()?.squeeze(2)
     }
 }
@@ -111,7 +106,7 @@ impl Actor {
     pub fn forward(&self, states: &States) -> Result<Tensor> {
         let mut logits = states.present.zeros_like()?;
         for _ in 0..self.rounds {
-            let amplitude = states.amplitude(&logits, self.head)?.mul(&states.present)?;
+            let amplitude = states.amplitude(&logits, self.head.range)?.mul(&states.present)?;
             let input = Tensor::cat(&[&states.features, &logits.unsqueeze(2)?, &amplitude.unsqueeze(2)?], 2)?;
             logits = self.network.forward(&input, &states.present)?.tanh()?.mul(&states.present)?;
         }
@@ -123,7 +118,7 @@ impl Actor {
     /// # Errors
     /// Those of candle.
     pub fn logits(&self, state: &[f32]) -> Result<Vec<f32>> {
-        let states = States::new(state.to_vec(), 1, self.layout)?;
+        let states = States::new(state.to_vec(), 1, self.layout, self.head.prior)?;
         self.forward(&states)?.squeeze(0)?.to_vec1()
     }
 
@@ -133,5 +128,88 @@ impl Actor {
     /// Those of candle.
     pub fn copy(&self) -> Result<Self> {
         Ok(Self { network: self.network.copy()?, ..self.clone() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::Var;
+    use heliostat_controller::observation::ObservationEncoder;
+
+    /// Three users, the last slot empty, and four mirrors of which nobody sees the last.
+    fn states() -> States {
+        let layout = Layout { encoder: ObservationEncoder::new(4, 4), half_room_m: [2.5, 2.5] };
+        let mut row = vec![0.0; States::width(layout)];
+        for slot in 0..3 {
+            row[slot * FEATURES] = 1.0;
+            row[slot * FEATURES + LOG_DIRECT] = 0.5 * slot as f32;
+        }
+        let steering = [[0.30, 0.20, 0.10, 0.0], [0.21, 0.33, 0.25, 0.0], [0.02, 0.015, 0.03, 0.0]];
+        row[4 * FEATURES..][..12].copy_from_slice(steering.as_flattened());
+        States::new(row, 1, layout, Prior::EqualShare).expect("a state")
+    }
+
+    #[test]
+    fn a_user_in_the_dark_takes_nothing_from_the_others() {
+        let layout = Layout { encoder: ObservationEncoder::new(2, 1), half_room_m: [2.5, 2.5] };
+        let mut row = vec![0.0; States::width(layout)];
+        (row[0], row[FEATURES]) = (1.0, 1.0);
+        for dark in [0.0, 1e-5] {
+            row[2 * FEATURES..].copy_from_slice(&[0.4, dark]);
+            let states = States::new(row.clone(), 1, layout, Prior::Uniform).expect("a state");
+            let logits = Tensor::from_slice(&[-1.0_f32, 1.0], (1, 2), &Device::Cpu).expect("logits");
+            let found = states.amplitude(&logits, 0.5).and_then(|found| found.to_vec2::<f32>()).expect("amplitudes");
+            assert!((found[0][0] - 1.4_f32.ln()).abs() < 1e-6, "{found:?}");
+        }
+    }
+
+    /// The same amplitude by its definition, in f64.
+    fn expected(logits: [f64; 3]) -> [f64; 3] {
+        let steering = [[0.30_f64, 0.20, 0.10], [0.21, 0.33, 0.25], [0.02, 0.015, 0.03]];
+        let weight = |user: usize| (2.0 * logits[user]).exp() / (steering[user].iter().sum::<f64>() + 1e-6);
+        let claim = |user: usize, mirror: usize| (weight(user) * steering[user][mirror]).powi(8);
+        [0, 1, 2].map(|user| {
+            let given = |mirror| {
+                let all: f64 = (0..3).map(|other| claim(other, mirror)).sum();
+                steering[user][mirror] * claim(user, mirror) / all
+            };
+            let direct = (0.5 * user as f64).exp() - 1.0;
+            (1.0 + direct + (0..3).map(given).sum::<f64>()).ln()
+        })
+    }
+
+    #[test]
+    fn the_smooth_decoder_is_its_definition() {
+        let logits = [0.1_f32, -0.2, 0.3, 0.0];
+        let tensor = Tensor::from_slice(&logits, (1, 4), &Device::Cpu).expect("logits");
+        let found = states().amplitude(&tensor, 2.0).and_then(|found| found.squeeze(0)?.to_vec1::<f32>());
+        let found = found.expect("amplitudes");
+        for (user, wanted) in expected([0.1, -0.2, 0.3]).into_iter().enumerate() {
+            assert!((f64::from(found[user]) - wanted).abs() < 1e-5, "user {user}: {} for {wanted}", found[user]);
+        }
+        assert_eq!(found[3], 0.0);
+    }
+
+    #[test]
+    fn its_gradient_is_that_of_its_definition() {
+        let logits = [0.1_f64, -0.2, 0.3];
+        let variable = Var::from_slice(&[0.1_f32, -0.2, 0.3, 0.0], (1, 4), &Device::Cpu).expect("logits");
+        let amplitude = states().amplitude(&variable, 2.0).expect("amplitudes");
+        for user in 0..3 {
+            let one = amplitude.narrow(1, user, 1).and_then(|one| one.sum_all()).expect("one amplitude");
+            let gradients = one.backward().expect("gradients");
+            let found = gradients.get(&variable).expect("its gradient").to_vec2::<f32>().expect("a matrix");
+            for other in 0..3 {
+                let moved = |by: f64| {
+                    let mut moved = logits;
+                    moved[other] += by;
+                    expected(moved)[user]
+                };
+                let wanted = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+                let found = f64::from(found[0][other]);
+                assert!((found - wanted).abs() < 1e-4, "user {user} by logit {other}: {found} for {wanted}");
+            }
+        }
     }
 }

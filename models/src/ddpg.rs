@@ -283,14 +283,14 @@ impl Trainer {
 
     /// One update of critic, actor and targets from a minibatch.
     fn update(&mut self) -> candle_core::Result<()> {
-        let (batch, layout) = (self.settings.batch, self.actor.layout);
+        let (batch, layout, prior) = (self.settings.batch, self.actor.layout, self.settings.head.prior);
         let [states, action, rewards, next] = self.replay.sample(batch, &mut self.rng);
-        let states = States::new(states, batch, layout)?;
+        let states = States::new(states, batch, layout, prior)?;
         let action = Tensor::from_vec(action, (batch, layout.slots()), &Device::Cpu)?;
         let rewards = Tensor::from_vec(rewards, (batch, layout.slots()), &Device::Cpu)?;
         let mut target = self.reduce(&rewards, &states.present)?;
         if self.settings.gamma > 0.0 {
-            let next = States::new(next, batch, layout)?;
+            let next = States::new(next, batch, layout, prior)?;
             let next_value = self.value(&self.critic_target, &next, &self.actor_target.forward(&next)?)?;
             target = (target + (next_value.detach() * self.settings.gamma)?)?;
         }
@@ -320,8 +320,8 @@ impl Trainer {
     fn value(&self, critic: &Network, states: &States, action: &Tensor) -> candle_core::Result<Tensor> {
         let present = &states.present;
         let amplitude = match self.settings.sight {
-            Sight::Logits => states.amplitude(&action.zeros_like()?, self.settings.head)?,
-            Sight::Decoded => states.amplitude(action, self.settings.head)?,
+            Sight::Logits => states.amplitude(&action.zeros_like()?, self.settings.head.range)?,
+            Sight::Decoded => states.amplitude(action, self.settings.head.range)?,
         };
         let action = match self.settings.encoder {
             Encoder::Set => action.broadcast_sub(&mean_present(action, present)?.unsqueeze(1)?)?.mul(present)?,

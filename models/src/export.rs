@@ -11,7 +11,7 @@ use heliostat_channel::mirrors::MirrorArray;
 use heliostat_channel::{ChannelModel, Mode, Vec3};
 use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 
-use crate::actor::{Actor, NO_CLAIM, SQUARINGS};
+use crate::actor::{Actor, EXPONENT, NO_CLAIM, SQUARINGS};
 use crate::features::{Head, Layout, Prior, TINY};
 use crate::networks::{Encoder, Network, Shape};
 use crate::onnx::{Ends, Graph, Value};
@@ -22,12 +22,11 @@ use crate::onnx::{Ends, Graph, Value};
 /// Those of candle, when a parameter cannot be read.
 pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]) -> Result<Vec<u8>> {
     let mut graph = Graph::default();
-    let observed = observe(&mut graph, &actor.layout);
+    let observed = observe(&mut graph, &actor.layout, actor.head.prior);
     let network = NetworkNodes::new(&mut graph, &actor.network)?;
     let mut logits = graph.constant("no_logits", &[actor.layout.slots(), 1], &vec![0.0; actor.layout.slots()]);
     for _ in 0..actor.rounds {
-        let weights = weigh(&mut graph, &observed, &logits, actor.head);
-        let amplitude = amplitude(&mut graph, &observed, &weights);
+        let amplitude = amplitude(&mut graph, &observed, &logits, actor.head.range);
         let input = graph.concat(&[&observed.features, &logits, &amplitude], 1);
         // Also keeps tract from splitting the product that follows into one for each column.
         let input = graph.node("Mul", &[&input, &observed.present]);
@@ -58,7 +57,7 @@ struct Observed {
     total: Value,
     /// (slots, 1)
     direct: Value,
-    /// (a_km / sum_j a_jm)^8, (slots, mirrors)
+    /// (p_k a_km / sum_j p_j a_jm)^8 with the weights p of logits of zero, (slots, mirrors)
     claims: Value,
     /// The same times a_km, (slots, mirrors)
     gains: Value,
@@ -66,7 +65,7 @@ struct Observed {
     features: Value,
 }
 
-fn observe(graph: &mut Graph, layout: &Layout) -> Observed {
+fn observe(graph: &mut Graph, layout: &Layout, prior: Prior) -> Observed {
     let (encoder, slots) = (layout.encoder, layout.slots());
     let part = |graph: &mut Graph, range: Range<usize>| {
         let width = range.len() / slots;
@@ -84,10 +83,16 @@ fn observe(graph: &mut Graph, layout: &Layout) -> Observed {
     let sum = graph.sum(&steering, 1);
     let total = graph.node("Add", &[&sum, &tiny]);
     let no_claim = graph.scalar(NO_CLAIM);
-    let all = graph.sum(&steering, 0);
+    let asked = match prior {
+        Prior::Uniform => steering.clone(),
+        Prior::EqualShare => graph.node("Div", &[&steering, &total]),
+    };
+    let all = graph.sum(&asked, 0);
     let all = graph.node("Add", &[&all, &no_claim]);
-    let claims = graph.node("Div", &[&steering, &all]);
-    let claims = eighth_power(graph, claims);
+    let mut claims = graph.node("Div", &[&asked, &all]);
+    for _ in 0..SQUARINGS {
+        claims = graph.node("Mul", &[&claims, &claims]);
+    }
     let gains = graph.node("Mul", &[&claims, &steering]);
     let half_room = graph.constant("half_room", &[1, 2], &layout.half_room_m);
     let plane = graph.slice(&positions, 1, 0..2);
@@ -106,19 +111,13 @@ fn observe(graph: &mut Graph, layout: &Layout) -> Observed {
     Observed { slots, mirrors: encoder.mirrors(), present, positions, total, direct, claims, gains, features, steering }
 }
 
-fn eighth_power(graph: &mut Graph, mut value: Value) -> Value {
-    for _ in 0..SQUARINGS {
-        value = graph.node("Mul", &[&value, &value]);
-    }
-    value
-}
-
-/// ln(1 + amplitude) of each user under the weights by the smooth decoder; (slots, 1).
-fn amplitude(graph: &mut Graph, observed: &Observed, weights: &str) -> Value {
+/// ln(1 + amplitude) of each user under the logits by the smooth decoder; (slots, 1).
+fn amplitude(graph: &mut Graph, observed: &Observed, logits: &str, range: f32) -> Value {
     let (one, no_claim) = (graph.scalar(1.0), graph.scalar(NO_CLAIM));
-    let all = graph.sum(weights, 0);
-    let weights = graph.node("Div", &[weights, &all]);
-    let weights = eighth_power(graph, weights);
+    let exponent = graph.scalar(EXPONENT * range);
+    let weights = graph.node("Mul", &[logits, &exponent]);
+    let weights = graph.node("Exp", &[&weights]);
+    let weights = graph.node("Mul", &[&weights, &observed.present]);
     let row = graph.reshape(&weights, &[1, observed.slots]);
     let all = graph.node("MatMul", &[&row, &observed.claims]);
     let all = graph.node("Add", &[&all, &no_claim]);

@@ -6,6 +6,7 @@
 //!
 //! Every random number comes from a generator that the caller passes in; candle's own is never used.
 
+use anyhow::Context;
 use candle_core::{Device, Result, Tensor, Var, backprop::GradStore};
 use rand::{Rng, RngExt};
 
@@ -60,6 +61,18 @@ impl Linear {
     fn forward(&self, input: &Tensor) -> Result<Tensor> {
         input.matmul(&self.weight)?.broadcast_add(&self.bias)
     }
+}
+
+/// Does the work on one thread of its own, with all of candle's.
+///
+/// candle shares each larger product out over all cores. Ours are so small that waiting for a core that is busy elsewhere takes far longer
+/// than computing: minutes in place of seconds on a loaded machine.
+///
+/// # Errors
+/// A thread that the system refuses.
+pub fn on_one_thread<T: Send>(work: impl FnOnce() -> T + Send) -> anyhow::Result<T> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().context("cannot start a thread")?;
+    Ok(pool.install(work))
 }
 
 /// A network of two hidden layers over the users' slots.

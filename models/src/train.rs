@@ -16,6 +16,7 @@ use crate::curve::Curve;
 use crate::ddpg::{Settings, Trainer};
 use crate::evaluate::{HeldOut, Score};
 use crate::export::export;
+use crate::networks::on_one_thread;
 
 /// Train a policy for a scenario and export it as an ONNX actor.
 #[derive(Clone, Debug, clap::Args)]
@@ -82,6 +83,10 @@ const USERS: [usize; 2] = [3, 8];
 /// # Errors
 /// A scenario or option that makes no sense, or a file that cannot be read or written.
 pub fn run_train(args: TrainArgs) -> anyhow::Result<()> {
+    on_one_thread(|| train(&args))?
+}
+
+fn train(args: &TrainArgs) -> anyhow::Result<()> {
     let scenario = args.scenario.load()?;
     let settings = args.settings(&scenario)?;
     let mut trainer = Trainer::new(scenario, settings)?;
@@ -92,9 +97,9 @@ pub fn run_train(args: TrainArgs) -> anyhow::Result<()> {
     }
     let resumed = trainer.episodes_done() > 0;
     let start = Instant::now();
-    learn(&mut trainer, &args, &checkpoint)?;
+    learn(&mut trainer, args, &checkpoint)?;
     let duration = (!resumed).then(|| start.elapsed());
-    finish(&trainer, &args, duration)
+    finish(&trainer, args, duration)
 }
 
 impl TrainArgs {

@@ -3,10 +3,13 @@
 //! Bodies are inferred: a person stands behind the device that they hold, and behind is where they do not walk to. Somebody who
 //! has never been seen walking has no body yet. Obstacles are those of the latest survey. Measured gains of the direct path
 //! replace modelled ones, since they know of what no survey mentions.
+//!
+//! Where `control.prediction` says so, users are taken to have walked on at their reported velocity since the report's sample, and through
+//! half of the time until the next report, since the command stands that long; nobody is predicted to leave the room.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, Nanos, UserReport, UserState};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Prediction, Scenario};
 
 use crate::{
     inbox::Inbox,
@@ -24,9 +27,37 @@ struct Body {
     offset_m: f64,
 }
 
+/// How far ahead users are predicted, and where they cannot be.
+#[derive(Clone, Copy, Debug)]
+struct Lead {
+    /// Half of the time between reports in s.
+    half_interval_s: f64,
+    half_room_m: [f64; 2],
+}
+
+impl Lead {
+    fn of(scenario: &Scenario) -> Option<Self> {
+        match scenario.control.prediction {
+            Prediction::None => None,
+            Prediction::ConstantVelocity => Some(Self {
+                half_interval_s: 0.5 / scenario.streams.positions.rate_hz,
+                half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
+            }),
+        }
+    }
+
+    /// Where somebody is, who walks on.
+    fn predict(&self, position: Vec3, velocity: &Vec3, age_s: f64) -> Vec3 {
+        let ahead = position + velocity * (age_s + self.half_interval_s);
+        let [half_x, half_y] = self.half_room_m;
+        Vec3::new(ahead.x.clamp(-half_x, half_x), ahead.y.clamp(-half_y, half_y), ahead.z)
+    }
+}
+
 /// Fills observations from the inbox; its buffers are reused.
 pub struct Observer {
     body: Option<Body>,
+    lead: Option<Lead>,
     ids: Vec<u32>,
     /// Unit vectors in the floor plane; zero while unknown.
     headings: Vec<Vec3>,
@@ -59,6 +90,7 @@ impl Observer {
                 height_m: blockage.body_height_m,
                 offset_m: blockage.body_offset_m,
             }),
+            lead: Lead::of(scenario),
             ids: vec![0; users],
             headings: vec![Vec3::zeros(); users],
             positions: vec![Vec3::zeros(); users],
@@ -86,14 +118,17 @@ impl Observer {
         into: &mut Observation,
     ) -> Option<LosSource> {
         let report = inbox.users()?;
+        let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
         for (index, user) in report.users.iter().enumerate() {
-            self.positions[index] = Vec3::from_iterator(user.position_m.map(f64::from));
             let [x, y] = user.velocity_m_s.map(f64::from);
             if self.ids[index] != user.user {
                 self.ids[index] = user.user;
                 self.headings[index] = Vec3::zeros();
             }
             self.velocities[index] = Vec3::new(x, y, 0.0);
+            let reported = Vec3::from_iterator(user.position_m.map(f64::from));
+            let predicted = |lead: Lead| lead.predict(reported, &self.velocities[index], age_s);
+            self.positions[index] = self.lead.map_or(reported, predicted);
             self.min_rate_bps[index] = f64::from(user.min_rate_bps);
         }
         self.place_blockers(inbox);

@@ -7,7 +7,7 @@ use crate::{BUILTIN_NAMES, Scenario, ScenarioError};
 /// Which scenario, and what to change in it.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScenarioArgs {
-    /// Scenario file (TOML), or the name of a built-in one: specular, paper, paper-calibrated
+    /// Scenario file (TOML), or the name of a built-in one: specular, paper, paper-calibrated, hall
     #[arg(long, value_name = "FILE", default_value = BUILTIN_NAMES[0])]
     pub scenario: String,
     /// Override any key of the scenario, for example --set blockage.forced_users=2 (repeatable)

@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// The names of the built-in scenarios; the first is the default.
-pub const BUILTIN_NAMES: [&str; 3] = ["specular", "paper", "paper-calibrated"];
+pub const BUILTIN_NAMES: [&str; 4] = ["specular", "paper", "paper-calibrated", "hall"];
 
 /// One room. See the files in deploy/scenarios for every key with its meaning.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -126,6 +126,7 @@ impl Scenario {
             "specular" => Ok(include_str!("../../deploy/scenarios/specular.toml")),
             "paper" => Ok(include_str!("../../deploy/scenarios/paper.toml")),
             "paper-calibrated" => Ok(include_str!("../../deploy/scenarios/paper-calibrated.toml")),
+            "hall" => Ok(include_str!("../../deploy/scenarios/hall.toml")),
             _ => Err(ScenarioError::UnknownBuiltin { name: name.into() }),
         }
     }

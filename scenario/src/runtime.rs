@@ -242,6 +242,16 @@ pub enum Fallback {
     Hold,
 }
 
+/// What the controller makes of the age of a position report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Prediction {
+    /// Users are taken to be where they were reported.
+    None,
+    /// Users are taken to have walked on at their reported velocity, up to the middle of the time that the command will stand.
+    ConstantVelocity,
+}
+
 /// The controller's limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -258,6 +268,8 @@ pub struct Control {
     pub slew_deg_per_s: f64,
     /// What decides when the policy fails.
     pub fallback: Fallback,
+    /// Where users are taken to be.
+    pub prediction: Prediction,
 }
 
 impl Default for Control {
@@ -269,6 +281,7 @@ impl Default for Control {
             range_deg: 90.0,
             slew_deg_per_s: 0.0,
             fallback: Fallback::FixedPoint,
+            prediction: Prediction::None,
         }
     }
 }

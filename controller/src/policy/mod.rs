@@ -12,7 +12,7 @@ pub mod shipped;
 
 use std::path::PathBuf;
 
-use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::SolverError};
 use heliostat_scenario::{Fallback, Scenario};
 use thiserror::Error;
 
@@ -53,6 +53,9 @@ pub enum PolicyError {
     /// An angle is not a number, or infinite.
     #[error(transparent)]
     NotFinite(#[from] NotFinite),
+    /// The search does not fit the room.
+    #[error(transparent)]
+    Search(#[from] SolverError),
     /// The inference engine failed.
     #[error("the inference engine failed: {message}")]
     Inference {
@@ -71,6 +74,8 @@ pub enum PolicyKind {
     FixedPoint,
     /// Model-based: the fixed point, then passes of single mirror moves
     Greedy,
+    /// Model-based: the search that everything is measured by, from many starts; far slower than a tick
+    Oracle,
     /// Each mirror serves the user to whom it can give most
     Nearest,
     /// One random draw a mirror, held for the run
@@ -120,6 +125,7 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Resu
         PolicyKind::Actor => Box::new(Actor::load(&actor.fetch(scenario)?, scenario)?),
         PolicyKind::FixedPoint => Box::new(ModelBased::fixed_point(users, mirrors)),
         PolicyKind::Greedy => Box::new(ModelBased::greedy(users, mirrors)),
+        PolicyKind::Oracle => Box::new(ModelBased::oracle(users, mirrors)),
         PolicyKind::Nearest => Box::new(Nearest::new(mirrors)),
         PolicyKind::Random => Box::new(Fixed::random(mirrors, range_rad, scenario.seed)),
         PolicyKind::Flat => Box::new(Fixed::flat(mirrors)),

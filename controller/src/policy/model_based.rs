@@ -17,7 +17,8 @@ pub const QOS_PENALTY: f64 = 50.0;
 /// Passes of single mirror moves after the fixed point: three reach 0.998 of the oracle with two blocked users.
 const GREEDY_PASSES: usize = 3;
 
-/// The damped fixed point over the users' weights, with or without single mirror moves after it; started from the last answer.
+/// The damped fixed point over the users' weights, with or without single mirror moves after it, started from the last answer; or
+/// the oracle.
 pub struct ModelBased {
     name: &'static str,
     method: Method,
@@ -33,6 +34,11 @@ impl ModelBased {
     /// The fixed point, then passes of single mirror moves.
     pub fn greedy(users: usize, mirrors: usize) -> Self {
         Self { name: "greedy", method: Method::Greedy { passes: GREEDY_PASSES }, solver: Solver::new(users, mirrors) }
+    }
+
+    /// The yardstick itself, on what the observation says.
+    pub fn oracle(users: usize, mirrors: usize) -> Self {
+        Self { name: "oracle", method: Method::Oracle, solver: Solver::new(users, mirrors) }
     }
 }
 

@@ -157,3 +157,21 @@ fn surveyed_obstacles_stand_in_the_light() {
     let cleared = controller.observation().scene.los_gain()[0];
     assert!(free > 0.0 && shaded == 0.0 && cleared > 0.0, "{free} {shaded} {cleared}");
 }
+
+/// A report of 20 ms ago, in a room that reports every 10 ms: 25 ms lie between the sample and the middle of the command's time.
+#[test]
+fn users_are_predicted_to_walk_on_but_not_through_walls() {
+    let place = |prediction: &str, x: f32| {
+        let scenario = scenario(&["users.count=1", prediction]);
+        let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+        let mut report = Room::new(&scenario).positions(1);
+        report.users[0].position_m = [x, 0.5, 0.85];
+        report.users[0].velocity_m_s = [2.0, -1.0];
+        receive(&mut controller, Room::time(3), Message::Users(&mut report)).command();
+        controller.observation().positions[0]
+    };
+    assert_eq!(place("control.prediction=none", 1.0), Vec3::new(1.0, 0.5, f64::from(0.85_f32)));
+    let ahead = place("control.prediction=constant-velocity", 1.0);
+    assert!((ahead - Vec3::new(1.05, 0.475, f64::from(0.85_f32))).norm() < 1e-9, "{ahead}");
+    assert_eq!(place("control.prediction=constant-velocity", 2.49).x, 2.5);
+}

@@ -4,9 +4,15 @@
 //! serves any transmit power and noise. The exported graph computes the same in the same order ([`crate::export`]).
 //!
 //! # Features of a user
-//! 1. present, 2. x and 3. y over half the room, 4. ln(1 + direct amplitude), 5. ln(1 + sum over mirrors of the steering
-//! amplitude), 6. minimum rate in bit/s/Hz of the user's band, 7. number of users over the number of slots. All are zero in
-//! an absent slot.
+//! 1. present
+//! 2. x over half the room
+//! 3. y over half the room
+//! 4. ln(1 + direct amplitude)
+//! 5. ln(1 + sum over mirrors of the steering amplitude)
+//! 6. minimum rate in bit/s/Hz of the user's band
+//! 7. number of users over the number of slots
+//!
+//! All are zero in an absent slot.
 
 use heliostat_controller::observation::{ObservationEncoder, USERS_CAPACITY};
 use heliostat_scenario::Scenario;

@@ -71,7 +71,7 @@ impl Graph {
         let [low, high] = [0..half, half..2 * half].map(|rows| self.slice(input, 0, rows));
         let both = self.node("Max", &[&low, &high]);
         let best = self.max_of_rows(&both, half);
-        if count % 2 == 0 {
+        if count.is_multiple_of(2) {
             return best;
         }
         let last = self.slice(input, 0, count - 1..count);

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, demo, link, map, scenario};
+use crate::commands::{bench, demo, eval, link, map, scenario};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -26,6 +26,8 @@ enum Command {
     SimNode(heliostat_sim_node::cli::Args),
     /// Train a policy and export it as an ONNX file
     Train(heliostat_models::TrainArgs),
+    /// Compare policies on the same states, beside the oracle
+    Eval(eval::Args),
     /// Compute the link budget of users under given mirror angles
     Link(link::Args),
     /// Draw rate, SINR or coverage over the floor as a heat map
@@ -43,6 +45,7 @@ pub fn run() -> Result<()> {
         Command::Controller(args) => heliostat_controller::cli::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Train(args) => heliostat_models::run_train(args),
+        Command::Eval(args) => eval::run(args),
         Command::Link(args) => link::run(args),
         Command::Map(args) => map::run(args),
         Command::Bench(args) => bench::run(args),

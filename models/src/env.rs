@@ -146,17 +146,22 @@ impl Environment {
 
     fn observe(&mut self) -> anyhow::Result<()> {
         let seen = &mut self.observation;
-        for (user, walker) in self.world.users().iter().enumerate() {
-            seen.positions[user] = walker.position;
-            seen.velocities[user] = Vec3::new(walker.velocity[0], walker.velocity[1], 0.0);
-        }
-        seen.scene.clone_from(self.world.scene());
+        observe(&self.world, seen);
         self.layout.encoder.encode(self.world.model(), seen, &mut self.vector)?;
         let (features, steering) = self.state.split_at_mut(self.layout.slots() * FEATURES);
         self.layout.features(&self.vector, features);
         steering.copy_from_slice(&self.vector[self.layout.encoder.steering_amplitude()]);
         Ok(())
     }
+}
+
+/// Takes over the true state of a world of the same size.
+pub(crate) fn observe(world: &World, seen: &mut Observation) {
+    for (user, walker) in world.users().iter().enumerate() {
+        seen.positions[user] = walker.position;
+        seen.velocities[user] = Vec3::new(walker.velocity[0], walker.velocity[1], 0.0);
+    }
+    seen.scene.clone_from(world.scene());
 }
 
 /// An actor's answer to an observation vector.

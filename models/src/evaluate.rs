@@ -5,7 +5,9 @@
 
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::{ChannelModel, Scene};
 use heliostat_scenario::Scenario;
+use heliostat_sim_node::world::{World, WorldError};
 use heliostat_sim_node::yardstick::QOS_PENALTY;
 use serde::Serialize;
 
@@ -13,10 +15,34 @@ use crate::actor::Actor;
 use crate::env::Environment;
 
 /// Seconds that users walk before a state is taken, so that places and headings are those of a walk that goes on.
-const SETTLE_S: f64 = 20.0;
+pub(crate) const SETTLE_S: f64 = 20.0;
 
 /// Keeps held-out rooms apart from those of training, whose seeds are drawn from the trainer's generator.
 const HELD_OUT_SEED: u64 = 0x4e1d_0000_0000;
+
+/// The seed of a held-out room: `set` tells apart rooms of different comparisons, `index` those of one. Set 0 is what training watches.
+pub(crate) fn held_out_seed(set: u64, index: u64) -> u64 {
+    HELD_OUT_SEED.wrapping_add(set << 20).wrapping_add(index)
+}
+
+/// A held-out room at the instant at which its state is taken.
+pub(crate) fn held_out_world(scenario: &Scenario, set: u64, index: u64) -> Result<World, WorldError> {
+    let mut world = World::new(scenario, held_out_seed(set, index))?;
+    world.step(SETTLE_S);
+    Ok(world)
+}
+
+/// The angles of the oracle with minimum rates.
+pub(crate) fn best_angles(
+    solver: &mut Solver,
+    model: &ChannelModel,
+    scene: &Scene,
+    min_rate_bps: &[f64],
+) -> MirrorAngles {
+    let mut angles = MirrorAngles::flat(model.mirrors.len());
+    solver.solve(model, scene, &Need { min_rate_bps, qos_penalty: QOS_PENALTY }, Method::Oracle, &mut angles);
+    angles
+}
 
 /// A mean with half the width of its 95 % interval (normal approximation).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -75,7 +101,7 @@ impl HeldOut {
     pub fn add(&mut self, scenario: &Scenario, actor: &Actor, count: usize) -> anyhow::Result<()> {
         let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
         for index in 0..count as u64 {
-            let mut environment = Environment::new(scenario, actor.layout, HELD_OUT_SEED + index)?;
+            let mut environment = Environment::new(scenario, actor.layout, held_out_seed(0, index))?;
             environment.step(SETTLE_S)?;
             self.states.push(Self::solve(environment, &mut solver));
         }
@@ -85,9 +111,7 @@ impl HeldOut {
     fn solve(environment: Environment, solver: &mut Solver) -> State {
         let (model, seen) = (environment.model(), environment.observation());
         let users = seen.users();
-        let need = Need { min_rate_bps: &seen.min_rate_bps, qos_penalty: QOS_PENALTY };
-        let mut angles = MirrorAngles::flat(seen.mirrors());
-        solver.solve(model, &seen.scene, &need, Method::Oracle, &mut angles);
+        let angles = best_angles(solver, model, &seen.scene, &seen.min_rate_bps);
         let mut rates = vec![0.0; users];
         seen.scene.rates_bps(model, &angles, &mut rates);
         let direct = seen.scene.los_gain().iter().map(|gain| model.budget.rate_bps(model.budget.sinr(*gain), users));
@@ -130,7 +154,7 @@ impl HeldOut {
 }
 
 /// Share of users whose need is met; a need that is missed by rounding alone counts as met.
-fn met(rates: &[f64], needs: &[f64]) -> f64 {
+pub(crate) fn met(rates: &[f64], needs: &[f64]) -> f64 {
     let count = rates.iter().zip(needs).filter(|(rate, need)| **rate >= **need * (1.0 - 1e-9)).count();
     count as f64 / rates.len() as f64
 }

@@ -9,6 +9,7 @@
 //! - [`ddpg`]: Algorithm 1; its head lists every departure from the paper.
 //! - [`features`], [`actor`], [`networks`], [`explore`], [`replay`]: what learners share.
 //! - [`evaluate`]: held-out states and the ratio to the oracle.
+//! - [`comparison`]: any policies on the same states, in statics and in closed loop.
 //! - [`checkpoint`], [`curve`]: what a run leaves on disk while it goes on.
 //! - [`export`], [`onnx`], [`card`]: what it leaves when it is done.
 //! - [`train`]: the `heliostat train` command.
@@ -16,6 +17,7 @@
 pub mod actor;
 pub mod card;
 pub mod checkpoint;
+pub mod comparison;
 pub mod curve;
 pub mod ddpg;
 pub mod env;

@@ -1,0 +1,127 @@
+//! The comparison of policies, as its users meet it.
+
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn eval(arguments: &[&str]) -> Output {
+    let arguments = ["eval"].iter().chain(arguments);
+    Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).output().expect("the program starts")
+}
+
+fn report(arguments: &[&str]) -> Value {
+    let output = eval(&[arguments, &["--json"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("one JSON object")
+}
+
+fn refusal(arguments: &[&str]) -> String {
+    let output = eval(arguments);
+    assert!(!output.status.success() && output.stdout.is_empty(), "{arguments:?}");
+    String::from_utf8(output.stderr).expect("text")
+}
+
+fn mean(report: &Value, policy: &str, figure: &str) -> f64 {
+    report["policies"][policy][figure]["mean"].as_f64().unwrap_or_else(|| panic!("{policy} {figure} in {report}"))
+}
+
+/// What must come out the same again: everything but times.
+fn without_times(mut report: Value) -> Value {
+    for row in report["policies"].as_object_mut().expect("an object").values_mut() {
+        row.as_object_mut().expect("an object").remove("decision_us");
+    }
+    report
+}
+
+const NOISY: [&str; 2] = ["--set", "noise.variance_a2=6.5e-15"];
+
+#[test]
+fn policies_keep_their_order_beside_an_oracle_of_ratio_one() {
+    let flags = ["--policies", "oracle,greedy,fixed-point,random,flat,no-irs", "--states", "20", "--seeds", "2"];
+    let report = report(&[&flags[..], &NOISY, &["--blocked", "2", "--seed", "7"]].concat());
+    assert_eq!(
+        (&report["scenario"], &report["mode"], &report["states"], &report["seed"], &report["blocked"]),
+        (&"specular".into(), &"static".into(), &20.into(), &7.into(), &2.into())
+    );
+    for row in report["policies"].as_object().expect("an object").values().chain([&report["oracle"]]) {
+        for figure in ["sum_rate_mbps", "ratio_to_oracle", "qos_met", "jain", "blocked_rate_mbps", "ber"] {
+            for part in ["mean", "ci95", "p5"] {
+                assert!(row[figure][part].is_f64(), "{figure}.{part} in {row}");
+            }
+        }
+    }
+    let ratio = |policy| mean(&report, policy, "ratio_to_oracle");
+    assert_eq!(ratio("oracle"), 1.0);
+    assert_eq!(report["oracle"]["ratio_to_oracle"]["mean"], 1.0);
+    assert!(ratio("greedy") > 0.96 && ratio("fixed-point") > 0.9, "{} {}", ratio("greedy"), ratio("fixed-point"));
+    assert!(ratio("flat") + 0.1 < ratio("fixed-point") && ratio("no-irs") <= ratio("flat"));
+    // Of a hundred random mirrors almost none hits anybody.
+    assert!((ratio("random") - ratio("no-irs")).abs() < 0.02, "{} {}", ratio("random"), ratio("no-irs"));
+    let times = &report["policies"]["greedy"]["decision_us"];
+    assert!(times["p50"].as_f64() > Some(0.0) && times["p50"].as_f64() <= times["p99"].as_f64());
+}
+
+#[test]
+fn the_same_seed_gives_the_same_figures_in_both_loops() {
+    for extra in [&[][..], &["--closed-loop"]] {
+        let flags = ["--policies", "greedy,random", "--states", "4", "--seeds", "2"];
+        let run = |seed: &str| without_times(report(&[&flags[..], extra, &["--seed", seed]].concat()));
+        let first = run("3");
+        assert_eq!(first, run("3"), "{extra:?}");
+        assert_ne!(first["policies"], run("30")["policies"], "{extra:?}");
+    }
+}
+
+/// With undelayed, exact reports and instant mirrors the loop costs little; late and noisy ones cost something, and prediction brings
+/// some of it back.
+#[test]
+fn a_closed_loop_costs_what_its_reports_lack() {
+    let flags = ["--policies", "greedy", "--closed-loop", "--predicted", "--states", "60", "--seeds", "1"];
+    let exact = report(&flags);
+    let exact = mean(&exact, "greedy", "ratio_to_oracle");
+    let hall = report(&[&flags[..], &["--scenario", "hall"]].concat());
+    let (late, predicted) =
+        (mean(&hall, "greedy", "ratio_to_oracle"), mean(&hall, "greedy+prediction", "ratio_to_oracle"));
+    assert!(exact > 0.95 && late < exact - 0.02, "{exact} {late}");
+    assert!(predicted > late, "{predicted} {late}");
+    let met = mean(&hall, "greedy", "qos_met");
+    assert!((mean(&hall, "greedy", "outage_time") - (1.0 - met)).abs() < 1e-12);
+}
+
+#[test]
+fn the_exhaustive_search_is_beside_the_oracle_where_it_can_run() {
+    let small = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];
+    let flags = ["--policies", "exhaustive", "--states", "10", "--seeds", "1"];
+    let report = report(&[&flags[..], &small].concat());
+    let ratio = mean(&report, "exhaustive", "ratio_to_oracle");
+    assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+    let message = refusal(&["--policies", "exhaustive", "--states", "2", "--seeds", "1"]);
+    assert!(message.contains("exhaustive") && message.contains("assignments"), "{message}");
+}
+
+#[test]
+fn a_csv_has_a_line_for_each_policy() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("figures.csv");
+    let path = file.to_str().expect("a plain path");
+    let output = eval(&["--policies", "flat,nearest", "--states", "3", "--seeds", "1", "--csv", path]);
+    assert!(output.status.success() && String::from_utf8_lossy(&output.stdout).contains("nearest"));
+    let text = std::fs::read_to_string(&file).expect("readable");
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(lines[0].starts_with("policy,sum_rate_mbps_mean,sum_rate_mbps_ci95,sum_rate_mbps_p5,ratio_to_oracle_mean"));
+    let names: Vec<_> = lines[1..].iter().map(|line| line.split(',').next()).collect();
+    assert_eq!(names, [Some("(oracle)"), Some("flat"), Some("nearest")]);
+    assert!(lines.iter().all(|line| line.split(',').count() == lines[0].split(',').count()));
+}
+
+#[test]
+fn what_cannot_be_compared_is_refused_with_what_can() {
+    let message = refusal(&["--policies", "greedy,gredy"]);
+    assert!(message.contains("\"gredy\"") && message.contains("fixed-point"), "{message}");
+    let message = refusal(&["--policies", "nowhere.onnx"]);
+    assert!(message.contains("nowhere.onnx") && message.contains("heliostat train"), "{message}");
+    let message = refusal(&["--blocked", "6"]);
+    assert!(message.contains("forced_users"), "{message}");
+    let message = refusal(&["--policies", "flat,flat"]);
+    assert!(message.contains("twice"), "{message}");
+}

@@ -1,0 +1,225 @@
+//! Closed loop in simulated time: the room's own reports, the controller's own core, the room's own mirrors, and no transport.
+//!
+//! An episode is a room of its own in which people have walked for a while. Its instants are spread evenly, each at a random place within
+//! its share of the time, so that they fall anywhere between two reports. The controller answers in no time; what a report's age
+//! costs is in `streams.positions.latency_ms`.
+
+use std::time::Instant;
+
+use anyhow::{Context, bail, ensure};
+use heliostat_channel::solver::Solver;
+use heliostat_controller::core::{Controller, Decision, Departure, Stage};
+use heliostat_controller::inbox::Message;
+use heliostat_proto::Stamp;
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::SimulatedRoom;
+use heliostat_sim_node::clock::Moment;
+use heliostat_sim_node::schedule::Schedule;
+use heliostat_sim_node::streams::{Report, Reports};
+use heliostat_sim_node::world::World;
+use indicatif::ProgressBar;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::entrant::Entrant;
+use super::judge::{Judge, Sample};
+use super::{Loop, RANDOM_DRAWS, Rows, Run, Settings};
+use crate::evaluate::{SETTLE_S, best_angles, held_out_seed};
+
+/// Instants of an episode.
+const INSTANTS: usize = 20;
+
+/// Mean time between two instants in ns.
+const SPACING_NS: u64 = 250_000_000;
+
+/// From the controller's start to the first share of instants in ns.
+const LEAD_NS: u64 = 1_000_000_000;
+
+/// The id of the room in its reports.
+const SOURCE: u64 = 1;
+
+/// One room, and when it is looked at.
+struct Episode {
+    seed: u64,
+    /// Which of the compared seeds it belongs to.
+    set: u64,
+    instants_ns: Vec<u64>,
+}
+
+impl Episode {
+    fn new(seed: u64, set: u64, instants: usize) -> Self {
+        let mut generator = ChaCha8Rng::seed_from_u64(seed);
+        let share = |index: u64| start_ns() + LEAD_NS + index * SPACING_NS + generator.random_range(0..SPACING_NS);
+        Self { seed, set, instants_ns: (0..instants as u64).map(share).collect() }
+    }
+}
+
+/// When the controller starts: people have settled by then.
+fn start_ns() -> u64 {
+    (SETTLE_S * 1e9) as u64
+}
+
+/// Compares on `states` instants of each seed.
+pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Rows> {
+    let scenario = &settings.scenario;
+    let episodes = episodes(settings);
+    let mut judge = Judge::new(scenario.channel_model()?, scenario.min_rate_bps());
+    bar.set_length(episodes.len() as u64);
+    bar.set_message("episodes solved by the oracle");
+    let mut oracle = Vec::new();
+    for episode in &episodes {
+        oracle.push(solve(scenario, episode, &mut judge)?);
+        bar.inc(1);
+    }
+    bar.reset();
+    bar.set_length(settings.entrants.len() as u64);
+    let mut rows = Vec::new();
+    for entrant in &settings.entrants {
+        bar.set_message(format!("policies: {}", entrant.name()));
+        rows.push(run(settings, entrant, &episodes, &mut judge)?.row(&oracle, Loop::ClosedLoop));
+        bar.inc(1);
+    }
+    let oracle = Run { groups: oracle, decisions_us: Vec::new() };
+    Ok((oracle.row(&oracle.groups, Loop::ClosedLoop), rows))
+}
+
+fn episodes(settings: &Settings) -> Vec<Episode> {
+    let mut episodes = Vec::new();
+    for set in 0..settings.seeds as u64 {
+        for (index, first) in (0..settings.states).step_by(INSTANTS).enumerate() {
+            let seed = held_out_seed(settings.scenario.seed.wrapping_add(set), index as u64);
+            episodes.push(Episode::new(seed, set, INSTANTS.min(settings.states - first)));
+        }
+    }
+    episodes
+}
+
+/// What the oracle gets, who knows the true state and whose mirrors turn at once.
+fn solve(scenario: &Scenario, episode: &Episode, judge: &mut Judge) -> anyhow::Result<Vec<Sample>> {
+    let mut world = World::new(scenario, episode.seed)?;
+    let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
+    let mut now_ns = 0;
+    let mut samples = Vec::new();
+    for instant_ns in &episode.instants_ns {
+        world.step((instant_ns - now_ns) as f64 * 1e-9);
+        now_ns = *instant_ns;
+        let angles = best_angles(&mut solver, judge.model(), world.scene(), world.min_rate_bps());
+        samples.push(judge.judge(world.scene(), &angles));
+    }
+    Ok(samples)
+}
+
+fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut Judge) -> anyhow::Result<Run> {
+    let scenario = entrant.scenario(&settings.scenario);
+    // Each seed has draws of its own, so that there are enough of them in all.
+    let draws = if entrant.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) as u64 } else { 1 };
+    let runs = (0..draws).map(|draw| {
+        let mut run = Run::default();
+        for episode in episodes {
+            let seed = scenario.seed.wrapping_add(episode.set * draws + draw);
+            let policy = entrant.build(&scenario, seed)?;
+            let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
+            let mut bench = Lockstep::new(&scenario, episode.seed, controller)?;
+            let samples = bench.run(&episode.instants_ns, judge);
+            run.groups.push(samples.with_context(|| format!("policy {}", entrant.name()))?);
+            run.decisions_us.append(&mut bench.decisions_us);
+        }
+        Ok(run)
+    });
+    Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
+}
+
+/// A room and its controller, moving through the same simulated time.
+struct Lockstep {
+    room: SimulatedRoom,
+    reports: Reports,
+    telemetry: Schedule,
+    telemetry_sequence: u64,
+    controller: Controller,
+    decisions_us: Vec<f64>,
+}
+
+impl Lockstep {
+    fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
+        controller.warm_up(2);
+        let mut room = SimulatedRoom::new(scenario, seed)?;
+        room.advance(start_ns());
+        let streams = &scenario.streams;
+        Ok(Self {
+            room,
+            reports: Reports::new(streams, scenario.users.count, seed, SOURCE),
+            telemetry: Schedule::new(streams.telemetry.rate_hz, 0),
+            telemetry_sequence: 0,
+            controller,
+            decisions_us: Vec::new(),
+        })
+    }
+
+    /// Runs until the last instant and judges the mirrors as they stand at each.
+    fn run(&mut self, instants_ns: &[u64], judge: &mut Judge) -> anyhow::Result<Vec<Sample>> {
+        let mut samples = Vec::new();
+        for instant_ns in instants_ns {
+            while self.next_event_ns() <= *instant_ns {
+                self.event(self.next_event_ns())?;
+            }
+            self.room.advance(*instant_ns);
+            samples.push(judge.judge(self.room.world().scene(), self.room.angles()));
+        }
+        let failed = self.controller.counters().departures(Departure::PolicyFailed);
+        let held = self.controller.counters().departures(Departure::Held);
+        match self.controller.last_failure() {
+            Some(failure) if failed + held > 0 => bail!("{failed} decisions failed, the last because {failure}"),
+            _ => Ok(samples),
+        }
+    }
+
+    fn next_event_ns(&self) -> u64 {
+        let telemetry_ns = self.telemetry.next_ns().unwrap_or(u64::MAX);
+        let next_ns = telemetry_ns.min(self.reports.next_sample_ns()).min(self.reports.next_release_ns());
+        // Schedules begin at time 0, when nobody listens yet.
+        next_ns.max(start_ns())
+    }
+
+    fn event(&mut self, at_ns: u64) -> anyhow::Result<()> {
+        let now = Moment::simulated(at_ns);
+        self.room.advance(at_ns);
+        self.reports.sample(now, self.room.world(), self.room.angles());
+        if self.telemetry.take(at_ns).is_some() {
+            self.telemetry_sequence += 1;
+            let stamp = Stamp { source: SOURCE, sequence: self.telemetry_sequence, time_ns: at_ns };
+            let mut telemetry = self.room.telemetry(stamp);
+            self.controller.receive(at_ns, Message::Telemetry(&mut telemetry), &mut |_| {});
+        }
+        while let Some(mut report) = self.reports.release(at_ns) {
+            self.deliver(now, &mut report)?;
+        }
+        Ok(())
+    }
+
+    /// Gives a report to the controller, and the command that answers it to the mirrors.
+    fn deliver(&mut self, now: Moment, report: &mut Report) -> anyhow::Result<()> {
+        let message = match report {
+            Report::Obstacles(report) => Message::Obstacles(report),
+            Report::Channel(report) => Message::Channel(report),
+            Report::Users(report) => Message::Users(report),
+        };
+        let mut observed = Instant::now();
+        let decisions_us = &mut self.decisions_us;
+        let mut mark = |stage| match stage {
+            Stage::Observed => observed = Instant::now(),
+            Stage::Inferred => decisions_us.push(observed.elapsed().as_secs_f64() * 1e6),
+            _ => {}
+        };
+        match self.controller.receive(now.room_ns, message, &mut mark) {
+            Some(Decision::Move { command, .. }) => {
+                self.room.receive(now, command).context("the array refused a command")?;
+            }
+            Some(Decision::Hold(departure)) => {
+                let late = departure == Departure::StaleReport;
+                ensure!(!late, "reports are older than control.report_age_max_ms when they arrive");
+            }
+            None => {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,120 @@
+//! Who takes part: a policy of the controller by its name, an ONNX file by its path, or the exhaustive search.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use heliostat_controller::policy::actor_file::ActorError;
+use heliostat_controller::policy::{ActorSource, Policy, PolicyKind, build};
+use heliostat_scenario::{Prediction, Scenario};
+use thiserror::Error;
+
+use super::exhaustive::Exhaustive;
+
+/// Added to the name of an entrant that predicts the users.
+const PREDICTION_SUFFIX: &str = "+prediction";
+
+/// No policy has this name.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("no policy \"{name}\"; there are {}, and any FILE.onnx", Entrant::names().join(", "))]
+pub struct UnknownPolicy {
+    /// The name that was given.
+    pub name: String,
+}
+
+#[derive(Clone, Debug)]
+enum Way {
+    Kind(PolicyKind, ActorSource),
+    Exhaustive,
+}
+
+/// One policy of a comparison.
+#[derive(Clone, Debug)]
+pub struct Entrant {
+    name: String,
+    way: Way,
+    prediction: Option<Prediction>,
+}
+
+impl Entrant {
+    /// Finds a policy by its name or by the path of its ONNX file; `actor` is the file of the policy `actor`, if not the built-in one.
+    ///
+    /// # Errors
+    /// [`UnknownPolicy`], which lists those there are.
+    pub fn parse(name: &str, actor: &ActorSource) -> Result<Self, UnknownPolicy> {
+        let way = if name == "exhaustive" {
+            Way::Exhaustive
+        } else if name.ends_with(".onnx") {
+            Way::Kind(PolicyKind::Actor, ActorSource::Path(PathBuf::from(name)))
+        } else {
+            let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
+            Way::Kind(kind, actor.clone())
+        };
+        Ok(Self { name: name.into(), way, prediction: None })
+    }
+
+    /// The names of all policies.
+    pub fn names() -> Vec<String> {
+        let values = PolicyKind::value_variants().iter().filter_map(PolicyKind::to_possible_value);
+        let names = values.flat_map(|value| value.get_name_and_aliases().map(String::from).collect::<Vec<_>>());
+        names.chain(["exhaustive".into()]).collect()
+    }
+
+    /// The same policy with constant-velocity prediction of the users, whatever the scenario says; for a closed loop. `None` for
+    /// policies that look at nobody.
+    pub fn predicted(&self) -> Option<Self> {
+        use PolicyKind::{Flat, Hold, NoIrs, Random};
+        let blind = matches!(self.way, Way::Kind(Flat | Hold | NoIrs | Random, _));
+        (!blind).then(|| Self {
+            name: format!("{}{PREDICTION_SUFFIX}", self.name),
+            prediction: Some(Prediction::ConstantVelocity),
+            ..self.clone()
+        })
+    }
+
+    /// The name in reports.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Whether the policy is a random draw, to be averaged over many.
+    pub(super) fn is_random(&self) -> bool {
+        matches!(self.way, Way::Kind(PolicyKind::Random, _))
+    }
+
+    /// The scenario as the entrant's controller has it.
+    pub(super) fn scenario(&self, scenario: &Scenario) -> Scenario {
+        let mut scenario = scenario.clone();
+        scenario.control.prediction = self.prediction.unwrap_or(scenario.control.prediction);
+        scenario
+    }
+
+    /// A fresh policy; what it draws comes from `seed`.
+    pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> Result<Box<dyn Policy>, ActorError> {
+        match &self.way {
+            Way::Kind(kind, actor) => build(*kind, &Scenario { seed, ..scenario.clone() }, actor),
+            Way::Exhaustive => Ok(Box::new(Exhaustive::new(scenario.users.count, scenario.mirror_count()))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_aliases_and_files_are_found_and_others_are_told_what_there_is() {
+        let parse = |name| Entrant::parse(name, &ActorSource::Shipped);
+        for name in Entrant::names() {
+            assert_eq!(parse(&name).unwrap().name(), name);
+        }
+        assert!(Entrant::names().contains(&"ddpg".to_string()));
+        assert!(parse("random").unwrap().is_random() && !parse("some/where.onnx").unwrap().is_random());
+        assert_eq!(parse("greedy").unwrap().predicted().unwrap().name(), "greedy+prediction");
+        assert!(parse("flat").unwrap().predicted().is_none());
+        let message = parse("gredy").unwrap_err().to_string();
+        assert!(
+            message.contains("\"gredy\"") && message.contains("greedy") && message.contains("exhaustive"),
+            "{message}"
+        );
+    }
+}

@@ -1,0 +1,103 @@
+//! Static comparison: the same held-out states for everybody, seen as they are.
+
+use std::time::Instant;
+
+use heliostat_channel::MirrorAngles;
+use heliostat_channel::solver::Solver;
+use heliostat_controller::observation::Observation;
+use heliostat_controller::policy::Policy;
+use heliostat_controller::safety::{Limits, check_finite};
+use indicatif::ProgressBar;
+
+use super::entrant::Entrant;
+use super::judge::{Judge, Sample};
+use super::{Loop, RANDOM_DRAWS, Rows, Run, Settings};
+use crate::env::observe;
+use crate::evaluate::{best_angles, held_out_world};
+
+/// Decisions that a policy makes before it is timed, so that buffers are sized and caches warm.
+const WARM_UP: usize = 8;
+
+/// Compares on `states` states of each seed.
+pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Rows> {
+    let scenario = &settings.scenario;
+    let mut judge = Judge::new(scenario.channel_model()?, scenario.min_rate_bps());
+    let states = states(settings, bar, &judge)?;
+    let oracle: Vec<Vec<Sample>> = solve(&states, bar, &mut judge);
+    let mut rows = Vec::new();
+    bar.reset();
+    bar.set_length(settings.entrants.len() as u64);
+    for entrant in &settings.entrants {
+        bar.set_message(format!("policies: {}", entrant.name()));
+        rows.push(run(settings, entrant, &states, &mut judge)?.row(&oracle, Loop::Static));
+        bar.inc(1);
+    }
+    let oracle = Run { groups: oracle, decisions_us: Vec::new() };
+    Ok((oracle.row(&oracle.groups, Loop::Static), rows))
+}
+
+fn states(settings: &Settings, bar: &ProgressBar, judge: &Judge) -> anyhow::Result<Vec<Observation>> {
+    let scenario = &settings.scenario;
+    bar.set_length((settings.seeds * settings.states) as u64);
+    bar.set_message("rooms drawn");
+    let mut states = Vec::new();
+    for set in 0..settings.seeds as u64 {
+        for index in 0..settings.states as u64 {
+            let world = held_out_world(scenario, scenario.seed.wrapping_add(set), index)?;
+            let mut seen = Observation::new(judge.model(), scenario.users.count);
+            seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
+            observe(&world, &mut seen);
+            states.push(seen);
+            bar.inc(1);
+        }
+    }
+    Ok(states)
+}
+
+/// What the oracle makes of each state.
+fn solve(states: &[Observation], bar: &ProgressBar, judge: &mut Judge) -> Vec<Vec<Sample>> {
+    bar.reset();
+    bar.set_message("states solved by the oracle");
+    let mut solver: Option<Solver> = None;
+    let solve = |seen: &Observation| {
+        let solver = solver.get_or_insert_with(|| Solver::new(seen.users(), seen.mirrors()));
+        let angles = best_angles(solver, judge.model(), &seen.scene, &seen.min_rate_bps);
+        bar.inc(1);
+        vec![judge.judge(&seen.scene, &angles)]
+    };
+    states.iter().map(solve).collect()
+}
+
+fn run(settings: &Settings, entrant: &Entrant, states: &[Observation], judge: &mut Judge) -> anyhow::Result<Run> {
+    let draws = if entrant.is_random() { RANDOM_DRAWS } else { 1 };
+    let runs = (0..draws as u64).map(|draw| {
+        let mut policy = entrant.build(&settings.scenario, settings.scenario.seed.wrapping_add(draw))?;
+        run_once(settings, policy.as_mut(), states, judge)
+            .map_err(|error| error.context(format!("policy {}", entrant.name())))
+    });
+    Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
+}
+
+fn run_once(
+    settings: &Settings,
+    policy: &mut dyn Policy,
+    states: &[Observation],
+    judge: &mut Judge,
+) -> anyhow::Result<Run> {
+    let limits = Limits::new(&settings.scenario.control);
+    let mut angles = MirrorAngles::flat(judge.model().mirrors.len());
+    for seen in states.iter().take(WARM_UP) {
+        policy.act(judge.model(), seen, &mut angles)?;
+    }
+    let mut run = Run::default();
+    for seen in states {
+        let begun = Instant::now();
+        policy.act(judge.model(), seen, &mut angles)?;
+        run.decisions_us.push(begun.elapsed().as_secs_f64() * 1e6);
+        check_finite(&angles)?;
+        // People stand still: the mirrors have all the time there is.
+        limits.bound(&seen.angles, f64::INFINITY, &mut angles);
+        run.groups.push(vec![judge.judge(&seen.scene, &angles)]);
+    }
+    Ok(run)
+}

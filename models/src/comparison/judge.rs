@@ -1,0 +1,72 @@
+//! What angles are truly worth in a state.
+
+use heliostat_channel::link::{ber_ook, jain};
+use heliostat_channel::{ChannelModel, MirrorAngles, Scene};
+
+use crate::evaluate::met;
+
+/// The worth of some angles in one state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Sample {
+    /// Sum of the users' rates in Mbit/s.
+    pub sum_rate_mbps: f64,
+    /// Share of users whose minimum rate is met.
+    pub met: f64,
+    /// Jain's index of the rates.
+    pub jain: f64,
+    /// Mean rate of the users without a direct path, in Mbit/s; NaN where there is none.
+    pub blocked_rate_mbps: f64,
+    /// Mean bit error rate of the users with on-off keying.
+    pub ber: f64,
+}
+
+impl Sample {
+    /// The mean of several samples of one state.
+    pub fn mean(samples: &[Self]) -> Self {
+        let mean = |value: fn(&Self) -> f64| samples.iter().map(value).sum::<f64>() / samples.len() as f64;
+        Self {
+            sum_rate_mbps: mean(|sample| sample.sum_rate_mbps),
+            met: mean(|sample| sample.met),
+            jain: mean(|sample| sample.jain),
+            blocked_rate_mbps: mean(|sample| sample.blocked_rate_mbps),
+            ber: mean(|sample| sample.ber),
+        }
+    }
+}
+
+/// Judges angles by the true evaluation: spill, the light's panel, blocked legs.
+pub(super) struct Judge {
+    model: ChannelModel,
+    min_rate_bps: Vec<f64>,
+    sinr: Vec<f64>,
+    rates_bps: Vec<f64>,
+}
+
+impl Judge {
+    pub fn new(model: ChannelModel, min_rate_bps: Vec<f64>) -> Self {
+        let users = min_rate_bps.len();
+        Self { model, min_rate_bps, sinr: vec![0.0; users], rates_bps: vec![0.0; users] }
+    }
+
+    pub fn model(&self) -> &ChannelModel {
+        &self.model
+    }
+
+    pub fn judge(&mut self, scene: &Scene, angles: &MirrorAngles) -> Sample {
+        scene.sinr(&self.model, angles, &mut self.sinr);
+        let users = self.sinr.len();
+        for (rate, sinr) in self.rates_bps.iter_mut().zip(&self.sinr) {
+            *rate = self.model.budget.rate_bps(*sinr, users);
+        }
+        let blocked = self.rates_bps.iter().zip(scene.los_blocked()).filter(|(_, blocked)| **blocked);
+        let (sum, count) = blocked.fold((0.0, 0.0), |(sum, count), (rate, _)| (sum + rate, count + 1.0));
+        Sample {
+            sum_rate_mbps: 1e-6 * self.rates_bps.iter().sum::<f64>(),
+            met: met(&self.rates_bps, &self.min_rate_bps),
+            jain: jain(&self.rates_bps),
+            // Nobody blocked is 0 / 0, which is what it is to say.
+            blocked_rate_mbps: 1e-6 * sum / count,
+            ber: self.sinr.iter().map(|sinr| ber_ook(*sinr)).sum::<f64>() / users as f64,
+        }
+    }
+}

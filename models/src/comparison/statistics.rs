@@ -1,0 +1,136 @@
+//! From samples to figures with intervals.
+//!
+//! States come in groups that are independent of each other: a group is one state in static comparison, and one episode in a closed
+//! loop, whose instants are not. Intervals are computed from the means of the groups.
+
+use serde::Serialize;
+
+use super::Loop;
+use super::judge::Sample;
+use crate::evaluate::Estimate;
+
+/// A figure over all states. In JSON a number that does not exist, such as the rate of blocked users where nobody is, is null.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// The mean.
+    pub mean: f64,
+    /// Half the width of the mean's 95 % interval (normal approximation); NaN for a single group.
+    pub ci95: f64,
+    /// The 5th percentile over states.
+    pub p5: f64,
+}
+
+impl Spread {
+    /// The figure of values in independent groups; values that are NaN do not exist.
+    pub fn of(groups: &[Vec<f64>]) -> Self {
+        let present = |group: &Vec<f64>| group.iter().copied().filter(|value| !value.is_nan()).collect::<Vec<_>>();
+        let groups: Vec<Vec<f64>> = groups.iter().map(present).filter(|group| !group.is_empty()).collect();
+        let means: Vec<f64> = groups.iter().map(|group| mean(group)).collect();
+        let mut all = groups.concat();
+        all.sort_by(f64::total_cmp);
+        let ci95 = if means.len() > 1 { Estimate::of(&means).ci95 } else { f64::NAN };
+        Self { mean: mean(&all), ci95, p5: quantile(&all, 0.05) }
+    }
+}
+
+/// Quantiles of a policy's decision time in us.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Times {
+    /// Half of the decisions took at most this long.
+    pub p50: f64,
+    /// 99 of 100 took at most this long.
+    pub p99: f64,
+}
+
+/// The figures of one policy.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// Sum rate in Mbit/s.
+    pub sum_rate_mbps: Spread,
+    /// Sum rate over that of the oracle with minimum rates, state by state; states in which nobody can be served have none.
+    pub ratio_to_oracle: Spread,
+    /// Share of users whose minimum rate is met.
+    pub qos_met: Spread,
+    /// Jain's fairness index of the rates.
+    pub jain: Spread,
+    /// Mean rate of the users without a direct path in Mbit/s.
+    pub blocked_rate_mbps: Spread,
+    /// Mean bit error rate of the users with on-off keying.
+    pub ber: Spread,
+    /// Closed loop: share of the users' time below their minimum rate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outage_time: Option<Spread>,
+    /// How long the policy took; `None` for the yardstick.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decision_us: Option<Times>,
+}
+
+impl Row {
+    /// The figures of samples beside the oracle's of the same states.
+    pub(super) fn new(samples: &[Vec<Sample>], oracle: &[Vec<Sample>], decisions_us: &[f64], mode: Loop) -> Self {
+        let spread = |value: fn(&Sample) -> f64| {
+            Spread::of(&samples.iter().map(|group| group.iter().map(value).collect()).collect::<Vec<_>>())
+        };
+        let pairs = samples.iter().zip(oracle);
+        let ratios: Vec<Vec<f64>> = pairs
+            .map(|(group, oracle)| group.iter().zip(oracle).map(|(own, best)| ratio(own, best)).collect())
+            .collect();
+        let mut decisions_us = decisions_us.to_vec();
+        decisions_us.sort_by(f64::total_cmp);
+        Self {
+            sum_rate_mbps: spread(|sample| sample.sum_rate_mbps),
+            ratio_to_oracle: Spread::of(&ratios),
+            qos_met: spread(|sample| sample.met),
+            jain: spread(|sample| sample.jain),
+            blocked_rate_mbps: spread(|sample| sample.blocked_rate_mbps),
+            ber: spread(|sample| sample.ber),
+            outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| 1.0 - sample.met)),
+            decision_us: (!decisions_us.is_empty())
+                .then(|| Times { p50: quantile(&decisions_us, 0.5), p99: quantile(&decisions_us, 0.99) }),
+        }
+    }
+}
+
+fn ratio(own: &Sample, best: &Sample) -> f64 {
+    if best.sum_rate_mbps > 0.0 { own.sum_rate_mbps / best.sum_rate_mbps } else { f64::NAN }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// The quantile of sorted values, linear between them; NaN of none.
+fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let place = share * last as f64;
+    let below = place as usize;
+    let above = (below + 1).min(last);
+    sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_lie_between_their_neighbours() {
+        assert_eq!(quantile(&[1.0, 2.0, 3.0], 0.5), 2.0);
+        assert_eq!(quantile(&[0.0, 10.0], 0.05), 0.5);
+        assert_eq!(quantile(&[4.0], 0.99), 4.0);
+        assert!(quantile(&[], 0.5).is_nan());
+    }
+
+    #[test]
+    fn intervals_come_from_groups_and_absent_values_do_not_count() {
+        let alone: Vec<Vec<f64>> = [1.0, 2.0, 3.0, 4.0].map(|value| vec![value]).into();
+        let together = vec![vec![1.0, 2.0], vec![3.0, 4.0]];
+        let (alone, together) = (Spread::of(&alone), Spread::of(&together));
+        assert_eq!((alone.mean, together.mean, alone.p5), (2.5, 2.5, together.p5));
+        // Standard errors: sqrt(5/3) / 2 of four values, sqrt(2) / sqrt(2) of two means.
+        assert!((alone.ci95 - 1.96 * (5.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-12);
+        assert!((together.ci95 - 1.96).abs() < 1e-12);
+        let gap = Spread::of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
+        assert_eq!(gap.mean, 3.0);
+        assert!(Spread::of(&[vec![f64::NAN]]).mean.is_nan() && Spread::of(&[vec![1.0, 2.0]]).ci95.is_nan());
+    }
+}

@@ -66,31 +66,48 @@ impl Assignment {
         utility.factor(k, self.amplitude[k], self.inverse[k], to)
     }
 
-    /// Gives each mirror in turn to the user for whom that is worth most. Whether any moved.
-    pub(super) fn move_each(&mut self, table: &Table, utility: &Utility) -> bool {
-        let mut moved = false;
-        for &m in &table.useful {
-            let line = table.line(m);
-            let from = self.served[m];
-            let without = (self.amplitude[from] - line[from]).max(table.floor[from]);
-            let lost = self.factor(utility, from, without);
-            let (mut to, mut gained) = (from, 0.0);
-            for (k, &gain) in line.iter().enumerate() {
-                if k != from && gain > 0.0 {
-                    let factor = self.factor(utility, k, self.amplitude[k] + gain);
-                    if factor > gained {
-                        (to, gained) = (k, factor);
-                    }
+    /// Gives each mirror in turn to the user for whom that is worth most, at most `passes` times, until none has moved since its last turn.
+    pub(super) fn move_each(&mut self, table: &Table, utility: &Utility, passes: usize) {
+        let mut unmoved = 0;
+        for _ in 0..passes {
+            for &m in &table.useful {
+                unmoved = if self.move_one(m, table, utility) { 0 } else { unmoved + 1 };
+                if unmoved == table.useful.len() {
+                    return;
                 }
             }
-            if lost * gained > WORTHWHILE {
-                self.served[m] = to;
-                self.set(from, without);
-                self.set(to, self.amplitude[to] + line[to]);
-                moved = true;
+        }
+    }
+
+    /// Gives mirror m to the user for whom that is worth most. Whether it moved.
+    #[inline]
+    fn move_one(&mut self, m: usize, table: &Table, utility: &Utility) -> bool {
+        let line = table.line(m);
+        let from = self.served[m];
+        let without = (self.amplitude[from] - line[from]).max(table.floor[from]);
+        let lost = self.factor(utility, from, without);
+        let (mut to, mut gained) = (from, 0.0);
+        for (k, &gain) in line.iter().enumerate() {
+            if k != from && gain > 0.0 {
+                let factor = self.factor(utility, k, self.amplitude[k] + gain);
+                if factor > gained {
+                    (to, gained) = (k, factor);
+                }
             }
         }
+        let moved = lost * gained > WORTHWHILE;
+        if moved {
+            self.served[m] = to;
+            self.set(from, without);
+            self.set(to, self.amplitude[to] + line[to]);
+        }
         moved
+    }
+
+    /// A 64-bit hash (FNV-1a, a user a step) of who is served by the mirrors that matter.
+    pub(super) fn fingerprint(&self, table: &Table) -> u64 {
+        let step = |hash: u64, &m: &usize| (hash ^ self.served[m] as u64).wrapping_mul(0x0100_0000_01b3);
+        table.useful.iter().fold(0xcbf2_9ce4_8422_2325, step)
     }
 
     /// Exchanges the users of two mirrors wherever that is worthwhile. Whether any changed.

@@ -35,6 +35,8 @@ pub(super) struct Search {
     /// The best assignments of the oracle's starts, best first.
     shortlist: Vec<Assignment>,
     starts: Starts,
+    /// Fingerprints of the assignments from which the oracle has climbed.
+    climbed: Vec<u64>,
     /// Users among whom mirrors are given out.
     allowed: Vec<bool>,
     /// Weights of the present step, and of the best step so far.
@@ -57,6 +59,7 @@ impl Search {
                 Assignment::new(users, mirrors);
                 (REFINED_WORK / (users * mirrors)).clamp(*REFINED.start(), *REFINED.end())
             ],
+            climbed: Vec::with_capacity(2 * Starts::new(users).len()),
             starts: Starts::new(users),
             allowed: vec![true; users],
             weights: vec![0.0; users],
@@ -115,16 +118,16 @@ impl Search {
         for entry in &mut self.shortlist {
             entry.nats = f64::NEG_INFINITY;
         }
+        self.climbed.clear();
         self.starts.order(table, utility);
         for index in 0..self.starts.len() {
-            self.starts.choose(index, &mut self.allowed);
-            self.neutral_weights(table);
-            self.iterate(table, utility);
-            self.move_passes(table, utility, MOVE_PASSES_MAX);
-            self.note_trial();
-            self.fill(table, utility);
-            self.move_passes(table, utility, MOVE_PASSES_MAX);
-            self.note_trial();
+            if self.starts.choose(index, &mut self.allowed) {
+                self.neutral_weights(table);
+                self.iterate(table, utility);
+                self.climb(table, utility);
+                self.fill(table, utility);
+                self.climb(table, utility);
+            }
         }
         self.best.nats = f64::NEG_INFINITY;
         let small = self.shortlist.len() == *REFINED.end();
@@ -153,6 +156,16 @@ impl Search {
             self.keep_better();
         }
         self.slopes(utility, weights);
+    }
+
+    /// Single moves from `trial`, and a place on the shortlist for where they lead; nothing if they began there before, as many do.
+    fn climb(&mut self, table: &Table, utility: &Utility) {
+        let foot = self.trial.fingerprint(table);
+        if !self.climbed.contains(&foot) {
+            self.climbed.push(foot);
+            self.move_passes(table, utility, MOVE_PASSES_MAX);
+            self.note_trial();
+        }
     }
 
     /// Writes the derivatives of the objective at the last solution.
@@ -340,11 +353,7 @@ impl Search {
 
     /// At most `passes` passes of single moves on `trial`, fewer when nothing moves any more.
     fn move_passes(&mut self, table: &Table, utility: &Utility, passes: usize) {
-        for _ in 0..passes {
-            if !self.trial.move_each(table, utility) {
-                break;
-            }
-        }
+        self.trial.move_each(table, utility, passes);
         self.trial.settle(table, utility);
     }
 

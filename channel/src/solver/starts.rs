@@ -55,13 +55,16 @@ impl Starts {
         self.by_rise.sort_unstable_by(|&a, &b| rise[b].total_cmp(&rise[a]).then(a.cmp(&b)));
     }
 
-    /// Marks the users of one subset.
-    pub(super) fn choose(&self, index: usize, allowed: &mut [bool]) {
+    /// Marks the users of one subset; false when another subset stands for it.
+    ///
+    /// A user whom no mirror reaches makes no difference: of the complete list, only the subset of all users may have such.
+    pub(super) fn choose(&self, index: usize, allowed: &mut [bool]) -> bool {
         if self.complete() {
             for (k, allowed) in allowed.iter_mut().enumerate() {
                 *allowed = ((index + 1) >> k) & 1 == 1;
             }
-            return;
+            let reached = allowed.iter().zip(&self.reach).all(|(&allowed, &reach)| !allowed || reach > 0.0);
+            return reached || index + 1 == self.len();
         }
         let steps = self.users.min(NESTED_MAX);
         let order = if index < steps { &self.by_reach } else { &self.by_rise };
@@ -73,5 +76,6 @@ impl Starts {
         for &k in &order[..members] {
             allowed[k] = true;
         }
+        true
     }
 }

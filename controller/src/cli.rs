@@ -1,6 +1,10 @@
 //! The flags of the controller, for its own program and for the `heliostat` command line.
 
-use std::{io::IsTerminal, path::PathBuf, time::Duration};
+use std::{
+    io::{IsTerminal, Write},
+    path::PathBuf,
+    time::Duration,
+};
 
 use anyhow::{Context, bail};
 use heliostat_bus::BusArgs;
@@ -80,10 +84,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         node::stop_with_parent(stop);
     }
     let summary = node::run(&config, &stopped)?;
+    // Not println!, which panics when the reader is gone.
+    let mut out = std::io::stdout();
     if args.json {
-        println!("{}", serde_json::to_string(&summary)?);
+        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
     } else {
-        println!("{summary}");
+        writeln!(out, "{summary}")?;
     }
     Ok(())
 }

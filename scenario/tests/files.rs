@@ -45,7 +45,11 @@ fn each_refusal_names_its_line() {
         ("[room\n", "line 1", "[room"),
         ("[users]\ncount = 5\n\nmin_rate_mbps = [1.0]\n", "line 4", "users.min_rate_mbps"),
         ("[streams.positions]\nlatency_ms = 1.0\nrate_hz = 0.0\n", "line 3", "streams.positions.rate_hz"),
-        ("[receiver]\nbranches = [\n  { tilt_deg = 200.0, azimuth_deg = 0.0, fov_deg = 35.0 },\n]\n", "line 2", "tilt_deg"),
+        (
+            "[receiver]\nbranches = [\n  { tilt_deg = 200.0, azimuth_deg = 0.0, fov_deg = 35.0 },\n]\n",
+            "line 2",
+            "tilt_deg",
+        ),
         ("[led]\n# high up\npositions_m = [[0.0, 0.0, 3.5]]\n", "line 3", "led.positions_m"),
     ] {
         let message = Scenario::from_toml(text).unwrap_err().to_string();

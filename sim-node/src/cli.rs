@@ -1,6 +1,6 @@
 //! The command line of the simulator, on its own or as a command of `heliostat`.
 
-use std::io::Read;
+use std::io::{Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -58,10 +58,12 @@ pub fn run(args: Args) -> Result<()> {
         endpoints(&bus.listen, &bus.connect)
     );
     let summary = node::run(&Settings { scenario, bus, pace }, &stop)?;
+    // Not println!, which panics when the reader is gone.
+    let mut out = std::io::stdout();
     if args.json {
-        println!("{}", serde_json::to_string(&summary)?);
+        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
     } else {
-        print!("{summary}");
+        write!(out, "{summary}")?;
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `heliostat bench`: figures of speed, each beside a reference measured in the same run.
 
 mod env;
+mod oracle;
 
 use anyhow::Result;
 
@@ -15,11 +16,32 @@ pub struct Args {
 enum What {
     /// Environment steps a second on one core, beside a straightforward scalar implementation
     Env(env::Args),
+    /// Time of one solution of the oracle, plain and with minimum rates, beside the model-based policies
+    Oracle(oracle::Args),
 }
 
 /// Runs the benchmark.
 pub fn run(args: Args) -> Result<()> {
     match args.what {
         What::Env(args) => env::run(&args),
+        What::Oracle(args) => oracle::run(&args),
     }
+}
+
+/// Overrides for a room of `users` people, some in the shadow of obstacles and bodies, with `side` x `side` mirrors under a point LED.
+fn room(users: usize, side: usize) -> Vec<String> {
+    let mut set = vec![
+        "led.side_m=0".into(),
+        format!("users.count={users}"),
+        format!("mirrors.rows={side}"),
+        format!("mirrors.columns={side}"),
+        "blockage.forced_users=0".into(),
+        "blockage.bodies=true".into(),
+        "blockage.obstacles_per_m2=0.08".into(),
+    ];
+    if side == 32 {
+        // So many mirrors fit on the wall only when they are smaller.
+        set.extend(["mirrors.width_m=0.1", "mirrors.height_m=0.04", "mirrors.gap_m=0.005"].map(String::from));
+    }
+    set
 }

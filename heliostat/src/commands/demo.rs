@@ -19,6 +19,8 @@ use heliostat_scenario::ScenarioArgs;
 use child::Part;
 use viewer::Viewer;
 
+use crate::output::outln;
+
 /// How long both processes may take to meet.
 const START_PATIENCE: Duration = Duration::from_secs(30);
 /// How long a process may take to end once it was asked to.
@@ -85,9 +87,9 @@ pub fn run(args: Args) -> Result<()> {
     let controller_summary = parts.controller.finish(END_PATIENCE)?;
     let summary = summary::Summary::new(&room_summary, &controller_summary)?;
     if args.json {
-        println!("{}", serde_json::to_string(&summary)?);
+        outln!("{}", serde_json::to_string(&summary)?)?;
     } else {
-        summary.print();
+        summary.print()?;
     }
     Ok(())
 }

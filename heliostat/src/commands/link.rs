@@ -1,33 +1,34 @@
 //! `heliostat link`: the link budget of given users under given mirror angles.
 
-use std::path::Path;
+use std::io;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
+use heliostat_channel::Vec3;
 use heliostat_channel::blockage::{Cylinder, blocks};
 use heliostat_channel::link::ber_ook;
 use heliostat_channel::mirrors::MirrorAngles;
-use heliostat_channel::scene::Scene;
-use heliostat_channel::solver::{Method, Need, Solver};
-use heliostat_channel::{ChannelModel, Vec3, decode};
 use heliostat_scenario::{MinRate, Scenario, ScenarioArgs};
+use heliostat_sim_node::World;
+use heliostat_sim_node::yardstick::QOS_PENALTY;
 use serde::{Deserialize, Serialize};
 
-/// The weight of an unmet minimum rate in the oracle with QoS: large enough that a need is met wherever it can be.
-const QOS_PENALTY: f64 = 50.0;
+use super::mirrors::{Instant, place_of};
+use super::read_csv;
+use crate::output::outln;
 
 /// Compute the link budget of users at given positions under given mirror angles.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// CSV of users with the header x,y,z in m; optional columns heading_deg (places the user's body behind the device)
+    /// CSV of users with the header x,y,z in m; z may be left out, and heading_deg (0 faces +x, 90 faces +y) puts the user's body behind the device
     #[arg(long, value_name = "FILE", required_unless_present = "user")]
     users: Option<String>,
     /// A user at X,Y or X,Y,Z in m; Z is the scenario's receiver height when left out (repeatable)
     #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, conflicts_with = "users")]
     user: Vec<String>,
-    /// Mirror angles: flat, oracle (or aimed), nearest, user:N (all at user N, counted from 0), or a CSV with the header roll_deg,yaw_deg, one line a mirror in index order
-    #[arg(long, value_name = "HOW|FILE", default_value = "oracle")]
+    /// How the mirrors stand: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y[,Z], a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the header roll_deg,yaw_deg, one line a mirror in index order
+    #[arg(long, value_name = "HOW|FILE", default_value = "oracle", allow_hyphen_values = true)]
     angles: String,
     /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header x,y,radius,height in m
     #[arg(long, value_name = "HOW|FILE", default_value = "none")]
@@ -80,13 +81,8 @@ pub fn run(args: Args) -> Result<()> {
     let users: Vec<Vec3> = rows.iter().map(|row| row.position(&scenario)).collect();
     let (blockers, names) = blockers(&args, &scenario, &rows)?;
     let forced: Vec<bool> = (0..users.len()).map(|user| user < scenario.blockage.forced_users).collect();
-    let mut scene = Scene::new(&model, users.len());
-    scene.update(&model, &users, &blockers, &forced);
-
-    let room = LitRoom { scenario: &scenario, model: &model, scene: &scene };
-    let angles = room.angles(&args.angles)?;
-    let mut report = room.report(&angles, args.per_mirror);
-    report.angles = args.angles.clone();
+    let instant = Instant::new(&scenario, &model, &users, &blockers, &forced);
+    let mut report = LinkBudgetReport::new(&scenario, &instant, &args)?;
     for (user, link) in report.users.iter_mut().enumerate() {
         if forced[user] {
             link.los_blocked_by.push("forced".into());
@@ -98,9 +94,9 @@ pub fn run(args: Args) -> Result<()> {
         }
     }
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        outln!("{}", serde_json::to_string(&report)?)?;
     } else {
-        print_table(&report);
+        print_table(&report)?;
     }
     Ok(())
 }
@@ -122,7 +118,7 @@ impl UserRow {
 
 fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
     let rows: Vec<UserRow> = match &args.users {
-        Some(file) => read_csv(file)?,
+        Some(file) => read_csv(file, &["x", "y"], &["z", "heading_deg"])?,
         None => args.user.iter().map(|text| parse_user(text)).collect::<Result<_>>()?,
     };
     ensure!(!rows.is_empty(), "no users: give a CSV with at least one line after the header, or --user X,Y");
@@ -133,6 +129,8 @@ fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
             && place.x.abs() <= room.length_x_m / 2.0
             && place.y.abs() <= room.length_y_m / 2.0
             && (0.0..room.height_m).contains(&place.z);
+        let heading = row.heading_deg.unwrap_or(0.0);
+        ensure!(heading.is_finite(), "user {index}: heading_deg is {heading}; wanted a number of degrees");
         ensure!(
             inside,
             "user {index} at ({}, {}, {}) is outside the room: wanted |x| <= {}, |y| <= {}, 0 <= z < {}",
@@ -148,12 +146,9 @@ fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
 }
 
 fn parse_user(text: &str) -> Result<UserRow> {
-    let numbers = text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<Vec<_>, _>>();
-    match numbers.as_deref() {
-        Ok([x, y]) => Ok(UserRow { x: *x, y: *y, z: None, heading_deg: None }),
-        Ok([x, y, z]) => Ok(UserRow { x: *x, y: *y, z: Some(*z), heading_deg: None }),
-        _ => bail!("--user {text}: wanted X,Y or X,Y,Z in metres, for example --user 1.0,-0.5"),
-    }
+    let wanted = || format!("--user {text}: wanted X,Y or X,Y,Z in m, for example --user 1.0,-0.5");
+    let (x, y, z) = place_of(text).with_context(wanted)?;
+    Ok(UserRow { x, y, z, heading_deg: None })
 }
 
 fn set_user_count(scenario: &mut Scenario, count: usize) -> Result<()> {
@@ -163,15 +158,6 @@ fn set_user_count(scenario: &mut Scenario, count: usize) -> Result<()> {
     scenario.users.count = count;
     scenario.blockage.forced_users = scenario.blockage.forced_users.min(count);
     Ok(())
-}
-
-fn read_csv<T: serde::de::DeserializeOwned>(file: &str) -> Result<Vec<T>> {
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .comment(Some(b'#'))
-        .from_path(file)
-        .with_context(|| format!("cannot read {file}"))?;
-    reader.deserialize().collect::<Result<_, _>>().with_context(|| format!("in {file}"))
 }
 
 /// A line of the obstacles' file.
@@ -187,13 +173,13 @@ struct ObstacleRow {
 fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<Cylinder>, Vec<String>)> {
     let mut blockers: Vec<Cylinder> = match args.obstacles.as_str() {
         "none" => Vec::new(),
-        "seed" => heliostat_sim_node::world::World::new(scenario, scenario.seed)?.obstacles().to_vec(),
-        file => read_csv::<ObstacleRow>(file)?
+        "seed" => World::new(scenario, scenario.seed)?.obstacles().to_vec(),
+        file => read_csv::<ObstacleRow>(file, &["x", "y", "radius", "height"], &[])?
             .into_iter()
             .map(|row| {
-                let valid =
-                    [row.x, row.y].iter().all(|value| value.is_finite()) && row.radius > 0.0 && row.height >= 0.0;
-                ensure!(valid, "in {file}: an obstacle needs finite x and y, radius > 0 and height >= 0, not {row:?}");
+                let finite = [row.x, row.y, row.radius, row.height].iter().all(|value| value.is_finite());
+                let valid = finite && row.radius > 0.0 && row.height >= 0.0;
+                ensure!(valid, "in {file}: an obstacle needs x, y, radius > 0 and height >= 0 in m, not {row:?}");
                 Ok(Cylinder { x_m: row.x, y_m: row.y, radius_m: row.radius, height_m: row.height })
             })
             .collect::<Result<_>>()?,
@@ -215,115 +201,64 @@ fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<C
     Ok((blockers, names))
 }
 
-/// A line of the angles' file.
-#[derive(Debug, Deserialize)]
-struct AngleRow {
-    roll_deg: f64,
-    yaw_deg: f64,
-}
-
-/// The room with its users in place.
-struct LitRoom<'a> {
-    scenario: &'a Scenario,
-    model: &'a ChannelModel,
-    scene: &'a Scene,
-}
-
-impl LitRoom<'_> {
-    fn angles(&self, how: &str) -> Result<MirrorAngles> {
-        let mirrors = self.model.mirrors.len();
-        let mut angles = MirrorAngles::flat(mirrors);
-        match how {
-            "flat" => {}
-            "oracle" | "aimed" => angles = self.oracle(0.0),
-            "nearest" => decode::decode(self.model, self.scene, &vec![1.0; self.scene.users()], &mut angles),
-            _ if how.starts_with("user:") && !Path::new(how).exists() => {
-                let user: usize =
-                    how["user:".len()..].parse().with_context(|| format!("--angles {how}: wanted user:N"))?;
-                ensure!(
-                    user < self.scene.users(),
-                    "--angles {how}: users are counted from 0 to {}",
-                    self.scene.users() - 1
-                );
-                decode::aim_at_point(self.model, &self.scene.positions()[user], &mut angles);
-            }
-            file => {
-                let rows: Vec<AngleRow> = read_csv(file)?;
-                ensure!(
-                    rows.len() == mirrors,
-                    "{file} has angles for {} mirrors, the scenario has {mirrors}",
-                    rows.len()
-                );
-                for (index, row) in rows.iter().enumerate() {
-                    let allowed = row.roll_deg.abs() <= 90.0 && row.yaw_deg.abs() <= 90.0;
-                    ensure!(allowed, "{file}, mirror {index}: wanted angles from -90 to 90 degrees, not {row:?}");
-                    angles.roll[index] = row.roll_deg.to_radians();
-                    angles.yaw[index] = row.yaw_deg.to_radians();
-                }
-            }
-        }
-        Ok(angles)
-    }
-
-    fn oracle(&self, qos_penalty: f64) -> MirrorAngles {
-        let mut angles = MirrorAngles::flat(self.model.mirrors.len());
-        let min_rate_bps = self.scenario.min_rate_bps();
-        let need = Need { min_rate_bps: &min_rate_bps, qos_penalty };
-        let mut solver = Solver::new(self.scene.users(), self.model.mirrors.len());
-        solver.solve(self.model, self.scene, &need, Method::Oracle, &mut angles);
-        angles
-    }
-
-    fn sum_rate_mbps(&self, angles: &MirrorAngles) -> f64 {
-        let mut rates = vec![0.0; self.scene.users()];
-        self.scene.rates_bps(self.model, angles, &mut rates);
-        rates.iter().sum::<f64>() * 1e-6
-    }
-
-    fn report(&self, angles: &MirrorAngles, per_mirror: bool) -> LinkBudgetReport {
-        let (users, mirrors) = (self.scene.users(), self.model.mirrors.len());
+impl LinkBudgetReport {
+    /// The links under the angles that were asked for, beside the oracle's; who blocks whom is not told yet.
+    fn new(scenario: &Scenario, instant: &Instant, args: &Args) -> Result<Self> {
+        let (model, scene) = (instant.model, &instant.seen.scene);
+        let (users, mirrors) = (scene.users(), model.mirrors.len());
+        let angles = instant.angles(&args.angles)?;
         let (mut irs, mut sinr, mut each) = (vec![0.0; users], vec![0.0; users], vec![0.0; users * mirrors]);
-        self.scene.irs_gain(self.model, angles, &mut irs);
-        self.scene.sinr(self.model, angles, &mut sinr);
-        self.scene.irs_gain_each(self.model, angles, &mut each);
-        let min_rate = self.scenario.min_rate_bps();
+        scene.irs_gain(model, &angles, &mut irs);
+        scene.sinr(model, &angles, &mut sinr);
+        scene.irs_gain_each(model, &angles, &mut each);
+        let sum_rate_mbps = |angles: &MirrorAngles| {
+            let mut rates = vec![0.0; users];
+            scene.rates_bps(model, angles, &mut rates);
+            rates.iter().sum::<f64>() * 1e-6
+        };
         let links = (0..users).map(|user| {
-            let legs = &self.scene.leg_visible()[user * mirrors..][..mirrors];
-            let position = self.scene.positions()[user];
+            let legs = &scene.leg_visible()[user * mirrors..][..mirrors];
+            let position = scene.positions()[user];
             UserLink {
                 position_m: [position.x, position.y, position.z],
-                los_gain: self.scene.los_gain()[user],
+                los_gain: scene.los_gain()[user],
                 irs_gain: irs[user],
                 sinr: sinr[user],
                 sinr_db: 10.0 * sinr[user].max(f64::MIN_POSITIVE).log10(),
-                rate_mbps: self.model.budget.rate_bps(sinr[user], users) * 1e-6,
-                min_rate_mbps: min_rate[user] * 1e-6,
+                rate_mbps: model.budget.rate_bps(sinr[user], users) * 1e-6,
+                min_rate_mbps: instant.seen.min_rate_bps[user] * 1e-6,
                 ber: ber_ook(sinr[user]),
-                los_blocked: self.scene.los_blocked()[user],
+                los_blocked: scene.los_blocked()[user],
                 los_blocked_by: Vec::new(),
                 mirrors_blocked: legs.iter().filter(|visible| !**visible).count(),
-                mirror_gain: if per_mirror { each[user * mirrors..][..mirrors].to_vec() } else { Vec::new() },
+                mirror_gain: if args.per_mirror { each[user * mirrors..][..mirrors].to_vec() } else { Vec::new() },
             }
         });
-        LinkBudgetReport {
-            scenario: self.scenario.name.clone(),
-            mode: self.scenario.channel.mode.name(),
-            angles: String::new(),
-            noise_variance_a2: self.model.budget.noise_variance_a2(),
+        Ok(Self {
+            scenario: scenario.name.clone(),
+            mode: scenario.channel.mode.name(),
+            angles: args.angles.clone(),
+            noise_variance_a2: model.budget.noise_variance_a2(),
             users: links.collect(),
-            sum_rate_mbps: self.sum_rate_mbps(angles),
-            oracle_sum_rate_mbps: self.sum_rate_mbps(&self.oracle(0.0)),
-            oracle_qos_sum_rate_mbps: self.sum_rate_mbps(&self.oracle(QOS_PENALTY)),
-        }
+            sum_rate_mbps: sum_rate_mbps(&angles),
+            oracle_sum_rate_mbps: sum_rate_mbps(&instant.oracle(0.0)),
+            oracle_qos_sum_rate_mbps: sum_rate_mbps(&instant.oracle(QOS_PENALTY)),
+        })
     }
 }
 
-fn print_table(report: &LinkBudgetReport) {
-    println!("{} mode, mirrors {}, noise {:.3e} A2", report.mode, report.angles, report.noise_variance_a2);
-    println!(
+fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
+    outln!("{} mode, mirrors {}, noise {:.3e} A2", report.mode, report.angles, report.noise_variance_a2)?;
+    outln!(
         "{:>4} {:>21} {:>11} {:>11} {:>9} {:>11} {:>9}  blocked",
-        "user", "position (m)", "LoS gain", "IRS gain", "SINR (dB)", "rate (Mb/s)", "BER"
-    );
+        "user",
+        "position (m)",
+        "LoS gain",
+        "IRS gain",
+        "SINR (dB)",
+        "rate (Mb/s)",
+        "BER"
+    )?;
     for (user, link) in report.users.iter().enumerate() {
         let [x, y, z] = link.position_m;
         let mut blocked = link.los_blocked_by.join(", ");
@@ -334,7 +269,7 @@ fn print_table(report: &LinkBudgetReport) {
                 link.mirrors_blocked
             ));
         }
-        println!(
+        outln!(
             "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9.2} {:>11.3} {:>9.2e}  {blocked}",
             format!("{x:.2}, {y:.2}, {z:.2}"),
             link.los_gain,
@@ -342,13 +277,15 @@ fn print_table(report: &LinkBudgetReport) {
             link.sinr_db,
             link.rate_mbps,
             link.ber
-        );
+        )?;
         for (mirror, gain) in link.mirror_gain.iter().enumerate().filter(|(_, gain)| **gain > 0.0) {
-            println!("{:>4} {:>21} {:>11} {gain:>11.3e}", "", format!("mirror {mirror}"), "");
+            outln!("{:>4} {:>21} {:>11} {gain:>11.3e}", "", format!("mirror {mirror}"), "")?;
         }
     }
-    println!(
+    outln!(
         "sum rate {:.3} Mb/s; oracle {:.3} Mb/s; oracle with QoS {:.3} Mb/s",
-        report.sum_rate_mbps, report.oracle_sum_rate_mbps, report.oracle_qos_sum_rate_mbps
-    );
+        report.sum_rate_mbps,
+        report.oracle_sum_rate_mbps,
+        report.oracle_qos_sum_rate_mbps
+    )
 }

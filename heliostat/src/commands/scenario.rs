@@ -6,6 +6,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
+use heliostat_sim_node::World;
+
+use crate::output::outln;
 
 /// Check, write or print a scenario.
 #[derive(Debug, clap::Args)]
@@ -48,11 +51,11 @@ pub fn run(args: Args) -> Result<()> {
                 format!("cannot write {}: choose a path that does not exist yet, in a folder that does", file.display())
             })?;
             out.write_all(Scenario::builtin_text(&from)?.as_bytes())?;
-            println!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display());
+            outln!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display())?;
             Ok(())
         }
         Action::Show { scenario } => {
-            print!("{}", scenario.load()?.to_toml());
+            outln!("{}", scenario.load()?.to_toml().trim_end())?;
             Ok(())
         }
     }
@@ -61,14 +64,15 @@ pub fn run(args: Args) -> Result<()> {
 fn check(file: String, json: bool) -> Result<()> {
     let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
     let verdict = args.load().map_err(anyhow::Error::from).and_then(|scenario| {
-        scenario.channel_model()?;
+        // The room itself: what only shows when a world is made of the file, such as a recording that cannot be read.
+        World::new(&scenario, scenario.seed)?;
         Ok(scenario)
     });
     if json {
         let problem = verdict.as_ref().err().map(|error| format!("{error:#}"));
-        println!("{}", serde_json::json!({ "file": args.scenario, "valid": verdict.is_ok(), "problem": problem }));
+        outln!("{}", serde_json::json!({ "file": args.scenario, "valid": verdict.is_ok(), "problem": problem }))?;
     } else if let Ok(scenario) = &verdict {
-        println!(
+        outln!(
             "{}: valid: {} mode, {} users, {} x {} mirrors, configuration {}",
             args.scenario,
             scenario.channel.mode.name(),
@@ -76,7 +80,7 @@ fn check(file: String, json: bool) -> Result<()> {
             scenario.mirrors.rows,
             scenario.mirrors.columns,
             scenario.hash()
-        );
+        )?;
     }
     verdict.map(|_| ()).with_context(|| format!("{} cannot be used", args.scenario))
 }

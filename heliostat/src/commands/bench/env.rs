@@ -15,6 +15,8 @@ use heliostat_scenario::Scenario;
 use heliostat_sim_node::world::World;
 use serde::Serialize;
 
+use crate::output::outln;
+
 /// Measure environment steps a second on one core for each mode, 49 to 1024 mirrors and 5 to 40 users.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -47,25 +49,37 @@ pub fn run(args: &Args) -> Result<()> {
     anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: wanted 0.01 to 600", args.seconds);
     let mut rows = Vec::new();
     if !args.json {
-        println!(
+        outln!(
             "{:<18}{:<16}{:>6}{:>9}{:>13}{:>13}{:>8}",
-            "mode", "LED", "users", "mirrors", "steps/s", "reference/s", "ratio"
-        );
+            "mode",
+            "LED",
+            "users",
+            "mirrors",
+            "steps/s",
+            "reference/s",
+            "ratio"
+        )?;
     }
     for (mode, panel) in [("specular", false), ("specular", true), ("paper", false), ("paper-calibrated", false)] {
         for (users, side) in [(5, 7), (5, 10), (5, 32), (10, 10), (20, 10), (40, 10)] {
             let row = measure(mode, panel, (users, side), Duration::from_secs_f64(args.seconds))?;
             if !args.json {
-                println!(
+                outln!(
                     "{:<18}{:<16}{:>6}{:>9}{:>13.0}{:>13.0}{:>8.1}",
-                    row.mode, row.led, row.users, row.mirrors, row.steps_per_s, row.reference_steps_per_s, row.ratio
-                );
+                    row.mode,
+                    row.led,
+                    row.users,
+                    row.mirrors,
+                    row.steps_per_s,
+                    row.reference_steps_per_s,
+                    row.ratio
+                )?;
             }
             rows.push(row);
         }
     }
     if args.json {
-        println!("{}", serde_json::json!({ "rows": rows }));
+        outln!("{}", serde_json::json!({ "rows": rows }))?;
     }
     Ok(())
 }
@@ -78,19 +92,8 @@ struct State {
 }
 
 fn measure(mode: &str, panel: bool, (users, side): (usize, usize), time: Duration) -> Result<Row> {
-    let mut set = vec![
-        format!("led.side_m={}", if panel { 0.1 } else { 0.0 }),
-        format!("users.count={users}"),
-        format!("mirrors.rows={side}"),
-        format!("mirrors.columns={side}"),
-        "blockage.forced_users=0".into(),
-        "blockage.bodies=true".into(),
-        "blockage.obstacles_per_m2=0.08".into(),
-    ];
-    if side == 32 {
-        // So many mirrors fit on the wall only when they are smaller.
-        set.extend(["mirrors.width_m=0.1", "mirrors.height_m=0.04", "mirrors.gap_m=0.005"].map(String::from));
-    }
+    let mut set = super::room(users, side);
+    set.push(format!("led.side_m={}", if panel { 0.1 } else { 0.0 }));
     let scenario = Scenario::builtin(mode)?.with_overrides(&set)?;
     let model = scenario.channel_model()?;
     let states = (0..STATES).map(|seed| state(&scenario, &model, seed)).collect::<Result<Vec<_>>>()?;

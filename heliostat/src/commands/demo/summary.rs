@@ -1,11 +1,14 @@
 //! What a demo came to, from what its two processes said last.
 
 use std::collections::BTreeMap;
+use std::io;
 
 use anyhow::{Context, Result};
 use heliostat_proto::Quantiles;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+
+use crate::output::outln;
 
 /// Mean sum rates in Mbit/s over the same instants.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -74,32 +77,36 @@ impl Summary {
     }
 
     /// Prints a table.
-    pub fn print(&self) {
+    pub fn print(&self) -> io::Result<()> {
         let (room, controller) = (&self.room, &self.controller);
         let share = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
-        println!("{} (seed {}), policy {}", room.scenario, room.seed, controller.policy);
-        println!(
+        outln!("{} (seed {}), policy {}", room.scenario, room.seed, controller.policy)?;
+        outln!(
             "ticks {}, commands {}, lost {}, late {}, before the first answer {}",
-            room.ticks, room.commands, room.lost_ticks, room.late_ticks, room.unattended_ticks
-        );
-        println!();
-        println!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max");
+            room.ticks,
+            room.commands,
+            room.lost_ticks,
+            room.late_ticks,
+            room.unattended_ticks
+        )?;
+        outln!()?;
+        outln!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
         for (name, time) in [
             ("decision", &controller.decision_us),
             ("loop: report to mirrors", &room.loop_us),
             ("age of the information", &controller.age_us),
         ] {
             let Quantiles { p50, p90, p99, p999, max, .. } = time;
-            println!("{name:<26}{p50:>9.0}{p90:>9.0}{p99:>9.0}{p999:>9.0}{max:>9.0}");
+            outln!("{name:<26}{p50:>9.0}{p90:>9.0}{p99:>9.0}{p999:>9.0}{max:>9.0}")?;
         }
-        println!(
+        outln!(
             "decisions over 0.5 ms: {} of {}{}",
             controller.over_budget,
             controller.decisions,
             list(&controller.over_budget_by)
-        );
-        println!();
-        println!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle");
+        )?;
+        outln!()?;
+        outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
         let rates = &room.sum_rate_mbps;
         for (name, rate) in [
             (controller.policy.as_str(), rates.policy),
@@ -107,24 +114,25 @@ impl Summary {
             ("flat", rates.flat),
             ("oracle with QoS", rates.oracle),
         ] {
-            println!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)));
+            outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
         }
-        println!("users whose need is met: {} (oracle {})", share(room.qos_met), share(room.qos_met_oracle));
-        println!("users in shadow: {:.2} on average", room.blocked_users_mean);
+        outln!("users whose need is met: {} (oracle {})", share(room.qos_met), share(room.qos_met_oracle))?;
+        outln!("users in shadow: {:.2} on average", room.blocked_users_mean)?;
         for (what, counts) in [
             ("fallbacks", &controller.fallbacks),
             ("refused by the controller", &controller.refused),
             ("refused by the room", &room.refused),
         ] {
             if !counts.is_empty() {
-                println!("{what}:{}", list(counts));
+                outln!("{what}:{}", list(counts))?;
             }
         }
         for (who, problem) in [("controller", &controller.last_problem), ("sim-node", &room.last_problem)] {
             if !problem.is_empty() {
-                println!("last problem of the {who}: {problem}");
+                outln!("last problem of the {who}: {problem}")?;
             }
         }
+        Ok(())
     }
 }
 

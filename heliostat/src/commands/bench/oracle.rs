@@ -1,0 +1,154 @@
+//! `heliostat bench oracle`: how long the yardstick takes, beside the model-based policies on the same states in the same run.
+//!
+//! A solution is the whole way from a scene to the angles of the mirrors. The three take turns state by state, so that a drift of the
+//! machine cancels in the ratio.
+
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::{MirrorAngles, Scene};
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::World;
+use heliostat_sim_node::yardstick::QOS_PENALTY;
+use serde::Serialize;
+
+use crate::output::outln;
+
+/// Measure how long the oracle takes, plain and with minimum rates, beside fixed point and greedy.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Time spent on each row, in s
+    #[arg(long, default_value_t = 1.0)]
+    seconds: f64,
+}
+
+/// Different rooms that a row goes through.
+const STATES: u64 = 200;
+
+/// Times of one solution in us.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Time {
+    p50_us: f64,
+    p99_us: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct Row {
+    mode: String,
+    users: usize,
+    mirrors: usize,
+    /// Whether missing minimum rates are penalised.
+    qos: bool,
+    oracle: Time,
+    fixed_point: Time,
+    greedy: Time,
+    /// Of the medians, oracle to greedy.
+    oracle_over_greedy: f64,
+}
+
+/// Runs the benchmark.
+pub fn run(args: &Args) -> Result<()> {
+    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: wanted 0.01 to 600", args.seconds);
+    if !args.json {
+        outln!(
+            "{:<10}{:>6}{:>9}{:>7}{:>12}{:>12}{:>14}{:>14}{:>14}{:>14}{:>8}",
+            "time in us",
+            "users",
+            "mirrors",
+            "QoS",
+            "oracle p50",
+            "oracle p99",
+            "fixed pt p50",
+            "fixed pt p99",
+            "greedy(3) p50",
+            "greedy(3) p99",
+            "ratio"
+        )?;
+    }
+    let mut rows = Vec::new();
+    for mode in ["specular", "paper"] {
+        for (users, side) in [(5, 7), (5, 10), (10, 10), (5, 32)] {
+            for qos in [false, true] {
+                let row = measure(mode, (users, side), qos, Duration::from_secs_f64(args.seconds))?;
+                if !args.json {
+                    print(&row)?;
+                }
+                rows.push(row);
+            }
+        }
+    }
+    if args.json {
+        outln!("{}", serde_json::json!({ "rows": rows }))?;
+    }
+    Ok(())
+}
+
+fn print(row: &Row) -> std::io::Result<()> {
+    let qos = if row.qos { "yes" } else { "no" };
+    let [oracle, fixed_point, greedy] = [row.oracle, row.fixed_point, row.greedy];
+    outln!(
+        "{:<10}{:>6}{:>9}{qos:>7}{:>12.0}{:>12.0}{:>14.0}{:>14.0}{:>14.0}{:>14.0}{:>8.1}",
+        row.mode,
+        row.users,
+        row.mirrors,
+        oracle.p50_us,
+        oracle.p99_us,
+        fixed_point.p50_us,
+        fixed_point.p99_us,
+        greedy.p50_us,
+        greedy.p99_us,
+        row.oracle_over_greedy
+    )
+}
+
+fn measure(mode: &str, (users, side): (usize, usize), qos: bool, time: Duration) -> Result<Row> {
+    let scenario = Scenario::builtin(mode)?.with_overrides(&super::room(users, side))?;
+    let model = scenario.channel_model()?;
+    let scenes =
+        (0..STATES).map(|seed| Ok(World::new(&scenario, seed)?.scene().clone())).collect::<Result<Vec<_>>>()?;
+    let min_rate_bps = scenario.min_rate_bps();
+    let need = Need { min_rate_bps: &min_rate_bps, qos_penalty: if qos { QOS_PENALTY } else { 0.0 } };
+    let mut solver = Solver::new(users, model.mirrors.len());
+    let mut angles = MirrorAngles::flat(model.mirrors.len());
+    let methods = [Method::Oracle, Method::FixedPoint, Method::Greedy { passes: 3 }];
+    let mut times: [Vec<f64>; 3] = Default::default();
+    let mut solve = |scene: &Scene, method: Method| {
+        let start = Instant::now();
+        black_box(solver.solve(&model, scene, &need, method, &mut angles));
+        start.elapsed().as_secs_f64() * 1e6
+    };
+    // Once for nothing, so that memory and caches are warm.
+    methods.iter().for_each(|method| _ = solve(&scenes[0], *method));
+    let start = Instant::now();
+    for scene in scenes.iter().cycle() {
+        for (times, method) in times.iter_mut().zip(methods) {
+            times.push(solve(scene, method));
+        }
+        if start.elapsed() >= time {
+            break;
+        }
+    }
+    let [oracle, fixed_point, greedy] = times.map(quantiles);
+    let oracle_over_greedy = oracle.p50_us / greedy.p50_us;
+    Ok(Row {
+        mode: mode.into(),
+        users,
+        mirrors: model.mirrors.len(),
+        qos,
+        oracle,
+        fixed_point,
+        greedy,
+        oracle_over_greedy,
+    })
+}
+
+fn quantiles(mut times: Vec<f64>) -> Time {
+    times.sort_by(f64::total_cmp);
+    let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
+    Time { p50_us: at(0.5), p99_us: at(0.99) }
+}

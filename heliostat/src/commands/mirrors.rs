@@ -1,0 +1,122 @@
+//! How the mirrors of a room stand at one instant: by hand, at somebody, under a policy, or at their best.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
+use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Vec3, decode};
+use heliostat_controller::observation::{Observation, RoomState};
+use heliostat_controller::policy::{ActorSource, PolicyKind, build};
+use heliostat_scenario::Scenario;
+use serde::Deserialize;
+
+use super::read_csv;
+
+/// One instant of a room: users in place, and what stands in their light.
+pub struct Instant<'a> {
+    scenario: &'a Scenario,
+    pub model: &'a ChannelModel,
+    /// What a policy sees of it.
+    pub seen: Observation,
+}
+
+impl<'a> Instant<'a> {
+    /// Users at `positions`, those marked in `forced` without direct light; as many as the scenario says.
+    pub fn new(
+        scenario: &'a Scenario,
+        model: &'a ChannelModel,
+        positions: &[Vec3],
+        blockers: &[Cylinder],
+        forced: &[bool],
+    ) -> Self {
+        let mut seen = Observation::new(model, positions.len());
+        let (velocities, min_rate_bps) = (vec![Vec3::zeros(); positions.len()], scenario.min_rate_bps());
+        let state = RoomState {
+            tick: 0,
+            positions,
+            velocities: &velocities,
+            min_rate_bps: &min_rate_bps,
+            blockers,
+            forced,
+            measured_los_gain: None,
+        };
+        seen.set_state(model, &state);
+        Self { scenario, model, seen }
+    }
+
+    /// The angles that a word on the command line stands for.
+    pub fn angles(&self, how: &str) -> Result<MirrorAngles> {
+        let mirrors = self.model.mirrors.len();
+        let mut angles = MirrorAngles::flat(mirrors);
+        if how == "none" {
+            // Turned to the ceiling: nobody is above the mirrors.
+            angles.roll.fill(-std::f64::consts::FRAC_PI_2);
+        } else if how == "oracle" || how == "aimed" {
+            angles = self.oracle(0.0);
+        } else if let Some(user) = how.strip_prefix("user:") {
+            let last = self.seen.users() - 1;
+            let user = user.parse().ok().filter(|user| *user <= last);
+            let user: usize = user.with_context(|| format!("mirrors {how}: wanted user:N, N from 0 to {last}"))?;
+            decode::aim_at_point(self.model, &self.seen.positions[user], &mut angles);
+        } else if let Some(point) = how.strip_prefix("aim:") {
+            let place = place_of(point).with_context(|| format!("mirrors {how}: wanted aim:X,Y or aim:X,Y,Z in m"))?;
+            let point = Vec3::new(place.0, place.1, place.2.unwrap_or(self.scenario.receiver.height_m));
+            ensure!(point.iter().all(|coordinate| coordinate.is_finite()), "mirrors {how}: wanted numbers of m");
+            decode::aim_at_point(self.model, &point, &mut angles);
+        } else if let Ok(kind) = PolicyKind::from_str(how, false) {
+            build(kind, self.scenario, &ActorSource::Shipped)?.act(self.model, &self.seen, &mut angles)?;
+        } else if Path::new(how).exists() {
+            angles = from_file(how, mirrors)?;
+        } else {
+            let policies: Vec<String> = PolicyKind::value_variants()
+                .iter()
+                .filter_map(|kind| Some(kind.to_possible_value()?.get_name().to_owned()))
+                .collect();
+            bail!(
+                "mirrors {how}: no such file; wanted a CSV of angles, none, oracle, user:N, aim:X,Y or a policy: {}",
+                policies.join(", ")
+            );
+        }
+        Ok(angles)
+    }
+
+    /// The best angles; `qos_penalty` is what a missing bit/s of a minimum rate costs, in bit/s.
+    pub fn oracle(&self, qos_penalty: f64) -> MirrorAngles {
+        let mut angles = MirrorAngles::flat(self.model.mirrors.len());
+        let need = Need { min_rate_bps: &self.seen.min_rate_bps, qos_penalty };
+        let mut solver = Solver::new(self.seen.users(), self.model.mirrors.len());
+        solver.solve(self.model, &self.seen.scene, &need, Method::Oracle, &mut angles);
+        angles
+    }
+}
+
+/// `X,Y` or `X,Y,Z` in m.
+pub fn place_of(text: &str) -> Option<(f64, f64, Option<f64>)> {
+    let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
+    match numbers[..] {
+        [x, y] => Some((x, y, None)),
+        [x, y, z] => Some((x, y, Some(z))),
+        _ => None,
+    }
+}
+
+/// A line of a file of angles.
+#[derive(Debug, Deserialize)]
+struct AngleRow {
+    roll_deg: f64,
+    yaw_deg: f64,
+}
+
+fn from_file(file: &str, mirrors: usize) -> Result<MirrorAngles> {
+    let rows: Vec<AngleRow> = read_csv(file, &["roll_deg", "yaw_deg"], &[])?;
+    ensure!(rows.len() == mirrors, "{file} has angles for {} mirrors, the scenario has {mirrors}", rows.len());
+    let mut angles = MirrorAngles::flat(mirrors);
+    for (index, row) in rows.iter().enumerate() {
+        let allowed = row.roll_deg.abs() <= 90.0 && row.yaw_deg.abs() <= 90.0;
+        ensure!(allowed, "{file}, mirror {index}: wanted angles from -90 to 90 degrees, not {row:?}");
+        angles.roll[index] = row.roll_deg.to_radians();
+        angles.yaw[index] = row.yaw_deg.to_radians();
+    }
+    Ok(angles)
+}

@@ -1,0 +1,23 @@
+//! Standard output, which a reader such as `head` may close at any time: that ends the command, and is no failure.
+
+use std::fmt::Arguments;
+use std::io::{self, Write};
+
+/// Prints a line; see [`outln!`].
+pub fn line(text: Arguments) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    out.write_fmt(text)?;
+    out.write_all(b"\n")
+}
+
+/// `println!` that returns an error where that would panic.
+macro_rules! outln {
+    () => { $crate::output::line(format_args!("")) };
+    ($($argument:tt)*) => { $crate::output::line(format_args!($($argument)*)) };
+}
+pub(crate) use outln;
+
+/// Whether a command ended because nobody reads what it prints.
+pub fn closed(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}

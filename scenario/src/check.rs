@@ -169,7 +169,9 @@ impl Scenario {
         within("control.report_age_max_ms", control.report_age_max_ms, 1.0..=60_000.0)?;
         within("control.source_timeout_ms", control.source_timeout_ms, 10.0..=600_000.0)?;
         within("control.range_deg", control.range_deg, 0.01..=90.0)?;
-        within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)
+        within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)?;
+        count("control.search_evaluations", control.search_evaluations as usize, 1..=100_000_000)?;
+        within("control.search_time_us", control.search_time_us, 0.0..=60e6)
     }
 }
 

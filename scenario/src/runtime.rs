@@ -270,6 +270,10 @@ pub struct Control {
     pub fallback: Fallback,
     /// Where users are taken to be.
     pub prediction: Prediction,
+    /// Most trials that a metaheuristic policy makes for one decision.
+    pub search_evaluations: u32,
+    /// Longest time that a metaheuristic policy searches for one decision, in us; 0 is no limit.
+    pub search_time_us: f64,
 }
 
 impl Default for Control {
@@ -282,6 +286,8 @@ impl Default for Control {
             slew_deg_per_s: 0.0,
             fallback: Fallback::FixedPoint,
             prediction: Prediction::None,
+            search_evaluations: 2000,
+            search_time_us: 500.0,
         }
     }
 }

@@ -1,14 +1,17 @@
 //! From an observation to mirror angles: one trait, many ways.
 //!
-//! A policy proposes; it neither limits nor checks its angles, which is the duty of [`crate::safety`]. It reads no clock and
-//! does not log. After the first few calls it does not allocate in our own code.
+//! A policy proposes; it neither limits nor checks its angles, which is the duty of [`crate::safety`]. It does not log, and reads no clock
+//! save where a time budget is its definition. After the first few calls it does not allocate in our own code.
 
 mod actor;
 pub mod actor_file;
 mod fixed;
+mod metaheuristic;
 mod model_based;
 mod nearest;
+mod pso;
 pub mod shipped;
+mod sine_cosine;
 
 use std::path::PathBuf;
 
@@ -20,6 +23,8 @@ pub use actor::Actor;
 pub use fixed::{Fixed, Hold};
 pub use model_based::{ModelBased, QOS_PENALTY};
 pub use nearest::Nearest;
+pub use pso::Pso;
+pub use sine_cosine::SineCosine;
 
 use crate::{
     observation::{EncodeError, Observation},
@@ -76,6 +81,10 @@ pub enum PolicyKind {
     Greedy,
     /// Model-based: the search that everything is measured by, from many starts; far slower than a tick
     Oracle,
+    /// Metaheuristic: the sine cosine algorithm on the angles of all mirrors
+    SineCosine,
+    /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
+    Pso,
     /// Each mirror serves the user to whom it can give most
     Nearest,
     /// One random draw a mirror, held for the run
@@ -126,6 +135,8 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Resu
         PolicyKind::FixedPoint => Box::new(ModelBased::fixed_point(users, mirrors)),
         PolicyKind::Greedy => Box::new(ModelBased::greedy(users, mirrors)),
         PolicyKind::Oracle => Box::new(ModelBased::oracle(users, mirrors)),
+        PolicyKind::SineCosine => Box::new(SineCosine::new(scenario)),
+        PolicyKind::Pso => Box::new(Pso::new(scenario)),
         PolicyKind::Nearest => Box::new(Nearest::new(mirrors)),
         PolicyKind::Random => Box::new(Fixed::random(mirrors, range_rad, scenario.seed)),
         PolicyKind::Flat => Box::new(Fixed::flat(mirrors)),

@@ -133,3 +133,40 @@ fn random_is_one_draw_by_seed_within_the_range() {
     assert_eq!(angles, draw(1));
     assert!(angles != draw(2));
 }
+
+/// Objective of the metaheuristics for the answer to one observation.
+fn searched(kind: PolicyKind, overrides: &[&str]) -> (MirrorAngles, f64) {
+    let calibrated = ["channel.mode=paper-calibrated", "channel.gain_scale=85", "noise.variance_a2=2.9e-13"];
+    let scenario = large(&[&calibrated[..], &["control.search_time_us=0"], overrides].concat());
+    let (model, observation) = observe(&scenario);
+    let mut angles = MirrorAngles::flat(100);
+    build(kind, &scenario, &ActorSource::Shipped).unwrap().act(&model, &observation, &mut angles).unwrap();
+    let mut rates = [0.0; 3];
+    observation.scene.rates_bps(&model, &angles, &mut rates);
+    let worth = rates.iter().map(|rate| rate - 50.0 * (1e6 - rate).max(0.0)).sum();
+    (angles, worth)
+}
+
+#[test]
+fn metaheuristics_gain_by_every_trial_and_repeat_by_seed() {
+    for kind in [PolicyKind::SineCosine, PolicyKind::Pso] {
+        let with = |trials: &str| searched(kind, &[trials]);
+        let (start, flat) = with("control.search_evaluations=1");
+        assert_eq!(start, MirrorAngles::flat(100), "{kind:?}: the first trial is where the mirrors stand");
+        let (few, many) = (with("control.search_evaluations=200"), with("control.search_evaluations=4000"));
+        assert!(flat <= few.1 && few.1 < many.1, "{kind:?}: {flat} {} {}", few.1, many.1);
+        assert!(many.1 > 1.02 * flat, "{kind:?}: {flat} {}", many.1);
+        assert_eq!(few.0, with("control.search_evaluations=200").0, "{kind:?}");
+        assert!(few.0 != searched(kind, &["control.search_evaluations=200", "seed=9"]).0 || few.1 == flat, "{kind:?}");
+        let (narrow, _) = searched(kind, &["control.search_evaluations=500", "control.range_deg=5"]);
+        assert!(narrow.roll.iter().chain(&narrow.yaw).all(|angle| angle.abs() <= 5f64.to_radians()), "{kind:?}");
+    }
+}
+
+/// However many trials are allowed, time ends the search: an unlimited one would never return.
+#[test]
+fn a_time_budget_ends_the_search() {
+    for kind in [PolicyKind::SineCosine, PolicyKind::Pso] {
+        searched(kind, &["control.search_evaluations=100000000", "control.search_time_us=500"]);
+    }
+}

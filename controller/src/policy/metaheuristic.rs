@@ -1,0 +1,177 @@
+//! What the metaheuristics share: a population of candidate angles, the objective, and the budget.
+//!
+//! A candidate is the roll and yaw of every mirror, within the range of commands. Its worth is problem P on the observation: the sum
+//! of rates by the true evaluation, less [`QOS_PENALTY`] bit/s for each bit/s that a user is short of the minimum rate.
+//!
+//! Each decision starts anew from uniform draws, except that the first candidate starts where the mirrors stand, so that no answer is
+//! worse than to leave them. It ends with the trials or the time, whichever runs out first. This is the one place among the
+//! policies that reads a clock: without a time limit (`control.search_time_us = 0`) the answers depend on the seed alone.
+
+use std::time::{Duration, Instant};
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_scenario::{Control, Scenario};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::QOS_PENALTY;
+use crate::{observation::Observation, safety::Limits};
+
+/// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
+const POPULATION: usize = 20;
+
+/// How a candidate moves from round to round.
+pub(super) trait Rule {
+    /// The first round was judged; what is remembered of the last decision is to be forgotten.
+    fn begin(&mut self, places: &[MirrorAngles], worths: &[f64]);
+
+    /// Moves a candidate; what leaves the range is brought back by the caller.
+    fn turn(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng);
+
+    /// A moved candidate was judged.
+    fn judged(&mut self, index: usize, place: &MirrorAngles, worth: f64);
+}
+
+/// Where a search stands when a candidate moves.
+pub(super) struct Round<'a> {
+    /// Which candidate moves.
+    pub index: usize,
+    /// The best of all so far.
+    pub best: &'a MirrorAngles,
+    /// Share of the budget that is spent, below 1.
+    pub spent: f64,
+}
+
+/// How much a decision may cost.
+struct Budget {
+    evaluations: u32,
+    time: Option<Duration>,
+}
+
+impl Budget {
+    fn of(control: &Control) -> Self {
+        let limited = control.search_time_us > 0.0;
+        Self {
+            evaluations: control.search_evaluations,
+            time: limited.then(|| Duration::from_secs_f64(1e-6 * control.search_time_us)),
+        }
+    }
+}
+
+/// A population with its buffers, for all decisions.
+pub(super) struct Population {
+    budget: Budget,
+    range_rad: f64,
+    generator: ChaCha8Rng,
+    places: Vec<MirrorAngles>,
+    worths: Vec<f64>,
+    best: MirrorAngles,
+    best_worth: f64,
+    rates_bps: Vec<f64>,
+    begun: Instant,
+    evaluations: u32,
+}
+
+impl Population {
+    pub fn new(scenario: &Scenario) -> Self {
+        let flat = MirrorAngles::flat(scenario.mirror_count());
+        Self {
+            budget: Budget::of(&scenario.control),
+            range_rad: Limits::new(&scenario.control).range_rad(),
+            generator: ChaCha8Rng::seed_from_u64(scenario.seed),
+            places: vec![flat.clone(); POPULATION],
+            worths: vec![f64::NEG_INFINITY; POPULATION],
+            best: flat,
+            best_worth: f64::NEG_INFINITY,
+            rates_bps: vec![0.0; scenario.users.count],
+            begun: Instant::now(),
+            evaluations: 0,
+        }
+    }
+
+    /// The candidates, for a rule that remembers something of each.
+    pub fn places(&self) -> &[MirrorAngles] {
+        &self.places
+    }
+
+    /// Searches until the budget is spent, and writes the best candidate of all.
+    pub fn search(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        rule: &mut dyn Rule,
+        out: &mut MirrorAngles,
+    ) {
+        self.draw(observation);
+        for index in 0..POPULATION {
+            if self.spent() < 1.0 {
+                self.judge(model, observation, index);
+            }
+        }
+        rule.begin(&self.places, &self.worths);
+        'search: loop {
+            for index in 0..POPULATION {
+                let spent = self.spent();
+                if spent >= 1.0 {
+                    break 'search;
+                }
+                let place = &mut self.places[index];
+                rule.turn(place, &Round { index, best: &self.best, spent }, &mut self.generator);
+                for angle in axes_mut(place) {
+                    *angle = angle.clamp(-self.range_rad, self.range_rad);
+                }
+                self.judge(model, observation, index);
+                rule.judged(index, &self.places[index], self.worths[index]);
+            }
+        }
+        out.roll.copy_from_slice(&self.best.roll);
+        out.yaw.copy_from_slice(&self.best.yaw);
+    }
+
+    fn draw(&mut self, observation: &Observation) {
+        self.begun = Instant::now();
+        self.evaluations = 0;
+        self.best_worth = f64::NEG_INFINITY;
+        self.worths.fill(f64::NEG_INFINITY);
+        let (first, others) = self.places.split_at_mut(1);
+        first[0].roll.copy_from_slice(&observation.angles.roll);
+        first[0].yaw.copy_from_slice(&observation.angles.yaw);
+        self.best.roll.copy_from_slice(&observation.angles.roll);
+        self.best.yaw.copy_from_slice(&observation.angles.yaw);
+        let range = -self.range_rad..=self.range_rad;
+        for angle in others.iter_mut().flat_map(axes_mut) {
+            *angle = self.generator.random_range(range.clone());
+        }
+    }
+
+    /// Share of the budget that is spent.
+    fn spent(&self) -> f64 {
+        let trials = f64::from(self.evaluations) / f64::from(self.budget.evaluations);
+        let time = self.budget.time.map_or(0.0, |time| self.begun.elapsed().as_secs_f64() / time.as_secs_f64());
+        trials.max(time)
+    }
+
+    fn judge(&mut self, model: &ChannelModel, observation: &Observation, index: usize) {
+        self.evaluations += 1;
+        let place = &self.places[index];
+        observation.scene.rates_bps(model, place, &mut self.rates_bps);
+        let users = self.rates_bps.iter().zip(&observation.min_rate_bps);
+        let worth = users.map(|(rate, need)| rate - QOS_PENALTY * (need - rate).max(0.0)).sum();
+        self.worths[index] = worth;
+        if worth > self.best_worth {
+            self.best_worth = worth;
+            self.best.roll.copy_from_slice(&place.roll);
+            self.best.yaw.copy_from_slice(&place.yaw);
+        }
+    }
+}
+
+/// Roll of each mirror, then yaw of each.
+pub(super) fn axes(angles: &MirrorAngles) -> impl Iterator<Item = &f64> {
+    angles.roll.iter().chain(&angles.yaw)
+}
+
+/// The same, to be changed.
+pub(super) fn axes_mut(angles: &mut MirrorAngles) -> impl Iterator<Item = &mut f64> {
+    angles.roll.iter_mut().chain(&mut angles.yaw)
+}

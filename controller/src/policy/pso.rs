@@ -1,0 +1,96 @@
+//! Particle swarm optimisation with constriction (Clerc and Kennedy, IEEE Trans. Evolutionary Computation 6, 2002).
+//!
+//! Every coordinate x of every particle is drawn to the best place p that the particle has seen and to the best g of all,
+//!
+//!     v <- w v + c r1 (p - x) + c r2 (g - x),   x <- x + v,
+//!
+//! with r1 and r2 uniform in [0, 1]. Departures: the budget is counted in trials or in time instead of rounds, one particle starts at the present
+//! angles (see the module that it shares with the sine cosine algorithm), and particles start at rest.
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_scenario::Scenario;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
+use super::{Policy, PolicyError};
+use crate::observation::Observation;
+
+/// w: the constriction for c1 + c2 = 4.1.
+const INERTIA: f64 = 0.7298;
+/// c: the constriction times 2.05.
+const ATTRACTION: f64 = 1.49618;
+
+/// Particle swarm optimisation on the angles of all mirrors.
+pub struct Pso {
+    population: Population,
+    memory: Memory,
+}
+
+impl Pso {
+    /// With the budget and the seed of a scenario.
+    pub fn new(scenario: &Scenario) -> Self {
+        let population = Population::new(scenario);
+        let places = population.places().to_vec();
+        let memory = Memory { worths: vec![f64::NEG_INFINITY; places.len()], velocities: places.clone(), places };
+        Self { population, memory }
+    }
+}
+
+impl Policy for Pso {
+    fn name(&self) -> &str {
+        "pso"
+    }
+
+    fn act(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        out: &mut MirrorAngles,
+    ) -> Result<(), PolicyError> {
+        self.population.search(model, observation, &mut self.memory, out);
+        Ok(())
+    }
+}
+
+/// What each particle remembers.
+struct Memory {
+    /// In rad a round.
+    velocities: Vec<MirrorAngles>,
+    /// The best that it has seen.
+    places: Vec<MirrorAngles>,
+    worths: Vec<f64>,
+}
+
+impl Memory {
+    fn remember(&mut self, index: usize, place: &MirrorAngles, worth: f64) {
+        self.worths[index] = worth;
+        self.places[index].roll.copy_from_slice(&place.roll);
+        self.places[index].yaw.copy_from_slice(&place.yaw);
+    }
+}
+
+impl Rule for Memory {
+    fn begin(&mut self, places: &[MirrorAngles], worths: &[f64]) {
+        for (index, (place, worth)) in places.iter().zip(worths).enumerate() {
+            self.remember(index, place, *worth);
+            axes_mut(&mut self.velocities[index]).for_each(|velocity| *velocity = 0.0);
+        }
+    }
+
+    fn turn(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
+        let velocities = axes_mut(&mut self.velocities[round.index]);
+        let drawn_to = axes(&self.places[round.index]).zip(axes(round.best));
+        for ((angle, velocity), (own, best)) in axes_mut(place).zip(velocities).zip(drawn_to) {
+            let mut pull = |to: &f64| ATTRACTION * generator.random::<f64>() * (to - *angle);
+            *velocity = INERTIA * *velocity + pull(own) + pull(best);
+            *angle += *velocity;
+        }
+    }
+
+    fn judged(&mut self, index: usize, place: &MirrorAngles, worth: f64) {
+        if worth > self.worths[index] {
+            self.remember(index, place, worth);
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! The sine cosine algorithm (Mirjalili, Knowledge-Based Systems 96, 2016), which the literature on mirror arrays turns them with.
+//!
+//! Every coordinate x of every candidate swings around the best candidate's p,
+//!
+//!     x <- x + r1 sin(r2) |r3 p - x|   or   x + r1 cos(r2) |r3 p - x|,   each with probability 1/2,
+//!
+//! with r2 uniform in [0, 2 pi], r3 in [0, 2], and r1 falling from 2 to 0 as the budget is spent. Departures: the budget is counted in trials or
+//! in time instead of rounds, and one candidate starts at the present angles (see the module that it shares with the particle swarm).
+
+use std::f64::consts::TAU;
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_scenario::Scenario;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
+use super::{Policy, PolicyError};
+use crate::observation::Observation;
+
+/// r1 at the start; the author's constant.
+const FIRST_REACH: f64 = 2.0;
+
+/// The sine cosine algorithm on the angles of all mirrors.
+pub struct SineCosine {
+    population: Population,
+}
+
+impl SineCosine {
+    /// With the budget and the seed of a scenario.
+    pub fn new(scenario: &Scenario) -> Self {
+        Self { population: Population::new(scenario) }
+    }
+}
+
+impl Policy for SineCosine {
+    fn name(&self) -> &str {
+        "sine-cosine"
+    }
+
+    fn act(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        out: &mut MirrorAngles,
+    ) -> Result<(), PolicyError> {
+        self.population.search(model, observation, &mut Swing, out);
+        Ok(())
+    }
+}
+
+/// Remembers nothing.
+struct Swing;
+
+impl Rule for Swing {
+    fn begin(&mut self, _: &[MirrorAngles], _: &[f64]) {}
+
+    fn turn(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
+        let reach = FIRST_REACH * (1.0 - round.spent);
+        for (angle, best) in axes_mut(place).zip(axes(round.best)) {
+            let (sin, cos) = generator.random_range(0.0..TAU).sin_cos();
+            let distance = (generator.random_range(0.0..2.0) * best - *angle).abs();
+            *angle += reach * distance * if generator.random_bool(0.5) { sin } else { cos };
+        }
+    }
+
+    fn judged(&mut self, _: usize, _: &MirrorAngles, _: f64) {}
+}

@@ -115,11 +115,23 @@ fn a_csv_has_a_line_for_each_policy() {
 }
 
 #[test]
+fn without_names_all_that_fit_are_compared() {
+    let of = |array: &[&str]| {
+        let report = report(&[&["--states", "2", "--seeds", "1"], array].concat());
+        report["policies"].as_object().expect("an object").len()
+    };
+    let odd = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=5"];
+    assert_eq!((of(&[]), of(&odd)), (7, 6), "no actor is built in for an array of 2 x 5");
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused_with_what_can() {
     let message = refusal(&["--policies", "greedy,gredy"]);
     assert!(message.contains("\"gredy\"") && message.contains("fixed-point"), "{message}");
     let message = refusal(&["--policies", "nowhere.onnx"]);
     assert!(message.contains("nowhere.onnx") && message.contains("heliostat train"), "{message}");
+    let message = refusal(&["--policies", "ddpg", "--set", "mirrors.rows=2", "--set", "mirrors.columns=5"]);
+    assert!(message.contains("2x5") && message.contains("fixed-point"), "{message}");
     let message = refusal(&["--blocked", "6"]);
     assert!(message.contains("forced_users"), "{message}");
     let message = refusal(&["--policies", "flat,flat"]);

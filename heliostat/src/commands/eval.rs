@@ -1,5 +1,6 @@
 //! `heliostat eval`: any set of policies on the same states, beside the oracle.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
@@ -7,8 +8,10 @@ use heliostat_controller::policy::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Report, Row, Settings, Spread, compare};
 use heliostat_scenario::ScenarioArgs;
 
-/// The policies that are compared when none are named: those that need no file.
-const DEFAULT_POLICIES: [&str; 6] = ["greedy", "fixed-point", "nearest", "random", "flat", "no-irs"];
+use crate::output::outln;
+
+/// The policies that are compared when none are named, the first only where an actor is built in for the room.
+const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest", "random", "flat", "no-irs"];
 
 /// Compare policies on the same states, each beside the oracle with minimum rates.
 ///
@@ -19,8 +22,9 @@ const DEFAULT_POLICIES: [&str; 6] = ["greedy", "fixed-point", "nearest", "random
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Policies by name, or paths of ONNX actors (FILE.onnx), with commas between them
-    #[arg(long, value_name = "A,B,C", value_delimiter = ',', default_values = DEFAULT_POLICIES)]
+    /// Policies by name, or paths of ONNX actors (FILE.onnx), with commas between them [default: ddpg where an actor fits, greedy,
+    /// fixed-point, nearest, random, flat, no-irs]
+    #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     policies: Vec<String>,
     /// ONNX file of the policy ddpg (actor), in place of the built-in one
     #[arg(long, value_name = "FILE")]
@@ -52,17 +56,25 @@ impl Args {
     fn settings(&self) -> Result<Settings> {
         let mut scenario = self.scenario.clone();
         scenario.overrides.extend(self.blocked.map(|blocked| format!("blockage.forced_users={blocked}")));
+        let scenario = scenario.load()?;
         let actor = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let mut entrants = Vec::new();
         for (index, name) in self.policies.iter().enumerate() {
             ensure!(!self.policies[..index].contains(name), "--policies names {name} twice");
-            let entrant = Entrant::parse(name, &actor)?;
-            let predicted = if self.predicted { entrant.predicted() } else { None };
-            entrants.extend([Some(entrant), predicted].into_iter().flatten());
+            entrants.push(Entrant::parse(name, &actor)?);
         }
+        if self.policies.is_empty() {
+            entrants =
+                DEFAULT_POLICIES.map(|name| Entrant::parse(name, &actor)).into_iter().collect::<Result<_, _>>()?;
+            entrants.retain(|entrant| self.model.is_some() || entrant.fits(&scenario));
+        }
+        let entrants = entrants.into_iter().flat_map(|entrant| {
+            let predicted = if self.predicted { entrant.predicted() } else { None };
+            [Some(entrant), predicted].into_iter().flatten()
+        });
         Ok(Settings {
-            scenario: scenario.load()?,
-            entrants,
+            scenario,
+            entrants: entrants.collect(),
             states: self.states as usize,
             seeds: self.seeds as usize,
             mode: if self.closed_loop { Loop::ClosedLoop } else { Loop::Static },
@@ -77,9 +89,9 @@ pub fn run(args: Args) -> Result<()> {
         write_csv(file, &report).with_context(|| format!("cannot write {}", file.display()))?;
     }
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        outln!("{}", serde_json::to_string(&report)?)?;
     } else {
-        print_table(&report);
+        print_table(&report)?;
     }
     Ok(())
 }
@@ -90,20 +102,34 @@ fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     std::iter::once(("(oracle)", &report.oracle)).chain(policies)
 }
 
-fn print_table(report: &Report) {
+fn print_table(report: &Report) -> io::Result<()> {
     let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
-    println!(
+    outln!(
         "{}, {loop_name}: {} users, {} with the direct path off; {} states of each of {} seeds from {}",
-        report.scenario, report.users, report.blocked, report.states, report.seeds, report.seed
-    );
-    println!(
+        report.scenario,
+        report.users,
+        report.blocked,
+        report.states,
+        report.seeds,
+        report.seed
+    )?;
+    outln!(
         "{:<22} {:>15} {:>15} {:>7} {:>7} {:>7} {:>9} {:>9} {:>9} {:>9}",
-        "", "Mb/s", "ratio", "p5", "QoS met", "Jain", "blocked", "BER", "p50 (us)", "p99 (us)"
-    );
+        "",
+        "Mb/s",
+        "ratio",
+        "p5",
+        "QoS met",
+        "Jain",
+        "blocked",
+        "BER",
+        "p50 (us)",
+        "p99 (us)"
+    )?;
     for (name, row) in rows(report) {
         let (rate, ratio) = (row.sum_rate_mbps, row.ratio_to_oracle);
         let time = |time: Option<f64>| time.map_or("-".into(), |time| format!("{time:.0}"));
-        println!(
+        outln!(
             "{name:<22} {:>15} {:>15} {:>7} {:>7} {:>7} {:>9} {:>9.2e} {:>9} {:>9}",
             interval(rate, 1),
             interval(ratio, 3),
@@ -114,13 +140,14 @@ fn print_table(report: &Report) {
             row.ber.mean,
             time(row.decision_us.map(|times| times.p50)),
             time(row.decision_us.map(|times| times.p99)),
-        );
+        )?;
     }
-    println!("ratio: to the sum rate of the oracle with minimum rates, with its 95 % interval and 5th percentile");
-    println!("blocked: mean rate of a user without a direct path, in Mb/s");
+    outln!("ratio: to the sum rate of the oracle with minimum rates, with its 95 % interval and 5th percentile")?;
+    outln!("blocked: mean rate of a user without a direct path, in Mb/s")?;
     if report.mode == Loop::ClosedLoop {
-        println!("outage, the share of the users' time below their minimum rate, is one minus QoS met");
+        outln!("outage, the share of the users' time below their minimum rate, is one minus QoS met")?;
     }
+    Ok(())
 }
 
 fn interval(spread: Spread, digits: usize) -> String {

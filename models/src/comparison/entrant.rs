@@ -76,6 +76,11 @@ impl Entrant {
         &self.name
     }
 
+    /// Whether the policy can be had for a room.
+    pub fn fits(&self, scenario: &Scenario) -> bool {
+        self.build(scenario, scenario.seed).is_ok()
+    }
+
     /// Whether the policy is a random draw, to be averaged over many.
     pub(super) fn is_random(&self) -> bool {
         matches!(self.way, Way::Kind(PolicyKind::Random, _))
@@ -103,7 +108,7 @@ mod tests {
 
     #[test]
     fn names_and_aliases_and_files_are_found_and_others_are_told_what_there_is() {
-        let parse = |name| Entrant::parse(name, &ActorSource::Shipped);
+        let parse = |name: &str| Entrant::parse(name, &ActorSource::Shipped);
         for name in Entrant::names() {
             assert_eq!(parse(&name).unwrap().name(), name);
         }

@@ -2,6 +2,9 @@
 //!
 //! The reference does the same pair by pair with the channel's functions of one path, as a script would. The two take turns,
 //! so that a drift of the machine cancels in the ratio.
+//!
+//! With bodies every user is a blocker too, so the pairs of path and blocker grow with the square of the users; the rows without bodies show
+//! how the rest grows.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -30,15 +33,27 @@ pub struct Args {
 
 /// States that a row goes through: more than a branch predictor can learn.
 const STATES: u64 = 512;
+/// Users, mirrors along a side, and whether the users' own bodies block light.
+const SIZES: [(usize, usize, bool); 8] = [
+    (5, 7, true),
+    (5, 10, true),
+    (5, 32, true),
+    (40, 10, true),
+    (5, 10, false),
+    (10, 10, false),
+    (20, 10, false),
+    (40, 10, false),
+];
 /// The two implementations take turns so many times.
 const TURNS: u32 = 5;
 
 #[derive(Debug, Serialize)]
 struct Row {
-    mode: String,
+    mode: &'static str,
     led: &'static str,
     users: usize,
     mirrors: usize,
+    bodies: bool,
     steps_per_s: f64,
     reference_steps_per_s: f64,
     ratio: f64,
@@ -50,26 +65,32 @@ pub fn run(args: &Args) -> Result<()> {
     let mut rows = Vec::new();
     if !args.json {
         outln!(
-            "{:<18}{:<16}{:>6}{:>9}{:>13}{:>13}{:>8}",
+            "{:<18}{:<16}{:>6}{:>9}{:>8}{:>13}{:>13}{:>8}",
             "mode",
             "LED",
             "users",
             "mirrors",
+            "bodies",
             "steps/s",
             "reference/s",
             "ratio"
         )?;
     }
     for (mode, panel) in [("specular", false), ("specular", true), ("paper", false), ("paper-calibrated", false)] {
-        for (users, side) in [(5, 7), (5, 10), (5, 32), (10, 10), (20, 10), (40, 10)] {
-            let row = measure(mode, panel, (users, side), Duration::from_secs_f64(args.seconds))?;
+        for (users, side, bodies) in SIZES {
+            let mut set = super::room(users, side);
+            set.push(format!("led.side_m={}", if panel { 0.1 } else { 0.0 }));
+            set.push(format!("blockage.bodies={bodies}"));
+            let scenario = Scenario::builtin(mode)?.with_overrides(&set)?;
+            let row = measure(&scenario, Duration::from_secs_f64(args.seconds))?;
             if !args.json {
                 outln!(
-                    "{:<18}{:<16}{:>6}{:>9}{:>13.0}{:>13.0}{:>8.1}",
+                    "{:<18}{:<16}{:>6}{:>9}{:>8}{:>13.0}{:>13.0}{:>8.1}",
                     row.mode,
                     row.led,
                     row.users,
                     row.mirrors,
+                    if row.bodies { "yes" } else { "no" },
                     row.steps_per_s,
                     row.reference_steps_per_s,
                     row.ratio
@@ -91,12 +112,10 @@ struct State {
     angles: MirrorAngles,
 }
 
-fn measure(mode: &str, panel: bool, (users, side): (usize, usize), time: Duration) -> Result<Row> {
-    let mut set = super::room(users, side);
-    set.push(format!("led.side_m={}", if panel { 0.1 } else { 0.0 }));
-    let scenario = Scenario::builtin(mode)?.with_overrides(&set)?;
+fn measure(scenario: &Scenario, time: Duration) -> Result<Row> {
+    let users = scenario.users.count;
     let model = scenario.channel_model()?;
-    let states = (0..STATES).map(|seed| state(&scenario, &model, seed)).collect::<Result<Vec<_>>>()?;
+    let states = (0..STATES).map(|seed| state(scenario, &model, seed)).collect::<Result<Vec<_>>>()?;
     let mut scene = Scene::new(&model, users);
     let (mut gains, forced) = (vec![0.0; users], vec![false; users]);
     let mut fast = Pace::default();
@@ -113,10 +132,11 @@ fn measure(mode: &str, panel: bool, (users, side): (usize, usize), time: Duratio
     }
     let (steps_per_s, reference_steps_per_s) = (fast.per_second(), slow.per_second());
     Ok(Row {
-        mode: mode.into(),
-        led: if panel { "5 x 5 points" } else { "point" },
+        mode: scenario.channel.mode.name(),
+        led: if scenario.led.side_m > 0.0 { "5 x 5 points" } else { "point" },
         users,
         mirrors: model.mirrors.len(),
+        bodies: scenario.blockage.bodies,
         steps_per_s,
         reference_steps_per_s,
         ratio: steps_per_s / reference_steps_per_s,

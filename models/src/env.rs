@@ -233,3 +233,18 @@ fn noise_variance_a2(scenario: &Scenario) -> f64 {
     let density = noise.background_shot_a2_per_hz + noise.thermal_a2_per_hz + noise.preamplifier_a2_per_hz;
     noise.variance_a2.unwrap_or(density * 1e6 * scenario.link.bandwidth_mhz)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_printed_the_penalty_falls_on_users_whose_need_is_met() {
+        let reward = |form, rate_bps| Reward { form, lambda: 1.0 }.of(rate_bps, 1e6);
+        let [starved, served] = [0.4e6, 3e6];
+        assert_eq!(reward(RewardForm::AsPrinted, starved), starved);
+        assert_eq!(reward(RewardForm::AsPrinted, served), served - 1e6);
+        assert_eq!(reward(RewardForm::Shortfall, starved), starved - 0.6e6);
+        assert_eq!(reward(RewardForm::Shortfall, served), served);
+    }
+}

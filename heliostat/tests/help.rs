@@ -32,3 +32,27 @@ fn scenario_new_writes_a_file_that_check_accepts() {
     let errors = String::from_utf8(refused.stderr).expect("text");
     assert!(!refused.status.success() && errors.contains("rwos") && errors.contains("line"), "{errors}");
 }
+
+#[test]
+fn scenario_check_reads_the_recording_beside_the_file_and_names_lines() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("a plain path").to_owned();
+    let check = |room: &str, walk: &str| {
+        std::fs::write(at("room.toml"), room).expect("writable");
+        std::fs::write(at("walk.csv"), walk).expect("writable");
+        let output = heliostat(&["scenario", "check", &at("room.toml")]);
+        (output.status.success(), String::from_utf8(output.stderr).expect("text"))
+    };
+    let recorded = "[users]\ncount = 1\ntrace = \"walk.csv\"\n";
+    assert_eq!(check(recorded, "time,user,x,y\n0,0,-1,0\n2,0,1,0\n"), (true, String::new()));
+    for (room, walk, wanted) in [
+        (recorded, "time,user,x,y\n0,0,-1,0\n2,0,9,0\n", "walk.csv: line 3"),
+        (recorded, "time,user,x\n0,0,-1\n", "walk.csv: line 1"),
+        ("[users]\ncount = 1\ntrace = \"other.csv\"\n", "", "other.csv"),
+        ("[mirrors]\n\nreflectivity = 2\n", "", "line 3"),
+        ("[mirrors]\nrows = ten\n", "", "line 2"),
+    ] {
+        let (valid, errors) = check(room, walk);
+        assert!(!valid && errors.contains(wanted), "{wanted} is missing in: {errors}");
+    }
+}

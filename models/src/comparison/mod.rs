@@ -2,8 +2,8 @@
 //!
 //! Two ways to compare, with the same judge and the same statistics:
 //!
-//! - **static** ([`held_out`]): each policy meets the same held-out states, undelayed and exact, and its angles are taken at once;
-//! - **closed loop** ([`closed_loop`]): each policy sits in the controller's own core, in simulated time, and sees what reports say:
+//! - **static**: each policy meets the same held-out states, undelayed and exact, and its angles are taken at once;
+//! - **closed loop**: each policy sits in the controller's own core, in simulated time, and sees what reports say:
 //!   rare, late, noisy; its commands turn mirrors that take time. The oracle knows the true state and turns its mirrors at once.
 //!
 //! A ratio's denominator is the sum rate of the oracle with minimum rates, truly evaluated: with the spill of each spot onto

@@ -3,7 +3,8 @@
 mod common;
 
 use common::{Random, Room};
-use heliostat_channel::{ChannelModel, Need, Problem, Scene, Solution, Solver, SolverError};
+use heliostat_channel::decode::{aim_at_point, decode};
+use heliostat_channel::{ChannelModel, Method, MirrorAngles, Need, Problem, Scene, Solution, Solver, SolverError};
 
 /// Noise levels that the rooms of these tests take in turn, in A2.
 const NOISE_A2: [f64; 4] = [4e-15, 6.5e-15, 2e-14, 9e-14];
@@ -128,6 +129,65 @@ fn nearest(problem: &Problem) -> Vec<usize> {
     (0..problem.mirrors)
         .map(|m| (0..problem.users).max_by(|&a, &b| gain(a, m).total_cmp(&gain(b, m))).expect("there is a user"))
         .collect()
+}
+
+/// Sum rate of angles in bit/s as the room gives it: a spot also lights whoever else stands in it, and the LED is a panel.
+fn true_sum_rate(model: &ChannelModel, scene: &Scene, angles: &MirrorAngles) -> f64 {
+    let mut rates = vec![0.0; scene.users()];
+    scene.rates_bps(model, angles, &mut rates);
+    rates.iter().sum()
+}
+
+/// The oracle leaves out what a spot brings to others, which is worth up to 1.6 %: by so much the best of many policies may be better in
+/// truth. It is worth more where two people stand in the same spot, some 0.2 m apart: one aim then serves both. That is rare.
+#[test]
+fn nobody_beats_the_oracle_in_truth_by_more_than_the_spill() {
+    let mut random = Random::new(15);
+    const STATES: usize = 300;
+    let (mut most, mut sum, mut above) = (0.0_f64, 0.0, 0);
+    for case in 0..STATES {
+        let users = 1 + case % 6;
+        let mut room = Room::paper().with_panel();
+        room.budget.noise.variance_a2 = Some(NOISE_A2[(case / 6) % 4]);
+        let model = room.model();
+        let mut scene = Scene::new(&model, users);
+        let positions: Vec<_> = (0..users).map(|_| random.walker()).collect();
+        let blockers = random.blockers(&positions);
+        let forced: Vec<bool> = (0..users).map(|k| k < case / 24 % (users + 1)).collect();
+        scene.update(&model, &positions, &blockers, &forced);
+        let mut solver = Solver::new(users, 100);
+        let mut solve = |method| {
+            let mut angles = MirrorAngles::flat(100);
+            solver.solve(&model, &scene, &Need::NONE, method, &mut angles);
+            true_sum_rate(&model, &scene, &angles)
+        };
+        let oracle = solve(Method::Oracle);
+        let mut others = vec![solve(Method::FixedPoint), solve(Method::Greedy { passes: 3 })];
+        let mut angles = MirrorAngles::flat(100);
+        others.push(true_sum_rate(&model, &scene, &angles));
+        for _ in 0..10 {
+            let weights: Vec<f64> = (0..users).map(|_| random.uniform(0.0, 1.0)).collect();
+            decode(&model, &scene, &weights, &mut angles);
+            others.push(true_sum_rate(&model, &scene, &angles));
+        }
+        for position in &positions {
+            aim_at_point(&model, position, &mut angles);
+            others.push(true_sum_rate(&model, &scene, &angles));
+        }
+        let best = others.iter().copied().fold(0.0, f64::max);
+        most = most.max(best / oracle);
+        let apart = positions.iter().enumerate().flat_map(|(i, a)| positions[..i].iter().map(move |b| (a - b).norm()));
+        let nearest = apart.fold(f64::INFINITY, f64::min);
+        let ratio = if best > 0.0 { best / oracle } else { 1.0 };
+        assert!(ratio <= 1.016 || nearest < 0.6, "case {case}: {ratio} with users {nearest} m apart");
+        above += usize::from(ratio > 1.016);
+        (most, sum) = (most.max(ratio), sum + ratio);
+    }
+    println!(
+        "best policy over oracle: mean {:.4}, most {most:.3}, above 1.016 in {above} of {STATES}",
+        sum / STATES as f64
+    );
+    assert!(above * 50 <= STATES && sum <= 1.016 * STATES as f64);
 }
 
 #[test]

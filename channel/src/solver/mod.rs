@@ -19,7 +19,7 @@
 //! | [`Solver::exhaustive`] | every assignment | checking the oracle |
 //!
 //! What is left out: the spill of one user's spot onto another. The true gain of the angles can therefore be a little larger than
-//! the solution says. With several receiver branches the table's combined gains are used as if they added up, which is exact for
+//! the solution says, and where two users stand in one spot, some 0.2 m apart, an aim that serves both is not looked for. With several receiver branches the table's combined gains are used as if they added up, which is exact for
 //! a single branch and an approximation for several.
 //!
 //! The oracle does not depend on what was solved before; the other two do. Nothing here draws a random number, and nothing

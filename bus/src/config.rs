@@ -11,6 +11,9 @@ use crate::error::BusError;
 /// Where the first process of a room listens, and others connect, unless told otherwise.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
+/// How long a client started from the command line looks for its router.
+const ROUTER_PATIENCE: Duration = Duration::from_secs(5);
+
 /// How a session takes part in the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Role {
@@ -144,10 +147,10 @@ pub struct BusArgs {
     /// Name of the room; processes of different rooms never hear each other
     #[arg(long, value_name = "NAME", default_value = "demo")]
     pub room: String,
-    /// Endpoint at which to listen, for example tcp/127.0.0.1:7447 (repeatable)
+    /// Endpoint at which to listen (repeatable); without any endpoint sim-node listens at tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Endpoint of another process or of a router (repeatable)
+    /// Endpoint of another process or of a router (repeatable); without any endpoint controller connects to tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Talk through a Zenoh router only, the one given by --connect
@@ -172,7 +175,8 @@ impl BusArgs {
             listen: self.listen.clone(),
             connect: self.connect.clone(),
             role: if self.client { Role::Client } else { Role::Peer },
-            reach: Reach::Eventually,
+            // A client without its router can do nothing, not even listen for a signal.
+            reach: if self.client { Reach::Within(ROUTER_PATIENCE) } else { Reach::Eventually },
         };
         config.check()?;
         Ok(config)

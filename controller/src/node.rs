@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use heliostat_bus::{Bus, BusConfig, Class, Presence, Publisher, Subscription};
 use heliostat_proto::{NodeKind, encode, keys::parse_alive};
 use heliostat_scenario::Scenario;
@@ -30,6 +30,9 @@ use crate::{
 
 /// Time between two status reports.
 const STATUS_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Time without any position report after which that is worth a word.
+const SILENCE: Duration = Duration::from_secs(3);
 
 /// Decisions on an invented room before the node announces itself.
 const WARM_UP_RUNS: usize = 200;
@@ -111,14 +114,36 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
     let deadline = config.run_for.map(|run_for| started + run_for);
     let mut loops = StatusLoop { desk: &desk, status, reporter: Reporter::new(identity), spare: Ledger::new() };
     let mut times = Ledger::new();
+    let mut silence_told = false;
     while !wait_for_stop(stopped, deadline) {
-        loops.turn(&mut times);
+        let summary = loops.turn(&mut times);
+        if let Some(epoch) = lock(&desk).controller.deposed_by() {
+            bail!(
+                "another controller (epoch {epoch}) took over the array of room \"{room}\": a room has one controller; stop one of the two"
+            );
+        }
+        if summary.decisions == 0 && !silence_told && started.elapsed() > SILENCE {
+            tracing::warn!("{}", nobody_reports(&config.bus));
+            silence_told = true;
+        }
     }
     drop(subscriptions);
-    let summary = loops.turn(&mut times);
+    let mut summary = loops.turn(&mut times);
+    if summary.decisions == 0 && summary.last_problem.is_empty() {
+        summary.last_problem = nobody_reports(&config.bus);
+    }
     drop(token);
     bus.close()?;
     Ok(summary)
+}
+
+fn nobody_reports(bus: &BusConfig) -> String {
+    format!(
+        "no position report came from room \"{}\" (connecting to {}, listening at {}): does the room's process run, with the same --room and a matching endpoint?",
+        bus.room,
+        if bus.connect.is_empty() { "nobody".into() } else { bus.connect.join(", ") },
+        if bus.listen.is_empty() { "nothing".into() } else { bus.listen.join(", ") },
+    )
 }
 
 /// Waits until the next status report is due; true where the node is to end instead.

@@ -94,6 +94,12 @@ fn train(args: &TrainArgs) -> anyhow::Result<()> {
     let checkpoint = args.out.join("checkpoint.safetensors");
     if args.resume {
         trainer.load(&checkpoint)?;
+    } else {
+        anyhow::ensure!(
+            !checkpoint.exists(),
+            "{} holds a training run already: go on with it by --resume, or give another folder by --out",
+            args.out.display()
+        );
     }
     let resumed = trainer.episodes_done() > 0;
     let start = Instant::now();

@@ -341,7 +341,7 @@ pub struct SumRates {
     pub no_irs: f64,
     /// With all mirrors flat.
     pub flat: f64,
-    /// With the best angles that the solver finds.
+    /// With the best angles that the solver finds, minimum rates first: a policy that lets a need go may exceed it.
     pub oracle: f64,
 }
 

@@ -74,7 +74,7 @@ fn another_room_works_and_an_actor_that_does_not_fit_says_so() {
     let arguments: Vec<&str> = ["demo", "--seconds", "3", "--json"].into_iter().chain(odd).collect();
     let ended = Process::heliostat(&arguments).wait();
     let refusal = ended.refusal();
-    assert!(refusal.contains("controller") && refusal.contains("heliostat train ddpg"), "{refusal}");
+    assert!(refusal.contains("nothing was started") && refusal.contains("heliostat train ddpg"), "{refusal}");
     assert!(refusal.contains("fixed-point"), "it names a policy that needs no training: {refusal}");
 
     let with_model: Vec<&str> = odd.into_iter().chain(["--policy", "fixed-point"]).collect();

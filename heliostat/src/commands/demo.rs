@@ -12,9 +12,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_controller::policy::PolicyKind;
+use heliostat_controller::policy::{self, ActorSource, PolicyKind};
 use heliostat_proto::Room;
-use heliostat_scenario::ScenarioArgs;
+use heliostat_scenario::{Scenario, ScenarioArgs};
 
 use child::Part;
 use viewer::Viewer;
@@ -60,6 +60,7 @@ pub fn run(args: Args) -> Result<()> {
     }
     let room = Room::new(&args.room)?;
     let scenario = args.scenario.load()?;
+    args.check_policy(&scenario)?;
     let stop = Arc::new(AtomicBool::new(false));
     let on_signal = Arc::clone(&stop);
     ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
@@ -130,6 +131,14 @@ fn watch(args: &Args, stop: &AtomicBool, parts: &mut Parts, viewer: &mut Viewer)
 }
 
 impl Args {
+    /// Builds the policy once here, so that an actor that does not fit is told before anything starts.
+    fn check_policy(&self, scenario: &Scenario) -> Result<()> {
+        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        policy::build(self.policy, scenario, &source)
+            .context("nothing was started: the controller would have no policy")?;
+        Ok(())
+    }
+
     /// The arguments that both processes share, after their own.
     fn part(&self, command: &str, endpoints: &[(&str, &str)]) -> Vec<String> {
         let mut arguments = vec![command.to_string()];

@@ -27,7 +27,7 @@ pub struct Args {
     /// A user at X,Y or X,Y,Z in m; Z is the scenario's receiver height when left out (repeatable)
     #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, conflicts_with = "users")]
     user: Vec<String>,
-    /// How the mirrors stand: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y[,Z], a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the header roll_deg,yaw_deg, one line a mirror in index order
+    /// How the mirrors stand: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the header roll_deg,yaw_deg, one line a mirror in index order
     #[arg(long, value_name = "HOW|FILE", default_value = "oracle", allow_hyphen_values = true)]
     angles: String,
     /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header x,y,radius,height in m
@@ -48,7 +48,8 @@ struct UserLink {
     los_gain: f64,
     irs_gain: f64,
     sinr: f64,
-    sinr_db: f64,
+    /// Absent in the dark.
+    sinr_db: Option<f64>,
     rate_mbps: f64,
     min_rate_mbps: f64,
     ber: f64,
@@ -224,7 +225,7 @@ impl LinkBudgetReport {
                 los_gain: scene.los_gain()[user],
                 irs_gain: irs[user],
                 sinr: sinr[user],
-                sinr_db: 10.0 * sinr[user].max(f64::MIN_POSITIVE).log10(),
+                sinr_db: (sinr[user] > 0.0).then(|| 10.0 * sinr[user].log10()),
                 rate_mbps: model.budget.rate_bps(sinr[user], users) * 1e-6,
                 min_rate_mbps: instant.seen.min_rate_bps[user] * 1e-6,
                 ber: ber_ook(sinr[user]),
@@ -270,11 +271,11 @@ fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
             ));
         }
         outln!(
-            "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9.2} {:>11.3} {:>9.2e}  {blocked}",
+            "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9} {:>11.3} {:>9.2e}  {blocked}",
             format!("{x:.2}, {y:.2}, {z:.2}"),
             link.los_gain,
             link.irs_gain,
-            link.sinr_db,
+            link.sinr_db.map_or("dark".into(), |decibels| format!("{decibels:.2}")),
             link.rate_mbps,
             link.ber
         )?;

@@ -26,8 +26,14 @@ pub struct Args {
     /// What to draw
     #[arg(long, value_enum, default_value = "rate")]
     what: Quantity,
-    /// How the mirrors stand: none (no array), aim:X,Y[,Z] (all at one point), user:N, oracle or a policy (flat, nearest, fixed-point, greedy, actor, random) for the users as they stand, or a CSV with the header roll_deg,yaw_deg
-    #[arg(long, value_name = "HOW|FILE", default_value = "oracle", visible_alias = "angles", allow_hyphen_values = true)]
+    /// How the mirrors stand: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle or a policy (flat, nearest, fixed-point, greedy, actor, random) for the users as they stand, or a CSV with the header roll_deg,yaw_deg
+    #[arg(
+        long,
+        value_name = "HOW|FILE",
+        default_value = "oracle",
+        visible_alias = "angles",
+        allow_hyphen_values = true
+    )]
     array: String,
     /// Let the users walk for this long first, in s
     #[arg(long, default_value_t = 0.0)]
@@ -133,13 +139,7 @@ impl Map {
     }
 }
 
-fn value(
-    what: Quantity,
-    scenario: &Scenario,
-    model: &ChannelModel,
-    scene: &Scene,
-    angles: &MirrorAngles,
-) -> f64 {
+fn value(what: Quantity, scenario: &Scenario, model: &ChannelModel, scene: &Scene, angles: &MirrorAngles) -> f64 {
     let mut sinr = [0.0];
     scene.sinr(model, angles, &mut sinr);
     let rate = model.budget.rate_bps(sinr[0], scenario.users.count);

@@ -90,6 +90,10 @@ pub struct Report {
 /// # Errors
 /// A scenario that makes no room, an actor that does not fit it, or a policy that fails.
 pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
+    ensure!(
+        settings.mode == Loop::ClosedLoop || settings.scenario.users.trace.is_none(),
+        "users.trace: held-out states are drawn from the random walk, not from a recording; leave the recording out, or choose --closed-loop"
+    );
     ensure!(settings.states > 0 && settings.seeds > 0, "a comparison needs a state and a seed at least");
     let scenario = &settings.scenario;
     // An actor that does not fit is told before the oracle's long work, not after it.

@@ -100,7 +100,7 @@ impl Summary {
             outln!("{name:<26}{p50:>9.0}{p90:>9.0}{p99:>9.0}{p999:>9.0}{max:>9.0}")?;
         }
         outln!(
-            "decisions over 0.5 ms: {} of {}{}",
+            "decisions over 0.5 ms: {} of {}; longest stage:{}",
             controller.over_budget,
             controller.decisions,
             list(&controller.over_budget_by)

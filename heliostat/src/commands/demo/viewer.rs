@@ -62,7 +62,9 @@ impl Viewer {
         match &self.terminal {
             None => eprintln!("{}", line(truth, &heard)),
             Some(terminal) => {
-                let frame = frame(truth, &heard);
+                let mut frame = frame(truth, &heard);
+                // Lines beyond the window could not be redrawn in place.
+                frame.truncate(usize::from(terminal.size().0).saturating_sub(1).max(1));
                 terminal.clear_last_lines(self.lines_drawn)?;
                 for line in &frame {
                     terminal.write_line(line)?;

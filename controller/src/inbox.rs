@@ -9,13 +9,10 @@
 //!
 //! Each refusal is counted by stream and reason; none stops the controller.
 
-use heliostat_proto::{ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, Stamp, UserReport};
+use heliostat_proto::{CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, Stamp, UserReport};
 use heliostat_scenario::Scenario;
 
 use crate::refused::{Refusal, Refused, Stream};
-
-/// How far ahead of ours a source's clock may run, in ns. Clocks kept by NTP within one building agree to milliseconds.
-const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
 
 /// How far outside the room a position may be reported, in m; a tracker's noise may carry it beyond a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;

@@ -4,11 +4,10 @@
 //! oracle ignores that a spot spills onto other users, so a ratio slightly above 1 is legitimate.
 
 use heliostat_channel::mirrors::MirrorAngles;
-use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::solver::{Method, Need, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Scene};
 use heliostat_scenario::Scenario;
 use heliostat_sim_node::world::{World, WorldError};
-use heliostat_sim_node::yardstick::QOS_PENALTY;
 use serde::Serialize;
 
 use crate::actor::Actor;

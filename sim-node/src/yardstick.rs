@@ -3,15 +3,12 @@
 //! All four are computed for the same instant with the same people and obstacles, and summed over the same instants, so that their
 //! ratios compare like with like. The best is the oracle with minimum rates, [`QOS_PENALTY`] bit/s for each bit/s that is missing.
 
-use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::solver::{Method, Need, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, LinkBudget, MirrorAngles, Scene, Vec3};
 use heliostat_proto::SumRates;
 
 use crate::mobility::Walker;
 use crate::world::World;
-
-/// Weight of a missing minimum rate in the oracle: a need is met wherever it can be.
-pub const QOS_PENALTY: f64 = 50.0;
 
 /// Everything that decides the rates at one instant.
 #[derive(Clone, Debug)]

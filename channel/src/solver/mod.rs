@@ -19,8 +19,9 @@
 //! | [`Solver::exhaustive`] | every assignment | checking the oracle |
 //!
 //! What is left out: the spill of one user's spot onto another. The true gain of the angles can therefore be a little larger than
-//! the solution says, and where two users stand in one spot, some 0.2 m apart, an aim that serves both is not looked for. With several receiver branches the table's combined gains are used as if they added up, which is exact for
-//! a single branch and an approximation for several.
+//! the solution says, and where two users stand in one spot, some 0.2 m apart, an aim that serves both is not looked for. With
+//! several receiver branches the table's combined gains are used as if they added up, which is exact for a single branch and an
+//! approximation for several.
 //!
 //! The oracle does not depend on what was solved before; the other two do. Nothing here draws a random number, and nothing
 //! allocates after [`Solver::new`].
@@ -41,6 +42,9 @@ use thiserror::Error;
 
 pub use bind::{Method, Need};
 pub use exhaustive::ASSIGNMENTS_MAX;
+
+/// Lambda of the oracle with minimum rates, and of policies that keep them: so large that a need is met wherever it can be.
+pub const QOS_PENALTY: f64 = 50.0;
 
 /// One problem to solve: gains, scales and needs of K users and M mirrors.
 ///

@@ -9,12 +9,11 @@
 
 use std::time::{Duration, Instant};
 
-use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::QOS_PENALTY};
 use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::QOS_PENALTY;
 use crate::{observation::Observation, safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.

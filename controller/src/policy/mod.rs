@@ -21,7 +21,7 @@ use thiserror::Error;
 
 pub use actor::Actor;
 pub use fixed::{Fixed, Hold};
-pub use model_based::{ModelBased, QOS_PENALTY};
+pub use model_based::ModelBased;
 pub use nearest::Nearest;
 pub use pso::Pso;
 pub use sine_cosine::SineCosine;

@@ -3,16 +3,11 @@
 use heliostat_channel::{
     ChannelModel,
     mirrors::MirrorAngles,
-    solver::{Method, Need, Solver},
+    solver::{Method, Need, QOS_PENALTY, Solver},
 };
 
 use super::{Policy, PolicyError};
 use crate::observation::Observation;
-
-/// Weight of a missed minimum rate against the sum rate: so large that a need is met wherever it can be.
-///
-/// The yardstick that policies are compared with uses the same weight.
-pub const QOS_PENALTY: f64 = 50.0;
 
 /// Passes of single mirror moves after the fixed point: three reach 0.998 of the oracle with two blocked users.
 const GREEDY_PASSES: usize = 3;

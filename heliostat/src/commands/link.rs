@@ -7,9 +7,9 @@ use heliostat_channel::Vec3;
 use heliostat_channel::blockage::{Cylinder, blocks};
 use heliostat_channel::link::ber_ook;
 use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_scenario::{MinRate, Scenario, ScenarioArgs};
 use heliostat_sim_node::World;
-use heliostat_sim_node::yardstick::QOS_PENALTY;
 use serde::{Deserialize, Serialize};
 
 use super::mirrors::{Instant, place_of};

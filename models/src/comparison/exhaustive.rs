@@ -1,9 +1,9 @@
 //! Every assignment of mirrors to users: the best there is by the table of gains, where it can be found at all.
 
-use heliostat_channel::solver::{Need, Problem, Solver};
+use heliostat_channel::solver::{Need, Problem, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, MirrorAngles, decode};
 use heliostat_controller::observation::Observation;
-use heliostat_controller::policy::{Policy, PolicyError, QOS_PENALTY};
+use heliostat_controller::policy::{Policy, PolicyError};
 
 /// Tries everything; for arrays of a dozen mirrors at most, and only where mirrors obey the law of reflection.
 pub(super) struct Exhaustive {

@@ -7,11 +7,11 @@ use std::hint::black_box;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_channel::solver::{Method, Need, Solver};
 use heliostat_channel::{MirrorAngles, Scene};
 use heliostat_scenario::Scenario;
 use heliostat_sim_node::World;
-use heliostat_sim_node::yardstick::QOS_PENALTY;
 use serde::Serialize;
 
 use crate::output::outln;

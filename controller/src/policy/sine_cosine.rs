@@ -2,7 +2,9 @@
 //!
 //! Every coordinate x of every candidate swings around the best candidate's p,
 //!
-//!     x <- x + r1 sin(r2) |r3 p - x|   or   x + r1 cos(r2) |r3 p - x|,   each with probability 1/2,
+//! ```text
+//! x <- x + r1 sin(r2) |r3 p - x|   or   x + r1 cos(r2) |r3 p - x|,   each with probability 1/2,
+//! ```
 //!
 //! with r2 uniform in [0, 2 pi], r3 in [0, 2], and r1 falling from 2 to 0 as the budget is spent. Departures: the budget is counted in trials or
 //! in time instead of rounds, and one candidate starts at the present angles (see the module that it shares with the particle swarm).

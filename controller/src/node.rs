@@ -1,6 +1,6 @@
 //! The edge: opens the bus, subscribes, keeps the status loop going, and ends in order.
 //!
-//! Nothing here is on the way from a report to its command but [`crate::desk`]'s callbacks.
+//! Nothing here is on the way from a report to its command but the callbacks, which hand each payload to the desk.
 
 use std::{
     hash::{BuildHasher, Hasher, RandomState},

@@ -72,6 +72,30 @@ fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
 }
 
 #[test]
+fn a_controller_that_is_deposed_ends_and_says_by_whom() {
+    let setting = Setting::new();
+    let _room = setting.room();
+    let first = setting.controller();
+    let witness = setting.witness();
+    witness.wait_for_commands();
+    let second = Process::heliostat(&[
+        "controller",
+        "--policy",
+        "flat",
+        "--connect",
+        &setting.room_endpoint,
+        "--exit-with-parent",
+        "--json",
+    ]);
+    let ended = first.wait();
+    assert!(ended.refusal().contains("another controller (epoch"), "{}", ended.errors);
+    wait_until("an array that follows the second controller", || {
+        witness.telemetry().is_some_and(|array| array.state == ArrayState::Following)
+    });
+    assert!(second.end().json()["commands"].as_u64() > Some(0));
+}
+
+#[test]
 fn the_controller_serves_a_simulator_that_comes_back() {
     let setting = Setting::new();
     let mut room = setting.room();

@@ -77,6 +77,12 @@ impl Bus {
         Ok(Self { session, room: config.room.clone() })
     }
 
+    /// The same session in another room; [`close`](Self::close) closes it for all of them.
+    #[must_use]
+    pub fn enter(&self, room: Room) -> Self {
+        Self { session: self.session.clone(), room }
+    }
+
     /// The room that gives the keys.
     pub fn room(&self) -> &Room {
         &self.room

@@ -8,11 +8,15 @@ use std::{
 
 use anyhow::{Context, bail};
 use heliostat_bus::BusArgs;
+use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 
 use crate::{
+    intake::{Deciding, Place},
+    machine::MachineArgs,
     node::{self, NodeConfig, Pace},
     policy::PolicyKind,
+    summary::Summary,
 };
 
 /// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
@@ -33,6 +37,17 @@ pub struct Args {
     /// ONNX file of the actor, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    /// Serve these rooms too (comma-separated), by the same scenario and over the same session
+    #[arg(long, value_name = "ROOM", value_delimiter = ',')]
+    also_room: Vec<String>,
+    /// Where decisions are made
+    #[arg(long, value_enum, default_value_t = Deciding::default().place)]
+    decide_in: Place,
+    /// Rehearse this often while no report comes, in us, so that caches stay warm; 0 never
+    #[arg(long, value_name = "US", default_value_t = Deciding::default().keep_warm_us())]
+    keep_warm: u64,
+    #[command(flatten)]
+    machine: MachineArgs,
     /// Take time from the reports, for a room that runs in lockstep; the same room then gets the same commands
     #[arg(long)]
     lockstep: bool,
@@ -52,12 +67,20 @@ impl Args {
         if let Some(seconds) = self.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
             bail!("--seconds {seconds}: wanted 0.1 to 10000000");
         }
+        if self.keep_warm > 0 && !(50..=1_000_000).contains(&self.keep_warm) {
+            bail!("--keep-warm {}: wanted 0, or 50 to 1000000 us", self.keep_warm);
+        }
         if self.model.is_some() && self.policy != PolicyKind::Actor {
             bail!("--model is the file of an actor; it goes with --policy actor only");
         }
         Ok(NodeConfig {
             scenario: self.scenario.load()?,
             bus: self.bus.config_or_connect()?,
+            also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
+            deciding: Deciding {
+                place: self.decide_in,
+                keep_warm: (self.keep_warm > 0).then(|| Duration::from_micros(self.keep_warm)),
+            },
             policy: self.policy,
             model: self.model.clone(),
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
@@ -83,7 +106,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.exit_with_parent {
         node::stop_with_parent(stop);
     }
-    let summary = node::run(&config, &stopped)?;
+    // Before any other thread is there: those that follow inherit it.
+    let machine = args.machine.obtain();
+    machine.iter().for_each(|granted| tracing::info!("{granted}"));
+    let summary = Summary { machine, ..node::run(&config, &stopped)? };
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
     if args.json {

@@ -9,12 +9,14 @@
 //!
 //! Every situation in which the plain way is left has one defined answer, and is counted:
 //!
-//! | situation | answer | counter |
-//! | --- | --- | --- |
-//! | the position report is too old | no command: the array holds, then parks | `stale-report` |
-//! | no channel report of acceptable age | the policy acts on modelled direct gains | `channel-missing` |
-//! | the policy fails, or gives a value that is not finite | `control.fallback` acts | `policy-failed` |
-//! | the fallback fails too, or is `hold` | no command: the array holds, then parks | `held` |
+//! | situation | answer: a key of the scenario's `control` table | unless set otherwise | counter |
+//! | --- | --- | --- | --- |
+//! | the decision would be late, as its caller says | `when_late` | the last command again | `late` |
+//! | the position report is too old | `when_stale` | no command: the array holds, then parks | `stale-report` |
+//! | no channel report of acceptable age | `when_channel_missing` | the policy acts on modelled direct gains | `channel-missing` |
+//! | no position report for as long | `when_silent` | no command | `silence` |
+//! | the policy fails, or gives a value that is not finite | `fallback` | the fixed point | `policy-failed` |
+//! | nothing can act: the fallback fails too or is `hold`, or there is no last command | no command | | `held` |
 //!
 //! Glossary: a *tick* is one sampling of the room; a command *answers* the tick of the position report that it responds to;
 //! an *epoch* is one life of a controller, and a later one deposes an earlier one; the array is *parked* when every mirror faces
@@ -22,110 +24,38 @@
 
 use heliostat_channel::{ChannelModel, Vec3, mirrors::MirrorAngles};
 use heliostat_proto::{MirrorCommand, Nanos};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Answer, Scenario};
 
+pub use crate::outcome::{Accepted, Counters, Decision, Departure, Haste, Stage};
 use crate::{
     inbox::{Inbox, Message},
     observation::{Observation, RoomState},
     observer::{LosSource, Observer},
     policy::{Policy, PolicyError, build_fallback},
     refused::{Refusal, Stream},
-    safety::{self, Clipped, Limits},
+    safety::{self, Limits},
 };
 
-/// What was just finished, for a ledger at the edge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// The payload became a message.
-    Decoded,
-    /// The observation is complete.
-    Observed,
-    /// The policy, or its fallback, proposed angles.
-    Inferred,
-    /// The proposal is within its limits, and the command complete.
-    MadeSafe,
-    /// The command was handed to the transport.
-    Published,
+/// The scenario's answers, and when silence begins.
+#[derive(Clone, Copy, Debug)]
+struct Answers {
+    late: Answer,
+    stale: Answer,
+    channel_missing: Answer,
+    silent: Answer,
+    silent_after_ns: Nanos,
 }
 
-impl Stage {
-    /// All stages in the order in which they pass.
-    pub const ALL: [Self; 5] = [Self::Decoded, Self::Observed, Self::Inferred, Self::MadeSafe, Self::Published];
-
-    /// The name in summaries.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Decoded => "decode",
-            Self::Observed => "observe",
-            Self::Inferred => "infer",
-            Self::MadeSafe => "safe",
-            Self::Published => "publish",
+impl Answers {
+    fn new(scenario: &Scenario) -> Self {
+        let control = &scenario.control;
+        Self {
+            late: control.when_late,
+            stale: control.when_stale,
+            channel_missing: control.when_channel_missing,
+            silent: control.when_silent,
+            silent_after_ns: (control.report_age_max_ms * 1e6) as Nanos,
         }
-    }
-}
-
-/// The answer to a tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Decision<'a> {
-    /// The mirrors are to turn.
-    Move {
-        /// What to send.
-        command: &'a MirrorCommand,
-        /// Age of the positions acted on, in ns.
-        age_ns: Nanos,
-    },
-    /// No command: the array holds the last one, and parks when its validity ends.
-    Hold(Departure),
-}
-
-/// How a tick left the plain way; the table of the module has the answer to each.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Departure {
-    /// The position report was too old.
-    StaleReport,
-    /// The gains of the direct paths are modelled, not measured.
-    ChannelMissing,
-    /// The policy failed and the fallback acted.
-    PolicyFailed,
-    /// Nothing could act.
-    Held,
-}
-
-impl Departure {
-    /// All departures, in the order of their counters.
-    pub const ALL: [Self; 4] = [Self::StaleReport, Self::ChannelMissing, Self::PolicyFailed, Self::Held];
-
-    /// The name in counters.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::StaleReport => "stale-report",
-            Self::ChannelMissing => "channel-missing",
-            Self::PolicyFailed => "policy-failed",
-            Self::Held => "held",
-        }
-    }
-}
-
-/// What a controller did so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
-    /// Position reports that got an answer, be it to hold.
-    pub decisions: u64,
-    /// Commands among the answers.
-    pub commands: u64,
-    /// Axis values that the limits changed.
-    pub clipped: Clipped,
-    departures: [u64; Departure::ALL.len()],
-}
-
-impl Counters {
-    /// How often a tick left the plain way like this.
-    pub fn departures(&self, departure: Departure) -> u64 {
-        self.departures[departure as usize]
-    }
-
-    fn depart(&mut self, departure: Departure) {
-        self.departures[departure as usize] += 1;
     }
 }
 
@@ -138,8 +68,11 @@ pub struct Controller {
     observation: Observation,
     policy: Box<dyn Policy>,
     fallback: Option<Box<dyn Policy>>,
+    answers: Answers,
     limits: Limits,
     validity_ns: Nanos,
+    /// When the last position report was accepted, and whether its absence since was answered.
+    heard: Option<(Nanos, bool)>,
     /// Nominal time between position reports in s.
     interval_s: f64,
     proposed: MirrorAngles,
@@ -161,7 +94,9 @@ impl Controller {
             observation,
             policy,
             fallback: build_fallback(scenario.control.fallback, scenario),
+            answers: Answers::new(scenario),
             limits: Limits::new(&scenario.control),
+            heard: None,
             validity_ns: Nanos::from(validity_ms) * 1_000_000,
             interval_s: 1.0 / scenario.streams.positions.rate_hz,
             command: MirrorCommand {
@@ -179,8 +114,17 @@ impl Controller {
         }
     }
 
-    /// Takes a message that arrived at `now`, and answers where it completes a tick. `mark` is called as each stage ends.
+    /// Takes a message that arrived at `now`, and answers at once where it completes a tick. `mark` is called as each stage ends.
     pub fn receive(&mut self, now: Nanos, message: Message<'_>, mark: &mut dyn FnMut(Stage)) -> Option<Decision<'_>> {
+        match self.accept(now, message) {
+            Accepted::Tick => Some(self.decide(now, Haste::InTime, mark)),
+            Accepted::TooOld => Some(self.answer_stale(now)),
+            Accepted::Other => None,
+        }
+    }
+
+    /// Takes a message that arrived at `now`, and says what is to be answered.
+    pub fn accept(&mut self, now: Nanos, message: Message<'_>) -> Accepted {
         let stream = message.stream();
         let sources = self.inbox.sources();
         let accepted = self.inbox.accept(now, message);
@@ -188,9 +132,77 @@ impl Controller {
             self.observer.forget();
         }
         match accepted {
-            Ok(()) if stream == Stream::Users => Some(self.decide(now, mark)),
-            Err(Refusal::Stale) if stream == Stream::Users => Some(self.hold(Departure::StaleReport)),
-            _ => None,
+            Ok(()) if stream == Stream::Users => {
+                self.heard = Some((now, false));
+                Accepted::Tick
+            }
+            Err(Refusal::Stale) if stream == Stream::Users => Accepted::TooOld,
+            _ => Accepted::Other,
+        }
+    }
+
+    /// Answers the tick that was accepted last. `mark` is called as each stage ends.
+    pub fn decide(&mut self, now: Nanos, haste: Haste, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
+        let mut answer = (Answer::Policy, Departure::Held);
+        if haste == Haste::Late {
+            self.counters.depart(Departure::Late);
+            answer = (self.answers.late, Departure::Late);
+        }
+        if matches!(answer.0, Answer::Policy | Answer::Fallback) {
+            match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
+                Some(LosSource::Measured) => {}
+                Some(LosSource::Modelled) => {
+                    self.counters.depart(Departure::ChannelMissing);
+                    if answer.0 == Answer::Policy {
+                        answer = (self.answers.channel_missing, Departure::ChannelMissing);
+                    }
+                }
+                None => {
+                    self.counters.depart(Departure::Held);
+                    answer = (Answer::Hold, Departure::Held);
+                }
+            }
+            mark(Stage::Observed);
+        }
+        self.counters.decisions += 1;
+        let tick = self.inbox.users().map_or(0, |report| report.tick);
+        self.give(answer, tick, now, mark)
+    }
+
+    /// Answers a position report that was too old.
+    pub fn answer_stale(&mut self, now: Nanos) -> Decision<'_> {
+        self.counters.decisions += 1;
+        self.counters.depart(Departure::StaleReport);
+        self.give((self.answers.stale, Departure::StaleReport), 0, now, &mut |_| {})
+    }
+
+    /// Lets time pass without a position report; a decision where their absence is to be answered, to be published like any other.
+    ///
+    /// Counted once a silence. `last-good` is repeated at each call, so call it more often than commands lose their validity.
+    pub fn elapse(&mut self, now: Nanos) -> Option<Decision<'_>> {
+        let (heard_ns, answered) = self.heard?;
+        if now.saturating_sub(heard_ns) <= self.answers.silent_after_ns {
+            return None;
+        }
+        self.heard = Some((heard_ns, true));
+        if !answered {
+            self.counters.depart(Departure::Silence);
+        } else if self.answers.silent != Answer::LastGood {
+            return None;
+        }
+        Some(self.give((self.answers.silent, Departure::Silence), 0, now, &mut |_| {}))
+    }
+
+    /// Goes through observation and inference again as at the last decision, and leaves nothing behind on which a later answer
+    /// depends: it keeps code and data in the caches while reports are sparse. Does nothing before the first decision.
+    pub fn rehearse(&mut self) {
+        if self.command.answers == 0 {
+            return;
+        }
+        let seen = self.observer.observe(&self.model, &self.inbox, self.command.time_ns, &mut self.observation);
+        if seen.is_some() {
+            // What it proposes is overwritten by the next decision before anything looks at it.
+            self.policy.rehearse(&self.model, &self.observation, &mut self.proposed);
         }
     }
 
@@ -264,22 +276,35 @@ impl Controller {
         &self.observation
     }
 
-    fn decide(&mut self, now: Nanos, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
+    /// Proposes angles in the way that the answer says, makes them safe and completes the command.
+    fn give(
+        &mut self,
+        (answer, cause): (Answer, Departure),
+        tick: u64,
+        now: Nanos,
+        mark: &mut dyn FnMut(Stage),
+    ) -> Decision<'_> {
         let elapsed_s = self.settle_angles(now);
-        match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
-            Some(LosSource::Measured) => {}
-            Some(LosSource::Modelled) => self.counters.depart(Departure::ChannelMissing),
-            None => return self.hold(Departure::Held),
-        }
-        mark(Stage::Observed);
-        if !self.propose() {
-            return self.hold(Departure::Held);
+        let proposed = match answer {
+            Answer::Policy => self.propose(),
+            Answer::Fallback => self.fall_back(),
+            Answer::LastGood => self.repeat(),
+            Answer::Park => {
+                self.proposed.roll.fill(0.0);
+                self.proposed.yaw.fill(0.0);
+                true
+            }
+            Answer::Hold => return Decision::Hold(cause),
+        };
+        if !proposed {
+            self.counters.depart(Departure::Held);
+            return Decision::Hold(Departure::Held);
         }
         mark(Stage::Inferred);
         let clipped = self.limits.bound(&self.observation.angles, elapsed_s, &mut self.proposed);
         self.counters.clipped.range += clipped.range;
         self.counters.clipped.slew += clipped.slew;
-        self.complete_command(now);
+        self.complete_command(tick, now);
         mark(Stage::MadeSafe);
         let sampled_ns = self.inbox.users().map_or(now, |report| report.stamp.time_ns);
         Decision::Move { command: &self.command, age_ns: now.saturating_sub(sampled_ns) }
@@ -313,31 +338,34 @@ impl Controller {
             return true;
         };
         self.last_failure = Some(failure);
-        let Some(fallback) = self.fallback.as_mut() else { return false };
-        match attempt(fallback.as_mut(), &self.model, &self.observation, &mut self.proposed) {
-            Ok(()) => {
-                self.counters.depart(Departure::PolicyFailed);
-                true
-            }
-            Err(_) => false,
+        let acted = self.fall_back();
+        if acted {
+            self.counters.depart(Departure::PolicyFailed);
         }
+        acted
     }
 
-    fn complete_command(&mut self, now: Nanos) {
-        self.counters.decisions += 1;
+    /// Lets the fallback propose; false where there is none, or it fails too.
+    fn fall_back(&mut self) -> bool {
+        let Some(fallback) = self.fallback.as_mut() else { return false };
+        attempt(fallback.as_mut(), &self.model, &self.observation, &mut self.proposed).is_ok()
+    }
+
+    /// Proposes the last command; false where there is none.
+    fn repeat(&mut self) -> bool {
+        copy_widened(&self.command.roll, &mut self.proposed.roll);
+        copy_widened(&self.command.yaw, &mut self.proposed.yaw);
+        self.command.sequence > 0
+    }
+
+    fn complete_command(&mut self, tick: u64, now: Nanos) {
         self.counters.commands += 1;
         self.command.sequence += 1;
-        self.command.answers = self.observation.tick;
+        self.command.answers = tick;
         self.command.time_ns = now;
         copy_narrowed(&self.proposed.roll, &mut self.command.roll);
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
-    }
-
-    fn hold(&mut self, departure: Departure) -> Decision<'_> {
-        self.counters.decisions += 1;
-        self.counters.depart(departure);
-        Decision::Hold(departure)
     }
 }
 

@@ -1,9 +1,11 @@
-//! Where payloads arrive: decoded, decided and published inline, in the callback that brought them.
+//! Where payloads are decoded, ticks answered and commands published.
 //!
-//! All callbacks share one desk behind a mutex. It is held for one message at a time, and by the status loop only to exchange
+//! One desk a room, behind a mutex. It is held by whoever decides, see [`crate::intake`], and by the status loop only to exchange
 //! ledgers and to copy counters.
+//!
+//! Several payloads may be taken before one answer: the newest tick is answered, and those that it replaced are shed and counted.
 
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use heliostat_bus::Publisher;
 use heliostat_proto::{
@@ -11,7 +13,7 @@ use heliostat_proto::{
 };
 
 use crate::{
-    core::{Controller, Decision, Stage},
+    core::{Accepted, Controller, Decision, Haste, Stage},
     inbox::Message,
     ledger::{Laps, Ledger},
     refused::{Refusal, Stream},
@@ -56,7 +58,13 @@ pub fn utc_ns() -> Nanos {
     Nanos::try_from(since.as_nanos()).unwrap_or(Nanos::MAX)
 }
 
-/// The controller with everything that a callback needs.
+/// Rehearsals end this long after the last decision: nobody is expected any more.
+const REHEARSE_FOR: Duration = Duration::from_millis(300);
+
+/// Share of the newest decision's duration in the duration that is expected of the next one.
+const NEWEST_SHARE: f64 = 0.125;
+
+/// The controller with everything that deciding needs.
 pub struct Desk {
     /// The deciding core.
     pub controller: Controller,
@@ -66,6 +74,10 @@ pub struct Desk {
     pub ledger: Ledger,
     /// Commands that the transport did not take.
     pub unsent: u64,
+    /// Ticks that were replaced by newer ones before they were answered.
+    pub shed: u64,
+    /// Rehearsals between sparse reports.
+    pub rehearsals: u64,
     /// What was wrong with the last payload that was no message.
     pub last_malformed: Option<CodecError>,
     publisher: Publisher,
@@ -74,11 +86,18 @@ pub struct Desk {
     channel: ChannelReport,
     obstacles: ObstacleReport,
     telemetry: MirrorTelemetry,
+    /// The stamps of the tick that is to be answered.
+    due: Option<Laps>,
+    deadline: Duration,
+    /// How long the next decision is expected to take.
+    expected: Duration,
+    was_late: bool,
+    decided: Option<Instant>,
 }
 
 impl Desk {
-    /// A desk that publishes commands by `publisher`.
-    pub fn new(controller: Controller, clock: RoomClock, publisher: Publisher) -> Self {
+    /// A desk that publishes commands by `publisher`; a decision that takes longer than `deadline` is late.
+    pub fn new(controller: Controller, clock: RoomClock, publisher: Publisher, deadline: Duration) -> Self {
         // Two f32 a mirror, and less than 100 bytes beside them.
         let payload = Vec::with_capacity(100 + 8 * controller.observation().mirrors());
         Self {
@@ -86,6 +105,8 @@ impl Desk {
             clock,
             ledger: Ledger::new(),
             unsent: 0,
+            shed: 0,
+            rehearsals: 0,
             last_malformed: None,
             publisher,
             payload,
@@ -93,12 +114,18 @@ impl Desk {
             channel: ChannelReport::default(),
             obstacles: ObstacleReport::default(),
             telemetry: MirrorTelemetry::default(),
+            due: None,
+            deadline,
+            expected: Duration::ZERO,
+            was_late: false,
+            decided: None,
         }
     }
 
-    /// Handles a payload of a stream; `entered` is when its callback was entered.
-    pub fn handle(&mut self, stream: Stream, payload: &[u8], entered: Instant) {
+    /// Takes a payload of a stream; `entered` is when its callback was entered.
+    pub fn take(&mut self, stream: Stream, payload: &[u8], entered: Instant) {
         let mut laps = Laps::start(entered);
+        laps.mark(Stage::Waited);
         let decoded = match stream {
             Stream::Users => decode_into(&mut self.users, payload),
             Stream::Channel => decode_into(&mut self.channel, payload),
@@ -110,7 +137,6 @@ impl Desk {
             self.last_malformed = Some(error);
             return;
         }
-        laps.mark(Stage::Decoded);
         let message = match stream {
             Stream::Users => Message::Users(&mut self.users),
             Stream::Channel => Message::Channel(&mut self.channel),
@@ -118,12 +144,76 @@ impl Desk {
             Stream::Telemetry => Message::Telemetry(&mut self.telemetry),
         };
         let now = self.clock.at_arrival(message.stamp().time_ns);
-        let decision = self.controller.receive(now, message, &mut |stage| laps.mark(stage));
-        let Some(Decision::Move { command, age_ns }) = decision else { return };
-        // The core's commands are sound, so encoding fails no more than the transport does: both are "unsent".
-        let sent = encode(command, &mut self.payload).is_ok() && self.publisher.put(&self.payload).is_ok();
+        match self.controller.accept(now, message) {
+            Accepted::Tick => {
+                laps.mark(Stage::Decoded);
+                self.shed += u64::from(self.due.replace(laps).is_some());
+            }
+            Accepted::TooOld => {
+                let decision = self.controller.answer_stale(now);
+                self.unsent += u64::from(!publish(decision, &mut self.payload, &self.publisher));
+            }
+            Accepted::Other => {}
+        }
+    }
+
+    /// Answers the newest tick that was taken, if one was.
+    pub fn answer(&mut self) {
+        let Some(mut laps) = self.due.take() else { return };
+        let started = Instant::now();
+        let haste = self.haste(laps.waited(started));
+        let decision = self.controller.decide(self.clock.now(), haste, &mut |stage| laps.mark(stage));
+        let age_ns = match &decision {
+            Decision::Move { age_ns, .. } => Some(*age_ns),
+            Decision::Hold(_) => None,
+        };
+        let sent = publish(decision, &mut self.payload, &self.publisher);
         laps.mark(Stage::Published);
         self.unsent += u64::from(!sent);
-        self.ledger.record(&laps, age_ns);
+        if let Some(age_ns) = age_ns {
+            self.ledger.record(&laps, age_ns);
+        }
+        if haste == Haste::InTime {
+            let took = started.elapsed();
+            self.expected = if self.expected.is_zero() {
+                took
+            } else {
+                self.expected.mul_f64(1.0 - NEWEST_SHARE) + took.mul_f64(NEWEST_SHARE)
+            };
+        }
+        self.decided = Some(Instant::now());
+    }
+
+    /// Answers the absence of position reports, where it is time to.
+    pub fn elapse(&mut self) {
+        if let Some(decision) = self.controller.elapse(self.clock.now()) {
+            self.unsent += u64::from(!publish(decision, &mut self.payload, &self.publisher));
+        }
+    }
+
+    /// Rehearses the next decision; false when reports have become so rare that it is not worth it.
+    pub fn rehearse(&mut self) -> bool {
+        let worth_it = self.decided.is_some_and(|decided| decided.elapsed() < REHEARSE_FOR);
+        if worth_it {
+            self.controller.rehearse();
+            self.rehearsals += 1;
+        }
+        worth_it
+    }
+
+    /// Late is what would be ready after the deadline, but never twice in a row: the policy must come to decide. In lockstep the room waits.
+    fn haste(&mut self, waited: Duration) -> Haste {
+        let late = self.clock == RoomClock::Utc && !self.was_late && waited + self.expected > self.deadline;
+        self.was_late = late;
+        if late { Haste::Late } else { Haste::InTime }
+    }
+}
+
+/// Publishes a command, where the decision is one; false where it could not be sent. The core's commands are sound, so encoding fails no
+/// more than the transport does.
+fn publish(decision: Decision<'_>, payload: &mut Vec<u8>, publisher: &Publisher) -> bool {
+    match decision {
+        Decision::Move { command, .. } => encode(command, payload).is_ok() && publisher.put(payload).is_ok(),
+        Decision::Hold(_) => true,
     }
 }

@@ -4,7 +4,7 @@ use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
 
 use crate::{
     core::{Controller, Departure},
-    desk::Desk,
+    desk::{Desk, utc_ns},
     ledger::Ledger,
     refused::Refusal,
     summary::Summary,
@@ -53,6 +53,8 @@ impl Reporter {
         let controller = &desk.controller;
         let mut summary = Summary::of(controller);
         summary.unsent = desk.unsent;
+        summary.shed = desk.shed;
+        summary.rehearsals = desk.rehearsals;
         let problem = self.new_problem(desk);
         if let Some(problem) = &problem {
             self.last_problem.clone_from(problem);
@@ -72,6 +74,8 @@ impl Reporter {
             ("commands", summary.commands),
             ("over_budget", times.over_budget()),
             ("unsent", summary.unsent),
+            ("shed", summary.shed),
+            ("unanswered", summary.unanswered),
             ("clipped_range", summary.clipped.range),
             ("clipped_slew", summary.clipped.slew),
             ("sources", summary.sources),
@@ -87,17 +91,35 @@ impl Reporter {
         let whole = [("decision".to_string(), timed.decision_us), ("age".to_string(), timed.age_us)];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
+            state: snapshot.state.clone(),
+            policy: summary.policy.clone(),
+            counters: own.chain(fallbacks).chain(refused).collect(),
+            timings: whole.into_iter().chain(stages).collect(),
+            last_problem: summary.last_problem.clone(),
+            ..self.blank()
+        }
+    }
+
+    /// The report while the policy gives no answer: what was known before.
+    pub fn silent(&self, summary: &Summary) -> NodeStatus {
+        NodeStatus {
+            stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: utc_ns() },
+            state: "no answer from the policy".into(),
+            policy: summary.policy.clone(),
+            counters: vec![("unanswered".into(), summary.unanswered)],
+            last_problem: summary.last_problem.clone(),
+            ..self.blank()
+        }
+    }
+
+    fn blank(&self) -> NodeStatus {
+        NodeStatus {
             node: NodeKind::Controller,
             name: format!("controller-{:08x}", self.identity.source >> 32),
             software: env!("CARGO_PKG_VERSION").into(),
-            state: snapshot.state.clone(),
             scenario: self.identity.scenario.clone(),
-            policy: summary.policy.clone(),
             started_ns: self.identity.started_ns,
-            counters: own.chain(fallbacks).chain(refused).collect(),
-            gauges: Vec::new(),
-            timings: whole.into_iter().chain(stages).collect(),
-            last_problem: summary.last_problem.clone(),
+            ..NodeStatus::default()
         }
     }
 

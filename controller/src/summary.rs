@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     core::{Controller, Departure, Stage},
     ledger::Ledger,
+    post::Post,
 };
 
 /// The account of one run.
@@ -41,6 +42,18 @@ pub struct Summary {
     pub sources: u64,
     /// Commands that the transport did not take.
     pub unsent: u64,
+    /// Reports that were shed because a newer one was there, or too many waited.
+    pub shed: u64,
+    /// Looks at which the policy had not answered for 0.1 s.
+    pub unanswered: u64,
+    /// Rehearsals between sparse reports.
+    pub rehearsals: u64,
+    /// What the operating system granted of what was asked for, and what not.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub machine: Vec<String>,
+    /// Room by room, where there are several; the rest is then their sum.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
+    pub rooms: BTreeMap<String, Summary>,
     /// The last thing that went wrong; empty while nothing did.
     pub last_problem: String,
 }
@@ -72,6 +85,46 @@ impl Summary {
         }
     }
 
+    /// The account of all rooms.
+    pub(crate) fn of_posts(posts: &[Post]) -> Self {
+        if let [post] = posts {
+            return post.summary().clone();
+        }
+        let (mut all, mut times) = (Self::default(), Ledger::new());
+        for post in posts {
+            all.add(post.summary());
+            times.absorb(&mut post.times().clone());
+            all.rooms.insert(post.room().to_string(), post.summary().clone());
+        }
+        all.add_times(&times);
+        all
+    }
+
+    /// Adds another room's counts.
+    fn add(&mut self, other: &Self) {
+        self.policy.clone_from(&other.policy);
+        self.epoch = self.epoch.max(other.epoch);
+        for (here, there) in [
+            (&mut self.decisions, other.decisions),
+            (&mut self.commands, other.commands),
+            (&mut self.unsent, other.unsent),
+            (&mut self.shed, other.shed),
+            (&mut self.unanswered, other.unanswered),
+            (&mut self.rehearsals, other.rehearsals),
+            (&mut self.sources, other.sources),
+            (&mut self.clipped.range, other.clipped.range),
+            (&mut self.clipped.slew, other.clipped.slew),
+        ] {
+            *here += there;
+        }
+        for (here, there) in [(&mut self.fallbacks, &other.fallbacks), (&mut self.refused, &other.refused)] {
+            there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
+        }
+        if !other.last_problem.is_empty() {
+            self.last_problem.clone_from(&other.last_problem);
+        }
+    }
+
     /// Adds the times.
     pub fn add_times(&mut self, ledger: &Ledger) {
         let blamed = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.over_budget_by(stage)));
@@ -86,7 +139,11 @@ impl Summary {
 impl fmt::Display for Summary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(formatter, "policy {}, epoch {}", self.policy, self.epoch)?;
-        writeln!(formatter, "decisions {}, commands {}, unsent {}", self.decisions, self.commands, self.unsent)?;
+        writeln!(
+            formatter,
+            "decisions {}, commands {}, unsent {}, shed {}, rehearsals {}",
+            self.decisions, self.commands, self.unsent, self.shed, self.rehearsals
+        )?;
         writeln!(formatter, "over 0.5 ms: {}, by longest stage:{}", self.over_budget, list(&self.over_budget_by))?;
         writeln!(formatter, "{:<12}{:>10}{:>10}{:>10}{:>10}{:>10}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
         let stages = Stage::ALL.iter().filter_map(|stage| Some((stage.name(), self.stages_us.get(stage.name())?)));
@@ -98,6 +155,16 @@ impl fmt::Display for Summary {
         writeln!(formatter, "fallbacks:{}", list(&self.fallbacks))?;
         writeln!(formatter, "refused:{}", list(&self.refused))?;
         write!(formatter, "angles limited: {} by range, {} by slew", self.clipped.range, self.clipped.slew)?;
+        for granted in &self.machine {
+            write!(formatter, "\n{granted}")?;
+        }
+        for (room, summary) in &self.rooms {
+            let Quantiles { p50, p99, .. } = summary.decision_us;
+            write!(formatter, "\nroom {room}: decisions {}, p50 {p50:.1} us, p99 {p99:.1} us", summary.decisions)?;
+        }
+        if self.unanswered > 0 {
+            write!(formatter, "\nthe policy had not answered for 0.1 s at {} looks", self.unanswered)?;
+        }
         if !self.last_problem.is_empty() {
             write!(formatter, "\nlast problem: {}", self.last_problem)?;
         }

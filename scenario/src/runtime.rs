@@ -238,8 +238,26 @@ pub enum Fallback {
     Nearest,
     /// All mirrors face straight into the room.
     Flat,
+    /// The last command again, valid anew.
+    LastGood,
     /// No command is sent: the array holds, then parks.
     Hold,
+}
+
+/// What the controller answers where the plain way is closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Answer {
+    /// The policy decides all the same.
+    Policy,
+    /// What `control.fallback` names decides.
+    Fallback,
+    /// The last command again, valid anew.
+    LastGood,
+    /// No command: the array holds the last one, then parks.
+    Hold,
+    /// Every mirror faces straight into the room.
+    Park,
 }
 
 /// What the controller makes of the age of a position report.
@@ -268,6 +286,16 @@ pub struct Control {
     pub slew_deg_per_s: f64,
     /// What decides when the policy fails.
     pub fallback: Fallback,
+    /// A decision that would take longer than this from the arrival of its report is late, in ms; 0 is the time between two position reports.
+    pub deadline_ms: f64,
+    /// The answer where a decision would be late. Never given twice in a row, so that a policy that is always late still decides.
+    pub when_late: Answer,
+    /// The answer to a position report older than `report_age_max_ms`.
+    pub when_stale: Answer,
+    /// The answer while no channel report of acceptable age is there; the policy would act on modelled gains.
+    pub when_channel_missing: Answer,
+    /// The answer once no position report came for `report_age_max_ms`.
+    pub when_silent: Answer,
     /// Where users are taken to be.
     pub prediction: Prediction,
     /// Most trials that a metaheuristic policy makes for one decision.
@@ -285,6 +313,11 @@ impl Default for Control {
             range_deg: 90.0,
             slew_deg_per_s: 0.0,
             fallback: Fallback::FixedPoint,
+            deadline_ms: 0.0,
+            when_late: Answer::LastGood,
+            when_stale: Answer::Hold,
+            when_channel_missing: Answer::Policy,
+            when_silent: Answer::Hold,
             prediction: Prediction::None,
             search_evaluations: 2000,
             search_time_us: 500.0,

@@ -206,6 +206,14 @@ impl Solver {
         &self.weights
     }
 
+    /// Lets the next solution start as if these had been the last one's weights. Shape: K.
+    ///
+    /// # Panics
+    /// When there is not one weight a user.
+    pub fn set_weights(&mut self, weights: &[f64]) {
+        self.weights.copy_from_slice(weights);
+    }
+
     /// The unit normal of each mirror in the last solution of a problem of normals, zero where it does not matter. Shape: M.
     pub fn normals(&self) -> &[Vec3] {
         &self.normals.best

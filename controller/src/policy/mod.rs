@@ -47,6 +47,10 @@ pub trait Policy: Send {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError>;
+
+    /// Does what [`act`](Self::act) does, so that its code and data stay in the caches, and leaves behind nothing on which a later answer
+    /// depends; `out` then holds nothing of use. A policy that remembers, and cannot undo it, does nothing here.
+    fn rehearse(&mut self, _: &ChannelModel, _: &Observation, _out: &mut MirrorAngles) {}
 }
 
 /// Why a policy gave no angles.
@@ -152,6 +156,7 @@ pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn
         Fallback::FixedPoint => Some(Box::new(ModelBased::fixed_point(users, mirrors))),
         Fallback::Nearest => Some(Box::new(Nearest::new(mirrors))),
         Fallback::Flat => Some(Box::new(Fixed::flat(mirrors))),
+        Fallback::LastGood => Some(Box::new(Hold)),
         Fallback::Hold => None,
     }
 }

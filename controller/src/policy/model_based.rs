@@ -18,22 +18,28 @@ pub struct ModelBased {
     name: &'static str,
     method: Method,
     solver: Solver,
+    /// The solver's memory during a rehearsal.
+    remembered: Vec<f64>,
 }
 
 impl ModelBased {
     /// The fixed point alone.
     pub fn fixed_point(users: usize, mirrors: usize) -> Self {
-        Self { name: "fixed-point", method: Method::FixedPoint, solver: Solver::new(users, mirrors) }
+        Self::new("fixed-point", Method::FixedPoint, users, mirrors)
     }
 
     /// The fixed point, then passes of single mirror moves.
     pub fn greedy(users: usize, mirrors: usize) -> Self {
-        Self { name: "greedy", method: Method::Greedy { passes: GREEDY_PASSES }, solver: Solver::new(users, mirrors) }
+        Self::new("greedy", Method::Greedy { passes: GREEDY_PASSES }, users, mirrors)
     }
 
     /// The yardstick itself, on what the observation says.
     pub fn oracle(users: usize, mirrors: usize) -> Self {
-        Self { name: "oracle", method: Method::Oracle, solver: Solver::new(users, mirrors) }
+        Self::new("oracle", Method::Oracle, users, mirrors)
+    }
+
+    fn new(name: &'static str, method: Method, users: usize, mirrors: usize) -> Self {
+        Self { name, method, solver: Solver::new(users, mirrors), remembered: Vec::with_capacity(users) }
     }
 }
 
@@ -51,5 +57,16 @@ impl Policy for ModelBased {
         let need = Need { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
         self.solver.solve(model, &observation.scene, &need, self.method, out);
         Ok(())
+    }
+
+    fn rehearse(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
+        if self.method == Method::Oracle {
+            // Longer than a tick: it would be in the way of the report that it prepares for.
+            return;
+        }
+        self.remembered.clear();
+        self.remembered.extend_from_slice(self.solver.weights());
+        let _ = self.act(model, observation, out);
+        self.solver.set_weights(&self.remembered);
     }
 }

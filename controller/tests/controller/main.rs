@@ -2,6 +2,7 @@
 
 mod actor_files;
 mod allocations;
+mod deadlines;
 mod decisions;
 mod node;
 mod observations;

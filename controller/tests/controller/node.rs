@@ -8,6 +8,7 @@ use std::{
 
 use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
 use heliostat_controller::{
+    intake::Deciding,
     node::{self, NodeConfig, Pace},
     policy::PolicyKind,
     summary::Summary,
@@ -42,6 +43,8 @@ impl Rig {
         let config = NodeConfig {
             scenario,
             bus: BusConfig::new(name).connect_to(&endpoint),
+            also_rooms: Vec::new(),
+            deciding: Deciding::default(),
             policy: PolicyKind::Nearest,
             model: None,
             pace: Pace::Lockstep,

@@ -1,7 +1,14 @@
 //! `heliostat bench`: figures of speed, each beside a reference measured in the same run.
 
+mod board;
+mod decide;
+mod echo;
 mod env;
 mod oracle;
+mod pace;
+mod people;
+mod rows;
+mod wire;
 
 use anyhow::Result;
 
@@ -18,6 +25,21 @@ enum What {
     Env(env::Args),
     /// Time of one solution of the oracle, plain and with minimum rates, beside the model-based policies
     Oracle(oracle::Args),
+    /// The decision without transport at several paces, beside the inference engine alone
+    Decide(decide::Args),
+    /// From report to command between two processes, beside a bare echo over the same transport
+    Loop(wire::Args),
+    /// The decision with 49 to 4096 mirrors
+    Mirrors(decide::Args),
+    /// The decision with 1 to 50 users
+    Users(decide::Args),
+    /// From report to command with 1 to 64 rooms on one controller process, beside a bare echo
+    Rooms(wire::Args),
+    /// The decision of every policy, beside the inference engine alone
+    Policies(decide::Args),
+    /// The bare echo, which the others start by themselves
+    #[command(hide = true)]
+    Echo(echo::Args),
 }
 
 /// Runs the benchmark.
@@ -25,6 +47,13 @@ pub fn run(args: Args) -> Result<()> {
     match args.what {
         What::Env(args) => env::run(&args),
         What::Oracle(args) => oracle::run(&args),
+        What::Decide(args) => decide::decide(&args),
+        What::Loop(args) => wire::run_loop(&args),
+        What::Mirrors(args) => decide::mirrors(&args),
+        What::Users(args) => decide::users(&args),
+        What::Rooms(args) => wire::run_rooms(&args),
+        What::Policies(args) => decide::policies(&args),
+        What::Echo(args) => echo::run(&args),
     }
 }
 

@@ -1,6 +1,6 @@
 //! `heliostat demo`: a simulated room and a controller as two processes, watched from a third.
 
-mod child;
+pub mod child;
 mod summary;
 mod viewer;
 

@@ -1,0 +1,211 @@
+//! Who decides, and when: in the callback that brought a report, or on the room's own thread.
+//!
+//! On its own thread, callbacks only put payloads into a queue. It holds at most [`CAPACITY`]; beyond it the oldest is shed. The thread
+//! takes all that waits before it answers, so that a tick which a newer one has replaced costs no decision. Between reports the thread may rehearse,
+//! which keeps code and data in the caches of the processor that decides.
+
+use std::{
+    collections::VecDeque,
+    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use crate::{desk::Desk, refused::Stream};
+
+/// Most payloads that wait.
+const CAPACITY: usize = 64;
+
+/// A buffer that has grown beyond this, in bytes, is not kept for the next payload.
+const BUFFER_MAX: usize = 1 << 16;
+
+/// Between two looks whether rehearsals are worth it again.
+const IDLE: Duration = Duration::from_millis(50);
+
+/// Where a room's decisions are made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Place {
+    /// In the callback that brings the report, on the transport's thread
+    Callback,
+    /// On a thread of the room's own
+    Thread,
+}
+
+/// How a room's decisions are made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Deciding {
+    /// Where.
+    pub place: Place,
+    /// Time between two rehearsals while no report comes; none without.
+    pub keep_warm: Option<Duration>,
+}
+
+impl Deciding {
+    /// Time between two rehearsals in us; 0 without.
+    pub fn keep_warm_us(&self) -> u64 {
+        self.keep_warm.map_or(0, |interval| interval.as_micros() as u64)
+    }
+}
+
+impl Default for Deciding {
+    fn default() -> Self {
+        Self { place: Place::Callback, keep_warm: None }
+    }
+}
+
+/// What one callback brought.
+struct Arrival {
+    stream: Stream,
+    payload: Vec<u8>,
+    entered: Instant,
+}
+
+/// Payloads that wait for the room's thread.
+#[derive(Default)]
+pub struct Intake {
+    queue: Mutex<Queue>,
+    filled: Condvar,
+}
+
+#[derive(Default)]
+struct Queue {
+    waiting: VecDeque<Arrival>,
+    spare: Vec<Vec<u8>>,
+    shed: u64,
+    closed: bool,
+}
+
+/// Why a wait ended.
+enum Woken {
+    Filled,
+    TimedOut,
+    Closed,
+}
+
+impl Intake {
+    /// Puts a payload into the queue.
+    pub fn push(&self, stream: Stream, payload: &[u8], entered: Instant) {
+        let mut queue = lock(&self.queue);
+        let oldest = if queue.waiting.len() == CAPACITY { queue.waiting.pop_front() } else { None };
+        queue.shed += u64::from(oldest.is_some());
+        let mut buffer = oldest.map(|arrival| arrival.payload).or_else(|| queue.spare.pop()).unwrap_or_default();
+        buffer.clear();
+        buffer.extend_from_slice(payload);
+        queue.waiting.push_back(Arrival { stream, payload: buffer, entered });
+        drop(queue);
+        self.filled.notify_one();
+    }
+
+    /// Payloads that were shed because too many waited.
+    pub fn shed(&self) -> u64 {
+        lock(&self.queue).shed
+    }
+
+    /// Ends [`attend`].
+    pub fn close(&self) {
+        lock(&self.queue).closed = true;
+        self.filled.notify_one();
+    }
+
+    fn wait(&self, limit: Option<Duration>) -> Woken {
+        let mut queue = lock(&self.queue);
+        loop {
+            if queue.closed {
+                return Woken::Closed;
+            }
+            if !queue.waiting.is_empty() {
+                return Woken::Filled;
+            }
+            let Some(limit) = limit else {
+                queue = self.filled.wait(queue).unwrap_or_else(PoisonError::into_inner);
+                continue;
+            };
+            let (again, timeout) = self.filled.wait_timeout(queue, limit).unwrap_or_else(PoisonError::into_inner);
+            queue = again;
+            if timeout.timed_out() && queue.waiting.is_empty() && !queue.closed {
+                return Woken::TimedOut;
+            }
+        }
+    }
+
+    fn pop(&self) -> Option<Arrival> {
+        lock(&self.queue).waiting.pop_front()
+    }
+
+    fn give_back(&self, buffer: Vec<u8>) {
+        if buffer.capacity() <= BUFFER_MAX {
+            lock(&self.queue).spare.push(buffer);
+        }
+    }
+}
+
+/// The room's thread: answers what is in the intake, and rehearses while nothing is. Ends when the intake is closed.
+pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: Option<Duration>) {
+    let mut pause = keep_warm;
+    loop {
+        match intake.wait(pause) {
+            Woken::Closed => return,
+            Woken::Filled => {
+                let mut desk = lock(desk);
+                while let Some(arrival) = intake.pop() {
+                    desk.take(arrival.stream, &arrival.payload, arrival.entered);
+                    intake.give_back(arrival.payload);
+                }
+                desk.answer();
+                pause = keep_warm;
+            }
+            Woken::TimedOut => {
+                // Held by another: a decision is being made, which warms more than a rehearsal would.
+                let worth_it = desk.try_lock().map_or(true, |mut desk| desk.rehearse());
+                pause = keep_warm.map(|interval| if worth_it { interval } else { IDLE });
+            }
+        }
+    }
+}
+
+/// What is behind these locks is whole between any two of its operations, so a panic elsewhere does not spoil it.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_is_shed_and_order_is_kept() {
+        let intake = Intake::default();
+        let now = Instant::now();
+        for index in 0..CAPACITY as u32 + 3 {
+            intake.push(Stream::Users, &index.to_le_bytes(), now);
+        }
+        assert_eq!(intake.shed(), 3);
+        for index in 3..CAPACITY as u32 + 3 {
+            assert_eq!(intake.pop().unwrap().payload, index.to_le_bytes());
+        }
+        assert!(intake.pop().is_none());
+    }
+
+    #[test]
+    fn buffers_are_used_again_unless_they_are_huge() {
+        let intake = Intake::default();
+        let mut buffer = Vec::with_capacity(1000);
+        let place = buffer.as_ptr();
+        buffer.push(1);
+        intake.give_back(buffer);
+        intake.give_back(Vec::with_capacity(2 * BUFFER_MAX));
+        intake.push(Stream::Channel, b"abc", Instant::now());
+        let arrival = intake.pop().unwrap();
+        assert_eq!((arrival.payload.as_slice(), arrival.payload.as_ptr()), (&b"abc"[..], place));
+        intake.push(Stream::Channel, b"abc", Instant::now());
+        assert!(intake.pop().unwrap().payload.capacity() < BUFFER_MAX);
+    }
+
+    #[test]
+    fn a_closed_intake_lets_go_of_who_waits() {
+        let intake = Intake::default();
+        std::thread::scope(|scope| {
+            scope.spawn(|| intake.close());
+            assert!(matches!(intake.wait(None), Woken::Closed));
+        });
+    }
+}

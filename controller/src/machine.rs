@@ -1,0 +1,108 @@
+//! What a controller asks of the operating system, so that the deciding threads are not kept waiting: memory that stays in RAM,
+//! processors of its own, precedence over ordinary processes.
+//!
+//! Each is asked for alone, said plainly whether granted or not, and done without where it is not.
+
+/// What to ask for.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct MachineArgs {
+    /// Keep all memory of the process in RAM, where that is permitted
+    #[arg(long)]
+    lock_memory: bool,
+    /// Run on these processors only, such as 1 or 0,1
+    #[arg(long, value_name = "CPU", value_delimiter = ',')]
+    pin: Vec<usize>,
+    /// Run ahead of all ordinary processes (SCHED_FIFO) with this priority, 1 to 99, where that is permitted
+    #[arg(long, value_name = "PRIORITY", num_args = 0..=1, default_missing_value = "50", value_parser = clap::value_parser!(u8).range(1..=99))]
+    realtime: Option<u8>,
+}
+
+impl MachineArgs {
+    /// Asks for each, and tells of each whether it was granted.
+    ///
+    /// Processors and precedence are those of the calling thread and of all threads that it starts from then on: call this first.
+    pub fn obtain(&self) -> Vec<String> {
+        let asked = [
+            self.lock_memory.then(|| ("memory locked in RAM".to_string(), system::lock_memory())),
+            (!self.pin.is_empty()).then(|| (format!("on processors {:?} only", self.pin), system::pin(&self.pin))),
+            self.realtime.map(|priority| (format!("SCHED_FIFO, priority {priority}"), system::realtime(priority))),
+        ];
+        let told = |(what, granted): (String, Result<(), String>)| match granted {
+            Ok(()) => format!("granted: {what}"),
+            Err(problem) => format!("not granted, going on without: {what}: {problem}"),
+        };
+        asked.into_iter().flatten().map(told).collect()
+    }
+}
+
+#[cfg(target_os = "linux")]
+mod system {
+    use nix::{
+        errno::Errno,
+        sched::{CpuSet, sched_setaffinity},
+        sys::mman::{MlockAllFlags, mlockall},
+        unistd::Pid,
+    };
+    use thread_priority::{
+        RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+        set_thread_priority_and_policy, thread_native_id,
+    };
+
+    pub fn lock_memory() -> Result<(), String> {
+        let advice = "give it CAP_IPC_LOCK or raise the limit (ulimit -l unlimited)";
+        mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(|error| explain(error, advice))
+    }
+
+    pub fn pin(processors: &[usize]) -> Result<(), String> {
+        let mut set = CpuSet::new();
+        for processor in processors {
+            set.set(*processor).map_err(|_| format!("there is no processor {processor}"))?;
+        }
+        sched_setaffinity(Pid::from_raw(0), &set).map_err(|error| explain(error, "name processors that are there"))
+    }
+
+    pub fn realtime(priority: u8) -> Result<(), String> {
+        let value = ThreadPriorityValue::try_from(priority).map_err(|problem| problem.to_string())?;
+        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), policy)
+            .map_err(|error| format!("{error:?}; give it CAP_SYS_NICE or raise the limit (ulimit -r 99)"))
+    }
+
+    fn explain(error: Errno, advice: &str) -> String {
+        format!("{}; {advice}", error.desc())
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+mod system {
+    const HERE: &str = "only Linux is asked";
+
+    pub fn lock_memory() -> Result<(), String> {
+        Err(HERE.into())
+    }
+
+    pub fn pin(_: &[usize]) -> Result<(), String> {
+        Err(HERE.into())
+    }
+
+    pub fn realtime(_: u8) -> Result<(), String> {
+        Err(HERE.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_asked_nothing_told() {
+        assert!(MachineArgs::default().obtain().is_empty());
+    }
+
+    #[test]
+    fn a_processor_that_is_not_there_is_told_and_done_without() {
+        let asked = MachineArgs { pin: vec![1 << 20], ..MachineArgs::default() };
+        let told = asked.obtain();
+        assert!(told.len() == 1 && told[0].starts_with("not granted, going on without: on processors"), "{told:?}");
+    }
+}

@@ -1,0 +1,233 @@
+//! One room as the process serves it: its desk, its thread, what it declared on the bus, and its account.
+//!
+//! Rooms share a session and nothing else: each has a desk, a queue and a thread of its own, so that one which floods, fails or is taken over
+//! by another controller leaves the others alone.
+
+use std::{
+    hash::{BuildHasher, Hasher, RandomState},
+    sync::{Arc, Mutex, MutexGuard, TryLockError},
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context;
+use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
+use heliostat_proto::{NodeKind, Room, encode, keys::parse_alive};
+
+use crate::{
+    core::Controller,
+    desk::{Desk, RoomClock, utc_ns},
+    intake::{Intake, Place, attend, lock},
+    ledger::Ledger,
+    node::{NodeConfig, Pace},
+    policy::{self, ActorSource},
+    refused::Stream,
+    status::{Identity, Reporter},
+    summary::Summary,
+};
+
+/// Decisions on an invented room before the node announces itself.
+const WARM_UP_RUNS: usize = 200;
+
+/// A desk that is held longer than this is not answering: no decision takes so long.
+const ANSWER_WITHIN: Duration = Duration::from_millis(100);
+
+/// A room that is being served.
+pub struct Post {
+    room: Room,
+    desk: Arc<Mutex<Desk>>,
+    intake: Arc<Intake>,
+    thread: Option<JoinHandle<()>>,
+    declared: Option<(Vec<Subscription>, Token)>,
+    status: Publisher,
+    reporter: Reporter,
+    /// Exchanged with the desk's ledger, so that the desk is held only for an instant.
+    spare: Ledger,
+    times: Ledger,
+    /// As of the last look.
+    summary: Summary,
+}
+
+impl Post {
+    /// Builds the policy, warms it up, and begins to serve the bus's room.
+    ///
+    /// # Errors
+    /// Where the actor does not fit, or the session is closed.
+    pub fn open(bus: &Bus, config: &NodeConfig) -> anyhow::Result<Self> {
+        let scenario = &config.scenario;
+        let started_ns = utc_ns();
+        let (clock, epoch) = match config.pace {
+            Pace::Live => (RoomClock::Utc, started_ns / 1_000_000),
+            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1),
+        };
+        let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let policy = policy::build(config.policy, scenario, &actor)?;
+        let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
+        controller.warm_up(WARM_UP_RUNS);
+        let room = bus.room().clone();
+        tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
+
+        let publisher = bus.publisher(&room.command(), Class::Control)?;
+        let status = bus.publisher(&room.status(NodeKind::Controller), Class::Info)?;
+        let desk = Arc::new(Mutex::new(Desk::new(controller, clock, publisher, deadline(config))));
+        let intake = Arc::new(Intake::default());
+        let deciding = config.deciding;
+        let has_thread = deciding.place == Place::Thread || deciding.keep_warm.is_some();
+        let thread = has_thread.then(|| {
+            let (desk, intake) = (Arc::clone(&desk), Arc::clone(&intake));
+            let run = move || attend(&desk, &intake, deciding.keep_warm);
+            std::thread::Builder::new().name(format!("decide-{room}")).spawn(run)
+        });
+        let thread = thread.transpose().context("cannot start a room's thread")?;
+        let subscriptions = subscribe(bus, &desk, (deciding.place == Place::Thread).then_some(&intake))?;
+        let source = RandomState::new().build_hasher().finish();
+        let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
+        let identity = Identity { source, started_ns, scenario: scenario.hash() };
+        Ok(Self {
+            room,
+            desk,
+            intake,
+            thread,
+            declared: Some((subscriptions, token)),
+            status,
+            reporter: Reporter::new(identity),
+            spare: Ledger::new(),
+            times: Ledger::new(),
+            summary: Summary::default(),
+        })
+    }
+
+    /// The room.
+    pub fn room(&self) -> &Room {
+        &self.room
+    }
+
+    /// As of the last look.
+    pub fn summary(&self) -> &Summary {
+        &self.summary
+    }
+
+    /// The times since the start, as of the last look.
+    pub fn times(&self) -> &Ledger {
+        &self.times
+    }
+
+    /// The epoch of the controller that has taken over the array, if one has.
+    pub fn deposed_by(&self) -> Option<u64> {
+        self.desk.try_lock().ok().and_then(|desk| desk.controller.deposed_by())
+    }
+
+    /// Lets time pass, since the absence of reports may have to be answered.
+    pub fn elapse(&self) {
+        // Held: a report is just being answered.
+        if let Ok(mut desk) = self.desk.try_lock() {
+            desk.elapse();
+        }
+    }
+
+    /// Takes the new times over, publishes a status report, and updates the summary.
+    pub fn look(&mut self) {
+        let Some(mut desk) = lock_within(&self.desk, ANSWER_WITHIN) else {
+            let problem = format!("policy {} gives no answer; the array holds, then parks", self.summary.policy);
+            tracing::warn!(room = %self.room, "{problem}");
+            self.summary.unanswered += 1;
+            self.summary.last_problem = problem;
+            self.publish_status(&self.reporter.silent(&self.summary));
+            return;
+        };
+        std::mem::swap(&mut desk.ledger, &mut self.spare);
+        let mut snapshot = self.reporter.look(&desk);
+        drop(desk);
+        self.times.absorb(&mut self.spare);
+        if let Some(problem) = &snapshot.problem {
+            tracing::warn!(room = %self.room, "{problem}");
+        }
+        snapshot.summary.shed += self.intake.shed();
+        snapshot.summary.unanswered = self.summary.unanswered;
+        let report = self.reporter.report(&snapshot, &self.times);
+        self.publish_status(&report);
+        self.summary = snapshot.summary;
+        self.summary.add_times(&self.times);
+    }
+
+    /// Stops serving: nothing is heard any more, and others see that the controller is gone.
+    pub fn close(&mut self) {
+        let Some((subscriptions, token)) = self.declared.take() else { return };
+        drop(subscriptions);
+        self.intake.close();
+        self.look();
+        if let Some(thread) = self.thread.take()
+            && lock_within(&self.desk, ANSWER_WITHIN).is_some()
+        {
+            // It panicked, or it is done.
+            let _ = thread.join();
+        }
+        drop(token);
+    }
+
+    fn publish_status(&self, report: &heliostat_proto::NodeStatus) {
+        let mut payload = Vec::new();
+        match encode(report, &mut payload) {
+            // A session that is gone is told by the commands that could not be sent.
+            Ok(()) => drop(self.status.put(&payload)),
+            Err(error) => tracing::warn!("the status report cannot be written: {error}"),
+        }
+    }
+}
+
+/// How long a decision may take before it is late.
+fn deadline(config: &NodeConfig) -> Duration {
+    let seconds = match config.scenario.control.deadline_ms {
+        0.0 => 1.0 / config.scenario.streams.positions.rate_hz,
+        milliseconds => milliseconds * 1e-3,
+    };
+    Duration::from_secs_f64(seconds)
+}
+
+/// The desk, if it is let go within `limit`.
+fn lock_within(desk: &Mutex<Desk>, limit: Duration) -> Option<MutexGuard<'_, Desk>> {
+    let deadline = Instant::now() + limit;
+    loop {
+        match desk.try_lock() {
+            Ok(desk) => return Some(desk),
+            Err(TryLockError::Poisoned(desk)) => return Some(desk.into_inner()),
+            Err(TryLockError::WouldBlock) if Instant::now() >= deadline => return None,
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_micros(100)),
+        }
+    }
+}
+
+/// Hears the room: payloads go to the intake where there is one, and to the desk otherwise.
+fn subscribe(bus: &Bus, desk: &Arc<Mutex<Desk>>, intake: Option<&Arc<Intake>>) -> anyhow::Result<Vec<Subscription>> {
+    let room = bus.room();
+    let keys = Stream::ALL.map(|stream| match stream {
+        Stream::Users => (stream, room.users()),
+        Stream::Channel => (stream, room.channel()),
+        Stream::Obstacles => (stream, room.obstacles()),
+        Stream::Telemetry => (stream, room.telemetry()),
+    });
+    let mut subscriptions = Vec::with_capacity(keys.len() + 1);
+    for (stream, key) in keys {
+        subscriptions.push(match intake.map(Arc::clone) {
+            Some(intake) => bus.subscribe(&key, move |payload| intake.push(stream, payload, Instant::now()))?,
+            None => {
+                let desk = Arc::clone(desk);
+                bus.subscribe(&key, move |payload| {
+                    let entered = Instant::now();
+                    let mut desk = lock(&desk);
+                    desk.take(stream, payload, entered);
+                    desk.answer();
+                })?
+            }
+        });
+    }
+    let desk = Arc::clone(desk);
+    subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
+        if presence == Presence::Gone
+            && let Some((_, source)) = parse_alive(key)
+        {
+            lock(&desk).controller.source_gone(source);
+        }
+    })?);
+    Ok(subscriptions)
+}

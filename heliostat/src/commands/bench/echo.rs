@@ -1,0 +1,56 @@
+//! The bare echo that the loop is compared with: a process of its own that answers each report with a given number of bytes.
+
+use std::io::Read;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use anyhow::{Result, ensure};
+use heliostat_bus::{Bus, BusConfig, Class};
+use heliostat_proto::Room;
+
+use crate::output::outln;
+
+/// Answer reports with as many bytes as a command has, until standard input closes.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[arg(long)]
+    connect: String,
+    #[arg(long, value_delimiter = ',')]
+    rooms: Vec<String>,
+    #[arg(long)]
+    bytes: usize,
+    #[arg(long)]
+    exit_with_parent: bool,
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the echo.
+pub fn run(args: &Args) -> Result<()> {
+    ensure!(args.bytes >= 8, "--bytes {}: wanted at least 8, for the number that is echoed", args.bytes);
+    let echoed = Arc::new(AtomicU64::new(0));
+    let bus = Bus::open(&BusConfig::new(Room::new("bench")?).connect_to(&args.connect))?;
+    let mut declared = Vec::new();
+    for name in &args.rooms {
+        let room = Room::new(name)?;
+        let publisher = bus.publisher(&room.command(), Class::Control)?;
+        let (mut answer, echoed) = (vec![0; args.bytes], Arc::clone(&echoed));
+        declared.push(bus.subscribe(&room.users(), move |payload| {
+            if let Some(number) = payload.first_chunk::<8>() {
+                answer[..8].copy_from_slice(number);
+                // A session that is gone shows in the answers that are missing.
+                let _ = publisher.put(&answer);
+                echoed.fetch_add(1, Ordering::Relaxed);
+            }
+        })?);
+        // Heard and not answered, as by a controller.
+        declared.push(bus.subscribe(&room.channel(), |_| {})?);
+        declared.push(bus.subscribe(&room.obstacles(), |_| {})?);
+    }
+    let mut buffer = [0; 256];
+    while std::io::stdin().read(&mut buffer).is_ok_and(|count| count > 0) {}
+    drop(declared);
+    bus.close()?;
+    outln!("{}", serde_json::json!({ "echoed": echoed.load(Ordering::Relaxed) }))?;
+    Ok(())
+}

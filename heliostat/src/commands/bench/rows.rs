@@ -1,0 +1,236 @@
+//! What every benchmark of latency prints: rows of a measured distribution beside a reference of the same run.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+use heliostat_proto::Quantiles;
+use serde::Serialize;
+
+use crate::output::outln;
+
+/// Longest time that is told apart from longer ones, in ns.
+const LONGEST_NS: u64 = 60_000_000_000;
+
+/// Times that are collected.
+pub struct Times(Histogram<u64>);
+
+impl Times {
+    /// None yet, with all the memory that they will need.
+    pub fn new() -> Self {
+        Self(Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("the bounds and the precision are constants in range"))
+    }
+
+    /// Adds one.
+    pub fn record(&mut self, time: Duration) {
+        self.0.saturating_record(u64::try_from(time.as_nanos()).unwrap_or(u64::MAX).max(1));
+    }
+
+    /// How many were longer than a limit; exact to the histogram's three digits.
+    pub fn over(&self, limit: Duration) -> u64 {
+        self.0.len() - self.0.count_between(0, limit.as_nanos() as u64)
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> u64 {
+        self.0.len()
+    }
+
+    /// Their distribution.
+    pub fn distribution(&self) -> Distribution {
+        let at = |quantile: f64| self.0.value_at_quantile(quantile) as f64 / 1e3;
+        Distribution { p50: at(0.5), p90: at(0.9), p99: at(0.99), p999: at(0.999), max: self.0.max() as f64 / 1e3 }
+    }
+}
+
+/// A distribution of times in us.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Distribution {
+    p50: f64,
+    p90: f64,
+    p99: f64,
+    p999: f64,
+    max: f64,
+}
+
+impl From<Quantiles> for Distribution {
+    fn from(Quantiles { p50, p90, p99, p999, max, .. }: Quantiles) -> Self {
+        Self { p50, p90, p99, p999, max }
+    }
+}
+
+/// What was varied.
+#[derive(Clone, Debug, Serialize)]
+pub struct Varied {
+    /// Reports a second and room; null where each report follows at once on the answer to the one before.
+    pub hz: Option<f64>,
+    /// Number of mirrors.
+    pub mirrors: usize,
+    /// Number of users.
+    pub users: usize,
+    /// Rooms served by one process.
+    pub rooms: usize,
+    /// The policy.
+    pub policy: String,
+}
+
+/// One line of a benchmark.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    #[serde(flatten)]
+    varied: Varied,
+    measured_us: Distribution,
+    reference_us: Distribution,
+    ratio_p50: f64,
+    ratio_p99: f64,
+    /// How many of the measured took more than 0.5 ms.
+    over_budget: u64,
+    /// Decisions of more than 0.5 ms by the stage that took longest.
+    over_budget_by: BTreeMap<String, u64>,
+    count: u64,
+    /// Reports that were never answered.
+    lost: u64,
+    /// Where the loop is measured: the decision within it, from callback to the return of the put.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    decision_us: Option<Distribution>,
+}
+
+impl Row {
+    /// A row; `over_budget_by` holds the decisions of more than 0.5 ms by their longest stage.
+    pub fn new(varied: Varied, (measured, over_budget, count): (Distribution, u64, u64), reference: &Times) -> Self {
+        let reference = reference.distribution();
+        Self {
+            varied,
+            measured_us: measured,
+            reference_us: reference,
+            ratio_p50: measured.p50 / reference.p50,
+            ratio_p99: measured.p99 / reference.p99,
+            over_budget,
+            over_budget_by: BTreeMap::new(),
+            count,
+            lost: 0,
+            decision_us: None,
+        }
+    }
+
+    /// Lays the decisions over budget on stages.
+    #[must_use]
+    pub fn blaming(mut self, over_budget_by: BTreeMap<String, u64>) -> Self {
+        self.over_budget_by = over_budget_by;
+        self
+    }
+
+    /// Adds what is known only where processes talk.
+    #[must_use]
+    pub fn across_processes(mut self, lost: u64, decision: Quantiles) -> Self {
+        self.lost = lost;
+        self.decision_us = Some(decision.into());
+        self
+    }
+}
+
+/// Collects rows; prints each as it comes, or all as one JSON object at the end.
+pub struct Table {
+    json: bool,
+    rows: Vec<Row>,
+}
+
+impl Table {
+    /// An empty table under a line that says what is measured and what it is compared with.
+    pub fn new(json: bool, title: &str) -> io::Result<Self> {
+        if !json {
+            outln!("{title}; times in us")?;
+            outln!(
+                "{:>7}{:>8}{:>6}{:>6}  {:<13}{:>9}{:>9}{:>9}{:>9}{:>9} |{:>9}{:>9} |{:>6}{:>6} |{:>8}{:>8}",
+                "hz",
+                "mirrors",
+                "users",
+                "rooms",
+                "policy",
+                "p50",
+                "p90",
+                "p99",
+                "p99.9",
+                "max",
+                "ref p50",
+                "ref p99",
+                "x p50",
+                "x p99",
+                "count",
+                ">500us"
+            )?;
+        }
+        Ok(Self { json, rows: Vec::new() })
+    }
+
+    /// Adds a row.
+    pub fn add(&mut self, row: Row) -> io::Result<()> {
+        if !self.json {
+            let Varied { hz, mirrors, users, rooms, policy } = &row.varied;
+            let hz = hz.map_or("unpaced".to_string(), |hz| hz.to_string());
+            let (took, reference) = (&row.measured_us, &row.reference_us);
+            let blamed: String = row.over_budget_by.iter().map(|(stage, count)| format!(" {stage} {count}")).collect();
+            let lost = if row.lost > 0 { format!(" lost {}", row.lost) } else { String::new() };
+            let decision = row.decision_us.map_or(String::new(), |decision| {
+                format!("  (decision p50 {:.0} p99 {:.0})", decision.p50, decision.p99)
+            });
+            outln!(
+                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{blamed}{lost}{decision}",
+                took.p50,
+                took.p90,
+                took.p99,
+                took.p999,
+                took.max,
+                reference.p50,
+                reference.p99,
+                row.ratio_p50,
+                row.ratio_p99,
+                row.count,
+                row.over_budget,
+            )?;
+        }
+        self.rows.push(row);
+        Ok(())
+    }
+
+    /// Prints the JSON object, where that was asked for.
+    pub fn finish(self) -> io::Result<()> {
+        if self.json {
+            outln!("{}", serde_json::json!({ "rows": self.rows }))?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn over_counts_what_is_longer() {
+        let mut times = Times::new();
+        for us in [100, 499, 501, 3000] {
+            times.record(Duration::from_micros(us));
+        }
+        assert_eq!((times.over(Duration::from_micros(500)), times.count()), (2, 4));
+    }
+
+    #[test]
+    fn a_row_has_the_names_that_readers_of_the_json_rely_on() {
+        let mut times = Times::new();
+        times.record(Duration::from_micros(50));
+        let varied = Varied { hz: None, mirrors: 100, users: 5, rooms: 1, policy: "flat".into() };
+        let row = Row::new(varied, (times.distribution(), 0, 1), &times);
+        let json = serde_json::to_value(&row).unwrap();
+        for name in ["hz", "mirrors", "users", "rooms", "policy", "over_budget", "count", "ratio_p50", "ratio_p99"] {
+            assert!(json.get(name).is_some(), "{name}: {json}");
+        }
+        for part in ["measured_us", "reference_us"] {
+            for name in ["p50", "p90", "p99", "p999", "max"] {
+                assert!(json[part][name].as_f64() > Some(0.0), "{part}.{name}: {json}");
+            }
+        }
+        assert_eq!(json["ratio_p50"].as_f64(), Some(1.0));
+    }
+}

@@ -1,0 +1,294 @@
+//! `heliostat bench loop | rooms`: from the publication of a report to the arrival of the command that answers it.
+//!
+//! This process is the room; the controller is another, and so is the bare echo that it is compared with: a process that answers each report with
+//! as many bytes as a command has, over the same session, with the same quality of service. Reports go to one and to the other in
+//! turn. A report counts from when it was due.
+
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
+use heliostat_controller::ledger::BUDGET;
+use heliostat_controller::policy::PolicyKind;
+use heliostat_controller::summary::Summary;
+use heliostat_proto::{MirrorCommand, Room, decode_into, encode};
+use heliostat_scenario::{Scenario, ScenarioArgs};
+
+use super::board::Board;
+use super::pace::{Block, PaceArgs, Plan, Turn};
+use super::people::People;
+use super::rows::{Row, Table, Varied};
+use crate::commands::demo::child::Part;
+
+/// How long processes may take to meet.
+const MEET_WITHIN: Duration = Duration::from_secs(20);
+/// How long a process may take to end.
+const END_WITHIN: Duration = Duration::from_secs(10);
+/// A report that is not answered for this long is lost.
+const LOST_AFTER: Duration = Duration::from_millis(500);
+/// Answers a room gives before the first that counts.
+const WARM_UP: u64 = 100;
+/// The last part of a wait is spent looking at the clock, since sleep ends late.
+const SPIN: Duration = Duration::from_micros(100);
+
+/// Flags that the benchmarks across processes share.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    pace: PaceArgs,
+    /// Which policy decides
+    #[arg(long, value_enum, default_value_t = PolicyKind::Actor)]
+    policy: PolicyKind,
+    /// Where the processes meet, in place of a free TCP port of this machine; for example unixsock-stream//run/bench.sock
+    #[arg(long, value_name = "ENDPOINT")]
+    endpoint: Option<String>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Flags for the controller process, after --
+    #[arg(last = true, value_name = "FLAGS")]
+    controller: Vec<String>,
+}
+
+/// `loop`: one room at several paces.
+pub fn run_loop(args: &Args) -> Result<()> {
+    args.run("loop over Zenoh, beside a bare echo of the same payload sizes", &[10.0, 100.0, 1000.0, 0.0], &[1])
+}
+
+/// `rooms`: more and more rooms on one controller process.
+pub fn run_rooms(args: &Args) -> Result<()> {
+    let title = "loop over Zenoh with one controller process for all rooms, beside a bare echo for as many";
+    args.run(title, &[100.0], &[1, 4, 16, 32, 64])
+}
+
+impl Args {
+    fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize]) -> Result<()> {
+        let scenario = self.scenario.load()?;
+        let mut table = Table::new(self.json, title)?;
+        for plan in self.pace.plans(default_hz)? {
+            for rooms in rooms {
+                table.add(self.measure(&plan, &scenario, *rooms)?)?;
+            }
+        }
+        Ok(table.finish()?)
+    }
+
+    fn measure(&self, plan: &Plan, scenario: &Scenario, rooms: usize) -> Result<Row> {
+        let endpoint = self.endpoint.clone().map_or_else(free_loopback_endpoint, Ok)?;
+        let bus = Bus::open(&BusConfig::new(Room::new("bench")?).listen_at(&endpoint))?;
+        let mut measured = Side::open(&bus, "measured", scenario, rooms)?;
+        let mut reference = Side::open(&bus, "reference", scenario, rooms)?;
+        let controller = Part::start("controller", &self.controller_arguments(&endpoint, &measured.names)?)?;
+        let echo = Part::start("echo", &echo_arguments(&endpoint, &reference.names, scenario)?)?;
+        for side in [&mut measured, &mut reference] {
+            side.meet()?;
+            side.go_through(Block {
+                interval: None,
+                reports: WARM_UP,
+                until: Instant::now() + Duration::from_secs(5),
+            })?;
+            side.board.begin();
+        }
+        plan.take_turns(|turn, block| match turn {
+            Turn::Measured => measured.go_through(block),
+            Turn::Reference => reference.go_through(block),
+        })?;
+        let summary: Summary = serde_json::from_value(controller.finish(END_WITHIN)?)
+            .context("the controller's summary lacks something")?;
+        echo.finish(END_WITHIN)?;
+        bus.close()?;
+
+        let varied = Varied {
+            hz: plan.hz,
+            mirrors: scenario.mirror_count(),
+            users: scenario.users.count,
+            rooms,
+            policy: summary.policy,
+        };
+        let (took, lost) = measured.board.take();
+        let (compared, _) = reference.board.take();
+        ensure!(took.count() > 0 && compared.count() > 0, "no report was answered");
+        let row = Row::new(varied, (took.distribution(), took.over(BUDGET), took.count()), &compared);
+        Ok(row.blaming(summary.over_budget_by).across_processes(lost, summary.decision_us))
+    }
+
+    fn controller_arguments(&self, endpoint: &str, rooms: &[String]) -> Result<Vec<String>> {
+        let policy = self.policy.to_possible_value().context("every policy has a name")?;
+        let mut arguments: Vec<String> = ["controller", "--connect", endpoint, "--policy", policy.get_name()]
+            .into_iter()
+            .chain(["--scenario", &self.scenario.scenario, "--room", &rooms[0]])
+            .map(String::from)
+            .collect();
+        if rooms.len() > 1 {
+            arguments.extend(["--also-room".into(), rooms[1..].join(",")]);
+        }
+        for text in &self.scenario.overrides {
+            arguments.extend(["--set".into(), text.clone()]);
+        }
+        arguments.extend(self.controller.iter().cloned());
+        Ok(arguments)
+    }
+}
+
+fn echo_arguments(endpoint: &str, rooms: &[String], scenario: &Scenario) -> Result<Vec<String>> {
+    let angles = vec![0.1; scenario.mirror_count()];
+    let now = utc_ns();
+    let command = MirrorCommand {
+        epoch: now / 1_000_000,
+        sequence: 1000,
+        answers: 1000,
+        time_ns: now,
+        validity_ms: 200,
+        roll: angles.clone(),
+        yaw: angles,
+    };
+    let mut payload = Vec::new();
+    encode(&command, &mut payload)?;
+    let bytes = payload.len().to_string();
+    let arguments = ["bench", "echo", "--connect", endpoint, "--rooms", &rooms.join(","), "--bytes", &bytes];
+    Ok(arguments.map(String::from).into())
+}
+
+/// The rooms of one process.
+struct Side {
+    names: Vec<String>,
+    rooms: Vec<Outlets>,
+    board: Board,
+    people: People,
+    users: usize,
+    tick: u64,
+    /// Whether the payloads are messages; a bare echo gets as many bytes that mean nothing but a number.
+    speaks: bool,
+    buffers: [Vec<u8>; 3],
+    _subscriptions: Vec<Subscription>,
+}
+
+/// Where one room's reports go.
+struct Outlets {
+    users: Publisher,
+    channel: Publisher,
+    obstacles: Publisher,
+}
+
+impl Side {
+    fn open(bus: &Bus, name: &str, scenario: &Scenario, rooms: usize) -> Result<Self> {
+        let names: Vec<String> = (1..=rooms).map(|index| format!("{name}-{index}")).collect();
+        let board = Board::default();
+        let speaks = name == "measured";
+        let (mut outlets, mut subscriptions) = (Vec::new(), Vec::new());
+        for name in &names {
+            let room = Room::new(name)?;
+            outlets.push(Outlets {
+                users: bus.publisher(&room.users(), Class::Control)?,
+                channel: bus.publisher(&room.channel(), Class::Control)?,
+                obstacles: bus.publisher(&room.obstacles(), Class::Control)?,
+            });
+            let board = board.clone();
+            let mut command = MirrorCommand::default();
+            subscriptions.push(bus.subscribe(&room.command(), move |payload| {
+                let arrived = Instant::now();
+                let tick = if speaks {
+                    decode_into(&mut command, payload).ok().map(|()| command.answers)
+                } else {
+                    payload.first_chunk().map(|bytes| u64::from_le_bytes(*bytes))
+                };
+                board.answered(tick.unwrap_or_default(), arrived);
+            })?);
+        }
+        let users = scenario.users.count;
+        let (people, buffers) = (People::default(), Default::default());
+        Ok(Self {
+            names,
+            rooms: outlets,
+            board,
+            people,
+            users,
+            tick: 0,
+            speaks,
+            buffers,
+            _subscriptions: subscriptions,
+        })
+    }
+
+    /// Reports to each room until it answers.
+    fn meet(&mut self) -> Result<()> {
+        let deadline = Instant::now() + MEET_WITHIN;
+        for room in 0..self.rooms.len() {
+            loop {
+                ensure!(
+                    Instant::now() < deadline,
+                    "room {} gives no answer: its process runs but hears nothing",
+                    self.names[room]
+                );
+                self.prepare()?;
+                self.rooms[room].obstacles.put(&self.buffers[2])?;
+                self.send(room, Instant::now())?;
+                if self.board.wait(self.tick, Duration::from_millis(50)) {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the reports of a block, room after room, spread evenly over the interval; gives how many.
+    fn go_through(&mut self, block: Block) -> Result<u64> {
+        let rooms = self.rooms.len();
+        let start = Instant::now();
+        let mut sent = 0;
+        while sent < block.reports * rooms as u64 {
+            self.prepare()?;
+            let due = match block.interval {
+                None => Instant::now(),
+                Some(interval) => start + interval.mul_f64((sent + 1) as f64 / rooms as f64),
+            };
+            wait_until(due);
+            self.send(sent as usize % rooms, due)?;
+            sent += 1;
+            if block.interval.is_none() {
+                self.board.wait(self.tick, LOST_AFTER);
+                if Instant::now() > block.until {
+                    break;
+                }
+            }
+        }
+        self.board.wait(self.tick, LOST_AFTER);
+        Ok(sent)
+    }
+
+    /// Makes the payloads of the next tick.
+    fn prepare(&mut self) -> Result<()> {
+        self.tick += 1;
+        self.people.walk(1, self.tick, utc_ns(), self.users);
+        encode(&self.people.users, &mut self.buffers[0])?;
+        encode(&self.people.channel, &mut self.buffers[1])?;
+        encode(&self.people.obstacles, &mut self.buffers[2])?;
+        if !self.speaks {
+            self.buffers[0][..8].copy_from_slice(&self.tick.to_le_bytes());
+        }
+        Ok(())
+    }
+
+    fn send(&mut self, room: usize, due: Instant) -> Result<()> {
+        self.board.sent(self.tick, due);
+        self.rooms[room].channel.put(&self.buffers[1])?;
+        Ok(self.rooms[room].users.put(&self.buffers[0])?)
+    }
+}
+
+fn wait_until(due: Instant) {
+    let left = due.saturating_duration_since(Instant::now());
+    if left > SPIN {
+        std::thread::sleep(left - SPIN);
+    }
+    while Instant::now() < due {
+        std::hint::spin_loop();
+    }
+}
+
+fn utc_ns() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64)
+}

@@ -39,11 +39,15 @@ pub enum Kind {
     EmergencyStop = 9,
     /// [`Calibration`](crate::Calibration)
     Calibration = 10,
+    /// [`SimulatorControl`](crate::SimulatorControl)
+    SimulatorControl = 11,
+    /// [`ControllerControl`](crate::ControllerControl)
+    ControllerControl = 12,
 }
 
 impl Kind {
     /// All kinds of this version.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 12] = [
         Self::UserReport,
         Self::ChannelReport,
         Self::ObstacleReport,
@@ -54,6 +58,8 @@ impl Kind {
         Self::Capabilities,
         Self::EmergencyStop,
         Self::Calibration,
+        Self::SimulatorControl,
+        Self::ControllerControl,
     ];
 }
 
@@ -70,6 +76,8 @@ impl fmt::Display for Kind {
             Self::Capabilities => "capabilities message",
             Self::EmergencyStop => "emergency stop",
             Self::Calibration => "calibration",
+            Self::SimulatorControl => "simulator control",
+            Self::ControllerControl => "controller control",
         };
         formatter.write_str(name)
     }

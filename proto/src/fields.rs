@@ -9,6 +9,7 @@ use crate::hardware::{AxisLimits, Calibration, Capabilities, EmergencyStop};
 use crate::messages::{
     ChannelReport, MirrorCommand, MirrorTelemetry, NodeStatus, Obstacle, ObstacleReport, RoomTruth, UserReport,
 };
+use crate::operator::{ControllerControl, SimulatorControl};
 use crate::{MAX_ENTRIES, MAX_MIRRORS, MAX_OBSTACLES, MAX_TEXT, MAX_USERS};
 
 /// How a message is read field by field, and what its fields may hold.
@@ -309,6 +310,56 @@ impl Fields for Calibration {
             check.finite(field, values)?;
         }
         Ok(())
+    }
+}
+
+impl Message for SimulatorControl {
+    const KIND: Kind = Kind::SimulatorControl;
+}
+
+impl Fields for SimulatorControl {
+    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
+        reader.value("stamp", &mut self.stamp)?;
+        reader.value("forced_users", &mut self.forced_users)?;
+        reader.value("power_w", &mut self.power_w)?;
+        reader.value("speed_m_s", &mut self.speed_m_s)?;
+        reader.list("faults", MAX_ENTRIES, &mut self.faults)
+    }
+
+    fn check(&self, kind: Kind) -> Result<(), CodecError> {
+        let check = Check { kind };
+        if let Some(power_w) = self.power_w {
+            check.not_negative("power_w", 0, power_w)?;
+        }
+        for (index, speed_m_s) in self.speed_m_s.iter().flatten().enumerate() {
+            check.not_negative("speed_m_s", index, *speed_m_s)?;
+        }
+        check.count("faults", self.faults.len(), MAX_ENTRIES)?;
+        for (index, fault) in self.faults.iter().enumerate() {
+            check.not_negative("faults.seconds", index, fault.seconds)?;
+            check.not_negative("faults.share", index, fault.share)?;
+            check.count("faults.mirrors", fault.mirrors.len(), MAX_MIRRORS)?;
+            if fault.share > 1.0 {
+                let (field, value, wanted) = ("faults.share", fault.share.into(), "a share from 0 to 1");
+                return Err(CodecError::OutOfDomain { kind, field, index, value, wanted });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Message for ControllerControl {
+    const KIND: Kind = Kind::ControllerControl;
+}
+
+impl Fields for ControllerControl {
+    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
+        reader.value("stamp", &mut self.stamp)?;
+        reader.value("policy", &mut self.policy)
+    }
+
+    fn check(&self, kind: Kind) -> Result<(), CodecError> {
+        Check { kind }.text("policy", &self.policy)
     }
 }
 

@@ -155,6 +155,16 @@ impl Room {
         self.key("mirrors/calibration")
     }
 
+    /// [`SimulatorControl`](crate::SimulatorControl), for simulated rooms only.
+    pub fn simulator_control(&self) -> String {
+        self.key("sim/control")
+    }
+
+    /// [`ControllerControl`](crate::ControllerControl).
+    pub fn controller_control(&self) -> String {
+        self.key("controller/control")
+    }
+
     /// [`NodeStatus`](crate::NodeStatus) of one sort of process.
     pub fn status(&self, node: NodeKind) -> String {
         self.key(&format!("status/{node}"))

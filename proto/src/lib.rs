@@ -7,6 +7,7 @@
 //!
 //! - [`messages`]: what reports, commands and telemetry hold.
 //! - [`hardware`]: what drivers and operators say besides: capabilities, emergency stop, calibration.
+//! - [`operator`]: what operators change in a running room or controller.
 //! - [`codec`]: the one way to bytes and the one way back; everything malformed is refused by name.
 //! - [`keys`]: where each message travels.
 //!
@@ -25,6 +26,7 @@ mod fields;
 pub mod hardware;
 pub mod keys;
 pub mod messages;
+pub mod operator;
 
 pub use codec::{Kind, Message, decode, decode_into, encode};
 pub use error::CodecError;
@@ -34,6 +36,7 @@ pub use messages::{
     ArrayState, ChannelReport, Counters, MirrorCommand, MirrorTelemetry, NodeStatus, Obstacle, ObstacleReport,
     Quantiles, RoomTruth, Stamp, SumRates, TruthUser, UserChannel, UserReport, UserState,
 };
+pub use operator::{ControllerControl, FaultKind, MirrorFault, SimulatorControl};
 
 /// Version of the contract: the number in each key and the first byte of each payload.
 pub const VERSION: u8 = 1;

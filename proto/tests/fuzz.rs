@@ -25,7 +25,9 @@ fn withstands(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<RoomTruth>(payload)?;
     one::<Capabilities>(payload)?;
     one::<EmergencyStop>(payload)?;
-    one::<Calibration>(payload)
+    one::<Calibration>(payload)?;
+    one::<SimulatorControl>(payload)?;
+    one::<ControllerControl>(payload)
 }
 
 fn finite() -> impl Strategy<Value = f32> {
@@ -63,7 +65,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn random_bytes(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..12) {
+    fn random_bytes(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..14) {
         withstands(&payload)?;
         if payload.len() >= 2 {
             payload[0] = VERSION;
@@ -74,7 +76,7 @@ proptest! {
 
     #[test]
     fn altered_payloads(
-        which in 0usize..10,
+        which in 0usize..12,
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in any::<prop::sample::Index>(),
     ) {

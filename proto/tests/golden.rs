@@ -33,8 +33,12 @@ const EMERGENCY_STOP: &str = "\
 const CALIBRATION: &str = "\
     010af0bdf3d589cf959a12ac0280cffea7a4deb2c318020000803c00000000020000803f0000843f0200000000000080bc020000803f0000\
     803f";
+const SIMULATOR_CONTROL: &str = "\
+    010bf0bdf3d589cf959a12ac0280cffea7a4deb2c318010200010000803e0000c03f01030000003f0000803eac020201ac02";
+const CONTROLLER_CONTROL: &str = "\
+    010cf0bdf3d589cf959a12ac0280cffea7a4deb2c3180b66697865642d706f696e74";
 
-const ALL: [&str; 10] = [
+const ALL: [&str; 12] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -45,6 +49,8 @@ const ALL: [&str; 10] = [
     CAPABILITIES,
     EMERGENCY_STOP,
     CALIBRATION,
+    SIMULATOR_CONTROL,
+    CONTROLLER_CONTROL,
 ];
 
 fn holds<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -64,17 +70,28 @@ fn each_message_has_the_bytes_of_version_1() {
     holds(&capabilities(), CAPABILITIES);
     holds(&emergency_stop(), EMERGENCY_STOP);
     holds(&calibration(), CALIBRATION);
+    holds(&simulator_control(), SIMULATOR_CONTROL);
+    holds(&controller_control(), CONTROLLER_CONTROL);
 }
 
 /// Each enumeration on the wire is numbered in the order written in CONTRACT.md.
 #[test]
 fn enumerations_keep_their_numbers() {
-    use heliostat_proto::{ArrayState, NodeKind};
+    use heliostat_proto::{ArrayState, FaultKind, NodeKind};
     let states =
         [ArrayState::Parked, ArrayState::Following, ArrayState::Holding, ArrayState::Stopped, ArrayState::Fault];
     for (number, state) in states.into_iter().enumerate() {
         let payload = encoded(&heliostat_proto::MirrorTelemetry { state, ..Default::default() });
         assert_eq!(usize::from(payload[5]), number, "{state:?} follows header and an empty stamp");
+    }
+    for (number, kind) in FaultKind::ALL.into_iter().enumerate() {
+        let fault = heliostat_proto::MirrorFault { fault: kind, ..Default::default() };
+        let payload = encoded(&heliostat_proto::SimulatorControl { faults: vec![fault], ..Default::default() });
+        assert_eq!(
+            usize::from(payload[9]),
+            number,
+            "{kind:?} follows header, an empty stamp, three nones and a length"
+        );
     }
     for (number, node) in NodeKind::ALL.into_iter().enumerate() {
         let payload = encoded(&heliostat_proto::NodeStatus { node, ..Default::default() });

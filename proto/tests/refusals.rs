@@ -27,6 +27,8 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::Capabilities => decode::<Capabilities>(payload).err(),
         Kind::EmergencyStop => decode::<EmergencyStop>(payload).err(),
         Kind::Calibration => decode::<Calibration>(payload).err(),
+        Kind::SimulatorControl => decode::<SimulatorControl>(payload).err(),
+        Kind::ControllerControl => decode::<ControllerControl>(payload).err(),
     }
 }
 
@@ -53,7 +55,7 @@ fn another_kind_is_refused_by_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, wanted: Kind::MirrorCommand });
     assert_eq!(error.to_string(), "payload holds a user report: wanted a mirror command");
-    for number in [0, 11, 255] {
+    for number in [0, 13, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }
@@ -291,6 +293,45 @@ fn nothing_that_an_array_says_or_hears_lets_a_nan_through() {
             ("timings", |status| status.timings[0].1.max = f64::NAN),
         ],
     );
+}
+
+#[test]
+fn no_order_lets_a_nan_through() {
+    poisoned(
+        &SimulatorControl { power_w: Some(2.0), ..simulator_control() },
+        &[
+            ("power_w", |control| control.power_w = Some(f32::NAN)),
+            ("speed_m_s", |control| control.speed_m_s = Some([0.1, f32::NAN])),
+            ("faults.seconds", |control| control.faults[0].seconds = f32::NAN),
+            ("faults.share", |control| control.faults[0].share = f32::NAN),
+        ],
+    );
+}
+
+#[test]
+fn orders_without_meaning_are_refused() {
+    let refused = |change: fn(&mut SimulatorControl)| {
+        let mut control = simulator_control();
+        change(&mut control);
+        encode(&control, &mut Vec::new()).expect_err("the order has no meaning")
+    };
+    let share = refused(|control| control.faults[0].share = 1.5);
+    assert_eq!(share.to_string(), "simulator control: faults.share at index 0 is 1.5: wanted a share from 0 to 1");
+    let power = refused(|control| control.power_w = Some(-1.0));
+    assert!(matches!(power, CodecError::OutOfDomain { field: "power_w", .. }));
+    let speed = refused(|control| control.speed_m_s = Some([-0.1, 1.0]));
+    assert!(matches!(speed, CodecError::OutOfDomain { field: "speed_m_s", .. }));
+    let many = refused(|control| control.faults = vec![MirrorFault::default(); 257]);
+    assert!(matches!(many, CodecError::TooMany { field: "faults", found: 257, .. }));
+    let wide = refused(|control| control.faults[0].mirrors = vec![0; MAX_MIRRORS + 1]);
+    assert!(matches!(wide, CodecError::TooMany { field: "faults.mirrors", .. }));
+    let mut payload = encoded(&simulator_control());
+    let fault = payload.len() - 15;
+    assert_eq!(payload[fault], 3, "the number of the fault");
+    payload[fault] = 9;
+    assert!(matches!(refusal::<SimulatorControl>(&payload), CodecError::Malformed { field: "faults", .. }));
+    let policy = ControllerControl { policy: "x".repeat(MAX_TEXT + 1), ..controller_control() };
+    assert!(matches!(encode(&policy, &mut Vec::new()), Err(CodecError::TooMany { field: "policy", .. })));
 }
 
 #[test]

@@ -7,6 +7,9 @@
 //! does not depend on the step size: a step is cut where a delayed command takes effect and where a set-point arrives.
 //! Offset is drawn once, drift is Brownian motion, jitter is drawn anew at each step. No call allocates once the command queue has
 //! reached its length.
+//!
+//! Any axis can be given a fault, and the whole array can be late, away for a while or restarted ([`Actuator::set_fault`],
+//! [`Actuator::set_lateness`], [`Actuator::go_offline`], [`Actuator::reboot`]).
 
 use std::collections::VecDeque;
 
@@ -15,6 +18,32 @@ use heliostat_scenario::ActuatorParameters;
 
 use crate::axis::{AxisState, Dynamics, SecondOrder};
 use crate::random::{self, RoomRng};
+
+/// What is wrong with one axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AxisFault {
+    /// Nothing.
+    #[default]
+    None,
+    /// It stays where it is.
+    Stuck,
+    /// It has no drive and returns to 0.
+    Dead,
+    /// It turns the wrong way.
+    Flipped,
+}
+
+impl AxisFault {
+    /// Where an axis at `angle` goes that is told to go to `target`.
+    fn bend(self, target: f64, angle: f64) -> f64 {
+        match self {
+            Self::None => target,
+            Self::Stuck => angle,
+            Self::Dead => 0.0,
+            Self::Flipped => -target,
+        }
+    }
+}
 
 /// A command on its way through the drive.
 #[derive(Clone, Debug)]
@@ -37,6 +66,11 @@ pub struct Actuator {
     axes: Vec<AxisState>,
     offset: Vec<f64>,
     drift: Vec<f64>,
+    faults: Vec<AxisFault>,
+    /// Added to the drive's delay, in s.
+    lateness_s: f64,
+    /// When the array answers again.
+    away_until: f64,
     rng: RoomRng,
     angles: MirrorAngles,
     measured: MirrorAngles,
@@ -61,6 +95,9 @@ impl Actuator {
             axes: vec![AxisState::default(); axes],
             offset,
             drift: vec![0.0; axes],
+            faults: vec![AxisFault::None; axes],
+            lateness_s: 0.0,
+            away_until: 0.0,
             rng,
             angles: flat.clone(),
             measured: flat,
@@ -72,8 +109,11 @@ impl Actuator {
     /// Gives a command now; it takes effect after the drive's delay.
     ///
     /// Angles beyond the range are cut to it. The lists must have the array's length; longer ones are cut, missing angles keep
-    /// their command.
+    /// their command. An array that is away does not hear it.
     pub fn command(&mut self, angles: &MirrorAngles) {
+        if self.is_away() {
+            return;
+        }
         let mut targets = self.spare.pop().unwrap_or_default();
         targets.clone_from(self.pending.back().map_or(&self.targets, |last| &last.targets));
         let mirrors = targets.len() / 2;
@@ -83,7 +123,9 @@ impl Actuator {
                 *target = reachable(angle, &self.parameters);
             }
         }
-        let effective_at = self.time + self.parameters.delay_s;
+        // Never before one that is under way: a drive keeps the order of its commands.
+        let earliest = self.pending.back().map_or(0.0, |last| last.effective_at);
+        let effective_at = (self.time + self.parameters.delay_s + self.lateness_s).max(earliest);
         self.pending.push_back(Pending { effective_at, targets });
         self.take_effect();
     }
@@ -113,6 +155,58 @@ impl Actuator {
         &self.measured
     }
 
+    /// Gives both axes of a mirror these faults, roll first, in place of those they had.
+    ///
+    /// # Panics
+    /// Where there is no such mirror.
+    pub fn set_fault(&mut self, mirror: usize, roll: AxisFault, yaw: AxisFault) {
+        let mirrors = self.faults.len() / 2;
+        for (axis, fault) in [(mirror, roll), (mirrors + mirror, yaw)] {
+            self.faults[axis] = fault;
+            if fault == AxisFault::Stuck {
+                let state = &mut self.axes[axis];
+                *state = AxisState { set_point: state.angle, filtered: state.angle, angle: state.angle, speed: 0.0 };
+            }
+        }
+        self.take_effect();
+    }
+
+    /// The faults of a mirror's axes, roll first.
+    ///
+    /// # Panics
+    /// Where there is no such mirror.
+    pub fn fault(&self, mirror: usize) -> (AxisFault, AxisFault) {
+        (self.faults[mirror], self.faults[self.faults.len() / 2 + mirror])
+    }
+
+    /// Number of mirrors with a fault on either axis.
+    pub fn faulty_mirrors(&self) -> usize {
+        (0..self.faults.len() / 2).filter(|mirror| self.fault(*mirror) != (AxisFault::None, AxisFault::None)).count()
+    }
+
+    /// Lets every later command take so many seconds more.
+    pub fn set_lateness(&mut self, seconds: f64) {
+        self.lateness_s = seconds;
+    }
+
+    /// Does not hear commands for so many seconds; what is under way is lost, and the mirrors stay where they are told to be.
+    pub fn go_offline(&mut self, seconds: f64) {
+        self.pending.clear();
+        self.away_until = self.time + seconds;
+    }
+
+    /// Starts anew: the mirrors return to 0, and no command is heard for so many seconds.
+    pub fn reboot(&mut self, seconds: f64) {
+        self.go_offline(seconds);
+        self.targets.fill(0.0);
+        self.take_effect();
+    }
+
+    /// Whether the array is offline or starting.
+    pub fn is_away(&self) -> bool {
+        self.time < self.away_until
+    }
+
     /// Moves the commands whose time has come into the targets.
     fn take_effect(&mut self) {
         while self.pending.front().is_some_and(|next| next.effective_at <= self.time) {
@@ -122,7 +216,8 @@ impl Actuator {
             }
         }
         if self.dynamics.is_instant() && self.parameters.slew_rad_per_s.is_none() {
-            for (axis, &target) in self.axes.iter_mut().zip(&self.targets) {
+            for ((axis, &target), fault) in self.axes.iter_mut().zip(&self.targets).zip(&self.faults) {
+                let target = fault.bend(target, axis.angle);
                 *axis = AxisState { set_point: target, filtered: target, angle: target, speed: 0.0 };
             }
             self.write_angles();
@@ -136,7 +231,8 @@ impl Actuator {
         }
         let dynamics = self.dynamics;
         let whole = dynamics.propagator(dt_s);
-        for (axis, &target) in self.axes.iter_mut().zip(&self.targets) {
+        for ((axis, &target), fault) in self.axes.iter_mut().zip(&self.targets).zip(&self.faults) {
+            let target = fault.bend(target, axis.angle);
             let distance = target - axis.set_point;
             let rate = self.parameters.slew_rad_per_s.map_or(0.0, |slew| slew.copysign(distance));
             let arrival_s = if rate == 0.0 { 0.0 } else { distance / rate };

@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Presence, Publisher, Service, Subscription, Token};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{Capabilities, Message, MirrorTelemetry, NodeKind, Stamp, encode};
+use heliostat_proto::{
+    Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, SimulatorControl, Stamp, decode, encode,
+};
 
 use crate::clock::Clock;
 use crate::inbox::Inbox;
@@ -18,6 +20,12 @@ const ALIVE_LIMIT: Duration = Duration::from_secs(1);
 /// From here on everything is declared within milliseconds; time begins after this.
 const START_DELAY: Duration = Duration::from_millis(30);
 
+/// Most orders of an operator that wait; beyond it new ones are shed.
+const ORDERS_MAX: usize = 64;
+
+/// What came on the key of orders.
+type Order = Result<SimulatorControl, CodecError>;
+
 /// The node's publishers and subscriptions.
 pub(crate) struct Edge {
     bus: Bus,
@@ -25,6 +33,7 @@ pub(crate) struct Edge {
     source: u64,
     inbox: Arc<Inbox>,
     rivals: Arc<Mutex<Vec<String>>>,
+    orders: Arc<Mutex<Vec<Order>>>,
     users: Outlet,
     channel: Outlet,
     obstacles: Outlet,
@@ -32,7 +41,7 @@ pub(crate) struct Edge {
     capabilities: Outlet,
     /// What whoever asks for the capabilities gets: the payload published last.
     answer: Arc<Mutex<Vec<u8>>>,
-    _declared: (Token, Subscription, Subscription, Service),
+    _declared: (Token, [Subscription; 3], Service),
 }
 
 /// A publisher with its buffer.
@@ -83,6 +92,14 @@ impl Edge {
                 seen.lock().unwrap_or_else(PoisonError::into_inner).push(key.to_owned());
             }
         })?;
+        let orders = Arc::new(Mutex::new(Vec::new()));
+        let waiting = Arc::clone(&orders);
+        let control = bus.subscribe(&keys.simulator_control(), move |payload| {
+            let mut waiting = waiting.lock().unwrap_or_else(PoisonError::into_inner);
+            if waiting.len() < ORDERS_MAX {
+                waiting.push(decode(payload));
+            }
+        })?;
         let answer = Arc::new(Mutex::new(Vec::new()));
         let latest = Arc::clone(&answer);
         let service = bus.serve(&keys.capabilities(), move |payload| {
@@ -95,12 +112,13 @@ impl Edge {
             telemetry: Outlet::new(&bus, &keys.telemetry(), telemetry)?,
             capabilities: Outlet::new(&bus, &keys.capabilities(), telemetry)?,
             answer,
-            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, commands, watch, service),
+            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [commands, watch, control], service),
             bus,
             clock,
             source,
             inbox,
             rivals,
+            orders,
         })
     }
 
@@ -173,6 +191,11 @@ impl Edge {
     /// Tokens of other simulators that have appeared in the room since the last call.
     pub fn new_rivals(&self) -> Vec<String> {
         std::mem::take(&mut *self.rivals.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// What operators have ordered since the last call, sound or not.
+    pub fn new_orders(&self) -> Vec<Order> {
+        std::mem::take(&mut *self.orders.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// A stamp of this node.

@@ -11,6 +11,7 @@
 //! - [`streams`], [`schedule`]: what is reported, when, how late and how exactly.
 //! - [`room`]: all of these moving through the same time.
 //! - [`yardstick`]: what the users get, beside no array, flat mirrors and the best there is.
+//! - [`control`]: what an operator may change in a running room.
 //! - [`random`]: one stream of random numbers for each purpose.
 //!
 //! # The process
@@ -23,6 +24,7 @@ pub mod array;
 mod axis;
 pub mod cli;
 pub mod clock;
+pub mod control;
 mod edge;
 mod inbox;
 pub mod ledger;

@@ -43,6 +43,7 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &AtomicBool)
 /// Everything that is due now.
 fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(), NodeError> {
     take_arrivals(node);
+    node.obey_orders(now);
     if node.reports.next_sample_ns() <= now.local_ns {
         node.room.advance(now.local_ns);
         node.reports.sample(now, node.room.world(), node.room.angles());

@@ -42,6 +42,7 @@ pub(crate) fn run(mut node: Node, ticks: u64, stop: &AtomicBool) -> Result<Summa
         while let Some(report) = node.reports.release(local_ns) {
             answered += publish(&mut node, &report, now, &mut hash, stop)?;
         }
+        node.refuse_orders();
         node.tell_mirrors(now)?;
         if node.truth.take(local_ns).is_some() {
             hash.truth(reporter.truth(&node.snapshot(now))?);

@@ -70,6 +70,11 @@ impl Speeds {
         }
     }
 
+    /// Slowest and fastest in m/s.
+    pub fn bounds_m_s(&self) -> [f64; 2] {
+        [self.min, self.max]
+    }
+
     fn draw(&self, rng: &mut RoomRng) -> f64 {
         random::uniform_in(rng, self.min, self.max)
     }

@@ -20,7 +20,7 @@ use crate::streams::Reports;
 use crate::summary::Summary;
 use crate::world::WorldError;
 use crate::yardstick::Snapshot;
-use crate::{live, lockstep};
+use crate::{control, live, lockstep};
 
 /// Announcements of the array's capabilities a second.
 const CAPABILITIES_HZ: f64 = 1.0;
@@ -134,6 +134,7 @@ pub(crate) struct Node {
     pub status: Schedule,
     pub capabilities: Schedule,
     telemetry_sequence: u64,
+    orders: u64,
     capabilities_sequence: u64,
     /// As the last telemetry told it.
     told_state: ArrayState,
@@ -164,6 +165,7 @@ impl Node {
             refused: Refused::default(),
             capabilities: Schedule::new(CAPABILITIES_HZ, between_ticks_ns),
             telemetry_sequence: 0,
+            orders: 0,
             capabilities_sequence: 0,
             told_state: ArrayState::Parked,
             scenario,
@@ -208,6 +210,29 @@ impl Node {
         self.edge.publish_telemetry(&self.room.telemetry(stamp))
     }
 
+    /// Applies what operators have ordered.
+    pub fn obey_orders(&mut self, now: Moment) {
+        for order in self.edge.new_orders() {
+            match order {
+                Ok(order) => {
+                    self.room.advance(now.local_ns);
+                    self.orders += 1;
+                    for refusal in control::apply(&mut self.room, &order) {
+                        self.refused.order(&refusal);
+                    }
+                }
+                Err(error) => self.refused.malformed_order(&error),
+            }
+        }
+    }
+
+    /// Refuses what operators have ordered: in lockstep the seed decides.
+    pub fn refuse_orders(&mut self) {
+        for _ in self.edge.new_orders() {
+            self.refused.order(&control::Refusal::Lockstep);
+        }
+    }
+
     pub fn announce_capabilities(&mut self, now: Moment) -> Result<(), NodeError> {
         self.capabilities_sequence += 1;
         let stamp = self.edge.stamp(self.capabilities_sequence, now.room_ns);
@@ -236,8 +261,18 @@ impl Node {
             ("late_ticks", summary.late_ticks),
             ("unattended_ticks", summary.unattended_ticks),
             ("clipped_commands", summary.clipped_commands),
+            ("orders", self.orders),
         ];
         let refused = summary.refused.into_iter().map(|(name, count)| (format!("refused:{name}"), count));
+        let world = self.room.world();
+        let [slowest, fastest] = world.speeds_m_s();
+        let gauges = [
+            ("power_w", world.model().budget.power_w),
+            ("speed_min_m_s", slowest),
+            ("speed_max_m_s", fastest),
+            ("forced_users", world.forced().iter().filter(|forced| **forced).count() as f64),
+            ("faulty_mirrors", self.room.actuator().faulty_mirrors() as f64),
+        ];
         let us = summary.loop_us;
         let quantiles =
             Quantiles { count: us.count, p50: us.p50, p90: us.p90, p99: us.p99, p999: us.p999, max: us.max };
@@ -250,6 +285,7 @@ impl Node {
             scenario: self.scenario_hash.clone(),
             started_ns: self.started_ns,
             counters: counts.map(|(name, count)| (name.to_owned(), count)).into_iter().chain(refused).collect(),
+            gauges: gauges.map(|(name, value)| (name.to_owned(), value)).to_vec(),
             timings: vec![("loop".to_owned(), quantiles)],
             last_problem: self.refused.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
             ..NodeStatus::default()

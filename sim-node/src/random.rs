@@ -22,6 +22,8 @@ pub enum Purpose {
     PositionNoise,
     /// Measurement noise of channel gains.
     ChannelNoise,
+    /// Which mirrors a fault befalls.
+    Faults,
 }
 
 impl Purpose {
@@ -33,6 +35,7 @@ impl Purpose {
             Self::Actuator => 3,
             Self::PositionNoise => 4,
             Self::ChannelNoise => 5,
+            Self::Faults => 6,
         }
     }
 }

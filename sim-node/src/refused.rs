@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use heliostat_proto::CodecError;
 
 use crate::array::Refusal;
+use crate::control;
 
 /// Counts of refusals by name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -22,6 +23,16 @@ impl Refused {
     /// A command that the array does not follow.
     pub fn command(&mut self, refusal: &Refusal) {
         self.note(&format!("command:{}", refusal.name()), 1, format!("command: {refusal}"));
+    }
+
+    /// A part of an operator's order that the room does not follow.
+    pub fn order(&mut self, refusal: &control::Refusal) {
+        self.note(&format!("control:{}", refusal.name()), 1, format!("control: {refusal}"));
+    }
+
+    /// A payload on the key of orders that is none.
+    pub fn malformed_order(&mut self, error: &CodecError) {
+        self.note(&format!("control:{}", error.name()), 1, format!("control key: {error}"));
     }
 
     /// Anything else, under a name.

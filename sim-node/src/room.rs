@@ -1,7 +1,10 @@
 //! The room with its mirrors: world, array guard and actuator moving through the same time.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{AxisLimits, Capabilities, Feedback, MirrorCommand, MirrorTelemetry, Stamp, ValidityClock};
+use heliostat_proto::messages::fault;
+use heliostat_proto::{
+    ArrayState, AxisLimits, Capabilities, Feedback, MirrorCommand, MirrorTelemetry, Stamp, ValidityClock,
+};
 use heliostat_scenario::{ActuatorParameters, Scenario};
 
 use crate::actuator::Actuator;
@@ -86,6 +89,16 @@ impl SimulatedRoom {
         self.actuator.angles()
     }
 
+    /// The mirrors themselves.
+    pub fn actuator(&self) -> &Actuator {
+        &self.actuator
+    }
+
+    /// For faults in a running room.
+    pub fn actuator_mut(&mut self) -> &mut Actuator {
+        &mut self.actuator
+    }
+
     /// What the array tells about itself.
     pub fn telemetry(&self, stamp: Stamp) -> MirrorTelemetry {
         let single = |angles: &[f64]| angles.iter().map(|angle| *angle as f32).collect();
@@ -93,14 +106,14 @@ impl SimulatedRoom {
         let (target, measured) = (self.array.target(), self.actuator.measured());
         MirrorTelemetry {
             stamp,
-            state: self.array.state(),
+            state: if self.actuator.is_away() { ArrayState::Fault } else { self.array.state() },
             epoch: followed.epoch,
             applied_sequence: followed.sequence,
             answers: followed.answers,
             received_ns: followed.received.room_ns,
             applied_ns: followed.received.room_ns,
             counters: *self.array.counters(),
-            faults: self.array.faults(),
+            faults: self.array.faults() | if self.actuator.is_away() { fault::LINK } else { 0 },
             roll_commanded: single(&target.roll),
             yaw_commanded: single(&target.yaw),
             roll_measured: single(&measured.roll),

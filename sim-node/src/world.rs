@@ -198,6 +198,11 @@ impl World {
         Ok(())
     }
 
+    /// Slowest and fastest walking speed in m/s.
+    pub fn speeds_m_s(&self) -> [f64; 2] {
+        self.speeds.bounds_m_s()
+    }
+
     /// Another transmitted power in W; false, and no change, when it is not a positive number.
     pub fn set_power(&mut self, power_w: f64) -> bool {
         let valid = power_w.is_finite() && power_w > 0.0;

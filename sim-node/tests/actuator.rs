@@ -98,3 +98,51 @@ fn the_slew_limit_bounds_the_mean_speed_of_a_long_turn() {
     let speed = (mirrors.angles().roll[0] - after_100_ms) / 0.2;
     assert!((speed - slew).abs() < 1e-6, "{speed} rad/s");
 }
+
+#[test]
+fn each_fault_does_what_its_name_says() {
+    use heliostat_sim_node::actuator::AxisFault;
+    for profile in [ActuatorProfile::Ideal, ActuatorProfile::Mems] {
+        let mut mirrors = actuator(&ActuatorParameters { resolution_bits: None, ..parameters(profile) });
+        let to = |angle: f64| MirrorAngles { roll: vec![angle; MIRRORS], yaw: vec![angle; MIRRORS] };
+        mirrors.command(&to(0.2));
+        mirrors.step(0.1);
+        mirrors.set_fault(0, AxisFault::Stuck, AxisFault::Stuck);
+        mirrors.set_fault(1, AxisFault::Dead, AxisFault::None);
+        mirrors.set_fault(2, AxisFault::None, AxisFault::Flipped);
+        mirrors.command(&to(0.4));
+        mirrors.step(0.1);
+        // In whole urad.
+        let at = |mirrors: &Actuator, mirror: usize| {
+            let angles = mirrors.angles();
+            [angles.roll[mirror], angles.yaw[mirror]].map(|angle| (angle * 1e6).round() as i64)
+        };
+        assert_eq!(at(&mirrors, 0), [200000, 200000], "{profile:?}");
+        assert_eq!(at(&mirrors, 1), [0, 400000], "{profile:?}");
+        assert_eq!(at(&mirrors, 2), [400000, -400000], "{profile:?}");
+        assert_eq!(at(&mirrors, 3), [400000, 400000], "{profile:?}");
+        assert_eq!(mirrors.faulty_mirrors(), 3);
+        mirrors.set_fault(0, AxisFault::None, AxisFault::None);
+        mirrors.step(0.1);
+        assert_eq!(at(&mirrors, 0), [400000, 400000], "a healed mirror goes where it was told: {profile:?}");
+        mirrors.go_offline(0.5);
+        mirrors.command(&to(0.1));
+        mirrors.step(0.4);
+        assert!(mirrors.is_away());
+        assert_eq!(at(&mirrors, 3), [400000, 400000], "nothing is heard meanwhile: {profile:?}");
+        mirrors.step(0.2);
+        mirrors.command(&to(0.1));
+        mirrors.step(0.1);
+        assert_eq!(at(&mirrors, 3), [100000, 100000], "{profile:?}");
+        mirrors.set_lateness(0.05);
+        mirrors.command(&to(0.3));
+        mirrors.step(0.04);
+        assert_eq!(at(&mirrors, 3), [100000, 100000], "{profile:?}");
+        mirrors.step(0.1);
+        assert_eq!(at(&mirrors, 3), [300000, 300000], "{profile:?}");
+        mirrors.reboot(0.2);
+        mirrors.step(0.1);
+        assert_eq!(at(&mirrors, 3), [0, 0], "{profile:?}");
+        assert!(mirrors.is_away());
+    }
+}

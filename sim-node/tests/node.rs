@@ -4,7 +4,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
-use heliostat_proto::{MirrorCommand, NodeKind, Room, UserReport, decode, encode};
+use heliostat_proto::{
+    FaultKind, MirrorCommand, MirrorFault, NodeKind, NodeStatus, Room, RoomTruth, SimulatorControl, UserReport, decode,
+    encode,
+};
 use heliostat_scenario::Scenario;
 use heliostat_sim_node::Summary;
 use heliostat_sim_node::node::{self, NodeError, Pace, Settings};
@@ -130,6 +133,49 @@ fn hostile_payloads_are_counted_by_name_and_stop_nothing() {
     assert_eq!(summary.commands, 0);
     assert!(!summary.last_problem.is_empty());
     assert!(summary.ticks > 100, "{summary:?}");
+}
+
+#[test]
+fn orders_of_an_operator_change_the_room_and_unsound_ones_are_counted() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let settings = settings("orders", &endpoint, live(2500));
+    let node = std::thread::spawn(move || run(&settings));
+    let bus = Bus::open(&BusConfig::new(Room::new("orders").unwrap()).connect_to(&endpoint)).unwrap();
+    let keys = bus.room().clone();
+    let seen = std::sync::Arc::new(std::sync::Mutex::new((Vec::new(), Vec::new())));
+    let (truths, statuses) = (std::sync::Arc::clone(&seen), std::sync::Arc::clone(&seen));
+    let _truth = bus.subscribe(&keys.truth(), move |payload| {
+        truths.lock().unwrap().0.push(decode::<RoomTruth>(payload).unwrap());
+    });
+    let _status = bus.subscribe(&keys.status(NodeKind::SimNode), move |payload| {
+        statuses.lock().unwrap().1.push(decode::<NodeStatus>(payload).unwrap());
+    });
+    let orders = bus.publisher(&keys.simulator_control(), Class::Order).unwrap();
+    while seen.lock().unwrap().0.is_empty() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let stuck = MirrorFault { fault: FaultKind::Stuck, share: 0.25, ..MirrorFault::default() };
+    let order = SimulatorControl {
+        forced_users: Some(2),
+        power_w: Some(1.5),
+        speed_m_s: Some([0.0, 1.0]),
+        faults: vec![stuck],
+        ..SimulatorControl::default()
+    };
+    let mut payload = Vec::new();
+    encode(&order, &mut payload).unwrap();
+    orders.put(&payload).unwrap();
+    orders.put(&payload[..payload.len() - 1]).unwrap();
+    let summary = node.join().unwrap().unwrap();
+    let (truths, statuses) = std::mem::take(&mut *seen.lock().unwrap());
+    let forced = |truth: &RoomTruth| truth.users.iter().filter(|user| user.forced).count();
+    assert_eq!((forced(&truths[0]), forced(truths.last().unwrap())), (0, 2));
+    let gauges = &statuses.last().unwrap().gauges;
+    for wanted in [("power_w", 1.5), ("forced_users", 2.0), ("faulty_mirrors", 25.0)] {
+        assert!(gauges.contains(&(wanted.0.to_owned(), wanted.1)), "{wanted:?} in {gauges:?}");
+    }
+    assert_eq!(summary.refused.get("control:speed"), Some(&1), "{summary:?}");
+    assert_eq!(summary.refused.get("control:truncated"), Some(&1), "{summary:?}");
 }
 
 #[test]

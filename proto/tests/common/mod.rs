@@ -152,6 +152,21 @@ pub fn calibration() -> Calibration {
     }
 }
 
+pub fn simulator_control() -> SimulatorControl {
+    let fault = MirrorFault { fault: FaultKind::DeadYaw, seconds: 0.5, share: 0.25, seed: 300, mirrors: vec![1, 300] };
+    SimulatorControl {
+        stamp: stamp(),
+        forced_users: Some(2),
+        power_w: None,
+        speed_m_s: Some([0.25, 1.5]),
+        faults: vec![fault],
+    }
+}
+
+pub fn controller_control() -> ControllerControl {
+    ControllerControl { stamp: stamp(), policy: "fixed-point".into() }
+}
+
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
     encode(message, &mut payload).expect("the sample is sound");
@@ -171,6 +186,8 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("capabilities", encoded(&capabilities())),
         ("emergency stop", encoded(&emergency_stop())),
         ("calibration", encoded(&calibration())),
+        ("simulator control", encoded(&simulator_control())),
+        ("controller control", encoded(&controller_control())),
     ]
 }
 

@@ -32,9 +32,9 @@ pub struct Args {
     #[command(flatten)]
     bus: BusArgs,
     /// Which policy turns the mirrors
-    #[arg(long, value_enum, default_value_t = PolicyKind::Actor)]
+    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
-    /// ONNX file of the actor, in place of the built-in one
+    /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Serve these rooms too (comma-separated), by the same scenario and over the same session
@@ -70,8 +70,8 @@ impl Args {
         if self.keep_warm > 0 && !(50..=1_000_000).contains(&self.keep_warm) {
             bail!("--keep-warm {}: wanted 0, or 50 to 1000000 us", self.keep_warm);
         }
-        if self.model.is_some() && self.policy != PolicyKind::Actor {
-            bail!("--model is the file of an actor; it goes with --policy actor only");
+        if self.model.is_some() && !self.policy.is_learned() {
+            bail!("--model is the file of a learned policy; it goes with --policy {}", PolicyKind::learned_names());
         }
         Ok(NodeConfig {
             scenario: self.scenario.load()?,

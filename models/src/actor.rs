@@ -6,7 +6,9 @@
 //! that a gradient can pass and rounding cannot flip a mirror.
 
 use candle_core::{Device, Result, Tensor};
+use heliostat_channel::{MirrorAngles, decode};
 
+use crate::env::Environment;
 use crate::features::{FEATURES, Head, LOG_DIRECT, Layout, Prior, TINY};
 use crate::networks::Network;
 
@@ -41,6 +43,15 @@ impl States {
     /// Length of one state as a row: features of all slots, then steering amplitudes of all slots.
     pub fn width(layout: Layout) -> usize {
         layout.slots() * (FEATURES + layout.encoder.mirrors())
+    }
+
+    /// The row of what an observation vector says.
+    pub fn row(layout: Layout, vector: &[f32]) -> Vec<f32> {
+        let mut row = vec![0.0; Self::width(layout)];
+        let (features, steering) = row.split_at_mut(layout.slots() * FEATURES);
+        layout.features(vector, features);
+        steering.copy_from_slice(&vector[layout.encoder.steering_amplitude()]);
+        row
     }
 
     /// States from rows.
@@ -120,6 +131,16 @@ impl Actor {
     pub fn logits(&self, state: &[f32]) -> Result<Vec<f32>> {
         let states = States::new(state.to_vec(), 1, self.layout, self.head.prior)?;
         self.forward(&states)?.squeeze(0)?.to_vec1()
+    }
+
+    /// The mirror angles that these logits stand for in a room, by the one decoder.
+    pub fn decode(&self, environment: &Environment, logits: &[f32]) -> MirrorAngles {
+        let seen = environment.observation();
+        let weights = self.layout.weights(environment.vector(), logits, self.head);
+        let weights: Vec<f64> = weights[..seen.users()].iter().map(|&weight| f64::from(weight)).collect();
+        let mut angles = MirrorAngles::flat(seen.mirrors());
+        decode::decode(environment.model(), &seen.scene, &weights, &mut angles);
+        angles
     }
 
     /// The same actor with a network of its own.

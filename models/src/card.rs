@@ -3,10 +3,9 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use heliostat_scenario::Scenario;
-
-use crate::ddpg::Settings;
+use crate::algorithm::Algorithm;
 use crate::evaluate::Score;
+use crate::learner::Learner;
 
 /// A score in one kind of room.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
@@ -22,16 +21,15 @@ pub struct ScoreRow {
 }
 
 /// Everything that a card tells.
-#[derive(Clone, Debug)]
 pub struct Card<'a> {
     /// File name of the actor.
     pub file: &'a str,
     /// The command that makes it.
     pub command: &'a str,
-    /// The run's numbers.
-    pub settings: &'a Settings,
-    /// The room.
-    pub scenario: &'a Scenario,
+    /// What was trained.
+    pub algorithm: Algorithm,
+    /// The finished run.
+    pub learner: &'a dyn Learner,
     /// How long training took, without the final evaluation; `None` when it was resumed.
     pub duration: Option<Duration>,
     /// Scores on held-out states.
@@ -47,12 +45,12 @@ impl Card<'_> {
     }
 
     fn write(&self, text: &mut String) -> std::fmt::Result {
-        let (settings, scenario) = (self.settings, self.scenario);
+        let (run, scenario) = (self.learner.run(), self.learner.scenario());
         writeln!(text, "# {}\n", self.file)?;
         writeln!(
             text,
             "Turns the {} mirrors of a {} x {} array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version 1; \
-             output: roll and yaw of each mirror in radians. Features, network and geometric decoder are all inside the graph.\n",
+             output: roll and yaw of each mirror in radians. All that lies between is inside the graph.\n",
             scenario.mirror_count(),
             scenario.mirrors.rows,
             scenario.mirrors.columns,
@@ -60,10 +58,7 @@ impl Card<'_> {
         )?;
         writeln!(text, "Made by\n\n```sh\n{}\n```\n", self.command)?;
         writeln!(text, "| | |\n| --- | --- |")?;
-        writeln!(
-            text,
-            "| algorithm | DDPG with the K-weight head; departures from the paper at the head of `models/src/ddpg.rs` |"
-        )?;
+        writeln!(text, "| algorithm | {} |", self.algorithm.summary())?;
         writeln!(
             text,
             "| scenario | {} (hash {}, geometry {}) |",
@@ -71,16 +66,12 @@ impl Card<'_> {
             scenario.hash(),
             scenario.geometry_hash()
         )?;
-        writeln!(
-            text,
-            "| training | {} episodes of {} steps, seed {} |",
-            settings.episodes, settings.steps, settings.seed
-        )?;
+        writeln!(text, "| training | {} episodes of {} steps, seed {} |", run.episodes, run.steps, run.seed)?;
         match self.duration {
             Some(duration) => writeln!(text, "| duration | {:.0} s on {} |", duration.as_secs_f64(), hardware())?,
             None => writeln!(text, "| duration | resumed; last part on {} |", hardware())?,
         }
-        writeln!(text, "| settings | `{}` |", serde_json::to_string(settings).unwrap_or_default())?;
+        writeln!(text, "| settings | `{}` |", self.learner.settings())?;
         writeln!(text, "| licence | {} |\n", env!("CARGO_PKG_LICENSE"))?;
         self.write_scores(text)?;
         writeln!(

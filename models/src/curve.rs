@@ -6,8 +6,8 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use crate::ddpg::Episode;
 use crate::evaluate::Score;
+use crate::learner::Episode;
 
 /// The first line. Held-out columns are empty in episodes without an evaluation.
 const HEADER: &str = "episode,steps,reward_mbps,sum_rate_mbps,held_out_ratio,held_out_qos_met";

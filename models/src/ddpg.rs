@@ -28,17 +28,20 @@
 //!     of 0.78 (the oracle: 0.80); the sum rate it costs is 1 to 2 %.
 //! 15. **Rates** of 5e-4 and 1e-3 that fall to a tenth over the run, and 300 episodes.
 
-use anyhow::{Context, bail};
 use candle_core::{Device, Tensor};
+use heliostat_channel::MirrorAngles;
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use crate::actor::{ACTOR_INPUTS, Actor, States};
+use crate::checkpoint::Store;
 use crate::env::{Environment, Reward, RewardForm, Rooms};
 use crate::explore::{Exploration, Kind};
+use crate::export::export;
 use crate::features::{Head, Layout, Prior};
+use crate::learner::{Episode, Learner, RunSettings};
 use crate::networks::{Adam, Encoder, Network, Shape, soft_update};
 use crate::replay::Replay;
 
@@ -93,18 +96,9 @@ pub struct Settings {
     pub warm_up: usize,
     /// How actions are disturbed.
     pub exploration: Exploration,
-    /// The reward.
-    pub reward: Reward,
-    /// Which rooms.
-    pub rooms: Rooms,
-    /// Episodes.
-    pub episodes: usize,
-    /// Steps in an episode.
-    pub steps: usize,
-    /// Seconds between two steps.
-    pub step_s: f64,
-    /// Seed of every random choice.
-    pub seed: u64,
+    /// What every algorithm has.
+    #[serde(flatten)]
+    pub run: RunSettings,
 }
 
 impl Settings {
@@ -125,12 +119,14 @@ impl Settings {
             replay: 10_000,
             warm_up: 500,
             exploration: Exploration { kind: Kind::Additive, start: 0.4, end: 0.05 },
-            reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
-            rooms: Rooms::Randomised,
-            episodes: 1000,
-            steps: 40,
-            step_s: 1.0,
-            seed,
+            run: RunSettings {
+                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
+                rooms: Rooms::Randomised,
+                episodes: 1000,
+                steps: 40,
+                step_s: 1.0,
+                seed,
+            },
         }
     }
 
@@ -138,6 +134,7 @@ impl Settings {
     pub fn tuned(seed: u64, mode: ChannelMode) -> Self {
         // Under the paper's equations equal weights are near the optimum; by the law of reflection equal shares are.
         let prior = if mode == ChannelMode::Specular { Prior::EqualShare } else { Prior::Uniform };
+        let paper = Self::paper(seed);
         Self {
             encoder: Encoder::Set,
             head: Head { prior, range: 2.0 },
@@ -148,71 +145,42 @@ impl Settings {
             actor_rate: 5e-4,
             critic_rate: 1e-3,
             rate_end: 0.1,
-            reward: Reward { form: RewardForm::Shortfall, lambda: 10.0 },
-            episodes: 300,
-            ..Self::paper(seed)
+            run: RunSettings {
+                reward: Reward { form: RewardForm::Shortfall, lambda: 10.0 },
+                episodes: 300,
+                ..paper.run
+            },
+            ..paper
         }
     }
-
-    /// The same numbers with changes of the form `key=value`; a dot leads into a group, as in `exploration.start=0.2`.
-    ///
-    /// # Errors
-    /// A message that names the change when there is no such key or the value does not fit.
-    pub fn with_options(&self, options: &[String]) -> anyhow::Result<Self> {
-        let mut tree = serde_json::to_value(self)?;
-        for option in options {
-            let (path, value) =
-                option.split_once('=').with_context(|| format!("--option {option}: wanted KEY=VALUE"))?;
-            let pointer = format!("/{}", path.trim().replace('.', "/"));
-            let Some(place) = tree.pointer_mut(&pointer) else {
-                bail!("--option {option}: no such key; there are {}", serde_json::to_string(self)?);
-            };
-            *place = serde_json::from_str(value).unwrap_or_else(|_| value.into());
-            serde_json::from_value::<Self>(tree.clone()).with_context(|| format!("--option {option}"))?;
-        }
-        Ok(serde_json::from_value(tree)?)
-    }
-}
-
-/// What one episode brought, as means over its steps.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Episode {
-    /// Its number, counted from 1.
-    pub number: usize,
-    /// Steps taken since the start of training.
-    pub steps: usize,
-    /// Reward of the disturbed actions in Mbit/s.
-    pub reward_mbps: f64,
-    /// Their sum rate in Mbit/s.
-    pub sum_rate_mbps: f64,
 }
 
 /// The state of a training run between two episodes; a checkpoint holds all of it.
 pub struct Trainer {
-    pub(crate) settings: Settings,
-    pub(crate) scenario: Scenario,
-    pub(crate) actor: Actor,
-    pub(crate) critic: Network,
-    pub(crate) actor_target: Actor,
-    pub(crate) critic_target: Network,
-    pub(crate) actor_adam: Adam,
-    pub(crate) critic_adam: Adam,
-    pub(crate) replay: Replay,
-    pub(crate) rng: ChaCha8Rng,
-    pub(crate) episode: usize,
+    settings: Settings,
+    scenario: Scenario,
+    actor: Actor,
+    critic: Network,
+    actor_target: Actor,
+    critic_target: Network,
+    actor_adam: Adam,
+    critic_adam: Adam,
+    replay: Replay,
+    rng: ChaCha8Rng,
+    episode: usize,
 }
 
 impl Trainer {
     /// A run at its beginning.
     ///
     /// # Errors
-    /// A scenario with several access points (the decoder in the graph knows one), or a setting without sense.
+    /// A setting without sense.
     pub fn new(scenario: Scenario, settings: Settings) -> anyhow::Result<Self> {
-        let lamps = scenario.led.positions_m.len();
-        anyhow::ensure!(lamps == 1, "an actor is made for one access point, but led.positions_m lists {lamps}");
         let per_user = settings.value == Value::EachUser;
         anyhow::ensure!(!per_user || settings.encoder == Encoder::Set, "only set networks value each user");
-        let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
+        let kind = settings.exploration.kind;
+        anyhow::ensure!(kind != Kind::Patterns, "exploration.kind: patterns are for actions that are angles");
+        let mut rng = ChaCha8Rng::seed_from_u64(settings.run.seed);
         let layout = Layout::of(&scenario);
         let slots = layout.slots();
         let encoder = settings.encoder;
@@ -243,49 +211,13 @@ impl Trainer {
         &self.actor
     }
 
-    /// The run's numbers.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// The room that the run is about.
-    pub fn scenario(&self) -> &Scenario {
-        &self.scenario
-    }
-
-    /// Episodes done.
-    pub fn episodes_done(&self) -> usize {
-        self.episode
-    }
-
-    /// Trains for one episode in a room of its own.
-    ///
-    /// # Errors
-    /// Those of the room and of candle.
-    pub fn run_episode(&mut self) -> anyhow::Result<Episode> {
-        let slots = self.actor.layout.slots();
-        let room = self.settings.rooms.draw(&self.scenario, slots, &mut self.rng);
-        let mut environment = Environment::new(&room, self.actor.layout, self.rng.random())?;
-        let magnitude = self.settings.exploration.magnitude(self.episode, self.settings.episodes);
-        self.set_learning_rates();
-        let mut summary = Episode::default();
-        let mut rewards = vec![0.0; slots];
-        for _ in 0..self.settings.steps {
-            let state = environment.state().to_vec();
-            let mut action = self.actor.logits(&state)?;
-            self.settings.exploration.disturb(magnitude, &mut action[..environment.users()], &mut self.rng);
-            let outcome = environment.act(&action, self.settings.head, self.settings.reward, &mut rewards);
-            environment.step(self.settings.step_s)?;
-            let next = if self.settings.gamma > 0.0 { environment.state() } else { &[] };
-            self.replay.push([&state, &action, &rewards, next]);
-            if self.replay.len() >= self.settings.warm_up.max(self.settings.batch) {
-                self.update()?;
-            }
-            summary.reward_mbps += outcome.reward_mbps / self.settings.steps as f64;
-            summary.sum_rate_mbps += outcome.sum_rate_mbps / self.settings.steps as f64;
-        }
-        self.episode += 1;
-        Ok(Episode { number: self.episode, steps: self.episode * self.settings.steps, ..summary })
+    fn networks(&self) -> [(&'static str, &Network); 4] {
+        [
+            ("actor", &self.actor.network),
+            ("critic", &self.critic),
+            ("actor_target", &self.actor_target.network),
+            ("critic_target", &self.critic_target),
+        ]
     }
 
     /// One update of critic, actor and targets from a minibatch.
@@ -345,10 +277,85 @@ impl Trainer {
 
     /// Both learning rates fall geometrically over the run.
     fn set_learning_rates(&mut self) {
-        let progress = self.episode as f64 / self.settings.episodes.max(1) as f64;
+        let progress = self.episode as f64 / self.settings.run.episodes.max(1) as f64;
         let factor = self.settings.rate_end.powf(progress);
         self.actor_adam.set_learning_rate(self.settings.actor_rate * factor);
         self.critic_adam.set_learning_rate(self.settings.critic_rate * factor);
+    }
+}
+
+impl Learner for Trainer {
+    fn scenario(&self) -> &Scenario {
+        &self.scenario
+    }
+
+    fn run(&self) -> &RunSettings {
+        &self.settings.run
+    }
+
+    fn settings(&self) -> serde_json::Value {
+        serde_json::json!(self.settings)
+    }
+
+    fn episodes_done(&self) -> usize {
+        self.episode
+    }
+
+    fn run_episode(&mut self) -> anyhow::Result<Episode> {
+        let (layout, run) = (self.actor.layout, self.settings.run.clone());
+        let room = run.rooms.draw(&self.scenario, &mut self.rng);
+        let mut environment = Environment::new(&room, self.rng.random())?;
+        let magnitude = self.settings.exploration.magnitude(self.episode, run.episodes);
+        self.set_learning_rates();
+        let mut summary = Episode::default();
+        let mut rewards = vec![0.0; layout.slots()];
+        let mut state = States::row(layout, environment.vector());
+        for _ in 0..run.steps {
+            let mut action = self.actor.logits(&state)?;
+            self.settings.exploration.disturb(magnitude, &mut action[..environment.users()], &mut self.rng);
+            let angles = self.actor.decode(&environment, &action);
+            let outcome = environment.act(&angles, run.reward, &mut rewards);
+            environment.step(run.step_s)?;
+            let next = States::row(layout, environment.vector());
+            let kept = if self.settings.gamma > 0.0 { &next[..] } else { &[] };
+            self.replay.push([&state, &action, &rewards, kept]);
+            state = next;
+            if self.replay.len() >= self.settings.warm_up.max(self.settings.batch) {
+                self.update()?;
+            }
+            summary.reward_mbps += outcome.reward_mbps / run.steps as f64;
+            summary.sum_rate_mbps += outcome.sum_rate_mbps / run.steps as f64;
+        }
+        self.episode += 1;
+        Ok(Episode { number: self.episode, steps: self.episode * run.steps, ..summary })
+    }
+
+    fn act(&self, environment: &Environment) -> anyhow::Result<MirrorAngles> {
+        let logits = self.actor.logits(&States::row(self.actor.layout, environment.vector()))?;
+        Ok(self.actor.decode(environment, &logits))
+    }
+
+    fn save(&self, store: &mut Store) -> anyhow::Result<()> {
+        self.networks().into_iter().for_each(|(name, network)| store.put_network(name, network));
+        store.put_adam("actor", &self.actor_adam)?;
+        store.put_adam("critic", &self.critic_adam)?;
+        store.put_replay(&self.replay)?;
+        store.put_generator(&self.rng)?;
+        store.put("episode", &self.episode)
+    }
+
+    fn restore(&mut self, store: &Store) -> anyhow::Result<()> {
+        self.networks().into_iter().try_for_each(|(name, network)| store.restore_network(name, network))?;
+        store.restore_adam("actor", &mut self.actor_adam)?;
+        store.restore_adam("critic", &mut self.critic_adam)?;
+        store.restore_replay(&mut self.replay)?;
+        self.rng = store.generator()?;
+        self.episode = store.get("episode")?;
+        Ok(())
+    }
+
+    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        Ok(export(&self.actor, &self.scenario.channel_model()?, metadata)?)
     }
 }
 

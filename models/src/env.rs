@@ -5,15 +5,12 @@
 //! the light's panel, not from the steering table that the decoder chooses by.
 
 use heliostat_channel::mirrors::MirrorAngles;
-use heliostat_channel::{ChannelModel, Vec3, decode};
-use heliostat_controller::observation::Observation;
+use heliostat_channel::{ChannelModel, Vec3};
+use heliostat_controller::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
 use heliostat_scenario::{ChannelMode, MinRate, Scenario};
 use heliostat_sim_node::world::World;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-
-use crate::actor::States;
-use crate::features::{FEATURES, Head, Layout};
 
 /// How a missed or met minimum rate enters the reward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -57,10 +54,9 @@ pub struct Outcome {
 /// A simulated room with the learner's buffers.
 pub struct Environment {
     world: World,
-    layout: Layout,
+    encoder: ObservationEncoder,
     observation: Observation,
     vector: Vec<f32>,
-    state: Vec<f32>,
     rates_bps: Vec<f64>,
 }
 
@@ -68,20 +64,15 @@ impl Environment {
     /// A fresh room, already observed.
     ///
     /// # Errors
-    /// A scenario that makes no room, or one with more users than the layout has slots.
-    pub fn new(scenario: &Scenario, layout: Layout, seed: u64) -> anyhow::Result<Self> {
+    /// A scenario that makes no room, or one with more than [`USERS_CAPACITY`] users.
+    pub fn new(scenario: &Scenario, seed: u64) -> anyhow::Result<Self> {
         let world = World::new(scenario, seed)?;
         let users = scenario.users.count;
         let mut observation = Observation::new(world.model(), users);
         observation.min_rate_bps.copy_from_slice(world.min_rate_bps());
-        let mut environment = Self {
-            layout,
-            observation,
-            vector: vec![0.0; layout.encoder.len()],
-            state: vec![0.0; States::width(layout)],
-            rates_bps: vec![0.0; users],
-            world,
-        };
+        let encoder = ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count());
+        let mut environment =
+            Self { encoder, observation, vector: vec![0.0; encoder.len()], rates_bps: vec![0.0; users], world };
         environment.observe()?;
         Ok(environment)
     }
@@ -101,14 +92,9 @@ impl Environment {
         &self.observation
     }
 
-    /// The same as the actor's input vector.
+    /// The same as a network's input vector.
     pub fn vector(&self) -> &[f32] {
         &self.vector
-    }
-
-    /// The same as the row of a state ([`States::new`]).
-    pub fn state(&self) -> &[f32] {
-        &self.state
     }
 
     /// Lets time pass and looks again.
@@ -120,18 +106,16 @@ impl Environment {
         self.observe()
     }
 
-    /// Turns the mirrors by an actor's logits; the users' true rates in bit/s.
-    pub fn rates_bps(&mut self, logits: &[f32], head: Head) -> &[f64] {
-        let model = self.world.model();
-        let action = Action { vector: &self.vector, logits, layout: self.layout, head };
-        self.observation.angles = decode_logits(model, &self.observation, &action);
-        self.observation.scene.rates_bps(model, &self.observation.angles, &mut self.rates_bps);
+    /// Turns the mirrors; the users' true rates in bit/s.
+    pub fn rates_bps(&mut self, angles: &MirrorAngles) -> &[f64] {
+        self.observation.set_angles(angles);
+        self.observation.scene.rates_bps(self.world.model(), angles, &mut self.rates_bps);
         &self.rates_bps
     }
 
     /// The same, judged: `rewards` takes each user's part, 0 in absent slots.
-    pub fn act(&mut self, logits: &[f32], head: Head, reward: Reward, rewards: &mut [f32]) -> Outcome {
-        self.rates_bps(logits, head);
+    pub fn act(&mut self, angles: &MirrorAngles, reward: Reward, rewards: &mut [f32]) -> Outcome {
+        self.rates_bps(angles);
         rewards.fill(0.0);
         let scale = self.rates_bps.len() as f64 / self.world.model().budget.bandwidth_hz;
         let mut outcome = Outcome::default();
@@ -145,13 +129,8 @@ impl Environment {
     }
 
     fn observe(&mut self) -> anyhow::Result<()> {
-        let seen = &mut self.observation;
-        observe(&self.world, seen);
-        self.layout.encoder.encode(self.world.model(), seen, &mut self.vector)?;
-        let (features, steering) = self.state.split_at_mut(self.layout.slots() * FEATURES);
-        self.layout.features(&self.vector, features);
-        steering.copy_from_slice(&self.vector[self.layout.encoder.steering_amplitude()]);
-        Ok(())
+        observe(&self.world, &mut self.observation);
+        Ok(self.encoder.encode(self.world.model(), &self.observation, &mut self.vector)?)
     }
 }
 
@@ -162,28 +141,6 @@ pub(crate) fn observe(world: &World, seen: &mut Observation) {
         seen.velocities[user] = Vec3::new(walker.velocity[0], walker.velocity[1], 0.0);
     }
     seen.scene.clone_from(world.scene());
-}
-
-/// An actor's answer to an observation vector.
-#[derive(Clone, Copy, Debug)]
-pub struct Action<'a> {
-    /// The observation vector.
-    pub vector: &'a [f32],
-    /// One logit for each slot.
-    pub logits: &'a [f32],
-    /// The vector's layout.
-    pub layout: Layout,
-    /// From logits to weights.
-    pub head: Head,
-}
-
-/// The mirror angles of an actor's logits, by the one decoder.
-pub fn decode_logits(model: &ChannelModel, observation: &Observation, action: &Action<'_>) -> MirrorAngles {
-    let weights = action.layout.weights(action.vector, action.logits, action.head);
-    let weights: Vec<f64> = weights[..observation.users()].iter().map(|&weight| f64::from(weight)).collect();
-    let mut angles = MirrorAngles::flat(observation.mirrors());
-    decode::decode(model, &observation.scene, &weights, &mut angles);
-    angles
 }
 
 /// Which rooms an actor is trained in.
@@ -202,16 +159,16 @@ const FORCED_MAX: usize = 5;
 impl Rooms {
     /// The scenario of one episode.
     ///
-    /// Randomised: in half the episodes as many users as the scenario has, otherwise 1 to `slots`; 0 to 5 of them forced off;
+    /// Randomised: in half the episodes as many users as the scenario has, otherwise 1 to [`USERS_CAPACITY`]; 0 to 5 of them forced off;
     /// noise log-uniform from 0.5 to 25 times the scenario's (2e-15 to 1e-13 A2 by default; from 0.25 to 4 times in the paper's
     /// modes, where more noise leaves nothing to see); needs uniform from 0 to twice the scenario's.
-    pub fn draw(self, scenario: &Scenario, slots: usize, rng: &mut impl Rng) -> Scenario {
+    pub fn draw(self, scenario: &Scenario, rng: &mut impl Rng) -> Scenario {
         let mut room = scenario.clone();
         if self == Self::Fixed {
             return room;
         }
-        let count = scenario.users.count.min(slots);
-        room.users.count = if rng.random_bool(0.5) { count } else { rng.random_range(1..=slots) };
+        let count = scenario.users.count.min(USERS_CAPACITY);
+        room.users.count = if rng.random_bool(0.5) { count } else { rng.random_range(1..=USERS_CAPACITY) };
         room.blockage.forced_users = rng.random_range(0..=room.users.count.min(FORCED_MAX));
         let (low, high) = match scenario.channel.mode {
             ChannelMode::Specular => (0.5_f64, 25.0_f64),

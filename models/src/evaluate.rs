@@ -1,6 +1,6 @@
-//! Held-out states, and how near to the best possible an actor comes on them.
+//! Held-out states, and how near to the best possible a learner comes on them.
 //!
-//! The yardstick is the oracle with minimum rates: its angles and the actor's are judged by the same true evaluation. The
+//! The yardstick is the oracle with minimum rates: its angles and the learner's are judged by the same true evaluation. The
 //! oracle ignores that a spot spills onto other users, so a ratio slightly above 1 is legitimate.
 
 use heliostat_channel::mirrors::MirrorAngles;
@@ -10,8 +10,8 @@ use heliostat_scenario::Scenario;
 use heliostat_sim_node::world::{World, WorldError};
 use serde::Serialize;
 
-use crate::actor::Actor;
 use crate::env::Environment;
+use crate::learner::Learner;
 
 /// Seconds that users walk before a state is taken, so that places and headings are those of a walk that goes on.
 pub(crate) const SETTLE_S: f64 = 20.0;
@@ -62,7 +62,7 @@ impl Estimate {
     }
 }
 
-/// An actor's score on held-out states.
+/// A score on held-out states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Score {
     /// Mean sum rate in Mbit/s.
@@ -97,10 +97,10 @@ impl HeldOut {
     ///
     /// # Errors
     /// A scenario that makes no room.
-    pub fn add(&mut self, scenario: &Scenario, actor: &Actor, count: usize) -> anyhow::Result<()> {
+    pub fn add(&mut self, scenario: &Scenario, count: usize) -> anyhow::Result<()> {
         let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
         for index in 0..count as u64 {
-            let mut environment = Environment::new(scenario, actor.layout, held_out_seed(0, index))?;
+            let mut environment = Environment::new(scenario, held_out_seed(0, index))?;
             environment.step(SETTLE_S)?;
             self.states.push(Self::solve(environment, &mut solver));
         }
@@ -122,15 +122,15 @@ impl HeldOut {
         }
     }
 
-    /// The actor's score, without exploration.
+    /// The score of what a learner has learned so far, without exploration.
     ///
     /// # Errors
-    /// Those of the network.
-    pub fn score(&mut self, actor: &Actor) -> anyhow::Result<Score> {
+    /// Those of [`Learner::act`].
+    pub fn score(&mut self, learner: &dyn Learner) -> anyhow::Result<Score> {
         let mut rows = Vec::with_capacity(self.states.len());
         for state in &mut self.states {
-            let logits = actor.logits(state.environment.state())?;
-            let rates = state.environment.rates_bps(&logits, actor.head).to_vec();
+            let angles = learner.act(&state.environment)?;
+            let rates = state.environment.rates_bps(&angles).to_vec();
             rows.push((rates.iter().sum::<f64>(), met(&rates, &state.environment.observation().min_rate_bps)));
         }
         let mbps = |value: f64| 1e-6 * value;

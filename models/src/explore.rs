@@ -13,6 +13,9 @@ pub enum Kind {
     Additive,
     /// With a probability equal to the magnitude, all logits are drawn uniformly from [-1, 1].
     EpsilonGreedy,
+    /// Gaussian noise in smooth patterns over the array, for actions that are angles ([`crate::raw::Basis`]); the magnitude is its standard
+    /// deviation.
+    Patterns,
 }
 
 /// A disturbance whose magnitude falls over the episodes.
@@ -36,7 +39,7 @@ impl Exploration {
     /// Disturbs the logits of the users present, which lead the slots; they stay within [-1, 1].
     pub fn disturb(&self, magnitude: f64, logits: &mut [f32], rng: &mut impl Rng) {
         match self.kind {
-            Kind::Additive => {
+            Kind::Additive | Kind::Patterns => {
                 for logit in logits {
                     *logit = (*logit + (magnitude * normal(rng)) as f32).clamp(-1.0, 1.0);
                 }
@@ -51,7 +54,7 @@ impl Exploration {
 }
 
 /// One draw from the standard normal distribution, by the Box-Muller transform.
-fn normal(rng: &mut impl Rng) -> f64 {
+pub fn normal(rng: &mut impl Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
 }

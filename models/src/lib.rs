@@ -6,8 +6,11 @@
 //! Nothing here runs beside a live room: no transport, no clock, no deadline.
 //!
 //! # Parts
-//! - [`ddpg`]: Algorithm 1; its head lists every departure from the paper.
-//! - [`features`], [`actor`], [`networks`], [`explore`], [`replay`]: what learners share.
+//! - [`learner`], [`algorithm`]: what every algorithm can do, and which there are.
+//! - [`ddpg`]: Algorithm 1 with one weight a user; its head lists every departure from the paper.
+//! - [`ddpg_raw`], [`ddpg_basis`]: Algorithm 1 with all angles as the action, as the paper has it and as it can be made to work.
+//! - [`analytic`]: the gradient through the channel itself, in place of trial and critic.
+//! - [`features`], [`actor`], [`raw`], [`networks`], [`explore`], [`replay`]: what learners share.
 //! - [`evaluate`]: held-out states and the ratio to the oracle.
 //! - [`comparison`]: any policies on the same states, in statics and in closed loop.
 //! - [`checkpoint`], [`curve`]: what a run leaves on disk while it goes on.
@@ -15,18 +18,24 @@
 //! - [`train`]: the `heliostat train` command.
 
 pub mod actor;
+pub mod algorithm;
+pub mod analytic;
 pub mod card;
 pub mod checkpoint;
 pub mod comparison;
 pub mod curve;
 pub mod ddpg;
+pub mod ddpg_basis;
+pub mod ddpg_raw;
 pub mod env;
 pub mod evaluate;
 pub mod explore;
 pub mod export;
 pub mod features;
+pub mod learner;
 pub mod networks;
 pub mod onnx;
+pub mod raw;
 pub mod replay;
 pub mod train;
 

@@ -207,6 +207,7 @@ pub fn assign(parameter: &Tensor, value: &Tensor) -> Result<()> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
     learning_rate: f64,
+    clip: f64,
     step: u64,
     first_moment: Vec<Vec<f32>>,
     second_moment: Vec<Vec<f32>>,
@@ -219,7 +220,12 @@ impl Adam {
     /// An optimiser for the parameters of one network.
     pub fn new(network: &Network, learning_rate: f64) -> Self {
         let zeros: Vec<Vec<f32>> = network.parameters().iter().map(|tensor| vec![0.0; tensor.elem_count()]).collect();
-        Self { learning_rate, step: 0, first_moment: zeros.clone(), second_moment: zeros }
+        Self { learning_rate, clip: 0.0, step: 0, first_moment: zeros.clone(), second_moment: zeros }
+    }
+
+    /// The same, with gradients cut to this norm over all parameters; 0 is no limit.
+    pub fn clipped(self, clip: f64) -> Self {
+        Self { clip, ..self }
     }
 
     /// Sets the learning rate of the steps to come.
@@ -264,12 +270,14 @@ impl Adam {
         let [beta1, beta2] = Self::BETA;
         let rate = (self.learning_rate * power(beta2).sqrt() / power(beta1)) as f32;
         let (beta1, beta2) = (beta1 as f32, beta2 as f32);
+        let factor = self.factor(network, gradients)?;
         for (index, parameter) in network.parameters().into_iter().enumerate() {
             let Some(gradient) = gradients.get(parameter) else { continue };
             let gradient = gradient.flatten_all()?.to_vec1::<f32>()?;
             let mut value = parameter.flatten_all()?.to_vec1::<f32>()?;
             let moments = self.first_moment[index].iter_mut().zip(&mut self.second_moment[index]);
             for ((value, gradient), (first, second)) in value.iter_mut().zip(&gradient).zip(moments) {
+                let gradient = factor * gradient;
                 *first = beta1 * *first + (1.0 - beta1) * gradient;
                 *second = beta2 * *second + (1.0 - beta2) * gradient * gradient;
                 *value -= rate * *first / (second.sqrt() + Self::EPSILON);
@@ -277,5 +285,17 @@ impl Adam {
             assign(parameter, &Tensor::from_vec(value, parameter.shape(), &Device::Cpu)?)?;
         }
         Ok(())
+    }
+
+    /// What cuts the gradients to the norm allowed.
+    fn factor(&self, network: &Network, gradients: &GradStore) -> Result<f32> {
+        if self.clip == 0.0 {
+            return Ok(1.0);
+        }
+        let mut squared = 0.0;
+        for gradient in network.parameters().into_iter().filter_map(|parameter| gradients.get(parameter)) {
+            squared += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
+        }
+        Ok((self.clip / squared.sqrt().max(self.clip)) as f32)
     }
 }

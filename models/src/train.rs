@@ -4,18 +4,18 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use heliostat_controller::observation::OBSERVATION_VERSION;
+use heliostat_controller::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
 use heliostat_controller::policy::actor_file::key;
 use heliostat_controller::policy::shipped;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::actor::Actor;
+use crate::algorithm::{Algorithm, Preset};
 use crate::card::{Card, ScoreRow, hardware};
+use crate::checkpoint;
 use crate::curve::Curve;
-use crate::ddpg::{Settings, Trainer};
 use crate::evaluate::{HeldOut, Score};
-use crate::export::export;
+use crate::learner::Learner;
 use crate::networks::on_one_thread;
 
 /// Train a policy for a scenario and export it as an ONNX actor.
@@ -35,7 +35,7 @@ pub struct TrainArgs {
     /// Steps in an episode, in place of the preset's
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     steps: Option<u32>,
-    /// Change a number of the preset, for example --option gamma=0.9 or --option encoder=mlp (repeatable)
+    /// Change a number of the preset, for example --option exploration.start=0.2 (repeatable); a wrong name lists all
     #[arg(long = "option", value_name = "KEY=VALUE")]
     options: Vec<String>,
     /// Folder for the actor, its card, the learning curve and the checkpoint
@@ -53,20 +53,6 @@ pub struct TrainArgs {
     /// Print one JSON object at the end, and no progress
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Algorithm {
-    /// Algorithm 1 of the paper with one weight a user as the action
-    Ddpg,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Preset {
-    /// What the shipped actors were made with
-    Tuned,
-    /// The paper's networks, rates and buffer
-    Paper,
 }
 
 /// States of each forced-blockage count that are watched while training goes on.
@@ -88,12 +74,12 @@ pub fn run_train(args: TrainArgs) -> anyhow::Result<()> {
 
 fn train(args: &TrainArgs) -> anyhow::Result<()> {
     let scenario = args.scenario.load()?;
-    let settings = args.settings(&scenario)?;
-    let mut trainer = Trainer::new(scenario, settings)?;
+    let mut learner = args.algorithm.begin(scenario, args.preset, &args.changes())?;
+    let learner = learner.as_mut();
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
     if args.resume {
-        trainer.load(&checkpoint)?;
+        checkpoint::load(learner, &checkpoint)?;
     } else {
         anyhow::ensure!(
             !checkpoint.exists(),
@@ -101,29 +87,27 @@ fn train(args: &TrainArgs) -> anyhow::Result<()> {
             args.out.display()
         );
     }
-    let resumed = trainer.episodes_done() > 0;
+    let resumed = learner.episodes_done() > 0;
     let start = Instant::now();
-    learn(&mut trainer, args, &checkpoint)?;
+    learn(learner, args, &checkpoint)?;
     let duration = (!resumed).then(|| start.elapsed());
-    finish(&trainer, args, duration)
+    finish(learner, args, duration)
 }
 
 impl TrainArgs {
-    fn settings(&self, scenario: &Scenario) -> anyhow::Result<Settings> {
-        let preset = match self.preset {
-            Preset::Tuned => Settings::tuned(scenario.seed, scenario.channel.mode),
-            Preset::Paper => Settings::paper(scenario.seed),
-        };
-        let mut settings = preset.with_options(&self.options)?;
-        settings.episodes = self.episodes.map_or(settings.episodes, |count| count as usize);
-        settings.steps = self.steps.map_or(settings.steps, |count| count as usize);
-        Ok(settings)
+    /// All changes to the preset.
+    fn changes(&self) -> Vec<String> {
+        let mut changes = self.options.clone();
+        changes.extend(self.episodes.map(|count| format!("episodes={count}")));
+        changes.extend(self.steps.map(|count| format!("steps={count}")));
+        changes
     }
 
     /// The command that repeats the run, in canonical form.
     fn command(&self, seed: u64) -> String {
         let preset = if self.preset == Preset::Paper { " --preset paper" } else { "" };
-        let mut command = format!("heliostat train ddpg --scenario {} --seed {seed}{preset}", self.scenario.scenario);
+        let (algorithm, scenario) = (self.algorithm.policy().name(), &self.scenario.scenario);
+        let mut command = format!("heliostat train {algorithm} --scenario {scenario} --seed {seed}{preset}");
         let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", value]);
         self.scenario.overrides.iter().for_each(|text| add("--set", text));
         self.options.iter().for_each(|text| add("--option", text));
@@ -133,22 +117,22 @@ impl TrainArgs {
     }
 }
 
-fn learn(trainer: &mut Trainer, args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<()> {
-    let episodes = trainer.settings().episodes;
-    let mut curve = Curve::open(&args.out.join("curve.csv"), trainer.episodes_done())?;
+fn learn(learner: &mut dyn Learner, args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<()> {
+    let episodes = learner.run().episodes;
+    let mut curve = Curve::open(&args.out.join("curve.csv"), learner.episodes_done())?;
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(episodes as u64) };
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes, {eta} left  {msg}")?);
     bar.set_message("solving held-out states");
-    bar.set_position(trainer.episodes_done() as u64);
-    let mut watched = watched(trainer.scenario(), trainer.actor())?;
-    while trainer.episodes_done() < episodes {
-        let episode = trainer.run_episode()?;
+    bar.set_position(learner.episodes_done() as u64);
+    let mut watched = watched(learner.scenario())?;
+    while learner.episodes_done() < episodes {
+        let episode = learner.run_episode()?;
         let due = episode.number % args.every as usize == 0 || episode.number == episodes;
-        let score = if due { Some(watched.score(trainer.actor())?) } else { None };
+        let score = if due { Some(watched.score(learner)?) } else { None };
         curve.add(&episode, score.as_ref())?;
         bar.inc(1);
         if let Some(score) = score {
-            trainer.save(checkpoint)?;
+            checkpoint::save(learner, checkpoint)?;
             let (ratio, met) = (score.ratio_to_oracle.mean, score.qos_met);
             bar.set_message(format!("{ratio:.3} of the oracle, needs met {met:.3}"));
         }
@@ -158,10 +142,10 @@ fn learn(trainer: &mut Trainer, args: &TrainArgs, checkpoint: &Path) -> anyhow::
 }
 
 /// A mixture of blockage counts in rooms of the scenario.
-fn watched(scenario: &Scenario, actor: &Actor) -> anyhow::Result<HeldOut> {
+fn watched(scenario: &Scenario) -> anyhow::Result<HeldOut> {
     let mut all = HeldOut::default();
     for forced in forced_counts(scenario.users.count) {
-        all.add(&room(scenario, scenario.users.count, forced), actor, WATCHED_STATES)?;
+        all.add(&room(scenario, scenario.users.count, forced), WATCHED_STATES)?;
     }
     Ok(all)
 }
@@ -184,15 +168,15 @@ fn room(scenario: &Scenario, users: usize, forced: usize) -> Scenario {
 }
 
 /// Scores the finished actor and writes it with its card.
-fn finish(trainer: &Trainer, args: &TrainArgs, duration: Option<Duration>) -> anyhow::Result<()> {
-    let (scenario, settings) = (trainer.scenario(), trainer.settings());
-    let scores = final_scores(trainer, args.states as usize)?;
-    let command = args.command(settings.seed);
-    let bytes = onnx_file(trainer, &command, &scores)?;
-    let file = shipped::name_for(scenario);
+fn finish(learner: &dyn Learner, args: &TrainArgs, duration: Option<Duration>) -> anyhow::Result<()> {
+    let (algorithm, seed) = (args.algorithm, learner.run().seed);
+    let scores = final_scores(learner, args.states as usize)?;
+    let command = args.command(seed);
+    let bytes = onnx_file(learner, &command, &scores)?;
+    let file = shipped::file_name(algorithm.policy(), learner.scenario(), seed);
     let path = args.out.join(&file);
     std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
-    let card = Card { file: &file, command: &command, settings, scenario, duration, scores: &scores };
+    let card = Card { file: &file, command: &command, algorithm, learner, duration, scores: &scores };
     let card_path = path.with_extension("md");
     std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
     if args.json {
@@ -204,44 +188,43 @@ fn finish(trainer: &Trainer, args: &TrainArgs, duration: Option<Duration>) -> an
     Ok(())
 }
 
-fn final_scores(trainer: &Trainer, states: usize) -> anyhow::Result<Vec<ScoreRow>> {
+fn final_scores(learner: &dyn Learner, states: usize) -> anyhow::Result<Vec<ScoreRow>> {
     let mut users = USERS.to_vec();
-    users.push(trainer.scenario().users.count);
+    users.push(learner.scenario().users.count);
     users.sort_unstable();
     users.dedup();
     let mut rows = Vec::new();
     for &users in &users {
         for forced in forced_counts(users) {
             let mut held_out = HeldOut::default();
-            held_out.add(&room(trainer.scenario(), users, forced), trainer.actor(), states)?;
-            rows.push(ScoreRow { users, forced, states, score: held_out.score(trainer.actor())? });
+            held_out.add(&room(learner.scenario(), users, forced), states)?;
+            rows.push(ScoreRow { users, forced, states, score: held_out.score(learner)? });
         }
     }
     Ok(rows)
 }
 
 /// The trained actor as an ONNX file with its metadata.
-fn onnx_file(trainer: &Trainer, command: &str, scores: &[ScoreRow]) -> anyhow::Result<Vec<u8>> {
-    let (scenario, actor) = (trainer.scenario(), trainer.actor());
+fn onnx_file(learner: &dyn Learner, command: &str, scores: &[ScoreRow]) -> anyhow::Result<Vec<u8>> {
+    let scenario = learner.scenario();
     let score = |row: &ScoreRow| {
         let Score { ratio_to_oracle: ratio, qos_met, .. } = row.score;
         format!("K={} b={}: {:.4} +- {:.4}, needs met {qos_met:.3}", row.users, row.forced, ratio.mean, ratio.ci95)
     };
     let metadata = [
         (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
-        (key::USERS_MAX, actor.layout.slots().to_string()),
+        (key::USERS_MAX, USERS_CAPACITY.to_string()),
         (key::MIRRORS, scenario.mirror_count().to_string()),
         (key::MODE, scenario.channel.mode.name().into()),
         (key::GEOMETRY, scenario.geometry_hash()),
         (key::TRAINING_COMMAND, command.into()),
-        (key::SEED, trainer.settings().seed.to_string()),
+        (key::SEED, learner.run().seed.to_string()),
         (key::SCENARIO, format!("{} {}", scenario.name, scenario.hash())),
         (key::SCORES, scores.iter().map(score).collect::<Vec<_>>().join("; ")),
         (key::LICENCE, env!("CARGO_PKG_LICENSE").into()),
     ];
     let metadata = metadata.map(|(key, value)| (key.to_string(), value));
-    let model = scenario.channel_model()?;
-    Ok(export(actor, &model, &metadata)?)
+    learner.export(&metadata)
 }
 
 fn report(path: &Path, command: &str, duration: Option<Duration>, scores: &[ScoreRow]) -> serde_json::Value {

@@ -4,9 +4,9 @@ use heliostat_channel::MirrorAngles;
 use heliostat_controller::observation::OBSERVATION_VERSION;
 use heliostat_controller::policy::Actor as Served;
 use heliostat_controller::policy::actor_file::{ActorFile, key};
-use heliostat_models::actor::Actor;
+use heliostat_models::actor::{Actor, States};
 use heliostat_models::ddpg::{Settings, Trainer};
-use heliostat_models::env::{Action, Environment, Rooms, decode_logits};
+use heliostat_models::env::{Environment, Rooms};
 use heliostat_models::export::export;
 use heliostat_models::networks::{Encoder, assign};
 use heliostat_scenario::{ChannelMode, Scenario};
@@ -69,12 +69,11 @@ fn compare(scenario: &Scenario, encoder: Encoder) -> (f64, f64) {
     let mut got = MirrorAngles::flat(mirrors);
     let (mut worst, mut ties) = (0.0_f64, 0);
     for _ in 0..OBSERVATIONS {
-        let room = Rooms::Randomised.draw(scenario, actor.layout.slots(), &mut rng);
-        let environment = Environment::new(&room, actor.layout, rng.random()).expect("a valid room");
+        let room = Rooms::Randomised.draw(scenario, &mut rng);
+        let environment = Environment::new(&room, rng.random()).expect("a valid room");
         let vector = environment.vector();
-        let logits = actor.logits(environment.state()).expect("logits");
-        let action = Action { vector, logits: &logits, layout: actor.layout, head: actor.head };
-        let wanted = decode_logits(environment.model(), environment.observation(), &action);
+        let logits = actor.logits(&States::row(actor.layout, vector)).expect("logits");
+        let wanted = actor.decode(&environment, &logits);
         served.answer(vector, &mut got).expect("angles");
         let weights = actor.layout.weights(vector, &logits, actor.head);
         for mirror in 0..mirrors {
@@ -123,9 +122,9 @@ fn another_wall_and_array_work_too() {
 fn an_actor_does_not_mind_the_order_of_users() {
     let scenario = Scenario::builtin("specular").expect("built in");
     let actor = lively_actor(&scenario, Encoder::Set);
-    let environment = Environment::new(&scenario, actor.layout, 3).expect("a valid room");
+    let environment = Environment::new(&scenario, 3).expect("a valid room");
     let slots = actor.layout.slots();
-    let state = environment.state();
+    let state = &States::row(actor.layout, environment.vector());
     let features = state.len() / slots - scenario.mirror_count();
     let (head, tail) = state.split_at(slots * features);
     let swap = |rows: &[f32], width: usize| -> Vec<f32> {

@@ -2,6 +2,7 @@
 
 use heliostat_models::ddpg::{Settings, Trainer};
 use heliostat_models::evaluate::HeldOut;
+use heliostat_models::learner::{Learner, RunSettings};
 use heliostat_models::networks::on_one_thread;
 use heliostat_scenario::{ChannelMode, Scenario};
 
@@ -14,15 +15,17 @@ fn check() {
     let overrides = ["mirrors.rows=6", "mirrors.columns=6", "blockage.forced_users=5"].map(String::from);
     let scenario = Scenario::builtin("specular").and_then(|scenario| scenario.with_overrides(&overrides));
     let scenario = scenario.expect("a valid scenario");
-    let settings = Settings { episodes: 24, steps: 25, warm_up: 100, ..Settings::tuned(1, ChannelMode::Specular) };
+    let tuned = Settings::tuned(1, ChannelMode::Specular);
+    let run = RunSettings { episodes: 24, steps: 25, ..tuned.run };
+    let settings = Settings { run, warm_up: 100, ..tuned };
     let mut trainer = Trainer::new(scenario.clone(), settings).expect("a valid run");
     let mut held_out = HeldOut::default();
-    held_out.add(&scenario, trainer.actor(), 25).expect("held-out states");
-    let before = held_out.score(trainer.actor()).expect("a score").ratio_to_oracle.mean;
+    held_out.add(&scenario, 25).expect("held-out states");
+    let before = held_out.score(&trainer).expect("a score").ratio_to_oracle.mean;
     for _ in 0..24 {
         trainer.run_episode().expect("an episode");
     }
-    let after = held_out.score(trainer.actor()).expect("a score").ratio_to_oracle.mean;
+    let after = held_out.score(&trainer).expect("a score").ratio_to_oracle.mean;
     assert!(after > before + 0.02, "ratio to the oracle {before} before and {after} after training");
     let parameters = trainer.actor().network.parameters();
     let finite = |values: Vec<f32>| values.iter().all(|value| value.is_finite());

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
+use heliostat_models::checkpoint;
 use heliostat_models::ddpg::{Settings, Trainer};
+use heliostat_models::learner::{Learner, RunSettings};
 use heliostat_scenario::{ChannelMode, Scenario};
 
 const EPISODES: usize = 6;
@@ -14,7 +16,8 @@ fn trainer(settings: Settings) -> Trainer {
 }
 
 fn short(preset: Settings) -> Settings {
-    Settings { episodes: EPISODES, steps: 12, warm_up: 20, batch: 8, replay: 50, ..preset }
+    let run = RunSettings { episodes: EPISODES, steps: 12, ..preset.run };
+    Settings { run, warm_up: 20, batch: 8, replay: 50, ..preset }
 }
 
 fn run(trainer: &mut Trainer, until: usize) {
@@ -24,7 +27,7 @@ fn run(trainer: &mut Trainer, until: usize) {
 }
 
 fn checkpoint(trainer: &Trainer, path: &Path) -> Vec<u8> {
-    trainer.save(path).expect("a checkpoint");
+    checkpoint::save(trainer, path).expect("a checkpoint");
     std::fs::read(path).expect("the file")
 }
 
@@ -40,7 +43,7 @@ fn check(settings: Settings) {
     let half = checkpoint(&first, &path);
     assert_ne!(half, wanted, "the second half of the run must change something");
     let mut second = trainer(settings);
-    second.load(&path).expect("the checkpoint fits");
+    checkpoint::load(&mut second, &path).expect("the checkpoint fits");
     run(&mut second, EPISODES);
     assert!(checkpoint(&second, &path) == wanted, "the resumed run differs from the one that was not stopped");
 }
@@ -65,8 +68,8 @@ fn another_seed_is_another_run() {
     run(&mut two, 1);
     let parameters = |run: &Trainer| run.actor().network.layers()[0].bias.to_vec1::<f32>().expect("a vector");
     assert_ne!(parameters(&one), parameters(&two));
-    one.save(&path).expect("a checkpoint");
-    let refusal = two.load(&path).expect_err("other settings").to_string();
+    checkpoint::save(&one, &path).expect("a checkpoint");
+    let refusal = checkpoint::load(&mut two, &path).expect_err("other settings").to_string();
     assert!(refusal.contains("other settings"), "{refusal}");
 }
 
@@ -77,5 +80,5 @@ fn a_damaged_checkpoint_is_refused() {
     let mut run = trainer(short(Settings::tuned(1, ChannelMode::Specular)));
     let bytes = checkpoint(&run, &path);
     std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("the file");
-    assert!(run.load(&path).is_err());
+    assert!(checkpoint::load(&mut run, &path).is_err());
 }

@@ -24,6 +24,7 @@ use crate::{
 
 /// An actor that was found to fit the room, ready to run.
 pub struct Actor {
+    name: String,
     info: ActorInfo,
     encoder: ObservationEncoder,
     session: Session,
@@ -43,7 +44,12 @@ impl Actor {
         let encoder = info.encoder();
         let input = Tensor::from_array(([1, encoder.len()], vec![0.0_f32; encoder.len()]))
             .map_err(|error| engine_refused(error.to_string()))?;
-        Ok(Self { info, encoder, session, input })
+        Ok(Self { name: "actor".into(), info, encoder, session, input })
+    }
+
+    /// The same actor under the name of a policy, for summaries.
+    pub fn named(self, name: String) -> Self {
+        Self { name, ..self }
     }
 
     /// What the actor says about itself.
@@ -88,7 +94,7 @@ impl Actor {
 
 impl Policy for Actor {
     fn name(&self) -> &str {
-        "actor"
+        &self.name
     }
 
     fn act(

@@ -60,10 +60,12 @@ pub enum ActorError {
     },
     /// No actor is built in for this array and mode.
     #[error(
-        "no built-in actor {wanted}; built in: {available}. Train one with `heliostat train ddpg` for this scenario and give it \
+        "no built-in actor {wanted}; built in: {available}. Train one with `heliostat train {policy}` for this scenario and give it \
          with --model FILE, or choose --policy fixed-point, which needs none"
     )]
     NotShipped {
+        /// The learned policy's name.
+        policy: String,
         /// File name of the actor that would fit.
         wanted: String,
         /// The built-in ones.

@@ -15,6 +15,7 @@ mod sine_cosine;
 
 use std::path::PathBuf;
 
+use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::SolverError};
 use heliostat_scenario::{Fallback, Scenario};
 use thiserror::Error;
@@ -76,9 +77,21 @@ pub enum PolicyError {
 /// The policies by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PolicyKind {
-    /// A trained network (ONNX)
-    #[value(alias = "ddpg")]
-    Actor,
+    /// Learned: DDPG with one weight a user (ONNX, as all that is learned)
+    #[value(alias = "actor")]
+    Ddpg,
+    /// Learned: DDPG on the angles of all mirrors, as the paper has it
+    DdpgRaw,
+    /// Learned: the same, with a critic that sees smooth patterns of the angles
+    DdpgBasis,
+    /// Learned: by the gradient through the channel itself
+    Analytic,
+    /// Learned: deep Q-learning on a codebook of angles
+    Dql,
+    /// Learned: Q-learning with a table
+    QLearning,
+    /// Learned: SARSA with a table
+    Sarsa,
     /// Model-based: damped fixed point over the users' weights
     FixedPoint,
     /// Model-based: the fixed point, then passes of single mirror moves
@@ -101,12 +114,33 @@ pub enum PolicyKind {
     Hold,
 }
 
-/// Where the actor's file comes from.
+impl PolicyKind {
+    /// The name on the command line and in file names.
+    pub fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).expect("no policy is hidden")
+    }
+
+    /// Whether the policy is a trained network, to be had as an ONNX file.
+    pub fn is_learned(self) -> bool {
+        use PolicyKind::{Analytic, Ddpg, DdpgBasis, DdpgRaw, Dql, QLearning, Sarsa};
+        matches!(self, Ddpg | DdpgRaw | DdpgBasis | Analytic | Dql | QLearning | Sarsa)
+    }
+
+    /// The names of all learned policies, with commas between them.
+    pub fn learned_names() -> String {
+        let learned = Self::value_variants().iter().filter(|kind| kind.is_learned());
+        learned.map(|kind| kind.name()).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// Where a learned policy's file comes from.
 #[derive(Clone, Debug, Default)]
 pub enum ActorSource {
-    /// The built-in actor for the scenario's mode and array.
+    /// The built-in actor for the scenario's mode and array, of training seed 1.
     #[default]
     Shipped,
+    /// The same of another training seed.
+    ShippedSeed(u32),
     /// A file.
     Path(PathBuf),
     /// Bytes at hand.
@@ -118,9 +152,10 @@ impl ActorSource {
     ///
     /// # Errors
     /// [`ActorError`] where there is no such actor or it cannot be read.
-    pub fn fetch(&self, scenario: &Scenario) -> Result<ActorFile, ActorError> {
+    pub fn fetch(&self, policy: PolicyKind, scenario: &Scenario) -> Result<ActorFile, ActorError> {
         match self {
-            Self::Shipped => shipped::for_scenario(scenario),
+            Self::Shipped => shipped::find(policy, scenario, 1),
+            Self::ShippedSeed(seed) => shipped::find(policy, scenario, *seed),
             Self::Path(path) => ActorFile::read(path),
             Self::Bytes(file) => Ok(file.clone()),
         }
@@ -130,12 +165,18 @@ impl ActorSource {
 /// Builds a policy for a room.
 ///
 /// # Errors
-/// [`ActorError`] where the policy is an actor that is missing or does not fit.
+/// [`ActorError`] where the policy is learned and its actor is missing or does not fit.
 pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Result<Box<dyn Policy>, ActorError> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     let range_rad = Limits::new(&scenario.control).range_rad();
     Ok(match kind {
-        PolicyKind::Actor => Box::new(Actor::load(&actor.fetch(scenario)?, scenario)?),
+        PolicyKind::Ddpg
+        | PolicyKind::DdpgRaw
+        | PolicyKind::DdpgBasis
+        | PolicyKind::Analytic
+        | PolicyKind::Dql
+        | PolicyKind::QLearning
+        | PolicyKind::Sarsa => Box::new(Actor::load(&actor.fetch(kind, scenario)?, scenario)?.named(kind.name())),
         PolicyKind::FixedPoint => Box::new(ModelBased::fixed_point(users, mirrors)),
         PolicyKind::Greedy => Box::new(ModelBased::greedy(users, mirrors)),
         PolicyKind::Oracle => Box::new(ModelBased::oracle(users, mirrors)),

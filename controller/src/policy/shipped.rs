@@ -2,6 +2,7 @@
 
 use heliostat_scenario::Scenario;
 
+use super::PolicyKind;
 use super::actor_file::{ActorError, ActorFile};
 
 include!(concat!(env!("OUT_DIR"), "/shipped_actors.rs"));
@@ -11,23 +12,37 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     SHIPPED_ACTORS.iter().map(|(name, _)| *name)
 }
 
-/// The file name of the actor for a scenario: channel mode, rows and columns.
-pub fn name_for(scenario: &Scenario) -> String {
-    format!("{}-{}x{}.onnx", scenario.channel.mode.name(), scenario.mirrors.rows, scenario.mirrors.columns)
+/// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot for training seeds other than 1.
+pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
+    let (mode, rows, columns) = (scenario.channel.mode.name(), scenario.mirrors.rows, scenario.mirrors.columns);
+    let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
+    format!("{}-{mode}-{rows}x{columns}{seed}.onnx", policy.name())
 }
+
+/// The training seeds of which an actor is built in for a scenario, in order.
+pub fn training_seeds(policy: PolicyKind, scenario: &Scenario) -> Vec<u32> {
+    (1..=TRAINING_SEEDS_MAX).filter(|seed| bytes(&file_name(policy, scenario, u64::from(*seed))).is_some()).collect()
+}
+
+/// Largest training seed that is looked for among the built-in actors.
+const TRAINING_SEEDS_MAX: u32 = 10;
 
 /// The built-in actor for a scenario.
 ///
 /// # Errors
 /// [`ActorError::NotShipped`] with the names of those there are.
-pub fn for_scenario(scenario: &Scenario) -> Result<ActorFile, ActorError> {
-    let wanted = name_for(scenario);
-    match SHIPPED_ACTORS.iter().find(|(name, _)| *name == wanted) {
-        Some((name, bytes)) => Ok(ActorFile { origin: format!("the built-in actor {name}"), bytes: (*bytes).into() }),
+pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Result<ActorFile, ActorError> {
+    let wanted = file_name(policy, scenario, u64::from(training_seed));
+    match bytes(&wanted) {
+        Some(bytes) => Ok(ActorFile { origin: format!("the built-in actor {wanted}"), bytes: bytes.into() }),
         None => {
             let available = names().collect::<Vec<_>>().join(", ");
             let available = if available.is_empty() { "none".into() } else { available };
-            Err(ActorError::NotShipped { wanted, available })
+            Err(ActorError::NotShipped { policy: policy.name(), wanted, available })
         }
     }
+}
+
+fn bytes(name: &str) -> Option<&'static [u8]> {
+    SHIPPED_ACTORS.iter().find(|(found, _)| *found == name).map(|(_, bytes)| *bytes)
 }

@@ -44,7 +44,7 @@ fn an_actor_that_fits_acts() {
 #[test]
 fn a_missing_file_says_how_to_get_one() {
     let source = ActorSource::Path("/nowhere/actor.onnx".into());
-    let Err(error) = build(PolicyKind::Actor, &scenario(&[]), &source) else { panic!("accepted") };
+    let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &source) else { panic!("accepted") };
     assert_eq!(error, ActorError::Missing { path: "/nowhere/actor.onnx".into() });
     assert_says(&error, &["/nowhere/actor.onnx", "heliostat train ddpg", "--policy fixed-point"]);
 }
@@ -57,8 +57,8 @@ fn a_folder_is_no_file() {
 
 #[test]
 fn no_actor_is_built_in_for_an_odd_array() {
-    let Err(error) = build(PolicyKind::Actor, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
-    assert_says(&error, &["specular-3x3.onnx", "heliostat train ddpg", "--model", "--policy fixed-point"]);
+    let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
+    assert_says(&error, &["ddpg-specular-3x3.onnx", "heliostat train ddpg", "--model", "--policy fixed-point"]);
 }
 
 #[test]

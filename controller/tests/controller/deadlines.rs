@@ -138,7 +138,7 @@ fn walk(scenario: &Scenario, kind: PolicyKind, rehearsals: usize) -> Vec<MirrorC
 fn rehearsals_leave_no_trace() {
     let ahead = scenario(&["control.prediction=constant-velocity", "control.slew_deg_per_s=600"]);
     for scenario in [scenario(&[]), ahead] {
-        for kind in [PolicyKind::Actor, PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
+        for kind in [PolicyKind::Ddpg, PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
             assert_eq!(walk(&scenario, kind, 0), walk(&scenario, kind, 3), "{kind:?}");
         }
     }

@@ -44,7 +44,7 @@ fn a_value_that_is_no_number_never_leaves() {
 fn an_actor_that_gives_no_numbers_falls_back() {
     let scenario = scenario(&[]);
     let file = ActorRecipe { bias: f32::NAN, ..ActorRecipe::fitting(&scenario) }.file();
-    let actor = build(PolicyKind::Actor, &scenario, &ActorSource::Bytes(file)).unwrap();
+    let actor = build(PolicyKind::Ddpg, &scenario, &ActorSource::Bytes(file)).unwrap();
     let mut controller = controller(&scenario, actor);
     Room::new(&scenario).tick(&mut controller, 1).command();
     assert_eq!(controller.counters().departures(Departure::PolicyFailed), 1);
@@ -163,7 +163,7 @@ fn stages_are_marked_in_order_and_once() {
 /// The same reports at the same times give the same commands, bit for bit, whatever happened elsewhere in the process.
 #[test]
 fn the_core_is_deterministic() {
-    for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest, PolicyKind::Random, PolicyKind::Actor]
+    for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest, PolicyKind::Random, PolicyKind::Ddpg]
     {
         let run = || {
             let scenario = scenario(&["control.slew_deg_per_s=2000"]);

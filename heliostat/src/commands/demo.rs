@@ -37,9 +37,9 @@ pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
     /// Which policy turns the mirrors
-    #[arg(long, value_enum, default_value_t = PolicyKind::Actor)]
+    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
-    /// ONNX file of the actor, in place of the shipped one
+    /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// End after this long, counted from the first answered report

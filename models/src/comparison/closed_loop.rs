@@ -23,7 +23,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::entrant::Entrant;
 use super::judge::{Judge, Sample};
-use super::{Loop, RANDOM_DRAWS, Rows, Run, Settings};
+use super::{Loop, RANDOM_DRAWS, Row, Rows, Run, Settings};
 use crate::evaluate::{SETTLE_S, best_angles, held_out_seed};
 
 /// Instants of an episode.
@@ -76,11 +76,13 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     let mut rows = Vec::new();
     for entrant in &settings.entrants {
         bar.set_message(format!("policies: {}", entrant.name()));
-        rows.push(run(settings, entrant, &episodes, &mut judge)?.row(&oracle, Loop::ClosedLoop));
+        let trainings = entrant.trainings(scenario, settings.training_seed).into_iter();
+        let runs: Vec<Run> =
+            trainings.map(|one| run(settings, &one, &episodes, &mut judge)).collect::<anyhow::Result<_>>()?;
+        rows.push(Row::new(&runs, &oracle, (entrant, Loop::ClosedLoop)));
         bar.inc(1);
     }
-    let oracle = Run { groups: oracle, decisions_us: Vec::new() };
-    Ok((oracle.row(&oracle.groups, Loop::ClosedLoop), rows))
+    Ok((Row::of_oracle(&oracle, Loop::ClosedLoop), rows))
 }
 
 fn episodes(settings: &Settings) -> Vec<Episode> {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use heliostat_controller::policy::actor_file::ActorError;
-use heliostat_controller::policy::{ActorSource, Policy, PolicyKind, build};
+use heliostat_controller::policy::{ActorSource, Policy, PolicyKind, build, shipped};
 use heliostat_scenario::{Prediction, Scenario};
 use thiserror::Error;
 
@@ -36,18 +36,18 @@ pub struct Entrant {
 }
 
 impl Entrant {
-    /// Finds a policy by its name or by the path of its ONNX file; `actor` is the file of the policy `actor`, if not the built-in one.
+    /// Finds a policy by its name or by the path of its ONNX file; `ddpg` is the file of the policy of that name, if not the built-in one.
     ///
     /// # Errors
     /// [`UnknownPolicy`], which lists those there are.
-    pub fn parse(name: &str, actor: &ActorSource) -> Result<Self, UnknownPolicy> {
+    pub fn parse(name: &str, ddpg: &ActorSource) -> Result<Self, UnknownPolicy> {
         let way = if name == "exhaustive" {
             Way::Exhaustive
         } else if name.ends_with(".onnx") {
-            Way::Kind(PolicyKind::Actor, ActorSource::Path(PathBuf::from(name)))
+            Way::Kind(PolicyKind::Ddpg, ActorSource::Path(PathBuf::from(name)))
         } else {
             let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
-            Way::Kind(kind, actor.clone())
+            Way::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
         Ok(Self { name: name.into(), way, prediction: None })
     }
@@ -74,6 +74,27 @@ impl Entrant {
     /// The name in reports.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The same policy once for each training seed of which an actor is built in, or only for the one given; itself where it was not
+    /// learned or comes from a file.
+    pub(super) fn trainings(&self, scenario: &Scenario, only: Option<u32>) -> Vec<Self> {
+        let Way::Kind(kind, ActorSource::Shipped) = self.way else { return vec![self.clone()] };
+        let seeds = match only {
+            _ if !kind.is_learned() => vec![],
+            Some(seed) => vec![seed],
+            None => shipped::training_seeds(kind, scenario),
+        };
+        if seeds.is_empty() {
+            return vec![self.clone()];
+        }
+        let of_seed = |seed| Self { way: Way::Kind(kind, ActorSource::ShippedSeed(seed)), ..self.clone() };
+        seeds.into_iter().map(of_seed).collect()
+    }
+
+    /// Whether the policy was learned.
+    pub(super) fn is_learned(&self) -> bool {
+        matches!(self.way, Way::Kind(kind, _) if kind.is_learned())
     }
 
     /// Whether the policy can be had for a room.

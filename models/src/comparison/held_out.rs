@@ -11,7 +11,7 @@ use indicatif::ProgressBar;
 
 use super::entrant::Entrant;
 use super::judge::{Judge, Sample};
-use super::{Loop, RANDOM_DRAWS, Rows, Run, Settings};
+use super::{Loop, RANDOM_DRAWS, Row, Rows, Run, Settings};
 use crate::env::observe;
 use crate::evaluate::{best_angles, held_out_world};
 
@@ -29,11 +29,13 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     bar.set_length(settings.entrants.len() as u64);
     for entrant in &settings.entrants {
         bar.set_message(format!("policies: {}", entrant.name()));
-        rows.push(run(settings, entrant, &states, &mut judge)?.row(&oracle, Loop::Static));
+        let trainings = entrant.trainings(scenario, settings.training_seed).into_iter();
+        let runs: Vec<Run> =
+            trainings.map(|one| run(settings, &one, &states, &mut judge)).collect::<anyhow::Result<_>>()?;
+        rows.push(Row::new(&runs, &oracle, (entrant, Loop::Static)));
         bar.inc(1);
     }
-    let oracle = Run { groups: oracle, decisions_us: Vec::new() };
-    Ok((oracle.row(&oracle.groups, Loop::Static), rows))
+    Ok((Row::of_oracle(&oracle, Loop::Static), rows))
 }
 
 fn states(settings: &Settings, bar: &ProgressBar, judge: &Judge) -> anyhow::Result<Vec<Observation>> {

@@ -6,6 +6,9 @@
 //! - **closed loop**: each policy sits in the controller's own core, in simulated time, and sees what reports say:
 //!   rare, late, noisy; its commands turn mirrors that take time. The oracle knows the true state and turns its mirrors at once.
 //!
+//! A learned policy of which several training seeds are built in is all of them: each meets every state, and the interval holds the
+//! spread over states and over training seeds.
+//!
 //! A ratio's denominator is the sum rate of the oracle with minimum rates, truly evaluated: with the spill of each spot onto
 //! other users, which the oracle ignores, so that a ratio slightly above 1 is legitimate. Policies are those of the controller, by the
 //! controller's names; what is timed is the policy alone, encoding included.
@@ -55,6 +58,8 @@ pub struct Settings {
     pub seeds: usize,
     /// How.
     pub mode: Loop,
+    /// Take only this training seed of the built-in actors, in place of all.
+    pub training_seed: Option<u32>,
 }
 
 /// The whole comparison.
@@ -98,7 +103,9 @@ pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
     let scenario = &settings.scenario;
     // An actor that does not fit is told before the oracle's long work, not after it.
     for entrant in &settings.entrants {
-        entrant.build(scenario, scenario.seed)?;
+        for training in entrant.trainings(scenario, settings.training_seed) {
+            training.build(scenario, scenario.seed)?;
+        }
     }
     let bar = ProgressBar::new(0);
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {msg}, {eta} left")?);
@@ -135,10 +142,6 @@ struct Run {
 }
 
 impl Run {
-    fn row(&self, oracle: &[Vec<Sample>], mode: Loop) -> Row {
-        Row::new(&self.groups, oracle, &self.decisions_us, mode)
-    }
-
     /// One run whose samples are the means of those of several runs on the same states.
     fn mean(mut runs: Vec<Self>) -> Self {
         let decisions_us = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.decisions_us)).collect();

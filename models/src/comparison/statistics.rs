@@ -5,8 +5,9 @@
 
 use serde::Serialize;
 
-use super::Loop;
+use super::entrant::Entrant;
 use super::judge::Sample;
+use super::{Loop, Run};
 use crate::evaluate::Estimate;
 
 /// A figure over all states. In JSON a number that does not exist, such as the rate of blocked users where nobody is, is null.
@@ -21,14 +22,22 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// The figure of values in independent groups; values that are NaN do not exist.
-    pub fn of(groups: &[Vec<f64>]) -> Self {
-        let present = |group: &Vec<f64>| group.iter().copied().filter(|value| !value.is_nan()).collect::<Vec<_>>();
-        let groups: Vec<Vec<f64>> = groups.iter().map(present).filter(|group| !group.is_empty()).collect();
+    /// The figure of values in independent groups, from one run or from several on the same groups; values that are NaN do not exist.
+    ///
+    /// The variance of the mean is that over groups plus, with several runs, that over runs; what both hold is counted twice, so the
+    /// interval is rather too wide than too narrow.
+    pub fn of(runs: &[Vec<Vec<f64>>]) -> Self {
+        let count = runs.iter().map(Vec::len).max().unwrap_or(0);
+        let values = |group: &[f64]| group.iter().copied().filter(|value| !value.is_nan()).collect::<Vec<_>>();
+        let together = |index: usize| runs.iter().flat_map(|run| values(&run[index])).collect::<Vec<_>>();
+        let groups: Vec<Vec<f64>> = (0..count).map(together).filter(|group| !group.is_empty()).collect();
         let means: Vec<f64> = groups.iter().map(|group| mean(group)).collect();
+        let of_runs: Vec<f64> = runs.iter().map(|run| mean(&values(&run.concat()))).collect();
         let mut all = groups.concat();
         all.sort_by(f64::total_cmp);
-        let ci95 = if means.len() > 1 { Estimate::of(&means).ci95 } else { f64::NAN };
+        let interval = |means: &[f64]| Estimate::of(means).ci95;
+        let over_runs = if of_runs.len() > 1 { interval(&of_runs) } else { 0.0 };
+        let ci95 = if means.len() > 1 { interval(&means).hypot(over_runs) } else { f64::NAN };
         Self { mean: mean(&all), ci95, p5: quantile(&all, 0.05) }
     }
 }
@@ -63,30 +72,51 @@ pub struct Row {
     /// How long the policy took; `None` for the yardstick.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub decision_us: Option<Times>,
+    /// How many training seeds stand behind the figures of a learned policy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub training_seeds: Option<usize>,
 }
 
 impl Row {
-    /// The figures of samples beside the oracle's of the same states.
-    pub(super) fn new(samples: &[Vec<Sample>], oracle: &[Vec<Sample>], decisions_us: &[f64], mode: Loop) -> Self {
-        let spread = |value: fn(&Sample) -> f64| {
-            Spread::of(&samples.iter().map(|group| group.iter().map(value).collect()).collect::<Vec<_>>())
-        };
-        let pairs = samples.iter().zip(oracle);
-        let ratios: Vec<Vec<f64>> = pairs
-            .map(|(group, oracle)| group.iter().zip(oracle).map(|(own, best)| ratio(own, best)).collect())
-            .collect();
-        let mut decisions_us = decisions_us.to_vec();
+    /// The figures of an entrant's runs, one for each training seed, beside the oracle's of the same states.
+    pub(super) fn new(runs: &[Run], oracle: &[Vec<Sample>], (entrant, mode): (&Entrant, Loop)) -> Self {
+        let samples: Vec<&[Vec<Sample>]> = runs.iter().map(|run| run.groups.as_slice()).collect();
+        let mut decisions_us: Vec<f64> = runs.iter().flat_map(|run| &run.decisions_us).copied().collect();
         decisions_us.sort_by(f64::total_cmp);
+        let times = Times { p50: quantile(&decisions_us, 0.5), p99: quantile(&decisions_us, 0.99) };
+        Self {
+            decision_us: (!decisions_us.is_empty()).then_some(times),
+            training_seeds: entrant.is_learned().then_some(runs.len()),
+            ..Self::of_samples(&samples, oracle, mode)
+        }
+    }
+
+    /// The figures of the yardstick itself.
+    pub(super) fn of_oracle(oracle: &[Vec<Sample>], mode: Loop) -> Self {
+        Self::of_samples(&[oracle], oracle, mode)
+    }
+
+    fn of_samples(runs: &[&[Vec<Sample>]], oracle: &[Vec<Sample>], mode: Loop) -> Self {
+        let spread = |value: fn(&Sample) -> f64| {
+            let values = |run: &&[Vec<Sample>]| run.iter().map(|group| group.iter().map(value).collect()).collect();
+            Spread::of(&runs.iter().map(values).collect::<Vec<_>>())
+        };
+        let ratios = |run: &&[Vec<Sample>]| {
+            let ratios = |(group, oracle): (&Vec<Sample>, &Vec<Sample>)| {
+                group.iter().zip(oracle).map(|(own, best)| ratio(own, best)).collect()
+            };
+            run.iter().zip(oracle).map(ratios).collect()
+        };
         Self {
             sum_rate_mbps: spread(|sample| sample.sum_rate_mbps),
-            ratio_to_oracle: Spread::of(&ratios),
+            ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()),
             qos_met: spread(|sample| sample.met),
             jain: spread(|sample| sample.jain),
             blocked_rate_mbps: spread(|sample| sample.blocked_rate_mbps),
             ber: spread(|sample| sample.ber),
             outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| 1.0 - sample.met)),
-            decision_us: (!decisions_us.is_empty())
-                .then(|| Times { p50: quantile(&decisions_us, 0.5), p99: quantile(&decisions_us, 0.99) }),
+            decision_us: None,
+            training_seeds: None,
         }
     }
 }
@@ -124,13 +154,25 @@ mod tests {
     fn intervals_come_from_groups_and_absent_values_do_not_count() {
         let alone: Vec<Vec<f64>> = [1.0, 2.0, 3.0, 4.0].map(|value| vec![value]).into();
         let together = vec![vec![1.0, 2.0], vec![3.0, 4.0]];
-        let (alone, together) = (Spread::of(&alone), Spread::of(&together));
+        let of = |groups: &[Vec<f64>]| Spread::of(&[groups.to_vec()]);
+        let (alone, together) = (of(&alone), of(&together));
         assert_eq!((alone.mean, together.mean, alone.p5), (2.5, 2.5, together.p5));
         // Standard errors: sqrt(5/3) / 2 of four values, sqrt(2) / sqrt(2) of two means.
         assert!((alone.ci95 - 1.96 * (5.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-12);
         assert!((together.ci95 - 1.96).abs() < 1e-12);
-        let gap = Spread::of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
+        let gap = of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
         assert_eq!(gap.mean, 3.0);
-        assert!(Spread::of(&[vec![f64::NAN]]).mean.is_nan() && Spread::of(&[vec![1.0, 2.0]]).ci95.is_nan());
+        assert!(of(&[vec![f64::NAN]]).mean.is_nan() && of(&[vec![1.0, 2.0]]).ci95.is_nan());
+    }
+
+    #[test]
+    fn the_spread_over_runs_widens_the_interval() {
+        let run = |shift: f64| [1.0, 2.0, 3.0, 4.0].map(|value| vec![value + shift]).to_vec();
+        let (one, same, apart) = (&[run(0.0)][..], &[run(0.0), run(0.0)][..], &[run(-1.0), run(1.0)][..]);
+        let [one, same, apart] = [one, same, apart].map(Spread::of);
+        assert_eq!((one.mean, one.ci95), (same.mean, same.ci95));
+        // Over runs: a standard error of sqrt(2) / sqrt(2).
+        assert_eq!(apart.mean, 2.5);
+        assert!((apart.ci95 - one.ci95.hypot(1.96)).abs() < 1e-12 && apart.p5 < one.p5);
     }
 }

@@ -43,7 +43,7 @@ pub struct Args {
 /// `decide`: one policy at several paces, beside the inference engine alone.
 pub fn decide(args: &Args) -> Result<()> {
     let scenario = args.scenario.load()?;
-    let kind = args.policy.unwrap_or(PolicyKind::Actor);
+    let kind = args.policy.unwrap_or(PolicyKind::Ddpg);
     let mut table =
         Table::new(args.json, "decision without transport, beside the inference engine alone at the same pace")?;
     for plan in args.pace.plans(&[10.0, 100.0, 1000.0, 0.0])? {

@@ -40,7 +40,7 @@ pub struct Args {
     #[command(flatten)]
     pace: PaceArgs,
     /// Which policy decides
-    #[arg(long, value_enum, default_value_t = PolicyKind::Actor)]
+    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
     /// Where the processes meet, in place of a free TCP port of this machine; for example unixsock-stream//run/bench.sock
     #[arg(long, value_name = "ENDPOINT")]

@@ -4,6 +4,8 @@
 //! decoder, the same that `heliostat_channel::decode` computes in Rust. A controller therefore needs no knowledge of how an
 //! actor was trained, and no actor can point a mirror where the geometry does not allow.
 
+mod network;
+
 use std::ops::Range;
 
 use candle_core::Result;
@@ -13,8 +15,9 @@ use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 
 use crate::actor::{Actor, EXPONENT, NO_CLAIM, SQUARINGS};
 use crate::features::{Head, Layout, Prior, TINY};
-use crate::networks::{Encoder, Network, Shape};
 use crate::onnx::{Ends, Graph, Value};
+
+pub use network::NetworkNodes;
 
 /// Writes an actor for the room of a channel as an ONNX file with the given metadata.
 ///
@@ -128,74 +131,6 @@ fn amplitude(graph: &mut Graph, observed: &Observed, logits: &str, range: f32) -
     let amplitude = graph.node("Add", &[&observed.direct, &given]);
     let amplitude = graph.node("Add", &[&amplitude, &one]);
     graph.node("Log", &[&amplitude])
-}
-
-/// The parameters of a network as constants of the graph, so that every round uses the same.
-struct NetworkNodes {
-    shape: Shape,
-    /// Name, weight and bias of each layer.
-    layers: Vec<(&'static str, Value, Value)>,
-}
-
-impl NetworkNodes {
-    fn new(graph: &mut Graph, network: &Network) -> Result<Self> {
-        let mut layers = Vec::new();
-        for layer in network.layers() {
-            let (inputs, outputs) = layer.weight.dims2()?;
-            let weight = layer.weight.flatten_all()?.to_vec1::<f32>()?;
-            let weight = graph.constant(&format!("{}.weight", layer.name), &[inputs, outputs], &weight);
-            let bias = graph.constant(&format!("{}.bias", layer.name), &[1, outputs], &layer.bias.to_vec1::<f32>()?);
-            layers.push((layer.name, weight, bias));
-        }
-        Ok(Self { shape: network.shape(), layers })
-    }
-
-    fn linear(&self, graph: &mut Graph, name: &str, input: &str) -> Value {
-        let (_, weight, bias) =
-            self.layers.iter().find(|layer| layer.0 == name).expect("the encoder fixes layer names");
-        let product = graph.node("MatMul", &[input, weight]);
-        graph.node("Add", &[&product, bias])
-    }
-
-    fn rectified(&self, graph: &mut Graph, name: &str, input: &str) -> Value {
-        let raw = self.linear(graph, name, input);
-        graph.node("Relu", &[&raw])
-    }
-
-    /// Logits in [-1, 1] from inputs (slots, inputs), zero in absent slots; (slots, 1).
-    fn apply(&self, graph: &mut Graph, input: &str, present: &str) -> Value {
-        let Shape { encoder, slots, inputs, .. } = self.shape;
-        let outputs = match encoder {
-            Encoder::Mlp => {
-                let flat = graph.reshape(input, &[1, slots * inputs]);
-                let first = self.rectified(graph, "first", &flat);
-                let second = self.rectified(graph, "second", &first);
-                let raw = self.linear(graph, "head", &second);
-                graph.reshape(&raw, &[slots, 1])
-            }
-            Encoder::Set => {
-                let first = self.rectified(graph, "first", input);
-                let pooled = pool(graph, &first, present, slots);
-                let context = self.linear(graph, "context", &pooled);
-                let second = self.linear(graph, "second", &first);
-                let second = graph.node("Add", &[&second, &context]);
-                let second = graph.node("Relu", &[&second]);
-                self.linear(graph, "head", &second)
-            }
-        };
-        let logits = graph.node("Tanh", &[&outputs]);
-        graph.node("Mul", &[&logits, present])
-    }
-}
-
-/// Mean and maximum over the users present of rows that are nowhere negative, (1, 2 width).
-fn pool(graph: &mut Graph, rows: &str, present: &str, slots: usize) -> Value {
-    let masked = graph.node("Mul", &[rows, present]);
-    let sum = graph.sum(&masked, 0);
-    let users = graph.sum(present, 0);
-    let mean = graph.node("Div", &[&sum, &users]);
-    let max = graph.max_of_rows(&masked, slots);
-    graph.concat(&[&mean, &max], 1)
 }
 
 fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Value {

@@ -1,0 +1,144 @@
+//! A comparison as tables and as CSV.
+
+use std::io;
+use std::path::Path;
+
+use anyhow::Result;
+use heliostat_models::comparison::{Loop, Report, Row, Spread};
+
+use super::sweep::Sweep;
+use crate::output::outln;
+
+/// The oracle's row, then those of the policies.
+fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
+    let policies = report.policies.iter().map(|(name, row)| (name.as_str(), row));
+    std::iter::once(("(oracle)", &report.oracle)).chain(policies)
+}
+
+/// Prints a comparison.
+pub fn print_table(report: &Report) -> io::Result<()> {
+    let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
+    outln!(
+        "{}, {loop_name}: {} users, {} with the direct path off; {} states of each of {} seeds from {}",
+        report.scenario,
+        report.users,
+        report.blocked,
+        report.states,
+        report.seeds,
+        report.seed
+    )?;
+    outln!(
+        "{:<22} {:>7} {:>15} {:>15} {:>7} {:>7} {:>7} {:>9} {:>9} {:>9} {:>9}",
+        "",
+        "trained",
+        "Mb/s",
+        "ratio",
+        "p5",
+        "QoS met",
+        "Jain",
+        "blocked",
+        "BER",
+        "p50 (us)",
+        "p99 (us)"
+    )?;
+    for (name, row) in rows(report) {
+        let (rate, ratio) = (row.sum_rate_mbps, row.ratio_to_oracle);
+        let time = |time: Option<f64>| time.map_or("-".into(), |time| format!("{time:.0}"));
+        outln!(
+            "{name:<22} {:>7} {:>15} {:>15} {:>7} {:>7} {:>7} {:>9} {:>9.2e} {:>9} {:>9}",
+            row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()),
+            interval(rate, 1),
+            interval(ratio, 3),
+            number(ratio.p5, 3),
+            number(row.qos_met.mean, 3),
+            number(row.jain.mean, 3),
+            number(row.blocked_rate_mbps.mean, 2),
+            row.ber.mean,
+            time(row.decision_us.map(|times| times.p50)),
+            time(row.decision_us.map(|times| times.p99)),
+        )?;
+    }
+    outln!("trained: training seeds behind a learned policy's figures; their spread is part of the interval")?;
+    outln!("ratio: to the sum rate of the oracle with minimum rates, with its 95 % interval and 5th percentile")?;
+    outln!("blocked: mean rate of a user without a direct path, in Mb/s")?;
+    if report.mode == Loop::ClosedLoop {
+        outln!("outage, the share of the users' time below their minimum rate, is one minus QoS met")?;
+    }
+    Ok(())
+}
+
+/// Prints ratio and QoS met of every policy, a line for each value of the swept key.
+pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
+    let Some(first) = reports.first() else { return Ok(()) };
+    let names: Vec<&str> = first.policies.iter().map(|(name, _)| name.as_str()).collect();
+    let width = |name: &str| name.len().max(15);
+    let header: Vec<String> = names.iter().map(|name| format!("{name:>0$}", width(name))).collect();
+    outln!(
+        "ratio to the oracle with minimum rates, and share of minimum rates met; {} states of each of {} seeds",
+        first.states,
+        first.seeds
+    )?;
+    outln!("{:>16} {:>8} {}", sweep.key(), "(oracle)", header.join(" "))?;
+    for (value, report) in sweep.values().iter().zip(reports) {
+        let cell = |(name, row): &(String, Row)| {
+            let (ratio, met) = (row.ratio_to_oracle, row.qos_met);
+            format!("{:>1$}", format!("{} {}", interval(ratio, 3), number(met.mean, 3)), width(name).max(18))
+        };
+        let cells: Vec<String> = report.policies.iter().map(cell).collect();
+        outln!("{value:>16} {:>8} {}", number(report.oracle.qos_met.mean, 3), cells.join(" "))?;
+    }
+    Ok(())
+}
+
+fn interval(spread: Spread, digits: usize) -> String {
+    if spread.ci95.is_nan() {
+        return number(spread.mean, digits);
+    }
+    format!("{:.digits$} ±{:.digits$}", spread.mean, spread.ci95)
+}
+
+/// A number, or a dash where there is none.
+fn number(value: f64, digits: usize) -> String {
+    if value.is_nan() { "-".into() } else { format!("{value:.digits$}") }
+}
+
+/// Writes a line a policy; those of a sweep begin with the value of the swept key.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn write_csv(file: &Path, sweep: Option<&Sweep>, reports: &[Report]) -> Result<()> {
+    let mut writer = csv::Writer::from_path(file)?;
+    let mut header: Vec<String> = sweep.map(|sweep| sweep.key().to_owned()).into_iter().collect();
+    header.push("policy".into());
+    for (name, _) in reports.iter().take(1).flat_map(|report| spreads(&report.oracle)) {
+        header.extend(["mean", "ci95", "p5"].map(|part| format!("{name}_{part}")));
+    }
+    header.extend(["decision_us_p50", "decision_us_p99", "training_seeds"].map(String::from));
+    writer.write_record(&header)?;
+    for (index, report) in reports.iter().enumerate() {
+        for (name, row) in rows(report) {
+            let figures = spreads(row).into_iter().flat_map(|(_, spread)| [spread.mean, spread.ci95, spread.p5]);
+            let times = row.decision_us.map_or([f64::NAN; 2], |times| [times.p50, times.p99]);
+            let trained = row.training_seeds.map_or(f64::NAN, |seeds| seeds as f64);
+            let cells = figures.chain(times).chain([trained]);
+            let cells = cells.map(|value| if value.is_nan() { String::new() } else { value.to_string() });
+            let value = sweep.map(|sweep| sweep.values()[index].clone());
+            writer.write_record(value.into_iter().chain([name.to_owned()]).chain(cells))?;
+        }
+    }
+    Ok(writer.flush()?)
+}
+
+/// The figures of a row by name.
+fn spreads(row: &Row) -> Vec<(&'static str, Spread)> {
+    let mut spreads = vec![
+        ("sum_rate_mbps", row.sum_rate_mbps),
+        ("ratio_to_oracle", row.ratio_to_oracle),
+        ("qos_met", row.qos_met),
+        ("jain", row.jain),
+        ("blocked_rate_mbps", row.blocked_rate_mbps),
+        ("ber", row.ber),
+    ];
+    spreads.extend(row.outage_time.map(|outage| ("outage_time", outage)));
+    spreads
+}

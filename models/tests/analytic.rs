@@ -1,0 +1,141 @@
+//! The channel in tensors against the channel itself: values, and gradients by finite differences.
+
+use candle_core::{Device, Tensor, Var};
+use heliostat_channel::decode;
+use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_models::analytic::{Channel, Settings};
+use heliostat_models::env::{Environment, Rooms};
+use heliostat_models::features::{Head, Layout};
+use heliostat_scenario::{ChannelMode, Scenario};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const LAMBDA: f64 = 10.0;
+
+struct Bench {
+    scenario: Scenario,
+    layout: Layout,
+    head: Head,
+}
+
+impl Bench {
+    fn new(mode: &str) -> Self {
+        let overrides = ["mirrors.rows=4", "mirrors.columns=5"].map(String::from);
+        let scenario = Scenario::builtin(mode).and_then(|scenario| scenario.with_overrides(&overrides));
+        let scenario = scenario.expect("a valid scenario");
+        let head = Settings::new(1, scenario.channel.mode).head;
+        Self { layout: Layout::of(&scenario), head, scenario }
+    }
+
+    fn rooms(&self, count: usize) -> Vec<(Environment, Vec<f64>)> {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut room = || {
+            let room = Rooms::Randomised.draw(&self.scenario, &mut rng);
+            let environment = Environment::new(&room, rng.random()).expect("a valid room");
+            let logits = (0..environment.users()).map(|_| rng.random_range(-0.9..0.9)).collect();
+            (environment, logits)
+        };
+        (0..count).map(|_| room()).collect()
+    }
+
+    /// The mean of the users' parts of the reward by the decoder and the channel, in bit/s/Hz of a user's band.
+    fn truth(&self, room: &Environment, logits: &[f64]) -> f64 {
+        let (model, seen) = (room.model(), room.observation());
+        let steering = seen.scene.steering_gain().chunks_exact(seen.mirrors());
+        let scale = model.budget.amplitude_scale();
+        let weight = |(logit, gains): (&f64, &[f64])| {
+            let weight = (f64::from(self.head.range) * logit).exp();
+            if self.scenario.channel.mode == ChannelMode::Specular {
+                weight / (scale * gains.iter().sum::<f64>() + 1e-6)
+            } else {
+                weight
+            }
+        };
+        let weights: Vec<f64> = logits.iter().zip(steering).map(weight).collect();
+        let mut angles = MirrorAngles::flat(seen.mirrors());
+        decode::decode(model, &seen.scene, &weights, &mut angles);
+        let mut rates = vec![0.0; seen.users()];
+        seen.scene.rates_bps(model, &angles, &mut rates);
+        let parts = rates.iter().zip(&seen.min_rate_bps).map(|(rate, need)| rate - LAMBDA * (need - rate).max(0.0));
+        parts.sum::<f64>() / model.budget.bandwidth_hz
+    }
+
+    /// The same in tensors, with its gradient by the logits.
+    fn found(&self, room: Environment, logits: &[f64], exponent: f64) -> (f64, Vec<f32>) {
+        let mut slots = vec![0.0_f32; self.layout.slots()];
+        slots.iter_mut().zip(logits).for_each(|(slot, logit)| *slot = *logit as f32);
+        let variable = Var::from_slice(&slots, (1, slots.len()), &Device::Cpu).expect("logits");
+        let channel = Channel::new(&[room], self.layout).expect("a channel");
+        let amplitude = channel.amplitude(&variable, self.head, exponent).expect("amplitudes");
+        let reward: Tensor = channel.reward(&amplitude, LAMBDA).and_then(|reward| reward.sum_all()).expect("a reward");
+        let gradients = reward.backward().expect("gradients");
+        let gradient = gradients.get(&variable).and_then(|all| all.flatten_all().ok()?.to_vec1().ok());
+        (f64::from(reward.to_scalar::<f32>().expect("a number")), gradient.expect("its gradient"))
+    }
+}
+
+#[test]
+fn the_papers_channel_and_its_gradient_are_those_of_the_channel() {
+    let bench = Bench::new("paper-calibrated");
+    let mut compared = 0;
+    for (room, logits) in bench.rooms(30) {
+        let truth = |logits: &[f64]| bench.truth(&room, logits);
+        let wanted = truth(&logits);
+        let slopes: Vec<[f64; 2]> = (0..logits.len())
+            .map(|user| {
+                let moved = |by: f64| {
+                    let mut moved = logits.clone();
+                    moved[user] += by;
+                    truth(&moved)
+                };
+                [1e-4, 1e-5].map(|step| (moved(step) - moved(-step)) / (2.0 * step))
+            })
+            .collect();
+        let (found, gradient) = bench.found(room, &logits, 8.0);
+        assert!((found - wanted).abs() < 1e-4 * wanted.abs().max(1.0), "{found} for {wanted}");
+        for (slope, found) in slopes.iter().zip(&gradient) {
+            // At a kink of the reward two steps give two slopes.
+            if (slope[0] - slope[1]).abs() < 1e-4 {
+                assert!((f64::from(*found) - slope[1]).abs() < 1e-3, "{found} for {slope:?}");
+                compared += 1;
+            }
+        }
+        assert!(gradient[logits.len()..].iter().all(|value| *value == 0.0));
+    }
+    assert!(compared > 100, "{compared} slopes compared");
+}
+
+#[test]
+fn the_softened_choice_becomes_the_true_decoder() {
+    let bench = Bench::new("specular");
+    for (room, logits) in bench.rooms(30) {
+        let wanted = bench.truth(&room, &logits);
+        let (found, _) = bench.found(room, &logits, 4000.0);
+        assert!((found - wanted).abs() < 2e-3 * wanted.abs().max(1.0), "{found} for {wanted}");
+    }
+}
+
+#[test]
+fn the_gradient_of_the_softened_choice_is_its_slope() {
+    let bench = Bench::new("specular");
+    let mut compared = 0;
+    for index in 0..20 {
+        let again = || bench.rooms(20).swap_remove(index);
+        let (room, logits) = again();
+        let (_, gradient) = bench.found(room, &logits, 8.0);
+        for user in 0..logits.len() {
+            let moved = |by: f64| {
+                let mut moved = logits.clone();
+                moved[user] += by;
+                bench.found(again().0, &moved, 8.0).0
+            };
+            let [wide, narrow] = [4e-3, 2e-3].map(|step| (moved(step) - moved(-step)) / (2.0 * step));
+            if (wide - narrow).abs() < 0.02 * (1.0 + narrow.abs()) {
+                let found = f64::from(gradient[user]);
+                assert!((found - narrow).abs() < 0.03 * (1.0 + narrow.abs()), "{found} for {narrow}");
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 60, "{compared} slopes compared");
+}

@@ -13,7 +13,8 @@
 //!   rises from 8 to 64 over the run, towards the true decoder. What is soft is the edge between two users' claims to a mirror, not the
 //!   edge of the mirror: with all angles free, as outputs, nearly every mirror misses everybody and there is no gradient to follow.
 //!
-//! Differences from [`crate::ddpg`] in the numbers: batches of 32 rooms, all new in each episode; a rate of 1e-3 that falls to a tenth.
+//! Differences from [`crate::ddpg`] in the numbers: batches of 16 rooms, all new in each episode; a rate of 1e-3 that falls to a twentieth; 100
+//! episodes.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{MirrorAngles, Mode, decode};
@@ -55,7 +56,8 @@ impl Settings {
     /// The numbers of the shipped actors.
     pub fn new(seed: u64, mode: ChannelMode) -> Self {
         let ddpg::Settings { head, rounds, run, .. } = ddpg::Settings::tuned(seed, mode);
-        Self { head, rounds, rate: 1e-3, rate_end: 0.1, batch: 32, exponent: [8.0, 64.0], run }
+        let run = RunSettings { episodes: 100, ..run };
+        Self { head, rounds, rate: 1e-3, rate_end: 0.05, batch: 16, exponent: [8.0, 64.0], run }
     }
 }
 

@@ -149,7 +149,7 @@ pub(crate) fn observe(world: &World, seen: &mut Observation) {
 pub enum Rooms {
     /// Always the scenario as it stands; only walks and obstacles are drawn anew each episode.
     Fixed,
-    /// Users, forced blockage, noise and needs are drawn anew each episode around the scenario.
+    /// Users, forced blockage, bodies, obstacles, noise and needs are drawn anew each episode around the scenario.
     Randomised,
 }
 
@@ -160,7 +160,8 @@ impl Rooms {
     /// The scenario of one episode.
     ///
     /// Randomised: in half the episodes as many users as the scenario has, otherwise 1 to [`USERS_CAPACITY`]; 0 to 5 of them forced off;
-    /// noise log-uniform from 0.5 to 25 times the scenario's (2e-15 to 1e-13 A2 by default; from 0.25 to 4 times in the paper's
+    /// bodies that block light in three of four rooms, and up to twice the scenario's obstacles, so that the policy knows rooms in which
+    /// everybody can be served; noise log-uniform from 0.5 to 25 times the scenario's (2e-15 to 1e-13 A2 by default; from 0.25 to 4 times in the paper's
     /// modes, where more noise leaves nothing to see); needs uniform from 0 to twice the scenario's.
     pub fn draw(self, scenario: &Scenario, rng: &mut impl Rng) -> Scenario {
         let mut room = scenario.clone();
@@ -170,6 +171,8 @@ impl Rooms {
         let count = scenario.users.count.min(USERS_CAPACITY);
         room.users.count = if rng.random_bool(0.5) { count } else { rng.random_range(1..=USERS_CAPACITY) };
         room.blockage.forced_users = rng.random_range(0..=room.users.count.min(FORCED_MAX));
+        room.blockage.bodies &= rng.random_bool(0.75);
+        room.blockage.obstacles_per_m2 *= rng.random_range(0.0..2.0);
         let (low, high) = match scenario.channel.mode {
             ChannelMode::Specular => (0.5_f64, 25.0_f64),
             ChannelMode::Paper | ChannelMode::PaperCalibrated => (0.25, 4.0),

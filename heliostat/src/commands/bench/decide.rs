@@ -256,7 +256,7 @@ struct Engine {
 
 impl Engine {
     fn new(scenario: &Scenario) -> Result<Self> {
-        let mut actor = Actor::load(&ActorSource::Shipped.fetch(scenario)?, scenario)?;
+        let mut actor = Actor::load(&ActorSource::Shipped.fetch(PolicyKind::Ddpg, scenario)?, scenario)?;
         for _ in 0..WARM_UP {
             actor.run_engine_alone()?;
         }

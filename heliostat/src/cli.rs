@@ -28,6 +28,8 @@ enum Command {
     Train(heliostat_models::TrainArgs),
     /// Compare policies on the same states, beside the oracle
     Eval(eval::Args),
+    /// Make the paper's figures as they come out here, with verdicts
+    Reproduce(heliostat_reproduce::ReproduceArgs),
     /// Compute the link budget of users under given mirror angles
     Link(link::Args),
     /// Draw rate, SINR or coverage over the floor as a heat map
@@ -46,6 +48,7 @@ pub fn run() -> Result<()> {
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Train(args) => heliostat_models::run_train(args),
         Command::Eval(args) => eval::run(args),
+        Command::Reproduce(args) => heliostat_reproduce::run_reproduce(args),
         Command::Link(args) => link::run(args),
         Command::Map(args) => map::run(args),
         Command::Bench(args) => bench::run(args),

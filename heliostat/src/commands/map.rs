@@ -6,9 +6,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
+use heliostat_channel::ChannelModel;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::scene::Scene;
-use heliostat_channel::{ChannelModel, Vec3};
+use heliostat_reproduce::over_floor::over_floor;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::World;
 
@@ -84,59 +85,21 @@ pub fn run(args: Args) -> Result<()> {
     world.step(args.at_seconds);
     let instant = Instant::new(&scenario, world.model(), world.positions(), world.blockers(), world.forced());
     let angles = instant.angles(&args.array)?;
-    let map = Map::compute(&args, &scenario, &world, &angles);
+    let mut look = |scene: &Scene| value(args.what, &scenario, world.model(), scene, &angles);
+    let map = over_floor(&scenario, &world, args.step_cm * 1e-2, &mut look);
     picture::draw(&args, &scenario, &world, &map).with_context(|| format!("cannot draw {}", args.out.display()))?;
+    let ([min, max], mean) = (map.range(), map.mean());
     if args.json {
         let summary = serde_json::json!({
             "file": args.out, "what": args.what.label(), "array": args.array, "scenario": scenario.name,
-            "min": map.min(), "mean": map.mean(), "max": map.max(), "points": map.values.len(),
+            "min": min, "mean": mean, "max": max, "points": map.values.len(),
         });
         outln!("{summary}")?;
     } else {
         let (what, file) = (args.what.label(), args.out.display());
-        outln!("{file}: {what} from {:.3} to {:.3}, mean {:.3}", map.min(), map.max(), map.mean())?;
+        outln!("{file}: {what} from {min:.3} to {max:.3}, mean {mean:.3}")?;
     }
     Ok(())
-}
-
-/// Values over a grid of the floor, row by row from the smallest y.
-struct Map {
-    columns: usize,
-    rows: usize,
-    values: Vec<f64>,
-}
-
-impl Map {
-    fn compute(args: &Args, scenario: &Scenario, world: &World, angles: &MirrorAngles) -> Self {
-        let step_m = args.step_cm * 1e-2;
-        let columns = (scenario.room.length_x_m / step_m).round().max(1.0) as usize;
-        let rows = (scenario.room.length_y_m / step_m).round().max(1.0) as usize;
-        let model = world.model();
-        let mut scene = Scene::new(model, 1);
-        let values = (0..rows * columns)
-            .map(|index| {
-                let x = ((index % columns) as f64 + 0.5) / columns as f64 - 0.5;
-                let y = ((index / columns) as f64 + 0.5) / rows as f64 - 0.5;
-                let place =
-                    Vec3::new(x * scenario.room.length_x_m, y * scenario.room.length_y_m, scenario.receiver.height_m);
-                scene.update(model, &[place], world.blockers(), &[false]);
-                value(args.what, scenario, model, &scene, angles)
-            })
-            .collect();
-        Self { columns, rows, values }
-    }
-
-    fn min(&self) -> f64 {
-        self.values.iter().copied().fold(f64::INFINITY, f64::min)
-    }
-
-    fn max(&self) -> f64 {
-        self.values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
-    }
-
-    fn mean(&self) -> f64 {
-        self.values.iter().sum::<f64>() / self.values.len() as f64
-    }
 }
 
 fn value(what: Quantity, scenario: &Scenario, model: &ChannelModel, scene: &Scene, angles: &MirrorAngles) -> f64 {

@@ -39,15 +39,15 @@ const LEAD_NS: u64 = 1_000_000_000;
 const SOURCE: u64 = 1;
 
 /// One room, and when it is looked at.
-struct Episode {
-    seed: u64,
+pub(super) struct Episode {
+    pub seed: u64,
     /// Which of the compared seeds it belongs to.
     set: u64,
-    instants_ns: Vec<u64>,
+    pub instants_ns: Vec<u64>,
 }
 
 impl Episode {
-    fn new(seed: u64, set: u64, instants: usize) -> Self {
+    pub fn new(seed: u64, set: u64, instants: usize) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         let share = |index: u64| start_ns() + LEAD_NS + index * SPACING_NS + generator.random_range(0..SPACING_NS);
         Self { seed, set, instants_ns: (0..instants as u64).map(share).collect() }
@@ -122,8 +122,11 @@ fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut
             let policy = entrant.build(&scenario, seed)?;
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
             let mut bench = Lockstep::new(&scenario, episode.seed, controller)?;
-            let samples = bench.run(&episode.instants_ns, judge);
-            run.groups.push(samples.with_context(|| format!("policy {}", entrant.name()))?);
+            let mut samples = Vec::new();
+            let mut look = |room: &SimulatedRoom| samples.push(judge.judge(room.world().scene(), room.angles()));
+            let done = bench.run(&episode.instants_ns, &mut look);
+            done.with_context(|| format!("policy {}", entrant.name()))?;
+            run.groups.push(samples);
             run.decisions_us.append(&mut bench.decisions_us);
         }
         Ok(run)
@@ -132,7 +135,7 @@ fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut
 }
 
 /// A room and its controller, moving through the same simulated time.
-struct Lockstep {
+pub(super) struct Lockstep {
     room: SimulatedRoom,
     reports: Reports,
     telemetry: Schedule,
@@ -142,7 +145,7 @@ struct Lockstep {
 }
 
 impl Lockstep {
-    fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
+    pub fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
         controller.warm_up(2);
         let mut room = SimulatedRoom::new(scenario, seed)?;
         room.advance(start_ns());
@@ -157,21 +160,20 @@ impl Lockstep {
         })
     }
 
-    /// Runs until the last instant and judges the mirrors as they stand at each.
-    fn run(&mut self, instants_ns: &[u64], judge: &mut Judge) -> anyhow::Result<Vec<Sample>> {
-        let mut samples = Vec::new();
+    /// Runs until the last instant and looks at the room as it stands at each.
+    pub fn run(&mut self, instants_ns: &[u64], look: &mut dyn FnMut(&SimulatedRoom)) -> anyhow::Result<()> {
         for instant_ns in instants_ns {
             while self.next_event_ns() <= *instant_ns {
                 self.event(self.next_event_ns())?;
             }
             self.room.advance(*instant_ns);
-            samples.push(judge.judge(self.room.world().scene(), self.room.angles()));
+            look(&self.room);
         }
         let failed = self.controller.counters().departures(Departure::PolicyFailed);
         let held = self.controller.counters().departures(Departure::Held);
         match self.controller.last_failure() {
             Some(failure) if failed + held > 0 => bail!("{failed} decisions failed, the last because {failure}"),
-            _ => Ok(samples),
+            _ => Ok(()),
         }
     }
 

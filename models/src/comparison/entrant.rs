@@ -3,12 +3,17 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use heliostat_channel::MirrorAngles;
+use heliostat_controller::observation::Observation;
 use heliostat_controller::policy::actor_file::ActorError;
 use heliostat_controller::policy::{ActorSource, Policy, PolicyKind, build, shipped};
+use heliostat_controller::safety::Limits;
 use heliostat_scenario::{Prediction, Scenario};
+use heliostat_sim_node::World;
 use thiserror::Error;
 
 use super::exhaustive::Exhaustive;
+use crate::env::observe;
 
 /// Added to the name of an entrant that predicts the users.
 const PREDICTION_SUFFIX: &str = "+prediction";
@@ -100,6 +105,20 @@ impl Entrant {
     /// Whether the policy can be had for a room.
     pub fn fits(&self, scenario: &Scenario) -> bool {
         self.build(scenario, scenario.seed).is_ok()
+    }
+
+    /// The angles for a room as it truly stands, within the controller's limits.
+    ///
+    /// # Errors
+    /// A policy that cannot be had for the room, or that fails in it.
+    pub fn angles(&self, scenario: &Scenario, world: &World) -> anyhow::Result<MirrorAngles> {
+        let mut seen = Observation::new(world.model(), scenario.users.count);
+        seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
+        observe(world, &mut seen);
+        let mut angles = MirrorAngles::flat(seen.mirrors());
+        self.build(scenario, scenario.seed)?.act(world.model(), &seen, &mut angles)?;
+        Limits::new(&scenario.control).bound(&seen.angles, f64::INFINITY, &mut angles);
+        Ok(angles)
     }
 
     /// Whether the policy is a random draw, to be averaged over many.

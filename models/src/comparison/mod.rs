@@ -18,6 +18,7 @@ mod entrant;
 mod exhaustive;
 mod held_out;
 mod judge;
+mod stale_aim;
 mod statistics;
 
 use std::time::Duration;
@@ -28,6 +29,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Serialize, Serializer};
 
 pub use entrant::{Entrant, UnknownPolicy};
+pub use stale_aim::kept_sinr;
 pub use statistics::{Row, Spread, Times};
 
 use judge::Sample;
@@ -95,6 +97,17 @@ pub struct Report {
 /// # Errors
 /// A scenario that makes no room, an actor that does not fit it, or a policy that fails.
 pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
+    let bar = ProgressBar::new(0);
+    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {msg}, {eta} left")?);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    compare_under(settings, &bar)
+}
+
+/// The same under a progress bar of the caller, [`ProgressBar::hidden`] for none.
+///
+/// # Errors
+/// As [`compare`].
+pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Report> {
     ensure!(
         settings.mode == Loop::ClosedLoop || settings.scenario.users.trace.is_none(),
         "users.trace: held-out states are drawn from the random walk, not from a recording; leave the recording out, or choose --closed-loop"
@@ -107,12 +120,9 @@ pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
             training.build(scenario, scenario.seed)?;
         }
     }
-    let bar = ProgressBar::new(0);
-    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {msg}, {eta} left")?);
-    bar.enable_steady_tick(Duration::from_millis(200));
     let (oracle, policies) = match settings.mode {
-        Loop::Static => held_out::compare(settings, &bar)?,
-        Loop::ClosedLoop => closed_loop::compare(settings, &bar)?,
+        Loop::Static => held_out::compare(settings, bar)?,
+        Loop::ClosedLoop => closed_loop::compare(settings, bar)?,
     };
     bar.finish_and_clear();
     let names = settings.entrants.iter().map(|entrant| entrant.name().to_owned());

@@ -4,12 +4,13 @@ use std::f64::consts::TAU;
 
 use anyhow::Result;
 use heliostat_channel::Cylinder;
+use heliostat_reproduce::figure::Floor;
 use heliostat_scenario::Scenario;
 use heliostat_sim_node::World;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::{Args, Map, Quantity};
+use super::{Args, Quantity};
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
@@ -22,7 +23,7 @@ const ABOVE: u32 = 44;
 const BELOW: u32 = 50;
 
 /// Draws the map into the file that the arguments name.
-pub fn draw(args: &Args, scenario: &Scenario, world: &World, map: &Map) -> Result<()> {
+pub fn draw(args: &Args, scenario: &Scenario, world: &World, map: &Floor) -> Result<()> {
     let root = SVGBackend::new(&args.out, (MAP + BAR_WIDTH, MAP + LEGEND_HEIGHT)).into_drawing_area();
     root.fill(&WHITE)?;
     let (top, legend) = root.split_vertically(MAP);
@@ -44,10 +45,13 @@ struct Scale {
 }
 
 impl Scale {
-    fn of(what: Quantity, map: &Map) -> Self {
+    fn of(what: Quantity, map: &Floor) -> Self {
         let (low, high) = match what {
             Quantity::Coverage => (0.0, 1.0),
-            Quantity::Rate | Quantity::Sinr => (map.min(), map.max()),
+            Quantity::Rate | Quantity::Sinr => {
+                let [low, high] = map.range();
+                (low, high)
+            }
         };
         Self { low, high: if high > low { high } else { low + 1.0 } }
     }
@@ -58,7 +62,7 @@ impl Scale {
     }
 }
 
-fn draw_floor(area: &Area, scenario: &Scenario, world: &World, map: &Map, scale: &Scale) -> Result<()> {
+fn draw_floor(area: &Area, scenario: &Scenario, world: &World, map: &Floor, scale: &Scale) -> Result<()> {
     let (half_x, half_y) = (scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0);
     let mut chart = ChartBuilder::on(area)
         .margin_left(10)
@@ -68,11 +72,10 @@ fn draw_floor(area: &Area, scenario: &Scenario, world: &World, map: &Map, scale:
         .y_label_area_size(50)
         .build_cartesian_2d(-half_x..half_x, -half_y..half_y)?;
     chart.configure_mesh().disable_mesh().x_desc("x (m)").y_desc("y (m)").label_style(("sans-serif", 13)).draw()?;
-    let (width, height) = (2.0 * half_x / map.columns as f64, 2.0 * half_y / map.rows as f64);
+    let half = [half_x / map.columns as f64, half_y / map.rows as f64];
     chart.draw_series(map.values.iter().enumerate().map(|(index, value)| {
-        let x = (index % map.columns) as f64 * width - half_x;
-        let y = (index / map.columns) as f64 * height - half_y;
-        Rectangle::new([(x, y), (x + width, y + height)], scale.colour(*value).filled())
+        let [x, y] = map.centre(index % map.columns, index / map.columns);
+        Rectangle::new([(x - half[0], y - half[1]), (x + half[0], y + half[1])], scale.colour(*value).filled())
     }))?;
     // White on black, to be seen on every colour of the scale.
     for style in [BLACK.stroke_width(4), WHITE.stroke_width(2)] {

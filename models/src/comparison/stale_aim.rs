@@ -1,0 +1,37 @@
+//! What is left of the light when mirrors are aimed at where people were.
+
+use heliostat_channel::solver::Solver;
+use heliostat_controller::core::Controller;
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::SimulatedRoom;
+
+use super::closed_loop::{Episode, Lockstep};
+use super::entrant::Entrant;
+use crate::evaluate::{best_angles, held_out_seed};
+
+/// SINR over the SINR at perfect aim, for each user at each of so many instants of one walk in closed loop, a quarter of a second apart on average.
+///
+/// Reports, their age, the controller's decisions and the mirrors' motion are those of the scenario; perfect aim is that of the oracle, who
+/// knows where people are and whose mirrors turn at once. Users to whom even the oracle gives nothing do not count. Dimensionless.
+///
+/// # Errors
+/// A scenario that makes no room, a policy that does not fit it or fails, or reports too old to act on.
+pub fn kept_sinr(scenario: &Scenario, entrant: &Entrant, instants: usize) -> anyhow::Result<Vec<f64>> {
+    let (users, seed) = (scenario.users.count, scenario.seed);
+    let scenario = entrant.scenario(scenario);
+    let controller = Controller::new(&scenario, scenario.channel_model()?, entrant.build(&scenario, seed)?, 1);
+    let episode = Episode::new(held_out_seed(seed, 0), seed, instants);
+    let mut solver = Solver::new(users, scenario.mirror_count());
+    let [mut sinr, mut perfect] = [vec![0.0; users], vec![0.0; users]];
+    let mut kept = Vec::with_capacity(users * instants);
+    let mut look = |room: &SimulatedRoom| {
+        let (model, scene) = (room.world().model(), room.world().scene());
+        scene.sinr(model, room.angles(), &mut sinr);
+        let best = best_angles(&mut solver, model, scene, room.world().min_rate_bps());
+        scene.sinr(model, &best, &mut perfect);
+        let pairs = sinr.iter().zip(&perfect).filter(|(_, perfect)| **perfect > 0.0);
+        kept.extend(pairs.map(|(sinr, perfect)| sinr / perfect));
+    };
+    Lockstep::new(&scenario, episode.seed, controller)?.run(&episode.instants_ns, &mut look)?;
+    Ok(kept)
+}

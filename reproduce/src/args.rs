@@ -1,0 +1,168 @@
+//! The command line, and what can be refused before any long work.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail, ensure};
+use clap::ValueEnum;
+use heliostat_scenario::ScenarioArgs;
+
+use crate::effort::Effort;
+use crate::figures::{Kind, Plan, Room};
+use crate::report::LeftOut;
+use crate::training;
+
+/// Make the paper's figures as this project finds them, beside what the paper says.
+///
+/// Writes a report (report.html, one file with everything in it), and for each figure SVG, CSV and JSON. Finished parts are kept in DIR/parts: a run
+/// that was cut off goes on where it was, and only what changed is computed again.
+#[derive(Debug, clap::Args)]
+pub struct ReproduceArgs {
+    /// Which figure
+    #[arg(value_enum)]
+    pub what: What,
+    /// The folder to write into; finished parts in it are used again
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Rooms by the name of a built-in scenario, with commas between them [default: specular, paper, paper-calibrated]
+    #[arg(long, value_name = "MODE,..", value_delimiter = ',')]
+    pub mode: Vec<String>,
+    /// A scenario file (TOML) in place of the built-in rooms
+    #[arg(long, value_name = "FILE", conflicts_with = "mode")]
+    pub scenario: Option<String>,
+    /// Override a key of every room, for example --set users.count=3 (repeatable)
+    #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// A smoke run of a few minutes: fewer seeds, states and episodes
+    #[arg(long)]
+    pub quick: bool,
+    /// Seeds of what does not train [default: 10, quick 2]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
+    pub seeds: Option<u64>,
+    /// Seeds of what trains, and of what is timed [default: 3, quick 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
+    pub training_seeds: Option<u64>,
+    /// Episodes of each training run [default: 300, quick 25; the paper: 1000]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub episodes: Option<u32>,
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Numbers of users whose direct path is off, in sum-rate-power
+    #[arg(long, value_name = "B,..", value_delimiter = ',', default_values_t = [0, 2, 3, 5])]
+    pub blocked: Vec<usize>,
+    /// Train the policy ddpg for rooms without a built-in actor, instead of refusing them
+    #[arg(long)]
+    pub train_missing: bool,
+    /// Also write reproduction.json and reproduction.md into this folder
+    #[arg(long, value_name = "DIR")]
+    pub write_docs: Option<PathBuf>,
+    /// Print one JSON object at the end
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What to make.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum What {
+    /// Sum rate against iterations of training (Fig4)
+    SumRateIterations,
+    /// Sum rate against optical power, by blocked users (Fig5)
+    SumRatePower,
+    /// Bit error rate against SNR, by walking speed (Fig6)
+    BerSnr,
+    /// Time for a decision, beside methods that search
+    Inference,
+    /// Rate over the floor without and with the array
+    Map,
+    /// Every figure that the paper states in words, and a verdict: takes what all but the map take
+    Table,
+    /// Everything
+    All,
+}
+
+impl What {
+    /// The figures that it takes.
+    pub fn kinds(self) -> Vec<Kind> {
+        match self {
+            Self::SumRateIterations => vec![Kind::SumRateIterations],
+            Self::SumRatePower => vec![Kind::SumRatePower],
+            Self::BerSnr => vec![Kind::BerSnr],
+            Self::Inference => vec![Kind::Inference],
+            Self::Map => vec![Kind::Map],
+            Self::Table => Kind::ALL.into_iter().filter(|kind| *kind != Kind::Map).collect(),
+            Self::All => Kind::ALL.to_vec(),
+        }
+    }
+}
+
+/// The rooms that are made when none are named.
+const ROOMS: [&str; 3] = ["specular", "paper", "paper-calibrated"];
+
+impl ReproduceArgs {
+    /// The sizes of the run.
+    pub fn effort(&self) -> Effort {
+        let effort = if self.quick { Effort::quick() } else { Effort::full() };
+        Effort {
+            seeds: self.seeds.unwrap_or(effort.seeds),
+            training_seeds: self.training_seeds.unwrap_or(effort.training_seeds),
+            episodes: self.episodes.map_or(effort.episodes, |count| count as usize),
+            judgements: effort.judgements.min(self.episodes.map_or(effort.judgements, |count| count as usize)),
+            ..effort
+        }
+    }
+
+    /// What all figures are made with.
+    pub fn plan(&self, effort: Effort) -> Plan {
+        let mut blocked = self.blocked.clone();
+        blocked.sort_unstable();
+        blocked.dedup();
+        Plan { effort, first_seed: self.seed, blocked }
+    }
+
+    /// The rooms, each with the place of its actor.
+    ///
+    /// # Errors
+    /// A scenario that cannot be read or is wrong, or rooms of one name.
+    pub fn rooms(&self) -> Result<Vec<Room>> {
+        let names: Vec<String> = match (&self.scenario, self.mode.is_empty()) {
+            (Some(file), _) => vec![file.clone()],
+            (None, true) => ROOMS.map(String::from).to_vec(),
+            (None, false) => self.mode.clone(),
+        };
+        let mut rooms: Vec<Room> = Vec::new();
+        for name in names {
+            let arguments = ScenarioArgs { scenario: name, overrides: self.overrides.clone(), seed: Some(self.seed) };
+            let scenario = arguments.load()?;
+            let name = scenario.name.clone();
+            ensure!(rooms.iter().all(|room| room.name != name), "--mode names {name} twice");
+            let actor = training::source(&scenario, &self.out);
+            rooms.push(Room { name, scenario, actor });
+        }
+        Ok(rooms)
+    }
+
+    /// Whether any figure takes the policy ddpg ready-made.
+    pub fn needs_actor(&self) -> bool {
+        self.what != What::SumRateIterations
+    }
+
+    /// The figures to make in each room, and those that are left out because they make no sense there.
+    ///
+    /// # Errors
+    /// A figure that was asked for by name in a room that was named, and makes no sense there.
+    pub fn choose<'a>(&self, rooms: &'a [Room]) -> Result<(Vec<(Kind, &'a Room)>, Vec<LeftOut>)> {
+        let kinds = self.what.kinds();
+        let named = kinds.len() == 1 && (self.scenario.is_some() || !self.mode.is_empty());
+        let (mut chosen, mut left_out) = (Vec::new(), Vec::new());
+        for kind in kinds {
+            for room in rooms {
+                match kind.pointless(room) {
+                    None => chosen.push((kind, room)),
+                    Some(why) if named => bail!("no {} in room {}: {why}", kind.id(), room.name),
+                    Some(why) => left_out.push(LeftOut { figure: kind.id().into(), room: room.name.clone(), why }),
+                }
+            }
+        }
+        Ok((chosen, left_out))
+    }
+}

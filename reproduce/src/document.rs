@@ -1,0 +1,231 @@
+//! docs/reproduction.md: the last documented run in words and tables, made from docs/reproduction.json and nothing else.
+
+use std::fmt::Write;
+
+use anyhow::Result;
+
+use crate::figure::{Figure, Panel, Series};
+use crate::figures::{inference, sum_rate_iterations};
+use crate::report::Report;
+use crate::run::span;
+
+/// Places of the horizontal axis that a table shows of a long curve.
+const ROWS: usize = 7;
+
+/// A report without what a document does not show: floors, single parts, most points of long curves, and digits beyond the fourth.
+pub fn reduced(report: &Report) -> Report {
+    let mut report = Report { parts: Vec::new(), ..report.clone() };
+    report.meta.cpu_s = rounded(report.meta.cpu_s);
+    for source in &mut report.sources {
+        source.cpu_s = rounded(source.cpu_s);
+    }
+    for panel in report.figures.iter_mut().flat_map(|figure| &mut figure.panels) {
+        // What stands on a floor goes with it.
+        if panel.floor.take().is_some() {
+            panel.series.clear();
+        }
+        for series in &mut panel.series {
+            thin(series);
+            for point in &mut series.points {
+                point.x = rounded(point.x);
+                point.y = rounded(point.y);
+                point.ci95 = point.ci95.map(rounded);
+            }
+        }
+    }
+    report
+}
+
+/// Keeps at most [`ROWS`] points at even steps, the first and the last among them.
+fn thin(series: &mut Series) {
+    let last = series.points.len().saturating_sub(1);
+    if last < ROWS {
+        return;
+    }
+    let kept: Vec<usize> = (0..ROWS).map(|row| row * last / (ROWS - 1)).collect();
+    let mut index = 0;
+    series.points.retain(|_| {
+        index += 1;
+        kept.contains(&(index - 1))
+    });
+}
+
+fn rounded(value: f64) -> f64 {
+    format!("{value:.3e}").parse().unwrap_or(value)
+}
+
+/// The file from which the document is made.
+///
+/// # Errors
+/// None that is known: every number in a report is finite.
+pub fn json(report: &Report) -> Result<String> {
+    Ok(serde_json::to_string_pretty(report)? + "\n")
+}
+
+/// The document.
+pub fn markdown(report: &Report) -> String {
+    let mut text = String::new();
+    write(report, &mut text).expect("writing into a string does not fail");
+    text
+}
+
+fn write(report: &Report, text: &mut String) -> std::fmt::Result {
+    let meta = &report.meta;
+    writeln!(text, "# The paper's figures, as Heliostat finds them\n")?;
+    writeln!(
+        text,
+        "Made by the command below from `docs/reproduction.json`; do not edit. How the paper is read: [physics.md](physics.md). The plots themselves, interactive and as SVG, \
+         are in the report that the command writes.\n"
+    )?;
+    writeln!(text, "```\n{} --write-docs docs\n```\n", meta.command)?;
+    writeln!(text, "| | |\n| --- | --- |")?;
+    writeln!(
+        text,
+        "| made | {}, {} run, heliostat {}, commit {} |",
+        meta.made, meta.effort, meta.version, meta.commit
+    )?;
+    writeln!(
+        text,
+        "| seeds | {} from {} for what does not train; {} for what trains ({} episodes) or is timed |",
+        meta.seeds, meta.first_seed, meta.training_seeds, meta.episodes
+    )?;
+    writeln!(text, "| machine | {} |", meta.machine)?;
+    writeln!(text, "| computing time | {} of one core, over all parts |\n", span(meta.cpu_s))?;
+    write_claims(report, text)?;
+    let mut last = "";
+    for figure in &report.figures {
+        if figure.id != last {
+            writeln!(text, "## {}\n", figure.title)?;
+            for line in &figure.caption {
+                writeln!(text, "- {line}")?;
+            }
+            writeln!(text)?;
+        }
+        last = &figure.id;
+        writeln!(text, "### {}: {}\n", figure.id, figure.room)?;
+        write_figure(figure, text)?;
+    }
+    if !report.left_out.is_empty() {
+        writeln!(text, "## Left out\n")?;
+        for left_out in &report.left_out {
+            writeln!(text, "- {} in room {}: {}.", left_out.figure, left_out.room, left_out.why)?;
+        }
+        writeln!(text)?;
+    }
+    write_sources(report, text)
+}
+
+fn write_claims(report: &Report, text: &mut String) -> std::fmt::Result {
+    writeln!(text, "## What the paper states, and what is found\n")?;
+    writeln!(
+        text,
+        "| statement | paper | room | here | verdict | set with the paper in view |\n| --- | --- | --- | --- | --- | --- |"
+    )?;
+    for claim in &report.claims {
+        for (index, finding) in claim.findings.iter().enumerate() {
+            let (statement, paper) =
+                if index == 0 { (claim.statement.as_str(), claim.paper.as_str()) } else { ("", "") };
+            let (room, ours, verdict) = (&finding.room, &finding.ours, finding.verdict.words());
+            writeln!(
+                text,
+                "| {statement} | {paper} | {room} | {ours} | **{verdict}**: {} | {} |",
+                finding.why, finding.calibrated
+            )?;
+        }
+    }
+    writeln!(text)
+}
+
+fn write_figure(figure: &Figure, text: &mut String) -> std::fmt::Result {
+    for panel in &figure.panels {
+        if panel.series.is_empty() {
+            writeln!(text, "- {}", panel.title)?;
+        } else if figure.id == inference::ID {
+            write_times(panel, text)?;
+        } else {
+            write_panel(figure, panel, text)?;
+        }
+    }
+    writeln!(text)
+}
+
+fn write_panel(figure: &Figure, panel: &Panel, text: &mut String) -> std::fmt::Result {
+    // A line that does not change has its ends alone; the longest curve names the rows.
+    let Some(longest) = panel.series.iter().max_by_key(|series| series.points.len()) else { return Ok(()) };
+    let names: Vec<&str> = panel.series.iter().map(|series| series.name.as_str()).collect();
+    writeln!(text, "**{}**: {} against {}\n", panel.title, figure.y.label, figure.x.label)?;
+    writeln!(text, "| {} | {} |\n|{}", figure.x.label, names.join(" | "), " --- |".repeat(names.len() + 1))?;
+    for place in &longest.points {
+        let cell = |series: &Series| {
+            let constant = figure.id == sum_rate_iterations::ID && series.points.len() == 2;
+            let point = series.at(place.x).or(series.points.first().filter(|_| constant));
+            point.map_or("-".into(), |point| number(point.y, point.ci95))
+        };
+        let cells: Vec<String> = panel.series.iter().map(cell).collect();
+        writeln!(text, "| {} | {} |", short(place.x), cells.join(" | "))?;
+    }
+    writeln!(text)
+}
+
+fn write_times(panel: &Panel, text: &mut String) -> std::fmt::Result {
+    writeln!(
+        text,
+        "**{}**\n\n| | median (us) | 99th percentile (us) | sum rate over the oracle's |\n| --- | --- | --- | --- |",
+        panel.title
+    )?;
+    for series in &panel.series {
+        if let [median, tail] = series.points[..] {
+            writeln!(
+                text,
+                "| {} | {} | {} | {} |",
+                series.name,
+                short(median.x),
+                short(tail.x),
+                number(median.y, median.ci95)
+            )?;
+        }
+    }
+    writeln!(text)
+}
+
+fn write_sources(report: &Report, text: &mut String) -> std::fmt::Result {
+    writeln!(text, "## Where the figures came from\n")?;
+    writeln!(
+        text,
+        "| figure | room | parts | commit | from | to | computing time |\n| --- | --- | --- | --- | --- | --- | --- |"
+    )?;
+    for source in &report.sources {
+        writeln!(
+            text,
+            "| {} | {} | {} | {} | {} | {} | {} |",
+            source.figure,
+            source.room,
+            source.parts,
+            source.commits.join(", "),
+            source.first,
+            source.last,
+            span(source.cpu_s)
+        )?;
+    }
+    Ok(())
+}
+
+/// A mean with its interval; tiny values as powers of ten.
+fn number(value: f64, ci95: Option<f64>) -> String {
+    if value != 0.0 && value.abs() < 1e-2 {
+        return format!("{value:.1e}");
+    }
+    let digits = if value.abs() >= 100.0 {
+        1
+    } else if value.abs() >= 1.0 {
+        2
+    } else {
+        3
+    };
+    let mean = format!("{value:.digits$}");
+    ci95.map_or(mean.clone(), |ci95| format!("{mean} ± {ci95:.digits$}"))
+}
+
+fn short(value: f64) -> String {
+    if value.abs() >= 10.0 { format!("{value:.0}") } else { format!("{value}") }
+}

@@ -1,0 +1,164 @@
+//! What a figure holds, apart from how it is drawn: panels of series with units, intervals and the paper's quoted points.
+
+use serde::{Deserialize, Serialize};
+
+/// A figure in one room.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Figure {
+    /// Which figure: the word on the command line.
+    pub id: String,
+    /// Which room: the name of its scenario.
+    pub room: String,
+    /// What it shows, in one line.
+    pub title: String,
+    /// How it came about, and how it is to be read.
+    pub caption: Vec<String>,
+    /// The horizontal axis.
+    pub x: Axis,
+    /// The vertical axis.
+    pub y: Axis,
+    /// Side by side.
+    pub panels: Vec<Panel>,
+}
+
+/// An axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Axis {
+    /// The quantity with its unit.
+    pub label: String,
+    /// Whether it is logarithmic.
+    pub log: bool,
+    /// Where it begins and ends, if not with the data.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub range: Option<[f64; 2]>,
+}
+
+impl Axis {
+    /// A linear axis over the data.
+    pub fn linear(label: &str) -> Self {
+        Self { label: label.into(), log: false, range: None }
+    }
+
+    /// A logarithmic axis over a range.
+    pub fn log(label: &str, range: [f64; 2]) -> Self {
+        Self { label: label.into(), log: true, range: Some(range) }
+    }
+}
+
+/// One pair of axes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Panel {
+    /// What sets it apart from its neighbours.
+    pub title: String,
+    /// The curves, each named by its policy or condition.
+    pub series: Vec<Series>,
+    /// What the paper says.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub quoted: Vec<Quoted>,
+    /// Values over the floor, under the curves.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub floor: Option<Floor>,
+}
+
+/// A curve; its name chooses its colour, so that a policy looks the same everywhere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Series {
+    /// The policy or condition.
+    pub name: String,
+    /// In the order of x.
+    pub points: Vec<Point>,
+}
+
+impl Series {
+    /// The point at `x`.
+    pub fn at(&self, x: f64) -> Option<&Point> {
+        self.points.iter().find(|point| (point.x - x).abs() <= 1e-9 * x.abs().max(1.0))
+    }
+}
+
+/// A figure at one place of the horizontal axis.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// Where.
+    pub x: f64,
+    /// The mean.
+    pub y: f64,
+    /// Half the width of the 95 % interval of the mean; none for a single value.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub ci95: Option<f64>,
+}
+
+/// A value that the paper states: a point, or a line where one coordinate is not given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quoted {
+    /// Where, if it is said.
+    pub x: Option<f64>,
+    /// How much, if it is said.
+    pub y: Option<f64>,
+    /// Its name.
+    pub text: String,
+}
+
+/// Values over the floor, row by row from the smallest y.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Floor {
+    /// What the values are, with the unit.
+    pub label: String,
+    /// Cells along x.
+    pub columns: usize,
+    /// Cells along y.
+    pub rows: usize,
+    /// Half the room's extent along x and y in m.
+    pub half_m: [f64; 2],
+    /// One value a cell, at its centre.
+    pub values: Vec<f64>,
+}
+
+impl Floor {
+    /// The centre of a cell.
+    pub fn centre(&self, column: usize, row: usize) -> [f64; 2] {
+        let place = |index: usize, count: usize, half: f64| half * ((2 * index + 1) as f64 / count as f64 - 1.0);
+        [place(column, self.columns, self.half_m[0]), place(row, self.rows, self.half_m[1])]
+    }
+
+    /// The smallest and the largest value.
+    pub fn range(&self) -> [f64; 2] {
+        let wider = |[low, high]: [f64; 2], value: &f64| [low.min(*value), high.max(*value)];
+        self.values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
+    }
+
+    /// The mean value.
+    pub fn mean(&self) -> f64 {
+        self.values.iter().sum::<f64>() / self.values.len() as f64
+    }
+}
+
+impl Figure {
+    /// The names of all series, each once, in the order in which they first appear.
+    pub fn names(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for series in self.panels.iter().flat_map(|panel| &panel.series) {
+            if !names.contains(&series.name.as_str()) {
+                names.push(&series.name);
+            }
+        }
+        names
+    }
+
+    /// The series of a name in the panel whose title begins so.
+    pub fn series(&self, panel: &str, name: &str) -> Option<&Series> {
+        let panel = self.panels.iter().find(|candidate| candidate.title.starts_with(panel))?;
+        panel.series.iter().find(|series| series.name == name)
+    }
+
+    /// File name without extension.
+    pub fn stem(&self) -> String {
+        format!("{}-{}", self.id, self.room)
+    }
+
+    /// Smallest and largest value of all floors.
+    pub fn floor_range(&self) -> Option<[f64; 2]> {
+        let ranges = self.panels.iter().filter_map(|panel| panel.floor.as_ref()).map(Floor::range);
+        ranges.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])])
+    }
+}

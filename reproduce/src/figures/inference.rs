@@ -1,0 +1,167 @@
+//! How long a decision takes, beside the paper's half millisecond and beside the methods that search at every decision.
+
+use anyhow::{Result, ensure};
+use heliostat_controller::policy::ActorSource;
+use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
+use heliostat_scenario::{ChannelMode, Scenario};
+use indicatif::ProgressBar;
+use serde::Serialize;
+
+use super::{Done, Plan, Room, groups, seeds};
+use crate::figure::{Axis, Figure, Panel, Point, Quoted, Series};
+use crate::machine;
+use crate::part::{Curve, Job, Measured, Part};
+use crate::statistics::mean;
+
+/// The word on the command line.
+pub const ID: &str = "inference";
+
+/// Raised when the computation changes.
+const VERSION: u32 = 1;
+
+/// The paper's time for a decision in us.
+pub const QUOTED_US: f64 = 500.0;
+
+/// Everything that can be timed in the whole array.
+const POLICIES: [&str; 7] = ["ddpg", "nearest", "fixed-point", "greedy", "oracle", "pso", "sine-cosine"];
+
+/// What can be timed where every assignment can be tried.
+const SMALL: [&str; 4] = ["exhaustive", "oracle", "greedy", "fixed-point"];
+
+/// Rows and columns, and users, of the array for the exhaustive search.
+const SMALL_SIDE: usize = 3;
+const SMALL_USERS: usize = 3;
+
+/// One seed of one array.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Timing {
+    /// Nine mirrors and three users, with the exhaustive search.
+    pub small: bool,
+    /// Decisions of each policy.
+    pub decisions: usize,
+    /// Trials of the metaheuristics for one decision, however long they take.
+    pub trials: u32,
+}
+
+pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
+    ensure!(
+        room.scenario.users.trace.is_none(),
+        "{ID} draws states from the random walk, but room {} follows a recording: leave users.trace out",
+        room.name
+    );
+    let (decisions, trials) = (plan.effort.timed, plan.effort.trials);
+    let part = |small: bool, seed: u64| Part {
+        figure: ID,
+        version: VERSION,
+        room: room.name.clone(),
+        name: if small { "9 mirrors".into() } else { format!("{} mirrors", room.scenario.mirror_count()) },
+        seed,
+        scenario: room.scenario.clone(),
+        actor: room.actor.clone(),
+        job: Job::Timing(Timing { small, decisions, trials }),
+        cost_s: decisions as f64 * if small { 2e-2 } else { 5e-3 + 4e-5 * f64::from(trials) },
+    };
+    // Under the paper's equations angles are continuous, and there are no assignments to try.
+    let both: &[bool] = if room.scenario.channel.mode == ChannelMode::Specular { &[false, true] } else { &[false] };
+    Ok(both.iter().flat_map(|small| plan.training_seeds().map(|seed| part(*small, seed))).collect())
+}
+
+impl Timing {
+    /// Times every policy on the same states, one after the other.
+    pub(crate) fn run(&self, scenario: &Scenario, actor: &ActorSource) -> Result<Measured> {
+        let mut scenario = scenario.clone();
+        scenario.control.search_time_us = 0.0;
+        scenario.control.search_evaluations = self.trials;
+        let mut names: &[&str] = &POLICIES;
+        if self.small {
+            (scenario.mirrors.rows, scenario.mirrors.columns) = (SMALL_SIDE, SMALL_SIDE);
+            scenario.users.count = SMALL_USERS;
+            scenario.blockage.forced_users = scenario.blockage.forced_users.min(SMALL_USERS);
+            names = &SMALL;
+        }
+        let group = format!("{} mirrors, {} users", scenario.mirror_count(), scenario.users.count);
+        let entrants = names.iter().map(|name| Entrant::parse(name, actor)).collect::<Result<_, _>>()?;
+        let settings = Settings {
+            scenario,
+            entrants,
+            states: self.decisions,
+            seeds: 1,
+            mode: Loop::Static,
+            training_seed: Some(1),
+        };
+        let before = machine::load();
+        let report = compare_under(&settings, &ProgressBar::hidden())?;
+        let mut curves = Vec::new();
+        for (name, row) in &report.policies {
+            let Some(times) = row.decision_us else { continue };
+            // The ratio is the height at which both times are drawn.
+            let points = vec![[times.p50, row.ratio_to_oracle.mean], [times.p99, row.ratio_to_oracle.mean]];
+            curves.push(Curve { group: group.clone(), name: name.clone(), points });
+        }
+        let notes = before.map(|load| format!("load average at the start: {load:.1}")).into_iter().collect();
+        Ok(Measured { curves, floors: Vec::new(), notes })
+    }
+}
+
+pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
+    let panel = |group: &str| {
+        let mut names: Vec<&str> = Vec::new();
+        for curve in super::curves(done).filter(|curve| curve.group == group) {
+            if !names.contains(&curve.name.as_str()) {
+                names.push(&curve.name);
+            }
+        }
+        Panel {
+            title: group.to_owned(),
+            series: names.into_iter().map(|name| times(done, group, name)).collect(),
+            quoted: vec![Quoted { x: Some(QUOTED_US), y: None, text: "paper: 0.5 ms".into() }],
+            floor: None,
+        }
+    };
+    let notes: Vec<&str> = done.iter().flat_map(|(_, finished)| &finished.measured.notes).map(String::as_str).collect();
+    let machine = done.first().map_or("", |(_, finished)| &finished.origin.machine);
+    let job = done.iter().find_map(|(part, _)| match &part.job {
+        Job::Timing(job) => Some(job.clone()),
+        _ => None,
+    });
+    let (decisions, trials) = job.map_or((0, 0), |job| (job.decisions, job.trials));
+    let mut caption = vec![
+        format!(
+            "Each policy from its median (left end) to its 99th percentile (right end), means over {} seeds of {decisions} decisions in a hot loop, one thread; \
+             the policy alone, encoding of the observation included. Higher is nearer to the oracle.",
+            seeds(done)
+        ),
+        format!("`pso` and `sine-cosine` make {trials} trials for each decision. Machine: {machine}."),
+    ];
+    if let (Some(first), Some(last)) = (notes.first(), notes.last()) {
+        caption.push(format!(
+            "Other work ran on the machine ({first} of the first part, and {} of the last), which stretches the right ends most.",
+            last.rsplit(' ').next().unwrap_or("?")
+        ));
+    }
+    if room.scenario.channel.mode != ChannelMode::Specular {
+        caption.push(
+            "No exhaustive search: under the paper's equations a mirror has a continuum of useful angles, and no list of assignments holds the best.".into(),
+        );
+    }
+    Figure {
+        id: ID.into(),
+        room: room.name.clone(),
+        title: "Time for a decision, and what it is worth".into(),
+        caption,
+        x: Axis::log("time for a decision (us)", [1.0, 1e6]),
+        y: Axis::linear("sum rate over the oracle's (1)"),
+        panels: groups(done).into_iter().map(panel).collect(),
+    }
+}
+
+/// Two points: median and 99th percentile, at the height of the ratio, each a mean over seeds.
+fn times(done: &[Done], group: &str, name: &str) -> Series {
+    let same: Vec<&Curve> = super::curves(done).filter(|curve| curve.group == group && curve.name == name).collect();
+    let points = (0..2).map(|end| {
+        let of = |part: usize| same.iter().map(|curve| curve.points[end][part]).collect::<Vec<_>>();
+        let (y, ci95) = mean(&of(1));
+        Point { x: mean(&of(0)).0, y, ci95 }
+    });
+    Series { name: name.into(), points: points.collect() }
+}

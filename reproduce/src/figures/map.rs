@@ -1,0 +1,127 @@
+//! What one more user would get at each place of the floor, without the array and with it.
+
+use std::f64::consts::TAU;
+
+use anyhow::{Result, ensure};
+use heliostat_channel::{Cylinder, MirrorAngles};
+use heliostat_controller::policy::ActorSource;
+use heliostat_models::comparison::Entrant;
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::World;
+use serde::Serialize;
+
+use super::{Done, Plan, Room};
+use crate::figure::{Axis, Figure, Panel, Point, Series};
+use crate::over_floor::over_floor;
+use crate::part::{Job, Measured, Part};
+
+/// The word on the command line.
+pub const ID: &str = "map";
+
+/// Raised when the computation changes.
+const VERSION: u32 = 1;
+
+/// Who turns the mirrors: nobody, and the controller's default.
+const POLICIES: [&str; 2] = ["no-irs", "ddpg"];
+
+/// How long people walk before the picture is taken, in s.
+const SETTLE_S: f64 = 20.0;
+
+/// One room at one instant.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Map {
+    /// Distance between points in cm.
+    pub step_cm: f64,
+}
+
+pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
+    ensure!(room.scenario.users.count > 0, "{ID} needs a user in room {}", room.name);
+    let step_cm = plan.effort.step_cm;
+    Ok(vec![Part {
+        figure: ID,
+        version: VERSION,
+        room: room.name.clone(),
+        name: "floor".into(),
+        seed: plan.first_seed,
+        scenario: room.scenario.clone(),
+        actor: room.actor.clone(),
+        job: Job::Map(Map { step_cm }),
+        cost_s: 50.0 / (step_cm * step_cm),
+    }])
+}
+
+impl Map {
+    /// The floor under each policy, with what stands on it.
+    pub(crate) fn run(&self, scenario: &Scenario, actor: &ActorSource) -> Result<Measured> {
+        let mut world = World::new(scenario, scenario.seed)?;
+        world.step(SETTLE_S);
+        let mut floors = Vec::new();
+        for name in POLICIES {
+            let angles: MirrorAngles = Entrant::parse(name, actor)?.angles(scenario, &world)?;
+            let mut floor = over_floor(scenario, &world, 1e-2 * self.step_cm, &mut |scene| {
+                let mut sinr = [0.0];
+                scene.sinr(world.model(), &angles, &mut sinr);
+                1e-6 * world.model().budget.rate_bps(sinr[0], scenario.users.count)
+            });
+            // Enough for the eye, and small on disk.
+            floor.values.iter_mut().for_each(|value| *value = (*value * 1e3).round() * 1e-3);
+            floor.label = "rate (Mbit/s)".into();
+            floors.push((floor, signs(&world)));
+        }
+        Ok(Measured { floors, ..Measured::default() })
+    }
+}
+
+/// What stands on the floor.
+fn signs(world: &World) -> Vec<Series> {
+    let point = |x: f64, y: f64| Point { x, y, ci95: None };
+    let outline = |cylinder: &Cylinder| {
+        let at = |step: i32| {
+            let (sin, cos) = (TAU * f64::from(step) / 24.0).sin_cos();
+            point(cylinder.x_m + cylinder.radius_m * cos, cylinder.y_m + cylinder.radius_m * sin)
+        };
+        Series { name: "obstacle or body".into(), points: (0..=24).map(at).collect() }
+    };
+    let mirrors = &world.model().mirrors;
+    let foot = |index: usize| point(mirrors.positions()[index].x, mirrors.positions()[index].y);
+    let mut signs: Vec<Series> = world.blockers().iter().map(outline).collect();
+    signs.push(Series { name: "mirrors".into(), points: vec![foot(0), foot(mirrors.columns() - 1)] });
+    let users = world.positions().iter().map(|position| point(position.x, position.y)).collect();
+    signs.push(Series { name: "user".into(), points: users });
+    signs
+}
+
+pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
+    let titles = ["without the array", "with the array, policy ddpg"];
+    let floors = done.iter().flat_map(|(_, finished)| &finished.measured.floors);
+    let panel = |(title, (floor, signs)): (&str, &(_, Vec<Series>))| {
+        let floor: &crate::figure::Floor = floor;
+        Panel {
+            title: format!("{title}: mean {:.2} Mbit/s", floor.mean()),
+            series: signs.clone(),
+            quoted: Vec::new(),
+            floor: Some(floor.clone()),
+        }
+    };
+    let (seed, forced) = (done.first().map_or(0, |(part, _)| part.seed), room.scenario.blockage.forced_users);
+    Figure {
+        id: ID.into(),
+        room: room.name.clone(),
+        title: "Rate over the floor".into(),
+        caption: vec![
+            format!(
+                "What one more detector would get at each place in the share of the band that each of {} users has; obstacles and the bodies of the users block its \
+                 light. The mirrors are turned for the users as they stand. One room, seed {seed}: a picture, not a statistic.",
+                room.scenario.users.count
+            ),
+            if forced > 0 {
+                format!("The direct paths of {forced} users are forced off; that of the one more is not.")
+            } else {
+                "Nobody's direct path is forced off.".into()
+            },
+        ],
+        x: Axis::linear("x (m)"),
+        y: Axis::linear("y (m)"),
+        panels: titles.into_iter().zip(floors).map(panel).collect(),
+    }
+}

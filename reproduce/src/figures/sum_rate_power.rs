@@ -1,0 +1,138 @@
+//! Fig4 to Fig6 go by their labels; this is Fig5: sum rate against optical power for several numbers of blocked users.
+
+use anyhow::{Result, ensure};
+use heliostat_controller::policy::ActorSource;
+use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
+use heliostat_scenario::Scenario;
+use indicatif::ProgressBar;
+use serde::Serialize;
+
+use super::{Done, Plan, Room, groups, intervals, series};
+use crate::figure::{Axis, Figure, Panel, Quoted};
+use crate::part::{Curve, Job, Measured, Part};
+
+/// The word on the command line.
+pub const ID: &str = "sum-rate-power";
+
+/// Raised when the computation changes.
+const VERSION: u32 = 1;
+
+/// Those compared; the oracle comes with every comparison.
+const POLICIES: [&str; 4] = ["ddpg", "flat", "random", "no-irs"];
+
+/// One seed of one number of blocked users.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Power {
+    /// Users whose direct path is off.
+    pub blocked: usize,
+    /// Optical powers in W.
+    pub powers_w: Vec<f64>,
+    /// States at each power.
+    pub states: usize,
+}
+
+/// The group of the curves of a number of blocked users.
+pub fn group(blocked: usize) -> String {
+    format!("{blocked} blocked")
+}
+
+pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
+    let users = room.scenario.users.count;
+    let most = plan.blocked.iter().copied().max().unwrap_or(0);
+    ensure!(
+        most <= users,
+        "{ID} blocks up to {most} users, but room {} has {users} (users.count): give --blocked numbers up to {users}",
+        room.name
+    );
+    ensure!(
+        room.scenario.users.trace.is_none(),
+        "{ID} draws states from the random walk, but room {} follows a recording: leave users.trace out",
+        room.name
+    );
+    let effort = &plan.effort;
+    let part = |blocked: usize, seed: u64| Part {
+        figure: ID,
+        version: VERSION,
+        room: room.name.clone(),
+        name: group(blocked),
+        seed,
+        scenario: room.scenario.clone(),
+        actor: room.actor.clone(),
+        job: Job::Power(Power { blocked, powers_w: effort.powers_w.clone(), states: effort.states }),
+        cost_s: 1e-2 * (effort.states * effort.powers_w.len()) as f64,
+    };
+    Ok(plan.blocked.iter().flat_map(|blocked| plan.seeds().map(|seed| part(*blocked, seed))).collect())
+}
+
+impl Power {
+    /// The comparison at each power.
+    pub(crate) fn run(&self, scenario: &Scenario, actor: &ActorSource) -> Result<Measured> {
+        let mut names = vec!["oracle"];
+        names.extend(POLICIES);
+        let empty = |name: &&str| Curve { group: group(self.blocked), name: (*name).into(), points: Vec::new() };
+        let mut curves: Vec<Curve> = names.iter().map(empty).collect();
+        for power_w in &self.powers_w {
+            let mut scenario = scenario.clone();
+            scenario.blockage.forced_users = self.blocked;
+            scenario.led.power_w = *power_w;
+            let entrants = POLICIES.iter().map(|name| Entrant::parse(name, actor)).collect::<Result<_, _>>()?;
+            let settings = Settings {
+                scenario,
+                entrants,
+                states: self.states,
+                seeds: 1,
+                mode: Loop::Static,
+                training_seed: Some(1),
+            };
+            let report = compare_under(&settings, &ProgressBar::hidden())?;
+            let rows = std::iter::once(&report.oracle).chain(report.policies.iter().map(|(_, row)| row));
+            for (row, curve) in rows.zip(&mut curves) {
+                curve.points.push([*power_w, row.sum_rate_mbps.mean]);
+            }
+        }
+        Ok(Measured { curves, ..Measured::default() })
+    }
+}
+
+/// At this power and this number of blocked users the paper states figures.
+pub const QUOTED_POWER_W: f64 = 2.0;
+/// See [`QUOTED_POWER_W`].
+pub const QUOTED_BLOCKED: usize = 2;
+
+pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
+    let names = ["oracle", "ddpg", "flat", "random", "no-irs"];
+    let panel = |name: &str| Panel {
+        title: format!("{name} of {} users", room.scenario.users.count),
+        series: series(done, name, &names),
+        quoted: if name == group(QUOTED_BLOCKED) { quoted() } else { Vec::new() },
+        floor: None,
+    };
+    let states = done.iter().find_map(|(part, _)| match &part.job {
+        Job::Power(job) => Some(job.states),
+        _ => None,
+    });
+    Figure {
+        id: ID.into(),
+        room: room.name.clone(),
+        title: "Sum rate against optical power".into(),
+        caption: vec![
+            format!("{} mirrors. {} Each seed has {} rooms of its own.", room.scenario.mirror_count(), intervals(done), states.unwrap_or(0)),
+            "Every policy sees a state as it is and its mirrors turn at once, so that the speed at which people walk plays no part (the paper: about \
+             1 m/s). The paper's benchmark, each mirror turned at random and left so, is `random`, the mean of 30 draws; `flat` (no mirror turned) and \
+             `no-irs` stand beside it because random angles are the weakest of the three in the paper's equations."
+                .into(),
+            "`ddpg` is the shipped actor, with one weight a user as its action. The oracle keeps minimum rates wherever they can be kept; a policy that gives \
+             a user up can get a larger sum."
+                .into(),
+        ],
+        x: Axis::linear("optical power (W)"),
+        y: Axis::linear("sum rate (Mbit/s)"),
+        panels: groups(done).into_iter().map(panel).collect(),
+    }
+}
+
+fn quoted() -> Vec<Quoted> {
+    let point =
+        |rate: f64, who: &str| Quoted { x: Some(QUOTED_POWER_W), y: Some(rate), text: format!("paper, {who}: {rate}") };
+    vec![point(19.2, "DRL"), point(10.0, "fixed")]
+}

@@ -1,0 +1,25 @@
+//! What a figure was computed with, and when: commit, machine, time.
+
+use std::time::SystemTime;
+
+use cpu_time::ProcessTime;
+
+pub use heliostat_models::card::hardware;
+
+/// The commit that was built; `+changes` follows where the working copy had others.
+pub const COMMIT: &str = env!("HELIOSTAT_COMMIT");
+
+/// Now, in UTC, to the second.
+pub fn now() -> String {
+    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+}
+
+/// Processor time of this process so far in s: a pause, or others on the same machine, do not count.
+pub fn cpu_s() -> f64 {
+    ProcessTime::now().as_duration().as_secs_f64()
+}
+
+/// How many tasks wanted a processor over the last minute, where the system tells.
+pub fn load() -> Option<f64> {
+    std::fs::read_to_string("/proc/loadavg").ok()?.split(' ').next()?.parse().ok()
+}

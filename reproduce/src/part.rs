@@ -1,0 +1,132 @@
+//! The parts of which figures are made: each can be computed alone, and is named by all that it depends on.
+
+use anyhow::Result;
+use heliostat_controller::policy::{ActorSource, PolicyKind};
+use heliostat_scenario::Scenario;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::figure::{Floor, Series};
+use crate::figures::{ber_snr, inference, map, sum_rate_iterations, sum_rate_power};
+
+/// What is to be computed, with every number that it takes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Job {
+    /// One training run, watched.
+    Learning(sum_rate_iterations::Learning),
+    /// What stands beside the training runs.
+    Yardsticks(sum_rate_iterations::Yardsticks),
+    /// Sum rates at several powers.
+    Power(sum_rate_power::Power),
+    /// Light kept under stale aim.
+    Aim(ber_snr::Aim),
+    /// Decision times.
+    Timing(inference::Timing),
+    /// Rates over the floor.
+    Map(map::Map),
+}
+
+/// One part of a figure.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// Which figure it belongs to.
+    pub figure: &'static str,
+    /// Raised in the figure's file when its computation changes.
+    pub version: u32,
+    /// The room's name.
+    pub room: String,
+    /// What sets it apart from the other parts of the same figure and seed.
+    pub name: String,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// The room; its own seed is replaced by the part's.
+    pub scenario: Scenario,
+    /// Where the policy ddpg comes from.
+    pub actor: ActorSource,
+    /// What is to be done.
+    pub job: Job,
+    /// About how long it takes on one core of the machine on which this was measured, in s.
+    pub cost_s: f64,
+}
+
+/// What a part found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Measured {
+    /// Values along an axis.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub curves: Vec<Curve>,
+    /// Values over the floor, each with what stands on it.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub floors: Vec<(Floor, Vec<Series>)>,
+    /// What should be known about the circumstances.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub notes: Vec<String>,
+}
+
+/// Values of one seed along an axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Which panel or quantity.
+    pub group: String,
+    /// Which policy or condition.
+    pub name: String,
+    /// x and y; values that do not exist are left out.
+    pub points: Vec<[f64; 2]>,
+}
+
+impl Part {
+    /// A hash of all that the result depends on: program and part version, room, seed, settings, and the built-in or given actor.
+    ///
+    /// # Errors
+    /// An actor that cannot be fetched, where the part needs one.
+    pub fn key(&self) -> Result<String> {
+        let mut hash = Sha256::new();
+        let mut add = |text: &str| {
+            hash.update((text.len() as u64).to_le_bytes());
+            hash.update(text);
+        };
+        add(env!("CARGO_PKG_VERSION"));
+        add(&format!("{} {}", self.figure, self.version));
+        add(&self.scenario().to_toml());
+        add(&serde_json::to_string(&self.job)?);
+        if self.job.needs_actor() {
+            hash.update(Sha256::digest(&self.actor.fetch(PolicyKind::Ddpg, &self.scenario)?.bytes));
+        }
+        Ok(hash.finalize().iter().take(10).map(|byte| format!("{byte:02x}")).collect())
+    }
+
+    /// The room with the part's seed.
+    pub fn scenario(&self) -> Scenario {
+        Scenario { seed: self.seed, ..self.scenario.clone() }
+    }
+
+    /// One line for progress and lists.
+    pub fn label(&self) -> String {
+        format!("{} {}: {}, seed {}", self.figure, self.room, self.name, self.seed)
+    }
+
+    /// Computes it.
+    ///
+    /// # Errors
+    /// Those of the computation, with the part's name.
+    pub fn compute(&self) -> Result<Measured> {
+        use anyhow::Context;
+        let scenario = self.scenario();
+        let measured = match &self.job {
+            Job::Learning(job) => job.run(&scenario),
+            Job::Yardsticks(job) => job.run(&scenario),
+            Job::Power(job) => job.run(&scenario, &self.actor),
+            Job::Aim(job) => job.run(&scenario, &self.actor),
+            Job::Timing(job) => job.run(&scenario, &self.actor),
+            Job::Map(job) => job.run(&scenario, &self.actor),
+        };
+        measured.with_context(|| self.label())
+    }
+}
+
+impl Job {
+    fn needs_actor(&self) -> bool {
+        !matches!(self, Self::Learning(_) | Self::Yardsticks(_))
+    }
+}

@@ -1,0 +1,186 @@
+//! One run of `heliostat reproduce`: what can be refused is refused, then the parts are computed one by one, then the report is written.
+
+use std::fs;
+use std::io::IsTerminal;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use heliostat_models::networks::on_one_thread;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::args::ReproduceArgs;
+use crate::claims::claims;
+use crate::document;
+use crate::figures::{Done, Kind, Room};
+use crate::part::Part;
+use crate::report::{Meta, Report, Source};
+use crate::store::{Origin, Store};
+use crate::{machine, report, training};
+
+/// Runs the command.
+///
+/// # Errors
+/// A folder that cannot be written, a scenario or figure that makes no sense, a missing actor, all before any part is computed; then those
+/// of the parts, which stay finished on disk up to the one that failed.
+pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
+    let report = reproduce(&args)?;
+    let kept = report.parts.iter().filter(|part| part.kept).count();
+    let page = args.out.join("report.html");
+    if args.json {
+        let summary = serde_json::json!({
+            "page": page, "parts": report.parts.len(), "kept": kept, "claims": report.claims, "left_out": report.left_out, "meta": report.meta,
+        });
+        println!("{summary}");
+        return Ok(());
+    }
+    for claim in &report.claims {
+        println!("{} (paper: {})", claim.statement, claim.paper);
+        for finding in &claim.findings {
+            println!("  {:<17} {}: {}; {}", finding.room, finding.verdict.words(), finding.ours, finding.why);
+        }
+    }
+    for left_out in &report.left_out {
+        println!("no {} in room {}: {}", left_out.figure, left_out.room, left_out.why);
+    }
+    println!("{}: {} parts, {kept} of them kept from before", page.display(), report.parts.len());
+    Ok(())
+}
+
+/// Computes what is missing and writes the report.
+///
+/// # Errors
+/// As [`run_reproduce`].
+pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
+    let effort = args.effort();
+    let plan = args.plan(effort);
+    let rooms = args.rooms()?;
+    let (chosen, left_out) = args.choose(&rooms)?;
+    let mut figures: Vec<(Kind, &Room, Vec<Part>)> = Vec::new();
+    for (kind, room) in chosen {
+        figures.push((kind, room, kind.parts(room, &plan)?));
+    }
+    let store = Store::open(&args.out)?;
+    if let Some(folder) = &args.write_docs {
+        ensure!(folder.is_dir(), "--write-docs {}: wanted a folder that is there", folder.display());
+    }
+    if args.needs_actor() {
+        rooms.iter().try_for_each(|room| training::provide(room, &args.out, args.train_missing))?;
+    }
+    let bar = estimate(&store, &figures)?;
+    let mut done: Vec<(Kind, &Room, Vec<Done>)> = Vec::new();
+    for (kind, room, parts) in figures {
+        let parts = parts.into_iter().map(|part| finish(&store, part, &bar)).collect::<Result<_>>()?;
+        done.push((kind, room, parts));
+    }
+    bar.finish_and_clear();
+    let figures: Vec<_> = done.iter().map(|(kind, room, parts)| kind.figure(room, parts)).collect();
+    let parts: Vec<Origin> =
+        done.iter().flat_map(|(_, _, parts)| parts).map(|(_, finished)| finished.origin.clone()).collect();
+    let report = Report {
+        meta: meta(args, &parts),
+        claims: claims(&figures),
+        figures,
+        left_out,
+        sources: Source::of(&parts),
+        parts,
+    };
+    report::write(&report, &args.out)?;
+    if let Some(folder) = &args.write_docs {
+        write_docs(&report, folder)?;
+    }
+    Ok(report)
+}
+
+/// Says what is to be done, and how long it takes about; the bar counts seconds of that.
+fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<ProgressBar> {
+    let (mut count, mut missing, mut cost_s) = (0, 0, 0.0);
+    for part in figures.iter().flat_map(|(_, _, parts)| parts) {
+        count += 1;
+        if store.find(part)?.is_none() {
+            missing += 1;
+            cost_s += part.cost_s;
+        }
+    }
+    eprintln!(
+        "{count} parts, {} of them finished before; the rest takes about {} of one core",
+        count - missing,
+        span(cost_s)
+    );
+    let bar = ProgressBar::new((1e3 * cost_s) as u64);
+    bar.set_style(ProgressStyle::with_template("{bar:32} {percent} %, {eta} left  {msg}")?);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    Ok(bar)
+}
+
+fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
+    if let Some(finished) = store.find(&part)? {
+        return Ok((part, finished));
+    }
+    bar.set_message(part.label());
+    let finished = on_one_thread(|| store.compute(&part))??;
+    if !std::io::stderr().is_terminal() {
+        eprintln!("{}: {:.1} s", part.label(), finished.origin.cpu_s);
+    }
+    bar.inc((1e3 * part.cost_s) as u64);
+    Ok((part, finished))
+}
+
+fn meta(args: &ReproduceArgs, parts: &[Origin]) -> Meta {
+    let effort = args.effort();
+    Meta {
+        version: env!("CARGO_PKG_VERSION").into(),
+        commit: machine::COMMIT.into(),
+        made: machine::now(),
+        machine: machine::hardware(),
+        command: command(args),
+        effort: if args.quick { "quick" } else { "full" }.into(),
+        first_seed: args.seed,
+        seeds: effort.seeds,
+        training_seeds: effort.training_seeds,
+        episodes: effort.episodes,
+        cpu_s: parts.iter().map(|part| part.cpu_s).sum(),
+    }
+}
+
+/// The command that makes the same report, without the places on this machine.
+fn command(args: &ReproduceArgs) -> String {
+    use clap::ValueEnum;
+    let what = args.what.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned());
+    let mut command = format!("heliostat reproduce {what} --out DIR");
+    let mut add = |flag: &str, value: String| command.push_str(&format!(" --{flag} {value}"));
+    if !args.mode.is_empty() {
+        add("mode", args.mode.join(","));
+    }
+    if let Some(file) = &args.scenario {
+        add("scenario", file.clone());
+    }
+    args.overrides.iter().for_each(|text| add("set", text.clone()));
+    let mut number = |flag: &str, value: Option<u64>| value.into_iter().for_each(|value| add(flag, value.to_string()));
+    number("seeds", args.seeds);
+    number("training-seeds", args.training_seeds);
+    number("episodes", args.episodes.map(u64::from));
+    number("seed", (args.seed != 1).then_some(args.seed));
+    if args.blocked != [0, 2, 3, 5] {
+        add("blocked", args.blocked.iter().map(usize::to_string).collect::<Vec<_>>().join(","));
+    }
+    if args.quick {
+        command.push_str(" --quick");
+    }
+    command
+}
+
+/// A time in words.
+pub fn span(seconds: f64) -> String {
+    if seconds < 90.0 { format!("{seconds:.0} s") } else { format!("{:.0} min", seconds / 60.0) }
+}
+
+fn write_docs(report: &Report, folder: &Path) -> Result<()> {
+    let report = document::reduced(report);
+    let json = folder.join("reproduction.json");
+    crate::store::write(&json, document::json(&report)?.as_bytes())?;
+    // What is written is what the file says, so that the document can be made again from it.
+    let text = fs::read_to_string(&json).with_context(|| format!("cannot read {}", json.display()))?;
+    let report = serde_json::from_str(&text)?;
+    crate::store::write(&folder.join("reproduction.md"), document::markdown(&report).as_bytes())
+}

@@ -1,0 +1,116 @@
+//! Finished parts on disk: one JSON file each, named by what the part depends on, written beside its place and then renamed into it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+
+use crate::machine;
+use crate::part::{Measured, Part};
+
+/// A finished part as it stands in its file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Finished {
+    /// Where it came from.
+    pub origin: Origin,
+    /// What it found.
+    pub measured: Measured,
+}
+
+/// Where a part came from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Origin {
+    /// The figure it belongs to.
+    pub figure: String,
+    /// The room's name.
+    pub room: String,
+    /// Which part.
+    pub name: String,
+    /// Its seed.
+    pub seed: u64,
+    /// When it was finished, in UTC.
+    pub made: String,
+    /// The commit that computed it.
+    pub commit: String,
+    /// Where.
+    pub machine: String,
+    /// Processor time that it took in s.
+    pub cpu_s: f64,
+    /// Whether it was there before this run.
+    #[serde(default)]
+    pub kept: bool,
+}
+
+/// The folder of finished parts.
+#[derive(Debug)]
+pub struct Store {
+    folder: PathBuf,
+}
+
+impl Store {
+    /// Opens the folder `parts` in an output folder, and makes both where they are missing.
+    ///
+    /// # Errors
+    /// A folder that cannot be made or written.
+    pub fn open(out: &Path) -> Result<Self> {
+        let folder = out.join("parts");
+        let refused = || format!("cannot write into {}: give --out a folder that you may write", out.display());
+        fs::create_dir_all(&folder).with_context(refused)?;
+        let probe = folder.join(".probe");
+        fs::write(&probe, "").with_context(refused)?;
+        fs::remove_file(&probe).with_context(refused)?;
+        Ok(Self { folder })
+    }
+
+    /// The finished part, if it is there; one that cannot be read counts as missing, since a run that was cut off must not stop the next.
+    ///
+    /// # Errors
+    /// Those of [`Part::key`].
+    pub fn find(&self, part: &Part) -> Result<Option<Finished>> {
+        let text = fs::read(self.path(part)?).ok();
+        let finished: Option<Finished> = text.and_then(|text| serde_json::from_slice(&text).ok());
+        Ok(finished.map(|finished| Finished { origin: Origin { kept: true, ..finished.origin }, ..finished }))
+    }
+
+    /// Computes a part and keeps it.
+    ///
+    /// # Errors
+    /// Those of the part, and a file that cannot be written.
+    pub fn compute(&self, part: &Part) -> Result<Finished> {
+        let before_s = machine::cpu_s();
+        let measured = part.compute()?;
+        let origin = Origin {
+            figure: part.figure.into(),
+            room: part.room.clone(),
+            name: part.name.clone(),
+            seed: part.seed,
+            made: machine::now(),
+            commit: machine::COMMIT.into(),
+            machine: machine::hardware(),
+            cpu_s: machine::cpu_s() - before_s,
+            kept: false,
+        };
+        let finished = Finished { origin, measured };
+        write(&self.path(part)?, &serde_json::to_vec(&finished)?)?;
+        Ok(finished)
+    }
+
+    fn path(&self, part: &Part) -> Result<PathBuf> {
+        let words = format!("{}-{}-{}-{}", part.figure, part.room, part.name, part.seed);
+        let plain = |letter: char| if letter.is_ascii_alphanumeric() || ".-".contains(letter) { letter } else { '_' };
+        Ok(self.folder.join(format!("{}-{}.json", words.chars().map(plain).collect::<String>(), part.key()?)))
+    }
+}
+
+/// Writes a file so that it is there whole or not at all.
+///
+/// # Errors
+/// A file that cannot be written, by name.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".part");
+    let beside = PathBuf::from(beside);
+    fs::write(&beside, bytes).with_context(|| format!("cannot write {}", beside.display()))?;
+    fs::rename(&beside, path).with_context(|| format!("cannot replace {}", path.display()))
+}

@@ -1,0 +1,75 @@
+//! The policy ddpg for rooms that no built-in actor fits, trained by `heliostat train` itself.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Parser;
+use heliostat_controller::policy::ActorSource;
+use heliostat_models::comparison::Entrant;
+use heliostat_models::{TrainArgs, run_train};
+use heliostat_scenario::Scenario;
+
+use crate::figures::Room;
+
+/// `heliostat train` by its own flags.
+#[derive(Parser)]
+struct Train {
+    #[command(flatten)]
+    args: TrainArgs,
+}
+
+/// The built-in actor where one fits; else the place of one in the output folder, whether it is there or not.
+pub fn source(scenario: &Scenario, out: &Path) -> ActorSource {
+    if fits(scenario, &ActorSource::Shipped) {
+        ActorSource::Shipped
+    } else {
+        ActorSource::Path(place(scenario, out).join("ddpg.onnx"))
+    }
+}
+
+/// Refuses a room without an actor, or trains one for it.
+///
+/// # Errors
+/// No actor and no leave to train one, with the way to get one; or what stops the training.
+pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
+    if fits(&room.scenario, &room.actor) {
+        return Ok(());
+    }
+    let folder = place(&room.scenario, out);
+    let file = folder.join("scenario.toml");
+    if !train {
+        bail!(
+            "room {} has no trained actor: none is built in for channel mode {} with {} x {} mirrors in this geometry; give --train-missing to train one \
+             now (some minutes), or make the one built in that you train with `heliostat train ddpg`",
+            room.name,
+            room.scenario.channel.mode.name(),
+            room.scenario.mirrors.rows,
+            room.scenario.mirrors.columns
+        );
+    }
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    crate::store::write(&file, room.scenario.to_toml().as_bytes())?;
+    eprintln!("training the policy ddpg for room {}", room.name);
+    let [file, into] = [&file, &folder].map(|path| path.display().to_string());
+    let mut command = vec!["train", "ddpg", "--scenario", &file, "--out", &into];
+    if folder.join("checkpoint.safetensors").exists() {
+        command.push("--resume");
+    }
+    run_train(Train::parse_from(command).args)?;
+    let actors = fs::read_dir(&folder)?.filter_map(|entry| Some(entry.ok()?.path()));
+    let trained =
+        actors.filter(|path| path.extension().is_some_and(|extension| extension == "onnx")).collect::<Vec<_>>();
+    ensure!(trained.len() == 1, "wanted one actor in {}, found {}", folder.display(), trained.len());
+    fs::rename(&trained[0], folder.join("ddpg.onnx"))?;
+    ensure!(fits(&room.scenario, &room.actor), "the actor that was trained for room {} does not fit it", room.name);
+    Ok(())
+}
+
+fn fits(scenario: &Scenario, actor: &ActorSource) -> bool {
+    Entrant::parse("ddpg", actor).is_ok_and(|entrant| entrant.fits(scenario))
+}
+
+fn place(scenario: &Scenario, out: &Path) -> PathBuf {
+    out.join("actors").join(format!("{}-{}", scenario.name, scenario.geometry_hash()))
+}

@@ -1,0 +1,123 @@
+//! Whole runs, tiny: what is written, what is kept, what is refused before it begins.
+
+use std::fs;
+use std::path::Path;
+
+use clap::Parser;
+use heliostat_reproduce::ReproduceArgs;
+use heliostat_reproduce::claims::Verdict;
+use heliostat_reproduce::figures::Kind;
+use heliostat_reproduce::report::Report;
+use heliostat_reproduce::run::reproduce;
+use heliostat_reproduce::store::Store;
+
+#[derive(Parser)]
+struct Command {
+    #[command(flatten)]
+    args: ReproduceArgs,
+}
+
+fn args(what: &str, out: &Path, more: &[&str]) -> ReproduceArgs {
+    let out = out.display().to_string();
+    Command::parse_from([&["reproduce", what, "--out", &out, "--quick"], more].concat()).args
+}
+
+fn refusal(what: &str, out: &Path, more: &[&str]) -> String {
+    format!("{:#}", reproduce(&args(what, out, more)).expect_err("a refusal"))
+}
+
+fn kept(report: &Report) -> usize {
+    report.parts.iter().filter(|part| part.kept).count()
+}
+
+const TINY: [&str; 6] = ["--mode", "specular", "--blocked", "2", "--seeds", "2"];
+
+#[test]
+fn a_run_that_was_cut_off_goes_on_and_another_seed_begins_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = args("sum-rate-power", folder.path(), &TINY);
+    // Cut off after one part.
+    let (plan, rooms) = (first.plan(first.effort()), first.rooms().unwrap());
+    let parts = Kind::SumRatePower.parts(&rooms[0], &plan).unwrap();
+    let done = Store::open(folder.path()).unwrap().compute(&parts[0]).unwrap();
+    let report = reproduce(&first).unwrap();
+    assert_eq!((report.parts.len(), kept(&report)), (2, 1));
+    assert_eq!((report.parts[0].kept, &report.parts[0].made), (true, &done.origin.made));
+    // Nothing is computed twice, and the figures stay.
+    let again = reproduce(&first).unwrap();
+    assert_eq!((kept(&again), &again.figures), (2, &report.figures));
+    // A part that cannot be read is computed again, and comes to the same.
+    let file = fs::read_dir(folder.path().join("parts")).unwrap().next().unwrap().unwrap().path();
+    fs::write(&file, "{").unwrap();
+    let mended = reproduce(&first).unwrap();
+    assert_eq!((kept(&mended), &mended.figures), (1, &report.figures));
+    let other = reproduce(&args("sum-rate-power", folder.path(), &[&TINY[..], &["--seed", "7"]].concat())).unwrap();
+    assert_eq!(kept(&other), 0);
+    assert_ne!(other.figures[0].panels, report.figures[0].panels);
+}
+
+#[test]
+fn a_report_needs_nothing_else_and_its_files_agree() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = reproduce(&args("sum-rate-power", folder.path(), &TINY)).unwrap();
+    let read = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
+    let page = read("report.html");
+    assert_eq!(page.matches("<script type=\"text/javascript\">").count(), 1 + report.figures.len(), "the library once");
+    assert!(!page.contains("<script src") && !page.contains("<link"), "nothing is fetched");
+    assert_eq!(serde_json::from_str::<Report>(&read("report.json")).unwrap(), report);
+    assert!(read("sum-rate-power-specular.svg").contains("optical power (W)"));
+    let panel = &report.figures[0].panels[0];
+    let ddpg = panel.series.iter().find(|series| series.name == "ddpg").unwrap();
+    let line = format!("{},ddpg,{},{},", panel.title, ddpg.points[0].x, ddpg.points[0].y);
+    assert!(read("sum-rate-power-specular.csv").contains(&line));
+    // Mirrors that are aimed bring more than mirrors that are not there, and no more than the oracle's and its spill.
+    let at = |name: &str| report.figures[0].series("2 blocked", name).unwrap().at(2.0).unwrap().y;
+    assert!(at("ddpg") > 1.3 * at("no-irs") && at("ddpg") < 1.05 * at("oracle"));
+    assert!(report.claims.iter().any(|claim| claim.findings[0].verdict == Verdict::NotReproduced));
+}
+
+#[test]
+fn a_map_is_drawn_without_and_with_the_array() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = reproduce(&args("map", folder.path(), &["--mode", "specular"])).unwrap();
+    let mean = |panel: usize| {
+        let values = &report.figures[0].panels[panel].floor.as_ref().unwrap().values;
+        values.iter().sum::<f64>() / values.len() as f64
+    };
+    assert!(mean(1) > mean(0));
+    assert!(fs::read_to_string(folder.path().join("map-specular.svg")).unwrap().contains("y (m)"));
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_before_it_begins() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path();
+    let blocked = refusal("sum-rate-power", out, &["--set", "users.count=2", "--blocked", "0,3"]);
+    assert!(blocked.contains("3 users") && blocked.contains("--blocked numbers up to 2"), "{blocked}");
+    let mirrors = refusal("sum-rate-power", out, &["--set", "mirrors.rows=0"]);
+    assert!(mirrors.contains("mirrors.rows"), "{mirrors}");
+    let pointless = refusal("ber-snr", out, &["--mode", "paper"]);
+    assert!(pointless.contains("law of reflection"), "{pointless}");
+    let untrained = refusal("inference", out, &["--mode", "specular", "--set", "mirrors.rows=8"]);
+    assert!(untrained.contains("--train-missing") && untrained.contains("heliostat train ddpg"), "{untrained}");
+    let twice = refusal("map", out, &["--mode", "paper,paper"]);
+    assert!(twice.contains("twice"), "{twice}");
+    let file = out.join("file");
+    fs::write(&file, "").unwrap();
+    let unwritable = refusal("map", &file, &[]);
+    assert!(unwritable.contains("--out a folder that you may write"), "{unwritable}");
+    assert!(!out.join("report.html").exists());
+}
+
+#[test]
+fn a_figure_that_makes_no_sense_in_a_room_is_left_out_of_the_whole_and_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let all = args("all", folder.path(), &[]);
+    let rooms = all.rooms().unwrap();
+    let (chosen, left_out) = all.choose(&rooms).unwrap();
+    assert_eq!(chosen.len(), 13);
+    assert_eq!(
+        left_out.iter().map(|left_out| left_out.room.as_str()).collect::<Vec<_>>(),
+        ["paper", "paper-calibrated"]
+    );
+}

@@ -104,7 +104,7 @@ impl Settings {
             warm_up: 500,
             exploration: Exploration { kind: Kind::Additive, start: 0.4, end: 0.05 },
             run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
+                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
                 rooms: Rooms::Fixed,
                 episodes: 1000,
                 steps: 40,

@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use crate::algorithm::Algorithm;
-use crate::evaluate::Score;
+use crate::evaluate::{Estimate, Score};
 use crate::learner::Learner;
 
 /// A score in one kind of room.
@@ -18,6 +18,9 @@ pub struct ScoreRow {
     pub states: usize,
     /// The score.
     pub score: Score,
+    /// The ratio to the oracle and the share of needs met of the best that the learner could ever give, where that is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ceiling: Option<(Estimate, f64)>,
 }
 
 /// Everything that a card tells.
@@ -71,14 +74,31 @@ impl Card<'_> {
             Some(duration) => writeln!(text, "| duration | {:.0} s on {} |", duration.as_secs_f64(), hardware())?,
             None => writeln!(text, "| duration | resumed; last part on {} |", hardware())?,
         }
+        for (name, note) in self.learner.notes() {
+            writeln!(text, "| {name} | {note} |")?;
+        }
         writeln!(text, "| settings | `{}` |", self.learner.settings())?;
         writeln!(text, "| licence | {} |\n", env!("CARGO_PKG_LICENSE"))?;
         self.write_scores(text)?;
+        self.write_ceilings(text)?;
         writeln!(
             text,
             "\nLimits: one access point, the geometry named above, true positions and gains without delay. A controller refuses the \
              actor elsewhere."
         )
+    }
+
+    fn write_ceilings(&self, text: &mut String) -> std::fmt::Result {
+        for ScoreRow { users, forced, ceiling, .. } in self.scores {
+            let Some((ratio, met)) = ceiling else { continue };
+            writeln!(
+                text,
+                "\nCeiling of the codebook with {users} users, {forced} forced off: the best entry of each state, found by trying all, has a \
+                 ratio of {:.4} ± {:.4} and meets {met:.3} of the needs.",
+                ratio.mean, ratio.ci95
+            )?;
+        }
+        Ok(())
     }
 
     fn write_scores(&self, text: &mut String) -> std::fmt::Result {
@@ -92,7 +112,7 @@ impl Card<'_> {
             "| users | b | states | no array, Mbit/s | actor, Mbit/s | oracle, Mbit/s | ratio | needs met (oracle) |"
         )?;
         writeln!(text, "| --- | --- | --- | --- | --- | --- | --- | --- |")?;
-        for ScoreRow { users, forced, states, score } in self.scores {
+        for ScoreRow { users, forced, states, score, .. } in self.scores {
             writeln!(
                 text,
                 "| {users} | {forced} | {states} | {:.1} | {:.1} ± {:.1} | {:.1} | {:.4} ± {:.4} | {:.3} ({:.3}) |",

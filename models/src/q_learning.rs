@@ -18,7 +18,7 @@
 //!    that was tried long ago lags behind by more than entries differ.
 //! 5. **alpha = 0.05**, the learning rate that the paper's text names, but the first visits of a pair count as in a mean: alpha = max(0.05, 1 / n).
 //! 6. **Exploration.** Epsilon-greedy from 0.995, as in the paper, to 0.05: a table learns nothing about a neighbour of what it tries.
-//! 7. **Episodes.** 2500 of 80 steps of one second.
+//! 7. **Episodes.** 1000 of 80 steps of one second. In `specular`, seed 1, watched rooms: .50 of the oracle after a run of 600, .54 of 2500.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
@@ -76,7 +76,7 @@ impl Settings {
             run: RunSettings {
                 reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
                 rooms: Rooms::Randomised,
-                episodes: 2500,
+                episodes: 1000,
                 steps: 80,
                 step_s: 1.0,
                 seed,

@@ -6,11 +6,13 @@ use heliostat_controller::policy::Actor as Served;
 use heliostat_controller::policy::actor_file::{ActorFile, key};
 use heliostat_controller::safety::Limits;
 use heliostat_models::algorithm::{Algorithm, Preset};
+use heliostat_models::checkpoint;
 use heliostat_models::codebook::{Codebook, objective_bps};
 use heliostat_models::env::{Environment, Rooms};
 use heliostat_models::evaluate::HeldOut;
 use heliostat_models::learner::Learner;
 use heliostat_models::needy::Needy;
+use heliostat_models::networks::on_one_thread;
 use heliostat_scenario::Scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,7 +20,7 @@ use rand_chacha::ChaCha8Rng;
 const ALGORITHMS: [Algorithm; 3] = [Algorithm::Dql, Algorithm::QLearning, Algorithm::Sarsa];
 const OBSERVATIONS: usize = 500;
 
-/// A few mirrors, so that rooms are quick; as many rows as make the wall of the full array.
+/// A few mirrors, so that rooms are quick.
 fn small(name: &str, overrides: &[&str]) -> Scenario {
     let all: Vec<String> =
         ["mirrors.rows=4", "mirrors.columns=4"].iter().chain(overrides).map(|&text| text.into()).collect();
@@ -74,10 +76,14 @@ fn differences(learner: &dyn Learner) -> usize {
 
 #[test]
 fn the_graph_gives_the_trainers_angles() {
+    on_one_thread(graphs_give_the_trainers_angles).expect("a thread");
+}
+
+fn graphs_give_the_trainers_angles() {
     for name in ["specular", "paper-calibrated"] {
         for algorithm in ALGORITHMS {
             let learner = trained(algorithm, &small(name, &[]), &["episodes=12", "steps=40", "exploration.end=0.5"]);
-            let differences = differences(learner.as_ref());
+            let differences = differences(&*learner);
             // A network may also be undecided between two entries.
             let allowed = if algorithm == Algorithm::Dql { OBSERVATIONS / 200 } else { 0 };
             assert!(differences <= allowed, "{algorithm:?} in {name}: {differences} of {OBSERVATIONS} differ");
@@ -102,6 +108,10 @@ fn every_angle_is_within_range() {
 
 #[test]
 fn no_policy_of_a_codebook_is_above_its_ceiling() {
+    on_one_thread(no_policy_is_above_the_ceiling).expect("a thread");
+}
+
+fn no_policy_is_above_the_ceiling() {
     for name in ["specular", "paper-calibrated"] {
         let scenario = small(name, &["blockage.forced_users=2"]);
         let learners = ALGORITHMS.map(|algorithm| trained(algorithm, &scenario, &["episodes=8"]));
@@ -125,13 +135,17 @@ fn no_policy_of_a_codebook_is_above_its_ceiling() {
 /// One user in shadow, one array: the best entry is the one aimed at them, and every learner finds it often enough to be far above chance.
 #[test]
 fn a_learner_finds_whom_to_aim_at() {
+    on_one_thread(finds_whom_to_aim_at).expect("a thread");
+}
+
+fn finds_whom_to_aim_at() {
     let scenario = small("specular", &["users.count=1", "blockage.forced_users=1", "blockage.bodies=false"]);
     let mut held_out = HeldOut::default();
-    held_out.add(&scenario, 60).expect("held-out states");
+    held_out.add(&scenario, 40).expect("held-out states");
     for algorithm in ALGORITHMS {
         let fresh = algorithm.begin(scenario.clone(), Preset::Tuned, &[]).expect("a valid run");
         let before = held_out.score(fresh.as_ref()).expect("a score").sum_rate_mbps.mean;
-        let learner = trained(algorithm, &scenario, &["rooms=fixed", "episodes=400", "exploration.end=0.05"]);
+        let learner = trained(algorithm, &scenario, &["rooms=fixed", "episodes=200", "exploration.end=0.05"]);
         let after = held_out.score(learner.as_ref()).expect("a score").sum_rate_mbps.mean;
         let best = held_out.ceiling(learner.as_ref()).expect("a score").expect("a codebook").sum_rate_mbps.mean;
         assert!(
@@ -143,6 +157,10 @@ fn a_learner_finds_whom_to_aim_at() {
 
 #[test]
 fn runs_repeat_by_seed_and_the_two_tables_differ() {
+    on_one_thread(runs_repeat_by_seed).expect("a thread");
+}
+
+fn runs_repeat_by_seed() {
     let scenario = small("paper-calibrated", &[]);
     let file = |algorithm: Algorithm, seed: u64| {
         let learner = trained(algorithm, &Scenario { seed, ..scenario.clone() }, &["episodes=15", "steps=60"]);
@@ -154,4 +172,27 @@ fn runs_repeat_by_seed_and_the_two_tables_differ() {
         assert!(first != file(algorithm, 2), "{algorithm:?} does not depend on its seed");
     }
     assert!(file(Algorithm::QLearning, 1) != file(Algorithm::Sarsa, 1));
+}
+
+#[test]
+fn a_resumed_run_is_the_run_that_was_not_stopped() {
+    on_one_thread(resumed_runs_are_whole_ones).expect("a thread");
+}
+
+fn resumed_runs_are_whole_ones() {
+    let (folder, scenario) = (tempfile::tempdir().expect("a folder"), small("specular", &[]));
+    let path = folder.path().join("checkpoint.safetensors");
+    let options = ["episodes=6", "steps=60"].map(String::from);
+    for algorithm in ALGORITHMS {
+        let whole = trained(algorithm, &scenario, &["episodes=6", "steps=60"]);
+        let begin = || algorithm.begin(scenario.clone(), Preset::Tuned, &options).expect("a valid run");
+        let (mut first, mut second) = (begin(), begin());
+        (0..3).for_each(|_| drop(first.run_episode().expect("an episode")));
+        checkpoint::save(&*first, &path).expect("a checkpoint");
+        checkpoint::load(&mut *second, &path).expect("the checkpoint fits");
+        assert_eq!(second.episodes_done(), 3);
+        (0..3).for_each(|_| drop(second.run_episode().expect("an episode")));
+        let [whole, first, second] = [whole, first, second].map(|learner| learner.export(&[]).expect("a file"));
+        assert!(whole == second && whole != first, "{algorithm:?}");
+    }
 }

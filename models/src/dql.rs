@@ -14,7 +14,7 @@
 //! 4. **Reward.** What the entry brings beyond mirrors that face straight into the room; the shortfall is punished instead of the met need, as in
 //!    [`crate::ddpg`]; divided by the bandwidth.
 //! 5. **gamma = 0.3** in place of 0.9: an action does not influence later states here, whose values are only noise in the target.
-//! 6. **Steps.** 40 of one second in an episode, and an update after every second one.
+//! 6. **Steps.** 40 of one second in an episode, and an update after every eighth: all entries of all next states have to be valued for each.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::MirrorAngles;
@@ -69,7 +69,7 @@ impl Settings {
             gamma: 0.3,
             tau: 0.01,
             rate: 1e-3,
-            steps_per_update: 2,
+            steps_per_update: 8,
             batch: 32,
             replay: 10_000,
             warm_up: 500,

@@ -6,7 +6,6 @@ use heliostat_controller::policy::Actor as Served;
 use heliostat_controller::policy::actor_file::{ActorFile, key};
 use heliostat_controller::safety::Limits;
 use heliostat_models::algorithm::{Algorithm, Preset};
-use heliostat_models::checkpoint;
 use heliostat_models::codebook::{Codebook, objective_bps};
 use heliostat_models::env::{Environment, Rooms};
 use heliostat_models::evaluate::HeldOut;
@@ -155,44 +154,10 @@ fn finds_whom_to_aim_at() {
     }
 }
 
+/// What is taken next counts in one and what would be best in the other.
 #[test]
-fn runs_repeat_by_seed_and_the_two_tables_differ() {
-    on_one_thread(runs_repeat_by_seed).expect("a thread");
-}
-
-fn runs_repeat_by_seed() {
+fn the_two_tables_differ() {
     let scenario = small("paper-calibrated", &[]);
-    let file = |algorithm: Algorithm, seed: u64| {
-        let learner = trained(algorithm, &Scenario { seed, ..scenario.clone() }, &["episodes=15", "steps=60"]);
-        learner.export(&[]).expect("a file")
-    };
-    for algorithm in ALGORITHMS {
-        let first = file(algorithm, 1);
-        assert!(first == file(algorithm, 1), "{algorithm:?} does not repeat");
-        assert!(first != file(algorithm, 2), "{algorithm:?} does not depend on its seed");
-    }
-    assert!(file(Algorithm::QLearning, 1) != file(Algorithm::Sarsa, 1));
-}
-
-#[test]
-fn a_resumed_run_is_the_run_that_was_not_stopped() {
-    on_one_thread(resumed_runs_are_whole_ones).expect("a thread");
-}
-
-fn resumed_runs_are_whole_ones() {
-    let (folder, scenario) = (tempfile::tempdir().expect("a folder"), small("specular", &[]));
-    let path = folder.path().join("checkpoint.safetensors");
-    let options = ["episodes=6", "steps=60"].map(String::from);
-    for algorithm in ALGORITHMS {
-        let whole = trained(algorithm, &scenario, &["episodes=6", "steps=60"]);
-        let begin = || algorithm.begin(scenario.clone(), Preset::Tuned, &options).expect("a valid run");
-        let (mut first, mut second) = (begin(), begin());
-        (0..3).for_each(|_| drop(first.run_episode().expect("an episode")));
-        checkpoint::save(&*first, &path).expect("a checkpoint");
-        checkpoint::load(&mut *second, &path).expect("the checkpoint fits");
-        assert_eq!(second.episodes_done(), 3);
-        (0..3).for_each(|_| drop(second.run_episode().expect("an episode")));
-        let [whole, first, second] = [whole, first, second].map(|learner| learner.export(&[]).expect("a file"));
-        assert!(whole == second && whole != first, "{algorithm:?}");
-    }
+    let file = |algorithm| trained(algorithm, &scenario, &["episodes=15", "steps=60"]).export(&[]).expect("a file");
+    assert!(file(Algorithm::QLearning) != file(Algorithm::Sarsa));
 }

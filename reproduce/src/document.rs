@@ -19,16 +19,18 @@ pub fn reduced(report: &Report) -> Report {
     for source in &mut report.sources {
         source.cpu_s = rounded(source.cpu_s);
     }
-    for panel in report.figures.iter_mut().flat_map(|figure| &mut figure.panels) {
-        // What stands on a floor goes with it.
-        if panel.floor.take().is_some() {
-            panel.series.clear();
+    for figure in &mut report.figures {
+        for panel in &mut figure.panels {
+            // What stands on a floor goes with it.
+            if panel.floor.take().is_some() {
+                panel.series.clear();
+            }
         }
-        for series in &mut panel.series {
+        let drawn = figure.panels.iter_mut().flat_map(|panel| &mut panel.series);
+        for series in drawn.chain(&mut figure.ratios) {
             thin(series);
             for point in &mut series.points {
-                point.x = rounded(point.x);
-                point.y = rounded(point.y);
+                (point.x, point.y) = (rounded(point.x), rounded(point.y));
                 point.ci95 = point.ci95.map(rounded);
             }
         }

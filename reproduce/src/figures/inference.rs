@@ -152,6 +152,7 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::log("time for a decision (us)", [1.0, 1e6]),
         y: Axis::linear("sum rate over the oracle's (1)"),
         panels: groups(done).into_iter().map(panel).collect(),
+        ratios: Vec::new(),
     }
 }
 

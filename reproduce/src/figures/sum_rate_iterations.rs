@@ -198,5 +198,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::linear("iterations (episodes)"),
         y: Axis::linear("sum rate on held-out states (Mbit/s)"),
         panels: groups(done).into_iter().map(panel).collect(),
+        ratios: Vec::new(),
     }
 }

@@ -61,37 +61,42 @@ pub struct Finding {
     pub calibrated: String,
 }
 
+/// A statement: its figure, what it says, the paper's value, and how it is judged in one room.
+type Rule = (&'static str, &'static str, &'static str, fn(&Figure) -> Option<Judged>);
+
+/// Every statement, in the order of the table.
+const RULES: [Rule; 10] = [
+    (sum_rate_power::ID, "sum rate of the proposed DRL at 2 W, two users blocked", "19.2 Mbit/s", drl_rate),
+    (
+        sum_rate_power::ID,
+        "sum rate of the benchmark (random, fixed) at 2 W, two users blocked",
+        "10 Mbit/s",
+        benchmark_rate,
+    ),
+    (sum_rate_power::ID, "gain of DRL over the benchmark", "\"48 %\"; 19.2 against 10 is +92 %", gain),
+    (sum_rate_iterations::ID, "DRL outperforms DQL", "in words and Fig4", beats_dql),
+    (sum_rate_iterations::ID, "performance near the optimum", "\"near-optimal\"", near_optimal),
+    (
+        sum_rate_iterations::ID,
+        "the sum rate grows with the number of mirrors (7 x 7 to 10 x 10)",
+        "in words and Fig4",
+        grows,
+    ),
+    (ber_snr::ID, "error rate at 15 dB as speed grows", "1e-4 to 1e-1", error_rates),
+    (ber_snr::ID, "error rate as the SNR grows", "below 1e-3", error_floor),
+    (inference::ID, "time for a decision", "0.5 ms", decision_time),
+    (inference::ID, "faster than traditional optimisation", "in words", faster),
+];
+
 /// All claims for which there are figures.
 pub fn claims(figures: &[Figure]) -> Vec<Claim> {
-    let rules: [(&str, &str, &str, fn(&Figure) -> Option<Judged>); 10] = [
-        (sum_rate_power::ID, "sum rate of the proposed DRL at 2 W, two users blocked", "19.2 Mbit/s", drl_rate),
-        (
-            sum_rate_power::ID,
-            "sum rate of the benchmark (random, fixed) at 2 W, two users blocked",
-            "10 Mbit/s",
-            benchmark_rate,
-        ),
-        (sum_rate_power::ID, "gain of DRL over the benchmark", "\"48 %\"; 19.2 against 10 is +92 %", gain),
-        (sum_rate_iterations::ID, "DRL outperforms DQL", "in words and Fig4", beats_dql),
-        (sum_rate_iterations::ID, "performance near the optimum", "\"near-optimal\"", near_optimal),
-        (
-            sum_rate_iterations::ID,
-            "the sum rate grows with the number of mirrors (7 x 7 to 10 x 10)",
-            "in words and Fig4",
-            grows,
-        ),
-        (ber_snr::ID, "error rate at 15 dB as speed grows", "1e-4 to 1e-1", error_rates),
-        (ber_snr::ID, "error rate as the SNR grows", "below 1e-3", error_floor),
-        (inference::ID, "time for a decision", "0.5 ms", decision_time),
-        (inference::ID, "faster than traditional optimisation", "in words", faster),
-    ];
-    let claim = |(id, statement, paper, rule): (&str, &str, &str, fn(&Figure) -> Option<Judged>)| {
+    let claim = |(id, statement, paper, rule): Rule| {
         let found = figures.iter().filter(|figure| figure.id == id);
         let findings: Vec<Finding> = found.filter_map(|figure| Some(rule(figure)?.finding(id, &figure.room))).collect();
         let (figure, statement, paper) = (id.to_owned(), statement.to_owned(), paper.to_owned());
         (!findings.is_empty()).then_some(Claim { figure, statement, paper, findings })
     };
-    rules.into_iter().filter_map(claim).collect()
+    RULES.into_iter().filter_map(claim).collect()
 }
 
 /// Value, verdict and reason.

@@ -94,21 +94,26 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
     writeln!(text, "| machine | {} |", meta.machine)?;
     writeln!(text, "| computing time | {} of one core, over all parts |\n", span(meta.cpu_s))?;
     write_claims(report, text)?;
-    let mut last = "";
+    let mut last: Option<&Figure> = None;
     for figure in &report.figures {
-        if figure.id != last {
+        if last.is_none_or(|last| last.id != figure.id) {
             writeln!(text, "## {}\n", figure.title)?;
-            for line in &figure.caption {
-                writeln!(text, "- {line}")?;
-            }
+        }
+        writeln!(text, "### {}: {}\n", figure.id, figure.room)?;
+        // Rooms share most of what is to be said.
+        let said = |line: &&String| last.is_some_and(|last| last.id == figure.id && last.caption.contains(line));
+        let lines: Vec<&String> = figure.caption.iter().filter(|line| !said(line)).collect();
+        for line in &lines {
+            writeln!(text, "- {line}")?;
+        }
+        if !lines.is_empty() {
             writeln!(text)?;
         }
-        last = &figure.id;
-        writeln!(text, "### {}: {}\n", figure.id, figure.room)?;
         write_figure(figure, text)?;
+        last = Some(figure);
     }
     if !report.left_out.is_empty() {
-        writeln!(text, "## Left out\n")?;
+        writeln!(text, "## Missing\n")?;
         for left_out in &report.left_out {
             writeln!(text, "- {} in room {}: {}.", left_out.figure, left_out.room, left_out.why)?;
         }

@@ -14,7 +14,7 @@ use crate::claims::claims;
 use crate::document;
 use crate::figures::{Done, Kind, Room};
 use crate::part::Part;
-use crate::report::{Meta, Report, Source};
+use crate::report::{LeftOut, Meta, Report, Source};
 use crate::store::{Origin, Store};
 use crate::{machine, report, training};
 
@@ -41,7 +41,7 @@ pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
         }
     }
     for left_out in &report.left_out {
-        println!("no {} in room {}: {}", left_out.figure, left_out.room, left_out.why);
+        println!("{} in room {}: {}", left_out.figure, left_out.room, left_out.why);
     }
     println!("{}: {} parts, {kept} of them kept from before", page.display(), report.parts.len());
     Ok(())
@@ -55,7 +55,7 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     let effort = args.effort();
     let plan = args.plan(effort);
     let rooms = args.rooms()?;
-    let (chosen, left_out) = args.choose(&rooms)?;
+    let (chosen, mut left_out) = args.choose(&rooms)?;
     let mut figures: Vec<(Kind, &Room, Vec<Part>)> = Vec::new();
     for (kind, room) in chosen {
         figures.push((kind, room, kind.parts(room, &plan)?));
@@ -67,13 +67,27 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     if args.needs_actor() {
         rooms.iter().try_for_each(|room| training::provide(room, &args.out, args.train_missing))?;
     }
-    let bar = estimate(&store, &figures)?;
     let mut done: Vec<(Kind, &Room, Vec<Done>)> = Vec::new();
-    for (kind, room, parts) in figures {
-        let parts = parts.into_iter().map(|part| finish(&store, part, &bar)).collect::<Result<_>>()?;
-        done.push((kind, room, parts));
+    if args.finished {
+        for (kind, room, parts) in figures {
+            let all = parts.len();
+            let found: Vec<Done> = parts.into_iter().filter_map(|part| found(&store, part)).collect();
+            if found.len() < all {
+                let why = format!("{} of its {all} parts are not finished", all - found.len());
+                left_out.push(LeftOut { figure: kind.id().into(), room: room.name.clone(), why });
+            }
+            if !found.is_empty() {
+                done.push((kind, room, found));
+            }
+        }
+    } else {
+        let bar = estimate(&store, &figures)?;
+        for (kind, room, parts) in figures {
+            let parts = parts.into_iter().map(|part| finish(&store, part, &bar)).collect::<Result<_>>()?;
+            done.push((kind, room, parts));
+        }
+        bar.finish_and_clear();
     }
-    bar.finish_and_clear();
     let figures: Vec<_> = done.iter().map(|(kind, room, parts)| kind.figure(room, parts)).collect();
     let parts: Vec<Origin> =
         done.iter().flat_map(|(_, _, parts)| parts).map(|(_, finished)| finished.origin.clone()).collect();
@@ -111,6 +125,11 @@ fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<Progr
     bar.set_style(ProgressStyle::with_template("{bar:32} {percent} %, {eta} left  {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
     Ok(bar)
+}
+
+fn found(store: &Store, part: Part) -> Option<Done> {
+    let finished = store.find(&part).ok()??;
+    Some((part, finished))
 }
 
 fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
@@ -164,8 +183,8 @@ fn command(args: &ReproduceArgs) -> String {
     if args.blocked != [0, 2, 3, 5] {
         add("blocked", args.blocked.iter().map(usize::to_string).collect::<Vec<_>>().join(","));
     }
-    if args.quick {
-        command.push_str(" --quick");
+    for (given, flag) in [(args.quick, " --quick"), (args.finished, " --finished")] {
+        command.push_str(if given { flag } else { "" });
     }
     command
 }

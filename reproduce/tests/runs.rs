@@ -40,6 +40,9 @@ fn a_run_that_was_cut_off_goes_on_and_another_seed_begins_anew() {
     let (plan, rooms) = (first.plan(first.effort()), first.rooms().unwrap());
     let parts = Kind::SumRatePower.parts(&rooms[0], &plan).unwrap();
     let done = Store::open(folder.path()).unwrap().compute(&parts[0]).unwrap();
+    let so_far = reproduce(&args("sum-rate-power", folder.path(), &[&TINY[..], &["--finished"]].concat())).unwrap();
+    assert_eq!((so_far.parts.len(), so_far.left_out.len()), (1, 1));
+    assert!(so_far.left_out[0].why.contains("1 of its 2 parts"), "{}", so_far.left_out[0].why);
     let report = reproduce(&first).unwrap();
     assert_eq!((report.parts.len(), kept(&report)), (2, 1));
     assert_eq!((report.parts[0].kept, &report.parts[0].made), (true, &done.origin.made));

@@ -80,6 +80,7 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
          are in the report that the command writes.\n"
     )?;
     writeln!(text, "```\n{} --write-docs docs\n```\n", meta.command)?;
+    let commits = meta.commits.join(", ");
     writeln!(text, "| | |\n| --- | --- |")?;
     writeln!(
         text,
@@ -219,6 +220,9 @@ fn write_sources(report: &Report, text: &mut String) -> std::fmt::Result {
 
 /// A mean with its interval; tiny values as powers of ten.
 fn number(value: f64, ci95: Option<f64>) -> String {
+    if value != 0.0 && value.abs() < 1e-12 {
+        return "under 1e-12".into();
+    }
     if value != 0.0 && value.abs() < 1e-2 {
         return format!("{value:.1e}");
     }

@@ -68,12 +68,12 @@ fn write_head(report: &Report, page: &mut String) -> std::fmt::Result {
     writeln!(page, "<table class=\"meta\">")?;
     let rows = [
         ("made", format!("{} UTC, {} run", meta.made.trim_end_matches('Z').replace('T', " "), meta.effort)),
-        ("program", format!("heliostat {}, commit {}", meta.version, meta.commit)),
+        ("program", format!("heliostat {}, commit {}", meta.version, meta.commits.join(", "))),
         (
             "seeds",
             format!(
-                "{} from {} for what does not train, {} for what trains or is timed",
-                meta.seeds, meta.first_seed, meta.training_seeds
+                "{} from {} for what does not train, {} for what trains ({} episodes) or is timed",
+                meta.seeds, meta.first_seed, meta.training_seeds, meta.episodes
             ),
         ),
         ("machine", meta.machine.clone()),

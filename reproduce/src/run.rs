@@ -12,6 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::args::ReproduceArgs;
 use crate::claims::claims;
 use crate::document;
+use crate::effort::Effort;
 use crate::figures::{Done, Kind, Room};
 use crate::part::Part;
 use crate::report::{LeftOut, Meta, Report, Source};
@@ -149,17 +150,30 @@ fn meta(args: &ReproduceArgs, parts: &[Origin]) -> Meta {
     let effort = args.effort();
     Meta {
         version: env!("CARGO_PKG_VERSION").into(),
-        commit: machine::COMMIT.into(),
+        commits: commits(parts),
         made: machine::now(),
         machine: machine::hardware(),
         command: command(args),
-        effort: if args.quick { "quick" } else { "full" }.into(),
+        effort: match args.quick {
+            true => "quick",
+            false if effort == Effort::full() => "full",
+            false => "reduced",
+        }
+        .into(),
         first_seed: args.seed,
         seeds: effort.seeds,
         training_seeds: effort.training_seeds,
         episodes: effort.episodes,
         cpu_s: parts.iter().map(|part| part.cpu_s).sum(),
     }
+}
+
+/// Each commit once.
+fn commits(parts: &[Origin]) -> Vec<String> {
+    let mut commits: Vec<String> = parts.iter().map(|part| part.commit.clone()).collect();
+    commits.sort_unstable();
+    commits.dedup();
+    commits
 }
 
 /// The command that makes the same report, without the places on this machine.

@@ -68,7 +68,7 @@ fn a_report_needs_nothing_else_and_its_files_agree() {
     assert_eq!(page.matches("<script type=\"text/javascript\">").count(), 1 + report.figures.len(), "the library once");
     assert!(!page.contains("<script src") && !page.contains("<link"), "nothing is fetched");
     let written: Report = serde_json::from_str(&read("report.json")).unwrap();
-    assert_eq!((written.claims, written.meta.commit), (report.claims.clone(), report.meta.commit.clone()));
+    assert_eq!((written.claims, written.meta.commits), (report.claims.clone(), report.meta.commits.clone()));
     assert!(read("sum-rate-power-specular.svg").contains("optical power (W)"));
     let panel = &report.figures[0].panels[0];
     let ddpg = panel.series.iter().find(|series| series.name == "ddpg").unwrap();

@@ -82,11 +82,7 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
     writeln!(text, "```\n{} --write-docs docs\n```\n", meta.command)?;
     let commits = meta.commits.join(", ");
     writeln!(text, "| | |\n| --- | --- |")?;
-    writeln!(
-        text,
-        "| made | {}, {} run, heliostat {}, commit {} |",
-        meta.made, meta.effort, meta.version, meta.commit
-    )?;
+    writeln!(text, "| made | {}, {} run, heliostat {}, commit {} |", meta.made, meta.effort, meta.version, commits)?;
     writeln!(
         text,
         "| seeds | {} from {} for what does not train; {} for what trains ({} episodes) or is timed |",

@@ -10,7 +10,6 @@ use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
 use crate::scene::kernel::block;
 use crate::trig::{BLOCK, Lanes, atan};
-use crate::wide::widest;
 
 /// Lengths below this, in m, have no direction.
 const TOO_NEAR_M: f64 = 1e-9;
@@ -75,22 +74,20 @@ pub fn aim_at_point(model: &ChannelModel, target: &Vec3, out: &mut MirrorAngles)
 ///
 /// `choose` gives the LED and the point of a mirror.
 fn aim_each(model: &ChannelModel, out: &mut MirrorAngles, choose: impl Fn(usize) -> (usize, Vec3)) {
-    widest(|| {
-        for first in (0..model.mirrors.len()).step_by(BLOCK) {
-            let lanes = BLOCK.min(model.mirrors.len() - first);
-            let (mut from, mut to) = ([[0.0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
-            for lane in 0..lanes {
-                let (led, target) = choose(first + lane);
-                for axis in 0..3 {
-                    from[axis][lane] = model.leds[led].position[axis];
-                    to[axis][lane] = target[axis];
-                }
+    for first in (0..model.mirrors.len()).step_by(BLOCK) {
+        let lanes = BLOCK.min(model.mirrors.len() - first);
+        let (mut from, mut to) = ([[0.0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
+        for lane in 0..lanes {
+            let (led, target) = choose(first + lane);
+            for axis in 0..3 {
+                from[axis][lane] = model.leds[led].position[axis];
+                to[axis][lane] = target[axis];
             }
-            let (roll, yaw) = bisect(&model.mirrors, first, &from, &to);
-            out.roll[first..first + lanes].copy_from_slice(&roll[..lanes]);
-            out.yaw[first..first + lanes].copy_from_slice(&yaw[..lanes]);
         }
-    });
+        let (roll, yaw) = bisect(&model.mirrors, first, &from, &to);
+        out.roll[first..first + lanes].copy_from_slice(&roll[..lanes]);
+        out.yaw[first..first + lanes].copy_from_slice(&yaw[..lanes]);
+    }
 }
 
 /// Roll and yaw of a block of mirrors whose normals are to halve the angle between the directions to two points.

@@ -192,13 +192,13 @@ impl Turned {
 }
 
 /// A block of a list, from an index on; the last entry is repeated past the end.
-#[inline(always)]
+#[inline]
 pub(crate) fn block(values: &[f64], first: usize) -> Lanes {
     lanes(&values[first..])
 }
 
 /// The first entries of a list; the last one is repeated past the end.
-#[inline(always)]
+#[inline]
 pub(crate) fn lanes(values: &[f64]) -> Lanes {
     match values.first_chunk() {
         Some(full) => *full,
@@ -214,7 +214,7 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
 /// linear in a point's offset from the panel's centre.
 ///
 /// `gains`: one a branch, dimensionless.
-#[inline(always)]
+#[inline]
 pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, detector: &Vec3, gains: &mut [f64]) {
     // A point LED has no use for the other lanes.
     if panel.points.len() == 1 {

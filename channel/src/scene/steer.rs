@@ -9,7 +9,6 @@ use crate::model::{ChannelModel, Detector, Panel};
 use crate::receiver::BRANCHES_MAX;
 use crate::specular::{Plate, bisector};
 use crate::trig::{BLOCK, Lanes};
-use crate::wide::widest;
 
 /// A block of mirrors as one user sees it: vectors from the detector to the mirrors, in m.
 struct Seen {
@@ -23,11 +22,6 @@ struct Seen {
 impl Scene {
     /// Writes one user's row of the steering table, with the light of one LED and the legs that are marked as visible.
     pub(super) fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
-        widest(|| self.steer_row(model, user, led));
-    }
-
-    #[inline(always)]
-    fn steer_row(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let row = user * self.mirrors..(user + 1) * self.mirrors;
         let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
         if !in_front {
@@ -47,7 +41,6 @@ impl Scene {
     /// Specular, point LED: the central ray of an aimed mirror arrives, so the gain needs no angle of the mirror.
     ///
     /// rho (n + 1) A_r T_s cos^n(irradiance) / (2 pi (D1 + D2)^2) times what the branches detect.
-    #[inline(always)]
     fn steer_point(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
         let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
@@ -73,7 +66,6 @@ impl Scene {
     }
 
     /// Specular, panel of finite size: the true evaluation at the aimed angles, for each visible mirror.
-    #[inline(always)]
     fn steer_panel(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
         for mirror in 0..self.mirrors {
@@ -91,7 +83,6 @@ impl Scene {
     }
 
     /// Paper: illumination times collection; see [`diffuse`](crate::diffuse). Directions and distances are kept for the evaluation.
-    #[inline(always)]
     fn steer_paper(&mut self, model: &ChannelModel, user: usize, panel: &Panel, reading: Reading) {
         let position = self.positions[user];
         let inward = model.mirrors.inward();
@@ -132,7 +123,6 @@ impl Scene {
 }
 
 impl Seen {
-    #[inline(always)]
     fn new(mirrors: &MirrorArray, first: usize, detector: &Vec3) -> Self {
         let mut seen = Self {
             x: block(&mirrors.x, first),
@@ -153,7 +143,7 @@ impl Seen {
     }
 
     /// Distance times incidence cosine on a branch in m, zero outside its field of view.
-    #[inline(always)]
+    #[inline]
     #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
     fn facing(&self, branch: &Detector) -> Lanes {
         let least = branch.fov_cosine * branch.fov_cosine;
@@ -168,7 +158,7 @@ impl Seen {
     }
 
     /// Distance times cosine from the wall's normal in m, zero behind the wall.
-    #[inline(always)]
+    #[inline]
     #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
     fn against(&self, inward: &Vec3) -> Lanes {
         let mut facing = [0.0; BLOCK];

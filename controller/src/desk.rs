@@ -184,6 +184,11 @@ impl Desk {
         self.decided = Some(Instant::now());
     }
 
+    /// Whether the last decision was made less than `breath` before `now`.
+    pub fn decided_within(&self, breath: Duration, now: Instant) -> bool {
+        self.decided.is_some_and(|decided| now.saturating_duration_since(decided) < breath)
+    }
+
     /// Answers the absence of position reports, where it is time to.
     pub fn elapse(&mut self) {
         if let Some(decision) = self.controller.elapse(self.clock.now()) {

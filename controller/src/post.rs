@@ -72,14 +72,14 @@ impl Post {
         let desk = Arc::new(Mutex::new(Desk::new(controller, clock, publisher, deadline(config))));
         let intake = Arc::new(Intake::default());
         let deciding = config.deciding;
-        let has_thread = deciding.place == Place::Thread || deciding.keep_warm.is_some();
+        let has_thread = deciding.place != Place::Callback || deciding.keep_warm.is_some();
         let thread = has_thread.then(|| {
             let (desk, intake) = (Arc::clone(&desk), Arc::clone(&intake));
             let run = move || attend(&desk, &intake, deciding.keep_warm);
             std::thread::Builder::new().name(format!("decide-{room}")).spawn(run)
         });
         let thread = thread.transpose().context("cannot start a room's thread")?;
-        let subscriptions = subscribe(bus, &desk, (deciding.place == Place::Thread).then_some(&intake))?;
+        let subscriptions = subscribe(bus, deciding.place, &desk, &intake)?;
         let source = RandomState::new().build_hasher().finish();
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
@@ -197,8 +197,13 @@ fn lock_within(desk: &Mutex<Desk>, limit: Duration) -> Option<MutexGuard<'_, Des
     }
 }
 
-/// Hears the room: payloads go to the intake where there is one, and to the desk otherwise.
-fn subscribe(bus: &Bus, desk: &Arc<Mutex<Desk>>, intake: Option<&Arc<Intake>>) -> anyhow::Result<Vec<Subscription>> {
+/// Hears the room.
+fn subscribe(
+    bus: &Bus,
+    place: Place,
+    desk: &Arc<Mutex<Desk>>,
+    intake: &Arc<Intake>,
+) -> anyhow::Result<Vec<Subscription>> {
     let room = bus.room();
     let keys = Stream::ALL.map(|stream| match stream {
         Stream::Users => (stream, room.users()),
@@ -208,18 +213,9 @@ fn subscribe(bus: &Bus, desk: &Arc<Mutex<Desk>>, intake: Option<&Arc<Intake>>) -
     });
     let mut subscriptions = Vec::with_capacity(keys.len() + 1);
     for (stream, key) in keys {
-        subscriptions.push(match intake.map(Arc::clone) {
-            Some(intake) => bus.subscribe(&key, move |payload| intake.push(stream, payload, Instant::now()))?,
-            None => {
-                let desk = Arc::clone(desk);
-                bus.subscribe(&key, move |payload| {
-                    let entered = Instant::now();
-                    let mut desk = lock(&desk);
-                    desk.take(stream, payload, entered);
-                    desk.answer();
-                })?
-            }
-        });
+        let (desk, intake) = (Arc::clone(desk), Arc::clone(intake));
+        let callback = move |payload: &[u8]| intake.handle(place, &desk, stream, payload, Instant::now());
+        subscriptions.push(bus.subscribe(&key, callback)?);
     }
     let desk = Arc::clone(desk);
     subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {

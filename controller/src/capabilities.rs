@@ -33,7 +33,7 @@ pub enum Unfit {
     },
     /// Mirrors that cannot turn far enough.
     #[error(
-        "the array \"{hardware}\" turns from {min_deg:.1} to {max_deg:.1} degrees at most: {:.0} % of the floor stays reachable by any mirror, {:.0} % of all pairs of a mirror and a place; --accept-small-range goes on with that", floor * 100.0, pairs * 100.0
+        "the array \"{hardware}\" turns from {min_deg:.1} to {max_deg:.1} degrees at most: {:.0} % of the floor stays reachable by any mirror, {:.0} % of all pairs of a mirror and a place; --accept-small-range goes on with that", .floor * 100.0, .pairs * 100.0
     )]
     Range {
         /// Hardware, as announced.

@@ -17,17 +17,19 @@
 //! | no position report for as long | `when_silent` | no command | `silence` |
 //! | the policy fails, or gives a value that is not finite | `fallback` | the fixed point | `policy-failed` |
 //! | nothing can act: the fallback fails too or is `hold`, or there is no last command | no command | | `held` |
+//! | the array is stopped, or does not fit | no command | | `withheld` |
 //!
 //! Glossary: a *tick* is one sampling of the room; a command *answers* the tick of the position report that it responds to;
 //! an *epoch* is one life of a controller, and a later one deposes an earlier one; the array is *parked* when every mirror faces
 //! straight into the room because no command is valid any more.
 
 use heliostat_channel::{ChannelModel, Vec3, mirrors::MirrorAngles};
-use heliostat_proto::{MirrorCommand, Nanos};
+use heliostat_proto::{Capabilities, MirrorCommand, Nanos};
 use heliostat_scenario::{Answer, Scenario};
 
 pub use crate::outcome::{Accepted, Counters, Decision, Departure, Haste, Stage};
 use crate::{
+    capabilities::Guard,
     inbox::{Inbox, Message},
     observation::{Observation, RoomState},
     observer::{LosSource, Observer},
@@ -70,6 +72,7 @@ pub struct Controller {
     fallback: Option<Box<dyn Policy>>,
     answers: Answers,
     limits: Limits,
+    guard: Guard,
     validity_ns: Nanos,
     /// When the last position report was accepted, and whether its absence since was answered.
     heard: Option<(Nanos, bool)>,
@@ -96,6 +99,7 @@ impl Controller {
             fallback: build_fallback(scenario.control.fallback, scenario),
             answers: Answers::new(scenario),
             limits: Limits::new(&scenario.control),
+            guard: Guard::default(),
             heard: None,
             validity_ns: Nanos::from(validity_ms) * 1_000_000,
             interval_s: 1.0 / scenario.streams.positions.rate_hz,
@@ -161,6 +165,9 @@ impl Controller {
                     self.counters.depart(Departure::Held);
                     answer = (Answer::Hold, Departure::Held);
                 }
+            }
+            if let Some(telemetry) = self.inbox.telemetry() {
+                self.observation.scene.leave_out(&telemetry.unusable);
             }
             mark(Stage::Observed);
         }
@@ -266,6 +273,22 @@ impl Controller {
         self.inbox.telemetry().map(|telemetry| telemetry.epoch).filter(|epoch| *epoch > self.command.epoch)
     }
 
+    /// Whether and how the array may be commanded.
+    pub fn guard(&self) -> &Guard {
+        &self.guard
+    }
+
+    /// For announcements of the array and orders of an operator.
+    pub fn guard_mut(&mut self) -> &mut Guard {
+        &mut self.guard
+    }
+
+    /// Takes over what the array can do, which was found to fit.
+    pub fn set_array(&mut self, capabilities: &Capabilities) {
+        self.limits.narrow(&capabilities.roll, &capabilities.yaw);
+        self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
+    }
+
     /// Why the policy failed last.
     pub fn last_failure(&self) -> Option<&PolicyError> {
         self.last_failure.as_ref()
@@ -284,6 +307,10 @@ impl Controller {
         now: Nanos,
         mark: &mut dyn FnMut(Stage),
     ) -> Decision<'_> {
+        if !self.guard.may_command(self.inbox.telemetry()) {
+            self.counters.depart(Departure::Withheld);
+            return Decision::Hold(Departure::Withheld);
+        }
         let elapsed_s = self.settle_angles(now);
         let proposed = match answer {
             Answer::Policy => self.propose(),

@@ -14,7 +14,13 @@ use heliostat_bus::{Bus, BusConfig};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 
-use crate::{intake::Deciding, policy::PolicyKind, post::Post, summary::Summary};
+use crate::{
+    capabilities::{Force, Unfit},
+    intake::Deciding,
+    policy::PolicyKind,
+    post::Post,
+    summary::Summary,
+};
 
 /// Time between two status reports.
 const STATUS_INTERVAL: Duration = Duration::from_millis(500);
@@ -52,6 +58,8 @@ pub struct NodeConfig {
     pub model: Option<PathBuf>,
     /// Live or lockstep.
     pub pace: Pace,
+    /// What of an array that does not fit is accepted all the same.
+    pub force: Force,
     /// When to end without being asked.
     pub run_for: Option<Duration>,
 }
@@ -97,7 +105,9 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
         next_look += STATUS_INTERVAL;
         posts.iter_mut().for_each(Post::look);
         for index in (0..posts.len()).rev() {
-            if let Some(epoch) = posts[index].deposed_by() {
+            if let Some(unfit) = posts[index].unfit() {
+                left.push(refuse(posts.swap_remove(index), &unfit));
+            } else if let Some(epoch) = posts[index].deposed_by() {
                 left.push(leave(posts.swap_remove(index), epoch));
             }
         }
@@ -119,6 +129,14 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
     drop(posts);
     bus.close()?;
     Ok(summary)
+}
+
+/// Gives a room up whose array cannot be commanded.
+fn refuse(mut post: Post, unfit: &Unfit) -> (Post, String) {
+    let problem = format!("room \"{}\" is not commanded: {unfit}", post.room());
+    tracing::warn!("{problem}");
+    post.close();
+    (post, problem)
 }
 
 /// Gives a room up to the controller that has taken it over.

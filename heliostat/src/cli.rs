@@ -24,6 +24,8 @@ enum Command {
     Controller(heliostat_controller::cli::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
     SimNode(heliostat_sim_node::cli::Args),
+    /// Drive real mirrors, or check a driver against the contract
+    Driver(heliostat_driver::cli::Args),
     /// Train a policy and export it as an ONNX file
     Train(heliostat_models::TrainArgs),
     /// Compare policies on the same states, beside the oracle
@@ -46,6 +48,7 @@ pub fn run() -> Result<()> {
         Command::Demo(args) => demo::run(args),
         Command::Controller(args) => heliostat_controller::cli::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
+        Command::Driver(args) => heliostat_driver::cli::run(args),
         Command::Train(args) => heliostat_models::run_train(args),
         Command::Eval(args) => eval::run(args),
         Command::Reproduce(args) => heliostat_reproduce::run_reproduce(args),

@@ -15,6 +15,7 @@ use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
 use heliostat_proto::{NodeKind, Room, encode, keys::parse_alive};
 
 use crate::{
+    control::{self, Workshop},
     core::Controller,
     desk::{Desk, RoomClock, utc_ns},
     intake::{Intake, Place, attend, lock},
@@ -62,7 +63,8 @@ impl Post {
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = policy::build(config.policy, scenario, &actor)?;
-        let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
+        let model = scenario.channel_model()?;
+        let mut controller = Controller::new(scenario, model.clone(), policy, epoch);
         controller.warm_up(WARM_UP_RUNS);
         let room = bus.room().clone();
         tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
@@ -79,7 +81,10 @@ impl Post {
             std::thread::Builder::new().name(format!("decide-{room}")).spawn(run)
         });
         let thread = thread.transpose().context("cannot start a room's thread")?;
-        let subscriptions = subscribe(bus, &desk, (deciding.place == Place::Thread).then_some(&intake))?;
+        let mut subscriptions = subscribe(bus, &desk, (deciding.place == Place::Thread).then_some(&intake))?;
+        let workshop =
+            Workshop { scenario: scenario.clone(), model, own: (config.policy, actor), warm_up_runs: WARM_UP_RUNS };
+        subscriptions.push(control::listen(bus, &desk, workshop)?);
         let source = RandomState::new().build_hasher().finish();
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };

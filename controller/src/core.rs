@@ -226,26 +226,16 @@ impl Controller {
     /// Lets policy and fallback decide for an invented room, `runs` times, so that the first real decision finds buffers sized
     /// and caches warm. Only what a policy remembers is left behind.
     pub fn warm_up(&mut self, runs: usize) {
-        let users = self.observation.users();
-        let positions: Vec<Vec3> = (0..users).map(|user| invented_position(user, users)).collect();
-        let state = RoomState {
-            tick: 0,
-            positions: &positions,
-            velocities: &vec![Vec3::zeros(); users],
-            min_rate_bps: &vec![1e6; users],
-            blockers: &[],
-            forced: &vec![false; users],
-            measured_los_gain: None,
-        };
-        for _ in 0..runs {
-            self.observation.set_state(&self.model, &state);
-            let policies = [Some(&mut self.policy), self.fallback.as_mut()];
-            for policy in policies.into_iter().flatten() {
-                // A failure shows, and is counted, when it matters.
-                let _ = policy.act(&self.model, &self.observation, &mut self.proposed);
-            }
+        let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];
+        if let Some(fallback) = self.fallback.as_mut() {
+            policies.push(fallback.as_mut());
         }
-        self.observation = Observation::new(&self.model, users);
+        warm_up(&mut policies, &self.model, self.observation.users(), runs);
+    }
+
+    /// Lets another policy decide from now on, and gives back the one that did. The new one should be warm.
+    pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
+        std::mem::replace(&mut self.policy, policy)
     }
 
     /// The reports and what was refused.
@@ -393,6 +383,29 @@ impl Controller {
         copy_narrowed(&self.proposed.roll, &mut self.command.roll);
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
+    }
+}
+
+/// Lets policies decide for an invented room of so many users, `runs` times.
+pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: usize, runs: usize) {
+    let positions: Vec<Vec3> = (0..users).map(|user| invented_position(user, users)).collect();
+    let state = RoomState {
+        tick: 0,
+        positions: &positions,
+        velocities: &vec![Vec3::zeros(); users],
+        min_rate_bps: &vec![1e6; users],
+        blockers: &[],
+        forced: &vec![false; users],
+        measured_los_gain: None,
+    };
+    let mut observation = Observation::new(model, users);
+    let mut proposed = observation.angles.clone();
+    for _ in 0..runs {
+        observation.set_state(model, &state);
+        for policy in policies.iter_mut() {
+            // A failure shows, and is counted, when it matters.
+            let _ = policy.act(model, &observation, &mut proposed);
+        }
     }
 }
 

@@ -16,6 +16,7 @@ use heliostat_proto::{Capabilities, EmergencyStop, NodeKind, Room, decode, encod
 
 use crate::{
     capabilities::{Examiner, Unfit},
+    control::{self, Workshop},
     core::Controller,
     desk::{Desk, RoomClock, utc_ns},
     intake::{Intake, Place, attend, lock},
@@ -68,7 +69,7 @@ impl Post {
         let policy = policy::build(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
-        let mut controller = Controller::new(scenario, model, policy, epoch);
+        let mut controller = Controller::new(scenario, model.clone(), policy, epoch);
         controller.warm_up(WARM_UP_RUNS);
         let room = bus.room().clone();
         tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
@@ -87,6 +88,9 @@ impl Post {
         let thread = thread.transpose().context("cannot start a room's thread")?;
         let mut subscriptions = subscribe(bus, deciding.place, &desk, &intake)?;
         subscriptions.extend(learn_of_array(bus, &desk, examiner)?);
+        let workshop =
+            Workshop { scenario: scenario.clone(), model, own: (config.policy, actor), warm_up_runs: WARM_UP_RUNS };
+        subscriptions.push(control::listen(bus, &desk, workshop)?);
         let source = RandomState::new().build_hasher().finish();
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, demo, eval, link, map, scenario};
+use crate::commands::{bench, demo, eval, link, map, scenario, ui};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -20,6 +20,8 @@ struct Cli {
 enum Command {
     /// Run a simulated room and a controller as two processes and watch them
     Demo(demo::Args),
+    /// Watch a running room, simulated or real, in a browser and on the terminal
+    Ui(ui::Args),
     /// Run the central unit: reports in, mirror commands out
     Controller(heliostat_controller::cli::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
@@ -46,6 +48,7 @@ enum Command {
 pub fn run() -> Result<()> {
     match Cli::parse().command {
         Command::Demo(args) => demo::run(args),
+        Command::Ui(args) => ui::run(args),
         Command::Controller(args) => heliostat_controller::cli::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Driver(args) => heliostat_driver::cli::run(args),

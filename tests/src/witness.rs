@@ -16,7 +16,6 @@ struct Heard {
     command: (u64, Option<MirrorCommand>),
     telemetry: (u64, Option<MirrorTelemetry>),
     truth: (u64, Option<RoomTruth>),
-    stop: (u64, Option<EmergencyStop>),
     controller: (u64, Option<NodeStatus>),
     sim_node: (u64, Option<NodeStatus>),
 }
@@ -40,7 +39,7 @@ impl Witness {
             endpoints.iter().fold(BusConfig::new(room.clone()), |config, endpoint| config.connect_to(endpoint));
         let bus = Bus::open(&config).expect("the bus opens");
         let heard: Arc<Mutex<Heard>> = Arc::default();
-        let keys = [room.users(), room.command(), room.telemetry(), room.truth(), room.all_status(), room.stop()];
+        let keys = [room.users(), room.command(), room.telemetry(), room.truth(), room.all_status()];
         let subscriptions = keys.map(|key| {
             let heard = Arc::clone(&heard);
             let listen = move |key: &str, payload: &[u8]| heard.lock().expect("no listener panics").take(key, payload);
@@ -84,11 +83,6 @@ impl Witness {
         self.heard().truth.1
     }
 
-    /// The newest order to stop or to re-arm.
-    pub fn stop(&self) -> Option<EmergencyStop> {
-        self.heard().stop.1
-    }
-
     /// The newest status of a sort of process.
     pub fn status(&self, node: NodeKind) -> Option<NodeStatus> {
         let heard = self.heard();
@@ -123,7 +117,6 @@ impl Heard {
             "users" => keep(&mut self.users, codec::decode(payload).ok()),
             "command" => keep(&mut self.command, codec::decode(payload).ok()),
             "telemetry" => keep(&mut self.telemetry, codec::decode(payload).ok()),
-            "stop" => keep(&mut self.stop, codec::decode(payload).ok()),
             "truth" => keep(&mut self.truth, codec::decode(payload).ok()),
             name if name == NodeKind::Controller.name() => keep(&mut self.controller, codec::decode(payload).ok()),
             name if name == NodeKind::SimNode.name() => keep(&mut self.sim_node, codec::decode(payload).ok()),

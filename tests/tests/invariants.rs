@@ -23,7 +23,8 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
 
 /// Files outside `allowed` whose code, comments aside, contains one of the words.
 fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
-    let members = ["channel", "scenario", "proto", "bus", "driver", "sim-node", "controller", "models", "ui", "heliostat"];
+    let members =
+        ["channel", "scenario", "proto", "bus", "driver", "sim-node", "controller", "models", "ui", "heliostat"];
     let files = members.iter().flat_map(|member| sources(&root().join(member).join("src")));
     files
         .filter(|path| !allowed.iter().any(|place| path.starts_with(root().join(place))))

@@ -1,7 +1,7 @@
 //! Who decides, and when: the callback that brought a report, or the room's own thread.
 //!
 //! In the callback no thread has to be woken, but what comes while it decides waits in the transport, unseen, and the oldest is answered first. So when reports
-//! come faster than they are answered, callbacks only put payloads into a queue for the thread. It holds at most [`CAPACITY`]; beyond it the oldest is shed. The thread
+//! come faster than they are answered, callbacks only put payloads into a queue for the thread. It holds at most `CAPACITY`; beyond it the oldest is shed. The thread
 //! takes all that waits before it answers, so that a tick which a newer one has replaced costs no decision. Between reports the thread may rehearse,
 //! which keeps code and data in the caches of the processor that decides.
 

@@ -42,9 +42,9 @@ impl Stage {
 /// What a message meant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Accepted {
-    /// It completes a tick, which [`Controller::decide`] answers.
+    /// It completes a tick, which `Controller::decide` answers.
     Tick,
-    /// It would complete a tick, but is too old; [`Controller::answer_stale`] answers it.
+    /// It would complete a tick, but is too old; `Controller::answer_stale` answers it.
     TooOld,
     /// Nothing is to be answered.
     Other,

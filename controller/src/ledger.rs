@@ -127,6 +127,21 @@ impl Ledger {
         self.over_budget_by[stage as usize]
     }
 
+    /// Times from the entry of the callback to the return of the put, in ns.
+    pub fn decision(&self) -> &Histogram<u64> {
+        &self.decision
+    }
+
+    /// Times of one stage in ns.
+    pub fn stage(&self, stage: Stage) -> &Histogram<u64> {
+        &self.stages[stage as usize]
+    }
+
+    /// Ages of the positions acted on, in ns.
+    pub fn age(&self) -> &Histogram<u64> {
+        &self.age
+    }
+
     /// Times from the entry of the callback to the return of the put, in us.
     pub fn decision_us(&self) -> Quantiles {
         quantiles_us(&self.decision)

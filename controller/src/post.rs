@@ -15,7 +15,7 @@ use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
 use heliostat_proto::{NodeKind, Room, encode, keys::parse_alive};
 
 use crate::{
-    core::Controller,
+    core::{Controller, WARM_UP_RUNS},
     desk::{Desk, RoomClock, utc_ns},
     intake::{Intake, Place, attend, lock},
     ledger::Ledger,
@@ -25,9 +25,6 @@ use crate::{
     status::{Identity, Reporter},
     summary::Summary,
 };
-
-/// Decisions on an invented room before the node announces itself.
-const WARM_UP_RUNS: usize = 200;
 
 /// A desk that is held longer than this is not answering: no decision takes so long.
 const ANSWER_WITHIN: Duration = Duration::from_millis(100);

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, demo, eval, link, map, scenario};
+use crate::commands::{bench, completions, config, demo, doctor, eval, link, map, scenario};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -11,7 +11,7 @@ use crate::commands::{bench, demo, eval, link, map, scenario};
 /// the obstacle. Start with `heliostat demo`.
 #[derive(Debug, Parser)]
 #[command(name = "heliostat", version, arg_required_else_help = true)]
-struct Cli {
+pub struct Cli {
     #[command(subcommand)]
     command: Command,
 }
@@ -38,6 +38,18 @@ enum Command {
     Bench(bench::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
+    /// Check what matters before a run, and say what to do about it
+    Doctor(doctor::Args),
+    /// Print the effective configuration of a process
+    Config(config::Args),
+    /// Record everything that a room says into an MCAP file
+    Record(heliostat_record::cli::RecordArgs),
+    /// Play a recording into a controller, and see whether it decides as it did
+    Replay(heliostat_record::cli::ReplayArgs),
+    /// Print completions for a shell
+    Completions(completions::CompletionArgs),
+    /// Write manual pages
+    Manual(completions::ManualArgs),
 }
 
 /// Reads the command line and runs the command.
@@ -53,5 +65,11 @@ pub fn run() -> Result<()> {
         Command::Map(args) => map::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Scenario(args) => scenario::run(args),
+        Command::Doctor(args) => doctor::run(args),
+        Command::Config(args) => config::run(args),
+        Command::Completions(args) => completions::completions(args),
+        Command::Manual(args) => completions::manual(args),
+        Command::Record(args) => heliostat_record::cli::record(args),
+        Command::Replay(args) => heliostat_record::cli::replay(args),
     }
 }

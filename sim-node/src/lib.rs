@@ -30,6 +30,7 @@ mod inbox;
 pub mod ledger;
 mod live;
 mod lockstep;
+mod metrics;
 pub mod mobility;
 pub mod node;
 pub mod obstacles;

@@ -69,7 +69,7 @@ fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(
         for token in node.edge.new_rivals() {
             node.refused.note("another-simulator", 1, format!("another simulator came into the room: {token}"));
         }
-        reporter.status(node.status_message(now.room_ns));
+        reporter.status(node.account(now.room_ns));
     }
     Ok(())
 }

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
+use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{
     FaultKind, MirrorCommand, MirrorFault, NodeKind, NodeStatus, Room, RoomTruth, SimulatorControl, UserReport, decode,
     encode,
@@ -14,7 +15,12 @@ use heliostat_sim_node::node::{self, NodeError, Pace, Settings};
 
 fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
     let scenario = Scenario::builtin("specular").unwrap();
-    Settings { scenario, bus: BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint), pace }
+    Settings {
+        scenario,
+        bus: BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint),
+        pace,
+        metrics: MetricsArgs::default(),
+    }
 }
 
 fn live(milliseconds: u64) -> Pace {

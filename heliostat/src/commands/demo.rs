@@ -35,10 +35,10 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    scenario: ScenarioArgs,
+    pub(super) scenario: ScenarioArgs,
     /// Which policy turns the mirrors
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
-    policy: PolicyKind,
+    pub(super) policy: PolicyKind,
     /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -47,7 +47,7 @@ pub struct Args {
     seconds: Option<f64>,
     /// Name of the room in the key expressions
     #[arg(long, default_value = "demo")]
-    room: String,
+    pub(super) room: String,
     /// Print the summary as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -93,6 +93,11 @@ pub fn run(args: Args) -> Result<()> {
         summary.print()?;
     }
     Ok(())
+}
+
+/// The name of a policy on the command line.
+pub(super) fn policy_name(policy: PolicyKind) -> Result<String> {
+    Ok(policy.to_possible_value().context("every policy has a name")?.get_name().to_owned())
 }
 
 /// The two processes.
@@ -157,8 +162,7 @@ impl Args {
 
     fn controller_arguments(&self, room: &str, controller: &str) -> Result<Vec<String>> {
         let mut arguments = self.part("controller", &[("--connect", room), ("--listen", controller)]);
-        let policy = self.policy.to_possible_value().context("every policy has a name")?;
-        arguments.extend(["--policy".into(), policy.get_name().into()]);
+        arguments.extend(["--policy".into(), policy_name(self.policy)?]);
         if let Some(model) = &self.model {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }

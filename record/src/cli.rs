@@ -55,7 +55,7 @@ pub struct ReplayArgs {
     /// The policy, in place of the recorded one
     #[arg(long, value_enum)]
     policy: Option<PolicyKind>,
-    /// ONNX file of the actor, in place of the built-in one
+    /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Decisions of each epoch that are not judged: by default none of a lockstep run that is recorded from its beginning, else 200

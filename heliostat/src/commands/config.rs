@@ -48,7 +48,7 @@ pub fn run(args: Args) -> Result<()> {
             let config = args.node_config()?;
             let process = json!({
                 "name": "controller",
-                "policy": demo::policy_name(config.policy)?,
+                "policy": config.policy.name(),
                 "model": config.model,
                 "pace": match config.pace {
                     heliostat_controller::node::Pace::Live => "live",
@@ -68,7 +68,7 @@ pub fn run(args: Args) -> Result<()> {
             document(&settings.scenario, Some(&settings.bus), process)?
         }
         Process::Demo(args) => {
-            let process = json!({ "name": "demo", "policy": demo::policy_name(args.policy)?, "room": args.room });
+            let process = json!({ "name": "demo", "policy": args.policy.name(), "room": args.room });
             // Its endpoints are free ports, found when it starts.
             document(&args.scenario.load()?, None, process)?
         }

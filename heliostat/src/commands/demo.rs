@@ -10,7 +10,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_controller::policy::{self, ActorSource, PolicyKind};
 use heliostat_proto::Room;
@@ -95,11 +94,6 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// The name of a policy on the command line.
-pub(super) fn policy_name(policy: PolicyKind) -> Result<String> {
-    Ok(policy.to_possible_value().context("every policy has a name")?.get_name().to_owned())
-}
-
 /// The two processes.
 struct Parts {
     room: Part,
@@ -162,7 +156,7 @@ impl Args {
 
     fn controller_arguments(&self, room: &str, controller: &str) -> Result<Vec<String>> {
         let mut arguments = self.part("controller", &[("--connect", room), ("--listen", controller)]);
-        arguments.extend(["--policy".into(), policy_name(self.policy)?]);
+        arguments.extend(["--policy".into(), self.policy.name()]);
         if let Some(model) = &self.model {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }

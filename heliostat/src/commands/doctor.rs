@@ -22,9 +22,9 @@ pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
     /// The policy that is to decide
-    #[arg(long, value_enum, default_value_t = PolicyKind::Actor)]
+    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
-    /// ONNX file of the actor, in place of the built-in one
+    /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Name of the room

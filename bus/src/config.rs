@@ -111,9 +111,10 @@ impl BusConfig {
             ("connect/exit_on_failure", exit_on_failure.to_string()),
         ];
         let fixed = FIXED_SETTINGS.iter().map(|(key, value)| (*key, (*value).to_owned()));
-        for (key, value) in settings.into_iter().chain(fixed) {
+        let own = settings.into_iter().chain(fixed).map(|(key, value)| (key.to_owned(), value));
+        for (key, value) in own.chain(from_environment()?) {
             config
-                .insert_json5(key, &value)
+                .insert_json5(&key, &value)
                 .map_err(|error| BusError::Open { problem: format!("setting {key} = {value}: {error}") })?;
         }
         Ok(config)
@@ -140,6 +141,19 @@ const FIXED_SETTINGS: [(&str, &str); 9] = [
     // In bytes. Bounds what a stranger can make us assemble, yet lets an oversized payload arrive to be refused by name.
     ("transport/link/rx/max_message_size", "16777216"),
 ];
+
+/// Settings of Zenoh that are laid over our own: `key=value`, several separated by semicolons, values in JSON5.
+const ENVIRONMENT: &str = "HELIOSTAT_ZENOH";
+
+fn from_environment() -> Result<Vec<(String, String)>, BusError> {
+    let text = std::env::var(ENVIRONMENT).unwrap_or_default();
+    let pair = |setting: &str| {
+        let pair = setting.split_once('=').map(|(key, value)| (key.trim().to_owned(), value.trim().to_owned()));
+        let wanted = "wanted key=value, for example transport/unicast/lowlatency=true";
+        pair.ok_or_else(|| BusError::Open { problem: format!("{ENVIRONMENT}: \"{setting}\": {wanted}") })
+    };
+    text.split(';').filter(|setting| !setting.trim().is_empty()).map(pair).collect()
+}
 
 /// The flags by which a process is told its room and its endpoints.
 #[derive(Clone, Debug, clap::Args)]

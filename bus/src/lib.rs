@@ -15,7 +15,7 @@
 //! Callbacks run on Zenoh's receive threads, one at a time for each subscription. A slow callback delays everything else
 //! that arrives over the same link. Callbacks may publish, but must not open, close, query or declare. The number of threads
 //! is set by the environment variable `ZENOH_RUNTIME`, for example `ZENOH_RUNTIME='(rx:(worker_threads:1))'`, read when the
-//! first session of a process opens. Never call this crate from a current-thread tokio runtime: Zenoh panics there.
+//! first session of a process opens. Any other setting of Zenoh can be laid over ours by `HELIOSTAT_ZENOH='key=value;key=value'`, for measurements. Never call this crate from a current-thread tokio runtime: Zenoh panics there.
 
 mod config;
 mod error;

@@ -5,10 +5,14 @@
 //! is enough, and this module turns weights into angles.
 
 use crate::Vec3;
-use crate::mirrors::MirrorAngles;
+use crate::mirrors::{MirrorAngles, MirrorArray};
 use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
-use crate::specular::bisector;
+use crate::scene::kernel::block;
+use crate::trig::{BLOCK, Lanes, atan};
+
+/// Lengths below this, in m, have no direction.
+const TOO_NEAR_M: f64 = 1e-9;
 
 /// Turns one weight a user into the angles of all mirrors.
 ///
@@ -23,21 +27,21 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
     let (users, mirrors) = (scene.users(), model.mirrors.len());
     assert_eq!(weights.len(), users, "one weight a user");
     check_angles(out, mirrors);
+    let gain = |user: usize, mirror: usize| weights[user] * scene.steering_gain()[user * mirrors + mirror];
+    if model.mode == Mode::Specular {
+        aim_each(model, out, |mirror| {
+            let first = (0, gain(0, mirror));
+            let gains = (1..users).map(|user| (user, gain(user, mirror)));
+            let (user, _) = gains.fold(first, |a, b| if b.1 > a.1 { b } else { a });
+            (scene.serving()[user], scene.positions()[user])
+        });
+        return;
+    }
     for mirror in 0..mirrors {
-        let gain = |user: usize| weights[user] * scene.steering_gain()[user * mirrors + mirror];
-        let (roll, yaw) = match model.mode {
-            Mode::Specular => {
-                let first = (0, gain(0));
-                let best = (1..users).map(|user| (user, gain(user))).fold(first, |a, b| if b.1 > a.1 { b } else { a });
-                aimed_angles(model, scene.serving()[best.0], mirror, &scene.positions()[best.0])
-            }
-            Mode::Paper { .. } => {
-                let direction = |user: usize| scene.directions()[user * mirrors + mirror];
-                let sum: Vec3 = (0..users).map(|user| gain(user) * direction(user)).sum();
-                if sum == Vec3::zeros() { (0.0, 0.0) } else { model.mirrors.angles_of(&sum) }
-            }
-        };
-        (out.roll[mirror], out.yaw[mirror]) = (roll, yaw);
+        let direction = |user: usize| scene.directions()[user * mirrors + mirror];
+        let sum: Vec3 = (0..users).map(|user| gain(user, mirror) * direction(user)).sum();
+        let flat = sum == Vec3::zeros();
+        (out.roll[mirror], out.yaw[mirror]) = if flat { (0.0, 0.0) } else { model.mirrors.angles_of(&sum) };
     }
 }
 
@@ -50,10 +54,7 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
 pub fn aim(model: &ChannelModel, scene: &Scene, served: &[usize], out: &mut MirrorAngles) {
     assert_eq!(served.len(), model.mirrors.len(), "one user a mirror");
     check_angles(out, model.mirrors.len());
-    for (mirror, &user) in served.iter().enumerate() {
-        let (roll, yaw) = aimed_angles(model, scene.serving()[user], mirror, &scene.positions()[user]);
-        (out.roll[mirror], out.yaw[mirror]) = (roll, yaw);
-    }
+    aim_each(model, out, |mirror| (scene.serving()[served[mirror]], scene.positions()[served[mirror]]));
 }
 
 /// Aims all mirrors at one point (in m) by the law of reflection, with the light of the LED that is nearest to it.
@@ -66,16 +67,57 @@ pub fn aim_at_point(model: &ChannelModel, target: &Vec3, out: &mut MirrorAngles)
     check_angles(out, model.mirrors.len());
     let distance = |led: usize| (model.leds[led].position - target).norm_squared();
     let nearest = (1..model.leds.len()).fold(0, |best, led| if distance(led) < distance(best) { led } else { best });
-    for mirror in 0..model.mirrors.len() {
-        let (roll, yaw) = aimed_angles(model, nearest, mirror, target);
-        (out.roll[mirror], out.yaw[mirror]) = (roll, yaw);
+    aim_each(model, out, |_| (nearest, *target));
+}
+
+/// Roll and yaw that send the light of an LED's centre over each mirror's centre to a point; flat where no angle does.
+///
+/// `choose` gives the LED and the point of a mirror.
+fn aim_each(model: &ChannelModel, out: &mut MirrorAngles, choose: impl Fn(usize) -> (usize, Vec3)) {
+    for first in (0..model.mirrors.len()).step_by(BLOCK) {
+        let lanes = BLOCK.min(model.mirrors.len() - first);
+        let (mut from, mut to) = ([[0.0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
+        for lane in 0..lanes {
+            let (led, target) = choose(first + lane);
+            for axis in 0..3 {
+                from[axis][lane] = model.leds[led].position[axis];
+                to[axis][lane] = target[axis];
+            }
+        }
+        let (roll, yaw) = bisect(&model.mirrors, first, &from, &to);
+        out.roll[first..first + lanes].copy_from_slice(&roll[..lanes]);
+        out.yaw[first..first + lanes].copy_from_slice(&yaw[..lanes]);
     }
 }
 
-/// Roll and yaw that send the light of an LED's centre over a mirror's centre to a point; flat where no angle does.
-fn aimed_angles(model: &ChannelModel, led: usize, mirror: usize, target: &Vec3) -> (f64, f64) {
-    let normal = bisector(&model.mirrors.positions()[mirror], &model.leds[led].position, target);
-    normal.map_or((0.0, 0.0), |normal| model.mirrors.angles_of(&normal))
+/// Roll and yaw of a block of mirrors whose normals are to halve the angle between the directions to two points.
+///
+/// In the wall's frame the normal b s + a t, with s and t the ways to the points and a and b their lengths, has the direction of the bisector; then
+/// yaw = atan(x / y) and roll = atan(-z / sqrt(x^2 + y^2)), as in [`MirrorArray::angles_of`].
+#[inline(always)]
+fn bisect(mirrors: &MirrorArray, first: usize, from: &[Lanes; 3], to: &[Lanes; 3]) -> (Lanes, Lanes) {
+    let centre = [block(&mirrors.x, first), block(&mirrors.y, first), block(&mirrors.z, first)];
+    let (cos, sin) = mirrors.rotation();
+    let (mut rise, mut turn, mut sound) = ([0.0; BLOCK], [0.0; BLOCK], [false; BLOCK]);
+    for lane in 0..BLOCK {
+        let [sx, sy, sz] = [0, 1, 2].map(|axis| from[axis][lane] - centre[axis][lane]);
+        let [tx, ty, tz] = [0, 1, 2].map(|axis| to[axis][lane] - centre[axis][lane]);
+        let a = (sx * sx + sy * sy + sz * sz).sqrt();
+        let b = (tx * tx + ty * ty + tz * tz).sqrt();
+        let (nx, ny, nz) = (b * sx + a * tx, b * sy + a * ty, b * sz + a * tz);
+        let (x, y) = (cos * nx + sin * ny, cos * ny - sin * nx);
+        let across = x * x + y * y;
+        // A point in the mirror, or two in opposite directions, leave no angle; nor does what is not a number.
+        sound[lane] = (a > TOO_NEAR_M) & (b > TOO_NEAR_M) & ((across + nz * nz).sqrt() > TOO_NEAR_M * a * b);
+        rise[lane] = -nz / across.sqrt();
+        turn[lane] = if x == 0.0 { 0.0 } else { x / y };
+    }
+    let (mut roll, mut yaw) = (atan(&rise), atan(&turn));
+    for lane in 0..BLOCK {
+        roll[lane] = if sound[lane] { roll[lane] } else { 0.0 };
+        yaw[lane] = if sound[lane] { yaw[lane] } else { 0.0 };
+    }
+    (roll, yaw)
 }
 
 fn check_angles(angles: &MirrorAngles, mirrors: usize) {

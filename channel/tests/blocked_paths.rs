@@ -162,3 +162,21 @@ fn what_is_no_cylinder_is_refused() {
     assert!(shadow_length(1.0, 0.9, 0.0).is_err());
     assert_eq!(shadow_length(1.0, 2.15, 2.15), Ok(f64::INFINITY));
 }
+
+#[test]
+fn mirrors_that_are_left_out_can_give_nobody_anything() {
+    let model = Room::paper().model();
+    let users = Random::new(23).positions(3);
+    let mut scene = Scene::new(&model, 3);
+    scene.update(&model, &users, &[], &[false; 3]);
+    let mirrors = model.mirrors.len();
+    let whole = scene.steering_gain().to_vec();
+    scene.leave_out(&[0, 7, u32::MAX]);
+    for (pair, (gain, before)) in scene.steering_gain().iter().zip(&whole).enumerate() {
+        let left_out = [0, 7].contains(&(pair % mirrors));
+        assert_eq!(*gain, if left_out { 0.0 } else { *before });
+        assert_eq!(scene.leg_visible()[pair], !left_out);
+    }
+    scene.update(&model, &users, &[], &[false; 3]);
+    assert_eq!(scene.steering_gain(), whole, "until the next update");
+}

@@ -9,6 +9,7 @@ use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 
 use crate::{
+    capabilities::Force,
     intake::{Deciding, Place},
     machine::MachineArgs,
     node::{self, NodeConfig, Pace},
@@ -43,6 +44,12 @@ pub struct Args {
     /// Rehearse this often while no report comes, in us, so that caches stay warm; 0 never
     #[arg(long, value_name = "US", default_value_t = Deciding::default().keep_warm_us())]
     keep_warm: u64,
+    /// Command mirrors that cannot reach all of the floor
+    #[arg(long)]
+    accept_small_range: bool,
+    /// Send angles of a `paper` channel mode to real mirrors, where they gain nothing
+    #[arg(long)]
+    force_paper_angles: bool,
     #[command(flatten)]
     machine: MachineArgs,
     #[command(flatten)]
@@ -88,6 +95,7 @@ impl Args {
             },
             policy: self.policy,
             model: self.model.clone(),
+            force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
             run_for: self.seconds.map(Duration::from_secs_f64),
             metrics: self.metrics,

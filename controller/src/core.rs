@@ -17,17 +17,19 @@
 //! | no position report for as long | `when_silent` | no command | `silence` |
 //! | the policy fails, or gives a value that is not finite | `fallback` | the fixed point | `policy-failed` |
 //! | nothing can act: the fallback fails too or is `hold`, or there is no last command | no command | | `held` |
+//! | the array is stopped, or does not fit | no command | | `withheld` |
 //!
 //! Glossary: a *tick* is one sampling of the room; a command *answers* the tick of the position report that it responds to;
 //! an *epoch* is one life of a controller, and a later one deposes an earlier one; the array is *parked* when every mirror faces
 //! straight into the room because no command is valid any more.
 
 use heliostat_channel::{ChannelModel, Vec3, mirrors::MirrorAngles};
-use heliostat_proto::{MirrorCommand, Nanos};
+use heliostat_proto::{Capabilities, MirrorCommand, Nanos};
 use heliostat_scenario::{Answer, Scenario};
 
 pub use crate::outcome::{Accepted, Counters, Decision, Departure, Haste, Stage};
 use crate::{
+    capabilities::Guard,
     inbox::{Inbox, Message},
     observation::{Observation, RoomState},
     observer::{LosSource, Observer},
@@ -73,6 +75,7 @@ pub struct Controller {
     fallback: Option<Box<dyn Policy>>,
     answers: Answers,
     limits: Limits,
+    guard: Guard,
     validity_ns: Nanos,
     /// When the last position report was accepted, and whether its absence since was answered.
     heard: Option<(Nanos, bool)>,
@@ -99,6 +102,7 @@ impl Controller {
             fallback: build_fallback(scenario.control.fallback, scenario),
             answers: Answers::new(scenario),
             limits: Limits::new(&scenario.control),
+            guard: Guard::default(),
             heard: None,
             validity_ns: Nanos::from(validity_ms) * 1_000_000,
             interval_s: 1.0 / scenario.streams.positions.rate_hz,
@@ -165,6 +169,9 @@ impl Controller {
                     answer = (Answer::Hold, Departure::Held);
                 }
             }
+            if let Some(telemetry) = self.inbox.telemetry() {
+                self.observation.scene.leave_out(&telemetry.unusable);
+            }
             mark(Stage::Observed);
         }
         self.counters.decisions += 1;
@@ -222,26 +229,16 @@ impl Controller {
     /// Lets policy and fallback decide for an invented room, `runs` times, so that the first real decision finds buffers sized
     /// and caches warm. Only what a policy remembers is left behind.
     pub fn warm_up(&mut self, runs: usize) {
-        let users = self.observation.users();
-        let positions: Vec<Vec3> = (0..users).map(|user| invented_position(user, users)).collect();
-        let state = RoomState {
-            tick: 0,
-            positions: &positions,
-            velocities: &vec![Vec3::zeros(); users],
-            min_rate_bps: &vec![1e6; users],
-            blockers: &[],
-            forced: &vec![false; users],
-            measured_los_gain: None,
-        };
-        for _ in 0..runs {
-            self.observation.set_state(&self.model, &state);
-            let policies = [Some(&mut self.policy), self.fallback.as_mut()];
-            for policy in policies.into_iter().flatten() {
-                // A failure shows, and is counted, when it matters.
-                let _ = policy.act(&self.model, &self.observation, &mut self.proposed);
-            }
+        let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];
+        if let Some(fallback) = self.fallback.as_mut() {
+            policies.push(fallback.as_mut());
         }
-        self.observation = Observation::new(&self.model, users);
+        warm_up(&mut policies, &self.model, self.observation.users(), runs);
+    }
+
+    /// Lets another policy decide from now on, and gives back the one that did. The new one should be warm.
+    pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
+        std::mem::replace(&mut self.policy, policy)
     }
 
     /// The reports and what was refused.
@@ -269,6 +266,22 @@ impl Controller {
         self.inbox.telemetry().map(|telemetry| telemetry.epoch).filter(|epoch| *epoch > self.command.epoch)
     }
 
+    /// Whether and how the array may be commanded.
+    pub fn guard(&self) -> &Guard {
+        &self.guard
+    }
+
+    /// For announcements of the array and orders of an operator.
+    pub fn guard_mut(&mut self) -> &mut Guard {
+        &mut self.guard
+    }
+
+    /// Takes over what the array can do, which was found to fit.
+    pub fn set_array(&mut self, capabilities: &Capabilities) {
+        self.limits.narrow(&capabilities.roll, &capabilities.yaw);
+        self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
+    }
+
     /// Why the policy failed last.
     pub fn last_failure(&self) -> Option<&PolicyError> {
         self.last_failure.as_ref()
@@ -287,6 +300,10 @@ impl Controller {
         now: Nanos,
         mark: &mut dyn FnMut(Stage),
     ) -> Decision<'_> {
+        if !self.guard.may_command(self.inbox.telemetry()) {
+            self.counters.depart(Departure::Withheld);
+            return Decision::Hold(Departure::Withheld);
+        }
         let elapsed_s = self.settle_angles(now);
         let proposed = match answer {
             Answer::Policy => self.propose(),
@@ -369,6 +386,29 @@ impl Controller {
         copy_narrowed(&self.proposed.roll, &mut self.command.roll);
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
+    }
+}
+
+/// Lets policies decide for an invented room of so many users, `runs` times.
+pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: usize, runs: usize) {
+    let positions: Vec<Vec3> = (0..users).map(|user| invented_position(user, users)).collect();
+    let state = RoomState {
+        tick: 0,
+        positions: &positions,
+        velocities: &vec![Vec3::zeros(); users],
+        min_rate_bps: &vec![1e6; users],
+        blockers: &[],
+        forced: &vec![false; users],
+        measured_los_gain: None,
+    };
+    let mut observation = Observation::new(model, users);
+    let mut proposed = observation.angles.clone();
+    for _ in 0..runs {
+        observation.set_state(model, &state);
+        for policy in policies.iter_mut() {
+            // A failure shows, and is counted, when it matters.
+            let _ = policy.act(model, &observation, &mut proposed);
+        }
     }
 }
 

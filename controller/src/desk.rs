@@ -13,6 +13,7 @@ use heliostat_proto::{
 };
 
 use crate::{
+    control::ControlAccount,
     core::{Accepted, Controller, Decision, Haste, Stage},
     inbox::Message,
     ledger::{Laps, Ledger},
@@ -80,6 +81,8 @@ pub struct Desk {
     pub rehearsals: u64,
     /// What was wrong with the last payload that was no message.
     pub last_malformed: Option<CodecError>,
+    /// What operators ordered.
+    pub control: ControlAccount,
     publisher: Publisher,
     payload: Vec<u8>,
     users: UserReport,
@@ -108,6 +111,7 @@ impl Desk {
             shed: 0,
             rehearsals: 0,
             last_malformed: None,
+            control: ControlAccount::default(),
             publisher,
             payload,
             users: UserReport::default(),
@@ -182,6 +186,11 @@ impl Desk {
             };
         }
         self.decided = Some(Instant::now());
+    }
+
+    /// Whether the last decision was made less than `breath` before `now`.
+    pub fn decided_within(&self, breath: Duration, now: Instant) -> bool {
+        self.decided.is_some_and(|decided| now.saturating_duration_since(decided) < breath)
     }
 
     /// Answers the absence of position reports, where it is time to.

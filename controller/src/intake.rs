@@ -1,6 +1,7 @@
-//! Who decides, and when: in the callback that brought a report, or on the room's own thread.
+//! Who decides, and when: the callback that brought a report, or the room's own thread.
 //!
-//! On its own thread, callbacks only put payloads into a queue. It holds at most [`CAPACITY`]; beyond it the oldest is shed. The thread
+//! In the callback no thread has to be woken, but what comes while it decides waits in the transport, unseen, and the oldest is answered first. So when reports
+//! come faster than they are answered, callbacks only put payloads into a queue for the thread. It holds at most [`CAPACITY`]; beyond it the oldest is shed. The thread
 //! takes all that waits before it answers, so that a tick which a newer one has replaced costs no decision. Between reports the thread may rehearse,
 //! which keeps code and data in the caches of the processor that decides.
 
@@ -18,13 +19,18 @@ const CAPACITY: usize = 64;
 /// A buffer that has grown beyond this, in bytes, is not kept for the next payload.
 const BUFFER_MAX: usize = 1 << 16;
 
+/// A report that comes sooner than this after the last decision had been waiting for its end: reports come faster than they are answered.
+const BREATH: Duration = Duration::from_micros(50);
+
 /// Between two looks whether rehearsals are worth it again.
 const IDLE: Duration = Duration::from_millis(50);
 
 /// Where a room's decisions are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Place {
-    /// In the callback that brings the report, on the transport's thread
+    /// In the callback while there is time, and on the room's own thread when reports come faster than they are answered
+    Auto,
+    /// In the callback that brings the report, on the transport's thread; what comes too fast waits in the transport
     Callback,
     /// On a thread of the room's own
     Thread,
@@ -48,7 +54,7 @@ impl Deciding {
 
 impl Default for Deciding {
     fn default() -> Self {
-        Self { place: Place::Callback, keep_warm: None }
+        Self { place: Place::Auto, keep_warm: None }
     }
 }
 
@@ -83,7 +89,7 @@ enum Woken {
 
 impl Intake {
     /// Puts a payload into the queue.
-    pub fn push(&self, stream: Stream, payload: &[u8], entered: Instant) {
+    fn push(&self, stream: Stream, payload: &[u8], entered: Instant) {
         let mut queue = lock(&self.queue);
         let oldest = if queue.waiting.len() == CAPACITY { queue.waiting.pop_front() } else { None };
         queue.shed += u64::from(oldest.is_some());
@@ -93,6 +99,24 @@ impl Intake {
         queue.waiting.push_back(Arrival { stream, payload: buffer, entered });
         drop(queue);
         self.filled.notify_one();
+    }
+
+    /// Handles a payload at once, if the callback that brought it may decide; otherwise the room's thread is left to.
+    pub fn handle(&self, place: Place, desk: &Mutex<Desk>, stream: Stream, payload: &[u8], entered: Instant) {
+        let at_once = match place {
+            Place::Callback => Some(lock(desk)),
+            Place::Thread => None,
+            // The thread holds the desk while it works through the queue, so nothing overtakes what waits.
+            Place::Auto if !lock(&self.queue).waiting.is_empty() => None,
+            Place::Auto => desk.try_lock().ok().filter(|desk| !desk.decided_within(BREATH, entered)),
+        };
+        match at_once {
+            Some(mut desk) => {
+                desk.take(stream, payload, entered);
+                desk.answer();
+            }
+            None => self.push(stream, payload, entered),
+        }
     }
 
     /// Payloads that were shed because too many waited.
@@ -198,6 +222,20 @@ mod tests {
         assert_eq!((arrival.payload.as_slice(), arrival.payload.as_ptr()), (&b"abc"[..], place));
         intake.push(Stream::Channel, b"abc", Instant::now());
         assert!(intake.pop().unwrap().payload.capacity() < BUFFER_MAX);
+    }
+
+    #[test]
+    fn what_passes_through_is_not_allocated_anew() {
+        let intake = Intake::default();
+        let pass = || {
+            (0..3).for_each(|_| intake.push(Stream::Users, &[7; 300], Instant::now()));
+            while let Some(arrival) = intake.pop() {
+                intake.give_back(arrival.payload);
+            }
+        };
+        pass();
+        pass();
+        assert_eq!(allocation_counter::measure(pass).count_total, 0);
     }
 
     #[test]

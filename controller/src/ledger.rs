@@ -18,6 +18,9 @@ const LONGEST_NS: u64 = 60_000_000_000;
 /// Significant decimal digits of a recorded time.
 const DIGITS: u8 = 3;
 
+/// Upper edges of the buckets into which a status sorts decisions, in us.
+const EDGES_US: [u64; 14] = [25, 50, 75, 100, 150, 200, 250, 300, 400, 500, 700, 1000, 2000, 5000];
+
 /// The stamps of one decision.
 #[derive(Clone, Copy, Debug)]
 pub struct Laps {
@@ -142,6 +145,11 @@ impl Ledger {
         &self.age
     }
 
+    /// How many decisions took no longer than each edge, in us; what took longer than the last is in the count of all.
+    pub fn decisions_within(&self) -> impl Iterator<Item = (u64, u64)> {
+        EDGES_US.map(|edge_us| (edge_us, self.decision.count_between(0, edge_us * 1000))).into_iter()
+    }
+
     /// Times from the entry of the callback to the return of the put, in us.
     pub fn decision_us(&self) -> Quantiles {
         quantiles_us(&self.decision)
@@ -190,6 +198,18 @@ mod tests {
         assert!((decision.max - 100.0).abs() < 0.1);
         assert!((ledger.age_us().p50 - 7000.0).abs() < 7.1);
         assert!((ledger.stage_us(Stage::Observed).p90 - 90.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn decisions_are_sorted_by_how_long_they_took() {
+        let mut ledger = Ledger::new();
+        for us in [20, 60, 60, 450, 9000] {
+            ledger.record(&laps([0, 0, us, 0, 0, 0]), 0);
+        }
+        let within: Vec<_> = ledger.decisions_within().collect();
+        let counts =
+            [25, 50, 75, 500, 5000].map(|edge| within.iter().find(|(of, _)| *of == edge).map(|(_, count)| *count));
+        assert_eq!(counts, [1, 1, 3, 4, 4].map(Some));
     }
 
     #[test]

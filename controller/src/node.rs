@@ -15,7 +15,14 @@ use heliostat_metrics::MetricsArgs;
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 
-use crate::{intake::Deciding, metrics, policy::PolicyKind, post::Post, summary::Summary};
+use crate::{
+    capabilities::{Force, Unfit},
+    intake::Deciding,
+    metrics,
+    policy::PolicyKind,
+    post::Post,
+    summary::Summary,
+};
 
 /// Time between two status reports.
 const STATUS_INTERVAL: Duration = Duration::from_millis(500);
@@ -53,6 +60,8 @@ pub struct NodeConfig {
     pub model: Option<PathBuf>,
     /// Live or lockstep.
     pub pace: Pace,
+    /// What of an array that does not fit is accepted all the same.
+    pub force: Force,
     /// When to end without being asked.
     pub run_for: Option<Duration>,
     /// Where metrics are served.
@@ -104,7 +113,9 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
             exporter.publish(metrics::page(&posts));
         }
         for index in (0..posts.len()).rev() {
-            if let Some(epoch) = posts[index].deposed_by() {
+            if let Some(unfit) = posts[index].unfit() {
+                left.push(refuse(posts.swap_remove(index), &unfit));
+            } else if let Some(epoch) = posts[index].deposed_by() {
                 left.push(leave(posts.swap_remove(index), epoch));
             }
         }
@@ -126,6 +137,14 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
     drop(posts);
     bus.close()?;
     Ok(summary)
+}
+
+/// Gives a room up whose array cannot be commanded.
+fn refuse(mut post: Post, unfit: &Unfit) -> (Post, String) {
+    let problem = format!("room \"{}\" is not commanded: {unfit}", post.room());
+    tracing::warn!("{problem}");
+    post.close();
+    (post, problem)
 }
 
 /// Gives a room up to the controller that has taken it over.

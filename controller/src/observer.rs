@@ -32,6 +32,8 @@ struct Body {
 struct Lead {
     /// Half of the time between reports in s.
     half_interval_s: f64,
+    /// Until the mirrors are there, in s.
+    settling_s: f64,
     half_room_m: [f64; 2],
 }
 
@@ -41,6 +43,7 @@ impl Lead {
             Prediction::None => None,
             Prediction::ConstantVelocity => Some(Self {
                 half_interval_s: 0.5 / scenario.streams.positions.rate_hz,
+                settling_s: 0.0,
                 half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
             }),
         }
@@ -48,7 +51,7 @@ impl Lead {
 
     /// Where somebody is, who walks on.
     fn predict(&self, position: Vec3, velocity: &Vec3, age_s: f64) -> Vec3 {
-        let ahead = position + velocity * (age_s + self.half_interval_s);
+        let ahead = position + velocity * (age_s + self.half_interval_s + self.settling_s);
         let [half_x, half_y] = self.half_room_m;
         Vec3::new(ahead.x.clamp(-half_x, half_x), ahead.y.clamp(-half_y, half_y), ahead.z)
     }
@@ -99,6 +102,13 @@ impl Observer {
             measured_los_gain: vec![0.0; users],
             blockers: Vec::new(),
             forced: vec![false; users],
+        }
+    }
+
+    /// Where users are predicted, lets the prediction reach as much further as the mirrors take to get there, in s.
+    pub fn set_settling(&mut self, settling_s: f64) {
+        if let Some(lead) = &mut self.lead {
+            lead.settling_s = settling_s;
         }
     }
 

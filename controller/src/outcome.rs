@@ -88,12 +88,21 @@ pub enum Departure {
     PolicyFailed,
     /// Nothing could act.
     Held,
+    /// The array is stopped, or does not fit.
+    Withheld,
 }
 
 impl Departure {
     /// All departures, in the order of their counters.
-    pub const ALL: [Self; 6] =
-        [Self::Late, Self::StaleReport, Self::ChannelMissing, Self::Silence, Self::PolicyFailed, Self::Held];
+    pub const ALL: [Self; 7] = [
+        Self::Late,
+        Self::StaleReport,
+        Self::ChannelMissing,
+        Self::Silence,
+        Self::PolicyFailed,
+        Self::Held,
+        Self::Withheld,
+    ];
 
     /// The name in counters.
     pub fn name(self) -> &'static str {
@@ -104,6 +113,7 @@ impl Departure {
             Self::Silence => "silence",
             Self::PolicyFailed => "policy-failed",
             Self::Held => "held",
+            Self::Withheld => "withheld",
         }
     }
 }

@@ -12,9 +12,11 @@ use std::{
 
 use anyhow::Context;
 use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
-use heliostat_proto::{NodeKind, Room, encode, keys::parse_alive};
+use heliostat_proto::{Capabilities, EmergencyStop, NodeKind, Room, decode, encode, keys::parse_alive};
 
 use crate::{
+    capabilities::{Examiner, Unfit},
+    control::{self, Workshop},
     core::{Controller, WARM_UP_RUNS},
     desk::{Desk, RoomClock, utc_ns},
     intake::{Intake, Place, attend, lock},
@@ -25,6 +27,9 @@ use crate::{
     status::{Identity, Reporter},
     summary::Summary,
 };
+
+/// How long an array is asked what it can do.
+const CAPABILITIES_WITHIN: Duration = Duration::from_millis(300);
 
 /// A desk that is held longer than this is not answering: no decision takes so long.
 const ANSWER_WITHIN: Duration = Duration::from_millis(100);
@@ -59,7 +64,9 @@ impl Post {
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = policy::build(config.policy, scenario, &actor)?;
-        let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
+        let model = scenario.channel_model()?;
+        let examiner = Examiner::new(scenario, &model, config.force);
+        let mut controller = Controller::new(scenario, model.clone(), policy, epoch);
         controller.warm_up(WARM_UP_RUNS);
         let room = bus.room().clone();
         tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
@@ -69,14 +76,18 @@ impl Post {
         let desk = Arc::new(Mutex::new(Desk::new(controller, clock, publisher, deadline(config))));
         let intake = Arc::new(Intake::default());
         let deciding = config.deciding;
-        let has_thread = deciding.place == Place::Thread || deciding.keep_warm.is_some();
+        let has_thread = deciding.place != Place::Callback || deciding.keep_warm.is_some();
         let thread = has_thread.then(|| {
             let (desk, intake) = (Arc::clone(&desk), Arc::clone(&intake));
             let run = move || attend(&desk, &intake, deciding.keep_warm);
             std::thread::Builder::new().name(format!("decide-{room}")).spawn(run)
         });
         let thread = thread.transpose().context("cannot start a room's thread")?;
-        let subscriptions = subscribe(bus, &desk, (deciding.place == Place::Thread).then_some(&intake))?;
+        let mut subscriptions = subscribe(bus, deciding.place, &desk, &intake)?;
+        subscriptions.extend(learn_of_array(bus, &desk, examiner)?);
+        let workshop =
+            Workshop { scenario: scenario.clone(), model, own: (config.policy, actor), warm_up_runs: WARM_UP_RUNS };
+        subscriptions.push(control::listen(bus, &desk, workshop)?);
         let source = RandomState::new().build_hasher().finish();
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
@@ -112,6 +123,11 @@ impl Post {
     /// The epoch of the controller that has taken over the array, if one has.
     pub fn deposed_by(&self) -> Option<u64> {
         self.desk.try_lock().ok().and_then(|desk| desk.controller.deposed_by())
+    }
+
+    /// Why the array of this room cannot be commanded, if it cannot.
+    pub fn unfit(&self) -> Option<Unfit> {
+        self.desk.try_lock().ok().and_then(|desk| desk.controller.guard().unfit().cloned())
     }
 
     /// Lets time pass, since the absence of reports may have to be answered.
@@ -194,8 +210,13 @@ fn lock_within(desk: &Mutex<Desk>, limit: Duration) -> Option<MutexGuard<'_, Des
     }
 }
 
-/// Hears the room: payloads go to the intake where there is one, and to the desk otherwise.
-fn subscribe(bus: &Bus, desk: &Arc<Mutex<Desk>>, intake: Option<&Arc<Intake>>) -> anyhow::Result<Vec<Subscription>> {
+/// Hears the room.
+fn subscribe(
+    bus: &Bus,
+    place: Place,
+    desk: &Arc<Mutex<Desk>>,
+    intake: &Arc<Intake>,
+) -> anyhow::Result<Vec<Subscription>> {
     let room = bus.room();
     let keys = Stream::ALL.map(|stream| match stream {
         Stream::Users => (stream, room.users()),
@@ -205,18 +226,9 @@ fn subscribe(bus: &Bus, desk: &Arc<Mutex<Desk>>, intake: Option<&Arc<Intake>>) -
     });
     let mut subscriptions = Vec::with_capacity(keys.len() + 1);
     for (stream, key) in keys {
-        subscriptions.push(match intake.map(Arc::clone) {
-            Some(intake) => bus.subscribe(&key, move |payload| intake.push(stream, payload, Instant::now()))?,
-            None => {
-                let desk = Arc::clone(desk);
-                bus.subscribe(&key, move |payload| {
-                    let entered = Instant::now();
-                    let mut desk = lock(&desk);
-                    desk.take(stream, payload, entered);
-                    desk.answer();
-                })?
-            }
-        });
+        let (desk, intake) = (Arc::clone(desk), Arc::clone(intake));
+        let callback = move |payload: &[u8]| intake.handle(place, &desk, stream, payload, Instant::now());
+        subscriptions.push(bus.subscribe(&key, callback)?);
     }
     let desk = Arc::clone(desk);
     subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
@@ -227,4 +239,42 @@ fn subscribe(bus: &Bus, desk: &Arc<Mutex<Desk>>, intake: Option<&Arc<Intake>>) -
         }
     })?);
     Ok(subscriptions)
+}
+
+/// Hears what the array can do, who drives it, and who stops it. Nothing of this is on the way from a report to its command.
+fn learn_of_array(bus: &Bus, desk: &Arc<Mutex<Desk>>, examiner: Examiner) -> anyhow::Result<[Subscription; 3]> {
+    let room = bus.room();
+    let examiner = Arc::new(examiner);
+    let (judge, judged) = (Arc::clone(&examiner), Arc::clone(desk));
+    let mut known = Capabilities::default();
+    let mut learn = move |payload: &[u8]| {
+        let Ok(new) = decode::<Capabilities>(payload) else { return };
+        if known == (Capabilities { stamp: known.stamp, ..new.clone() }) {
+            return;
+        }
+        let verdict = judge.examine(&new);
+        let mut desk = lock(&judged);
+        if verdict.is_ok() {
+            desk.controller.set_array(&new);
+        }
+        desk.controller.guard_mut().set_verdict(verdict);
+        known = new;
+    };
+    // Asked for, so that an array which is there already is known before the first command.
+    bus.fetch(&room.capabilities(), CAPABILITIES_WITHIN)?.iter().for_each(|payload| learn(payload));
+    let announced = bus.subscribe(&room.capabilities(), learn)?;
+    let heeded = Arc::clone(desk);
+    let stops = bus.subscribe(&room.stop(), move |payload| {
+        if let Ok(order) = decode::<EmergencyStop>(payload) {
+            lock(&heeded).controller.guard_mut().heed(&order);
+        }
+    })?;
+    let met = Arc::clone(desk);
+    let drivers = bus.watch(&room.all_alive(), move |key, presence| {
+        let Some((node, _)) = parse_alive(key).filter(|_| presence == Presence::Alive) else { return };
+        if let Err(unfit) = examiner.meet(node) {
+            lock(&met).controller.guard_mut().forbid(unfit);
+        }
+    })?;
+    Ok([announced, stops, drivers])
 }

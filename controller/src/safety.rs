@@ -3,6 +3,7 @@
 //! It does not judge whether angles are useful, and it does not replace the limits that a driver enforces for itself.
 
 use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_proto::AxisLimits;
 use heliostat_scenario::Control;
 use thiserror::Error;
 
@@ -11,6 +12,8 @@ use thiserror::Error;
 pub struct Limits {
     /// Largest angle of each axis, plus and minus, in rad.
     range_rad: f64,
+    /// Smallest and largest roll, then yaw, in rad: within the range, and within what the array can do.
+    axes_rad: [[f64; 2]; 2],
     /// Fastest turn of each axis in rad/s.
     slew_rad_per_s: Option<f64>,
 }
@@ -35,10 +38,20 @@ pub struct NotFinite {
 impl Limits {
     /// The limits of a scenario's `control` table.
     pub fn new(control: &Control) -> Self {
+        let range_rad = f64::from(largest_f32_within(control.range_deg.to_radians()));
         Self {
-            range_rad: f64::from(largest_f32_within(control.range_deg.to_radians())),
+            range_rad,
+            axes_rad: [[-range_rad, range_rad]; 2],
             slew_rad_per_s: (control.slew_deg_per_s > 0.0).then(|| control.slew_deg_per_s.to_radians()),
         }
+    }
+
+    /// Keeps within what the array can do, too.
+    pub fn narrow(&mut self, roll: &AxisLimits, yaw: &AxisLimits) {
+        let ends = |axis: &AxisLimits| {
+            [axis.min_rad, axis.max_rad].map(|end| f64::from(end).clamp(-self.range_rad, self.range_rad))
+        };
+        self.axes_rad = [ends(roll), ends(yaw)];
     }
 
     /// Largest angle of each axis, plus and minus, in rad.
@@ -51,9 +64,9 @@ impl Limits {
         let reach_rad = self.slew_rad_per_s.map_or(f64::INFINITY, |slew| slew * elapsed_s.max(0.0));
         let mut clipped = Clipped::default();
         let axes = [(&from.roll, &mut angles.roll), (&from.yaw, &mut angles.yaw)];
-        for (from, angles) in axes {
+        for ((from, angles), [min, max]) in axes.into_iter().zip(self.axes_rad) {
             for (&from, angle) in from.iter().zip(angles) {
-                let in_range = angle.clamp(-self.range_rad, self.range_rad);
+                let in_range = angle.clamp(min, max);
                 let in_reach = in_range.clamp(from - reach_rad, from + reach_rad);
                 clipped.range += u64::from(in_range != *angle);
                 clipped.slew += u64::from(in_reach != in_range);
@@ -101,6 +114,18 @@ mod tests {
         assert_eq!(clipped, Clipped { range: 2, slew: 0 });
         assert!((proposed.roll[0] - 30f64.to_radians()).abs() < 1e-7);
         assert!((proposed.yaw[0] + 30f64.to_radians()).abs() < 1e-7);
+    }
+
+    #[test]
+    fn what_the_array_can_do_narrows_the_range_and_never_widens_it() {
+        let mut limits = limits(30.0, 0.0);
+        let axis = |min_rad, max_rad| AxisLimits { min_rad, max_rad, ..AxisLimits::default() };
+        limits.narrow(&axis(-0.125, 0.25), &axis(-3.0, 3.0));
+        let mut proposed = MirrorAngles { roll: vec![1.0, -1.0], yaw: vec![1.0, 0.0] };
+        let clipped = limits.bound(&MirrorAngles::flat(2), 0.01, &mut proposed);
+        assert_eq!(clipped.range, 3);
+        assert_eq!(proposed.roll, [0.25, -0.125]);
+        assert!((proposed.yaw[0] - 30f64.to_radians()).abs() < 1e-7);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
 
 use crate::{
+    control::ControlAccount,
     core::{Controller, Departure},
     desk::{Desk, utc_ns},
     ledger::Ledger,
@@ -29,6 +30,7 @@ pub struct Reporter {
     refused: u64,
     failed: u64,
     unsent: u64,
+    orders_refused: u64,
     last_problem: String,
 }
 
@@ -40,12 +42,22 @@ pub struct Snapshot {
     pub problem: Option<String>,
     now: Nanos,
     state: String,
+    control: ControlAccount,
 }
 
 impl Reporter {
     /// A reporter that has said nothing yet.
     pub fn new(identity: Identity) -> Self {
-        Self { identity, sequence: 0, decisions: 0, refused: 0, failed: 0, unsent: 0, last_problem: String::new() }
+        Self {
+            identity,
+            sequence: 0,
+            decisions: 0,
+            refused: 0,
+            failed: 0,
+            unsent: 0,
+            orders_refused: 0,
+            last_problem: String::new(),
+        }
     }
 
     /// Copies what changed; the desk is held meanwhile.
@@ -62,7 +74,7 @@ impl Reporter {
         summary.last_problem.clone_from(&self.last_problem);
         let state = self.state(controller);
         self.decisions = summary.decisions;
-        Snapshot { summary, problem, now: desk.clock.now(), state }
+        Snapshot { summary, problem, now: desk.clock.now(), state, control: desk.control.clone() }
     }
 
     /// The report for a snapshot, with the times since the start.
@@ -80,8 +92,11 @@ impl Reporter {
             ("clipped_slew", summary.clipped.slew),
             ("sources", summary.sources),
             ("epoch", summary.epoch),
+            ("policies_switched", snapshot.control.switched),
+            ("policies_refused", snapshot.control.refused),
         ];
         let own = own.into_iter().map(|(name, count)| (name.to_string(), count));
+        let within = times.decisions_within().map(|(edge_us, count)| (format!("decision_us_le:{edge_us}"), count));
         let named = |prefix: &'static str| move |(name, count): (&String, &u64)| (format!("{prefix}{name}"), *count);
         let fallbacks = summary.fallbacks.iter().map(named("fallback:"));
         let refused = summary.refused.iter().map(named("refused:"));
@@ -93,7 +108,7 @@ impl Reporter {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
             policy: summary.policy.clone(),
-            counters: own.chain(fallbacks).chain(refused).collect(),
+            counters: own.chain(within).chain(fallbacks).chain(refused).collect(),
             timings: whole.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
@@ -141,11 +156,15 @@ impl Reporter {
         let rose = |before: &mut u64, after: u64| std::mem::replace(before, after) < after;
         let (unsent_rose, failed_rose, refused_rose) =
             (rose(&mut self.unsent, desk.unsent), rose(&mut self.failed, failed), rose(&mut self.refused, refused));
+        let order_refused = rose(&mut self.orders_refused, desk.control.refused);
         if failed_rose && let Some(failure) = desk.controller.last_failure() {
             return Some(format!("policy {}: {failure}", desk.controller.policy_name()));
         }
         if unsent_rose {
             return Some("a command could not be sent: the session is closed".into());
+        }
+        if order_refused {
+            return desk.control.last_refusal.clone();
         }
         refused_rose.then(|| describe_refusal(desk)).flatten()
     }

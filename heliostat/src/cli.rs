@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, completions, config, demo, doctor, eval, link, map, scenario};
+use crate::commands::{bench, completions, config, demo, doctor, eval, link, map, scenario, ui};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -20,10 +20,14 @@ pub struct Cli {
 enum Command {
     /// Run a simulated room and a controller as two processes and watch them
     Demo(demo::Args),
+    /// Watch a running room, simulated or real, in a browser and on the terminal
+    Ui(ui::Args),
     /// Run the central unit: reports in, mirror commands out
     Controller(heliostat_controller::cli::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
     SimNode(heliostat_sim_node::cli::Args),
+    /// Drive real mirrors, or check a driver against the contract
+    Driver(heliostat_driver::cli::Args),
     /// Train a policy and export it as an ONNX file
     Train(heliostat_models::TrainArgs),
     /// Compare policies on the same states, beside the oracle
@@ -56,8 +60,10 @@ enum Command {
 pub fn run() -> Result<()> {
     match Cli::parse().command {
         Command::Demo(args) => demo::run(args),
+        Command::Ui(args) => ui::run(args),
         Command::Controller(args) => heliostat_controller::cli::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
+        Command::Driver(args) => heliostat_driver::cli::run(args),
         Command::Train(args) => heliostat_models::run_train(args),
         Command::Eval(args) => eval::run(args),
         Command::Reproduce(args) => heliostat_reproduce::run_reproduce(args),

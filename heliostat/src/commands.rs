@@ -13,6 +13,7 @@ pub mod link;
 pub mod map;
 mod mirrors;
 pub mod scenario;
+pub mod ui;
 
 /// Reads a CSV file whose header names all `required` columns, maybe `optional` ones, and no others.
 fn read_csv<T: DeserializeOwned>(file: &str, required: &[&str], optional: &[&str]) -> Result<Vec<T>> {

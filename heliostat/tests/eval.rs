@@ -137,3 +137,41 @@ fn what_cannot_be_compared_is_refused_with_what_can() {
     let message = refusal(&["--policies", "flat,flat"]);
     assert!(message.contains("twice"), "{message}");
 }
+
+#[test]
+fn a_sweep_has_a_report_for_each_value_of_its_key() {
+    let flags = ["--policies", "ddpg,flat", "--states", "3", "--seeds", "1", "--sweep", "users.count=1..3"];
+    let sweep = report(&flags);
+    assert_eq!(sweep["sweep"], "users.count");
+    let reports = sweep["reports"].as_array().expect("a list");
+    let users: Vec<_> = reports.iter().map(|entry| entry["report"]["users"].as_u64()).collect();
+    assert_eq!(users, [Some(1), Some(2), Some(3)]);
+    let output = eval(&flags);
+    let text = String::from_utf8(output.stdout).expect("text");
+    assert_eq!(text.lines().count(), 5, "{text}");
+    let message = refusal(&["--sweep", "users.count=0..2", "--policies", "flat"]);
+    assert!(message.contains("users.count"), "{message}");
+    let message = refusal(&["--sweep", "users.count", "--policies", "flat"]);
+    assert!(message.contains("FIRST..LAST"), "{message}");
+}
+
+/// The actors of a policy that are built in for the default array.
+fn built_in(policy: &str) -> usize {
+    let folder = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/actors")).expect("the folder");
+    let names = folder.map(|entry| entry.expect("an entry").file_name().into_string().expect("a plain name"));
+    names.filter(|name| name.starts_with(&format!("{policy}-specular-10x10")) && name.ends_with(".onnx")).count()
+}
+
+#[test]
+fn a_learned_policy_is_all_of_its_training_seeds_unless_one_is_chosen() {
+    let flags = ["--policies", "analytic,flat", "--states", "10", "--seeds", "1"];
+    let of = |extra: &[&str]| report(&[&flags[..], extra].concat());
+    let (all, first) = (of(&[]), of(&["--training-seed", "1"]));
+    assert_eq!(all["policies"]["analytic"]["training_seeds"], built_in("analytic"));
+    assert_eq!(first["policies"]["analytic"]["training_seeds"], 1);
+    assert!(all["policies"]["flat"]["training_seeds"].is_null());
+    let above_flat = |report| mean(report, "analytic", "ratio_to_oracle") - mean(report, "flat", "ratio_to_oracle");
+    assert!(above_flat(&all) > 0.1 && above_flat(&first) > 0.1);
+    let message = refusal(&["--policies", "analytic", "--training-seed", "9"]);
+    assert!(message.contains("seed9") && message.contains("heliostat train analytic"), "{message}");
+}

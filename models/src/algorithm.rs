@@ -8,7 +8,7 @@ use heliostat_controller::policy::PolicyKind;
 use heliostat_scenario::Scenario;
 
 use crate::learner::{Learner, with_options};
-use crate::{analytic, ddpg, ddpg_basis, ddpg_raw};
+use crate::{analytic, ddpg, ddpg_basis, ddpg_raw, dql, q_learning, sarsa};
 
 /// What can be trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -21,6 +21,12 @@ pub enum Algorithm {
     DdpgBasis,
     /// The network of ddpg, trained by the gradient through the channel itself
     Analytic,
+    /// Deep Q-learning on a codebook of angles
+    Dql,
+    /// Q-learning with a table, on a codebook of angles
+    QLearning,
+    /// SARSA with a table, on a codebook of angles
+    Sarsa,
 }
 
 /// Where the numbers of a run come from.
@@ -40,6 +46,9 @@ impl Algorithm {
             Self::DdpgRaw => PolicyKind::DdpgRaw,
             Self::DdpgBasis => PolicyKind::DdpgBasis,
             Self::Analytic => PolicyKind::Analytic,
+            Self::Dql => PolicyKind::Dql,
+            Self::QLearning => PolicyKind::QLearning,
+            Self::Sarsa => PolicyKind::Sarsa,
         }
     }
 
@@ -54,6 +63,11 @@ impl Algorithm {
             }
             Self::Analytic => {
                 "the network of ddpg, trained by the gradient through the channel; see the head of `models/src/analytic.rs`"
+            }
+            Self::Dql => "deep Q-learning on a codebook; departures from the paper at the head of `models/src/dql.rs`",
+            Self::QLearning => "Q-learning with a table on a codebook; see the head of `models/src/q_learning.rs`",
+            Self::Sarsa => {
+                "SARSA with a table on a codebook; see the heads of `models/src/sarsa.rs` and `models/src/q_learning.rs`"
             }
         }
     }
@@ -85,6 +99,15 @@ impl Algorithm {
             }
             Self::Analytic => {
                 Box::new(analytic::Trainer::new(scenario, with_options(analytic::Settings::new(seed, mode), options)?)?)
+            }
+            Self::Dql => Box::new(dql::Trainer::new(scenario, with_options(dql::Settings::new(seed), options)?)?),
+            Self::QLearning => {
+                let settings = with_options(q_learning::Settings::new(seed, mode), options)?;
+                Box::new(q_learning::Trainer::new(scenario, settings)?)
+            }
+            Self::Sarsa => {
+                let settings = with_options(sarsa::settings(seed, mode), options)?;
+                Box::new(q_learning::Trainer::new(scenario, settings)?)
             }
         })
     }

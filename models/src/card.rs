@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use crate::algorithm::Algorithm;
-use crate::evaluate::Score;
+use crate::evaluate::{Estimate, Score};
 use crate::learner::Learner;
 
 /// A score in one kind of room.
@@ -18,6 +18,9 @@ pub struct ScoreRow {
     pub states: usize,
     /// The score.
     pub score: Score,
+    /// The ratio to the oracle and the share of needs met of the best that the learner could ever give, where that is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ceiling: Option<(Estimate, f64)>,
 }
 
 /// Everything that a card tells.
@@ -71,6 +74,9 @@ impl Card<'_> {
             Some(duration) => writeln!(text, "| duration | {:.0} s on {} |", duration.as_secs_f64(), hardware())?,
             None => writeln!(text, "| duration | resumed; last part on {} |", hardware())?,
         }
+        for (name, note) in self.learner.notes() {
+            writeln!(text, "| {name} | {note} |")?;
+        }
         writeln!(text, "| settings | `{}` |", self.learner.settings())?;
         writeln!(text, "| licence | {} |\n", env!("CARGO_PKG_LICENSE"))?;
         self.write_scores(text)?;
@@ -87,13 +93,23 @@ impl Card<'_> {
             "Held-out states of the scenario with its own noise, mean and 95 % interval; ratio to the oracle that keeps minimum rates, \
              state by state; `b` users have their direct path forced off, besides those in the shadow of bodies and obstacles.\n"
         )?;
+        let known = self.scores.iter().all(|row| row.ceiling.is_some());
+        if known {
+            writeln!(
+                text,
+                "The ceiling is the ratio of the codebook's truly best entry in each state, found by trying all, and the needs that it \
+                 meets.\n"
+            )?;
+        }
+        let more = if known { [" ceiling |", " --- |"] } else { [""; 2] };
         writeln!(
             text,
-            "| users | b | states | no array, Mbit/s | actor, Mbit/s | oracle, Mbit/s | ratio | needs met (oracle) |"
+            "| users | b | states | no array, Mbit/s | actor, Mbit/s | oracle, Mbit/s | ratio | needs met (oracle) |{}",
+            more[0]
         )?;
-        writeln!(text, "| --- | --- | --- | --- | --- | --- | --- | --- |")?;
-        for ScoreRow { users, forced, states, score } in self.scores {
-            writeln!(
+        writeln!(text, "| --- | --- | --- | --- | --- | --- | --- | --- |{}", more[1])?;
+        for ScoreRow { users, forced, states, score, ceiling } in self.scores {
+            write!(
                 text,
                 "| {users} | {forced} | {states} | {:.1} | {:.1} ± {:.1} | {:.1} | {:.4} ± {:.4} | {:.3} ({:.3}) |",
                 score.no_irs_mbps.mean,
@@ -105,6 +121,10 @@ impl Card<'_> {
                 score.qos_met,
                 score.oracle_qos_met
             )?;
+            match ceiling {
+                Some((ratio, met)) => writeln!(text, " {:.4} ± {:.4}, {met:.3} |", ratio.mean, ratio.ci95)?,
+                None => writeln!(text)?,
+            }
         }
         Ok(())
     }

@@ -120,7 +120,7 @@ impl Settings {
             warm_up: 500,
             exploration: Exploration { kind: Kind::Additive, start: 0.4, end: 0.05 },
             run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
+                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
                 rooms: Rooms::Randomised,
                 episodes: 1000,
                 steps: 40,
@@ -146,7 +146,7 @@ impl Settings {
             critic_rate: 1e-3,
             rate_end: 0.1,
             run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 10.0 },
+                reward: Reward { form: RewardForm::Shortfall, lambda: 10.0, margin: 1.0 },
                 episodes: 300,
                 ..paper.run
             },

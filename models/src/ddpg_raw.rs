@@ -104,7 +104,7 @@ impl Settings {
             warm_up: 500,
             exploration: Exploration { kind: Kind::Additive, start: 0.4, end: 0.05 },
             run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
+                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
                 rooms: Rooms::Fixed,
                 episodes: 1000,
                 steps: 40,
@@ -176,7 +176,7 @@ impl Trainer {
 
     /// Actions in [-1, 1] from a batch of states, and the outputs before tanh.
     fn actions(network: &Network, states: &Tensor) -> candle_core::Result<(Tensor, Tensor)> {
-        let raw = forward(network, states)?;
+        let raw = network.forward_rows(states)?;
         Ok((raw.tanh()?, raw))
     }
 
@@ -206,7 +206,7 @@ impl Trainer {
             Sight::Angles => actions.clone(),
             Sight::Patterns => self.basis.project(actions)?,
         };
-        forward(critic, &Tensor::cat(&[states, &seen], 1)?)?.squeeze(1)
+        critic.forward_rows(&Tensor::cat(&[states, &seen], 1)?)?.squeeze(1)
     }
 
     /// The value of the next states, (batch).
@@ -264,12 +264,6 @@ impl Trainer {
         let rate = self.settings.critic_rate * factor;
         self.critics.iter_mut().for_each(|critic| critic.adam.set_learning_rate(rate));
     }
-}
-
-/// A plain network on rows, (batch, outputs).
-fn forward(network: &Network, rows: &Tensor) -> candle_core::Result<Tensor> {
-    let batch = rows.dim(0)?;
-    network.forward(&rows.unsqueeze(1)?, &Tensor::ones((batch, 1), candle_core::DType::F32, &Device::Cpu)?)
 }
 
 impl Learner for Trainer {

@@ -3,6 +3,7 @@
 //! The yardstick is the oracle with minimum rates: its angles and the learner's are judged by the same true evaluation. The
 //! oracle ignores that a spot spills onto other users, so a ratio slightly above 1 is legitimate.
 
+use anyhow::Context;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::{Method, Need, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Scene};
@@ -127,9 +128,23 @@ impl HeldOut {
     /// # Errors
     /// Those of [`Learner::act`].
     pub fn score(&mut self, learner: &dyn Learner) -> anyhow::Result<Score> {
+        self.judge(|environment| learner.act(environment))
+    }
+
+    /// The score of the best that a learner could ever give; `None` where that cannot be tried.
+    ///
+    /// # Errors
+    /// A learner that knows its best in one state and not in another.
+    pub fn ceiling(&mut self, learner: &dyn Learner) -> anyhow::Result<Option<Score>> {
+        let known = self.states.first().is_some_and(|state| learner.best_possible(&state.environment).is_some());
+        let best = |environment: &Environment| learner.best_possible(environment).context("no best angles here");
+        if known { self.judge(best).map(Some) } else { Ok(None) }
+    }
+
+    fn judge(&mut self, act: impl Fn(&Environment) -> anyhow::Result<MirrorAngles>) -> anyhow::Result<Score> {
         let mut rows = Vec::with_capacity(self.states.len());
         for state in &mut self.states {
-            let angles = learner.act(&state.environment)?;
+            let angles = act(&state.environment)?;
             let rates = state.environment.rates_bps(&angles).to_vec();
             rows.push((rates.iter().sum::<f64>(), met(&rates, &state.environment.observation().min_rate_bps)));
         }

@@ -53,6 +53,25 @@ impl Exploration {
     }
 }
 
+impl Exploration {
+    /// Epsilon-greedy among `count` choices: with a probability of `epsilon` any of them, otherwise `None`, for the best one.
+    pub fn draw(epsilon: f64, count: usize, rng: &mut impl Rng) -> Option<usize> {
+        (rng.random::<f64>() < epsilon).then(|| rng.random_range(0..count))
+    }
+
+    /// Refuses disturbances that do not suit choices.
+    ///
+    /// # Errors
+    /// A message unless the kind is epsilon-greedy.
+    pub fn check_choices(&self) -> anyhow::Result<()> {
+        anyhow::ensure!(
+            self.kind == Kind::EpsilonGreedy,
+            "exploration.kind: wanted epsilon-greedy, for choices among entries"
+        );
+        Ok(())
+    }
+}
+
 /// One draw from the standard normal distribution, by the Box-Muller transform.
 pub fn normal(rng: &mut impl Rng) -> f64 {
     let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();

@@ -36,6 +36,16 @@ pub trait Learner {
     /// Those of the networks.
     fn act(&self, environment: &Environment) -> anyhow::Result<MirrorAngles>;
 
+    /// What the card tells besides, as rows of a name and a text.
+    fn notes(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    /// The best angles that the learner could ever give here, where it chooses among so few that all can be tried.
+    fn best_possible(&self, _environment: &Environment) -> Option<MirrorAngles> {
+        None
+    }
+
     /// Writes all that the run needs to go on as if it had never stopped; settings and scenario are written by the caller.
     ///
     /// # Errors

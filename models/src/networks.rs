@@ -175,6 +175,17 @@ impl Network {
     }
 }
 
+impl Network {
+    /// Outputs of the plain network with one slot from rows of inputs: (batch, inputs) to (batch, outputs).
+    ///
+    /// # Errors
+    /// Those of candle, when shapes do not fit.
+    pub fn forward_rows(&self, rows: &Tensor) -> Result<Tensor> {
+        let present = Tensor::ones((rows.dim(0)?, 1), candle_core::DType::F32, &Device::Cpu)?;
+        self.forward(&rows.unsqueeze(1)?, &present)
+    }
+}
+
 /// Mean and maximum over the users present, (batch, 2 width), of rows (batch x slots, width) that are nowhere negative.
 fn pool(rows: &Tensor, present: &Tensor) -> Result<Tensor> {
     let (batch, slots) = present.dims2()?;

@@ -11,7 +11,7 @@ use heliostat_scenario::Scenario;
 
 use crate::export::NetworkNodes;
 use crate::networks::Network;
-use crate::onnx::{Ends, Graph};
+use crate::onnx::{Ends, Graph, Value};
 
 /// How an observation vector becomes the state of a raw actor.
 ///
@@ -72,34 +72,39 @@ impl RawLayout {
         MirrorAngles { roll: roll.iter().map(angle).collect(), yaw: yaw.iter().map(angle).collect() }
     }
 
+    /// Adds the nodes of [`RawLayout::state`]: (1, inputs).
+    pub fn state_nodes(&self, graph: &mut Graph) -> Value {
+        let encoder = self.encoder;
+        let part = |graph: &mut Graph, range| graph.slice(INPUT_NAME, 1, range);
+        let present = part(graph, encoder.present());
+        let positions = part(graph, encoder.positions());
+        let extents = graph.constant("extents", &[1, encoder.positions().len()], &self.extents());
+        let positions = graph.node("Div", &[&positions, &extents]);
+        let direct = part(graph, encoder.los_amplitude());
+        let one = graph.scalar(1.0);
+        let direct = graph.node("Add", &[&direct, &one]);
+        let direct = graph.node("Log", &[&direct]);
+        let need = part(graph, encoder.need());
+        let mut parts = vec![present, positions, direct, need];
+        if self.angles {
+            let (angles, range) = (part(graph, encoder.angles()), graph.scalar(self.range_rad));
+            parts.push(graph.node("Div", &[&angles, &range]));
+        }
+        graph.concat(&parts.iter().map(String::as_str).collect::<Vec<_>>(), 1)
+    }
+
     /// The actor as an ONNX file: the same state, the network, the same angles.
     ///
     /// # Errors
     /// Those of candle, when a parameter cannot be read.
     pub fn export(&self, network: &Network, metadata: &[(String, String)]) -> Result<Vec<u8>> {
         let mut graph = Graph::default();
-        let encoder = self.encoder;
-        let part = |graph: &mut Graph, range| graph.slice(INPUT_NAME, 1, range);
-        let present = part(&mut graph, encoder.present());
-        let positions = part(&mut graph, encoder.positions());
-        let extents = graph.constant("extents", &[1, encoder.positions().len()], &self.extents());
-        let positions = graph.node("Div", &[&positions, &extents]);
-        let direct = part(&mut graph, encoder.los_amplitude());
-        let one = graph.scalar(1.0);
-        let direct = graph.node("Add", &[&direct, &one]);
-        let direct = graph.node("Log", &[&direct]);
-        let need = part(&mut graph, encoder.need());
-        let range = graph.scalar(self.range_rad);
-        let mut parts = vec![present, positions, direct, need];
-        if self.angles {
-            let angles = part(&mut graph, encoder.angles());
-            parts.push(graph.node("Div", &[&angles, &range]));
-        }
-        let state = graph.concat(&parts.iter().map(String::as_str).collect::<Vec<_>>(), 1);
+        let state = self.state_nodes(&mut graph);
         let raw = NetworkNodes::new(&mut graph, network)?.plain(&mut graph, &state);
         let action = graph.node("Tanh", &[&raw]);
+        let range = graph.scalar(self.range_rad);
         graph.node("Mul", &[&action, &range]);
-        let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, self.outputs()));
+        let (input, output) = ((INPUT_NAME, self.encoder.len()), (OUTPUT_NAME, self.outputs()));
         Ok(graph.finish(&Ends { name: "heliostat-raw-actor", input, output }, metadata))
     }
 }

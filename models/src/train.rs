@@ -180,7 +180,7 @@ fn finish(learner: &dyn Learner, args: &TrainArgs, duration: Option<Duration>) -
     let card_path = path.with_extension("md");
     std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
     if args.json {
-        println!("{}", report(&path, &command, duration, &scores));
+        println!("{}", report((&path, &command), learner, duration, &scores));
     } else {
         println!("{}", card.markdown());
         println!("actor: {}\ncard:  {}", path.display(), card_path.display());
@@ -198,7 +198,8 @@ fn final_scores(learner: &dyn Learner, states: usize) -> anyhow::Result<Vec<Scor
         for forced in forced_counts(users) {
             let mut held_out = HeldOut::default();
             held_out.add(&room(learner.scenario(), users, forced), states)?;
-            rows.push(ScoreRow { users, forced, states, score: held_out.score(learner)? });
+            let ceiling = held_out.ceiling(learner)?.map(|best| (best.ratio_to_oracle, best.qos_met));
+            rows.push(ScoreRow { users, forced, states, score: held_out.score(learner)?, ceiling });
         }
     }
     Ok(rows)
@@ -227,10 +228,17 @@ fn onnx_file(learner: &dyn Learner, command: &str, scores: &[ScoreRow]) -> anyho
     learner.export(&metadata)
 }
 
-fn report(path: &Path, command: &str, duration: Option<Duration>, scores: &[ScoreRow]) -> serde_json::Value {
+fn report(
+    (path, command): (&Path, &str),
+    learner: &dyn Learner,
+    duration: Option<Duration>,
+    scores: &[ScoreRow],
+) -> serde_json::Value {
+    let notes: std::collections::BTreeMap<_, _> = learner.notes().into_iter().collect();
     serde_json::json!({
         "actor": path.display().to_string(),
         "command": command,
+        "notes": notes,
         "duration_s": duration.map(|duration| duration.as_secs_f64()),
         "hardware": hardware(),
         "scores": scores,

@@ -35,6 +35,8 @@ fn short(algorithm: Algorithm) -> &'static [&'static str] {
         Algorithm::Ddpg | Algorithm::DdpgRaw => &["warm_up=10", "batch=8", "replay=20"],
         Algorithm::DdpgBasis => &["warm_up=10", "batch=8", "replay=20", "td3=true", "gamma=0.5"],
         Algorithm::Analytic => &["batch=3"],
+        Algorithm::Dql => &["warm_up=10", "batch=8", "replay=20", "steps_per_update=2"],
+        Algorithm::QLearning | Algorithm::Sarsa => &[],
     }
 }
 

@@ -4,13 +4,13 @@ use candle_core::{Device, Tensor, Var};
 use heliostat_channel::decode;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_models::analytic::{Channel, Settings};
-use heliostat_models::env::{Environment, Rooms};
+use heliostat_models::env::{Environment, Reward, RewardForm, Rooms};
 use heliostat_models::features::{Head, Layout};
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-const LAMBDA: f64 = 10.0;
+const REWARD: Reward = Reward { form: RewardForm::Shortfall, lambda: 10.0, margin: 1.5 };
 
 struct Bench {
     scenario: Scenario,
@@ -56,7 +56,10 @@ impl Bench {
         decode::decode(model, &seen.scene, &weights, &mut angles);
         let mut rates = vec![0.0; seen.users()];
         seen.scene.rates_bps(model, &angles, &mut rates);
-        let parts = rates.iter().zip(&seen.min_rate_bps).map(|(rate, need)| rate - LAMBDA * (need - rate).max(0.0));
+        let parts = rates
+            .iter()
+            .zip(&seen.min_rate_bps)
+            .map(|(rate, need)| rate - REWARD.lambda * (REWARD.margin * need - rate).max(0.0));
         parts.sum::<f64>() / model.budget.bandwidth_hz
     }
 
@@ -67,7 +70,7 @@ impl Bench {
         let variable = Var::from_slice(&slots, (1, slots.len()), &Device::Cpu).expect("logits");
         let channel = Channel::new(&[room], self.layout).expect("a channel");
         let amplitude = channel.amplitude(&variable, self.head, exponent).expect("amplitudes");
-        let reward: Tensor = channel.reward(&amplitude, LAMBDA).and_then(|reward| reward.sum_all()).expect("a reward");
+        let reward: Tensor = channel.reward(&amplitude, REWARD).and_then(|reward| reward.sum_all()).expect("a reward");
         let gradients = reward.backward().expect("gradients");
         let gradient = gradients.get(&variable).and_then(|all| all.flatten_all().ok()?.to_vec1().ok());
         (f64::from(reward.to_scalar::<f32>().expect("a number")), gradient.expect("its gradient"))

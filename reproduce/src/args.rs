@@ -53,6 +53,9 @@ pub struct ReproduceArgs {
     /// Train the policy ddpg for rooms without a built-in actor, instead of refusing them
     #[arg(long)]
     pub train_missing: bool,
+    /// Compute nothing more: report what is finished, and name what is not
+    #[arg(long, conflicts_with = "train_missing")]
+    pub finished: bool,
     /// Also write reproduction.json and reproduction.md into this folder
     #[arg(long, value_name = "DIR")]
     pub write_docs: Option<PathBuf>,
@@ -94,6 +97,9 @@ impl What {
         }
     }
 }
+
+/// The figures to make, each in a room, and those that are left out.
+pub type Choice<'a> = (Vec<(Kind, &'a Room)>, Vec<LeftOut>);
 
 /// The rooms that are made when none are named.
 const ROOMS: [&str; 3] = ["specular", "paper", "paper-calibrated"];
@@ -150,7 +156,7 @@ impl ReproduceArgs {
     ///
     /// # Errors
     /// A figure that was asked for by name in a room that was named, and makes no sense there.
-    pub fn choose<'a>(&self, rooms: &'a [Room]) -> Result<(Vec<(Kind, &'a Room)>, Vec<LeftOut>)> {
+    pub fn choose<'a>(&self, rooms: &'a [Room]) -> Result<Choice<'a>> {
         let kinds = self.what.kinds();
         let named = kinds.len() == 1 && (self.scenario.is_some() || !self.mode.is_empty());
         let (mut chosen, mut left_out) = (Vec::new(), Vec::new());

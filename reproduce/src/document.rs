@@ -19,16 +19,18 @@ pub fn reduced(report: &Report) -> Report {
     for source in &mut report.sources {
         source.cpu_s = rounded(source.cpu_s);
     }
-    for panel in report.figures.iter_mut().flat_map(|figure| &mut figure.panels) {
-        // What stands on a floor goes with it.
-        if panel.floor.take().is_some() {
-            panel.series.clear();
+    for figure in &mut report.figures {
+        for panel in &mut figure.panels {
+            // What stands on a floor goes with it.
+            if panel.floor.take().is_some() {
+                panel.series.clear();
+            }
         }
-        for series in &mut panel.series {
+        let drawn = figure.panels.iter_mut().flat_map(|panel| &mut panel.series);
+        for series in drawn.chain(&mut figure.ratios) {
             thin(series);
             for point in &mut series.points {
-                point.x = rounded(point.x);
-                point.y = rounded(point.y);
+                (point.x, point.y) = (rounded(point.x), rounded(point.y));
                 point.ci95 = point.ci95.map(rounded);
             }
         }
@@ -78,12 +80,9 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
          are in the report that the command writes.\n"
     )?;
     writeln!(text, "```\n{} --write-docs docs\n```\n", meta.command)?;
+    let commits = meta.commits.join(", ");
     writeln!(text, "| | |\n| --- | --- |")?;
-    writeln!(
-        text,
-        "| made | {}, {} run, heliostat {}, commit {} |",
-        meta.made, meta.effort, meta.version, meta.commit
-    )?;
+    writeln!(text, "| made | {}, {} run, heliostat {}, commit {} |", meta.made, meta.effort, meta.version, commits)?;
     writeln!(
         text,
         "| seeds | {} from {} for what does not train; {} for what trains ({} episodes) or is timed |",
@@ -92,21 +91,26 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
     writeln!(text, "| machine | {} |", meta.machine)?;
     writeln!(text, "| computing time | {} of one core, over all parts |\n", span(meta.cpu_s))?;
     write_claims(report, text)?;
-    let mut last = "";
+    let mut last: Option<&Figure> = None;
     for figure in &report.figures {
-        if figure.id != last {
+        if last.is_none_or(|last| last.id != figure.id) {
             writeln!(text, "## {}\n", figure.title)?;
-            for line in &figure.caption {
-                writeln!(text, "- {line}")?;
-            }
+        }
+        writeln!(text, "### {}: {}\n", figure.id, figure.room)?;
+        // Rooms share most of what is to be said.
+        let said = |line: &&String| last.is_some_and(|last| last.id == figure.id && last.caption.contains(line));
+        let lines: Vec<&String> = figure.caption.iter().filter(|line| !said(line)).collect();
+        for line in &lines {
+            writeln!(text, "- {line}")?;
+        }
+        if !lines.is_empty() {
             writeln!(text)?;
         }
-        last = &figure.id;
-        writeln!(text, "### {}: {}\n", figure.id, figure.room)?;
         write_figure(figure, text)?;
+        last = Some(figure);
     }
     if !report.left_out.is_empty() {
-        writeln!(text, "## Left out\n")?;
+        writeln!(text, "## Missing\n")?;
         for left_out in &report.left_out {
             writeln!(text, "- {} in room {}: {}.", left_out.figure, left_out.room, left_out.why)?;
         }
@@ -212,6 +216,9 @@ fn write_sources(report: &Report, text: &mut String) -> std::fmt::Result {
 
 /// A mean with its interval; tiny values as powers of ten.
 fn number(value: f64, ci95: Option<f64>) -> String {
+    if value != 0.0 && value.abs() < 1e-12 {
+        return "under 1e-12".into();
+    }
     if value != 0.0 && value.abs() < 1e-2 {
         return format!("{value:.1e}");
     }

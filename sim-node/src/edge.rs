@@ -3,19 +3,15 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, Class, Presence, Publisher, Service, Subscription, Token};
+use heliostat_bus::{Bus, BusConfig, Class, Presence, Subscription, Token};
+use heliostat_driver::clock::Clock;
+use heliostat_driver::inbox::Inbox;
+use heliostat_driver::lines::{self, ALIVE_LIMIT, Lines, Outlet};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{
-    Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, SimulatorControl, Stamp, decode, encode,
-};
+use heliostat_proto::{Capabilities, CodecError, MirrorTelemetry, NodeKind, SimulatorControl, Stamp, decode};
 
-use crate::clock::Clock;
-use crate::inbox::Inbox;
 use crate::node::NodeError;
 use crate::streams::Report;
-
-/// How long answers to "who is alive" are waited for.
-const ALIVE_LIMIT: Duration = Duration::from_secs(1);
 
 /// From here on everything is declared within milliseconds; time begins after this.
 const START_DELAY: Duration = Duration::from_millis(30);
@@ -31,39 +27,13 @@ pub(crate) struct Edge {
     bus: Bus,
     clock: Clock,
     source: u64,
-    inbox: Arc<Inbox>,
+    lines: Lines,
     rivals: Arc<Mutex<Vec<String>>>,
     orders: Arc<Mutex<Vec<Order>>>,
     users: Outlet,
     channel: Outlet,
     obstacles: Outlet,
-    telemetry: Outlet,
-    capabilities: Outlet,
-    /// What whoever asks for the capabilities gets: the payload published last.
-    answer: Arc<Mutex<Vec<u8>>>,
-    _declared: (Token, [Subscription; 3], Service),
-}
-
-/// A publisher with its buffer.
-pub(crate) struct Outlet {
-    publisher: Publisher,
-    buffer: Vec<u8>,
-}
-
-impl Outlet {
-    fn new(bus: &Bus, key: &str, class: Class) -> Result<Self, NodeError> {
-        Ok(Self { publisher: bus.publisher(key, class)?, buffer: Vec::new() })
-    }
-
-    /// Encodes a message; [`Outlet::put`] then publishes it.
-    pub fn encode<T: Message>(&mut self, message: &T) -> Result<(), NodeError> {
-        Ok(encode(message, &mut self.buffer)?)
-    }
-
-    /// Publishes what was encoded last.
-    pub fn put(&self) -> Result<(), NodeError> {
-        Ok(self.publisher.put(&self.buffer)?)
-    }
+    _declared: (Token, [Subscription; 2]),
 }
 
 impl Edge {
@@ -73,17 +43,9 @@ impl Edge {
     pub fn open(config: &BusConfig, telemetry: Class) -> Result<Self, NodeError> {
         let bus = Bus::open(config)?;
         let keys = config.room.clone();
-        // A driver turns the mirrors of its room as a simulator does: there can be only one of them.
-        for other in [NodeKind::SimNode, NodeKind::Driver] {
-            if let Some(token) = bus.alive(&keys.alive_of(other), ALIVE_LIMIT)?.into_iter().next() {
-                return Err(NodeError::RoomTaken { room: keys.to_string(), other, token });
-            }
-        }
-        let source = random_id();
+        lines::check_alone(&bus)?;
+        let source = lines::random_id();
         let clock = Clock::start_in(START_DELAY);
-        let inbox = Arc::new(Inbox::default());
-        let arrivals = Arc::clone(&inbox);
-        let commands = bus.subscribe(&keys.command(), move |payload| arrivals.push(clock.now(), payload))?;
         let rivals = Arc::new(Mutex::new(Vec::new()));
         let seen = Arc::clone(&rivals);
         let watch = bus.watch(&keys.alive_of(NodeKind::SimNode), move |key, presence| {
@@ -100,23 +62,15 @@ impl Edge {
                 waiting.push(decode(payload));
             }
         })?;
-        let answer = Arc::new(Mutex::new(Vec::new()));
-        let latest = Arc::clone(&answer);
-        let service = bus.serve(&keys.capabilities(), move |payload| {
-            payload.extend_from_slice(&latest.lock().unwrap_or_else(PoisonError::into_inner));
-        })?;
         Ok(Self {
             users: Outlet::new(&bus, &keys.users(), Class::Control)?,
             channel: Outlet::new(&bus, &keys.channel(), Class::Control)?,
             obstacles: Outlet::new(&bus, &keys.obstacles(), Class::Control)?,
-            telemetry: Outlet::new(&bus, &keys.telemetry(), telemetry)?,
-            capabilities: Outlet::new(&bus, &keys.capabilities(), telemetry)?,
-            answer,
-            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [commands, watch, control], service),
+            lines: Lines::open(&bus, clock, telemetry)?,
+            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control]),
             bus,
             clock,
             source,
-            inbox,
             rivals,
             orders,
         })
@@ -132,9 +86,9 @@ impl Edge {
         self.source
     }
 
-    /// What arrived on the command key.
+    /// What arrived for the array.
     pub fn inbox(&self) -> &Inbox {
-        &self.inbox
+        self.lines.inbox()
     }
 
     /// Outlets for truth and status, to be used from another thread.
@@ -162,20 +116,17 @@ impl Edge {
             }
         };
         before();
-        outlet.put()
+        Ok(outlet.put()?)
     }
 
     /// Publishes telemetry.
     pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), NodeError> {
-        self.telemetry.encode(telemetry)?;
-        self.telemetry.put()
+        Ok(self.lines.tell(telemetry)?)
     }
 
     /// Publishes the capabilities, and gives them to whoever asks from now on.
     pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), NodeError> {
-        self.capabilities.encode(capabilities)?;
-        self.answer.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&self.capabilities.buffer);
-        self.capabilities.put()
+        Ok(self.lines.announce(capabilities)?)
     }
 
     /// The room's name.
@@ -207,10 +158,4 @@ impl Edge {
     pub fn close(self) -> Result<(), NodeError> {
         Ok(self.bus.close()?)
     }
-}
-
-/// A number that two instances are most unlikely to share: the standard library seeds its hashers from the operating system.
-fn random_id() -> u64 {
-    use std::hash::{BuildHasher, RandomState};
-    RandomState::new().hash_one((std::process::id(), std::time::SystemTime::now()))
 }

@@ -7,7 +7,7 @@
 //! - [`world`]: people, obstacles and the channel between them; what the trainer steps.
 //! - [`mobility`], [`trace`], [`obstacles`]: the random waypoint walk, recordings in its place, the hard-core process.
 //! - [`actuator`]: how mirrors follow their commands.
-//! - [`mod@array`]: which commands the array follows, and when it holds and parks.
+//! - [`mirrors`]: the same as a device of the driver kit, which decides what is followed, as in a real driver.
 //! - [`streams`], [`schedule`]: what is reported, when, how late and how exactly.
 //! - [`room`]: all of these moving through the same time.
 //! - [`yardstick`]: what the users get, beside no array, flat mirrors and the best there is.
@@ -16,26 +16,23 @@
 //!
 //! # The process
 //! - [`node`]: the room on the bus, live or in lockstep; [`summary`] is what a run came to.
-//! - [`ledger`], [`clock`]: which tick was answered when.
+//! - [`ledger`]: which tick was answered when.
 //! - [`cli`]: its command line.
 
 pub mod actuator;
-pub mod array;
 mod axis;
 pub mod cli;
-pub mod clock;
 pub mod control;
 mod edge;
-mod inbox;
 pub mod ledger;
 mod live;
 mod lockstep;
 mod metrics;
+pub mod mirrors;
 pub mod mobility;
 pub mod node;
 pub mod obstacles;
 pub mod random;
-mod refused;
 mod reporter;
 pub mod room;
 pub mod schedule;
@@ -45,6 +42,7 @@ pub mod trace;
 pub mod world;
 pub mod yardstick;
 
+pub use heliostat_driver::clock;
 pub use room::SimulatedRoom;
 pub use summary::Summary;
 pub use world::World;

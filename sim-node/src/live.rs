@@ -6,7 +6,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::clock::{Moment, as_ns};
+use heliostat_driver::clock::{Moment, as_ns};
+
 use crate::ledger::TICK_TIMEOUT_NS;
 use crate::node::{Node, NodeError};
 use crate::reporter::ReporterThread;
@@ -44,6 +45,10 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &AtomicBool)
 fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(), NodeError> {
     take_arrivals(node);
     node.obey_orders(now);
+    // Before the first report, so that its answer can heed them.
+    if node.capabilities.take(now.local_ns).is_some() {
+        node.announce_capabilities(now)?;
+    }
     if node.reports.next_sample_ns() <= now.local_ns {
         node.room.advance(now.local_ns);
         node.reports.sample(now, node.room.world(), node.room.angles());
@@ -57,9 +62,6 @@ fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(
         })?;
     }
     node.tell_mirrors(now)?;
-    if node.capabilities.take(now.local_ns).is_some() {
-        node.announce_capabilities(now)?;
-    }
     if node.truth.take(now.local_ns).is_some() {
         node.room.advance(now.local_ns);
         reporter.truth(node.snapshot(now));
@@ -67,7 +69,7 @@ fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(
     if node.status.take(now.local_ns).is_some() {
         node.ledger.expire(now.local_ns);
         for token in node.edge.new_rivals() {
-            node.refused.note("another-simulator", 1, format!("another simulator came into the room: {token}"));
+            node.refused.count("another-simulator", format!("another simulator came into the room: {token}"));
         }
         reporter.status(node.account(now.room_ns));
     }

@@ -7,9 +7,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use heliostat_driver::clock::Moment;
+use heliostat_driver::inbox::Content;
 use heliostat_proto::MirrorCommand;
 
-use crate::clock::Moment;
 use crate::node::{Node, NodeError};
 use crate::reporter::Reporter;
 use crate::streams::Report;
@@ -92,8 +93,10 @@ fn await_answer(
             return Ok(None);
         }
         let Some(arrival) = node.edge.inbox().pop_until(Instant::now() + LISTEN_SLICE) else { continue };
-        if let Some(answers) = arrival.content.as_ref().ok().map(|command| command.answers).filter(|n| *n != tick) {
-            node.refused.note("not-awaited", 1, format!("a command that answers tick {answers} during tick {tick}"));
+        if let Content::Command(Ok(MirrorCommand { answers, .. })) = &arrival.content
+            && *answers != tick
+        {
+            node.refused.count("not-awaited", format!("a command that answers tick {answers} during tick {tick}"));
             continue;
         }
         if let Some(command) = node.receive(arrival, now) {

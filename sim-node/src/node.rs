@@ -4,16 +4,17 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use heliostat_bus::{BusConfig, BusError, Class};
+use heliostat_driver::clock::{Clock, Moment};
+use heliostat_driver::inbox::Arrival;
+use heliostat_driver::lines::LinesError;
+use heliostat_driver::refused::Refused;
 use heliostat_metrics::{Exporter, MetricsArgs, MetricsError, Page};
-use heliostat_proto::{ArrayState, CodecError, MirrorCommand, NodeKind, NodeStatus, Quantiles};
+use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles};
 use heliostat_scenario::Scenario;
 use thiserror::Error;
 
-use crate::clock::{Clock, Moment};
 use crate::edge::Edge;
-use crate::inbox::Arrival;
 use crate::ledger::Ledger;
-use crate::refused::Refused;
 use crate::reporter::{Measurements, Reporter};
 use crate::room::SimulatedRoom;
 use crate::schedule::Schedule;
@@ -72,19 +73,9 @@ pub enum NodeError {
     /// Metrics cannot be served.
     #[error(transparent)]
     Metrics(#[from] MetricsError),
-    /// A message of ours breaks the contract.
-    #[error("a report cannot be published: {0}")]
-    Codec(#[from] CodecError),
-    /// Another simulator, or a driver, has the room.
-    #[error("another {other} is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
-    RoomTaken {
-        /// Name of the room.
-        room: String,
-        /// What has it.
-        other: NodeKind,
-        /// The other's liveliness token.
-        token: String,
-    },
+    /// Nothing can be said or heard, or somebody else has the room.
+    #[error(transparent)]
+    Lines(#[from] LinesError),
     /// Lockstep: nobody came to answer.
     #[error("no controller came into room \"{room}\" within {waited_s} s: lockstep needs one")]
     NoController {
@@ -173,7 +164,7 @@ impl Node {
             clock,
             ledger: Ledger::default(),
             refused: Refused::default(),
-            capabilities: Schedule::new(CAPABILITIES_HZ, between_ticks_ns),
+            capabilities: Schedule::new(CAPABILITIES_HZ, 0),
             telemetry_sequence: 0,
             orders: 0,
             capabilities_sequence: 0,
@@ -190,20 +181,9 @@ impl Node {
 
     /// Gives an arrival to the array at time `at`; the command when it was accepted.
     pub fn receive(&mut self, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
-        match arrival.content {
-            Ok(command) => match self.room.receive(at, &command) {
-                Ok(()) => {
-                    self.ledger.answered(command.answers, arrival.at.local_ns);
-                    return Some(command);
-                }
-                Err(refusal) => self.refused.command(&refusal),
-            },
-            Err(error) => {
-                self.room.count_malformed();
-                self.refused.malformed(&error);
-            }
-        }
-        None
+        let command = self.room.take(at, arrival.content, &mut self.refused)?;
+        self.ledger.answered(command.answers, arrival.at.local_ns);
+        Some(command)
     }
 
     /// Publishes telemetry when it is due, or when the array's state has changed.
@@ -219,7 +199,8 @@ impl Node {
         self.told_state = state;
         self.telemetry_sequence += 1;
         let stamp = self.edge.stamp(self.telemetry_sequence, now.room_ns);
-        self.edge.publish_telemetry(&self.room.telemetry(stamp))
+        let telemetry = self.room.telemetry(stamp);
+        self.edge.publish_telemetry(&telemetry)
     }
 
     /// Applies what operators have ordered.
@@ -230,10 +211,10 @@ impl Node {
                     self.room.advance(now.local_ns);
                     self.orders += 1;
                     for refusal in control::apply(&mut self.room, &order) {
-                        self.refused.order(&refusal);
+                        self.refused.note("control", refusal.name(), &refusal);
                     }
                 }
-                Err(error) => self.refused.malformed_order(&error),
+                Err(error) => self.refused.note("control", error.name(), &error),
             }
         }
     }
@@ -241,7 +222,8 @@ impl Node {
     /// Refuses what operators have ordered: in lockstep the seed decides.
     pub fn refuse_orders(&mut self) {
         for _ in self.edge.new_orders() {
-            self.refused.order(&control::Refusal::Lockstep);
+            let refusal = control::Refusal::Lockstep;
+            self.refused.note("control", refusal.name(), &refusal);
         }
     }
 

@@ -5,10 +5,11 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
+use heliostat_driver::lines::Outlet;
 use heliostat_metrics::{Exporter, Page};
 use heliostat_proto::{NodeStatus, RoomTruth, Stamp, TruthUser};
 
-use crate::edge::{Edge, Outlet};
+use crate::edge::Edge;
 use crate::metrics;
 use crate::node::NodeError;
 use crate::streams;
@@ -96,7 +97,7 @@ impl Reporter {
         ];
         status.gauges.extend(rates.map(|(name, bps)| (name.to_owned(), bps * 1e-6)));
         self.status.encode(&status)?;
-        self.status.put()
+        Ok(self.status.put()?)
     }
 
     pub fn measurements(&self) -> Measurements {

@@ -7,10 +7,10 @@
 use std::collections::BTreeMap;
 
 use heliostat_channel::{Cylinder, MirrorAngles};
+use heliostat_driver::clock::Moment;
 use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState};
 use heliostat_scenario::Streams;
 
-use crate::clock::Moment;
 use crate::random::{self, Purpose, RoomRng};
 use crate::schedule::Schedule;
 use crate::world::World;

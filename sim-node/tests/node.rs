@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
+use heliostat_driver::lines::LinesError;
 use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{
     FaultKind, MirrorCommand, MirrorFault, NodeKind, NodeStatus, Room, RoomTruth, SimulatorControl, UserReport, decode,
@@ -195,7 +196,7 @@ fn a_second_simulator_in_the_room_is_refused_by_name() {
         ..settings(room, &endpoint, live(100))
     };
     let error = run(&second("taken")).unwrap_err();
-    assert!(matches!(error, NodeError::RoomTaken { other: NodeKind::SimNode, .. }), "{error}");
+    assert!(matches!(error, NodeError::Lines(LinesError::RoomTaken { other: NodeKind::SimNode, .. })), "{error}");
     assert!(run(&second("free")).is_ok(), "another room is another matter");
     let summary = node.join().unwrap().unwrap();
     assert!(summary.ticks > 200, "the first one goes on: {summary:?}");

@@ -2,9 +2,11 @@
 //!
 //! Nothing here reaches into a process: tests see what a driver, a viewer or a person at the terminal would see.
 
+mod browser;
 mod process;
 mod witness;
 
+pub use browser::Browser;
 pub use process::Process;
 pub use witness::Witness;
 

@@ -122,6 +122,21 @@ impl Scene {
         }
     }
 
+    /// Takes mirrors out of what can be decided, as if their legs were blocked, until the next update. An index beyond the array
+    /// changes nothing.
+    pub fn leave_out(&mut self, mirrors: &[u32]) {
+        for mirror in mirrors.iter().map(|mirror| *mirror as usize).filter(|mirror| *mirror < self.mirrors) {
+            for user in 0..self.users {
+                let pair = user * self.mirrors + mirror;
+                self.leg_visible[pair] = false;
+                self.steering_gain[pair] = 0.0;
+            }
+            for gain in self.steering_branch.iter_mut().skip(mirror).step_by(self.mirrors) {
+                *gain = 0.0;
+            }
+        }
+    }
+
     /// Whether both legs over each mirror, LED to mirror and mirror to user, are clear; false behind the mirror wall. Shape: K * M.
     pub fn leg_visible(&self) -> &[bool] {
         &self.leg_visible

@@ -1,7 +1,7 @@
 //! The trained policy: an ONNX network whose last layers are the geometric decoder, so that it gives angles itself.
 //!
-//! This is the only file that names the inference engine. The engine copies its input and allocates at each run; our part
-//! writes into one tensor that lives as long as the actor.
+//! This is the only file that names the inference engine: tract, which is built in, or ONNX Runtime with the cargo feature `onnxruntime`. The engine
+//! copies its input and allocates at each run; our part writes into one tensor that lives as long as the actor.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -9,7 +9,10 @@ use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
 use ort::{
     environment::Environment,
-    session::{Session, builder::GraphOptimizationLevel},
+    session::{
+        Session,
+        builder::{GraphOptimizationLevel, SessionBuilder},
+    },
     value::Tensor,
 };
 
@@ -115,8 +118,8 @@ impl Policy for Actor {
 
 fn build_session(bytes: &[u8]) -> ort::Result<Session> {
     // Without the level set by hand the engine runs the graph as written, thirty times slower.
-    let mut builder = Session::builder(&engine()?)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
-    builder.commit_from_memory(bytes)
+    let builder = Session::builder(&engine()?)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
+    one_thread(builder)?.commit_from_memory(bytes)
 }
 
 fn engine_failed(error: ort::Error) -> PolicyError {
@@ -130,8 +133,37 @@ fn engine() -> ort::Result<Environment> {
     if let Some(engine) = engine.as_ref() {
         return Ok(engine.clone());
     }
-    ort::set_api(ort_tract::api());
+    choose_engine();
     Ok(engine.insert(ort::init().with_telemetry(false).build()?).clone())
+}
+
+#[cfg(all(feature = "tract", feature = "onnxruntime"))]
+compile_error!(
+    "the features tract and onnxruntime exclude each other: build with --no-default-features --features onnxruntime"
+);
+
+#[cfg(not(any(feature = "tract", feature = "onnxruntime")))]
+compile_error!("an inference engine is wanted: the feature tract (the default) or onnxruntime");
+
+#[cfg(feature = "tract")]
+fn choose_engine() {
+    ort::set_api(ort_tract::api());
+}
+
+/// The library is found by itself, by ORT_DYLIB_PATH.
+#[cfg(not(feature = "tract"))]
+fn choose_engine() {}
+
+/// tract uses the calling thread alone.
+#[cfg(feature = "tract")]
+fn one_thread(builder: SessionBuilder) -> ort::Result<SessionBuilder> {
+    Ok(builder)
+}
+
+/// Handing work to another thread costs more than all the work.
+#[cfg(not(feature = "tract"))]
+fn one_thread(builder: SessionBuilder) -> ort::Result<SessionBuilder> {
+    Ok(builder.with_intra_threads(1)?)
 }
 
 fn widen(values: &[f32], out: &mut [f64]) {

@@ -5,6 +5,7 @@
 
 mod actor;
 pub mod actor_file;
+mod exhaustive;
 mod fixed;
 mod metaheuristic;
 mod model_based;
@@ -21,6 +22,7 @@ use heliostat_scenario::{Fallback, Scenario};
 use thiserror::Error;
 
 pub use actor::Actor;
+pub use exhaustive::Exhaustive;
 pub use fixed::{Fixed, Hold};
 pub use model_based::ModelBased;
 pub use nearest::Nearest;
@@ -74,6 +76,17 @@ pub enum PolicyError {
     },
 }
 
+/// Why there is no such policy for a room.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum BuildError {
+    /// The actor is missing or does not fit.
+    #[error(transparent)]
+    Actor(#[from] ActorError),
+    /// There is too much to search.
+    #[error("an exhaustive search cannot run here: {0}; take --policy oracle, whose answers equal it where it can run")]
+    Search(SolverError),
+}
+
 /// The policies by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum PolicyKind {
@@ -98,6 +111,8 @@ pub enum PolicyKind {
     Greedy,
     /// Model-based: the search that everything is measured by, from many starts; far slower than a tick
     Oracle,
+    /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
+    Exhaustive,
     /// Metaheuristic: the sine cosine algorithm on the angles of all mirrors
     SineCosine,
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
@@ -165,8 +180,8 @@ impl ActorSource {
 /// Builds a policy for a room.
 ///
 /// # Errors
-/// [`ActorError`] where the policy is learned and its actor is missing or does not fit.
-pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Result<Box<dyn Policy>, ActorError> {
+/// [`BuildError`] where the policy is learned and its actor is missing or does not fit, or where it searches more than can be searched.
+pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Result<Box<dyn Policy>, BuildError> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     let range_rad = Limits::new(&scenario.control).range_rad();
     Ok(match kind {
@@ -180,6 +195,7 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Resu
         PolicyKind::FixedPoint => Box::new(ModelBased::fixed_point(users, mirrors)),
         PolicyKind::Greedy => Box::new(ModelBased::greedy(users, mirrors)),
         PolicyKind::Oracle => Box::new(ModelBased::oracle(users, mirrors)),
+        PolicyKind::Exhaustive => Box::new(Exhaustive::new(scenario).map_err(BuildError::Search)?),
         PolicyKind::SineCosine => Box::new(SineCosine::new(scenario)),
         PolicyKind::Pso => Box::new(Pso::new(scenario)),
         PolicyKind::Nearest => Box::new(Nearest::new(mirrors)),

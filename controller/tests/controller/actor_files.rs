@@ -23,7 +23,7 @@ fn refusal(recipe: &ActorRecipe, scenario: &Scenario) -> ActorError {
 }
 
 #[track_caller]
-fn assert_says(error: &ActorError, words: &[&str]) {
+fn assert_says(error: &dyn std::error::Error, words: &[&str]) {
     let text = error.to_string();
     for word in words {
         assert!(text.contains(word), "\"{text}\" does not say \"{word}\"");
@@ -45,7 +45,7 @@ fn an_actor_that_fits_acts() {
 fn a_missing_file_says_how_to_get_one() {
     let source = ActorSource::Path("/nowhere/actor.onnx".into());
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &source) else { panic!("accepted") };
-    assert_eq!(error, ActorError::Missing { path: "/nowhere/actor.onnx".into() });
+    assert_eq!(error, ActorError::Missing { path: "/nowhere/actor.onnx".into() }.into());
     assert_says(&error, &["/nowhere/actor.onnx", "heliostat train ddpg", "--policy fixed-point"]);
 }
 

@@ -1,15 +1,18 @@
 //! Nothing is allocated between the first byte of a payload and the last byte of the command; what the inference engine
 //! allocates is its own, and is measured against the engine alone.
 
+use std::{sync::mpsc, time::Duration};
+
 use allocation_counter::measure;
 use clap::ValueEnum;
+use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
 use heliostat_channel::MirrorAngles;
 use heliostat_controller::{
     core::{Controller, Decision},
     inbox::Message,
     policy::{Actor, ActorSource, PolicyKind, actor_file::ActorFile, build},
 };
-use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, UserReport, decode_into, encode};
+use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, Room as RoomName, UserReport, decode_into, encode};
 use heliostat_scenario::Scenario;
 
 use crate::support::{ActorRecipe, Room, controller, scenario};
@@ -81,10 +84,46 @@ fn allocations(scenario: &Scenario, kind: PolicyKind) -> Vec<u64> {
 #[test]
 fn no_policy_of_our_own_allocates() {
     let scenario = large();
-    for kind in PolicyKind::value_variants().iter().filter(|kind| !kind.is_learned()) {
+    // The exhaustive search cannot run in a large room, and is no policy for a tick anywhere.
+    let ours = |kind: &&PolicyKind| !kind.is_learned() && **kind != PolicyKind::Exhaustive;
+    for kind in PolicyKind::value_variants().iter().filter(ours) {
         let counts = allocations(&scenario, *kind);
         assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
     }
+}
+
+#[test]
+fn rehearsals_do_not_allocate() {
+    let scenario = large();
+    for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
+        let mut controller = controller(&scenario, build(kind, &scenario, &ActorSource::Shipped).unwrap());
+        let mut scratch = Scratch::default();
+        for (index, payloads) in payloads(&scenario).iter().enumerate().take(5) {
+            tick(&mut controller, &mut scratch, index as u64 + 1, payloads);
+        }
+        controller.rehearse();
+        assert_eq!(measure(|| controller.rehearse()).count_total, 0, "{kind:?}");
+    }
+}
+
+/// What the transport allocates on the deciding thread for one command, told for who wants to know; it is not ours to change.
+#[test]
+fn a_publication_allocates_little() {
+    let room = RoomName::new("allocations").unwrap();
+    let endpoint = free_loopback_endpoint().unwrap();
+    let here = Bus::open(&BusConfig::new(room.clone()).listen_at(&endpoint)).unwrap();
+    let there = Bus::open(&BusConfig::new(room.clone()).connect_to(&endpoint)).unwrap();
+    let (heard, hears) = mpsc::channel();
+    let _subscription =
+        there.subscribe(&room.command(), move |payload| heard.send(payload.len()).unwrap_or_default()).unwrap();
+    let publisher = here.publisher(&room.command(), Class::Control).unwrap();
+    let payload = vec![0; 820];
+    while hears.recv_timeout(Duration::from_millis(50)).is_err() {
+        publisher.put(&payload).unwrap();
+    }
+    let counted = measure(|| publisher.put(&payload).unwrap());
+    println!("Zenoh allocates {} times, {} bytes, for a put of 820 bytes", counted.count_total, counted.bytes_total);
+    assert!((1..100).contains(&counted.count_total), "{counted:?}");
 }
 
 #[test]
@@ -97,6 +136,7 @@ fn with_an_actor_only_the_engine_allocates() {
     let scenario = large();
     let bare = bare_engine_allocations(&scenario);
     let counts = allocations(&scenario, PolicyKind::Ddpg);
+    println!("the inference engine allocates {bare} times a run");
     assert!(bare > 0 && counts.iter().all(|count| *count == bare), "engine alone {bare}, with us {counts:?}");
 }
 

@@ -42,6 +42,7 @@ impl Rig {
             .subscribe(&name.command(), move |payload| sender.send(decode(payload).unwrap()).unwrap_or_default())
             .unwrap();
         let config = NodeConfig {
+            force: Default::default(),
             scenario,
             bus: BusConfig::new(name).connect_to(&endpoint),
             also_rooms: Vec::new(),

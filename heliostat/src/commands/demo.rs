@@ -1,12 +1,13 @@
 //! `heliostat demo`: a simulated room and a controller as two processes, watched from a third.
 
 pub mod child;
+mod parts;
 mod summary;
-mod viewer;
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
@@ -14,23 +15,23 @@ use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_controller::policy::{self, ActorSource, PolicyKind};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_ui::{Display, Errand, Operator, Page, PageArgs, View};
 
-use child::Part;
-use viewer::Viewer;
+use parts::Parts;
 
+use super::ui::policy_names;
 use crate::output::outln;
 
 /// How long both processes may take to meet.
 const START_PATIENCE: Duration = Duration::from_secs(30);
-/// How long a process may take to end once it was asked to.
-const END_PATIENCE: Duration = Duration::from_secs(10);
 /// Between two looks at the processes.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
 
 /// Run a simulated room and a controller as two processes and watch them.
 ///
-/// The processes meet over Zenoh on a free loopback port. Ctrl-C, or --seconds, ends both and prints a summary. The live
-/// view goes to standard error, the summary to standard output.
+/// The processes meet over Zenoh on free loopback ports. A page on loopback shows the room and has buttons that act on it; its address
+/// is printed. The terminal shows the same figures: a full screen on a terminal (q ends), lines elsewhere. Ctrl-C, or --seconds,
+/// ends all and prints a summary. Figures go to standard error, the summary to standard output.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -47,6 +48,11 @@ pub struct Args {
     /// Name of the room in the key expressions
     #[arg(long, default_value = "demo")]
     pub(super) room: String,
+    #[command(flatten)]
+    page: PageArgs,
+    /// Print lines even on a terminal
+    #[arg(long)]
+    plain: bool,
     /// Print the summary as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -65,27 +71,38 @@ pub fn run(args: Args) -> Result<()> {
     ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
 
     let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
-    let mut parts = Parts {
-        room: Part::start("sim-node", &args.part("sim-node", &[("--listen", &room_endpoint)]))?,
-        controller: Part::start("controller", &args.controller_arguments(&room_endpoint, &controller_endpoint)?)?,
-    };
+    let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
+    let mut parts = Parts::start(
+        &args.part("sim-node", &[("--listen", endpoints.0)]),
+        &args.controller_arguments(endpoints, args.policy)?,
+    )?;
+    let (room_id, controller_id) = parts.ids();
     eprintln!(
-        "scenario {}: {} users, {} x {} mirrors; sim-node is process {}, controller is process {}; Ctrl-C ends both",
+        "scenario {}: {} users, {} x {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
         scenario.name,
         scenario.users.count,
         scenario.mirrors.rows,
         scenario.mirrors.columns,
-        parts.room.id(),
-        parts.controller.id()
+        endpoints.0,
+        controller_id.unwrap_or_default(),
+        endpoints.1
     );
-    let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(&room_endpoint).connect_to(&controller_endpoint))?;
-    let mut viewer = Viewer::open(&bus, &room)?;
-    watch(&args, &stop, &mut parts, &mut viewer)?;
+    let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(endpoints.0).connect_to(endpoints.1))?;
+    let view = Arc::new(View::open(&bus, &scenario)?);
+    let (errands, ordered) = mpsc::channel();
+    let server = args.page.serve(|| {
+        let operator = Operator::new(&bus, Some(errands))?;
+        Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
+    })?;
+    if let Some(server) = &server {
+        eprintln!("{server}");
+    }
+    let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
+    watch(&args, &Watched { stop: &stop, view: &view, ordered, endpoints, title }, &mut parts)?;
+    drop(server);
 
-    // The room first: a tick that nobody answers because the controller has already gone is no lost tick.
-    let room_summary = parts.room.finish(END_PATIENCE)?;
-    let controller_summary = parts.controller.finish(END_PATIENCE)?;
-    let summary = summary::Summary::new(&room_summary, &controller_summary)?;
+    let (room_summary, controller_summary) = parts.finish()?;
+    let summary = summary::Summary::new(&room_summary, controller_summary.as_ref())?;
     if args.json {
         outln!("{}", serde_json::to_string(&summary)?)?;
     } else {
@@ -94,23 +111,32 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// The two processes.
-struct Parts {
-    room: Part,
-    controller: Part,
+/// What a running demo looks at.
+struct Watched<'a> {
+    stop: &'a AtomicBool,
+    view: &'a View,
+    /// What the page orders of this process.
+    ordered: Receiver<Errand>,
+    /// Where the room and the controller listen.
+    endpoints: (&'a str, &'a str),
+    title: String,
 }
 
-/// Draws until the time is over, a signal comes, or a process ends.
-fn watch(args: &Args, stop: &AtomicBool, parts: &mut Parts, viewer: &mut Viewer) -> Result<()> {
+/// Draws until the time is over, a signal or a key comes, or a process ends by itself.
+fn watch(args: &Args, watched: &Watched, parts: &mut Parts) -> Result<()> {
     let opened = Instant::now();
     let mut started: Option<Instant> = None;
-    let (mut drawn, redraw) = (Instant::now(), Duration::from_millis(if args.json { 1000 } else { 250 }));
-    while !stop.load(Ordering::Relaxed) {
+    let mut display = Display::open(args.plain || args.json, &watched.title)?;
+    let mut drawn = Instant::now();
+    while !watched.stop.load(Ordering::Relaxed) && !display.quit_asked()? {
         std::thread::sleep(WATCH_EVERY);
-        parts.room.check_alive()?;
-        parts.controller.check_alive()?;
+        parts.check_alive()?;
+        for errand in watched.ordered.try_iter() {
+            let policy = watched.view.policy().and_then(|name| PolicyKind::from_str(&name, true).ok());
+            parts.run(errand, || args.controller_arguments(watched.endpoints, policy.unwrap_or(args.policy)))?;
+        }
         match started {
-            None if viewer.is_complete() => started = Some(Instant::now()),
+            None if watched.view.is_complete() => started = Some(Instant::now()),
             None if opened.elapsed() > START_PATIENCE => {
                 bail!("the two processes run but did not meet within {} s", START_PATIENCE.as_secs())
             }
@@ -119,9 +145,9 @@ fn watch(args: &Args, stop: &AtomicBool, parts: &mut Parts, viewer: &mut Viewer)
                 if args.seconds.is_some_and(|seconds| since.elapsed().as_secs_f64() >= seconds) {
                     break;
                 }
-                if drawn.elapsed() >= redraw {
+                if drawn.elapsed() >= display.interval() {
                     drawn = Instant::now();
-                    viewer.draw()?;
+                    display.draw(watched.view)?;
                 }
             }
         }
@@ -154,10 +180,10 @@ impl Args {
         arguments
     }
 
-    fn controller_arguments(&self, room: &str, controller: &str) -> Result<Vec<String>> {
-        let mut arguments = self.part("controller", &[("--connect", room), ("--listen", controller)]);
-        arguments.extend(["--policy".into(), self.policy.name()]);
-        if let Some(model) = &self.model {
+    fn controller_arguments(&self, (room, own): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
+        let mut arguments = self.part("controller", &[("--connect", room), ("--listen", own)]);
+        arguments.extend(["--policy".into(), kind.name()]);
+        if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy) {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }
         Ok(arguments)

@@ -1,19 +1,21 @@
-//! Who takes part: a policy of the controller by its name, an ONNX file by its path, or the exhaustive search.
+//! Who takes part: a policy of the controller by its name, an ONNX file by its path, or the ceiling of the learners' codebook.
 
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
 use heliostat_controller::observation::Observation;
-use heliostat_controller::policy::actor_file::ActorError;
 use heliostat_controller::policy::{ActorSource, Policy, PolicyKind, build, shipped};
 use heliostat_controller::safety::Limits;
 use heliostat_scenario::{Prediction, Scenario};
 use heliostat_sim_node::World;
 use thiserror::Error;
 
-use super::exhaustive::Exhaustive;
+use crate::codebook::BestEntry;
 use crate::env::observe;
+
+/// The name of the best possible policy of the codebook.
+const CODEBOOK: &str = "codebook";
 
 /// Added to the name of an entrant that predicts the users.
 const PREDICTION_SUFFIX: &str = "+prediction";
@@ -29,7 +31,7 @@ pub struct UnknownPolicy {
 #[derive(Clone, Debug)]
 enum Way {
     Kind(PolicyKind, ActorSource),
-    Exhaustive,
+    Codebook,
 }
 
 /// One policy of a comparison.
@@ -46,8 +48,8 @@ impl Entrant {
     /// # Errors
     /// [`UnknownPolicy`], which lists those there are.
     pub fn parse(name: &str, ddpg: &ActorSource) -> Result<Self, UnknownPolicy> {
-        let way = if name == "exhaustive" {
-            Way::Exhaustive
+        let way = if name == CODEBOOK {
+            Way::Codebook
         } else if name.ends_with(".onnx") {
             Way::Kind(PolicyKind::Ddpg, ActorSource::Path(PathBuf::from(name)))
         } else {
@@ -61,7 +63,7 @@ impl Entrant {
     pub fn names() -> Vec<String> {
         let values = PolicyKind::value_variants().iter().filter_map(PolicyKind::to_possible_value);
         let names = values.flat_map(|value| value.get_name_and_aliases().map(String::from).collect::<Vec<_>>());
-        names.chain(["exhaustive".into()]).collect()
+        names.chain([CODEBOOK.into()]).collect()
     }
 
     /// The same policy with constant-velocity prediction of the users, whatever the scenario says; for a closed loop. `None` for
@@ -134,10 +136,10 @@ impl Entrant {
     }
 
     /// A fresh policy; what it draws comes from `seed`.
-    pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> Result<Box<dyn Policy>, ActorError> {
+    pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> anyhow::Result<Box<dyn Policy>> {
         match &self.way {
-            Way::Kind(kind, actor) => build(*kind, &Scenario { seed, ..scenario.clone() }, actor),
-            Way::Exhaustive => Ok(Box::new(Exhaustive::new(scenario.users.count, scenario.mirror_count()))),
+            Way::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
+            Way::Codebook => Ok(Box::new(BestEntry::new(scenario)?)),
         }
     }
 }

@@ -15,7 +15,6 @@
 
 mod closed_loop;
 mod entrant;
-mod exhaustive;
 mod held_out;
 mod judge;
 mod stale_aim;

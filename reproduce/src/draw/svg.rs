@@ -177,7 +177,7 @@ fn draw_series(chart: &mut Chart, figure: &Figure, series: &Series) -> Result<()
     if look.points_only {
         chart.draw_series(path.iter().map(|point| Cross::new(*point, 5, colour.stroke_width(2))))?;
     } else if let Some([on, off]) = look.dashes {
-        chart.draw_series([DashedPathElement::new(path.clone().into_iter(), on, off, colour.stroke_width(2))])?;
+        chart.draw_series([DashedPathElement::new(path.clone(), on, off, colour.stroke_width(2))])?;
     } else {
         chart.draw_series([PathElement::new(path.clone(), colour.stroke_width(2))])?;
     }
@@ -191,7 +191,7 @@ fn draw_quoted(chart: &mut Chart, figure: &Figure, panel: &Panel, ranges: &Range
     let colour = RGBColor(QUOTED[0], QUOTED[1], QUOTED[2]);
     for quoted in &panel.quoted {
         let (x, y) = (quoted.x.map(|x| place(&figure.x, x)), quoted.y.map(|y| place(&figure.y, y)));
-        let line = |ends: [(f64, f64); 2]| DashedPathElement::new(ends.into_iter(), 3, 3, colour.stroke_width(2));
+        let line = |ends: [(f64, f64); 2]| DashedPathElement::new(ends, 3, 3, colour.stroke_width(2));
         // The text stands on the side of its mark where there is room.
         let (at, right) = match (x, y) {
             (Some(x), Some(y)) => {
@@ -266,7 +266,7 @@ fn draw_legend(area: &Area, names: &[&str], quoted: bool, entries_a_row: u32) ->
         if look.points_only {
             area.draw(&Cross::new((x + 13, y), 5, colour.stroke_width(2)))?;
         } else if let Some([on, off]) = look.dashes {
-            area.draw(&DashedPathElement::new(ends.into_iter(), on, off, colour.stroke_width(2)))?;
+            area.draw(&DashedPathElement::new(ends, on, off, colour.stroke_width(2)))?;
         } else {
             area.draw(&PathElement::new(ends, colour.stroke_width(2)))?;
         }

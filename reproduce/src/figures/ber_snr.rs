@@ -152,5 +152,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::linear("SNR at perfect aim (dB)"),
         y: Axis::log("bit error rate", [1e-9, 1.0]),
         panels: groups(done).into_iter().map(panel).collect(),
+        ratios: Vec::new(),
     }
 }

@@ -127,7 +127,7 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     let (decisions, trials) = job.map_or((0, 0), |job| (job.decisions, job.trials));
     let mut caption = vec![
         format!(
-            "Each policy from its median (left end) to its 99th percentile (right end), means over {} seeds of {decisions} decisions in a hot loop, one thread; \
+            "Each policy from its median (left end) to its 99th percentile (right end), over {} x {decisions} decisions in a hot loop, one thread; \
              the policy alone, encoding of the observation included. Higher is nearer to the oracle.",
             seeds(done)
         ),
@@ -152,6 +152,7 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::log("time for a decision (us)", [1.0, 1e6]),
         y: Axis::linear("sum rate over the oracle's (1)"),
         panels: groups(done).into_iter().map(panel).collect(),
+        ratios: Vec::new(),
     }
 }
 

@@ -123,5 +123,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::linear("x (m)"),
         y: Axis::linear("y (m)"),
         panels: titles.into_iter().zip(floors).map(panel).collect(),
+        ratios: Vec::new(),
     }
 }

@@ -152,7 +152,7 @@ fn seeds(done: &[Done]) -> usize {
 /// How an interval came about, for captions.
 fn intervals(done: &[Done]) -> String {
     match seeds(done) {
-        1 => "One seed: no intervals.".into(),
+        1 => "One seed, so no intervals.".into(),
         seeds => format!("Means over {seeds} seeds; bands are 95 % intervals of the mean over seeds (Student's t)."),
     }
 }

@@ -13,7 +13,7 @@ use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, seeds, series};
+use super::{Done, Plan, Room, groups, intervals, series};
 use crate::figure::{Axis, Figure, Panel};
 use crate::part::{Curve, Job, Measured, Part};
 
@@ -187,8 +187,8 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         caption: vec![
             format!(
                 "Each learner is judged on the same {states} held-out states with {blocked} users blocked, without exploration; iterations are episodes of 40 steps, \
-                 {episodes} in all (the paper: 1000, of unstated length). Means over {} training seeds; bands are 95 % intervals over seeds (Student's t).",
-                seeds(done)
+                 {episodes} in all (the paper: 1000, of unstated length). {}",
+                intervals(done)
             ),
             "`ddpg-raw` is the paper's algorithm to the letter: all angles are outputs of the actor, rates, networks and buffer are the paper's. `ddpg` is ours: one weight \
              a user, decoded by geometry. `dql` chooses among quantised angles. The oracle stands for the exhaustive search, which 2 M continuous angles rule out; it \
@@ -198,5 +198,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::linear("iterations (episodes)"),
         y: Axis::linear("sum rate on held-out states (Mbit/s)"),
         panels: groups(done).into_iter().map(panel).collect(),
+        ratios: Vec::new(),
     }
 }

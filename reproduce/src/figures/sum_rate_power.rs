@@ -8,8 +8,9 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, intervals, series};
-use crate::figure::{Axis, Figure, Panel, Quoted};
+use crate::figure::{Axis, Figure, Panel, Quoted, Series};
 use crate::part::{Curve, Job, Measured, Part};
+use crate::statistics::over_seeds;
 
 /// The word on the command line.
 pub const ID: &str = "sum-rate-power";
@@ -128,7 +129,31 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::linear("optical power (W)"),
         y: Axis::linear("sum rate (Mbit/s)"),
         panels: groups(done).into_iter().map(panel).collect(),
+        ratios: OVER.iter().filter_map(|policy| gain(done, policy)).collect(),
     }
+}
+
+/// What the gain of `ddpg` is taken over.
+pub const OVER: [&str; 2] = ["random", "flat"];
+
+/// The name of the quotient of `ddpg` and a policy.
+pub fn gain_name(policy: &str) -> String {
+    format!("ddpg over {policy}, {}", group(QUOTED_BLOCKED))
+}
+
+/// The quotient of `ddpg` and another policy at each power, seed by seed, where the paper states it.
+fn gain(done: &[Done], policy: &str) -> Option<Series> {
+    let of_seed = |(_, finished): &Done| {
+        let curve = |name: &str| {
+            let mut curves = finished.measured.curves.iter();
+            curves.find(|curve| curve.group == group(QUOTED_BLOCKED) && curve.name == name)
+        };
+        let pairs = curve("ddpg")?.points.iter().zip(&curve(policy)?.points);
+        let points = pairs.filter(|(_, other)| other[1] > 0.0).map(|(own, other)| [own[0], own[1] / other[1]]);
+        Some(Curve { group: String::new(), name: gain_name(policy), points: points.collect() })
+    };
+    let curves: Vec<Curve> = done.iter().filter_map(of_seed).collect();
+    over_seeds(&gain_name(policy), &curves.iter().collect::<Vec<_>>())
 }
 
 fn quoted() -> Vec<Quoted> {

@@ -71,7 +71,7 @@ pub fn policies(args: &Args) -> Result<()> {
     Ok(table.finish()?)
 }
 
-/// `mirrors`: the same wall divided into more and more mirrors, beside 49 of them.
+/// `mirrors`: the same wall divided into more and more mirrors, beside 49 of them, in the light of a point LED.
 pub fn mirrors(args: &Args) -> Result<()> {
     let sized = |side: usize| {
         let set = [
@@ -80,6 +80,8 @@ pub fn mirrors(args: &Args) -> Result<()> {
             format!("mirrors.width_m={}", 2.5 / side as f64),
             format!("mirrors.height_m={}", 1.0 / side as f64),
             format!("mirrors.gap_m={}", 0.2 / side as f64),
+            // A panel of 25 points costs many times as much, and its image does not fit the smallest mirrors.
+            "led.side_m=0".into(),
         ];
         Ok(args.scenario.load()?.with_overrides(&set)?)
     };
@@ -126,7 +128,8 @@ impl Args {
         };
         let blamed = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.over_budget_by(stage)));
         let row = Row::new(varied, (decision.into(), ledger.over_budget(), decision.count), &compared);
-        Ok(row.blaming(blamed.into_iter().filter(|(_, count)| *count > 0).collect()))
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.stage_us(stage)));
+        Ok(row.by_stage(blamed.into_iter().filter(|(_, count)| *count > 0).collect(), &stages.into()))
     }
 }
 

@@ -91,6 +91,9 @@ pub struct Row {
     count: u64,
     /// Reports that were never answered.
     lost: u64,
+    /// Medians of the stages of a decision, in us.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    stages_p50_us: BTreeMap<String, f64>,
     /// Where the loop is measured: the decision within it, from callback to the return of the put.
     #[serde(skip_serializing_if = "Option::is_none")]
     decision_us: Option<Distribution>,
@@ -108,16 +111,18 @@ impl Row {
             ratio_p99: measured.p99 / reference.p99,
             over_budget,
             over_budget_by: BTreeMap::new(),
+            stages_p50_us: BTreeMap::new(),
             count,
             lost: 0,
             decision_us: None,
         }
     }
 
-    /// Lays the decisions over budget on stages.
+    /// Lays the decisions over budget on stages, and tells what each stage took.
     #[must_use]
-    pub fn blaming(mut self, over_budget_by: BTreeMap<String, u64>) -> Self {
+    pub fn by_stage(mut self, over_budget_by: BTreeMap<String, u64>, stages: &BTreeMap<String, Quantiles>) -> Self {
         self.over_budget_by = over_budget_by;
+        self.stages_p50_us = stages.iter().map(|(stage, times)| (stage.clone(), times.p50)).collect();
         self
     }
 
@@ -171,12 +176,13 @@ impl Table {
             let hz = hz.map_or("unpaced".to_string(), |hz| hz.to_string());
             let (took, reference) = (&row.measured_us, &row.reference_us);
             let blamed: String = row.over_budget_by.iter().map(|(stage, count)| format!(" {stage} {count}")).collect();
+            let stages: String = row.stages_p50_us.iter().map(|(stage, p50)| format!(" {stage} {p50:.0}")).collect();
             let lost = if row.lost > 0 { format!(" lost {}", row.lost) } else { String::new() };
             let decision = row.decision_us.map_or(String::new(), |decision| {
                 format!("  (decision p50 {:.0} p99 {:.0})", decision.p50, decision.p99)
             });
             outln!(
-                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{blamed}{lost}{decision}",
+                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{blamed}{lost}{decision}  [{}]",
                 took.p50,
                 took.p90,
                 took.p99,
@@ -188,6 +194,7 @@ impl Table {
                 row.ratio_p99,
                 row.count,
                 row.over_budget,
+                stages.trim_start(),
             )?;
         }
         self.rows.push(row);

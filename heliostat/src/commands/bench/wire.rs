@@ -42,6 +42,9 @@ pub struct Args {
     /// Which policy decides
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
+    /// How many rooms one process serves (comma-separated), in place of the benchmark's own choice
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u16).range(1..=512))]
+    rooms: Vec<u16>,
     /// Where the processes meet, in place of a free TCP port of this machine; for example unixsock-stream//run/bench.sock
     #[arg(long, value_name = "ENDPOINT")]
     endpoint: Option<String>,
@@ -67,6 +70,8 @@ pub fn run_rooms(args: &Args) -> Result<()> {
 impl Args {
     fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize]) -> Result<()> {
         let scenario = self.scenario.load()?;
+        let named: Vec<usize> = self.rooms.iter().map(|rooms| usize::from(*rooms)).collect();
+        let rooms = if named.is_empty() { rooms } else { &named };
         let mut table = Table::new(self.json, title)?;
         for plan in self.pace.plans(default_hz)? {
             for rooms in rooms {
@@ -112,7 +117,7 @@ impl Args {
         let (compared, _) = reference.board.take();
         ensure!(took.count() > 0 && compared.count() > 0, "no report was answered");
         let row = Row::new(varied, (took.distribution(), took.over(BUDGET), took.count()), &compared);
-        Ok(row.blaming(summary.over_budget_by).across_processes(lost, summary.decision_us))
+        Ok(row.by_stage(summary.over_budget_by, &summary.stages_us).across_processes(lost, summary.decision_us))
     }
 
     fn controller_arguments(&self, endpoint: &str, rooms: &[String]) -> Result<Vec<String>> {

@@ -64,23 +64,26 @@ struct ControllerPart {
 pub struct Summary {
     #[serde(flatten)]
     room: RoomPart,
+    /// Nothing where it was killed by order.
     #[serde(flatten)]
-    controller: ControllerPart,
+    controller: Option<ControllerPart>,
 }
 
 impl Summary {
     /// Joins what the two processes printed.
-    pub fn new(room: &Value, controller: &Value) -> Result<Self> {
+    pub fn new(room: &Value, controller: Option<&Value>) -> Result<Self> {
         let room = RoomPart::deserialize(room).context("the sim-node's summary lacks something")?;
-        let controller = ControllerPart::deserialize(controller).context("the controller's summary lacks something")?;
+        let controller = controller.map(ControllerPart::deserialize).transpose();
+        let controller = controller.context("the controller's summary lacks something")?;
         Ok(Self { room, controller })
     }
 
     /// Prints a table.
     pub fn print(&self) -> io::Result<()> {
-        let (room, controller) = (&self.room, &self.controller);
+        let (room, controller) = (&self.room, self.controller.as_ref());
         let share = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
-        outln!("{} (seed {}), policy {}", room.scenario, room.seed, controller.policy)?;
+        let policy = controller.map_or("of a controller that was killed", |controller| controller.policy.as_str());
+        outln!("{} (seed {}), policy {policy}", room.scenario, room.seed)?;
         outln!(
             "ticks {}, commands {}, lost {}, late {}, before the first answer {}",
             room.ticks,
@@ -91,43 +94,45 @@ impl Summary {
         )?;
         outln!()?;
         outln!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
-        for (name, time) in [
-            ("decision", &controller.decision_us),
-            ("loop: report to mirrors", &room.loop_us),
-            ("age of the information", &controller.age_us),
-        ] {
+        let times = [
+            ("decision", controller.map(|controller| &controller.decision_us)),
+            ("loop: report to mirrors", Some(&room.loop_us)),
+            ("age of the information", controller.map(|controller| &controller.age_us)),
+        ];
+        for (name, time) in times.into_iter().filter_map(|(name, time)| Some((name, time?))) {
             let Quantiles { p50, p90, p99, p999, max, .. } = time;
             outln!("{name:<26}{p50:>9.0}{p90:>9.0}{p99:>9.0}{p999:>9.0}{max:>9.0}")?;
         }
-        outln!(
-            "decisions over 0.5 ms: {} of {}; longest stage:{}",
-            controller.over_budget,
-            controller.decisions,
-            list(&controller.over_budget_by)
-        )?;
+        if let Some(controller) = controller {
+            outln!(
+                "decisions over 0.5 ms: {} of {}; longest stage:{}",
+                controller.over_budget,
+                controller.decisions,
+                list(&controller.over_budget_by)
+            )?;
+        }
         outln!()?;
         outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
         let rates = &room.sum_rate_mbps;
-        for (name, rate) in [
-            (controller.policy.as_str(), rates.policy),
-            ("no IRS", rates.no_irs),
-            ("flat", rates.flat),
-            ("oracle with QoS", rates.oracle),
-        ] {
+        let policy = controller.map_or("policy", |controller| controller.policy.as_str());
+        for (name, rate) in
+            [(policy, rates.policy), ("no IRS", rates.no_irs), ("flat", rates.flat), ("oracle with QoS", rates.oracle)]
+        {
             outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
         }
         outln!("users whose need is met: {} (oracle {})", share(room.qos_met), share(room.qos_met_oracle))?;
         outln!("users in shadow: {:.2} on average", room.blocked_users_mean)?;
         for (what, counts) in [
-            ("fallbacks", &controller.fallbacks),
-            ("refused by the controller", &controller.refused),
-            ("refused by the room", &room.refused),
+            ("fallbacks", controller.map(|controller| &controller.fallbacks)),
+            ("refused by the controller", controller.map(|controller| &controller.refused)),
+            ("refused by the room", Some(&room.refused)),
         ] {
-            if !counts.is_empty() {
+            if let Some(counts) = counts.filter(|counts| !counts.is_empty()) {
                 outln!("{what}:{}", list(counts))?;
             }
         }
-        for (who, problem) in [("controller", &controller.last_problem), ("sim-node", &room.last_problem)] {
+        let problem = controller.map_or("", |controller| controller.last_problem.as_str());
+        for (who, problem) in [("controller", problem), ("sim-node", room.last_problem.as_str())] {
             if !problem.is_empty() {
                 outln!("last problem of the {who}: {problem}")?;
             }

@@ -1,35 +1,56 @@
-//! The command side of a mirror array: which commands are followed, and what happens when none comes.
+//! The rules of CONTRACT.md for drivers, as a pure state machine: time and messages come in, targets come out.
 //!
-//! A pure state machine: the time and the command come in, targets come out. It is the array's own guard and does not rely on the
-//! controller. Its rules:
-//! 1. A wrong number of mirrors, an angle that is not finite, an epoch lower than the one followed, a sequence number that is not
-//!    new within its epoch, and a command whose validity has ended or begins in the future are refused, each under its name.
-//! 2. A higher epoch takes over at once, whatever its sequence number.
-//! 3. Angles beyond the range are cut to it, and the command counts as clipped.
-//! 4. The last command is followed until its validity ends, held for [`Limits::hold_ns`] longer, and then the array parks: flat.
+//! It trusts no controller. Its rules, in the order in which they are looked at:
+//! 1. A wrong number of mirrors or an angle that is not finite is refused; anything at all while an emergency stop is latched.
+//! 2. An epoch lower than the one followed, or a sequence number that is not new within its epoch, is refused. A higher epoch takes
+//!    over at once, whatever its sequence number.
+//! 3. A command whose validity has ended, or which is from the future, is refused.
+//! 4. Angles beyond the limits are cut to them, and the command counts as clipped.
+//! 5. The last command is followed until its validity ends, held for [`Limits::hold_ns`] longer, and then the array parks.
 //!
 //! Validity is measured from the command's own time, but never reaches further than from its arrival. Clocks may disagree by
-//! [`CLOCK_LEAD_MAX_NS`] before a command counts as one from the future.
+//! [`CLOCK_LEAD_MAX_NS`] before a command counts as one from the future. An array without a clock counts from arrival alone.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, Counters, MirrorCommand};
+use heliostat_proto::{
+    ArrayState, CLOCK_LEAD_MAX_NS, Capabilities, Counters, EmergencyStop, MirrorCommand, Nanos, StopAction,
+    ValidityClock,
+};
 use thiserror::Error;
 
 use crate::clock::Moment;
 
-/// How long the last command is held after its validity has ended, unless told otherwise.
-pub const HOLD_NS: u64 = 300_000_000;
-
-/// What the array can do.
+/// What an array may be told.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Number of mirrors.
     pub mirrors: usize,
-    /// Mechanical range of each axis, plus and minus, in rad.
-    pub range_rad: f64,
+    /// Smallest and largest roll in rad.
+    pub roll_rad: [f64; 2],
+    /// Smallest and largest yaw in rad.
+    pub yaw_rad: [f64; 2],
+    /// Roll and yaw of the park position in rad.
+    pub park_rad: [f64; 2],
     /// From the end of validity to parking in ns.
     pub hold_ns: u64,
+    /// From when validity is counted.
+    pub clock: ValidityClock,
+}
+
+impl Limits {
+    /// What the capabilities promise is what is enforced.
+    pub fn new(capabilities: &Capabilities) -> Self {
+        let Capabilities { roll, yaw, .. } = capabilities;
+        Self {
+            mirrors: capabilities.mirrors(),
+            roll_rad: [roll.min_rad, roll.max_rad].map(f64::from),
+            yaw_rad: [yaw.min_rad, yaw.max_rad].map(f64::from),
+            park_rad: capabilities.park_rad.map(f64::from),
+            hold_ns: u64::from(capabilities.park_after_ms) * 1_000_000,
+            clock: capabilities.validity_clock,
+        }
+    }
 }
 
 /// Why a command is not followed.
@@ -49,6 +70,9 @@ pub enum Refusal {
         /// The first such mirror.
         mirror: usize,
     },
+    /// An emergency stop is latched.
+    #[error("a command while an emergency stop is latched: re-arm the array first")]
+    Stopped,
     /// The sender was deposed by one with a higher epoch.
     #[error("a command of epoch {found} after epoch {followed}")]
     LowerEpoch {
@@ -87,6 +111,7 @@ impl Refusal {
         match self {
             Self::WrongCount { .. } => "wrong-mirror-count",
             Self::NonFinite { .. } => "not-finite",
+            Self::Stopped => "stopped",
             Self::LowerEpoch { .. } => "lower-epoch",
             Self::OldSequence { .. } => "old-sequence",
             Self::Expired { .. } => "expired",
@@ -115,6 +140,7 @@ pub struct Array {
     state: ArrayState,
     followed: Option<Followed>,
     valid_until_ns: u64,
+    stopped_at_ns: Nanos,
     target: MirrorAngles,
     counters: Counters,
     faults: u32,
@@ -123,15 +149,18 @@ pub struct Array {
 impl Array {
     /// An array that is parked and has followed nobody yet.
     pub fn new(limits: Limits) -> Self {
-        Self {
+        let mut array = Self {
             limits,
             state: ArrayState::Parked,
             followed: None,
             valid_until_ns: 0,
+            stopped_at_ns: 0,
             target: MirrorAngles::flat(limits.mirrors),
             counters: Counters::default(),
             faults: 0,
-        }
+        };
+        array.aim_at_park();
+        array
     }
 
     /// Takes a command.
@@ -144,14 +173,18 @@ impl Array {
         self.counters.accepted += 1;
         self.faults &= !fault::CLOCK;
         self.counters.late += u64::from(self.followed.is_some() && self.state != ArrayState::Following);
-        let range = self.limits.range_rad;
         let mut clipped = false;
-        for (list, commanded) in [(&mut self.target.roll, &command.roll), (&mut self.target.yaw, &command.yaw)] {
+        let axes = [
+            (&mut self.target.roll, &command.roll, self.limits.roll_rad),
+            (&mut self.target.yaw, &command.yaw, self.limits.yaw_rad),
+        ];
+        for (list, commanded, [min, max]) in axes {
+            // A limit of 90 degrees in single precision is a little above the same limit in double precision.
+            let slack = 1e-6 * min.abs().max(max.abs());
             for (target, &angle) in list.iter_mut().zip(commanded) {
                 let angle = f64::from(angle);
-                // A range of 90 degrees in single precision is a little above the same range in double precision.
-                clipped |= angle.abs() > range * (1.0 + 1e-6);
-                *target = angle.clamp(-range, range);
+                clipped |= angle < min - slack || angle > max + slack;
+                *target = angle.clamp(min, max);
             }
         }
         self.counters.clipped += u64::from(clipped);
@@ -167,6 +200,30 @@ impl Array {
         self.counters.rejected += 1;
     }
 
+    /// Obeys an operator; true where the state changed. A stop counts whatever its time; a re-arm only when it is later than the
+    /// last stop, and then the array is told to park.
+    pub fn order(&mut self, order: &EmergencyStop) -> bool {
+        let stopped = self.state == ArrayState::Stopped;
+        match order.action {
+            StopAction::Stop => {
+                self.stopped_at_ns = self.stopped_at_ns.max(order.stamp.time_ns);
+                self.state = ArrayState::Stopped;
+                !stopped
+            }
+            StopAction::Rearm if stopped && order.stamp.time_ns > self.stopped_at_ns => {
+                self.state = ArrayState::Parked;
+                self.aim_at_park();
+                true
+            }
+            StopAction::Rearm => false,
+        }
+    }
+
+    /// Mirrors that were stopped on their way are asked to be where they are.
+    pub fn stay_at(&mut self, angles: &MirrorAngles) {
+        self.target.clone_from(angles);
+    }
+
     /// Lets time pass; true when the array parks, and its target with it.
     pub fn advance(&mut self, local_ns: u64) -> bool {
         if self.state == ArrayState::Following && local_ns >= self.valid_until_ns {
@@ -175,8 +232,7 @@ impl Array {
         let parks = self.state == ArrayState::Holding && local_ns >= self.park_at_ns();
         if parks {
             self.state = ArrayState::Parked;
-            self.target.roll.fill(0.0);
-            self.target.yaw.fill(0.0);
+            self.aim_at_park();
         }
         parks
     }
@@ -184,6 +240,14 @@ impl Array {
     /// When the array will park if nothing comes, in local time.
     pub fn parks_at_ns(&self) -> Option<u64> {
         matches!(self.state, ArrayState::Following | ArrayState::Holding).then(|| self.park_at_ns())
+    }
+
+    /// When the state will change if nothing comes, in local time.
+    pub fn changes_at_ns(&self) -> Option<u64> {
+        match self.state {
+            ArrayState::Following => Some(self.valid_until_ns),
+            _ => self.parks_at_ns(),
+        }
     }
 
     /// What the array does.
@@ -211,13 +275,19 @@ impl Array {
         self.faults
     }
 
-    /// What the array can do.
+    /// What the array may be told.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
     fn park_at_ns(&self) -> u64 {
         self.valid_until_ns.saturating_add(self.limits.hold_ns)
+    }
+
+    fn aim_at_park(&mut self) {
+        let [roll, yaw] = self.limits.park_rad;
+        self.target.roll.fill(roll);
+        self.target.yaw.fill(yaw);
     }
 
     /// The time that a good command stays valid, in ns.
@@ -230,6 +300,9 @@ impl Array {
         if let Some(mirror) = angles().position(|(roll, yaw)| !roll.is_finite() || !yaw.is_finite()) {
             return Err(Refusal::NonFinite { mirror });
         }
+        if self.state == ArrayState::Stopped {
+            return Err(Refusal::Stopped);
+        }
         if let Some(followed) = self.followed {
             if command.epoch < followed.epoch {
                 return Err(Refusal::LowerEpoch { found: command.epoch, followed: followed.epoch });
@@ -238,12 +311,15 @@ impl Array {
                 return Err(Refusal::OldSequence { found: command.sequence, last: followed.sequence });
             }
         }
+        let validity_ns = u64::from(command.validity_ms) * 1_000_000;
+        if self.limits.clock == ValidityClock::Arrival {
+            return Ok(validity_ns);
+        }
         let lead_ns = command.time_ns.saturating_sub(now.room_ns);
         if lead_ns > CLOCK_LEAD_MAX_NS {
             return Err(Refusal::FromFuture { lead_ms: lead_ns as f64 * 1e-6 });
         }
         let age_ns = now.room_ns.saturating_sub(command.time_ns);
-        let validity_ns = u64::from(command.validity_ms) * 1_000_000;
         validity_ns
             .checked_sub(age_ns)
             .filter(|remaining_ns| *remaining_ns > 0)
@@ -253,6 +329,7 @@ impl Array {
     fn count(&mut self, refusal: &Refusal) {
         let counter = match refusal {
             Refusal::WrongCount { .. } | Refusal::NonFinite { .. } => &mut self.counters.rejected,
+            Refusal::Stopped => &mut self.counters.stopped,
             Refusal::LowerEpoch { .. } => &mut self.counters.old_epoch,
             Refusal::OldSequence { .. } => &mut self.counters.old_sequence,
             Refusal::Expired { .. } => &mut self.counters.expired,

@@ -1,11 +1,12 @@
 //! The rules of the array's guard, one by one.
 
+use heliostat_driver::clock::Moment;
+use heliostat_driver::rules::{Array, Limits, Refusal};
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, MirrorCommand};
-use heliostat_sim_node::array::{Array, HOLD_NS, Limits, Refusal};
-use heliostat_sim_node::clock::Moment;
+use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, EmergencyStop, MirrorCommand, Stamp, StopAction, ValidityClock};
 
 const MS: u64 = 1_000_000;
+const HOLD_NS: u64 = 300 * MS;
 /// Any UTC; local time starts elsewhere, since nothing may mix the two.
 const UTC: u64 = 1_800_000_000_000_000_000;
 
@@ -14,7 +15,14 @@ fn at(ms: u64) -> Moment {
 }
 
 fn array() -> Array {
-    Array::new(Limits { mirrors: 2, range_rad: 0.5, hold_ns: HOLD_NS })
+    Array::new(Limits {
+        mirrors: 2,
+        roll_rad: [-0.5, 0.5],
+        yaw_rad: [-0.5, 0.5],
+        park_rad: [0.0, 0.0],
+        hold_ns: HOLD_NS,
+        clock: ValidityClock::SourceTime,
+    })
 }
 
 fn command(epoch: u64, sequence: u64, made_at_ms: u64) -> MirrorCommand {
@@ -126,4 +134,39 @@ fn a_sender_whose_clock_is_ahead_does_not_keep_the_array_from_parking() {
     let mut array = array();
     array.receive(at(0), &command(1, 1, 40)).unwrap();
     assert_eq!(array.parks_at_ns(), Some(200 * MS + HOLD_NS));
+}
+
+fn order(action: StopAction, at_ms: u64) -> EmergencyStop {
+    let stamp = Stamp { time_ns: at(at_ms).room_ns, ..Stamp::default() };
+    EmergencyStop { stamp, action, ..EmergencyStop::default() }
+}
+
+#[test]
+fn a_stop_is_latched_until_a_later_rearm() {
+    let mut array = array();
+    array.receive(at(0), &command(1, 1, 0)).unwrap();
+    assert!(array.order(&order(StopAction::Stop, 100)));
+    assert!(!array.order(&order(StopAction::Stop, 90)), "an older stop changes nothing");
+    assert_eq!(array.receive(at(101), &command(9, 1, 101)), Err(Refusal::Stopped));
+    assert_eq!((array.counters().stopped, array.followed().unwrap().epoch), (1, 1));
+    assert!(!array.advance(10_000 * MS), "a stopped array does not park");
+    for early in [99, 100] {
+        assert!(!array.order(&order(StopAction::Rearm, early)));
+        assert_eq!(array.state(), ArrayState::Stopped);
+    }
+    assert!(array.order(&order(StopAction::Rearm, 101)));
+    assert_eq!(array.state(), ArrayState::Parked);
+    assert_eq!(array.target().roll, [0.0, 0.0]);
+    array.receive(at(102), &command(1, 2, 102)).unwrap();
+    assert_eq!(array.state(), ArrayState::Following);
+}
+
+#[test]
+fn without_a_clock_validity_counts_from_arrival() {
+    let mut limits = *array().limits();
+    limits.clock = ValidityClock::Arrival;
+    let mut array = Array::new(limits);
+    array.receive(at(60_000), &command(1, 1, 0)).unwrap();
+    array.receive(at(60_001), &command(1, 2, 200_000)).unwrap();
+    assert_eq!(array.parks_at_ns(), Some(60_201 * MS + HOLD_NS));
 }

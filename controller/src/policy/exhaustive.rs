@@ -1,0 +1,49 @@
+//! Every assignment of mirrors to users: the best there is by the table of gains, where it can be found at all.
+
+use heliostat_channel::solver::{ASSIGNMENTS_MAX, Need, Problem, QOS_PENALTY, Solver, SolverError};
+use heliostat_channel::{ChannelModel, MirrorAngles, decode};
+use heliostat_scenario::{ChannelMode, Scenario};
+
+use super::{Policy, PolicyError};
+use crate::observation::Observation;
+
+/// Tries everything; for arrays of a dozen mirrors at most, and only where mirrors obey the law of reflection.
+pub struct Exhaustive {
+    solver: Solver,
+}
+
+impl Exhaustive {
+    /// For the room of a scenario.
+    ///
+    /// # Errors
+    /// [`SolverError`] where there are more than [`ASSIGNMENTS_MAX`] assignments, or angles are continuous.
+    pub fn new(scenario: &Scenario) -> Result<Self, SolverError> {
+        let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
+        let assignments = (users as f64).powf(mirrors as f64);
+        if scenario.channel.mode != ChannelMode::Specular {
+            return Err(SolverError::Continuous);
+        }
+        if assignments > ASSIGNMENTS_MAX {
+            return Err(SolverError::TooMany { users, mirrors, assignments });
+        }
+        Ok(Self { solver: Solver::new(users, mirrors) })
+    }
+}
+
+impl Policy for Exhaustive {
+    fn name(&self) -> &str {
+        "exhaustive"
+    }
+
+    fn act(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        out: &mut MirrorAngles,
+    ) -> Result<(), PolicyError> {
+        let need = Need { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
+        self.solver.exhaustive(&Problem::of_scene(model, &observation.scene, &need))?;
+        decode::aim(model, &observation.scene, self.solver.served(), out);
+        Ok(())
+    }
+}

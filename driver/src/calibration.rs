@@ -1,0 +1,131 @@
+//! The correction of each mirror's mounting: device angle = gain * angle + offset, mirror by mirror and axis by axis.
+
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::{Calibration, CodecError};
+use thiserror::Error;
+
+use crate::rules::Limits;
+
+/// Slack for angles that went through single precision, in rad.
+const ROUNDING_RAD: f64 = 1e-6;
+
+/// Why a calibration is not taken into use.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Unfit {
+    /// For an array of another size.
+    #[error(transparent)]
+    WrongCount(#[from] CodecError),
+    /// Not newer than the one in use.
+    #[error("sequence {found} after {used} of the same source")]
+    OldSequence {
+        /// Sequence of the calibration.
+        found: u64,
+        /// Sequence of the one in use.
+        used: u64,
+    },
+    /// A gain that does not keep the direction of a turn.
+    #[error("the {axis} gain of mirror {mirror} is {gain}: wanted more than 0")]
+    Gain {
+        /// Roll or yaw.
+        axis: &'static str,
+        /// The first such mirror.
+        mirror: usize,
+        /// Its gain.
+        gain: f32,
+    },
+    /// A mirror would be told more than its hardware can do.
+    #[error(
+        "mirror {mirror} would be told {axis} of {angle_deg:.2} degrees: its hardware goes from {min_deg:.2} to {max_deg:.2}"
+    )]
+    BeyondHardware {
+        /// Roll or yaw.
+        axis: &'static str,
+        /// The first such mirror.
+        mirror: usize,
+        /// The angle in degrees.
+        angle_deg: f64,
+        /// Smallest angle of the hardware in degrees.
+        min_deg: f64,
+        /// Largest angle of the hardware in degrees.
+        max_deg: f64,
+    },
+}
+
+impl Unfit {
+    /// The name under which it is counted.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::WrongCount(error) => error.name(),
+            Self::OldSequence { .. } => "old-sequence",
+            Self::Gain { .. } => "gain",
+            Self::BeyondHardware { .. } => "beyond-hardware",
+        }
+    }
+}
+
+/// The correction in use; none at first.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Correction {
+    used: Option<Calibration>,
+}
+
+impl Correction {
+    /// Sequence of the calibration in use; 0 for none.
+    pub fn sequence(&self) -> u64 {
+        self.used.as_ref().map_or(0, |used| used.stamp.sequence)
+    }
+
+    /// Takes a calibration into use.
+    pub fn take(&mut self, new: &Calibration, limits: &Limits, travel_rad: [[f64; 2]; 2]) -> Result<(), Unfit> {
+        new.check_mirrors(limits.mirrors)?;
+        if let Some(used) = &self.used
+            && used.stamp.source == new.stamp.source
+            && new.stamp.sequence <= used.stamp.sequence
+        {
+            return Err(Unfit::OldSequence { found: new.stamp.sequence, used: used.stamp.sequence });
+        }
+        let axes = [
+            ("roll", &new.roll_gain, &new.roll_offset_rad, limits.roll_rad),
+            ("yaw", &new.yaw_gain, &new.yaw_offset_rad, limits.yaw_rad),
+        ];
+        for ((axis, gains, offsets, range), [min, max]) in axes.into_iter().zip(travel_rad) {
+            for (mirror, (gain, offset)) in gains.iter().zip(offsets).enumerate() {
+                if *gain <= 0.0 {
+                    return Err(Unfit::Gain { axis, mirror, gain: *gain });
+                }
+                let ends = range.map(|end| f64::from(*gain) * end + f64::from(*offset));
+                let outside = |end: &f64| *end < min - ROUNDING_RAD || *end > max + ROUNDING_RAD;
+                if let Some(angle) = ends.into_iter().find(outside) {
+                    let [angle_deg, min_deg, max_deg] = [angle, min, max].map(f64::to_degrees);
+                    return Err(Unfit::BeyondHardware { axis, mirror, angle_deg, min_deg, max_deg });
+                }
+            }
+        }
+        self.used = Some(new.clone());
+        Ok(())
+    }
+
+    /// What the device is to be told so that the mirrors get to `angles`.
+    pub fn apply(&self, angles: &MirrorAngles, out: &mut MirrorAngles) {
+        out.clone_from(angles);
+        if let Some(used) = &self.used {
+            correct(&mut out.roll, &used.roll_gain, &used.roll_offset_rad, |angle, gain, offset| gain * angle + offset);
+            correct(&mut out.yaw, &used.yaw_gain, &used.yaw_offset_rad, |angle, gain, offset| gain * angle + offset);
+        }
+    }
+
+    /// The way back: angles of the device in the terms of commands.
+    pub fn undo(&self, angles: &mut MirrorAngles) {
+        if let Some(used) = &self.used {
+            let back = |angle: f64, gain: f64, offset: f64| (angle - offset) / gain;
+            correct(&mut angles.roll, &used.roll_gain, &used.roll_offset_rad, back);
+            correct(&mut angles.yaw, &used.yaw_gain, &used.yaw_offset_rad, back);
+        }
+    }
+}
+
+fn correct(angles: &mut [f64], gains: &[f32], offsets: &[f32], with: impl Fn(f64, f64, f64) -> f64) {
+    for ((angle, gain), offset) in angles.iter_mut().zip(gains).zip(offsets) {
+        *angle = with(*angle, f64::from(*gain), f64::from(*offset));
+    }
+}

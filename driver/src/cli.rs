@@ -1,0 +1,120 @@
+//! The command line of the driver, on its own or as a command of `heliostat`.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Subcommand;
+use heliostat_bus::BusArgs;
+use heliostat_proto::Room;
+
+use crate::check;
+use crate::config::Config;
+use crate::run;
+
+/// Flags of the driver.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+enum Command {
+    /// Drive the hardware that a file describes, in place of the simulated mirrors
+    Run(RunArgs),
+    /// Play valid, hostile and unlucky traffic at a driver and tell which rules of the contract it keeps
+    ///
+    /// The mirrors move. No controller may run in the room meanwhile. The exit status is 1 where a rule is broken.
+    Check(CheckArgs),
+}
+
+#[derive(Clone, Debug, clap::Args)]
+struct RunArgs {
+    /// TOML file of the boards and the mirrors that they turn
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    #[command(flatten)]
+    bus: BusArgs,
+    /// End after this many seconds; without it, run until stopped
+    #[arg(long, value_name = "N", value_parser = run::seconds)]
+    seconds: Option<Duration>,
+    /// Print the summary as one JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+struct CheckArgs {
+    /// The driver's command topic, heliostat/v1/ROOM/mirrors/command, in place of --room
+    #[arg(value_name = "KEY")]
+    key: Option<String>,
+    #[command(flatten)]
+    bus: BusArgs,
+    /// Print the outcome as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file that describes no array, a transport that fails, a room that is taken; a driver that is not there or breaks a rule.
+pub fn run(args: Args) -> Result<()> {
+    match args.command {
+        Command::Run(args) => drive(&args),
+        Command::Check(args) => check_driver(&args),
+    }
+}
+
+fn drive(args: &RunArgs) -> Result<()> {
+    let wall = Config::load(&args.config)?.wall().with_context(|| format!("in {}", args.config.display()))?;
+    let bus = args.bus.config_or_connect()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let on_signal = Arc::clone(&stop);
+    let handler = move || {
+        if on_signal.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    };
+    ctrlc::set_handler(handler).context("cannot watch for Ctrl-C")?;
+    eprintln!("driver: room {}, array of {}", bus.room, args.config.display());
+    let summary = run::run(wall, &bus, args.seconds, &stop)?;
+    // Not println!, which panics when the reader is gone.
+    let mut out = std::io::stdout();
+    if args.json {
+        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+    } else {
+        write!(out, "{summary}")?;
+    }
+    Ok(())
+}
+
+fn check_driver(args: &CheckArgs) -> Result<()> {
+    let mut flags = args.bus.clone();
+    if let Some(key) = &args.key {
+        flags.room = room_of(key)?.to_string();
+    }
+    let report = check::run(&flags.config_or_connect()?)?;
+    let mut out = std::io::stdout();
+    if args.json {
+        writeln!(out, "{}", serde_json::to_string_pretty(&report)?)?;
+    } else {
+        write!(out, "{report}")?;
+    }
+    let broken = report.broken().count();
+    ensure!(broken == 0, "the driver of room \"{}\" breaks {broken} rules of the contract", report.room);
+    Ok(())
+}
+
+/// The room of a command topic.
+fn room_of(key: &str) -> Result<Room> {
+    let name = key.strip_prefix("heliostat/v1/").and_then(|rest| rest.strip_suffix("/mirrors/command"));
+    match name.map(Room::new) {
+        Some(Ok(room)) => Ok(room),
+        _ => bail!("\"{key}\" is no command topic: wanted heliostat/v1/ROOM/mirrors/command, or --room ROOM"),
+    }
+}

@@ -1,0 +1,190 @@
+//! The file that describes an array of real hardware: its boards, where they are, and which channel turns which mirror.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow};
+use heliostat_proto::{AxisLimits, ValidityClock};
+use serde::Deserialize;
+
+use crate::devices::playzerx::{self, PlayzerX};
+use crate::devices::port::Address;
+use crate::devices::servo_board::{self, ServoBoard};
+use crate::devices::wall::{Layout, Mounted, Wall};
+
+/// The file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Rows of mirrors; row 0 is the lowest.
+    pub rows: usize,
+    /// Columns of mirrors; mirror index = row * columns + column.
+    pub columns: usize,
+    /// Kept back from the range of the hardware, either side, for the corrections of a calibration.
+    #[serde(default)]
+    pub calibration_reserve_deg: f64,
+    /// How long the mirrors hold after the validity of a command ended, before they park.
+    #[serde(default = "park_after_ms")]
+    pub park_after_ms: u32,
+    /// Counts validity from the arrival of a command, for a host whose clock is not synchronised.
+    #[serde(default)]
+    pub validity_from_arrival: bool,
+    /// The hardware.
+    pub boards: Vec<BoardConfig>,
+}
+
+/// One board.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum BoardConfig {
+    /// A Mirrorcle PlayzerX.
+    Playzerx {
+        /// Where it is.
+        address: String,
+        /// Mechanical angle at the ends of its codes.
+        range_deg: f64,
+        /// At which its queue is played.
+        #[serde(default = "sample_rate_hz")]
+        sample_rate_hz: u32,
+        /// The mirror that it turns.
+        mirrors: Vec<usize>,
+    },
+    /// A board that understands lines of text.
+    ServoBoard {
+        /// Where it is.
+        address: String,
+        /// Smallest mechanical angle of both axes.
+        min_deg: f64,
+        /// Largest mechanical angle of both axes.
+        max_deg: f64,
+        /// Fastest turn; 0 where unknown.
+        #[serde(default)]
+        slew_deg_per_s: f64,
+        /// Until a small step has settled; 0 where unknown.
+        #[serde(default)]
+        settling_ms: f64,
+        /// Smallest step; 0 where unknown.
+        #[serde(default)]
+        resolution_deg: f64,
+        /// Whether it measures angles.
+        #[serde(default)]
+        measures: bool,
+        /// The mirrors that its channels turn, in order.
+        mirrors: Vec<usize>,
+    },
+}
+
+fn park_after_ms() -> u32 {
+    1000
+}
+
+fn sample_rate_hz() -> u32 {
+    1000
+}
+
+impl Config {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or a key that is unknown, missing or of another type, with its line.
+    pub fn load(file: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+        toml::from_str(&text).with_context(|| format!("in {}", file.display()))
+    }
+
+    /// The array that the file describes; nothing is opened yet.
+    ///
+    /// # Errors
+    /// Boards, addresses or mirrors that do not fit together.
+    pub fn wall(&self) -> Result<Wall> {
+        let layout = Layout {
+            rows: self.rows,
+            columns: self.columns,
+            reserve_rad: self.calibration_reserve_deg.to_radians(),
+            park_after_ms: self.park_after_ms,
+            clock: if self.validity_from_arrival { ValidityClock::Arrival } else { ValidityClock::SourceTime },
+        };
+        let boards = self.boards.iter().map(BoardConfig::mount).collect::<Result<_>>()?;
+        Wall::new(layout, boards).map_err(|problem| anyhow!(problem))
+    }
+}
+
+impl BoardConfig {
+    fn mount(&self) -> Result<Mounted> {
+        let address = |text: &str, baud| Address::parse(text, baud).map_err(|problem| anyhow!(problem));
+        Ok(match self {
+            Self::Playzerx { address: at, range_deg, sample_rate_hz, mirrors } => {
+                let device = PlayzerX::new(address(at, playzerx::BAUD)?, range_deg.to_radians(), *sample_rate_hz);
+                let device = device.map_err(|problem| anyhow!("{at}: {problem}"))?;
+                Mounted::new(Box::new(device), mirrors.clone())
+            }
+            Self::ServoBoard {
+                address: at,
+                min_deg,
+                max_deg,
+                slew_deg_per_s,
+                settling_ms,
+                resolution_deg,
+                measures,
+                mirrors,
+            } => {
+                let radians = |degrees: &f64| degrees.to_radians() as f32;
+                let axis = AxisLimits {
+                    min_rad: radians(min_deg),
+                    max_rad: radians(max_deg),
+                    slew_rad_s: radians(slew_deg_per_s),
+                    settling_s: (settling_ms * 1e-3) as f32,
+                    resolution_rad: radians(resolution_deg),
+                };
+                let at = address(at, servo_board::BAUD)?;
+                Mounted::new(Box::new(ServoBoard::new(at, mirrors.len(), axis, *measures)), mirrors.clone())
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::Device;
+
+    const TWO_BOARDS: &str = r#"
+        rows = 1
+        columns = 3
+        calibration_reserve_deg = 1.0
+        [[boards]]
+        kind = "playzerx"
+        address = "serial:/dev/ttyACM0"
+        range_deg = 5.0
+        mirrors = [2]
+        [[boards]]
+        kind = "servo-board"
+        address = "tcp:127.0.0.1:9000"
+        min_deg = -20.0
+        max_deg = 30.0
+        mirrors = [1, 0]
+    "#;
+
+    fn wall(text: &str) -> Result<Wall> {
+        toml::from_str::<Config>(text)?.wall()
+    }
+
+    #[test]
+    fn boards_become_one_array_with_what_all_of_them_can_do() {
+        let capabilities = wall(TWO_BOARDS).unwrap().capabilities();
+        assert_eq!((capabilities.rows, capabilities.columns), (1, 3));
+        assert!((capabilities.roll.max_rad - 4_f32.to_radians()).abs() < 1e-6, "5 degrees less the reserve");
+        assert_eq!(capabilities.hardware, "Mirrorcle PlayzerX, servo board");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        let problem = |from: &str, to: &str| format!("{:#}", wall(&TWO_BOARDS.replace(from, to)).err().expect(to));
+        assert!(problem("mirrors = [2]", "mirrors = [1]").contains("mirror 1 is turned by 2 channels"));
+        assert!(problem("mirrors = [2]", "mirrors = [7]").contains("no mirror 7"));
+        assert!(problem("mirrors = [2]", "mirrors = [2, 2]").contains("1 channels and 2 mirrors"));
+        assert!(problem("columns = 3", "columns = 4").contains("mirror 3 is turned by 0 channels"));
+        assert!(problem("serial:/dev/ttyACM0", "usb:1").contains("wanted serial:PATH"));
+        assert!(problem("range_deg", "range_degrees").contains("range_degrees"));
+        assert!(problem("range_deg = 5.0", "range_deg = 0.5").contains("nothing is left"));
+    }
+}

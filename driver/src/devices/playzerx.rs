@@ -1,0 +1,147 @@
+//! A Mirrorcle PlayzerX at its USB serial port: one mirror, open loop.
+//!
+//! Every frame is `p l`, a code, the length of the whole frame, data, and a newline (the maker's page "PlayzerX USB Serial
+//! Protocol"). A sample holds x and y as 12-bit numbers, 0 to 4095 for -1 to +1 of the mirror's range, in three bytes: low eight
+//! bits of x; high four bits of x and low four of y; high eight bits of y. Samples enter a queue that the device plays at the sample
+//! rate and are never acknowledged, so nothing is measured; only a ping is answered, with the line `pl-ok`.
+//!
+//! Here x is yaw and y is roll. A device at rest holds the last sample of its queue.
+
+use std::time::Duration;
+
+use heliostat_proto::AxisLimits;
+
+use crate::device::DeviceError;
+use crate::devices::Board;
+use crate::devices::port::{Address, Port};
+
+/// Speed of the port unless told otherwise; on USB it means nothing.
+pub const BAUD: u32 = 460_800;
+
+/// Largest code of an axis.
+const CODE_MAX: f64 = 4095.0;
+
+/// Rates that the device takes, in samples a second.
+const SAMPLE_RATES: std::ops::RangeInclusive<u32> = 50..=50_000;
+
+/// How long the answer to a ping is waited for.
+const ANSWER_LIMIT: Duration = Duration::from_secs(1);
+
+/// One device.
+pub struct PlayzerX {
+    address: Address,
+    range_rad: f64,
+    sample_rate_hz: u32,
+    port: Option<Port>,
+}
+
+impl PlayzerX {
+    /// The device at an address, whose mirror turns `range_rad` (mechanical) either way at the ends of its codes.
+    ///
+    /// # Errors
+    /// A range or a sample rate that the device does not have.
+    pub fn new(address: Address, range_rad: f64, sample_rate_hz: u32) -> Result<Self, String> {
+        if !(range_rad > 0.0 && range_rad <= std::f64::consts::FRAC_PI_2) {
+            return Err(format!("a range of {range_rad} rad: wanted more than 0 and at most 90 degrees"));
+        }
+        if !SAMPLE_RATES.contains(&sample_rate_hz) {
+            return Err(format!("{sample_rate_hz} samples a second: the device takes 50 to 50000"));
+        }
+        Ok(Self { address, range_rad, sample_rate_hz, port: None })
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
+        match &mut self.port {
+            Some(port) => port.write(bytes),
+            None => Err(DeviceError::new(self.address.to_string(), "not connected")),
+        }
+    }
+}
+
+impl Board for PlayzerX {
+    fn channels(&self) -> usize {
+        1
+    }
+
+    fn model(&self) -> &'static str {
+        "Mirrorcle PlayzerX"
+    }
+
+    fn axis(&self) -> AxisLimits {
+        AxisLimits {
+            min_rad: -self.range_rad as f32,
+            max_rad: self.range_rad as f32,
+            slew_rad_s: 0.0,
+            settling_s: 0.0,
+            resolution_rad: (2.0 * self.range_rad / CODE_MAX) as f32,
+        }
+    }
+
+    fn measures(&self) -> bool {
+        false
+    }
+
+    /// Pings the device, lets it play what comes from USB at the sample rate, and empties its queue.
+    fn connect(&mut self) -> Result<(), DeviceError> {
+        self.port = None;
+        let mut port = self.address.open()?;
+        port.drain()?;
+        port.write(&frame(b'p', &[]))?;
+        let answer = port.line(ANSWER_LIMIT)?;
+        if answer != "pl-ok" {
+            let problem = format!("answered a ping with {answer:?}: wanted \"pl-ok\", is this a PlayzerX?");
+            return Err(DeviceError::new(self.address.to_string(), problem));
+        }
+        let [low, middle, high, _] = self.sample_rate_hz.to_le_bytes();
+        port.write(&frame(b'i', b"usb"))?;
+        port.write(&frame(b'r', &[low, middle, high]))?;
+        port.write(&frame(b'c', &[]))?;
+        self.port = Some(port);
+        Ok(())
+    }
+
+    fn set(&mut self, angles: &[[f64; 2]]) -> Result<(), DeviceError> {
+        let [roll, yaw] = angles[0];
+        let (x, y) = (code(yaw / self.range_rad), code(roll / self.range_rad));
+        let sample = [(x & 0xff) as u8, ((x >> 8) << 4) as u8 | (y & 0x0f) as u8, (y >> 4) as u8];
+        self.write(&frame(b'D', &sample))
+    }
+
+    fn read(&mut self, _angles: &mut [[f64; 2]]) -> Result<(), DeviceError> {
+        Err(DeviceError::new(self.address.to_string(), "a PlayzerX does not measure"))
+    }
+
+    /// Empties the queue; the mirror stays at the sample played last.
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.write(&frame(b'c', &[]))
+    }
+}
+
+/// The code of an axis at a share of its range from -1 to 1.
+fn code(share: f64) -> u16 {
+    ((share.clamp(-1.0, 1.0) + 1.0) * 0.5 * CODE_MAX).round() as u16
+}
+
+/// A frame of the protocol.
+fn frame(code: u8, data: &[u8]) -> Vec<u8> {
+    let length = data.len() as u8 + 5;
+    [b"pl", &[code, length][..], data, b"\n"].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_go_from_0_over_2048_to_4095() {
+        assert_eq!([-1.0, 0.0, 1.0, 7.0].map(code), [0, 2048, 4095, 4095]);
+    }
+
+    #[test]
+    fn frames_are_those_of_the_published_table() {
+        assert_eq!(frame(b'p', &[]), b"plp\x05\n");
+        assert_eq!(frame(b'i', b"usb"), b"pli\x08usb\n");
+        assert_eq!(frame(b'r', &[0x10, 0x27, 0]), b"plr\x08\x10\x27\x00\n");
+        assert_eq!(frame(b'D', &[1, 2, 3]), b"plD\x08\x01\x02\x03\n");
+    }
+}

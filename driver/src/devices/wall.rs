@@ -1,0 +1,161 @@
+//! Many boards as one array: which channel of which board turns which mirror.
+
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::{AxisLimits, Capabilities, Feedback, ValidityClock};
+
+use crate::clock::Moment;
+use crate::device::{Device, DeviceError};
+use crate::devices::Board;
+
+/// A board and the mirrors that its channels turn, in the order of the channels.
+pub struct Mounted {
+    /// The hardware.
+    pub board: Box<dyn Board>,
+    /// Index of the mirror at each channel.
+    pub mirrors: Vec<usize>,
+    /// The angles of its channels; only a buffer.
+    angles: Vec<[f64; 2]>,
+}
+
+impl Mounted {
+    /// A board whose channels turn these mirrors.
+    pub fn new(board: Box<dyn Board>, mirrors: Vec<usize>) -> Self {
+        let angles = vec![[0.0; 2]; mirrors.len()];
+        Self { board, mirrors, angles }
+    }
+}
+
+/// How the array as a whole behaves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Layout {
+    /// Rows of mirrors.
+    pub rows: usize,
+    /// Columns of mirrors.
+    pub columns: usize,
+    /// Kept back from the range of the hardware on either side for the corrections of a calibration, in rad.
+    pub reserve_rad: f64,
+    /// How long the mirrors hold after validity ended, in ms.
+    pub park_after_ms: u32,
+    /// From when validity is counted.
+    pub clock: ValidityClock,
+}
+
+/// An array made of boards.
+pub struct Wall {
+    layout: Layout,
+    boards: Vec<Mounted>,
+}
+
+impl Wall {
+    /// Puts boards together; each mirror of the layout must be turned by exactly one channel.
+    ///
+    /// # Errors
+    /// Which board, channel or mirror does not fit, and how.
+    pub fn new(layout: Layout, boards: Vec<Mounted>) -> Result<Self, String> {
+        let count = layout.rows * layout.columns;
+        let mut turned = vec![0; count];
+        for (index, Mounted { board, mirrors, .. }) in boards.iter().enumerate() {
+            if board.channels() != mirrors.len() {
+                let (channels, mirrors) = (board.channels(), mirrors.len());
+                return Err(format!("board {index} has {channels} channels and {mirrors} mirrors: wanted as many"));
+            }
+            for mirror in mirrors {
+                let place = turned.get_mut(*mirror);
+                *place
+                    .ok_or_else(|| format!("board {index}: no mirror {mirror}, the array has 0 to {}", count - 1))? +=
+                    1;
+            }
+        }
+        if let Some(mirror) = turned.iter().position(|channels| *channels != 1) {
+            return Err(format!("mirror {mirror} is turned by {} channels: wanted one", turned[mirror]));
+        }
+        let wall = Self { layout, boards };
+        let AxisLimits { min_rad, max_rad, .. } = wall.announced();
+        if min_rad >= max_rad {
+            return Err("nothing is left of the boards' common range: lower calibration_reserve_deg".into());
+        }
+        Ok(wall)
+    }
+
+    /// What all boards can do.
+    fn common(&self) -> AxisLimits {
+        let axes: Vec<AxisLimits> = self.boards.iter().map(|mounted| mounted.board.axis()).collect();
+        let slowest = axes.iter().map(|axis| axis.slew_rad_s).filter(|slew| *slew > 0.0).reduce(f32::min);
+        AxisLimits {
+            min_rad: axes.iter().map(|axis| axis.min_rad).fold(f32::NEG_INFINITY, f32::max),
+            max_rad: axes.iter().map(|axis| axis.max_rad).fold(f32::INFINITY, f32::min),
+            slew_rad_s: slowest.unwrap_or(0.0),
+            settling_s: axes.iter().map(|axis| axis.settling_s).fold(0.0, f32::max),
+            resolution_rad: axes.iter().map(|axis| axis.resolution_rad).fold(0.0, f32::max),
+        }
+    }
+
+    fn announced(&self) -> AxisLimits {
+        let axis = self.common();
+        let reserve = self.layout.reserve_rad as f32;
+        AxisLimits { min_rad: axis.min_rad + reserve, max_rad: axis.max_rad - reserve, ..axis }
+    }
+
+    fn measures(&self) -> bool {
+        self.boards.iter().all(|mounted| mounted.board.measures())
+    }
+}
+
+impl Device for Wall {
+    fn capabilities(&self) -> Capabilities {
+        let mut models: Vec<&str> = self.boards.iter().map(|mounted| mounted.board.model()).collect();
+        models.dedup();
+        let axis = self.announced();
+        Capabilities {
+            hardware: models.join(", "),
+            driver: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
+            rows: self.layout.rows as u32,
+            columns: self.layout.columns as u32,
+            roll: axis,
+            yaw: axis,
+            feedback: if self.measures() { Feedback::ClosedLoop } else { Feedback::OpenLoop },
+            validity_clock: self.layout.clock,
+            park_after_ms: self.layout.park_after_ms,
+            park_rad: [0_f32.clamp(axis.min_rad, axis.max_rad); 2],
+            ..Capabilities::default()
+        }
+    }
+
+    fn travel_rad(&self) -> [[f64; 2]; 2] {
+        let AxisLimits { min_rad, max_rad, .. } = self.common();
+        [[min_rad, max_rad].map(f64::from); 2]
+    }
+
+    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        self.boards.iter_mut().try_for_each(|mounted| mounted.board.connect())
+    }
+
+    fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        for Mounted { board, mirrors, angles: told } in &mut self.boards {
+            for (channel, mirror) in told.iter_mut().zip(mirrors) {
+                *channel = [angles.roll[*mirror], angles.yaw[*mirror]];
+            }
+            board.set(told)?;
+        }
+        Ok(())
+    }
+
+    fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        if !self.measures() {
+            return Ok(false);
+        }
+        for Mounted { board, mirrors, angles } in &mut self.boards {
+            board.read(angles)?;
+            for ([roll, yaw], mirror) in angles.iter().zip(mirrors) {
+                (into.roll[*mirror], into.yaw[*mirror]) = (*roll, *yaw);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Stops every board, also after one that failed.
+    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        let stopped: Vec<_> = self.boards.iter_mut().map(|mounted| mounted.board.stop()).collect();
+        stopped.into_iter().collect()
+    }
+}

@@ -1,0 +1,212 @@
+//! A driver as a process: a kit with a session, a clock and a loop around it.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use heliostat_bus::{Bus, BusConfig, BusError, Class};
+use heliostat_proto::{ArrayState, NodeKind, NodeStatus, Stamp};
+use serde::Serialize;
+
+use crate::clock::{Clock, Moment, as_ns};
+use crate::device::Device;
+use crate::kit::Kit;
+use crate::lines::{Lines, LinesError, Outlet, check_alone, random_id};
+use crate::refused::Refused;
+
+/// Between two telemetry messages; the contract asks for ten a second.
+const TELEMETRY: Duration = Duration::from_millis(50);
+
+/// Between two announcements of the capabilities, and two statuses.
+const ANNOUNCEMENT: Duration = Duration::from_secs(1);
+
+/// Longest sleep, so that the end is noticed soon.
+const SLEEP_MAX: Duration = Duration::from_millis(50);
+
+/// First and longest pause before a router that cannot be reached is tried again.
+const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
+
+/// What a run came to.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Summary {
+    /// Commands followed.
+    pub commands: u64,
+    /// Of those, with an angle beyond the limits.
+    pub clipped_commands: u64,
+    /// What was refused, by name.
+    pub refused: BTreeMap<String, u64>,
+    /// Times that the device was brought up.
+    pub connections: u64,
+    /// The last thing that went wrong; empty when nothing did.
+    pub last_problem: String,
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
+        writeln!(f, "device          brought up {} times", self.connections)?;
+        for (name, count) in &self.refused {
+            writeln!(f, "refused         {name}: {count}")?;
+        }
+        if !self.last_problem.is_empty() {
+            writeln!(f, "last problem    {}", self.last_problem)?;
+        }
+        Ok(())
+    }
+}
+
+/// Drives a device until `stop` is set, or for `duration`.
+///
+/// A router that cannot be reached is tried again, and so is a device that does not answer.
+///
+/// # Errors
+/// [`LinesError`]: a transport that is set up wrongly or fails, or somebody else who turns the mirrors of this room.
+pub fn run<D: Device>(
+    device: D,
+    bus: &BusConfig,
+    duration: Option<Duration>,
+    stop: &AtomicBool,
+) -> Result<Summary, LinesError> {
+    let end = duration.map(|duration| Instant::now() + duration);
+    let Some(bus) = open(bus, stop)? else { return Ok(Summary::default()) };
+    check_alone(&bus)?;
+    let clock = Clock::start_in(Duration::ZERO);
+    let source = random_id();
+    let mut driver = Driver {
+        kit: Kit::new(device),
+        lines: Lines::open(&bus, clock, Class::State)?,
+        status: Outlet::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
+        refused: Refused::default(),
+        source,
+        sequences: [0; 3],
+        told: ArrayState::Parked,
+        started_ns: clock.now().room_ns,
+    };
+    let token = bus.announce(&bus.room().alive(NodeKind::Driver, source))?;
+    let (mut telemetry, mut announcement) = (Instant::now(), Instant::now());
+    while !stop.load(Ordering::Relaxed) && end.is_none_or(|end| Instant::now() < end) {
+        let work = driver.kit.next_ns().map_or(telemetry, |next_ns| clock.instant_at(next_ns));
+        let wake = work.min(telemetry).min(announcement).min(Instant::now() + SLEEP_MAX);
+        driver.hear(wake);
+        let now = clock.now();
+        driver.kit.advance(now);
+        let due = |at: &mut Instant, interval: Duration| {
+            let due = Instant::now() >= *at;
+            if due {
+                *at = Instant::now() + interval;
+            }
+            due
+        };
+        if due(&mut telemetry, TELEMETRY) || driver.told != driver.kit.array().state() {
+            driver.tell(now)?;
+        }
+        if due(&mut announcement, ANNOUNCEMENT) {
+            driver.announce(now)?;
+        }
+    }
+    driver.refused.set("shed", driver.lines.inbox().shed());
+    let summary = driver.summary();
+    drop((driver, token));
+    bus.close()?;
+    Ok(summary)
+}
+
+/// Opens the session, as often as it takes to reach a router; nothing when stopped meanwhile.
+fn open(config: &BusConfig, stop: &AtomicBool) -> Result<Option<Bus>, LinesError> {
+    let [mut pause, longest] = ROUTER_PAUSES;
+    while !stop.load(Ordering::Relaxed) {
+        match Bus::open(config) {
+            Ok(bus) => return Ok(Some(bus)),
+            Err(error @ BusError::CannotReach { .. }) => eprintln!("driver: {error}; trying again in {pause:?}"),
+            Err(error) => return Err(error.into()),
+        }
+        std::thread::sleep(pause);
+        pause = longest.min(2 * pause);
+    }
+    Ok(None)
+}
+
+struct Driver<D> {
+    kit: Kit<D>,
+    lines: Lines,
+    status: Outlet,
+    refused: Refused,
+    source: u64,
+    /// Of telemetry, capabilities and status.
+    sequences: [u64; 3],
+    /// State that the last telemetry told.
+    told: ArrayState,
+    started_ns: u64,
+}
+
+impl<D: Device> Driver<D> {
+    /// Takes all that has arrived, waiting for the first until `wake`.
+    fn hear(&mut self, wake: Instant) {
+        let mut next = self.lines.inbox().pop_until(wake);
+        while let Some(arrival) = next {
+            self.kit.take(arrival.at, arrival.content, &mut self.refused);
+            next = self.lines.inbox().pop();
+        }
+    }
+
+    fn stamp(&mut self, of: usize, now: Moment) -> Stamp {
+        self.sequences[of] += 1;
+        Stamp { source: self.source, sequence: self.sequences[of], time_ns: now.room_ns }
+    }
+
+    fn tell(&mut self, now: Moment) -> Result<(), LinesError> {
+        let stamp = self.stamp(0, now);
+        let telemetry = self.kit.telemetry(now, stamp);
+        self.told = self.kit.array().state();
+        self.lines.tell(&telemetry)
+    }
+
+    fn announce(&mut self, now: Moment) -> Result<(), LinesError> {
+        let stamp = self.stamp(1, now);
+        self.lines.announce(&self.kit.capabilities(stamp))?;
+        let summary = self.summary();
+        let stamp = self.stamp(2, now);
+        let mut status = NodeStatus {
+            stamp,
+            node: NodeKind::Driver,
+            name: format!("{:016x}", self.source),
+            software: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
+            state: format!("array {:?}", self.kit.array().state()).to_lowercase(),
+            started_ns: self.started_ns,
+            counters: [("commands", summary.commands), ("connections", summary.connections)]
+                .map(|(name, count)| (name.to_owned(), count))
+                .into_iter()
+                .chain(summary.refused.iter().map(|(name, count)| (format!("refused:{name}"), *count)))
+                .collect(),
+            ..NodeStatus::default()
+        };
+        status.set_problem(&summary.last_problem);
+        self.status.encode(&status)?;
+        self.status.put()
+    }
+
+    fn summary(&self) -> Summary {
+        let counters = self.kit.array().counters();
+        let device = self.kit.last_problem().map(ToString::to_string);
+        Summary {
+            commands: counters.accepted,
+            clipped_commands: counters.clipped,
+            refused: self.refused.counts().clone(),
+            connections: self.kit.connections(),
+            last_problem: device.unwrap_or_else(|| self.refused.last_problem().to_owned()),
+        }
+    }
+}
+
+/// How long a text on the command line lasts, in seconds.
+///
+/// # Errors
+/// What is wrong with the text.
+pub fn seconds(text: &str) -> Result<Duration, String> {
+    let value: f64 = text.parse().map_err(|_| format!("`{text}` is no number of seconds"))?;
+    Duration::try_from_secs_f64(value)
+        .ok()
+        .filter(|duration| as_ns(*duration) > 0)
+        .ok_or_else(|| format!("`{text}` is no length of time"))
+}

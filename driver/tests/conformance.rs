@@ -1,0 +1,182 @@
+//! The conformance check: our driver keeps every rule, and each deliberately broken one fails exactly the rules that it breaks.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
+use heliostat_channel::MirrorAngles;
+use heliostat_driver::check::{self, Report, Verdict};
+use heliostat_driver::clock::{Clock, Moment};
+use heliostat_driver::inbox::Content;
+use heliostat_driver::lines::Lines;
+use heliostat_driver::refused::Refused;
+use heliostat_driver::{Device, DeviceError, Kit, run};
+use heliostat_proto::{AxisLimits, Capabilities, Feedback, NodeKind, Room, Stamp, ValidityClock};
+
+/// Mirrors that are wherever they were told to be.
+struct Exact {
+    capabilities: Capabilities,
+    angles: MirrorAngles,
+}
+
+impl Exact {
+    fn new() -> Self {
+        let axis = AxisLimits { min_rad: -0.25, max_rad: 0.5, ..AxisLimits::default() };
+        let capabilities = Capabilities {
+            hardware: "exact".into(),
+            driver: "test".into(),
+            rows: 1,
+            columns: 3,
+            roll: axis,
+            yaw: axis,
+            feedback: Feedback::ClosedLoop,
+            park_after_ms: 300,
+            ..Capabilities::default()
+        };
+        Self { capabilities, angles: MirrorAngles::flat(3) }
+    }
+}
+
+impl Device for Exact {
+    fn capabilities(&self) -> Capabilities {
+        self.capabilities.clone()
+    }
+
+    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        self.angles.clone_from(angles);
+        Ok(())
+    }
+
+    fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        into.clone_from(&self.angles);
+        Ok(true)
+    }
+
+    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+}
+
+/// Checks whatever `drive` does in a room of its own.
+fn checked(room: &str, drive: impl FnOnce(BusConfig, &AtomicBool) + Send) -> Report {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let config = BusConfig::new(Room::new(room).unwrap());
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let driver = config.clone().listen_at(&endpoint);
+        scope.spawn(|| drive(driver, &stop));
+        let report = check::run(&config.connect_to(&endpoint));
+        stop.store(true, Ordering::Relaxed);
+        report.unwrap()
+    })
+}
+
+fn broken(report: &Report) -> Vec<&'static str> {
+    report.broken().map(|finding| finding.rule).collect()
+}
+
+#[test]
+fn a_driver_made_with_the_kit_keeps_every_rule() {
+    let report = checked("kept", |bus, stop| drop(run::run(Exact::new(), &bus, None, stop).unwrap()));
+    assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
+    assert_eq!((report.mirrors, report.hardware.as_str()), (3, "exact"));
+}
+
+#[test]
+fn a_driver_without_a_clock_is_judged_by_what_it_announces() {
+    let mut device = Exact::new();
+    device.capabilities.validity_clock = ValidityClock::Arrival;
+    device.capabilities.feedback = Feedback::ClosedLoop;
+    let report = checked("clockless", |bus, stop| drop(run::run(device, &bus, None, stop).unwrap()));
+    let not_judged = report.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
+    assert_eq!(not_judged.map(|finding| finding.rule).collect::<Vec<_>>(), ["expired", "future"]);
+    assert_eq!(broken(&report), [""; 0], "{report}");
+}
+
+/// What is wrong with a driver.
+#[derive(Clone, Copy, PartialEq)]
+enum Flaw {
+    DeafToStops,
+    FollowsAnySequence,
+    FollowsAnyTime,
+    Unlimited,
+    NeverParks,
+}
+
+/// A driver with one flaw: a sound kit whose messages are tampered with on the way in or out.
+fn flawed(flaw: Flaw, bus: &BusConfig, stop: &AtomicBool) {
+    let bus = Bus::open(bus).unwrap();
+    let clock = Clock::start_in(Duration::ZERO);
+    let mut lines = Lines::open(&bus, clock, Class::State).unwrap();
+    let _token = bus.announce(&bus.room().alive(NodeKind::Driver, 1)).unwrap();
+    let announced = Exact::new().capabilities;
+    let mut device = Exact::new();
+    match flaw {
+        Flaw::Unlimited => {
+            let wide = AxisLimits { min_rad: -1.5, max_rad: 1.5, ..AxisLimits::default() };
+            (device.capabilities.roll, device.capabilities.yaw) = (wide, wide);
+        }
+        Flaw::NeverParks => device.capabilities.park_after_ms = 3_600_000,
+        _ => {}
+    }
+    let mut kit = Kit::new(device);
+    let mut refused = Refused::default();
+    let (mut named, mut count, mut sequence) = ((0, 0), 0, 0);
+    let mut announcement = Instant::now();
+    while !stop.load(Ordering::Relaxed) {
+        while let Some(mut arrival) = lines.inbox().pop_until(Instant::now() + Duration::from_millis(20)) {
+            if flaw == Flaw::DeafToStops && matches!(arrival.content, Content::Stop(_)) {
+                continue;
+            }
+            let mut sent = None;
+            if let Content::Command(Ok(command)) = &mut arrival.content {
+                sent = Some((command.epoch, command.sequence));
+                if flaw == Flaw::FollowsAnySequence {
+                    count += 1;
+                    (command.epoch, command.sequence) = (1, count);
+                }
+                if flaw == Flaw::FollowsAnyTime {
+                    command.time_ns = arrival.at.room_ns;
+                }
+            }
+            if kit.take(arrival.at, arrival.content, &mut refused).is_some() {
+                named = sent.unwrap();
+            }
+        }
+        let now = clock.now();
+        kit.advance(now);
+        sequence += 1;
+        let stamp = Stamp { source: 1, sequence, time_ns: now.room_ns };
+        let mut telemetry = kit.telemetry(now, stamp);
+        (telemetry.epoch, telemetry.applied_sequence) = named;
+        lines.tell(&telemetry).unwrap();
+        if Instant::now() >= announcement {
+            announcement += Duration::from_secs(1);
+            lines.announce(&Capabilities { stamp, ..announced.clone() }).unwrap();
+        }
+    }
+}
+
+#[test]
+fn each_broken_driver_fails_exactly_what_it_breaks() {
+    let cases: [(Flaw, &str, &[&str]); 5] = [
+        (Flaw::DeafToStops, "deaf", &["stop"]),
+        (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch"]),
+        (Flaw::FollowsAnyTime, "times", &["expired", "future"]),
+        (Flaw::Unlimited, "unlimited", &["limits"]),
+        (Flaw::NeverParks, "restless", &["silence"]),
+    ];
+    std::thread::scope(|scope| {
+        let runs = cases.map(|(flaw, room, wanted)| {
+            (scope.spawn(move || checked(room, |bus, stop| flawed(flaw, &bus, stop))), wanted)
+        });
+        for (run, wanted) in runs {
+            let report = run.join().unwrap();
+            assert_eq!(broken(&report), wanted, "{report}");
+        }
+    });
+}

@@ -1,0 +1,191 @@
+//! The drivers for hardware against emulated devices: a pseudo-terminal and a socket, byte for byte.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
+use std::os::fd::AsRawFd;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use heliostat_channel::MirrorAngles;
+use heliostat_driver::clock::Moment;
+use heliostat_driver::config::Config;
+use heliostat_driver::devices::wall::Wall;
+use heliostat_driver::{Device, Kit};
+use heliostat_proto::messages::fault;
+use heliostat_proto::{ArrayState, Feedback, MirrorCommand, Stamp};
+
+const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
+
+fn wall(text: &str) -> Wall {
+    toml::from_str::<Config>(text).expect("the file is sound").wall().expect("the array is sound")
+}
+
+/// Waits until the emulated device has heard what was wanted; what it heard otherwise.
+fn heard<T: Clone + PartialEq>(log: &Mutex<Vec<T>>, wanted: &[T]) -> Vec<T> {
+    let begun = Instant::now();
+    while log.lock().unwrap().as_slice() != wanted && begun.elapsed() < Duration::from_secs(5) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    log.lock().unwrap().clone()
+}
+
+/// A PlayzerX at a pseudo-terminal: takes frames apart by their length, answers pings.
+fn playzerx(answer: &'static str) -> (String, Arc<Mutex<Vec<Vec<u8>>>>, impl Sized) {
+    let pty = nix::pty::openpty(None, None).unwrap();
+    let path = std::fs::read_link(format!("/proc/self/fd/{}", pty.slave.as_raw_fd())).unwrap();
+    let frames = Arc::new(Mutex::new(Vec::new()));
+    let log = Arc::clone(&frames);
+    let mut device = File::from(pty.master);
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        let mut chunk = [0; 256];
+        while let Ok(count) = device.read(&mut chunk) {
+            bytes.extend_from_slice(&chunk[..count]);
+            while bytes.len() >= 4 && bytes.len() >= usize::from(bytes[3]) {
+                let frame: Vec<u8> = bytes.drain(..usize::from(bytes[3])).collect();
+                assert!(frame.starts_with(b"pl") && frame.ends_with(b"\n"), "{frame:?}");
+                if frame[2] == b'p' {
+                    device.write_all(answer.as_bytes()).unwrap();
+                }
+                log.lock().unwrap().push(frame);
+            }
+        }
+    });
+    // The other end stays open, so that the terminal does not hang up between two openings.
+    (path.display().to_string(), frames, pty.slave)
+}
+
+#[test]
+fn a_playzerx_hears_the_bytes_of_its_published_protocol() {
+    let (path, frames, _open) = playzerx("pl-ok\n");
+    let mut device = wall(&format!(
+        "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"playzerx\"\naddress = \"serial:{path}\"\nrange_deg = 5.0\nsample_rate_hz = 10000\nmirrors = [0]"
+    ));
+    device.connect(NOW).unwrap();
+    let to = |roll_deg: f64, yaw_deg: f64| MirrorAngles {
+        roll: vec![roll_deg.to_radians()],
+        yaw: vec![yaw_deg.to_radians()],
+    };
+    device.apply(NOW, &to(0.0, 0.0)).unwrap();
+    device.apply(NOW, &to(-5.0, 5.0)).unwrap();
+    // x: half of the range is 3071.25, 0xbff; y: -0.4 of it is 1228.5, 0x4cd.
+    device.apply(NOW, &to(-2.0, 2.5)).unwrap();
+    device.stop(NOW).unwrap();
+    let wanted: Vec<Vec<u8>> = [
+        &b"plp\x05\n"[..],
+        b"pli\x08usb\n",
+        b"plr\x08\x10\x27\x00\n",
+        b"plc\x05\n",
+        b"plD\x08\x00\x80\x80\n",
+        b"plD\x08\xff\xf0\x00\n",
+        b"plD\x08\xff\xbd\x4c\n",
+        b"plc\x05\n",
+    ]
+    .map(<[u8]>::to_vec)
+    .to_vec();
+    assert_eq!(heard(&frames, &wanted), wanted);
+    let mut nowhere = to(0.0, 0.0);
+    assert_eq!(device.measure(NOW, &mut nowhere), Ok(false), "no acknowledgement, so nothing is measured");
+    assert_eq!(device.capabilities().feedback, Feedback::OpenLoop);
+}
+
+#[test]
+fn another_device_at_the_port_is_refused_by_its_answer() {
+    let (path, _frames, _open) = playzerx("hello\n");
+    let mut device = wall(&format!(
+        "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"playzerx\"\naddress = \"serial:{path}\"\nrange_deg = 5.0\nmirrors = [0]"
+    ));
+    let error = device.connect(NOW).unwrap_err().to_string();
+    assert!(error.contains("\"hello\"") && error.contains("pl-ok"), "{error}");
+}
+
+/// A servo board at a socket, one connection after the other; it hangs up after `lines` lines.
+fn servo_board(lines: usize) -> (String, Arc<Mutex<Vec<String>>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let log = Arc::new(Mutex::new(Vec::new()));
+    let heard = Arc::clone(&log);
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let stream = stream.unwrap();
+            let mut out = stream.try_clone().unwrap();
+            let mut at = "0 0 0 0".to_owned();
+            for line in BufReader::new(stream).lines().take(lines).map_while(Result::ok) {
+                let answer = match line.split_once(' ').map_or((line.as_str(), ""), |parts| parts) {
+                    ("hello", _) => "heliostat 1 2 -523599 523599 1".to_owned(),
+                    ("set", angles) => {
+                        at = angles.to_owned();
+                        "ok".to_owned()
+                    }
+                    ("get", _) => format!("at {at}"),
+                    ("stop", _) => "ok".to_owned(),
+                    _ => "error unknown".to_owned(),
+                };
+                heard.lock().unwrap().push(line);
+                writeln!(out, "{answer}").unwrap();
+            }
+        }
+    });
+    (address, log)
+}
+
+fn servos(address: &str, mirrors: &str) -> Wall {
+    wall(&format!(
+        "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmeasures = true\nmirrors = {mirrors}"
+    ))
+}
+
+#[test]
+fn a_servo_board_hears_its_lines_in_the_order_of_its_channels() {
+    let (address, log) = servo_board(usize::MAX);
+    let mut device = servos(&address, "[1, 0]");
+    device.connect(NOW).unwrap();
+    let angles = MirrorAngles { roll: vec![0.1, 0.2], yaw: vec![-0.3, 0.4] };
+    device.apply(NOW, &angles).unwrap();
+    let mut measured = MirrorAngles::flat(2);
+    assert_eq!(device.measure(NOW, &mut measured), Ok(true));
+    assert_eq!(measured, angles);
+    device.stop(NOW).unwrap();
+    let wanted = ["hello", "set 200000 400000 100000 -300000", "get", "stop"].map(str::to_owned);
+    assert_eq!(heard(&log, &wanted), wanted);
+}
+
+#[test]
+fn a_board_that_is_not_the_one_described_is_refused() {
+    let (address, _log) = servo_board(usize::MAX);
+    let wide = format!(
+        "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -40.0\nmax_deg = 30.0\nmirrors = [0, 1]"
+    );
+    let error = wall(&wide).connect(NOW).unwrap_err().to_string();
+    assert!(error.contains("-30.00 to 30.00") && error.contains("-40.00"), "{error}");
+}
+
+#[test]
+fn a_device_that_goes_away_is_a_fault_and_is_told_again_when_it_is_back() {
+    // hello and the park position; then it hangs up.
+    let (address, log) = servo_board(2);
+    let mut kit = Kit::new(servos(&address, "[0, 1]"));
+    let at = |ms: u64| Moment { local_ns: ms * 1_000_000, room_ns: NOW.room_ns + ms * 1_000_000 };
+    kit.advance(at(0));
+    assert_eq!(kit.connections(), 1);
+    let command = MirrorCommand {
+        epoch: 1,
+        sequence: 1,
+        time_ns: NOW.room_ns,
+        validity_ms: 60_000,
+        roll: vec![0.25; 2],
+        yaw: vec![0.125; 2],
+        ..MirrorCommand::default()
+    };
+    kit.command(at(1), &command).unwrap();
+    let told = kit.telemetry(at(2), Stamp::default());
+    assert_eq!((told.state, told.faults & fault::LINK), (ArrayState::Fault, fault::LINK));
+    assert!(told.roll_measured.is_empty() && kit.last_problem().is_some());
+    kit.advance(at(50));
+    assert_eq!(kit.connections(), 1, "not before the pause is over");
+    kit.advance(at(150));
+    assert_eq!(kit.connections(), 2);
+    let last = log.lock().unwrap().last().cloned();
+    assert_eq!(last.as_deref(), Some("set 250000 125000 250000 125000"));
+}

@@ -1,0 +1,77 @@
+//! `heliostat ui`: the page and the terminal view of a room that runs elsewhere.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use heliostat_bus::{Bus, BusArgs};
+use heliostat_controller::policy::PolicyKind;
+use heliostat_scenario::ScenarioArgs;
+use heliostat_ui::{Display, Operator, Page, PageArgs, View};
+
+/// Between two looks at keys and signals.
+const WATCH_EVERY: Duration = Duration::from_millis(50);
+
+/// Watch a running room, simulated or real, in a browser and on the terminal.
+///
+/// Connect to the room's process and to the controller's (peers do not pass on what they hear), or to the router of both. The
+/// scenario says what the room looks like: give the same as to the others. The page's buttons act on the room as those of `heliostat demo` do, save
+/// that nobody here can kill or revive a process.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    bus: BusArgs,
+    #[command(flatten)]
+    page: PageArgs,
+    /// Print lines even on a terminal
+    #[arg(long)]
+    plain: bool,
+    /// End after this long
+    #[arg(long, value_name = "N")]
+    seconds: Option<f64>,
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> Result<()> {
+    if let Some(seconds) = args.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
+        bail!("--seconds {seconds}: wanted 0.1 to 10000000");
+    }
+    let scenario = args.scenario.load()?;
+    let config = args.bus.config_or_connect()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let on_signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+
+    let bus = Bus::open(&config)?;
+    let view = Arc::new(View::open(&bus, &scenario)?);
+    let room = config.room.name().to_owned();
+    let server = args.page.serve(|| {
+        let operator = Operator::new(&bus, None)?;
+        Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
+    })?;
+    if let Some(server) = &server {
+        eprintln!("{server}");
+    }
+    let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
+    let mut display = Display::open(args.plain, &title)?;
+    let (opened, mut drawn) = (Instant::now(), Instant::now());
+    let is_over = || args.seconds.is_some_and(|seconds| opened.elapsed().as_secs_f64() >= seconds);
+    while !stop.load(Ordering::Relaxed) && !display.quit_asked()? && !is_over() {
+        std::thread::sleep(WATCH_EVERY);
+        if drawn.elapsed() >= display.interval() {
+            drawn = Instant::now();
+            display.draw(&view)?;
+        }
+    }
+    Ok(())
+}
+
+/// The names of the controller's policies, for the page to offer.
+pub fn policy_names() -> Vec<String> {
+    let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+    values.map(|value| value.get_name().to_owned()).collect()
+}

@@ -1,0 +1,60 @@
+//! The benchmarks of latency: what they print, and that their counts are right. No time is asserted.
+
+use std::process::Command;
+
+use serde_json::Value;
+
+fn rows(arguments: &[&str]) -> Vec<Value> {
+    let output = Command::new(env!("CARGO_BIN_EXE_heliostat")).arg("bench").args(arguments).arg("--json").output();
+    let output = output.expect("the program starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let json: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    json["rows"].as_array().expect("rows").clone()
+}
+
+fn number(row: &Value, path: &str) -> f64 {
+    row.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {path} in {row}"))
+}
+
+fn assert_whole(row: &Value) {
+    for part in ["measured_us", "reference_us"] {
+        let times = ["p50", "p90", "p99", "p999", "max"].map(|name| number(row, &format!("/{part}/{name}")));
+        assert!(times[0] > 0.0 && times.is_sorted(), "{part}: {row}");
+    }
+    for quantile in ["p50", "p99"] {
+        let quotient =
+            number(row, &format!("/measured_us/{quantile}")) / number(row, &format!("/reference_us/{quantile}"));
+        assert!((quotient / number(row, &format!("/ratio_{quantile}")) - 1.0).abs() < 1e-9, "{row}");
+    }
+    for name in ["mirrors", "users", "rooms", "count", "over_budget"] {
+        number(row, &format!("/{name}"));
+    }
+    assert!(row["policy"].is_string() && row.get("hz").is_some(), "{row}");
+}
+
+#[test]
+fn decisions_are_counted_and_each_miss_has_its_stage() {
+    let rows = rows(&["decide", "--policy", "nearest", "--hz", "1000,0", "--decisions", "600", "--keep-warm", "200"]);
+    assert_eq!(rows.len(), 2);
+    for row in &rows {
+        assert_whole(row);
+        assert!(number(row, "/count") >= 600.0, "{row}");
+        let blamed = row["over_budget_by"].as_object().unwrap().values().filter_map(Value::as_f64).sum::<f64>();
+        assert_eq!(blamed, number(row, "/over_budget"), "{row}");
+    }
+    assert_eq!((number(&rows[0], "/hz"), &rows[1]["hz"]), (1000.0, &Value::Null));
+}
+
+#[test]
+fn rooms_are_served_by_one_process_beside_an_echo() {
+    let rows = rows(&["rooms", "--policy", "nearest", "--rooms", "1,3", "--hz", "50", "--seconds", "1.5"]);
+    assert_eq!(rows.len(), 2);
+    for (row, rooms) in rows.iter().zip([1.0, 3.0]) {
+        assert_whole(row);
+        assert_eq!(number(row, "/rooms"), rooms);
+        // At least one block of half a second was measured, and nearly all of it was answered.
+        assert!(number(row, "/count") + number(row, "/lost") >= 25.0 * rooms, "{row}");
+        assert!(number(row, "/lost") <= 0.2 * number(row, "/count"), "{row}");
+        assert!(number(row, "/decision_us/p50") < number(row, "/measured_us/p50") * 1.5, "{row}");
+    }
+}

@@ -1,0 +1,132 @@
+//! The simulated mirrors as a device: what the driver kit turns in a room that does not exist.
+
+use heliostat_channel::{MirrorAngles, MirrorArray};
+use heliostat_driver::clock::Moment;
+use heliostat_driver::{Device, DeviceError};
+use heliostat_proto::{AxisLimits, Capabilities, Feedback};
+use heliostat_scenario::{Actuator as Table, ActuatorParameters};
+
+use crate::actuator::Actuator;
+use crate::random::RoomRng;
+
+/// How long the last command is held after its validity has ended, in ms.
+pub const HOLD_MS: u32 = 300;
+
+/// The drives go so much further than announced, either side, in rad: room for a calibration's corrections.
+pub const CALIBRATION_RESERVE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+
+/// Actuators on a time line of their own.
+#[derive(Clone, Debug)]
+pub struct SimulatedMirrors {
+    actuator: Actuator,
+    parameters: ActuatorParameters,
+    hardware: String,
+    rows: usize,
+    columns: usize,
+    time_ns: u64,
+}
+
+impl SimulatedMirrors {
+    /// Mirrors at rest, at local time 0.
+    pub fn new(table: &Table, grid: &MirrorArray, rng: RoomRng) -> Self {
+        let parameters = table.parameters();
+        let drive =
+            ActuatorParameters { range_rad: parameters.range_rad + CALIBRATION_RESERVE_RAD, ..parameters.clone() };
+        Self {
+            actuator: Actuator::new(&drive, grid.len(), rng),
+            hardware: format!("simulated mirrors, profile {:?}", table.profile).to_lowercase(),
+            rows: grid.rows(),
+            columns: grid.columns(),
+            parameters,
+            time_ns: 0,
+        }
+    }
+
+    /// The mirrors themselves.
+    pub fn actuator(&self) -> &Actuator {
+        &self.actuator
+    }
+
+    /// For faults in a running room.
+    pub fn actuator_mut(&mut self) -> &mut Actuator {
+        &mut self.actuator
+    }
+
+    /// The time up to which the mirrors were moved, in ns of local time.
+    pub fn time_ns(&self) -> u64 {
+        self.time_ns
+    }
+
+    /// Moves the mirrors to a time; an earlier one changes nothing.
+    pub fn move_to(&mut self, local_ns: u64) {
+        self.actuator.step(local_ns.saturating_sub(self.time_ns) as f64 * 1e-9);
+        self.time_ns = self.time_ns.max(local_ns);
+    }
+
+    /// Moves the mirrors to the time of a call; an array that is away then does not hear it.
+    fn reach(&mut self, now: Moment) -> Result<(), DeviceError> {
+        if now.local_ns > self.time_ns {
+            self.move_to(now.local_ns);
+        }
+        if self.actuator.is_away() {
+            return Err(DeviceError::new("simulated mirrors", "offline or starting, by order of an operator"));
+        }
+        Ok(())
+    }
+}
+
+impl Device for SimulatedMirrors {
+    fn capabilities(&self) -> Capabilities {
+        let parameters = &self.parameters;
+        let range = parameters.range_rad;
+        // Two per cent of a step is left after four time constants of the envelope.
+        let settling_s =
+            parameters.second_order.map_or(0.0, |(frequency, damping)| 4.0 / (damping.min(1.0) * frequency));
+        let steps = parameters.resolution_bits.map(|bits| 2.0_f64.powi(bits as i32));
+        let axis = AxisLimits {
+            min_rad: -range as f32,
+            max_rad: range as f32,
+            slew_rad_s: parameters.slew_rad_per_s.unwrap_or(0.0) as f32,
+            settling_s: if settling_s.is_finite() { (settling_s + parameters.delay_s) as f32 } else { 0.0 },
+            resolution_rad: steps.map_or(0.0, |steps| 2.0 * (range + CALIBRATION_RESERVE_RAD) / steps) as f32,
+        };
+        Capabilities {
+            hardware: self.hardware.clone(),
+            driver: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
+            rows: self.rows as u32,
+            columns: self.columns as u32,
+            roll: axis,
+            yaw: axis,
+            feedback: Feedback::ClosedLoop,
+            park_after_ms: HOLD_MS,
+            ..Capabilities::default()
+        }
+    }
+
+    fn travel_rad(&self) -> [[f64; 2]; 2] {
+        let travel = self.parameters.range_rad + CALIBRATION_RESERVE_RAD;
+        [[-travel, travel]; 2]
+    }
+
+    fn connect(&mut self, now: Moment) -> Result<(), DeviceError> {
+        self.reach(now)
+    }
+
+    fn apply(&mut self, now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        self.reach(now)?;
+        self.actuator.command(angles);
+        Ok(())
+    }
+
+    fn measure(&mut self, now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        self.reach(now)?;
+        into.clone_from(self.actuator.measured());
+        Ok(true)
+    }
+
+    fn stop(&mut self, now: Moment) -> Result<(), DeviceError> {
+        self.reach(now)?;
+        self.actuator.halt();
+        Ok(())
+    }
+}

@@ -1,0 +1,52 @@
+//! Every policy by its name, as a stranger gives it: two processes for a moment each.
+
+use heliostat_tests::Process;
+use serde_json::Value;
+
+/// What runs in the default room. The metaheuristics may take their whole budget for each tick, and the oracle far more.
+const QUICK: [&str; 9] = ["fixed-point", "greedy", "sine-cosine", "pso", "nearest", "random", "flat", "no-irs", "hold"];
+
+/// What was learned, and may be built in or not.
+const LEARNED: [&str; 7] = ["ddpg", "ddpg-raw", "ddpg-basis", "analytic", "dql", "q-learning", "sarsa"];
+
+/// Room for the exhaustive search.
+const SMALL: [&str; 6] = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];
+
+fn demo(policy: &str, more: &[&str]) -> Process {
+    let first = ["demo", "--policy", policy, "--seconds", "0.3", "--json"];
+    Process::heliostat(&[&first[..], more].concat())
+}
+
+fn assert_ran(summary: &Value, policy: &str) {
+    assert_eq!(summary["policy"], policy, "{summary}");
+    assert!(summary["commands"].as_u64().is_some_and(|commands| commands > 0), "{policy}: {summary}");
+    assert_eq!(summary["fallbacks"], serde_json::json!({}), "{policy}: {summary}");
+}
+
+#[test]
+fn every_policy_that_needs_no_file_runs_by_its_name() {
+    for policy in QUICK {
+        assert_ran(&demo(policy, &[]).wait().json(), policy);
+    }
+    assert_ran(&demo("exhaustive", &SMALL).wait().json(), "exhaustive");
+}
+
+#[test]
+fn every_learned_policy_runs_by_its_name_or_says_how_to_get_it() {
+    for policy in LEARNED {
+        let finished = demo(policy, &[]).wait();
+        if finished.status.success() {
+            assert_ran(&finished.json(), policy);
+        } else {
+            assert!(policy != "ddpg", "{}", finished.errors);
+            let train = format!("heliostat train {policy}");
+            assert!(finished.errors.contains(&train), "{policy}: {}", finished.errors);
+        }
+    }
+}
+
+#[test]
+fn the_exhaustive_search_refuses_a_large_room_at_the_start() {
+    let finished = demo("exhaustive", &[]).wait();
+    assert!(finished.refusal().contains("--policy oracle"), "{}", finished.errors);
+}

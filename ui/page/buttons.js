@@ -1,0 +1,88 @@
+// The buttons: each sends an order; what is pressed shows what the topics say, not what was clicked.
+
+const POWERS_W = [0.5, 1, 2, 4];
+const SPEEDS = [["stand", 0], ["stroll", 0.5], ["walk", 2], ["run", 4]];
+const MOST_BLOCKED = 8;
+
+export class Buttons {
+  constructor(plan) {
+    this.plan = plan;
+    this.said = document.getElementById("said");
+    const select = document.getElementById("policy");
+    select.replaceChildren(...plan.policies.map((name) => new Option(name, name)));
+    this.on("switch-policy", () => ({ order: "policy", name: select.value }));
+    this.on("stick", () => ({ order: "stick", share: 0.25 }));
+    this.on("release", () => ({ order: "release" }));
+    this.on("stop", () => ({ order: "stop" }));
+    this.on("rearm", () => ({ order: "rearm" }));
+    this.on("kill", () => ({ order: "kill-controller" }));
+    this.on("revive", () => ({ order: "revive-controller" }));
+    this.power = this.group("power", POWERS_W.map((watts) => [`${watts} W`, watts]), (watts) => ({ order: "power", watts }));
+    this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
+    this.blocked = [];
+    if (!plan.owns_processes) {
+      for (const id of ["kill", "revive"]) document.getElementById(id).title = "only `heliostat demo` owns the processes that it started";
+    }
+  }
+
+  theme() {}
+
+  // Shows the state that the topics tell.
+  take(now) {
+    const pressed = (buttons, value) => {
+      for (const [button, of] of buttons) button.setAttribute("aria-pressed", String(value != null && Math.abs(of - value) < 1e-6));
+    };
+    const most = Math.min(now.users.length, MOST_BLOCKED);
+    if (this.blocked.length !== most + 1) {
+      const choices = Array.from({ length: most + 1 }, (_, users) => [users ? String(users) : "nobody", users]);
+      this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
+    }
+    pressed(this.blocked, now.users.filter((user) => user.forced).length);
+    pressed(this.power, now.power_w);
+    pressed(this.speed, now.speed_m_s);
+    const simulated = now.origin === "simulated";
+    for (const [button] of [...this.power, ...this.speed, ...this.blocked]) button.disabled = !simulated;
+    const enable = (id, yes) => { document.getElementById(id).disabled = !yes; };
+    enable("stick", simulated);
+    enable("release", simulated);
+    enable("kill", this.plan.owns_processes && now.controller_alive);
+    enable("revive", this.plan.owns_processes && !now.controller_alive);
+    enable("switch-policy", now.controller_alive);
+    const select = document.getElementById("policy");
+    if (now.policy && now.policy !== this.policy) {
+      this.policy = now.policy;
+      if (document.activeElement !== select) select.value = now.policy;
+    }
+  }
+
+  on(id, order) {
+    document.getElementById(id).addEventListener("click", () => this.send(order()));
+  }
+
+  group(id, choices, order) {
+    const buttons = choices.map(([name, value]) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.textContent = name;
+      button.dataset.value = value;
+      button.addEventListener("click", () => this.send(order(value)));
+      return [button, value];
+    });
+    document.getElementById(id).replaceChildren(...buttons.map(([button]) => button));
+    return buttons;
+  }
+
+  async send(order) {
+    const what = Object.values(order).join(" ");
+    try {
+      const answer = await fetch("/order", {
+        method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
+      });
+      this.said.textContent = answer.ok ? `sent: ${what}` : `refused: ${await answer.text()}`;
+      this.said.className = answer.ok ? "" : "bad";
+    } catch (error) {
+      this.said.textContent = `not sent: ${error.message}`;
+      this.said.className = "bad";
+    }
+  }
+}

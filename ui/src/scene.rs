@@ -1,0 +1,273 @@
+//! What the page draws in three dimensions: a plan of what stands still, and frames of what moves.
+//!
+//! A mirror *serves* the user to whom it brings most light at its present angles, by the same channel that measures rates.
+//! Lengths are in m, rounded to millimetres.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use heliostat_channel::{Cylinder, MirrorAngles, Scene, Vec3};
+use heliostat_proto::MirrorTelemetry;
+use serde::Serialize;
+
+use crate::View;
+use crate::shadow::shadow;
+use crate::view::Heard;
+
+/// A user who walks slower than this, in m/s, is taken to face where they faced before.
+const WALKING_M_S: f64 = 0.05;
+
+/// A mirror that stands this far from its command, in rad, is drawn as one that does not follow: far more than jitter.
+const ASTRAY_RAD: f32 = 0.1;
+
+/// What stands still.
+#[derive(Clone, Debug, Serialize)]
+pub struct Plan {
+    /// Name of the room in the keys.
+    pub room: String,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Extents along x, y and z in m.
+    pub size_m: [f64; 3],
+    /// Centres of the access points in m.
+    pub leds_m: Vec<[f64; 3]>,
+    /// Centres of the mirrors in m, in index order.
+    pub mirrors_m: Vec<[f64; 3]>,
+    /// Height of the detectors above the floor in m: shadows are drawn there.
+    pub detector_height_m: f64,
+}
+
+/// A person as the page draws them.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Person {
+    /// Where the detector is in m.
+    pub at_m: [f64; 3],
+    /// The body: x, y, radius and height in m; absent where bodies do not count.
+    pub body_m: Option<[f64; 4]>,
+    /// The access point that serves them.
+    pub led: usize,
+    /// Whether the direct path is off.
+    pub blocked: bool,
+}
+
+/// What moves.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Frame {
+    /// Corners of each mirror: four times x, y, z in m.
+    pub mirrors_m: Vec<[f64; 12]>,
+    /// Index among the people of whom each mirror serves; -1 for nobody.
+    pub serves: Vec<i32>,
+    /// Indices of the mirrors that do not follow.
+    pub unusable: Vec<u32>,
+    /// The people.
+    pub people: Vec<Person>,
+    /// The obstacles: x, y, radius and height in m.
+    pub obstacles_m: Vec<[f64; 4]>,
+    /// Corners of each shadow at the detectors' height, in m.
+    pub shadows_m: Vec<Vec<[f64; 2]>>,
+}
+
+/// Draws frames of a view, and remembers which way people faced.
+pub struct Painter {
+    view: Arc<View>,
+    memory: Mutex<Memory>,
+}
+
+struct Memory {
+    scene: Scene,
+    headings: Vec<Vec3>,
+    gains: Vec<f64>,
+}
+
+/// A person and what blocks their light, as far as the topics say.
+struct Seen {
+    position: Vec3,
+    /// Unit vector, or zero where unknown.
+    heading: Vec3,
+    blocked: bool,
+}
+
+impl View {
+    /// What stands still in the room.
+    pub fn plan(&self, room: &str) -> Plan {
+        let size = &self.scenario.room;
+        Plan {
+            room: room.to_owned(),
+            scenario: self.scenario.name.clone(),
+            size_m: [size.length_x_m, size.length_y_m, size.height_m],
+            leds_m: self.model.leds.iter().map(|led| rounded(&led.position)).collect(),
+            mirrors_m: self.model.mirrors.positions().iter().map(rounded).collect(),
+            detector_height_m: self.scenario.receiver.height_m,
+        }
+    }
+}
+
+impl Painter {
+    /// A painter that has not seen anybody yet.
+    pub fn new(view: Arc<View>) -> Self {
+        let memory = Memory { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
+        Self { view, memory: Mutex::new(memory) }
+    }
+
+    /// The room at this moment.
+    pub fn frame(&self) -> Frame {
+        let mut memory = self.memory.lock().unwrap_or_else(PoisonError::into_inner);
+        let (people, obstacles, telemetry) = self.look(&mut memory.headings);
+        let bodies: Vec<Option<Cylinder>> = people.iter().map(|person| self.body(person)).collect();
+        let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
+        let angles = self.angles(telemetry.as_ref());
+        let serves = memory.serve(&self.view, &people, &blockers, &angles);
+        let serving = memory.scene.serving();
+        Frame {
+            mirrors_m: (0..angles.len()).map(|index| self.corners(index, &angles)).collect(),
+            serves,
+            unusable: telemetry.map(unusable).unwrap_or_default(),
+            people: (people.iter().zip(&bodies).enumerate())
+                .map(|(index, (person, body))| Person {
+                    at_m: rounded(&person.position),
+                    body_m: body.as_ref().map(outline),
+                    led: serving[index],
+                    blocked: person.blocked,
+                })
+                .collect(),
+            obstacles_m: obstacles.iter().map(outline).collect(),
+            shadows_m: self.shadows(&blockers),
+        }
+    }
+
+    /// The latest of people, obstacles and mirrors.
+    fn look(&self, headings: &mut Vec<Vec3>) -> (Vec<Seen>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+        let heard = self.view.heard();
+        let telemetry = Heard::fresh(&heard.telemetry).cloned();
+        let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
+            x_m: f64::from(obstacle.x_m),
+            y_m: f64::from(obstacle.y_m),
+            radius_m: f64::from(obstacle.radius_m),
+            height_m: f64::from(obstacle.height_m),
+        };
+        let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
+        if let Some(truth) = Heard::fresh(&heard.truth) {
+            let seen = |user: &heliostat_proto::TruthUser| {
+                let (sin, cos) = f64::from(user.heading_rad).sin_cos();
+                Seen { position: point(user.position_m), heading: Vec3::new(cos, sin, 0.0), blocked: user.los_blocked }
+            };
+            let people = truth.users.iter().map(seen).collect();
+            return (people, truth.obstacles.iter().map(cylinder).collect(), telemetry);
+        }
+        let obstacles = Heard::fresh(&heard.obstacles).map_or(&[][..], |report| &report.obstacles);
+        let obstacles = obstacles.iter().map(cylinder).collect();
+        let Some(report) = Heard::fresh(&heard.users) else { return (Vec::new(), obstacles, telemetry) };
+        headings.resize(report.users.len(), Vec3::zeros());
+        let light = Heard::fresh(&heard.channel).map_or(&[][..], |report| &report.users);
+        let people = report.users.iter().zip(headings).map(|(user, heading)| {
+            let [x, y] = user.velocity_m_s.map(f64::from);
+            if x.hypot(y) > WALKING_M_S {
+                *heading = Vec3::new(x, y, 0.0).normalize();
+            }
+            let dark = light.iter().any(|light| light.user == user.user && light.los_gain == 0.0);
+            Seen { position: point(user.position_m), heading: *heading, blocked: dark }
+        });
+        (people.collect(), obstacles, telemetry)
+    }
+
+    fn body(&self, person: &Seen) -> Option<Cylinder> {
+        let blockage = &self.view.scenario.blockage;
+        let axis = person.position - blockage.body_offset_m * person.heading;
+        blockage.bodies.then_some(Cylinder {
+            x_m: axis.x,
+            y_m: axis.y,
+            radius_m: blockage.body_radius_m,
+            height_m: blockage.body_height_m,
+        })
+    }
+
+    /// Where the mirrors are: as measured, or else as commanded, or else flat.
+    fn angles(&self, telemetry: Option<&MirrorTelemetry>) -> MirrorAngles {
+        let mirrors = self.view.model.mirrors.len();
+        let Some(telemetry) = telemetry.filter(|telemetry| telemetry.check_mirrors(mirrors).is_ok()) else {
+            return MirrorAngles::flat(mirrors);
+        };
+        let choose = |measured: &[f32], commanded: &[f32]| {
+            let angles = if measured.is_empty() { commanded } else { measured };
+            angles.iter().map(|angle| f64::from(*angle)).collect()
+        };
+        MirrorAngles {
+            roll: choose(&telemetry.roll_measured, &telemetry.roll_commanded),
+            yaw: choose(&telemetry.yaw_measured, &telemetry.yaw_commanded),
+        }
+    }
+
+    /// Corners of a turned mirror, one after the other round its edge.
+    fn corners(&self, index: usize, angles: &MirrorAngles) -> [f64; 12] {
+        let array = &self.view.model.mirrors;
+        let normal = array.normal(angles.roll[index], angles.yaw[index]);
+        // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays horizontal.
+        let flat_width = array.room_from_wall(&Vec3::x());
+        let width = Vec3::z().cross(&normal).try_normalize(1e-9).unwrap_or(flat_width);
+        let height = normal.cross(&width);
+        let (half_width, half_height) = (array.spec().mirror_width_m / 2.0, array.spec().mirror_height_m / 2.0);
+        let mut corners = [0.0; 12];
+        for (corner, (x, z)) in corners.chunks_exact_mut(3).zip([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) {
+            let at = array.positions()[index] + x * half_width * width + z * half_height * height;
+            corner.copy_from_slice(&rounded(&at));
+        }
+        corners
+    }
+
+    fn shadows(&self, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>> {
+        let room = &self.view.scenario.room;
+        let (extents, height) = ((room.length_x_m / 2.0, room.length_y_m / 2.0), self.view.scenario.receiver.height_m);
+        let pairs = self.view.model.leds.iter().flat_map(|led| blockers.iter().map(move |blocker| (led, blocker)));
+        let thrown = pairs.map(|(led, blocker)| shadow(blocker, &led.position, height, extents));
+        let drawable = thrown.filter(|corners| corners.len() > 2);
+        drawable.map(|corners| corners.into_iter().map(|corner| corner.map(millimetres)).collect()).collect()
+    }
+}
+
+impl Memory {
+    /// Index of the person whom each mirror serves, or -1.
+    fn serve(&mut self, view: &View, people: &[Seen], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
+        let (users, mirrors) = (people.len(), angles.len());
+        if self.scene.users() != users {
+            self.scene = Scene::new(&view.model, users);
+            self.gains = vec![0.0; users * mirrors];
+        }
+        let positions: Vec<Vec3> = people.iter().map(|person| person.position).collect();
+        let blocked: Vec<bool> = people.iter().map(|person| person.blocked).collect();
+        self.scene.update(&view.model, &positions, blockers, &blocked);
+        self.scene.irs_gain_each(&view.model, angles, &mut self.gains);
+        let best = |mirror: usize| {
+            let gain = |user: usize| self.gains[user * mirrors + mirror];
+            let best = (0..users).max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
+            best.filter(|user| gain(*user) > 0.0).map_or(-1, |user| user as i32)
+        };
+        (0..mirrors).map(best).collect()
+    }
+}
+
+/// The mirrors that do not follow: as the driver says, or else those that stand far from where they were told to be.
+fn unusable(telemetry: MirrorTelemetry) -> Vec<u32> {
+    if !telemetry.unusable.is_empty() {
+        return telemetry.unusable;
+    }
+    let astray = |measured: &[f32], commanded: &[f32], index: usize| {
+        measured.get(index).zip(commanded.get(index)).is_some_and(|(is, told)| (is - told).abs() > ASTRAY_RAD)
+    };
+    let all = 0..telemetry.roll_commanded.len();
+    let far = all.filter(|index| {
+        astray(&telemetry.roll_measured, &telemetry.roll_commanded, *index)
+            || astray(&telemetry.yaw_measured, &telemetry.yaw_commanded, *index)
+    });
+    far.map(|index| index as u32).collect()
+}
+
+fn outline(cylinder: &Cylinder) -> [f64; 4] {
+    [cylinder.x_m, cylinder.y_m, cylinder.radius_m, cylinder.height_m].map(millimetres)
+}
+
+fn rounded(point: &Vec3) -> [f64; 3] {
+    [point.x, point.y, point.z].map(millimetres)
+}
+
+fn millimetres(length_m: f64) -> f64 {
+    (length_m * 1e3).round() / 1e3
+}

@@ -38,7 +38,7 @@ use crate::{
     safety::{self, Limits},
 };
 
-/// Decisions on an invented room before a controller announces itself. A policy remembers them, so a replay makes as many.
+/// Decisions on an invented room before a controller announces itself. A policy remembers them, so whoever repeats a run makes as many.
 pub const WARM_UP_RUNS: usize = 200;
 
 /// The scenario's answers, and when silence begins.

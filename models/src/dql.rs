@@ -75,7 +75,7 @@ impl Settings {
             warm_up: 500,
             exploration: Exploration { kind: Kind::EpsilonGreedy, start: 0.995, end: 1e-4 },
             run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
+                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
                 rooms: Rooms::Randomised,
                 episodes: 1000,
                 steps: 40,

@@ -74,7 +74,7 @@ impl Settings {
             alpha: 0.05,
             exploration: Exploration { kind: Kind::EpsilonGreedy, start: 0.995, end: 0.05 },
             run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0 },
+                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
                 rooms: Rooms::Randomised,
                 episodes: 1000,
                 steps: 80,

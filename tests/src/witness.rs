@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription};
 use heliostat_proto::{
-    EmergencyStop, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, UserReport, codec,
+    MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, UserReport, codec,
 };
 
 use crate::wait_until;

@@ -3,9 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription};
-use heliostat_proto::{
-    MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, UserReport, codec,
-};
+use heliostat_proto::{MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, UserReport, codec};
 
 use crate::wait_until;
 

@@ -11,6 +11,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_controller::policy::{self, ActorSource, PolicyKind};
 use heliostat_proto::Room;

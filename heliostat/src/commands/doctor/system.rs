@@ -4,6 +4,7 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Reach};
+use heliostat_controller::capabilities::{Examiner, Force};
 use heliostat_controller::policy::{self, ActorSource};
 use heliostat_proto::{Capabilities, Room, ValidityClock, decode};
 use heliostat_scenario::Scenario;
@@ -97,14 +98,14 @@ fn ask_driver(args: &Args) -> anyhow::Result<Capabilities> {
 
 /// Whether an array is the one that the scenario describes.
 fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
-    let (rows, columns) = (scenario.mirrors.rows, scenario.mirrors.columns);
     let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
-    if (array.rows as usize, array.columns as usize) != (rows, columns) {
-        let advice = format!(
-            "the scenario has {rows} x {columns}: --set mirrors.rows={} --set mirrors.columns={}",
-            array.rows, array.columns
-        );
-        return Check::fail("driver", found, advice);
+    // What the controller itself would say.
+    let examined = scenario
+        .channel_model()
+        .map_err(anyhow::Error::from)
+        .and_then(|model| Ok(Examiner::new(scenario, &model, Force::default()).examine(array)?));
+    if let Err(unfit) = examined {
+        return Check::fail("driver", found, format!("{unfit:#}"));
     }
     let wanted_rad = scenario.control.range_deg.to_radians();
     let reach_rad = [array.roll.min_rad, array.yaw.min_rad, -array.roll.max_rad, -array.yaw.max_rad];

@@ -35,7 +35,8 @@ impl Histogram {
     }
 
     fn buckets(&self) -> Vec<(f64, u64)> {
-        let ends = TIME_BUCKETS_S.into_iter().chain([f64::INFINITY]);
+        // The encoder writes this one as +Inf.
+        let ends = TIME_BUCKETS_S.into_iter().chain([f64::MAX]);
         ends.zip(self.counts).collect()
     }
 }

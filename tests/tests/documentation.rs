@@ -145,7 +145,7 @@ fn every_tutorial_is_run() {
 }
 
 #[test]
-fn yaml_and_toml_of_the_deployment_are_sound() {
+fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
     let deploy = root().join("deploy");
     for room in ["lab", "atrium"] {
         let toml = fs::read_to_string(deploy.join(format!("rooms/{room}.toml"))).expect("a room has a scenario");

@@ -255,7 +255,16 @@ fn when_the_room_falls_silent_the_last_good_is_repeated_if_so_configured() {
 #[test]
 fn a_policy_that_is_too_slow_is_late_and_what_piles_up_is_shed() {
     // The oracle takes several reports' time for one answer.
-    let slow = ["--policy", "oracle", "--decide-in", "thread", "--set", "control.when_late=last-good"];
+    let slow = [
+        "--policy",
+        "oracle",
+        "--decide-in",
+        "thread",
+        "--set",
+        "control.when_late=last-good",
+        "--set",
+        "control.deadline_ms=0.5",
+    ];
     let pair = Pair::start(&["--set", "streams.positions.rate_hz=1000"], &slow);
     let witness = pair.witness();
     let counter = |name: &str| witness.counter(NodeKind::Controller, name);

@@ -15,6 +15,9 @@ use crate::lines::random_id;
 /// How long an answer is waited for; only a driver that never gives it makes this pass.
 pub const PATIENCE: Duration = Duration::from_secs(4);
 
+/// Time until the driver is asked again.
+const ASK_AGAIN: Duration = Duration::from_millis(50);
+
 /// Validity of a command that is not about validity.
 pub const VALIDITY_MS: u32 = 3000;
 
@@ -49,6 +52,19 @@ pub struct Player {
     calibrations_sent: u64,
 }
 
+/// What the driver answers when it is asked. A session that has just been opened may not know yet whom to ask.
+fn fetch_capabilities(bus: &Bus) -> Result<Option<Capabilities>> {
+    let key = bus.room().capabilities();
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let fetched = bus.fetch(&key, PATIENCE)?.iter().find_map(|payload| decode(payload).ok());
+        if fetched.is_some() || Instant::now() >= until {
+            return Ok(fetched);
+        }
+        std::thread::sleep(ASK_AGAIN);
+    }
+}
+
 impl Player {
     pub fn start(bus: Bus) -> Result<Self> {
         let heard = Arc::new((Mutex::new(Heard::default()), Condvar::new()));
@@ -69,7 +85,7 @@ impl Player {
                 told.1.notify_all();
             }
         })?;
-        let fetched = bus.fetch(&keys.capabilities(), PATIENCE)?.iter().find_map(|payload| decode(payload).ok());
+        let fetched = fetch_capabilities(&bus)?;
         let mut player = Self {
             commands: bus.publisher(&keys.command(), Class::Order)?,
             stops: bus.publisher(&keys.stop(), Class::Order)?,

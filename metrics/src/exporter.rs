@@ -123,13 +123,13 @@ mod tests {
         let exporter = Exporter::open(([127, 0, 0, 1], 0).into()).expect("a free port");
         let address = exporter.address().expect("it listens on TCP");
         for count in [1, 2] {
-            let mut page = Page::default();
+            let mut page = Page::new(&[("room", "a")]);
             page.counter("heliostat_ticks", "Ticks", &[], count);
             exporter.publish(page);
         }
         let answer = get(address, "/metrics");
         assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
-        assert!(answer.contains(CONTENT_TYPE) && answer.contains("heliostat_ticks_total 2\n"), "{answer}");
+        assert!(answer.contains(CONTENT_TYPE) && answer.contains("heliostat_ticks_total{room=\"a\"} 2\n"), "{answer}");
         assert!(get(address, "/").starts_with("HTTP/1.1 404"));
         let taken = Exporter::open(address).err().expect("one listener a port").to_string();
         assert!(taken.contains(&address.to_string()), "{taken}");

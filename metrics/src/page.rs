@@ -35,8 +35,7 @@ impl Histogram {
     }
 
     fn buckets(&self) -> Vec<(f64, u64)> {
-        // The encoder writes this one as +Inf.
-        let ends = TIME_BUCKETS_S.into_iter().chain([f64::MAX]);
+        let ends = TIME_BUCKETS_S.into_iter().chain([f64::INFINITY]);
         ends.zip(self.counts).collect()
     }
 }
@@ -166,10 +165,10 @@ mod tests {
             "# TYPE heliostat_misses counter\nheliostat_misses_total{room=\"a\",cause=\"infer\"} 3\nheliostat_misses_total{room=\"a\",cause=\"observe\"} 0\n",
             "heliostat_rate_bps{room=\"a\"} 1500000.0\n",
             "heliostat_decision_seconds_count{room=\"a\"} 4\n",
-            "heliostat_decision_seconds_bucket{room=\"a\",le=\"0.0004\"} 1\n",
-            "heliostat_decision_seconds_bucket{room=\"a\",le=\"0.0005\"} 3\n",
-            "heliostat_decision_seconds_bucket{room=\"a\",le=\"0.5\"} 3\n",
-            "heliostat_decision_seconds_bucket{room=\"a\",le=\"+Inf\"} 4\n",
+            "heliostat_decision_seconds_bucket{le=\"0.0004\",room=\"a\"} 1\n",
+            "heliostat_decision_seconds_bucket{le=\"0.0005\",room=\"a\"} 3\n",
+            "heliostat_decision_seconds_bucket{le=\"0.5\",room=\"a\"} 3\n",
+            "heliostat_decision_seconds_bucket{le=\"+Inf\",room=\"a\"} 4\n",
             "heliostat_build_info{room=\"a\",process=\"test\",version=\"1.2.3\"} 1.0\n",
         ] {
             assert!(text.contains(wanted), "{wanted} is not in\n{text}");

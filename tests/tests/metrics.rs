@@ -80,7 +80,7 @@ fn a_running_room_tells_what_happens_and_the_dashboard_names_nothing_else() {
     let (room_page, controller_page) = (fetch(room_at), fetch(controller_at));
     let count = value(&controller_page, "heliostat_decision_seconds_count");
     assert!(count > 0.0, "{controller_page}");
-    assert_eq!(count, value(&controller_page, "heliostat_decision_seconds_bucket{room=\"demo\",le=\"+Inf\"}"));
+    assert_eq!(count, value(&controller_page, "heliostat_decision_seconds_bucket{le=\"+Inf\",room=\"demo\"}"));
     assert!(controller_page.contains("heliostat_policy_info{room=\"demo\",policy=\"fixed-point\"} 1"));
     assert!(
         controller_page.contains("content-type: application/openmetrics-text")

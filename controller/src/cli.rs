@@ -1,13 +1,10 @@
 //! The flags of the controller, for its own program and for the `heliostat` command line.
 
-use std::{
-    io::{IsTerminal, Write},
-    path::PathBuf,
-    time::Duration,
-};
+use std::{io::Write, path::PathBuf, time::Duration};
 
 use anyhow::{Context, bail};
 use heliostat_bus::BusArgs;
+use heliostat_metrics::{LogArgs, MetricsArgs};
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 
@@ -21,7 +18,7 @@ use crate::{
 };
 
 /// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
-const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_controller=info";
+const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_controller=info,heliostat_metrics=info";
 
 /// Run the central unit: reports in, mirror commands out.
 ///
@@ -55,6 +52,10 @@ pub struct Args {
     force_paper_angles: bool,
     #[command(flatten)]
     machine: MachineArgs,
+    #[command(flatten)]
+    metrics: MetricsArgs,
+    #[command(flatten)]
+    log: LogArgs,
     /// Take time from the reports, for a room that runs in lockstep; the same room then gets the same commands
     #[arg(long)]
     lockstep: bool,
@@ -70,7 +71,11 @@ pub struct Args {
 }
 
 impl Args {
-    fn node_config(&self) -> anyhow::Result<NodeConfig> {
+    /// The configuration that the flags describe.
+    ///
+    /// # Errors
+    /// Whatever is wrong with a flag or with the scenario.
+    pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
         if let Some(seconds) = self.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
             bail!("--seconds {seconds}: wanted 0.1 to 10000000");
         }
@@ -93,6 +98,7 @@ impl Args {
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
             run_for: self.seconds.map(Duration::from_secs_f64),
+            metrics: self.metrics,
         })
     }
 }
@@ -103,7 +109,7 @@ impl Args {
 /// Whatever keeps it from starting, with what to do about it.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let config = args.node_config()?;
-    log_to_stderr();
+    args.log.begin(DEFAULT_LOG);
     let (stop, stopped) = node::stop_channel();
     let on_signal = stop.clone();
     ctrlc::set_handler(move || {
@@ -126,16 +132,4 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         writeln!(out, "{summary}")?;
     }
     Ok(())
-}
-
-/// Text goes to standard error, so that standard output holds the summary alone; RUST_LOG chooses how much.
-fn log_to_stderr() {
-    use tracing_subscriber::EnvFilter;
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_LOG));
-    // Another part of the same process may have set one up already.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr)
-        .try_init();
 }

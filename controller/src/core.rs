@@ -38,6 +38,9 @@ use crate::{
     safety::{self, Limits},
 };
 
+/// Decisions on an invented room before a controller announces itself. A policy remembers them, so whoever repeats a run makes as many.
+pub const WARM_UP_RUNS: usize = 200;
+
 /// The scenario's answers, and when silence begins.
 #[derive(Clone, Copy, Debug)]
 struct Answers {

@@ -130,6 +130,21 @@ impl Ledger {
         self.over_budget_by[stage as usize]
     }
 
+    /// Times from the entry of the callback to the return of the put, in ns.
+    pub fn decision(&self) -> &Histogram<u64> {
+        &self.decision
+    }
+
+    /// Times of one stage in ns.
+    pub fn stage(&self, stage: Stage) -> &Histogram<u64> {
+        &self.stages[stage as usize]
+    }
+
+    /// Ages of the positions acted on, in ns.
+    pub fn age(&self) -> &Histogram<u64> {
+        &self.age
+    }
+
     /// How many decisions took no longer than each edge, in us; what took longer than the last is in the count of all.
     pub fn decisions_within(&self) -> impl Iterator<Item = (u64, u64)> {
         EDGES_US.map(|edge_us| (edge_us, self.decision.count_between(0, edge_us * 1000))).into_iter()

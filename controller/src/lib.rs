@@ -22,6 +22,7 @@ pub mod inbox;
 pub mod intake;
 pub mod ledger;
 pub mod machine;
+mod metrics;
 pub mod node;
 pub mod observation;
 pub mod observer;

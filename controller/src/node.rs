@@ -11,12 +11,14 @@ use std::{
 
 use anyhow::{Context, bail};
 use heliostat_bus::{Bus, BusConfig};
+use heliostat_metrics::MetricsArgs;
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 
 use crate::{
     capabilities::{Force, Unfit},
     intake::Deciding,
+    metrics,
     policy::PolicyKind,
     post::Post,
     summary::Summary,
@@ -62,6 +64,8 @@ pub struct NodeConfig {
     pub force: Force,
     /// When to end without being asked.
     pub run_for: Option<Duration>,
+    /// Where metrics are served.
+    pub metrics: MetricsArgs,
 }
 
 /// Ends a running node when it is sent anything.
@@ -89,6 +93,7 @@ pub fn stop_with_parent(stop: Stop) {
 /// Where the actor does not fit, the bus cannot be opened, or other controllers have taken over every room.
 pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summary> {
     let started = Instant::now();
+    let exporter = config.metrics.open()?;
     let bus = Bus::open(&config.bus).context("cannot join the room")?;
     let others = config.also_rooms.iter().map(|room| bus.enter(room.clone()));
     let rooms: Vec<Bus> = std::iter::once(bus.enter(config.bus.room.clone())).chain(others).collect();
@@ -104,6 +109,9 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
         }
         next_look += STATUS_INTERVAL;
         posts.iter_mut().for_each(Post::look);
+        if let Some(exporter) = &exporter {
+            exporter.publish(metrics::page(&posts));
+        }
         for index in (0..posts.len()).rev() {
             if let Some(unfit) = posts[index].unfit() {
                 left.push(refuse(posts.swap_remove(index), &unfit));

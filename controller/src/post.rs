@@ -17,7 +17,7 @@ use heliostat_proto::{Capabilities, EmergencyStop, NodeKind, Room, decode, encod
 use crate::{
     capabilities::{Examiner, Unfit},
     control::{self, Workshop},
-    core::Controller,
+    core::{Controller, WARM_UP_RUNS},
     desk::{Desk, RoomClock, utc_ns},
     intake::{Intake, Place, attend, lock},
     ledger::Ledger,
@@ -27,9 +27,6 @@ use crate::{
     status::{Identity, Reporter},
     summary::Summary,
 };
-
-/// Decisions on an invented room before the node announces itself.
-const WARM_UP_RUNS: usize = 200;
 
 /// How long an array is asked what it can do.
 const CAPABILITIES_WITHIN: Duration = Duration::from_millis(300);

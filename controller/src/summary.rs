@@ -38,6 +38,9 @@ pub struct Summary {
     pub refused: BTreeMap<String, u64>,
     /// Axis values that the limits changed.
     pub clipped: ClippedSummary,
+    /// What the array said last about itself; absent before it spoke.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub array: Option<ArraySummary>,
     /// How many sources owned the room, one after the other.
     pub sources: u64,
     /// Commands that the transport did not take.
@@ -56,6 +59,17 @@ pub struct Summary {
     pub rooms: BTreeMap<String, Summary>,
     /// The last thing that went wrong; empty while nothing did.
     pub last_problem: String,
+}
+
+/// What an array says about itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ArraySummary {
+    /// Bits of [`heliostat_proto::messages::fault`].
+    pub faults: u32,
+    /// Mirrors known not to follow.
+    pub unusable: u64,
+    /// Commands that it refused since it started.
+    pub refused: u64,
 }
 
 /// Axis values that the limits changed.
@@ -80,6 +94,11 @@ impl Summary {
             fallbacks: departures.into_iter().filter(|(_, count)| *count > 0).collect(),
             refused: controller.inbox().refused().named().collect(),
             clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
+            array: controller.inbox().telemetry().map(|telemetry| ArraySummary {
+                faults: telemetry.faults,
+                unusable: telemetry.unusable.len() as u64,
+                refused: telemetry.counters.refused(),
+            }),
             sources: controller.inbox().sources(),
             ..Self::default()
         }

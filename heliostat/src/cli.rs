@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, demo, eval, link, map, scenario, ui};
+use crate::commands::{bench, completions, config, demo, doctor, eval, link, map, scenario, ui};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -11,7 +11,7 @@ use crate::commands::{bench, demo, eval, link, map, scenario, ui};
 /// the obstacle. Start with `heliostat demo`.
 #[derive(Debug, Parser)]
 #[command(name = "heliostat", version, arg_required_else_help = true)]
-struct Cli {
+pub struct Cli {
     #[command(subcommand)]
     command: Command,
 }
@@ -42,6 +42,14 @@ enum Command {
     Bench(bench::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
+    /// Check what matters before a run, and say what to do about it
+    Doctor(doctor::Args),
+    /// Print the effective configuration of a process
+    Config(config::Args),
+    /// Print completions for a shell
+    Completions(completions::CompletionArgs),
+    /// Write manual pages
+    Manual(completions::ManualArgs),
 }
 
 /// Reads the command line and runs the command.
@@ -59,5 +67,9 @@ pub fn run() -> Result<()> {
         Command::Map(args) => map::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Scenario(args) => scenario::run(args),
+        Command::Doctor(args) => doctor::run(args),
+        Command::Config(args) => config::run(args),
+        Command::Completions(args) => completions::completions(args),
+        Command::Manual(args) => completions::manual(args),
     }
 }

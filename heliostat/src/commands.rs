@@ -4,7 +4,10 @@ use anyhow::{Context, Result, ensure};
 use serde::de::DeserializeOwned;
 
 pub mod bench;
+pub mod completions;
+pub mod config;
 pub mod demo;
+pub mod doctor;
 pub mod eval;
 pub mod link;
 pub mod map;

@@ -185,6 +185,11 @@ impl Room {
         self.key(&format!("alive/{node}/*"))
     }
 
+    /// Pattern of everything said in the room, for recorders; liveliness tokens are no part of it.
+    pub fn everything(&self) -> String {
+        self.key("**")
+    }
+
     /// Pattern of every liveliness token of the room.
     pub fn all_alive(&self) -> String {
         self.key("alive/*/*")

@@ -7,9 +7,13 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use heliostat_bus::BusArgs;
+use heliostat_metrics::{LogArgs, MetricsArgs};
 use heliostat_scenario::ScenarioArgs;
 
 use crate::node::{self, Pace, Settings};
+
+/// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
+const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_sim_node=info,heliostat_metrics=info";
 
 /// Flags of the simulator.
 #[derive(Clone, Debug, clap::Args)]
@@ -18,6 +22,10 @@ pub struct Args {
     scenario: ScenarioArgs,
     #[command(flatten)]
     bus: BusArgs,
+    #[command(flatten)]
+    metrics: MetricsArgs,
+    #[command(flatten)]
+    log: LogArgs,
     /// End after this many seconds; without it, run until stopped
     #[arg(long, value_name = "N", value_parser = seconds)]
     seconds: Option<Duration>,
@@ -32,32 +40,43 @@ pub struct Args {
     exit_with_parent: bool,
 }
 
+impl Args {
+    /// The settings that the flags describe.
+    ///
+    /// # Errors
+    /// Whatever is wrong with a flag or with the scenario.
+    pub fn settings(&self) -> Result<Settings> {
+        let pace = match self.lockstep {
+            Some(ticks) => Pace::Lockstep { ticks },
+            None => Pace::Live { duration: self.seconds },
+        };
+        Ok(Settings { scenario: self.scenario.load()?, bus: self.bus.config_or_listen()?, pace, metrics: self.metrics })
+    }
+}
+
 /// Runs the simulator until its end, Ctrl-C or SIGTERM, and prints its summary.
 ///
 /// # Errors
 /// A scenario that cannot be read, a room that cannot be built, a transport that fails, another simulator in the room, a tick of a
 /// lockstep run that nobody answers.
 pub fn run(args: Args) -> Result<()> {
-    let scenario = args.scenario.load()?;
-    let bus = args.bus.config_or_listen()?;
+    let settings = args.settings()?;
     let stop = Arc::new(AtomicBool::new(false));
     stop_on_signals(&stop)?;
     if args.exit_with_parent {
         stop_with_parent(&stop);
     }
-    let pace = match args.lockstep {
-        Some(ticks) => Pace::Lockstep { ticks },
-        None => Pace::Live { duration: args.seconds },
-    };
-    eprintln!(
-        "sim-node: room {}, scenario {} ({}), seed {}, {}",
-        bus.room,
-        scenario.name,
-        scenario.hash(),
-        scenario.seed,
+    args.log.begin(DEFAULT_LOG);
+    let Settings { scenario, bus, .. } = &settings;
+    tracing::info!(
+        room = %bus.room,
+        scenario = scenario.name,
+        hash = scenario.hash(),
+        seed = scenario.seed,
+        "{}",
         endpoints(&bus.listen, &bus.connect)
     );
-    let summary = node::run(&Settings { scenario, bus, pace }, &stop)?;
+    let summary = node::run(&settings, &stop)?;
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
     if args.json {

@@ -114,7 +114,12 @@ impl Ledger {
         self.unattended + waiting
     }
 
-    /// From the publication of a tick to the arrival of the command that answers it.
+    /// From the publication of a tick to the arrival of the command that answers it, in ns.
+    pub fn latency_ns(&self) -> &Histogram<u64> {
+        &self.latency_ns
+    }
+
+    /// The same by quantile.
     pub fn distribution(&self) -> Distribution {
         let histogram = &self.latency_ns;
         let microseconds = |ns: u64| ns as f64 * 1e-3;

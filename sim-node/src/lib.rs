@@ -27,6 +27,7 @@ mod edge;
 pub mod ledger;
 mod live;
 mod lockstep;
+mod metrics;
 pub mod mirrors;
 pub mod mobility;
 pub mod node;

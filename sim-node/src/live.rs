@@ -71,7 +71,7 @@ fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(
         for token in node.edge.new_rivals() {
             node.refused.count("another-simulator", format!("another simulator came into the room: {token}"));
         }
-        reporter.status(node.status_message(now.room_ns));
+        reporter.status(node.account(now.room_ns));
     }
     Ok(())
 }

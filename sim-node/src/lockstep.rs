@@ -124,7 +124,7 @@ fn await_controller(node: &Node, stop: &AtomicBool) -> Result<(), NodeError> {
 /// A status twice a second of real time; nothing of it enters the room.
 fn show_status(node: &mut Node, reporter: &mut Reporter, now: Moment) -> Result<(), NodeError> {
     if node.status.take(node.clock.local_ns()).is_some() {
-        reporter.status(node.status_message(now.room_ns))?;
+        reporter.status(node.account(now.room_ns))?;
     }
     Ok(())
 }

@@ -8,6 +8,7 @@ use heliostat_driver::clock::{Clock, Moment};
 use heliostat_driver::inbox::Arrival;
 use heliostat_driver::lines::LinesError;
 use heliostat_driver::refused::Refused;
+use heliostat_metrics::{Exporter, MetricsArgs, MetricsError, Page};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles};
 use heliostat_scenario::Scenario;
 use thiserror::Error;
@@ -21,7 +22,7 @@ use crate::streams::Reports;
 use crate::summary::Summary;
 use crate::world::WorldError;
 use crate::yardstick::Snapshot;
-use crate::{control, live, lockstep};
+use crate::{control, live, lockstep, metrics};
 
 /// Announcements of the array's capabilities a second.
 const CAPABILITIES_HZ: f64 = 1.0;
@@ -41,6 +42,8 @@ pub struct Settings {
     pub bus: BusConfig,
     /// In which time the room runs.
     pub pace: Pace,
+    /// Where metrics are served.
+    pub metrics: MetricsArgs,
 }
 
 /// In which time the room runs.
@@ -67,6 +70,9 @@ pub enum NodeError {
     /// The transport failed.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// Metrics cannot be served.
+    #[error(transparent)]
+    Metrics(#[from] MetricsError),
     /// Nothing can be said or heard, or somebody else has the room.
     #[error(transparent)]
     Lines(#[from] LinesError),
@@ -127,6 +133,9 @@ pub(crate) struct Node {
     telemetry_sequence: u64,
     orders: u64,
     capabilities_sequence: u64,
+    /// Until the reporter takes it over.
+    exporter: Option<Exporter>,
+    has_exporter: bool,
     /// As the last telemetry told it.
     told_state: ArrayState,
     scenario: Scenario,
@@ -137,6 +146,7 @@ pub(crate) struct Node {
 impl Node {
     fn open(settings: &Settings, telemetry: Class) -> Result<Self, NodeError> {
         let scenario = settings.scenario.clone();
+        let exporter = settings.metrics.open()?;
         let room = SimulatedRoom::new(&scenario, scenario.seed)?;
         let edge = Edge::open(&settings.bus, telemetry)?;
         let clock = edge.clock();
@@ -158,13 +168,15 @@ impl Node {
             telemetry_sequence: 0,
             orders: 0,
             capabilities_sequence: 0,
+            has_exporter: exporter.is_some(),
+            exporter,
             told_state: ArrayState::Parked,
             scenario,
         })
     }
 
-    pub fn reporter(&self) -> Result<Reporter, NodeError> {
-        Reporter::new(self.room.world(), &self.edge)
+    pub fn reporter(&mut self) -> Result<Reporter, NodeError> {
+        Reporter::new(self.room.world(), &self.edge, self.exporter.take())
     }
 
     /// Gives an arrival to the array at time `at`; the command when it was accepted.
@@ -230,7 +242,7 @@ impl Node {
         }
     }
 
-    pub fn status_message(&self, time_ns: u64) -> NodeStatus {
+    fn status_message(&self, time_ns: u64) -> NodeStatus {
         let summary = self.summary(&Measurements::default());
         let state = match self.room.array().followed() {
             None => "waiting for a controller".to_owned(),
@@ -272,6 +284,15 @@ impl Node {
             last_problem: self.refused.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
             ..NodeStatus::default()
         }
+    }
+
+    /// The status with the metrics of the same moment, where they are served.
+    pub fn account(&self, time_ns: u64) -> (NodeStatus, Option<Page>) {
+        let page = || {
+            let summary = self.summary(&Measurements::default());
+            metrics::page(&self.edge.room_name(), &summary, &self.ledger)
+        };
+        (self.status_message(time_ns), self.has_exporter.then(page))
     }
 
     pub fn summary(&self, measurements: &Measurements) -> Summary {

@@ -6,9 +6,11 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use heliostat_driver::lines::Outlet;
+use heliostat_metrics::{Exporter, Page};
 use heliostat_proto::{NodeStatus, RoomTruth, Stamp, TruthUser};
 
 use crate::edge::Edge;
+use crate::metrics;
 use crate::node::NodeError;
 use crate::streams;
 use crate::world::World;
@@ -25,6 +27,9 @@ pub(crate) struct Reporter {
     source: u64,
     truth: Outlet,
     status: Outlet,
+    exporter: Option<Exporter>,
+    /// The newest measured instant.
+    measured: Option<Measured>,
     truth_sequence: u64,
     status_sequence: u64,
 }
@@ -38,7 +43,7 @@ pub(crate) struct Measurements {
 }
 
 impl Reporter {
-    pub fn new(world: &World, edge: &Edge) -> Result<Self, NodeError> {
+    pub fn new(world: &World, edge: &Edge, exporter: Option<Exporter>) -> Result<Self, NodeError> {
         let (truth, status) = edge.viewer_outlets()?;
         Ok(Self {
             yardstick: Yardstick::new(world),
@@ -47,6 +52,8 @@ impl Reporter {
             source: edge.source(),
             truth,
             status,
+            exporter,
+            measured: None,
             truth_sequence: 0,
             status_sequence: 0,
         })
@@ -60,6 +67,9 @@ impl Reporter {
             self.tally.add(measured);
             self.cost_s += begun.elapsed().as_secs_f64();
         }
+        if self.exporter.is_some() {
+            self.measured = Some(measured.clone());
+        }
         self.truth_sequence += 1;
         let stamp = Stamp { source: self.source, sequence: self.truth_sequence, time_ns: at.time_ns };
         self.truth.encode(&room_truth(stamp, at, measured))?;
@@ -67,8 +77,14 @@ impl Reporter {
         Ok(measured)
     }
 
-    /// Publishes a status, with the present rates added.
-    pub fn status(&mut self, mut status: NodeStatus) -> Result<(), NodeError> {
+    /// Publishes a status and, where they are served, metrics, with the present rates added.
+    pub fn status(&mut self, (mut status, page): (NodeStatus, Option<Page>)) -> Result<(), NodeError> {
+        if let (Some(exporter), Some(mut page)) = (&self.exporter, page) {
+            if let Some(measured) = &self.measured {
+                metrics::add_rates(&mut page, measured);
+            }
+            exporter.publish(page);
+        }
         self.status_sequence += 1;
         status.stamp.source = self.source;
         status.stamp.sequence = self.status_sequence;
@@ -111,7 +127,7 @@ impl Reporter {
 /// What the thread is asked to do.
 enum Job {
     Truth(Box<Snapshot>),
-    Status(Box<NodeStatus>),
+    Status(Box<(NodeStatus, Option<Page>)>),
 }
 
 /// A reporter on its own thread.
@@ -128,7 +144,7 @@ impl ReporterThread {
     }
 
     /// Publishes a status some time soon; never waits.
-    pub fn status(&mut self, status: NodeStatus) {
+    pub fn status(&mut self, status: (NodeStatus, Option<Page>)) {
         self.send(Job::Status(Box::new(status)));
     }
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
 use heliostat_driver::lines::LinesError;
+use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{
     FaultKind, MirrorCommand, MirrorFault, NodeKind, NodeStatus, Room, RoomTruth, SimulatorControl, UserReport, decode,
     encode,
@@ -15,7 +16,12 @@ use heliostat_sim_node::node::{self, NodeError, Pace, Settings};
 
 fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
     let scenario = Scenario::builtin("specular").unwrap();
-    Settings { scenario, bus: BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint), pace }
+    Settings {
+        scenario,
+        bus: BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint),
+        pace,
+        metrics: MetricsArgs::default(),
+    }
 }
 
 fn live(milliseconds: u64) -> Pace {

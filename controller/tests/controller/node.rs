@@ -13,6 +13,7 @@ use heliostat_controller::{
     policy::PolicyKind,
     summary::Summary,
 };
+use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{MirrorCommand, Room as RoomName, UserReport, decode, encode};
 
 use crate::support::{Room, scenario};
@@ -50,6 +51,7 @@ impl Rig {
             model: None,
             pace: Pace::Lockstep,
             run_for: Some(4 * PATIENCE),
+            metrics: MetricsArgs::default(),
         };
         let (stop, stopped) = node::stop_channel();
         let node = thread::spawn(move || node::run(&config, &stopped));

@@ -36,10 +36,10 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    scenario: ScenarioArgs,
+    pub(super) scenario: ScenarioArgs,
     /// Which policy turns the mirrors
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
-    policy: PolicyKind,
+    pub(super) policy: PolicyKind,
     /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -48,7 +48,7 @@ pub struct Args {
     seconds: Option<f64>,
     /// Name of the room in the key expressions
     #[arg(long, default_value = "demo")]
-    room: String,
+    pub(super) room: String,
     #[command(flatten)]
     page: PageArgs,
     /// Print lines even on a terminal
@@ -183,8 +183,7 @@ impl Args {
 
     fn controller_arguments(&self, (room, own): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
         let mut arguments = self.part("controller", &[("--connect", room), ("--listen", own)]);
-        let policy = kind.to_possible_value().context("every policy has a name")?;
-        arguments.extend(["--policy".into(), policy.get_name().into()]);
+        arguments.extend(["--policy".into(), kind.name()]);
         if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy) {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }

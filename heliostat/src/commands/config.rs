@@ -1,0 +1,146 @@
+//! `heliostat config`: what a process would run with, file and flags and defaults taken together.
+
+use anyhow::{Context, Result};
+use heliostat_bus::{BusConfig, Reach, Role};
+use heliostat_controller::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
+use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_sim_node::node::Pace;
+use serde_json::{Map, Value, json};
+
+use super::demo;
+use crate::output::outln;
+
+/// Print the effective configuration of a process: its scenario with every key, its room and its endpoints.
+///
+/// Give the flags that you would give the process; nothing is started.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Print JSON in place of TOML
+    #[arg(long, global = true)]
+    as_json: bool,
+    #[command(subcommand)]
+    process: Process,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Process {
+    /// Of `heliostat controller` with these flags
+    Controller(Box<heliostat_controller::cli::Args>),
+    /// Of `heliostat sim-node` with these flags
+    SimNode(Box<heliostat_sim_node::cli::Args>),
+    /// Of `heliostat demo` with these flags
+    Demo(Box<demo::Args>),
+    /// What an actor of one's own must have to fit a scenario: ports, shapes, layout and metadata
+    Actor {
+        #[command(flatten)]
+        scenario: ScenarioArgs,
+        /// Most users that the actor is to see
+        #[arg(long, value_name = "U", default_value_t = USERS_CAPACITY)]
+        users_max: usize,
+    },
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> Result<()> {
+    let configuration = match args.process {
+        Process::Controller(args) => {
+            let config = args.node_config()?;
+            let process = json!({
+                "name": "controller",
+                "policy": config.policy.name(),
+                "model": config.model,
+                "pace": match config.pace {
+                    heliostat_controller::node::Pace::Live => "live",
+                    heliostat_controller::node::Pace::Lockstep => "lockstep",
+                },
+                "seconds": config.run_for.map(|duration| duration.as_secs_f64()),
+            });
+            document(&config.scenario, Some(&config.bus), process)?
+        }
+        Process::SimNode(args) => {
+            let settings = args.settings()?;
+            let (pace, seconds, ticks) = match settings.pace {
+                Pace::Live { duration } => ("live", duration.map(|duration| duration.as_secs_f64()), None),
+                Pace::Lockstep { ticks } => ("lockstep", None, Some(ticks)),
+            };
+            let process = json!({ "name": "sim-node", "pace": pace, "seconds": seconds, "ticks": ticks });
+            document(&settings.scenario, Some(&settings.bus), process)?
+        }
+        Process::Demo(args) => {
+            let process = json!({ "name": "demo", "policy": args.policy.name(), "room": args.room });
+            // Its endpoints are free ports, found when it starts.
+            document(&args.scenario.load()?, None, process)?
+        }
+        Process::Actor { scenario, users_max } => actor(&scenario.load()?, users_max),
+    };
+    if args.as_json {
+        outln!("{}", serde_json::to_string_pretty(&configuration)?)?;
+    } else {
+        outln!("{}", toml::to_string(&configuration)?.trim_end())?;
+    }
+    Ok(())
+}
+
+/// What `heliostat controller --model` asks of a file.
+fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
+    let mirrors = scenario.mirror_count();
+    let encoder = ObservationEncoder::new(users_max, mirrors);
+    let part = |range: std::ops::Range<usize>| json!([range.start, range.end]);
+    let document = json!({
+        "input": { "name": INPUT_NAME, "type": "f32", "shape": [1, encoder.len()] },
+        "output": { "name": OUTPUT_NAME, "type": "f32", "shape": [1, 2 * mirrors] },
+        "metadata": {
+            key::OBSERVATION_VERSION: OBSERVATION_VERSION.to_string(),
+            key::USERS_MAX: users_max.to_string(),
+            key::MIRRORS: mirrors.to_string(),
+            key::MODE: scenario.channel.mode.name(),
+            key::GEOMETRY: scenario.geometry_hash(),
+        },
+        // First value and the one after the last.
+        "layout": {
+            "present": part(encoder.present()),
+            "positions": part(encoder.positions()),
+            "los_amplitude": part(encoder.los_amplitude()),
+            "need": part(encoder.need()),
+            "steering_amplitude": part(encoder.steering_amplitude()),
+            "angles": part(encoder.angles()),
+        },
+    });
+    match document {
+        Value::Object(map) => map,
+        _ => Map::new(),
+    }
+}
+
+fn document(scenario: &Scenario, bus: Option<&BusConfig>, process: Value) -> Result<Map<String, Value>> {
+    let scenario_table: Value = toml::from_str(&scenario.to_toml()).context("the effective scenario is TOML")?;
+    let mut document = Map::new();
+    document.insert("scenario_hash".into(), scenario.hash().into());
+    document.insert("process".into(), without_nulls(process));
+    if let Some(bus) = bus {
+        let (role, patience_ms) = match (bus.role, bus.reach) {
+            (Role::Peer, _) => ("peer", Value::Null),
+            (Role::Client, Reach::Within(limit)) => ("client", json!(limit.as_millis() as u64)),
+            (Role::Client, Reach::Eventually) => ("client", Value::Null),
+        };
+        let bus = json!({
+            "room": bus.room.name(),
+            "role": role,
+            "listen": bus.listen,
+            "connect": bus.connect,
+            "router_patience_ms": patience_ms,
+        });
+        document.insert("bus".into(), without_nulls(bus));
+    }
+    document.insert("scenario".into(), scenario_table);
+    Ok(document)
+}
+
+/// TOML has no null: what is not set is left out.
+fn without_nulls(value: Value) -> Value {
+    match value {
+        Value::Object(map) => map.into_iter().filter(|(_, value)| !value.is_null()).collect(),
+        other => other,
+    }
+}

@@ -1,0 +1,108 @@
+//! `heliostat doctor`: what matters before a run, what was found, and what to do about it.
+
+mod machine;
+mod system;
+
+use std::fmt;
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use heliostat_controller::policy::PolicyKind;
+use heliostat_scenario::ScenarioArgs;
+use serde::Serialize;
+
+use crate::output::outln;
+
+/// Check what matters before a run: scenario, policy, driver, ports, clock, permissions, processors.
+///
+/// Each line says ok, warn or fail, what was found, and what to do. The exit status is bad when a check fails; a warning is about speed or
+/// accuracy and lets a run begin.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    /// The policy that is to decide
+    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
+    policy: PolicyKind,
+    /// ONNX file of a learned policy, in place of the built-in one
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Name of the room
+    #[arg(long, value_name = "NAME", default_value = "demo")]
+    room: String,
+    /// Endpoint of a driver or simulator to ask for its capabilities (repeatable)
+    #[arg(long, value_name = "ENDPOINT")]
+    connect: Vec<String>,
+    /// Port of 127.0.0.1 that is to be free (repeatable)
+    #[arg(long, value_name = "PORT", default_values_t = [7447])]
+    port: Vec<u16>,
+    /// Print the checks as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// How a check came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Verdict {
+    Ok,
+    Warn,
+    Fail,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.pad(match self {
+            Self::Ok => "ok",
+            Self::Warn => "warn",
+            Self::Fail => "fail",
+        })
+    }
+}
+
+/// One thing that was looked at.
+#[derive(Clone, Debug, Serialize)]
+struct Check {
+    name: &'static str,
+    verdict: Verdict,
+    found: String,
+    /// What to do; empty where nothing is.
+    advice: String,
+}
+
+impl Check {
+    fn ok(name: &'static str, found: impl Into<String>) -> Self {
+        Self { name, verdict: Verdict::Ok, found: found.into(), advice: String::new() }
+    }
+
+    fn warn(name: &'static str, found: impl Into<String>, advice: impl Into<String>) -> Self {
+        Self { name, verdict: Verdict::Warn, found: found.into(), advice: advice.into() }
+    }
+
+    fn fail(name: &'static str, found: impl Into<String>, advice: impl Into<String>) -> Self {
+        Self { name, verdict: Verdict::Fail, found: found.into(), advice: advice.into() }
+    }
+}
+
+/// Runs the command.
+pub fn run(args: Args) -> Result<()> {
+    let mut checks = system::checks(&args);
+    checks.extend(machine::checks());
+    let count = |verdict| checks.iter().filter(|check| check.verdict == verdict).count();
+    let (warnings, failures) = (count(Verdict::Warn), count(Verdict::Fail));
+    if args.json {
+        outln!("{}", serde_json::json!({ "checks": checks, "warnings": warnings, "failures": failures }))?;
+    } else {
+        for Check { name, verdict, found, advice } in &checks {
+            outln!("{verdict:<5} {name:<16} {found}")?;
+            if !advice.is_empty() {
+                outln!("{:<22} -> {advice}", "")?;
+            }
+        }
+    }
+    match failures {
+        0 => Ok(()),
+        1 => bail!("1 check failed"),
+        _ => bail!("{failures} checks failed"),
+    }
+}

@@ -1,0 +1,211 @@
+//! Checks of the machine: clock, permissions, processors.
+
+use std::fs;
+use std::process::Command;
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
+
+use super::Check;
+
+/// Between two looks at both clocks.
+const CLOCK_WATCH: Duration = Duration::from_millis(200);
+/// The clocks may part by this much in that time before it counts as a step.
+const STEP_MIN: Duration = Duration::from_millis(2);
+/// Wake-ups that are timed.
+const WAKE_UPS: usize = 100;
+/// A wake-up this late spends half of what a decision has.
+const LATE_WAKE_UP: Duration = Duration::from_micros(250);
+/// What a controller with its buffers and a model may lock in memory, in bytes.
+const MEMORY_LOCK_WANTED: u64 = 256 << 20;
+/// The priority that the units in deploy/systemd ask for.
+const REALTIME_PRIORITY_WANTED: u64 = 50;
+
+/// All of them.
+pub(super) fn checks() -> Vec<Check> {
+    let mut checks = vec![clock_source(), clock_steps(), clock_synchronised(), wake_ups()];
+    checks.extend(limits());
+    checks.extend([governor(), cores(), load()]);
+    checks
+}
+
+fn text(path: &str) -> Option<String> {
+    fs::read_to_string(path).ok().map(|text| text.trim().to_owned())
+}
+
+fn clock_source() -> Check {
+    let begun = Instant::now();
+    let mut last = begun;
+    let mut smallest = Duration::MAX;
+    while begun.elapsed() < Duration::from_millis(5) {
+        let now = Instant::now();
+        if now > last {
+            smallest = smallest.min(now - last);
+        }
+        last = now;
+    }
+    let steps = format!("steps of {} ns", smallest.as_nanos());
+    match text("/sys/devices/system/clocksource/clocksource0/current_clocksource") {
+        None => Check::ok("clock", format!("source unknown, {steps}")),
+        Some(source)
+            if matches!(source.as_str(), "tsc" | "arch_sys_counter" | "kvm-clock" | "hyperv_clocksource_tsc_page") =>
+        {
+            Check::ok("clock", format!("{source}, {steps}"))
+        }
+        Some(source) => Check::warn(
+            "clock",
+            format!("{source}, {steps}"),
+            "reading this clock is slow; where the processor has a constant TSC, boot with clocksource=tsc",
+        ),
+    }
+}
+
+fn clock_steps() -> Check {
+    let (monotonic, utc) = (Instant::now(), SystemTime::now());
+    thread::sleep(CLOCK_WATCH);
+    let by_utc = SystemTime::now().duration_since(utc).unwrap_or_default();
+    let apart = by_utc.abs_diff(monotonic.elapsed());
+    let found =
+        format!("UTC and the monotonic clock part by {} us in {} ms", apart.as_micros(), CLOCK_WATCH.as_millis());
+    if apart < STEP_MIN {
+        Check::ok("clock steps", found)
+    } else {
+        Check::warn(
+            "clock steps",
+            found,
+            "UTC is being set by steps: let NTP slew it (chrony: no makestep after the start)",
+        )
+    }
+}
+
+fn clock_synchronised() -> Check {
+    let name = "clock NTP";
+    let told = Command::new("timedatectl").args(["show", "-p", "NTPSynchronized", "--value"]).output();
+    let told = told.ok().filter(|output| output.status.success());
+    match told.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).as_deref() {
+        Some("yes") => Check::ok(name, "synchronised"),
+        Some("no") => Check::warn(
+            name,
+            "not synchronised",
+            "processes on several machines need clocks that agree to a small part of control.validity_ms: run chrony or systemd-timesyncd",
+        ),
+        _ => Check::warn(
+            name,
+            "unknown: timedatectl gives no answer",
+            "on one machine it does not matter; on several, see that NTP keeps their clocks together",
+        ),
+    }
+}
+
+fn wake_ups() -> Check {
+    let pause = Duration::from_millis(1);
+    let mut late: Vec<Duration> = (0..WAKE_UPS)
+        .map(|_| {
+            let begun = Instant::now();
+            thread::sleep(pause);
+            begun.elapsed().saturating_sub(pause)
+        })
+        .collect();
+    late.sort_unstable();
+    let (median, p99) = (late[WAKE_UPS / 2], late[WAKE_UPS * 99 / 100]);
+    let found = format!("late by {} us (median), {} us (99th percentile)", median.as_micros(), p99.as_micros());
+    if p99 < LATE_WAKE_UP {
+        Check::ok("wake-ups", found)
+    } else {
+        Check::warn(
+            "wake-ups",
+            found,
+            "0.5 ms will be missed now and then: give the processes real-time priority, and the machine less to do besides",
+        )
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn limits() -> Vec<Check> {
+    use nix::sys::resource::{Resource, getrlimit};
+
+    let limit = |resource| getrlimit(resource).map_or(0, |(soft, _)| soft);
+    // Bits of the effective capabilities, see capabilities(7).
+    let (ipc_lock, sys_nice) = (14, 23);
+    let memory = limit(Resource::RLIMIT_MEMLOCK);
+    let memory_found = match memory {
+        u64::MAX => "unlimited".to_owned(),
+        bytes => format!("{} KiB may be locked", bytes >> 10),
+    };
+    let priority = limit(Resource::RLIMIT_RTPRIO);
+    let priority_found = format!("real-time priority up to {priority}");
+    vec![
+        if memory >= MEMORY_LOCK_WANTED || has_capability(ipc_lock) {
+            Check::ok("memory lock", memory_found)
+        } else {
+            Check::warn(
+                "memory lock",
+                memory_found,
+                "pages of the controller may be swapped out: LimitMEMLOCK=infinity in its unit, or memlock in /etc/security/limits.d",
+            )
+        },
+        if priority >= REALTIME_PRIORITY_WANTED || has_capability(sys_nice) {
+            Check::ok("real time", priority_found)
+        } else {
+            Check::warn(
+                "real time",
+                priority_found,
+                format!(
+                    "other processes delay decisions: LimitRTPRIO={REALTIME_PRIORITY_WANTED} in its unit, or rtprio in /etc/security/limits.d"
+                ),
+            )
+        },
+    ]
+}
+
+#[cfg(not(target_os = "linux"))]
+fn limits() -> Vec<Check> {
+    vec![Check::warn("permissions", "known on Linux only", "measure: heliostat demo --seconds 20")]
+}
+
+#[cfg(target_os = "linux")]
+fn has_capability(bit: u32) -> bool {
+    let status = text("/proc/self/status").unwrap_or_default();
+    let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+    effective.and_then(|hex| u64::from_str_radix(hex.trim(), 16).ok()).is_some_and(|mask| mask >> bit & 1 == 1)
+}
+
+fn governor() -> Check {
+    let name = "CPU governor";
+    let governors: Vec<String> =
+        (0..).map_while(|cpu| text(&format!("/sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_governor"))).collect();
+    match governors.iter().find(|governor| *governor != "performance") {
+        None if governors.is_empty() => Check::ok(name, "none: this machine does not let its frequency be chosen"),
+        None => Check::ok(name, "performance"),
+        Some(other) => Check::warn(
+            name,
+            other.clone(),
+            "a processor that slows down between reports answers late: cpupower frequency-set -g performance",
+        ),
+    }
+}
+
+fn cores() -> Check {
+    let count = thread::available_parallelism().map_or(1, usize::from);
+    let shared = text("/proc/cpuinfo").is_some_and(|info| info.contains(" hypervisor"));
+    let found = format!("{count}{}", if shared { ", virtual" } else { "" });
+    match (count, shared) {
+        (4.., false) => Check::ok("cores", found),
+        (4.., true) => {
+            Check::warn("cores", found, "virtual cores may be shared: pin them to the guest where latency matters")
+        }
+        _ => Check::warn("cores", found, "room, controller and viewer share them; from four on each has its own"),
+    }
+}
+
+fn load() -> Check {
+    let cores = thread::available_parallelism().map_or(1, usize::from) as f64;
+    let Some(load) = text("/proc/loadavg").and_then(|text| text.split(' ').next()?.parse::<f64>().ok()) else {
+        return Check::ok("load", "unknown");
+    };
+    let found = format!("{load:.1} on {cores} cores");
+    if load <= 0.5 * cores {
+        Check::ok("load", found)
+    } else {
+        Check::warn("load", found, "other processes take the cores that decisions need; measure when they have ended")
+    }
+}

@@ -1,0 +1,135 @@
+//! Checks of what is to run: scenario, policy, driver, ports.
+
+use std::net::TcpListener;
+use std::time::Duration;
+
+use heliostat_bus::{Bus, BusConfig, Reach};
+use heliostat_controller::capabilities::{Examiner, Force};
+use heliostat_controller::policy::{self, ActorSource};
+use heliostat_proto::{Capabilities, Room, ValidityClock, decode};
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::World;
+
+use super::{Args, Check};
+
+/// How long a driver may take to answer.
+const DRIVER_WAIT: Duration = Duration::from_secs(3);
+
+/// Angles this much apart in rad are the same limit.
+const SAME_ANGLE_RAD: f64 = 1e-4;
+
+/// All of them.
+pub(super) fn checks(args: &Args) -> Vec<Check> {
+    let scenario = match args.scenario.load().map_err(anyhow::Error::from).and_then(|scenario| {
+        World::new(&scenario, scenario.seed)?;
+        Ok(scenario)
+    }) {
+        Ok(scenario) => scenario,
+        Err(error) => {
+            let advice = "correct it, or start from a sound one: heliostat scenario new FILE";
+            let mut checks = vec![Check::fail("scenario", format!("{error:#}"), advice)];
+            checks.extend(args.port.iter().map(|port| check_port(*port)));
+            return checks;
+        }
+    };
+    let found = format!(
+        "{}: {} mode, {} users, {} x {} mirrors, configuration {}",
+        scenario.name,
+        scenario.channel.mode.name(),
+        scenario.users.count,
+        scenario.mirrors.rows,
+        scenario.mirrors.columns,
+        scenario.hash()
+    );
+    let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario), check_driver(args, &scenario)];
+    checks.extend(args.port.iter().map(|port| check_port(*port)));
+    checks
+}
+
+fn check_policy(args: &Args, scenario: &Scenario) -> Check {
+    let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+    match policy::build(args.policy, scenario, &source) {
+        Ok(policy) => Check::ok("policy", format!("{} fits the scenario", policy.name())),
+        Err(error) => Check::fail(
+            "policy",
+            format!("{error:#}"),
+            "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat train ddpg",
+        ),
+    }
+}
+
+fn check_port(port: u16) -> Check {
+    match TcpListener::bind(("127.0.0.1", port)) {
+        Ok(_) => Check::ok("port", format!("127.0.0.1:{port} is free")),
+        Err(error) => Check::fail(
+            "port",
+            format!("127.0.0.1:{port}: {error}"),
+            "end the process that listens there (ss -ltnp names it), or run with --listen tcp/127.0.0.1:PORT and the same --connect",
+        ),
+    }
+}
+
+fn check_driver(args: &Args, scenario: &Scenario) -> Check {
+    if args.connect.is_empty() {
+        return Check::ok("driver", "not asked: no --connect");
+    }
+    match ask_driver(args) {
+        Ok(capabilities) => compare(&capabilities, scenario),
+        Err(error) => Check::fail(
+            "driver",
+            format!("{error:#}"),
+            "start the driver, and give its endpoint and the name of its room (--connect, --room)",
+        ),
+    }
+}
+
+fn ask_driver(args: &Args) -> anyhow::Result<Capabilities> {
+    let room = Room::new(&args.room)?;
+    let config = args.connect.iter().fold(BusConfig::new(room.clone()), |config, endpoint| config.connect_to(endpoint));
+    let bus = Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?;
+    let payloads = bus.fetch(&room.capabilities(), DRIVER_WAIT)?;
+    bus.close()?;
+    match payloads.as_slice() {
+        [] => anyhow::bail!("nobody in room \"{room}\" tells the capabilities of an array"),
+        [payload] => Ok(decode(payload)?),
+        several => anyhow::bail!("{} drivers answer in room \"{room}\": a room has one", several.len()),
+    }
+}
+
+/// Whether an array is the one that the scenario describes.
+fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
+    let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
+    // What the controller itself would say.
+    let examined = scenario
+        .channel_model()
+        .map_err(anyhow::Error::from)
+        .and_then(|model| Ok(Examiner::new(scenario, &model, Force::default()).examine(array)?));
+    if let Err(unfit) = examined {
+        return Check::fail("driver", found, format!("{unfit:#}"));
+    }
+    let wanted_rad = scenario.control.range_deg.to_radians();
+    let reach_rad = [array.roll.min_rad, array.yaw.min_rad, -array.roll.max_rad, -array.yaw.max_rad];
+    let reach_rad = -reach_rad.into_iter().map(f64::from).fold(f64::NEG_INFINITY, f64::max);
+    if reach_rad + SAME_ANGLE_RAD < wanted_rad {
+        let advice = format!(
+            "the controller may command {:.2} degrees and the array clamps at {:.2}: --set control.range_deg={:.2}",
+            scenario.control.range_deg,
+            reach_rad.to_degrees(),
+            (reach_rad.to_degrees() * 100.0).floor() / 100.0
+        );
+        return Check::warn("driver", found, advice);
+    }
+    let rate_hz = f64::from(array.command_rate_max_hz);
+    if rate_hz > 0.0 && rate_hz < scenario.streams.positions.rate_hz {
+        let advice = format!(
+            "it follows {rate_hz} commands a second and each of {} reports is answered: lower streams.positions.rate_hz",
+            scenario.streams.positions.rate_hz
+        );
+        return Check::warn("driver", found, advice);
+    }
+    let clock = match array.validity_clock {
+        ValidityClock::SourceTime => "",
+        ValidityClock::Arrival => ", counts validity from arrival",
+    };
+    Check::ok("driver", format!("{found}{clock}"))
+}

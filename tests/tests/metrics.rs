@@ -1,0 +1,112 @@
+//! The metrics of running processes, and the dashboard that draws them.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::Path;
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_tests::{Process, wait_until};
+
+fn free_address() -> SocketAddr {
+    TcpListener::bind(("127.0.0.1", 0)).and_then(|listener| listener.local_addr()).expect("a free port")
+}
+
+/// The page at an address; empty where nobody answers.
+fn fetch(address: SocketAddr) -> String {
+    let ask = || -> std::io::Result<String> {
+        let mut stream = TcpStream::connect(address)?;
+        write!(stream, "GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer)?;
+        Ok(answer)
+    };
+    ask().unwrap_or_default()
+}
+
+/// Names of all samples of a page, without labels.
+fn names(page: &str) -> BTreeSet<String> {
+    let samples = page.lines().filter(|line| line.starts_with("heliostat_"));
+    samples.filter_map(|line| line.split(['{', ' ']).next()).map(str::to_owned).collect()
+}
+
+/// The value of the sample that begins so.
+fn value(page: &str, sample: &str) -> f64 {
+    let line = page.lines().find(|line| line.starts_with(sample));
+    line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(f64::NAN)
+}
+
+/// Every name that an expression of the dashboard uses.
+fn names_of_dashboard() -> BTreeSet<String> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/grafana/heliostat.json");
+    let text = fs::read_to_string(file).expect("the dashboard is there");
+    let dashboard: serde_json::Value = serde_json::from_str(&text).expect("the dashboard is JSON");
+    let panels = dashboard["panels"].as_array().expect("it has panels");
+    let targets = panels.iter().flat_map(|panel| panel["targets"].as_array().into_iter().flatten());
+    let expressions = targets.map(|target| target["expr"].as_str().expect("a target has an expression"));
+    let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    expressions
+        .flat_map(|text| text.split(move |c| !is_word(c)))
+        .filter(|word| word.starts_with("heliostat_"))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn a_running_room_tells_what_happens_and_the_dashboard_names_nothing_else() {
+    let (room_at, controller_at) = (free_address(), free_address());
+    let endpoint = free_loopback_endpoint().expect("a free port");
+    let (room_text, controller_text) = (room_at.to_string(), controller_at.to_string());
+    let room =
+        Process::heliostat(&["sim-node", "--listen", &endpoint, "--metrics-listen", &room_text, "--exit-with-parent"]);
+    let controller = Process::heliostat(&[
+        "controller",
+        "--connect",
+        &endpoint,
+        "--policy",
+        "fixed-point",
+        "--metrics-listen",
+        &controller_text,
+        "--log-format",
+        "json",
+        "--exit-with-parent",
+    ]);
+    wait_until("rates and decisions on both pages", || {
+        value(&fetch(controller_at), "heliostat_decisions_total") > 10.0
+            && value(&fetch(room_at), "heliostat_sum_rate_bps{room=\"demo\",hands=\"oracle\"}") > 0.0
+            && value(&fetch(room_at), "heliostat_room_commands_total") > 10.0
+    });
+    let (room_page, controller_page) = (fetch(room_at), fetch(controller_at));
+    let count = value(&controller_page, "heliostat_decision_seconds_count");
+    assert!(count > 0.0, "{controller_page}");
+    assert_eq!(count, value(&controller_page, "heliostat_decision_seconds_bucket{le=\"+Inf\",room=\"demo\"}"));
+    assert!(controller_page.contains("heliostat_policy_info{room=\"demo\",policy=\"fixed-point\"} 1"));
+    assert!(
+        controller_page.contains("content-type: application/openmetrics-text")
+            || controller_page.contains("Content-Type: application/openmetrics-text")
+    );
+    assert!(value(&room_page, "heliostat_loop_seconds_count") > 0.0, "{room_page}");
+
+    // Counters by cause appear with the first cause, so those names are known from the sources.
+    let by_cause = ["heliostat_fallbacks_total", "heliostat_refused_total", "heliostat_room_refused_total"];
+    let mut known: BTreeSet<String> = names(&room_page).union(&names(&controller_page)).cloned().collect();
+    for (name, file) in by_cause.into_iter().zip(["controller", "controller", "sim-node"]) {
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file).join("src/metrics.rs");
+        let text = fs::read_to_string(source).expect("the source is there");
+        assert!(text.contains(&format!("\"{}\"", name.trim_end_matches("_total"))), "{name} is not made in {file}");
+        known.insert(name.to_owned());
+    }
+    let drawn = names_of_dashboard();
+    assert!(drawn.len() > 15, "{drawn:?}");
+    let unknown: Vec<_> = drawn.difference(&known).collect();
+    assert!(unknown.is_empty(), "the dashboard names metrics that nobody makes: {unknown:?}");
+
+    let ended = controller.end();
+    assert!(ended.status.success(), "{}", ended.errors);
+    for line in ended.errors.lines() {
+        let entry: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        assert!(entry["level"].is_string() && entry["timestamp"].is_string(), "{line}");
+    }
+    room.end();
+}

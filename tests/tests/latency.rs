@@ -2,7 +2,7 @@
 //!
 //! Times are printed, and held to one another with wide margins only: this runs on machines that do other things too.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_proto::{MirrorCommand, NodeKind, Room, UserReport, codec};
@@ -45,8 +45,12 @@ impl Listener {
     }
 }
 
+/// One pair at a time: seven pairs at once on two processors measure each other.
+static TURN: Mutex<()> = Mutex::new(());
+
 /// A room and a controller on endpoints of their own.
 struct Pair {
+    _turn: MutexGuard<'static, ()>,
     room: Process,
     controller: Process,
     endpoints: [String; 2],
@@ -54,13 +58,14 @@ struct Pair {
 
 impl Pair {
     fn start(room_flags: &[&str], controller_flags: &[&str]) -> Self {
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let endpoints = [free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap()];
         let common = ["--exit-with-parent", "--json"];
         let room: Vec<&str> =
             ["sim-node", "--listen", &endpoints[0]].iter().chain(&common).chain(room_flags).copied().collect();
         let controller = ["controller", "--connect", &endpoints[0], "--listen", &endpoints[1]];
         let controller: Vec<&str> = controller.iter().chain(&common).chain(controller_flags).copied().collect();
-        Self { room: Process::heliostat(&room), controller: Process::heliostat(&controller), endpoints }
+        Self { _turn: turn, room: Process::heliostat(&room), controller: Process::heliostat(&controller), endpoints }
     }
 
     fn endpoints(&self) -> [&str; 2] {
@@ -113,7 +118,8 @@ fn counts_order_and_stages(controller_flags: &[&str]) {
     assert!(heard.commands.len() as f64 <= commands, "{controller}");
     assert!(number(&room, "/loop_us/count") <= commands, "{room} {controller}");
     assert!(number(&room, "/loop_us/count") >= heard.commands.len() as f64 - 2.0, "{room}");
-    assert_eq!(number(&room, "/lost_ticks"), 0.0, "{room}");
+    // A report that was overtaken on a busy machine is shed, and then no command answers it.
+    assert!(number(&room, "/lost_ticks") <= number(&controller, "/shed"), "{room} {controller}");
     assert_eq!(number(&controller, "/unsent"), 0.0, "{controller}");
 
     // No stage is missing, and together they are the decision.

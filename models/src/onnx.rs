@@ -62,20 +62,22 @@ impl Graph {
         self.node_with("ReduceSum", &[input, &axes], vec![integer("keepdims", 1)])
     }
 
-    /// The maximum over `count` rows, (1, width). A tree of element-wise maxima: ten times as fast in tract as its reduction.
-    pub fn max_of_rows(&mut self, input: &str, count: usize) -> Value {
-        if count == 1 {
-            return input.into();
-        }
-        let half = count / 2;
-        let [low, high] = [0..half, half..2 * half].map(|rows| self.slice(input, 0, rows));
-        let both = self.node("Max", &[&low, &high]);
-        let best = self.max_of_rows(&both, half);
-        if count.is_multiple_of(2) {
-            return best;
-        }
-        let last = self.slice(input, 0, count - 1..count);
-        self.node("Max", &[&best, &last])
+    /// The maximum over the rows of a table of this shape, (1, columns). By pooling: many times as fast in tract as its reduction.
+    pub fn max_of_rows(&mut self, input: &str, [rows, columns]: [usize; 2]) -> Value {
+        let image = self.reshape(input, &[1, 1, rows, columns]);
+        let window = integers("kernel_shape", &[rows as i64, 1]);
+        let best = self.node_with("MaxPool", &[&image], vec![window]);
+        self.reshape(&best, &[1, columns])
+    }
+
+    /// A table turned about, so that its rows are columns.
+    pub fn transpose(&mut self, input: &str) -> Value {
+        self.node_with("Transpose", &[input], vec![integers("perm", &[1, 0])])
+    }
+
+    /// Truth as 1 and 0.
+    pub fn as_numbers(&mut self, input: &str) -> Value {
+        self.node_with("Cast", &[input], vec![integer("to", DataType::Float as i64)])
     }
 
     /// The first index of the maximum along an axis, which disappears.
@@ -183,6 +185,15 @@ fn integer(name: &str, value: i64) -> pb::AttributeProto {
         name: name.into(),
         r#type: AttributeType::Int as i32,
         i: value,
+        ..pb::AttributeProto::default()
+    }
+}
+
+fn integers(name: &str, values: &[i64]) -> pb::AttributeProto {
+    pb::AttributeProto {
+        name: name.into(),
+        r#type: AttributeType::Ints as i32,
+        ints: values.to_vec(),
         ..pb::AttributeProto::default()
     }
 }

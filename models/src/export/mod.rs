@@ -6,8 +6,6 @@
 
 mod network;
 
-use std::ops::Range;
-
 use candle_core::Result;
 use heliostat_channel::mirrors::MirrorArray;
 use heliostat_channel::{ChannelModel, Mode, Vec3};
@@ -21,74 +19,152 @@ pub use network::NetworkNodes;
 
 /// Writes an actor for the room of a channel as an ONNX file with the given metadata.
 ///
+/// An engine spends more on starting a node than on the arithmetic in it, so the graph has few nodes that do much: one product picks and scales
+/// what the observation says of each user, and one gathers where each mirror has to look.
+///
 /// # Errors
 /// Those of candle, when a parameter cannot be read.
 pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]) -> Result<Vec<u8>> {
     let mut graph = Graph::default();
-    let observed = observe(&mut graph, &actor.layout, actor.head.prior);
-    let network = NetworkNodes::new(&mut graph, &actor.network)?;
-    let mut logits = graph.constant("no_logits", &[actor.layout.slots(), 1], &vec![0.0; actor.layout.slots()]);
+    let observed = observe(&mut graph, actor, &model.mirrors);
+    let network = NetworkNodes::new(&mut graph, &actor.network, &INPUT_ROWS)?;
+    let (slots, one) = (actor.layout.slots(), graph.scalar(1.0));
+    let mut logits: Option<Value> = None;
     for _ in 0..actor.rounds {
-        let amplitude = amplitude(&mut graph, &observed, &logits, actor.head.range);
-        let input = graph.concat(&[&observed.features, &logits, &amplitude], 1);
-        // Also keeps tract from splitting the product that follows into one for each column.
+        let amplitude = match &logits {
+            None => first_amplitude(&mut graph, &observed),
+            Some(logits) => amplitude(&mut graph, &observed, logits, actor.head.range),
+        };
+        let amplitude = graph.node("Add", &[&amplitude, &one]);
+        let amplitude = graph.node("Log", &[&amplitude]);
+        let before = logits.unwrap_or_else(|| graph.constant("no_logits", &[slots, 1], &vec![0.0; slots]));
+        let input = graph.concat(&[&observed.picked, &observed.logs, &before, &amplitude], 1);
+        // Empties absent slots, and keeps tract from splitting the product that follows into one for each column.
         let input = graph.node("Mul", &[&input, &observed.present]);
-        logits = network.apply(&mut graph, &input, &observed.present);
+        logits = Some(network.apply(&mut graph, &input, &observed.present, &observed.share));
     }
+    let logits = logits.expect("an actor has a round");
     let weights = weigh(&mut graph, &observed, &logits, actor.head);
     let normal = match model.mode {
         Mode::Specular => specular(&mut graph, model, &observed, &weights),
         Mode::Paper { .. } => paper(&mut graph, model, &observed, &weights),
     };
-    let mirrors = model.mirrors.len();
     angles(&mut graph, &normal);
     let input = (INPUT_NAME, actor.layout.encoder.len());
-    Ok(graph.finish(&Ends { name: "heliostat-actor", input, output: (OUTPUT_NAME, 2 * mirrors) }, metadata))
+    Ok(graph.finish(&Ends { name: "heliostat-actor", input, output: (OUTPUT_NAME, 2 * model.mirrors.len()) }, metadata))
 }
+
+/// What is picked from the observation for each user, in this order.
+#[derive(Clone, Copy)]
+enum Picked {
+    /// Direct amplitude.
+    Direct,
+    /// The user's place in the frame of the wall, x, y and z in m.
+    Place,
+    Present = 4,
+    /// x and y over half the room.
+    Plane,
+    Need = 7,
+    /// Number of users over the number of slots, in absent slots too.
+    Crowd,
+}
+
+/// Values picked for each user.
+const PICKED: usize = 9;
+
+/// Which input of the actor's network stands in each column of what it is given: what was picked, both logarithms, the logit and the amplitude.
+const INPUT_ROWS: [Option<usize>; PICKED + 4] =
+    [None, None, None, None, Some(0), Some(1), Some(2), Some(5), Some(6), Some(3), Some(4), Some(7), Some(8)];
 
 /// The parts of the observation that later stages use.
 struct Observed {
     slots: usize,
     mirrors: usize,
+    /// See [`Picked`]; (slots, [`PICKED`])
+    picked: Value,
+    /// ln(1 + direct amplitude) and ln(1 + sum of the steering amplitudes), (slots, 2)
+    logs: Value,
     /// (slots, 1)
     present: Value,
-    /// (slots, 3)
-    positions: Value,
-    /// (slots, mirrors)
-    steering: Value,
-    /// (slots, 1), with [`TINY`] added
-    total: Value,
+    /// Present over the number of users, (slots, 1)
+    share: Value,
     /// (slots, 1)
     direct: Value,
+    /// (slots, mirrors)
+    steering: Value,
+    /// 1 / (sum of the steering amplitudes + [`TINY`]), (slots, 1)
+    inverse_total: Value,
     /// (p_k a_km / sum_j p_j a_jm)^8 with the weights p of logits of zero, (slots, mirrors)
     claims: Value,
     /// The same times a_km, (slots, mirrors)
     gains: Value,
-    /// (slots, features)
-    features: Value,
 }
 
-fn observe(graph: &mut Graph, layout: &Layout, prior: Prior) -> Observed {
-    let (encoder, slots) = (layout.encoder, layout.slots());
-    let part = |graph: &mut Graph, range: Range<usize>| {
-        let width = range.len() / slots;
-        let flat = graph.slice(INPUT_NAME, 1, range);
-        graph.reshape(&flat, &[slots, width])
-    };
-    let present = part(graph, encoder.present());
-    let positions = part(graph, encoder.positions());
-    let direct = part(graph, encoder.los_amplitude());
-    let need = part(graph, encoder.need());
-    let steering = part(graph, encoder.steering_amplitude());
+impl Observed {
+    /// Columns of what was picked, (slots, columns).
+    fn columns(&self, graph: &mut Graph, first: Picked, columns: usize) -> Value {
+        graph.slice(&self.picked, 1, first as usize..first as usize + columns)
+    }
+}
 
-    let one = graph.scalar(1.0);
-    let tiny = graph.scalar(TINY);
-    let sum = graph.sum(&steering, 1);
-    let total = graph.node("Add", &[&sum, &tiny]);
-    let no_claim = graph.scalar(NO_CLAIM);
-    let asked = match prior {
+/// From the presence, places, direct amplitudes and needs in a row to [`Picked`], user by user: (6 slots, slots x picked).
+fn picking(layout: &Layout, mirrors: &MirrorArray) -> Vec<f32> {
+    let (encoder, slots) = (layout.encoder, layout.slots());
+    let width = slots * PICKED;
+    let mut matrix = vec![0.0; encoder.need().end * width];
+    let axes = [Vec3::x(), Vec3::y(), Vec3::z()].map(|axis| mirrors.wall_from_room(&axis));
+    for slot in 0..slots {
+        let mut put = |row: usize, picked: Picked, offset: usize, value: f32| {
+            matrix[row * width + slot * PICKED + picked as usize + offset] = value;
+        };
+        let place = encoder.positions().start + 3 * slot;
+        put(encoder.los_amplitude().start + slot, Picked::Direct, 0, 1.0);
+        put(encoder.present().start + slot, Picked::Present, 0, 1.0);
+        put(encoder.need().start + slot, Picked::Need, 0, 1.0);
+        for other in encoder.present() {
+            put(other, Picked::Crowd, 0, 1.0 / slots as f32);
+        }
+        for (axis, turned) in axes.iter().enumerate() {
+            for to in 0..3 {
+                put(place + axis, Picked::Place, to, turned[to] as f32);
+            }
+        }
+        for (axis, half) in layout.half_room_m.iter().enumerate() {
+            put(place + axis, Picked::Plane, axis, 1.0 / half);
+        }
+    }
+    matrix
+}
+
+fn observe(graph: &mut Graph, actor: &Actor, array: &MirrorArray) -> Observed {
+    let (layout, encoder) = (&actor.layout, actor.layout.encoder);
+    let (slots, mirrors) = (layout.slots(), encoder.mirrors());
+    let matrix = graph.constant("picking", &[encoder.need().end, slots * PICKED], &picking(layout, array));
+    let row = graph.slice(INPUT_NAME, 1, 0..encoder.need().end);
+    let picked = graph.node("MatMul", &[&row, &matrix]);
+    let picked = graph.reshape(&picked, &[slots, PICKED]);
+    let steering = graph.slice(INPUT_NAME, 1, encoder.steering_amplitude());
+    let steering = graph.reshape(&steering, &[slots, mirrors]);
+
+    let (one, tiny, no_claim) = (graph.scalar(1.0), graph.scalar(TINY), graph.scalar(NO_CLAIM));
+    let column = |graph: &mut Graph, picked: &str, column: Picked| {
+        graph.slice(picked, 1, column as usize..column as usize + 1)
+    };
+    let direct = column(graph, &picked, Picked::Direct);
+    let present = column(graph, &picked, Picked::Present);
+    let crowd = column(graph, &picked, Picked::Crowd);
+    let users = graph.scalar(slots as f32);
+    let users = graph.node("Mul", &[&crowd, &users]);
+    let share = graph.node("Div", &[&present, &users]);
+    let total = graph.sum(&steering, 1);
+    let logs = graph.concat(&[&direct, &total], 1);
+    let logs = graph.node("Add", &[&logs, &one]);
+    let logs = graph.node("Log", &[&logs]);
+    let total = graph.node("Add", &[&total, &tiny]);
+    let inverse_total = graph.node("Div", &[&one, &total]);
+    let asked = match actor.head.prior {
         Prior::Uniform => steering.clone(),
-        Prior::EqualShare => graph.node("Div", &[&steering, &total]),
+        Prior::EqualShare => graph.node("Mul", &[&steering, &inverse_total]),
     };
     let all = graph.sum(&asked, 0);
     let all = graph.node("Add", &[&all, &no_claim]);
@@ -97,135 +173,122 @@ fn observe(graph: &mut Graph, layout: &Layout, prior: Prior) -> Observed {
         claims = graph.node("Mul", &[&claims, &claims]);
     }
     let gains = graph.node("Mul", &[&claims, &steering]);
-    let half_room = graph.constant("half_room", &[1, 2], &layout.half_room_m);
-    let plane = graph.slice(&positions, 1, 0..2);
-    let plane = graph.node("Div", &[&plane, &half_room]);
-    let log = |graph: &mut Graph, value: &str| {
-        let value = graph.node("Add", &[value, &one]);
-        graph.node("Log", &[&value])
-    };
-    let log_direct = log(graph, &direct);
-    let log_total = log(graph, &sum);
-    let slot_count = graph.scalar(slots as f32);
-    let users = graph.sum(&present, 0);
-    let crowd = graph.node("Mul", &[&present, &users]);
-    let crowd = graph.node("Div", &[&crowd, &slot_count]);
-    let features = graph.concat(&[&present, &plane, &log_direct, &log_total, &need, &crowd], 1);
-    Observed { slots, mirrors: encoder.mirrors(), present, positions, total, direct, claims, gains, features, steering }
+    Observed { slots, mirrors, picked, logs, present, share, direct, steering, inverse_total, claims, gains }
 }
 
-/// ln(1 + amplitude) of each user under the logits by the smooth decoder; (slots, 1).
+/// The amplitude of each user at logits of zero by the smooth decoder; (slots, 1).
+fn first_amplitude(graph: &mut Graph, observed: &Observed) -> Value {
+    let given = given(graph, observed, &observed.claims);
+    graph.node("Add", &[&observed.direct, &given])
+}
+
+/// The amplitude of each user under the logits by the smooth decoder; (slots, 1).
 fn amplitude(graph: &mut Graph, observed: &Observed, logits: &str, range: f32) -> Value {
-    let (one, no_claim) = (graph.scalar(1.0), graph.scalar(NO_CLAIM));
     let exponent = graph.scalar(EXPONENT * range);
     let weights = graph.node("Mul", &[logits, &exponent]);
     let weights = graph.node("Exp", &[&weights]);
-    let weights = graph.node("Mul", &[&weights, &observed.present]);
-    let row = graph.reshape(&weights, &[1, observed.slots]);
-    let all = graph.node("MatMul", &[&row, &observed.claims]);
-    let all = graph.node("Add", &[&all, &no_claim]);
-    let inverse = graph.node("Div", &[&one, &all]);
-    let inverse = graph.reshape(&inverse, &[observed.mirrors, 1]);
-    let given = graph.node("MatMul", &[&observed.gains, &inverse]);
+    let claims = graph.node("Mul", &[&observed.claims, &weights]);
+    let given = given(graph, observed, &claims);
     let given = graph.node("Mul", &[&given, &weights]);
-    let amplitude = graph.node("Add", &[&observed.direct, &given]);
-    let amplitude = graph.node("Add", &[&amplitude, &one]);
-    graph.node("Log", &[&amplitude])
+    graph.node("Add", &[&observed.direct, &given])
 }
 
+/// What each user gets of the gains when every mirror is shared by these claims, over the user's own weight; (slots, 1).
+fn given(graph: &mut Graph, observed: &Observed, claims: &str) -> Value {
+    let no_claim = graph.scalar(NO_CLAIM);
+    let all = graph.sum(claims, 0);
+    let all = graph.node("Add", &[&all, &no_claim]);
+    let given = graph.node("Div", &[&observed.gains, &all]);
+    graph.sum(&given, 1)
+}
+
+/// The weight of each user, (slots, 1); of no meaning in absent slots, whose amplitudes are zero.
 fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Value {
     let range = graph.scalar(head.range);
     let exponent = graph.node("Mul", &[logits, &range]);
     let weight = graph.node("Exp", &[&exponent]);
-    let weight = graph.node("Mul", &[&weight, &observed.present]);
     match head.prior {
         Prior::Uniform => weight,
-        Prior::EqualShare => graph.node("Div", &[&weight, &observed.total]),
+        Prior::EqualShare => graph.node("Mul", &[&weight, &observed.inverse_total]),
     }
 }
 
-/// The coordinates of the mirrors' centres, (1, mirrors) each, in the frame of the wall.
-fn centres(graph: &mut Graph, mirrors: &MirrorArray) -> [Value; 3] {
-    let inside: Vec<Vec3> = mirrors.positions().iter().map(|centre| mirrors.wall_from_room(centre)).collect();
-    rows(graph, "centre", &inside)
+/// Vectors as a constant of their x, y and z, (3, n).
+fn rows(graph: &mut Graph, name: &str, vectors: impl Iterator<Item = Vec3> + Clone) -> Value {
+    let values: Vec<f32> =
+        [0, 1, 2].iter().flat_map(|&axis| vectors.clone().map(move |vector| vector[axis] as f32)).collect();
+    graph.constant(name, &[3, values.len() / 3], &values)
 }
 
-/// Vectors as constants of their x, y and z, (1, n) each.
-fn rows(graph: &mut Graph, name: &str, vectors: &[Vec3]) -> [Value; 3] {
-    [0, 1, 2].map(|axis| {
-        let values: Vec<f32> = vectors.iter().map(|vector| vector[axis] as f32).collect();
-        graph.constant(&format!("{name}_{axis}"), &[1, vectors.len()], &values)
-    })
+/// The mirrors' centres in the frame of the wall.
+fn centres(mirrors: &MirrorArray) -> impl Iterator<Item = Vec3> + Clone {
+    mirrors.positions().iter().map(|centre| mirrors.wall_from_room(centre))
 }
 
-/// The coordinates of the users, (slots, 1) each, in the frame of the wall.
-fn users(graph: &mut Graph, mirrors: &MirrorArray, observed: &Observed) -> [Value; 3] {
-    let room = [0, 1, 2].map(|axis| graph.slice(&observed.positions, 1, axis..axis + 1));
-    let axes = [Vec3::x(), Vec3::y(), Vec3::z()].map(|axis| mirrors.wall_from_room(&axis));
-    [0, 1, 2].map(|row| {
-        // Each coordinate of one frame is plus or minus one of the other, since walls stand at right angles.
-        let column = (0..3).find(|&column| axes[column][row] != 0.0).expect("a rotation has no empty row");
-        if axes[column][row] > 0.0 { room[column].clone() } else { graph.node("Neg", &[&room[column]]) }
-    })
+/// The sum over users of the share of each mirror (slots, mirrors) times the way from mirror to user; (3, mirrors), in the frame of the wall.
+fn ways(graph: &mut Graph, observed: &Observed, mirrors: &MirrorArray, shares: &str) -> Value {
+    // With a fourth coordinate of 1 the product gives the sum of the shares too, which the mirror's own place is to be multiplied by.
+    let places = observed.columns(graph, Picked::Place, 4);
+    let places = graph.transpose(&places);
+    let sums = graph.node("MatMul", &[&places, shares]);
+    let [sum, shares] = [0..3, 3..4].map(|rows| graph.slice(&sums, 0, rows));
+    let centres = rows(graph, "centres", centres(mirrors));
+    let from = graph.node("Mul", &[&centres, &shares]);
+    graph.node("Sub", &[&sum, &from])
 }
 
-/// The length of vectors from their coordinates.
-fn length(graph: &mut Graph, [x, y, z]: &[Value; 3]) -> Value {
-    let [x, y, z] = [x, y, z].map(|value| graph.node("Mul", &[value, value]));
-    let sum = graph.node("Add", &[&x, &y]);
-    let sum = graph.node("Add", &[&sum, &z]);
-    graph.node("Sqrt", &[&sum])
-}
-
-/// Each mirror serves the user with the largest weighted amplitude, at the bisector; normals of any length, (1, mirrors) each.
-fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> [Value; 3] {
+/// Each mirror serves the user with the largest weighted amplitude, at the bisector; normals of any length, (3, mirrors).
+fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> Value {
     let (mirrors, led) = (&model.mirrors, model.leds[0].position);
     let scores = graph.node("Mul", &[&observed.steering, weights]);
-    let served = graph.argmax(&scores, 0);
-    let [users, centres] = [users(graph, mirrors, observed), centres(graph, mirrors)];
-    let towards_user = [0, 1, 2].map(|axis| {
-        let target = graph.gather(&users[axis], &served);
-        let target = graph.reshape(&target, &[1, observed.mirrors]);
-        graph.node("Sub", &[&target, &centres[axis]])
-    });
-    let towards_led: Vec<Vec3> =
-        mirrors.positions().iter().map(|centre| mirrors.wall_from_room(&(led - centre).normalize())).collect();
-    let towards_led = rows(graph, "towards_led", &towards_led);
+    // Far below any score that counts; it gives the mirrors that nobody sees to the first user.
+    let first: Vec<f32> = (0..observed.slots).map(|slot| if slot == 0 { 1e-30 } else { 0.0 }).collect();
+    let first = graph.constant("first", &[observed.slots, 1], &first);
+    let scores = graph.node("Add", &[&scores, &first]);
+    let best = graph.max_of_rows(&scores, [observed.slots, observed.mirrors]);
+    let served = graph.node("GreaterOrEqual", &[&scores, &best]);
+    let served = graph.as_numbers(&served);
+    let towards_user = ways(graph, observed, mirrors, &served);
+    let towards_led = centres(mirrors).map(|centre| (mirrors.wall_from_room(&led) - centre).normalize());
+    let towards_led = rows(graph, "towards_led", towards_led);
     // The bisector of two directions, times the distance to the user: its length does not matter.
-    let distance = length(graph, &towards_user);
-    [0, 1, 2].map(|axis| {
-        let scaled = graph.node("Mul", &[&towards_led[axis], &distance]);
-        graph.node("Add", &[&scaled, &towards_user[axis]])
-    })
+    let squares = graph.node("Mul", &[&towards_user, &towards_user]);
+    let distance = graph.sum(&squares, 0);
+    let distance = graph.node("Sqrt", &[&distance]);
+    let scaled = graph.node("Mul", &[&towards_led, &distance]);
+    graph.node("Add", &[&scaled, &towards_user])
 }
 
-/// The sum over users of weight, coefficient and direction, flat where it is zero; normals of any length, (1, mirrors) each.
-fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> [Value; 3] {
+/// The sum over users of weight, coefficient and direction, flat where it is zero; normals of any length, (3, mirrors).
+fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> Value {
     let mirrors = &model.mirrors;
-    let [users, centres] = [users(graph, mirrors, observed), centres(graph, mirrors)];
-    let towards_users = [0, 1, 2].map(|axis| graph.node("Sub", &[&users[axis], &centres[axis]]));
-    let distance = length(graph, &towards_users);
     let pull = graph.node("Mul", &[&observed.steering, weights]);
-    let pull = graph.node("Div", &[&pull, &distance]);
-    let normal = towards_users.map(|coordinate| {
-        let parts = graph.node("Mul", &[&coordinate, &pull]);
-        graph.sum(&parts, 0)
+    let squares = [0, 1, 2].map(|axis| {
+        let place = graph.slice(&observed.picked, 1, Picked::Place as usize + axis..Picked::Place as usize + axis + 1);
+        let centre: Vec<f32> = centres(mirrors).map(|centre| centre[axis] as f32).collect();
+        let centre = graph.constant(&format!("centre_{axis}"), &[1, centre.len()], &centre);
+        let way = graph.node("Sub", &[&place, &centre]);
+        graph.node("Mul", &[&way, &way])
     });
+    let squared = graph.node("Add", &[&squares[0], &squares[1]]);
+    let squared = graph.node("Add", &[&squared, &squares[2]]);
+    let distance = graph.node("Sqrt", &[&squared]);
+    let pull = graph.node("Div", &[&pull, &distance]);
+    let normal = ways(graph, observed, mirrors, &pull);
     // Far below any pull that carries data; it decides only where there is none.
-    let inward = graph.scalar(-1e-12);
-    let [x, y, z] = normal;
-    [x, graph.node("Add", &[&y, &inward]), z]
+    let inward = graph.constant("inward", &[3, 1], &[0.0, -1e-12, 0.0]);
+    graph.node("Add", &[&normal, &inward])
 }
 
-/// Roll and yaw of normals in the frame of the wall; adds the output node.
-fn angles(graph: &mut Graph, [x, y, z]: &[Value; 3]) {
-    let quotient = graph.node("Div", &[x, y]);
-    let yaw = graph.node("Atan", &[&quotient]);
-    let [xx, yy] = [x, y].map(|value| graph.node("Mul", &[value, value]));
+/// Roll and yaw of normals (3, mirrors) in the frame of the wall; adds the output node.
+fn angles(graph: &mut Graph, normal: &str) {
+    let [x, y, z] = [0, 1, 2].map(|axis| graph.slice(normal, 0, axis..axis + 1));
+    let [xx, yy] = [&x, &y].map(|value| graph.node("Mul", &[value, value]));
     let across = graph.node("Add", &[&xx, &yy]);
     let across = graph.node("Sqrt", &[&across]);
-    let down = graph.node("Neg", &[z]);
-    let quotient = graph.node("Div", &[&down, &across]);
-    let roll = graph.node("Atan", &[&quotient]);
-    graph.concat(&[&roll, &yaw], 1);
+    let down = graph.node("Neg", &[&z]);
+    let roll = graph.node("Div", &[&down, &across]);
+    let yaw = graph.node("Div", &[&x, &y]);
+    let both = graph.concat(&[&roll, &yaw], 1);
+    graph.node("Atan", &[&both]);
 }

@@ -15,18 +15,22 @@ pub struct NetworkNodes {
 impl NetworkNodes {
     /// Adds the parameters to a graph.
     ///
+    /// `columns`: which of the network's inputs stands in each column of what it will be given for a slot; none is left out.
+    ///
     /// # Errors
     /// Those of candle, when a parameter cannot be read.
-    pub fn new(graph: &mut Graph, network: &Network) -> Result<Self> {
+    pub fn new(graph: &mut Graph, network: &Network, columns: &[Option<usize>]) -> Result<Self> {
         let mut layers = Vec::new();
+        let shape = Shape { inputs: columns.len(), ..network.shape() };
         for layer in network.layers() {
-            let (inputs, outputs) = layer.weight.dims2()?;
-            let weight = layer.weight.flatten_all()?.to_vec1::<f32>()?;
-            let weight = graph.constant(&format!("{}.weight", layer.name), &[inputs, outputs], &weight);
+            let weight = layer.weight.to_vec2::<f32>()?;
+            let outputs = layer.weight.dim(1)?;
+            let weight = if layer.name == "first" { arranged(&weight, network.shape().inputs, columns) } else { weight };
+            let weight = graph.constant(&format!("{}.weight", layer.name), &[weight.len(), outputs], &weight.concat());
             let bias = graph.constant(&format!("{}.bias", layer.name), &[1, outputs], &layer.bias.to_vec1::<f32>()?);
             layers.push((layer.name, weight, bias));
         }
-        Ok(Self { shape: network.shape(), layers })
+        Ok(Self { shape, layers })
     }
 
     fn linear(&self, graph: &mut Graph, name: &str, input: &str) -> Value {
@@ -48,8 +52,10 @@ impl NetworkNodes {
         self.linear(graph, "head", &second)
     }
 
-    /// Logits in [-1, 1] from inputs (slots, inputs), zero in absent slots; (slots, 1).
-    pub fn apply(&self, graph: &mut Graph, input: &str, present: &str) -> Value {
+    /// Logits in [-1, 1] from inputs (slots, columns); (slots, 1), of no meaning in absent slots.
+    ///
+    /// `present`: 1 or 0, and `share`: the same over the number of users, (slots, 1) each.
+    pub fn apply(&self, graph: &mut Graph, input: &str, present: &str, share: &str) -> Value {
         let Shape { encoder, slots, inputs, .. } = self.shape;
         let outputs = match encoder {
             Encoder::Mlp => {
@@ -59,7 +65,7 @@ impl NetworkNodes {
             }
             Encoder::Set => {
                 let first = self.rectified(graph, "first", input);
-                let pooled = pool(graph, &first, present, slots);
+                let pooled = pool(graph, &first, [present, share], [slots, self.shape.hidden[0]]);
                 let context = self.linear(graph, "context", &pooled);
                 let second = self.linear(graph, "second", &first);
                 let second = graph.node("Add", &[&second, &context]);
@@ -67,17 +73,21 @@ impl NetworkNodes {
                 self.linear(graph, "head", &second)
             }
         };
-        let logits = graph.node("Tanh", &[&outputs]);
-        graph.node("Mul", &[&logits, present])
+        graph.node("Tanh", &[&outputs])
     }
 }
 
+/// The rows of a first layer's weight in the order of the columns that it will be given, slot by slot; zero for a column without an input.
+fn arranged(weight: &[Vec<f32>], inputs: usize, columns: &[Option<usize>]) -> Vec<Vec<f32>> {
+    let row = |slot: &[Vec<f32>], input: &Option<usize>| input.map_or(vec![0.0; slot[0].len()], |input| slot[input].clone());
+    weight.chunks(inputs).flat_map(|slot| columns.iter().map(|input| row(slot, input))).collect()
+}
+
 /// Mean and maximum over the users present of rows that are nowhere negative, (1, 2 width).
-fn pool(graph: &mut Graph, rows: &str, present: &str, slots: usize) -> Value {
+fn pool(graph: &mut Graph, rows: &str, [present, share]: [&str; 2], shape: [usize; 2]) -> Value {
+    let shares = graph.node("Mul", &[rows, share]);
+    let mean = graph.sum(&shares, 0);
     let masked = graph.node("Mul", &[rows, present]);
-    let sum = graph.sum(&masked, 0);
-    let users = graph.sum(present, 0);
-    let mean = graph.node("Div", &[&sum, &users]);
-    let max = graph.max_of_rows(&masked, slots);
+    let max = graph.max_of_rows(&masked, shape);
     graph.concat(&[&mean, &max], 1)
 }

@@ -232,7 +232,7 @@ fn beats_dql(figure: &Figure) -> Option<Judged> {
         with_interval(dql, 1)
     );
     Some(match (above(raw, dql), above(ours, dql)) {
-        (true, _) => Judged(text, Verdict::Reproduced, apart(raw, dql).into()),
+        (true, _) => clearly(text, [raw, dql]),
         (false, true) => Judged(
             text,
             Verdict::InPart,
@@ -247,12 +247,12 @@ fn above(one: &Point, other: &Point) -> bool {
     one.y - one.ci95.unwrap_or(0.0) > other.y + other.ci95.unwrap_or(0.0)
 }
 
-/// How far the word "above" goes.
-fn apart(one: &Point, other: &Point) -> &'static str {
-    if one.ci95.and(other.ci95).is_some() {
-        "the intervals do not meet"
+/// The verdict on one mean above another: from a single seed there is no interval, and so no more than a part.
+fn clearly(text: String, points: [&Point; 2]) -> Judged {
+    if points.iter().all(|point| point.ci95.is_some()) {
+        Judged(text, Verdict::Reproduced, "the intervals do not meet".into())
     } else {
-        "by one training seed, without an interval"
+        Judged(text, Verdict::InPart, "by one training seed, without an interval".into())
     }
 }
 
@@ -285,7 +285,7 @@ fn grows(figure: &Figure) -> Option<Judged> {
         with_interval(none, 2)
     );
     Some(if above(large, small) {
-        Judged(text, Verdict::Reproduced, apart(large, small).into())
+        clearly(text, [large, small])
     } else {
         Judged(text, Verdict::NotReproduced, "the intervals meet".into())
     })

@@ -51,7 +51,7 @@ pub mod key {
 pub enum ActorError {
     /// There is no such file.
     #[error(
-        "no actor at {}: train one with `heliostat train ddpg`, give another file with --model, \
+        "no actor at {}: train one with `heliostat train` (`--help` lists the algorithms), give another file with --model, \
          or choose --policy fixed-point, which needs none", path.display()
     )]
     Missing {
@@ -239,7 +239,7 @@ impl ActorInfo {
         let unfit = |what, found: String, wanted: String, advice| {
             Err(ActorError::Unfit { origin: self.origin.clone(), what, found, wanted, advice })
         };
-        let train = "train an actor for it with `heliostat train ddpg --scenario FILE`, or choose --policy fixed-point";
+        let train = "train an actor for it with `heliostat train ALGORITHM --scenario FILE`, or choose --policy fixed-point";
         if self.observation_version != OBSERVATION_VERSION {
             let (found, wanted) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
             return unfit("observation version", found, wanted, "train it again with this release of heliostat");
@@ -260,7 +260,7 @@ impl ActorInfo {
         let geometry = scenario.geometry_hash();
         if self.geometry != geometry {
             let advice = "room, access points, array or receiver differ from those of the training; \
-                          train an actor for them with `heliostat train ddpg --scenario FILE`, or choose --policy fixed-point";
+                          train an actor for them with `heliostat train ALGORITHM --scenario FILE`, or choose --policy fixed-point";
             return unfit("the optical geometry", self.geometry.clone(), geometry, advice);
         }
         Ok(())

@@ -46,7 +46,7 @@ fn a_missing_file_says_how_to_get_one() {
     let source = ActorSource::Path("/nowhere/actor.onnx".into());
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &source) else { panic!("accepted") };
     assert_eq!(error, ActorError::Missing { path: "/nowhere/actor.onnx".into() }.into());
-    assert_says(&error, &["/nowhere/actor.onnx", "heliostat train ddpg", "--policy fixed-point"]);
+    assert_says(&error, &["/nowhere/actor.onnx", "heliostat train", "--policy fixed-point"]);
 }
 
 #[test]
@@ -58,7 +58,7 @@ fn a_folder_is_no_file() {
 #[test]
 fn no_actor_is_built_in_for_an_odd_array() {
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
-    assert_says(&error, &["ddpg-specular-3x3.onnx", "heliostat train ddpg", "--model", "--policy fixed-point"]);
+    assert_says(&error, &["ddpg-specular-3x3.onnx", "heliostat train", "--model", "--policy fixed-point"]);
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn an_actor_of_another_observation_version_is_refused() {
 fn an_actor_for_another_array_is_refused() {
     let recipe = ActorRecipe::fitting(&scenario(&[]));
     let error = refusal(&recipe, &scenario(&["mirrors.rows=4"]));
-    assert_says(&error, &["mirrors of 9", "12 (4 x 3)", "heliostat train ddpg", "--policy fixed-point"]);
+    assert_says(&error, &["mirrors of 9", "12 (4 x 3)", "heliostat train", "--policy fixed-point"]);
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn an_actor_of_another_mode_is_refused() {
 fn an_actor_of_another_geometry_is_refused_but_other_noise_is_not_geometry() {
     let recipe = ActorRecipe::fitting(&scenario(&[]));
     let error = refusal(&recipe, &scenario(&["mirrors.centre_height_m=1.8"]));
-    assert_says(&error, &["optical geometry", "heliostat train ddpg"]);
+    assert_says(&error, &["optical geometry", "heliostat train"]);
     let noisier = scenario(&["noise.variance_a2=1e-13", "led.power_w=1.0", "users.speed_max_m_s=1.0"]);
     assert!(Actor::load(&recipe.file(), &noisier).is_ok());
 }

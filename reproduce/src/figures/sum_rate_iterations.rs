@@ -100,7 +100,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
             Job::Yardsticks(yardsticks),
             4e-3 * states as f64,
         ));
-        for (learner, episode_s) in LEARNERS.into_iter().filter(|(learner, _)| algorithm(learner).is_ok()) {
+        for (learner, episode_s) in LEARNERS {
             for seed in plan.training_seeds() {
                 let job = Learning {
                     learner: learner.into(),

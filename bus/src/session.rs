@@ -250,12 +250,19 @@ impl Publisher {
     /// # Errors
     /// [`BusError::Refused`] where the session is closed.
     pub fn put(&self, payload: &[u8]) -> Result<(), BusError> {
-        let key = || self.inner.key_expr().as_str().to_owned();
-        self.inner.put(ZBytes::from(payload)).wait().map_err(|error| BusError::Refused {
-            action: "publish on",
-            key: key(),
-            problem: error.to_string(),
-        })
+        self.inner
+            .put(ZBytes::from(payload))
+            .wait()
+            .map_err(|error| refused("publish on", self.inner.key_expr().as_str())(error))
+    }
+
+    /// Whether anybody is known to subscribe to the key at this moment.
+    ///
+    /// # Errors
+    /// [`BusError::Refused`] where the session is closed.
+    pub fn is_heard(&self) -> Result<bool, BusError> {
+        let matching = self.inner.matching_status().wait();
+        Ok(matching.map_err(refused("look for subscribers of", self.inner.key_expr().as_str()))?.matching())
     }
 }
 

@@ -100,7 +100,8 @@ impl RawLayout {
     pub fn export(&self, network: &Network, metadata: &[(String, String)]) -> Result<Vec<u8>> {
         let mut graph = Graph::default();
         let state = self.state_nodes(&mut graph);
-        let raw = NetworkNodes::new(&mut graph, network, &(0..self.inputs()).map(Some).collect::<Vec<_>>())?.plain(&mut graph, &state);
+        let raw = NetworkNodes::new(&mut graph, network, &(0..self.inputs()).map(Some).collect::<Vec<_>>())?
+            .plain(&mut graph, &state);
         let action = graph.node("Tanh", &[&raw]);
         let range = graph.scalar(self.range_rad);
         graph.node("Mul", &[&action, &range]);

@@ -178,3 +178,30 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
         }
     }
 }
+
+#[test]
+fn the_containers_start_what_the_programs_understand() {
+    let deploy = root().join("deploy");
+    let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+    let (compose, image) = (read("container/compose.yaml"), read("container/Containerfile"));
+    for service in ["controller", "sim-node"] {
+        let part = compose.split_once(&format!("\n  {service}:\n")).expect("a service").1;
+        assert!(
+            part.contains(&format!("target: {service}")) && image.contains(&format!(" AS {service}\n")),
+            "{service}"
+        );
+        assert!(image.contains(&format!("ENTRYPOINT [\"heliostat-{service}\"]")), "{service}");
+        // The words of a command are a list in YAML as in JSON.
+        let words = part.lines().find(|line| line.trim_start().starts_with("[\"--room\"")).expect("a command");
+        let words: Vec<String> = serde_json::from_str(words.trim()).expect("a list of words");
+        let rooms = deploy.join("rooms").display().to_string();
+        let words = words.iter().map(|word| word.replace("/etc/heliostat", &rooms));
+        let output = Command::new(programs().join("heliostat")).args(["config", service]).args(words).output();
+        let output = output.expect("heliostat runs");
+        assert!(output.status.success(), "{service}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    let lock = fs::read_to_string(root().join("Cargo.lock")).expect("a lock file");
+    let zenoh = lock.split_once("name = \"zenoh\"\nversion = \"").expect("zenoh is there").1;
+    let version = zenoh.split('"').next().expect("a version");
+    assert!(compose.contains(&format!("image: eclipse/zenoh:{version}\n")), "the router is not zenoh {version}");
+}

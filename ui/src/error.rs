@@ -49,4 +49,9 @@ pub enum UiError {
     /// An order that only the process that started the room can carry out.
     #[error("nobody here can {0}: only `heliostat demo` owns the processes that it started")]
     NotOwned(&'static str),
+    /// An order that nobody was there to hear.
+    #[error(
+        "the {0} does not hear it: no such process is in the room, or it is not connected; start it, or give its endpoint with --connect"
+    )]
+    Unheard(&'static str),
 }

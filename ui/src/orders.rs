@@ -7,7 +7,8 @@ use std::hash::{BuildHasher, RandomState};
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::mpsc::Sender;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::thread;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use heliostat_bus::{Bus, Class, Publisher, Token};
 use heliostat_proto::{
@@ -18,6 +19,9 @@ use serde::Deserialize;
 
 use crate::UiError;
 
+/// Whoever has just joined is found within this time.
+const HEARD_WITHIN: Duration = Duration::from_secs(1);
+const HEARD_EVERY: Duration = Duration::from_millis(20);
 /// Which mirrors stick: another seed would be other ones.
 const STUCK_SEED: u64 = 1;
 /// Most that the page asks of a lamp, in W.
@@ -87,6 +91,8 @@ pub struct Operator {
 
 /// A publisher that counts.
 struct Line {
+    /// Who is to hear it.
+    hearer: &'static str,
     publisher: Publisher,
     sequence: Mutex<u64>,
 }
@@ -99,12 +105,15 @@ impl Operator {
     pub fn new(bus: &Bus, errands: Option<Sender<Errand>>) -> Result<Self, UiError> {
         let room = bus.room();
         let source = RandomState::new().hash_one((std::process::id(), SystemTime::now()));
-        let line = |key: &str| bus.publisher(key, Class::Order).map(Line::new);
+        let line = |hearer, key: &str| {
+            let publisher = bus.publisher(key, Class::Order)?;
+            Ok::<_, UiError>(Line { hearer, publisher, sequence: Mutex::new(0) })
+        };
         Ok(Self {
             source,
-            stop: line(&room.stop())?,
-            simulator: line(&room.simulator_control())?,
-            controller: line(&room.controller_control())?,
+            stop: line("array", &room.stop())?,
+            simulator: line("simulated room", &room.simulator_control())?,
+            controller: line("controller", &room.controller_control())?,
             errands,
             _token: bus.announce(&room.alive(NodeKind::Viewer, source))?,
         })
@@ -118,8 +127,8 @@ impl Operator {
     /// Checks an order and sends it. Whether it takes effect shows in the topics.
     ///
     /// # Errors
-    /// [`UiError::Order`] for an order without sense, [`UiError::NotOwned`] where nobody can carry it out, [`UiError::Bus`] where the
-    /// session is closed.
+    /// [`UiError::Order`] for an order without sense, [`UiError::NotOwned`] where nobody can carry it out, [`UiError::Unheard`] where it was
+    /// sent and nobody was there to hear it, [`UiError::Bus`] where the session is closed.
     pub fn send(&self, order: &Order) -> Result<(), UiError> {
         order.check()?;
         match order {
@@ -168,17 +177,27 @@ impl Operator {
 }
 
 impl Line {
-    fn new(publisher: Publisher) -> Self {
-        Self { publisher, sequence: Mutex::new(0) }
-    }
-
+    /// Waits a little for somebody who hears, then sends in any case.
     fn say<M: Message>(&self, source: u64, message: impl FnOnce(Stamp) -> M) -> Result<(), UiError> {
+        let heard = self.is_heard()?;
         // Held while publishing, so that numbers go out in order.
         let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
         *sequence += 1;
         let mut payload = Vec::new();
         codec::encode(&message(Stamp { source, sequence: *sequence, time_ns: utc_ns() }), &mut payload)?;
-        Ok(self.publisher.put(&payload)?)
+        self.publisher.put(&payload)?;
+        if heard { Ok(()) } else { Err(UiError::Unheard(self.hearer)) }
+    }
+
+    fn is_heard(&self) -> Result<bool, UiError> {
+        let given_up = Instant::now() + HEARD_WITHIN;
+        loop {
+            let heard = self.publisher.is_heard()?;
+            if heard || Instant::now() >= given_up {
+                return Ok(heard);
+            }
+            thread::sleep(HEARD_EVERY);
+        }
     }
 }
 

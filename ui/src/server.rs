@@ -5,7 +5,7 @@
 //! | `/` and its files | GET | the page |
 //! | `/room.json` | GET | what stands still: plan, names of policies, whether processes can be killed, the past minute |
 //! | `/live` | GET | events `figures` ten times a second and `frame` five times a second, JSON |
-//! | `/order` | POST | an [`Order`] as JSON; 202 when it was sent, 422 with the reason when it was not |
+//! | `/order` | POST | an [`Order`] as JSON; 202 when it was sent to somebody who hears it, 422 with the reason when it has no sense, 503 when nobody hears it |
 
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
@@ -204,6 +204,7 @@ impl Shared {
         };
         match self.page.operator.send(&order) {
             Ok(()) => (202, String::new()),
+            Err(error @ UiError::Unheard(_)) => (503, error.to_string()),
             Err(error) => (422, error.to_string()),
         }
     }

@@ -239,7 +239,8 @@ impl ActorInfo {
         let unfit = |what, found: String, wanted: String, advice| {
             Err(ActorError::Unfit { origin: self.origin.clone(), what, found, wanted, advice })
         };
-        let train = "train an actor for it with `heliostat train ALGORITHM --scenario FILE`, or choose --policy fixed-point";
+        let train =
+            "train an actor for it with `heliostat train ALGORITHM --scenario FILE`, or choose --policy fixed-point";
         if self.observation_version != OBSERVATION_VERSION {
             let (found, wanted) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
             return unfit("observation version", found, wanted, "train it again with this release of heliostat");

@@ -147,9 +147,8 @@ fn observe(graph: &mut Graph, actor: &Actor, array: &MirrorArray) -> Observed {
     let steering = graph.reshape(&steering, &[slots, mirrors]);
 
     let (one, tiny, no_claim) = (graph.scalar(1.0), graph.scalar(TINY), graph.scalar(NO_CLAIM));
-    let column = |graph: &mut Graph, picked: &str, column: Picked| {
-        graph.slice(picked, 1, column as usize..column as usize + 1)
-    };
+    let column =
+        |graph: &mut Graph, picked: &str, column: Picked| graph.slice(picked, 1, column as usize..column as usize + 1);
     let direct = column(graph, &picked, Picked::Direct);
     let present = column(graph, &picked, Picked::Present);
     let crowd = column(graph, &picked, Picked::Crowd);

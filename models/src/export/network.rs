@@ -25,7 +25,8 @@ impl NetworkNodes {
         for layer in network.layers() {
             let weight = layer.weight.to_vec2::<f32>()?;
             let outputs = layer.weight.dim(1)?;
-            let weight = if layer.name == "first" { arranged(&weight, network.shape().inputs, columns) } else { weight };
+            let weight =
+                if layer.name == "first" { arranged(&weight, network.shape().inputs, columns) } else { weight };
             let weight = graph.constant(&format!("{}.weight", layer.name), &[weight.len(), outputs], &weight.concat());
             let bias = graph.constant(&format!("{}.bias", layer.name), &[1, outputs], &layer.bias.to_vec1::<f32>()?);
             layers.push((layer.name, weight, bias));
@@ -79,7 +80,8 @@ impl NetworkNodes {
 
 /// The rows of a first layer's weight in the order of the columns that it will be given, slot by slot; zero for a column without an input.
 fn arranged(weight: &[Vec<f32>], inputs: usize, columns: &[Option<usize>]) -> Vec<Vec<f32>> {
-    let row = |slot: &[Vec<f32>], input: &Option<usize>| input.map_or(vec![0.0; slot[0].len()], |input| slot[input].clone());
+    let row =
+        |slot: &[Vec<f32>], input: &Option<usize>| input.map_or(vec![0.0; slot[0].len()], |input| slot[input].clone());
     weight.chunks(inputs).flat_map(|slot| columns.iter().map(|input| row(slot, input))).collect()
 }
 

@@ -68,6 +68,8 @@ pub(crate) struct Panel {
     pub lanes: Vec<PointLanes<POINT_LANES>>,
     /// Largest distance of a point from the panel's centre in m.
     pub radius: f64,
+    /// Largest offset of a point from the panel's centre along x or y in m.
+    pub half_side: f64,
     pub order: f64,
     /// (n + 1) A_r T_s / (2 pi) over the number of points, in m2.
     pub front: f64,
@@ -157,6 +159,10 @@ impl Panel {
             .collect();
         Self {
             radius: points.iter().map(|point| (point - led.position).norm()).fold(0.0, f64::max),
+            half_side: points
+                .iter()
+                .map(|point| point - led.position)
+                .fold(0.0, |most, offset| offset.x.abs().max(offset.y.abs()).max(most)),
             centre: led.position,
             front: front / points.len() as f64,
             lanes: points.chunks(POINT_LANES).map(|chunk| PointLanes::new(chunk, &led.position)).collect(),

@@ -249,31 +249,53 @@ fn add_points<const N: usize>(
         Linear::new(above.centre * along + detector_above * to_panel.dot(axis), &slope)
     };
     let (across, up) = (hit(&plate.width_axis), hit(&plate.height_axis));
+    // An aimed mirror mostly sends all of the panel's light to the detector; bounds over the panel then spare the test of each point.
+    let half = panel.half_side;
+    let least_height = above.centre - above.spread(half);
+    let room = least_height + detector_above;
+    let all_inside = (least_height > 0.0)
+        & (across.centre.abs() + across.spread(half) <= plate.half_width_m * room)
+        & (up.centre.abs() + up.spread(half) <= plate.half_height_m * room);
+    let (far_x, far_y) = (towards_panel.x.abs() + half, towards_panel.y.abs() + half);
+    let most_squared = far_x * far_x + far_y * far_y + towards_panel.z * towards_panel.z;
     let front = model.reflectivity() * panel.front;
     for lanes in points {
-        let mut squared = [0.0; N];
-        let mut share = [0.0; N];
+        let (mut squared, mut share) = ([0.0; N], lanes.weight);
         for lane in 0..N {
-            let (x, y) = (lanes.x[lane], lanes.y[lane]);
-            let height = above.at(x, y);
-            let heights = height + detector_above;
-            let inside = (height > 0.0)
-                & (across.at(x, y).abs() <= plate.half_width_m * heights)
-                & (up.at(x, y).abs() <= plate.half_height_m * heights);
-            let (dx, dy) = (towards_panel.x + x, towards_panel.y + y);
+            let (dx, dy) = (towards_panel.x + lanes.x[lane], towards_panel.y + lanes.y[lane]);
             squared[lane] = dx * dx + dy * dy + towards_panel.z * towards_panel.z;
-            share[lane] = if inside { lanes.weight[lane] } else { 0.0 };
+        }
+        if !all_inside {
+            for lane in 0..N {
+                let (x, y) = (lanes.x[lane], lanes.y[lane]);
+                let height = above.at(x, y);
+                let heights = height + detector_above;
+                let inside = (height > 0.0)
+                    & (across.at(x, y).abs() <= plate.half_width_m * heights)
+                    & (up.at(x, y).abs() <= plate.half_height_m * heights);
+                share[lane] = if inside { share[lane] } else { 0.0 };
+            }
         }
         fade(&mut share, &squared, towards_panel.z, panel.order);
         for (gain, branch) in gains.iter_mut().zip(&model.detectors) {
             let turned = branch.normal - 2.0 * plate.normal.dot(&branch.normal) * plate.normal;
             let facing = Linear::new(towards_panel.dot(&turned), &turned);
             let least = branch.fov_cosine * branch.fov_cosine;
+            let least_facing = facing.centre - facing.spread(half);
+            let all_seen = (least_facing > 0.0) & (least_facing * least_facing >= least * most_squared);
             let mut detected = [0.0; N];
             for lane in 0..N {
-                let facing = facing.at(lanes.x[lane], lanes.y[lane]);
-                let seen = (facing > 0.0) & (facing * facing >= least * squared[lane]);
-                detected[lane] = if seen { share[lane] * facing } else { 0.0 };
+                detected[lane] = facing.at(lanes.x[lane], lanes.y[lane]);
+            }
+            if !all_seen {
+                for lane in 0..N {
+                    let facing = detected[lane];
+                    let seen = (facing > 0.0) & (facing * facing >= least * squared[lane]);
+                    detected[lane] = if seen { facing } else { 0.0 };
+                }
+            }
+            for lane in 0..N {
+                detected[lane] *= share[lane];
             }
             *gain += front * branch.concentrator_gain * detected.iter().sum::<f64>();
         }
@@ -296,6 +318,12 @@ impl Linear {
     #[inline(always)]
     fn at(&self, x: f64, y: f64) -> f64 {
         self.centre + self.x * x + self.y * y
+    }
+
+    /// The most by which it differs from its value at the centre, on a panel of this half side.
+    #[inline(always)]
+    fn spread(&self, half_side: f64) -> f64 {
+        half_side * (self.x.abs() + self.y.abs())
     }
 }
 

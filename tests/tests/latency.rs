@@ -5,7 +5,11 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
+use heliostat_controller::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
+use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_models::onnx::{Ends, Graph};
 use heliostat_proto::{MirrorCommand, NodeKind, Room, UserReport, codec};
+use heliostat_scenario::Scenario;
 use heliostat_tests::{Process, Witness, wait_until};
 use serde_json::Value;
 
@@ -256,6 +260,49 @@ fn when_the_room_falls_silent_the_last_good_is_repeated_if_so_configured() {
     wait_until("a silence that is counted", || witness.counter(NodeKind::Controller, "fallback:silence") == 1);
     let summary = pair.controller.end().json();
     assert!(summary["commands"].as_u64() > summary["decisions"].as_u64(), "{summary}");
+}
+
+/// An actor that fits the default room and answers with what is no number: the logarithm of the current angles less 100.
+fn nonsense() -> Vec<u8> {
+    let scenario = Scenario::builtin("specular").unwrap();
+    let encoder = ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count());
+    let mut graph = Graph::default();
+    let angles = graph.slice(INPUT_NAME, 1, encoder.angles());
+    let far = graph.scalar(-100.0);
+    let below = graph.node("Add", &[&angles, &far]);
+    graph.node("Log", &[&below]);
+    let metadata = [
+        (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
+        (key::USERS_MAX, USERS_CAPACITY.to_string()),
+        (key::MIRRORS, scenario.mirror_count().to_string()),
+        (key::MODE, scenario.channel.mode.name().to_owned()),
+        (key::GEOMETRY, scenario.geometry_hash()),
+    ];
+    let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, encoder.angles().len()));
+    graph.finish(&Ends { name: "nonsense", input, output }, &metadata.map(|(key, value)| (key.to_owned(), value)))
+}
+
+#[test]
+fn an_actor_that_gives_no_numbers_is_answered_as_configured() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("nonsense.onnx");
+    std::fs::write(&file, nonsense()).unwrap();
+    for (answer, cause, moves) in [("fixed-point", "policy-failed", true), ("hold", "held", false)] {
+        let set = format!("control.fallback={answer}");
+        let pair = Pair::start(&[], &["--set", &set, "--model", file.to_str().unwrap()]);
+        let witness = pair.witness();
+        wait_until("failures", || witness.counter(NodeKind::Controller, &format!("fallback:{cause}")) > 50);
+        assert_eq!(witness.counter(NodeKind::Controller, "commands") > 0, moves, "{answer}");
+        if let (_, Some(command)) = witness.command() {
+            assert!(command.roll.iter().chain(&command.yaw).all(|angle| angle.is_finite()), "{answer}");
+        }
+        let (_, controller) = pair.end();
+        assert_eq!(
+            number(&controller, &format!("/fallbacks/{cause}")),
+            number(&controller, "/decisions"),
+            "{controller}"
+        );
+    }
 }
 
 #[test]

@@ -21,6 +21,7 @@ fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
         bus: BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint),
         pace,
         metrics: MetricsArgs::default(),
+        calibration: None,
     }
 }
 

@@ -11,7 +11,13 @@ use indicatif::ProgressBar;
 const METHOD: Method = Method { dwell_s: 1e-3, search_rad: 8.0 * std::f64::consts::PI / 180.0 };
 
 fn room(changes: &[&str]) -> Scenario {
-    let small = ["mirrors.rows=4", "mirrors.columns=4", "actuator.profile=mems", "actuator.offset_deg=1"];
+    let small = [
+        "mirrors.rows=4",
+        "mirrors.columns=4",
+        "actuator.profile=mems",
+        "actuator.offset_deg=1",
+        "blockage.forced_users=5",
+    ];
     let changes: Vec<String> = small.iter().chain(changes).map(|change| (*change).to_owned()).collect();
     Scenario::builtin("specular").unwrap().with_overrides(&changes).unwrap()
 }

@@ -9,10 +9,8 @@ use heliostat_driver::rules::{Array, Refusal};
 use heliostat_proto::{Calibration, Capabilities, MirrorCommand, MirrorTelemetry, Stamp};
 use heliostat_scenario::Scenario;
 
-use crate::actuator::{Actuator, AxisFault};
-use crate::control;
+use crate::actuator::Actuator;
 use crate::mirrors::SimulatedMirrors;
-use crate::random::{self, Purpose};
 use crate::world::{World, WorldError};
 
 /// A whole simulated room.
@@ -32,13 +30,8 @@ impl SimulatedRoom {
     /// [`WorldError`] as from [`World::new`].
     pub fn new(scenario: &Scenario, seed: u64) -> Result<Self, WorldError> {
         let world = World::new(scenario, seed)?;
-        let rng = random::stream(seed, Purpose::Actuator, 0);
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &world.model().mirrors, rng);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &world.model().mirrors, seed);
         let mut room = Self { world, kit: Kit::new(mirrors), world_ns: 0, room_ahead_ns: 0 };
-        let share = scenario.actuator.stuck_share.unwrap_or(0.0);
-        for mirror in control::drawn_share(share, seed, scenario.mirror_count()) {
-            room.actuator_mut().set_fault(mirror, AxisFault::Stuck, AxisFault::Stuck);
-        }
         room.kit.advance(Moment::default());
         Ok(room)
     }

@@ -76,12 +76,13 @@ pub fn calibrate(scenario: &Scenario, seed: u64, method: &Method, bar: &Progress
         let ranges = [bench.capabilities().roll, bench.capabilities().yaw];
         for (axis, corrections) in axes.iter_mut().enumerate().filter(|_| !places.is_empty()) {
             let of = |which: fn(&Place) -> [f64; 2]| places.iter().map(|place| which(place)[axis]).collect::<Vec<_>>();
-            let fitted = fit(&of(|place| place.truth), &of(|place| place.drive), SPREAD_RAD);
+            let (gain, offset) = fit(&of(|place| place.truth), &of(|place| place.drive), SPREAD_RAD);
+            let fitted = (rounded(gain), offset);
             let (gain, offset) = within(fitted, &ranges[axis], bench.travel_rad()[axis]);
             if (gain, offset) != fitted && limited.last() != Some(&mirror) {
                 limited.push(mirror);
             }
-            (corrections.gain[mirror], corrections.offset_deg[mirror]) = (gain, offset.to_degrees());
+            (corrections.gain[mirror], corrections.offset_deg[mirror]) = (gain, rounded(offset.to_degrees()));
         }
         bar.inc(1);
     }
@@ -116,6 +117,11 @@ fn measure(bench: &mut Bench, mirror: usize, search_rad: f64) -> Vec<Place> {
         places.push(Place { truth, drive });
     }
     places
+}
+
+/// To five decimals, far finer than any drive.
+fn rounded(value: f64) -> f64 {
+    (value * 1e5).round() / 1e5
 }
 
 /// The correction with its offset cut to what the drives can do at either end of the announced range.

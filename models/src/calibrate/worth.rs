@@ -8,7 +8,6 @@ use heliostat_scenario::Scenario;
 use heliostat_sim_node::World;
 use heliostat_sim_node::clock::Moment;
 use heliostat_sim_node::mirrors::SimulatedMirrors;
-use heliostat_sim_node::random::{self, Purpose};
 
 use crate::comparison::{Entrant, judge::Judge};
 use crate::evaluate::held_out_world;
@@ -47,8 +46,7 @@ impl Exam {
         seed: u64,
         corrections: Option<&CalibrationFile>,
     ) -> anyhow::Result<f64> {
-        let rng = random::stream(seed, Purpose::Actuator, 0);
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.judge.model().mirrors, rng);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.judge.model().mirrors, seed);
         let mut kit = Kit::new(mirrors);
         let mut now_ns = SETTLED_NS;
         kit.advance(Moment::simulated(now_ns));

@@ -95,7 +95,7 @@ fn aim_each(model: &ChannelModel, out: &mut MirrorAngles, choose: impl Fn(usize)
 /// In the wall's frame the normal b s + a t, with s and t the ways to the points and a and b their lengths, has the direction of the bisector; then
 /// yaw = atan(x / y) and roll = atan(-z / sqrt(x^2 + y^2)), as in [`MirrorArray::angles_of`].
 #[inline(always)]
-fn bisect(mirrors: &MirrorArray, first: usize, from: &[Lanes; 3], to: &[Lanes; 3]) -> (Lanes, Lanes) {
+pub(crate) fn bisect(mirrors: &MirrorArray, first: usize, from: &[Lanes; 3], to: &[Lanes; 3]) -> (Lanes, Lanes) {
     let centre = [block(&mirrors.x, first), block(&mirrors.y, first), block(&mirrors.z, first)];
     let (cos, sin) = mirrors.rotation();
     let (mut rise, mut turn, mut sound) = ([0.0; BLOCK], [0.0; BLOCK], [false; BLOCK]);

@@ -2,8 +2,9 @@
 
 mod common;
 
-use common::{Random, Room};
+use common::{PAPER, Random, Room};
 use heliostat_channel::blockage::{Cylinder, blocks, shadow_length};
+use heliostat_channel::specular::bisector;
 use heliostat_channel::{Scene, Vec3, Wall};
 
 const PERSON: Cylinder = Cylinder { x_m: 1.0, y_m: 0.0, radius_m: 0.25, height_m: 1.75 };
@@ -179,4 +180,31 @@ fn mirrors_that_are_left_out_can_give_nobody_anything() {
     }
     scene.update(&model, &users, &[], &[false; 3]);
     assert_eq!(scene.steering_gain(), whole, "until the next update");
+}
+
+#[test]
+fn a_mirror_gives_nothing_where_its_range_does_not_reach() {
+    let model = Room::paper().model();
+    let users = Random::new(23).positions(3);
+    let mut scene = Scene::new(&model, 3);
+    scene.update(&model, &users, &[], &[false; 3]);
+    let (mirrors, whole) = (model.mirrors.len(), scene.steering_gain().to_vec());
+    let (roll, yaw) = (-0.1..=0.15, -0.3..=0.05);
+    scene.keep_in_reach(&model, &roll, &yaw);
+    let mut reached = 0;
+    for (pair, (gain, before)) in scene.steering_gain().iter().zip(&whole).enumerate() {
+        let (mirror, user) = (&model.mirrors.positions()[pair % mirrors], &users[pair / mirrors]);
+        let aim = model.mirrors.angles_of(&bisector(mirror, &model.leds[0].position, user).expect("an angle"));
+        let within = roll.contains(&aim.0) && yaw.contains(&aim.1);
+        assert_eq!(*gain, if within { *before } else { 0.0 }, "{aim:?}");
+        reached += usize::from(within);
+    }
+    assert!(reached > 20 && reached < 280, "{reached} of 300");
+    assert!(scene.leg_visible().iter().all(|visible| *visible), "light may still stray there");
+    let paper = Room::paper().with_mode(PAPER).model();
+    let mut scene = Scene::new(&paper, 3);
+    scene.update(&paper, &users, &[], &[false; 3]);
+    let whole = scene.steering_gain().to_vec();
+    scene.keep_in_reach(&paper, &roll, &yaw);
+    assert_eq!(scene.steering_gain(), whole, "the paper's equations have no angle for a pair");
 }

@@ -3,7 +3,7 @@
 //! Duties, in this order, each time a position report completes a tick:
 //!
 //! 1. **Inbox**: take the report or refuse it.
-//! 2. **Observe**: bring the latest of each stream into one observation.
+//! 2. **Observe**: bring the latest of each stream into one observation, without mirrors that do not follow or whose range does not reach somebody.
 //! 3. **Infer**: let the policy propose angles; where it fails, let the fallback.
 //! 4. **Make safe**: bring the proposal within range and reach.
 //!
@@ -171,6 +171,9 @@ impl Controller {
             }
             if let Some(telemetry) = self.inbox.telemetry() {
                 self.observation.scene.leave_out(&telemetry.unusable);
+            }
+            if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
+                self.observation.scene.keep_in_reach(&self.model, &roll, &yaw);
             }
             mark(Stage::Observed);
         }

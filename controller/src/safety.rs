@@ -2,6 +2,8 @@
 //!
 //! It does not judge whether angles are useful, and it does not replace the limits that a driver enforces for itself.
 
+use std::ops::RangeInclusive;
+
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_proto::AxisLimits;
 use heliostat_scenario::Control;
@@ -57,6 +59,13 @@ impl Limits {
     /// Largest angle of each axis, plus and minus, in rad.
     pub fn range_rad(&self) -> f64 {
         self.range_rad
+    }
+
+    /// Smallest and largest roll, then yaw, in rad; nothing where both go a quarter turn either way, which is all that a mirror on a wall can use.
+    pub fn narrow_axes_rad(&self) -> Option<[RangeInclusive<f64>; 2]> {
+        let quarter = f64::from(largest_f32_within(std::f64::consts::FRAC_PI_2));
+        let narrow = self.axes_rad.iter().any(|[min, max]| *min > -quarter || *max < quarter);
+        narrow.then(|| self.axes_rad.map(|[min, max]| min..=max))
     }
 
     /// Brings proposed angles within range, and within reach of `from` in `elapsed_s` seconds.

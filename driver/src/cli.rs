@@ -9,9 +9,12 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use heliostat_bus::BusArgs;
-use heliostat_proto::Room;
+use heliostat_proto::{Room, Stamp};
 
+use crate::Kit;
+use crate::calibration_file::CalibrationFile;
 use crate::check;
+use crate::clock::Moment;
 use crate::config::Config;
 use crate::run;
 
@@ -37,6 +40,9 @@ struct RunArgs {
     /// TOML file of the boards and the mirrors that they turn
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
+    /// Correct the mirrors' mounting by this file of `heliostat calibrate` from the start
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     #[command(flatten)]
     bus: BusArgs,
     /// End after this many seconds; without it, run until stopped
@@ -72,6 +78,11 @@ pub fn run(args: Args) -> Result<()> {
 
 fn drive(args: &RunArgs) -> Result<()> {
     let wall = Config::load(&args.config)?.wall().with_context(|| format!("in {}", args.config.display()))?;
+    let mut kit = Kit::new(wall);
+    if let Some(file) = &args.calibration {
+        let corrections = CalibrationFile::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
+        kit.calibrate(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
+    }
     let bus = args.bus.config_or_connect()?;
     let stop = Arc::new(AtomicBool::new(false));
     let on_signal = Arc::clone(&stop);
@@ -82,7 +93,7 @@ fn drive(args: &RunArgs) -> Result<()> {
     };
     ctrlc::set_handler(handler).context("cannot watch for Ctrl-C")?;
     eprintln!("driver: room {}, array of {}", bus.room, args.config.display());
-    let summary = run::run(wall, &bus, args.seconds, &stop)?;
+    let summary = run::run(kit, &bus, args.seconds, &stop)?;
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
     if args.json {

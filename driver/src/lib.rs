@@ -6,7 +6,7 @@
 //! # Without clock or transport
 //! - [`device`]: the trait, and what hardware may answer.
 //! - [`rules`]: which commands are followed, and when an array holds, parks and stops.
-//! - [`calibration`]: the correction of each mirror's mounting.
+//! - [`calibration`]: the correction of each mirror's mounting; [`calibration_file`]: where it is kept.
 //! - [`kit`]: device, rules and correction together; telemetry; which mirrors do not follow; reconnection.
 //!
 //! # On the bus
@@ -17,6 +17,7 @@
 //! - [`clock`], [`refused`]: the two times of a room; what was refused.
 
 pub mod calibration;
+pub mod calibration_file;
 pub mod check;
 pub mod cli;
 pub mod clock;

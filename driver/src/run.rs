@@ -63,7 +63,7 @@ impl fmt::Display for Summary {
 /// # Errors
 /// [`LinesError`]: a transport that is set up wrongly or fails, or somebody else who turns the mirrors of this room.
 pub fn run<D: Device>(
-    device: D,
+    kit: Kit<D>,
     bus: &BusConfig,
     duration: Option<Duration>,
     stop: &AtomicBool,
@@ -74,7 +74,7 @@ pub fn run<D: Device>(
     let clock = Clock::start_in(Duration::ZERO);
     let source = random_id();
     let mut driver = Driver {
-        kit: Kit::new(device),
+        kit,
         lines: Lines::open(&bus, clock, Class::State)?,
         status: Outlet::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
         refused: Refused::default(),

@@ -1,9 +1,10 @@
 //! The conformance check: our driver keeps every rule, and each deliberately broken one fails exactly the rules that it breaks.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
+use heliostat_bus::{Bus, BusConfig, Class, Presence, free_loopback_endpoint};
 use heliostat_channel::MirrorAngles;
 use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::{Clock, Moment};
@@ -11,7 +12,9 @@ use heliostat_driver::inbox::Content;
 use heliostat_driver::lines::Lines;
 use heliostat_driver::refused::Refused;
 use heliostat_driver::{Device, DeviceError, Kit, run};
-use heliostat_proto::{AxisLimits, Capabilities, Feedback, NodeKind, Room, Stamp, ValidityClock};
+use heliostat_proto::{
+    AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, Room, Stamp, StopAction, ValidityClock,
+};
 
 /// Mirrors that are wherever they were told to be.
 struct Exact {
@@ -81,7 +84,7 @@ fn broken(report: &Report) -> Vec<&'static str> {
 
 #[test]
 fn a_driver_made_with_the_kit_keeps_every_rule() {
-    let report = checked("kept", |bus, stop| drop(run::run(Exact::new(), &bus, None, stop).unwrap()));
+    let report = checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &bus, None, stop).unwrap()));
     assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
     assert_eq!((report.mirrors, report.hardware.as_str()), (3, "exact"));
 }
@@ -91,7 +94,7 @@ fn a_driver_without_a_clock_is_judged_by_what_it_announces() {
     let mut device = Exact::new();
     device.capabilities.validity_clock = ValidityClock::Arrival;
     device.capabilities.feedback = Feedback::ClosedLoop;
-    let report = checked("clockless", |bus, stop| drop(run::run(device, &bus, None, stop).unwrap()));
+    let report = checked("clockless", |bus, stop| drop(run::run(Kit::new(device), &bus, None, stop).unwrap()));
     let not_judged = report.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
     assert_eq!(not_judged.map(|finding| finding.rule).collect::<Vec<_>>(), ["expired", "future"]);
     assert_eq!(broken(&report), [""; 0], "{report}");
@@ -101,6 +104,7 @@ fn a_driver_without_a_clock_is_judged_by_what_it_announces() {
 #[derive(Clone, Copy, PartialEq)]
 enum Flaw {
     DeafToStops,
+    ForgetsOrphanedStops,
     FollowsAnySequence,
     FollowsAnyTime,
     Unlimited,
@@ -113,6 +117,11 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &AtomicBool) {
     let clock = Clock::start_in(Duration::ZERO);
     let mut lines = Lines::open(&bus, clock, Class::State).unwrap();
     let _token = bus.announce(&bus.room().alive(NodeKind::Driver, 1)).unwrap();
+    let left = Arc::new(AtomicBool::new(false));
+    let leaves = Arc::clone(&left);
+    let watched = bus.room().alive_of(NodeKind::Viewer);
+    let note = move |_: &str, presence| leaves.store(presence == Presence::Gone, Ordering::Relaxed);
+    let _watch = bus.watch(&watched, note).unwrap();
     let announced = Exact::new().capabilities;
     let mut device = Exact::new();
     match flaw {
@@ -149,6 +158,10 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &AtomicBool) {
         }
         let now = clock.now();
         kit.advance(now);
+        if flaw == Flaw::ForgetsOrphanedStops && left.swap(false, Ordering::Relaxed) {
+            let stamp = Stamp { time_ns: now.room_ns, ..Stamp::default() };
+            kit.order(now, &EmergencyStop { stamp, action: StopAction::Rearm, ..EmergencyStop::default() });
+        }
         sequence += 1;
         let stamp = Stamp { source: 1, sequence, time_ns: now.room_ns };
         let mut telemetry = kit.telemetry(now, stamp);
@@ -163,8 +176,9 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &AtomicBool) {
 
 #[test]
 fn each_broken_driver_fails_exactly_what_it_breaks() {
-    let cases: [(Flaw, &str, &[&str]); 5] = [
-        (Flaw::DeafToStops, "deaf", &["stop"]),
+    let cases: [(Flaw, &str, &[&str]); 6] = [
+        (Flaw::DeafToStops, "deaf", &["stop", "orphaned-stop"]),
+        (Flaw::ForgetsOrphanedStops, "forgetful", &["orphaned-stop"]),
         (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch"]),
         (Flaw::FollowsAnyTime, "times", &["expired", "future"]),
         (Flaw::Unlimited, "unlimited", &["limits"]),

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
 use std::os::fd::AsRawFd;
+use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -188,4 +189,49 @@ fn a_device_that_goes_away_is_a_fault_and_is_told_again_when_it_is_back() {
     assert_eq!(kit.connections(), 2);
     let last = log.lock().unwrap().last().cloned();
     assert_eq!(last.as_deref(), Some("set 250000 125000 250000 125000"));
+}
+
+/// The reference sketch, built for this host and run at a pseudo-terminal; nothing where there is no C++ compiler and none is required.
+fn reference_board() -> Option<(String, Child, impl Sized)> {
+    let folder = tempfile::tempdir().unwrap();
+    let program = folder.path().join("board");
+    let reference = concat!(env!("CARGO_MANIFEST_DIR"), "/reference/host");
+    let built = Command::new("g++")
+        .args(["-std=c++11", "-Wall", "-Wextra", "-Werror", "-I", reference, "-o"])
+        .arg(&program)
+        .arg(format!("{reference}/board.cpp"))
+        .output();
+    let Ok(built) = built else {
+        assert!(std::env::var_os("HELIOSTAT_REQUIRE_CXX").is_none(), "no g++, which HELIOSTAT_REQUIRE_CXX requires");
+        println!("skipped: no g++");
+        return None;
+    };
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    let pty = nix::pty::openpty(None, None).unwrap();
+    let path = std::fs::read_link(format!("/proc/self/fd/{}", pty.slave.as_raw_fd())).unwrap();
+    let output = pty.master.try_clone().unwrap();
+    let board = Command::new(&program).stdin(pty.master).stdout(output).stderr(Stdio::piped()).spawn().unwrap();
+    Some((path.display().to_string(), board, (pty.slave, folder)))
+}
+
+#[test]
+fn the_reference_sketch_is_a_board_that_the_driver_turns() {
+    let Some((path, mut board, _open)) = reference_board() else { return };
+    let mut device = wall(&format!(
+        "rows = 1\ncolumns = 4\n[[boards]]\nkind = \"servo-board\"\naddress = \"serial:{path}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmirrors = [0, 1, 2, 3]"
+    ));
+    device.connect(NOW).unwrap();
+    let to = |roll: f64, yaw: f64| MirrorAngles { roll: vec![0.0, 0.0, 0.0, roll], yaw: vec![0.0, 0.0, 0.0, yaw] };
+    device.apply(NOW, &to(0.1, -0.2)).unwrap();
+    let far = device.apply(NOW, &to(1.0, 0.0)).unwrap_err().to_string();
+    assert!(far.contains("not 8 numbers within the limits"), "{far}");
+    device.stop(NOW).unwrap();
+    board.kill().unwrap();
+    let mut told = String::new();
+    board.stderr.take().unwrap().read_to_string(&mut told).unwrap();
+    board.wait().unwrap();
+    // 637 us a radian about 1500 us: roll and yaw of the last mirror are at pins 8 and 9, and a stop ends the pulses.
+    let told: Vec<&str> = told.lines().collect();
+    assert_eq!(told.len(), 16, "{told:?}");
+    assert_eq!((told[0], told[6], told[7], told[8], told[15]), ("2 1500", "8 1563", "9 1373", "2 off", "9 off"));
 }

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, completions, config, demo, doctor, eval, link, map, scenario, ui};
+use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval, link, map, scenario, ui};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -28,6 +28,8 @@ enum Command {
     SimNode(heliostat_sim_node::cli::Args),
     /// Drive real mirrors, or check a driver against the contract
     Driver(heliostat_driver::cli::Args),
+    /// Estimate the mounting of each mirror from measured gains, and show what that wins back
+    Calibrate(calibrate::Args),
     /// Train a policy and export it as an ONNX file
     Train(heliostat_models::TrainArgs),
     /// Compare policies on the same states, beside the oracle
@@ -60,6 +62,7 @@ pub fn run() -> Result<()> {
         Command::Controller(args) => heliostat_controller::cli::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Driver(args) => heliostat_driver::cli::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
         Command::Train(args) => heliostat_models::run_train(args),
         Command::Eval(args) => eval::run(args),
         Command::Reproduce(args) => heliostat_reproduce::run_reproduce(args),

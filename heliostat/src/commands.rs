@@ -4,6 +4,7 @@ use anyhow::{Context, Result, ensure};
 use serde::de::DeserializeOwned;
 
 pub mod bench;
+pub mod calibrate;
 pub mod completions;
 pub mod config;
 pub mod demo;

@@ -148,7 +148,7 @@ fn a_sweep_has_a_report_for_each_value_of_its_key() {
     assert_eq!(users, [Some(1), Some(2), Some(3)]);
     let output = eval(&flags);
     let text = String::from_utf8(output.stdout).expect("text");
-    assert_eq!(text.lines().count(), 5, "{text}");
+    assert_eq!(text.lines().count(), 10, "{text}");
     let message = refusal(&["--sweep", "users.count=0..2", "--policies", "flat"]);
     assert!(message.contains("users.count"), "{message}");
     let message = refusal(&["--sweep", "users.count", "--policies", "flat"]);
@@ -174,4 +174,18 @@ fn a_learned_policy_is_all_of_its_training_seeds_unless_one_is_chosen() {
     assert!(above_flat(&all) > 0.1 && above_flat(&first) > 0.1);
     let message = refusal(&["--policies", "analytic", "--training-seed", "9"]);
     assert!(message.contains("seed9") && message.contains("heliostat train analytic"), "{message}");
+}
+
+#[test]
+fn stuck_mirrors_cost_light_and_a_controller_may_not_be_told_of_them() {
+    let flags = ["--closed-loop", "--policies", "nearest", "--states", "20", "--seeds", "1", "--unaware"];
+    let room = ["--set", "actuator.profile=mems", "--set", "blockage.forced_users=5"];
+    let output = eval(&[&flags[..], &room, &["--sweep", "actuator.stuck_share=0,0.5", "--json"]].concat());
+    let all: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    let rate = |index: usize, policy: &str| mean(&all["reports"][index]["report"], policy, "sum_rate_mbps");
+    assert_eq!(rate(0, "nearest"), rate(0, "nearest-unaware"), "nothing is wrong, and there is nothing to tell");
+    assert!(rate(1, "nearest") < 0.9 * rate(0, "nearest"), "{all}");
+    let output = eval(&[&flags[..], &room, &["--sweep", "actuator.stuck_share=0,0.5"]].concat());
+    let table = String::from_utf8(output.stdout).expect("text");
+    assert!(table.contains("sum rate in Mb/s") && table.contains("nearest-unaware"), "{table}");
 }

@@ -8,7 +8,7 @@ fn heliostat(arguments: &[&str]) -> Output {
 
 #[test]
 fn every_command_explains_itself() {
-    let commands = ["demo", "controller", "sim-node", "train", "eval", "link", "map", "bench", "scenario"];
+    let commands = ["demo", "controller", "sim-node", "train", "eval", "link", "map", "bench", "scenario", "calibrate"];
     let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");
     for command in commands {
         assert!(overview.contains(command), "{command} is missing in: {overview}");

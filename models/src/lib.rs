@@ -14,6 +14,7 @@
 //! - [`features`], [`actor`], [`raw`], [`networks`], [`explore`], [`replay`], [`needy`]: what learners share.
 //! - [`evaluate`]: held-out states and the ratio to the oracle.
 //! - [`comparison`]: any policies on the same states, in statics and in closed loop.
+//! - [`mod@calibrate`]: the mounting of real mirrors from measured gains, and what that is worth.
 //! - [`checkpoint`], [`curve`]: what a run leaves on disk while it goes on.
 //! - [`export`], [`onnx`], [`card`]: what it leaves when it is done.
 //! - [`train`]: the `heliostat train` command.
@@ -21,6 +22,7 @@
 pub mod actor;
 pub mod algorithm;
 pub mod analytic;
+pub mod calibrate;
 pub mod card;
 pub mod checkpoint;
 pub mod codebook;

@@ -153,6 +153,9 @@ impl Scenario {
         within("actuator.jitter_deg", actuator.jitter_deg.unwrap_or(0.0), 0.0..=90.0)?;
         within("actuator.offset_deg", actuator.offset_deg.unwrap_or(0.0), 0.0..=90.0)?;
         within("actuator.drift_deg_per_sqrt_hour", actuator.drift_deg_per_sqrt_hour.unwrap_or(0.0), 0.0..=90.0)?;
+        within("actuator.scale_error_relative", actuator.scale_error_relative.unwrap_or(0.0), 0.0..=0.2)?;
+        within("actuator.hysteresis_deg", actuator.hysteresis_deg.unwrap_or(0.0), 0.0..=90.0)?;
+        within("actuator.stuck_share", actuator.stuck_share.unwrap_or(0.0), 0.0..=1.0)?;
         let streams = &self.streams;
         within("streams.positions.rate_hz", streams.positions.rate_hz, 0.01..=10_000.0)?;
         within("streams.positions.latency_ms", streams.positions.latency_ms, 0.0..=10_000.0)?;

@@ -50,6 +50,15 @@ pub struct Actuator {
     /// Random-walk drift of each axis in degrees after one hour.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_deg_per_sqrt_hour: Option<f64>,
+    /// Standard deviation of each axis' fixed scale error, relative to the angle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale_error_relative: Option<f64>,
+    /// Between where an axis comes to rest from below and from above, in degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hysteresis_deg: Option<f64>,
+    /// Share of the mirrors that are stuck in their position of rest from the start.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stuck_share: Option<f64>,
 }
 
 impl Default for Actuator {
@@ -66,6 +75,9 @@ impl Default for Actuator {
             jitter_deg: None,
             offset_deg: None,
             drift_deg_per_sqrt_hour: None,
+            scale_error_relative: None,
+            hysteresis_deg: None,
+            stuck_share: None,
         }
     }
 }
@@ -91,6 +103,10 @@ pub struct ActuatorParameters {
     pub offset_rad: f64,
     /// Random-walk drift in rad a square root of a second.
     pub drift_rad_per_sqrt_s: f64,
+    /// Standard deviation of each axis' fixed scale error, relative to the angle.
+    pub scale_error_relative: f64,
+    /// Width of the hysteresis loop in rad: between where an axis comes to rest from below and from above.
+    pub hysteresis_rad: f64,
 }
 
 impl Actuator {
@@ -137,6 +153,8 @@ impl Actuator {
             jitter_rad: self.jitter_deg.unwrap_or(profile.jitter_deg).to_radians(),
             offset_rad: self.offset_deg.unwrap_or(0.0).to_radians(),
             drift_rad_per_sqrt_s: self.drift_deg_per_sqrt_hour.unwrap_or(0.0).to_radians() / 60.0,
+            scale_error_relative: self.scale_error_relative.unwrap_or(0.0),
+            hysteresis_rad: self.hysteresis_deg.unwrap_or(0.0).to_radians(),
         }
     }
 }

@@ -50,6 +50,9 @@ fn each_refusal_names_its_line() {
             "line 2",
             "tilt_deg",
         ),
+        ("[actuator]\nscale_error_relative = 0.5\n", "line 2", "actuator.scale_error_relative"),
+        ("[actuator]\nhysteresis_deg = -0.1\n", "line 2", "actuator.hysteresis_deg"),
+        ("[actuator]\nstuck_share = 1.5\n", "line 2", "actuator.stuck_share"),
         ("[led]\n# high up\npositions_m = [[0.0, 0.0, 3.5]]\n", "line 3", "led.positions_m"),
     ] {
         let message = Scenario::from_toml(text).unwrap_err().to_string();

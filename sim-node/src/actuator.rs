@@ -1,11 +1,16 @@
 //! How mirrors follow their commands: instantly, as fast-steering mirrors, or as servos.
 //!
-//! command -> delay -> range and quantisation -> rate-limited set-point -> low-pass -> second order -> + offset, drift and jitter.
+//! command -> delay -> range and quantisation -> hysteresis -> rate-limited set-point -> low-pass -> second order -> times scale, plus
+//! offset, drift and jitter.
+//!
+//! Hysteresis is play: a target u moves the held target w to min(max(w, u - h/2), u + h/2) for a loop of width h, so that an axis comes to rest
+//! h/2 short of its command from either side, and steps within h after a turn round are lost. It depends on the order of commands alone.
+//! Scale s and offset o are the mounting's: the mirror stands at s angle + o, which the drive's own sensor does not see.
 //!
 //! The slew limit acts on the set-point ahead of the filters, which is where a drive electronics limits it; the mirror itself may
 //! be faster by its overshoot for a moment. Between two changes everything before the last sum has a closed form, so the result
 //! does not depend on the step size: a step is cut where a delayed command takes effect and where a set-point arrives.
-//! Offset is drawn once, drift is Brownian motion, jitter is drawn anew at each step. No call allocates once the command queue has
+//! Scale and offset are drawn once, drift is Brownian motion, jitter is drawn anew at each step. No call allocates once the command queue has
 //! reached its length.
 //!
 //! Any axis can be given a fault, and the whole array can be late, away for a while or restarted ([`Actuator::set_fault`],
@@ -64,6 +69,7 @@ pub struct Actuator {
     /// Roll of every mirror, then yaw of every mirror; so are the lists below.
     targets: Vec<f64>,
     axes: Vec<AxisState>,
+    scale: Vec<f64>,
     offset: Vec<f64>,
     drift: Vec<f64>,
     faults: Vec<AxisFault>,
@@ -79,11 +85,14 @@ pub struct Actuator {
 impl Actuator {
     /// Mirrors at rest, facing straight into the room.
     ///
-    /// The offsets of the mounting are drawn from `rng` here; drift and jitter follow from it.
+    /// The offsets of the mounting are drawn from `rng` here; drift and jitter follow from it. Scales have the generator's next stream.
     pub fn new(parameters: &ActuatorParameters, mirrors: usize, mut rng: RoomRng) -> Self {
         let axes = 2 * mirrors;
         let second_order = parameters.second_order.map(|(frequency, damping)| SecondOrder { frequency, damping });
         let offset = (0..axes).map(|_| parameters.offset_rad * random::normal(&mut rng)).collect();
+        let mut scales = rng.clone();
+        scales.set_stream(rng.get_stream() + 1);
+        let scale = (0..axes).map(|_| 1.0 + parameters.scale_error_relative * random::normal(&mut scales)).collect();
         let flat = MirrorAngles { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] };
         let mut actuator = Self {
             dynamics: Dynamics::new(parameters.low_pass_rad_per_s, second_order),
@@ -93,6 +102,7 @@ impl Actuator {
             spare: Vec::new(),
             targets: vec![0.0; axes],
             axes: vec![AxisState::default(); axes],
+            scale,
             offset,
             drift: vec![0.0; axes],
             faults: vec![AxisFault::None; axes],
@@ -150,7 +160,7 @@ impl Actuator {
         &self.angles
     }
 
-    /// Where the drives' own sensors see the mirrors: without the mounting's offset, drift and jitter, which they cannot know.
+    /// Where the drives' own sensors see the mirrors: without the mounting's scale and offset, drift and jitter, which they cannot know.
     pub fn measured(&self) -> &MirrorAngles {
         &self.measured
     }
@@ -220,8 +230,11 @@ impl Actuator {
     fn take_effect(&mut self) {
         while self.pending.front().is_some_and(|next| next.effective_at <= self.time) {
             if let Some(next) = self.pending.pop_front() {
-                let old = std::mem::replace(&mut self.targets, next.targets);
-                self.spare.push(old);
+                let half = 0.5 * self.parameters.hysteresis_rad;
+                for (held, told) in self.targets.iter_mut().zip(&next.targets) {
+                    *held = held.clamp(told - half, told + half);
+                }
+                self.spare.push(next.targets);
             }
         }
         if self.dynamics.is_instant() && self.parameters.slew_rad_per_s.is_none() {
@@ -270,7 +283,7 @@ impl Actuator {
     fn write_angles(&mut self) {
         let mirrors = self.axes.len() / 2;
         let jitter = self.parameters.jitter_rad;
-        let Self { axes, offset, drift, rng, angles, measured, .. } = self;
+        let Self { axes, scale, offset, drift, rng, angles, measured, .. } = self;
         for (i, axis) in axes.iter().enumerate() {
             let shake = if jitter > 0.0 { jitter * random::normal(rng) } else { 0.0 };
             let (to, seen) = if i < mirrors {
@@ -278,7 +291,7 @@ impl Actuator {
             } else {
                 (&mut angles.yaw[i - mirrors], &mut measured.yaw[i - mirrors])
             };
-            *to = axis.angle + offset[i] + drift[i] + shake;
+            *to = scale[i] * axis.angle + offset[i] + drift[i] + shake;
             *seen = axis.angle;
         }
     }
@@ -315,6 +328,8 @@ mod tests {
             jitter_rad: 0.0,
             offset_rad: 0.0,
             drift_rad_per_sqrt_s: 0.0,
+            scale_error_relative: 0.0,
+            hysteresis_rad: 0.0,
         }
     }
 
@@ -369,6 +384,47 @@ mod tests {
         let mut distinct = codes.clone();
         distinct.dedup();
         assert_eq!(distinct, [-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75]);
+    }
+
+    #[test]
+    fn hysteresis_lags_behind_and_depends_on_the_direction_alone() {
+        let parameters = ActuatorParameters { hysteresis_rad: 0.02, delay_s: 0.01, ..still() };
+        for steps in [1, 9] {
+            let mut loose = actuator(&parameters, 1);
+            let mut rests = |told: f64| {
+                loose.command(&to(told, -told));
+                for _ in 0..steps {
+                    loose.step(0.02 / f64::from(steps));
+                }
+                assert!((loose.angles().roll[0] + loose.angles().yaw[0]).abs() < 1e-12);
+                loose.angles().roll[0]
+            };
+            let near = |angle: f64, expected: f64| assert!((angle - expected).abs() < 1e-12, "{angle} for {expected}");
+            near(rests(0.1), 0.09);
+            near(rests(0.3), 0.29);
+            // A turn round is lost up to the width of the loop, and no further.
+            near(rests(0.285), 0.29);
+            near(rests(0.28), 0.29);
+            near(rests(0.1), 0.11);
+            near(rests(0.105), 0.11);
+            near(rests(0.3), 0.29);
+        }
+    }
+
+    #[test]
+    fn scale_errors_grow_with_the_angle_and_leave_offsets_as_they_were() {
+        let scaled = ActuatorParameters { scale_error_relative: 0.02, ..still() };
+        let mean_square = |told: f64| {
+            let mut array = actuator(&scaled, 4000);
+            array.command(&MirrorAngles { roll: vec![told; 4000], yaw: vec![0.0; 4000] });
+            assert!(array.measured().roll.iter().all(|angle| *angle == told));
+            (array.angles().roll.iter().map(|angle| (angle - told).powi(2)).sum::<f64>() / 4000.0).sqrt()
+        };
+        assert!((mean_square(0.5) / 0.01 - 1.0).abs() < 0.06 && mean_square(0.0) == 0.0);
+        let offsets = |parameters: &ActuatorParameters| {
+            actuator(&ActuatorParameters { offset_rad: 0.02, ..parameters.clone() }, 3).angles().clone()
+        };
+        assert_eq!(offsets(&scaled), offsets(&still()));
     }
 
     #[test]

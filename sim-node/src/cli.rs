@@ -1,12 +1,14 @@
 //! The command line of the simulator, on its own or as a command of `heliostat`.
 
 use std::io::{Read, Write};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 use heliostat_bus::BusArgs;
+use heliostat_driver::calibration_file::CalibrationFile;
 use heliostat_metrics::{LogArgs, MetricsArgs};
 use heliostat_scenario::ScenarioArgs;
 
@@ -32,6 +34,9 @@ pub struct Args {
     /// Run so many ticks in simulated time, each waiting for its answer: the same seed gives the same run, bit for bit
     #[arg(long, value_name = "TICKS", conflicts_with = "seconds")]
     lockstep: Option<u64>,
+    /// Correct the mirrors' mounting by this file of `heliostat calibrate` from the start
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// Print the summary as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -50,7 +55,13 @@ impl Args {
             Some(ticks) => Pace::Lockstep { ticks },
             None => Pace::Live { duration: self.seconds },
         };
-        Ok(Settings { scenario: self.scenario.load()?, bus: self.bus.config_or_listen()?, pace, metrics: self.metrics })
+        Ok(Settings {
+            scenario: self.scenario.load()?,
+            bus: self.bus.config_or_listen()?,
+            pace,
+            metrics: self.metrics,
+            calibration: self.calibration.as_deref().map(CalibrationFile::load).transpose()?,
+        })
     }
 }
 

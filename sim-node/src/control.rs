@@ -113,9 +113,14 @@ fn selected(fault: &MirrorFault, mirrors: usize) -> Vec<usize> {
     if !fault.mirrors.is_empty() {
         return fault.mirrors.iter().map(|index| *index as usize).collect();
     }
-    let mut rng = random::stream(fault.seed, Purpose::Faults, 0);
+    drawn_share(f64::from(fault.share), fault.seed, mirrors)
+}
+
+/// A share of the mirrors, drawn without repetition.
+pub(crate) fn drawn_share(share: f64, seed: u64, mirrors: usize) -> Vec<usize> {
+    let mut rng = random::stream(seed, Purpose::Faults, 0);
     let mut order: Vec<usize> = (0..mirrors).collect();
-    let count = (f64::from(fault.share) * mirrors as f64).round() as usize;
+    let count = (share * mirrors as f64).round() as usize;
     for place in 0..count {
         let other = place + (random::uniform(&mut rng) * (mirrors - place) as f64) as usize;
         order.swap(place, other);
@@ -173,6 +178,9 @@ mod tests {
         assert_eq!(draw(0.3, 3), draw(0.3, 3));
         assert_ne!(draw(0.3, 3), draw(0.3, 4));
         assert_eq!(draw(0.0, 3), Vec::<usize>::new());
+        let scenario = Scenario::builtin("specular").unwrap();
+        let scenario = scenario.with_overrides(&["actuator.stuck_share=0.3".into()]).unwrap();
+        assert_eq!(SimulatedRoom::new(&scenario, 1).unwrap().actuator().faulty_mirrors(), 30);
     }
 
     #[test]

@@ -6,8 +6,9 @@ use heliostat_driver::{Device, DeviceError};
 use heliostat_proto::{AxisLimits, Capabilities, Feedback};
 use heliostat_scenario::{Actuator as Table, ActuatorParameters};
 
-use crate::actuator::Actuator;
-use crate::random::RoomRng;
+use crate::actuator::{Actuator, AxisFault};
+use crate::control;
+use crate::random::{self, Purpose};
 
 /// How long the last command is held after its validity has ended, in ms.
 pub const HOLD_MS: u32 = 300;
@@ -27,13 +28,17 @@ pub struct SimulatedMirrors {
 }
 
 impl SimulatedMirrors {
-    /// Mirrors at rest, at local time 0.
-    pub fn new(table: &Table, grid: &MirrorArray, rng: RoomRng) -> Self {
+    /// Mirrors at rest, at local time 0; mounting, jitter, drift and which of them are stuck come from the seed.
+    pub fn new(table: &Table, grid: &MirrorArray, seed: u64) -> Self {
         let parameters = table.parameters();
         let drive =
             ActuatorParameters { range_rad: parameters.range_rad + CALIBRATION_RESERVE_RAD, ..parameters.clone() };
+        let mut actuator = Actuator::new(&drive, grid.len(), random::stream(seed, Purpose::Actuator, 0));
+        for mirror in control::drawn_share(table.stuck_share.unwrap_or(0.0), seed, grid.len()) {
+            actuator.set_fault(mirror, AxisFault::Stuck, AxisFault::Stuck);
+        }
         Self {
-            actuator: Actuator::new(&drive, grid.len(), rng),
+            actuator,
             hardware: format!("simulated mirrors, profile {:?}", table.profile).to_lowercase(),
             rows: grid.rows(),
             columns: grid.columns(),

@@ -4,12 +4,14 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use heliostat_bus::{BusConfig, BusError, Class};
+use heliostat_driver::calibration::Unfit;
+use heliostat_driver::calibration_file::CalibrationFile;
 use heliostat_driver::clock::{Clock, Moment};
 use heliostat_driver::inbox::Arrival;
 use heliostat_driver::lines::LinesError;
 use heliostat_driver::refused::Refused;
 use heliostat_metrics::{Exporter, MetricsArgs, MetricsError, Page};
-use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles};
+use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_scenario::Scenario;
 use thiserror::Error;
 
@@ -44,6 +46,8 @@ pub struct Settings {
     pub pace: Pace,
     /// Where metrics are served.
     pub metrics: MetricsArgs,
+    /// Corrections that the array has from the start.
+    pub calibration: Option<CalibrationFile>,
 }
 
 /// In which time the room runs.
@@ -76,6 +80,9 @@ pub enum NodeError {
     /// Nothing can be said or heard, or somebody else has the room.
     #[error(transparent)]
     Lines(#[from] LinesError),
+    /// The corrections do not fit the array.
+    #[error("the calibration does not fit the array: {0}")]
+    Calibration(#[from] Unfit),
     /// Lockstep: nobody came to answer.
     #[error("no controller came into room \"{room}\" within {waited_s} s: lockstep needs one")]
     NoController {
@@ -147,7 +154,10 @@ impl Node {
     fn open(settings: &Settings, telemetry: Class) -> Result<Self, NodeError> {
         let scenario = settings.scenario.clone();
         let exporter = settings.metrics.open()?;
-        let room = SimulatedRoom::new(&scenario, scenario.seed)?;
+        let mut room = SimulatedRoom::new(&scenario, scenario.seed)?;
+        if let Some(corrections) = &settings.calibration {
+            room.calibrate(Moment::default(), &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
+        }
         let edge = Edge::open(&settings.bus, telemetry)?;
         let clock = edge.clock();
         // Halfway between two ticks: the mean of an interval's aim, and never in the way of a tick.

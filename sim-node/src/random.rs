@@ -24,6 +24,8 @@ pub enum Purpose {
     ChannelNoise,
     /// Which mirrors a fault befalls.
     Faults,
+    /// Measurement noise while an array is calibrated.
+    CalibrationNoise,
 }
 
 impl Purpose {
@@ -36,6 +38,7 @@ impl Purpose {
             Self::PositionNoise => 4,
             Self::ChannelNoise => 5,
             Self::Faults => 6,
+            Self::CalibrationNoise => 7,
         }
     }
 }

@@ -11,7 +11,6 @@ use heliostat_scenario::Scenario;
 
 use crate::actuator::Actuator;
 use crate::mirrors::SimulatedMirrors;
-use crate::random::{self, Purpose};
 use crate::world::{World, WorldError};
 
 /// A whole simulated room.
@@ -31,8 +30,7 @@ impl SimulatedRoom {
     /// [`WorldError`] as from [`World::new`].
     pub fn new(scenario: &Scenario, seed: u64) -> Result<Self, WorldError> {
         let world = World::new(scenario, seed)?;
-        let rng = random::stream(seed, Purpose::Actuator, 0);
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &world.model().mirrors, rng);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &world.model().mirrors, seed);
         let mut room = Self { world, kit: Kit::new(mirrors), world_ns: 0, room_ahead_ns: 0 };
         room.kit.advance(Moment::default());
         Ok(room)

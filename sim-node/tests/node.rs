@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
+use heliostat_driver::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_driver::lines::LinesError;
 use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{
@@ -21,6 +22,7 @@ fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
         bus: BusConfig::new(Room::new(room).unwrap()).listen_at(endpoint),
         pace,
         metrics: MetricsArgs::default(),
+        calibration: None,
     }
 }
 
@@ -219,4 +221,17 @@ fn lockstep_repeats_bit_for_bit_from_the_same_seed() {
     assert_eq!(first.hash, second.hash);
     assert_eq!((first.sum_rate_mbps, first.qos_met), (second.sum_rate_mbps, second.qos_met));
     assert_ne!(first.hash, other.hash);
+}
+
+#[test]
+fn a_calibration_is_in_use_from_the_start_or_refused_by_name() {
+    let corrected = |rows: usize| {
+        let none = AxisCorrections::none(10 * rows);
+        let file = CalibrationFile { rows, columns: 10, roll: none.clone(), yaw: none };
+        let endpoint = free_loopback_endpoint().unwrap();
+        run(&Settings { calibration: Some(file), ..settings(&format!("corrected{rows}"), &endpoint, live(200)) })
+    };
+    assert!(corrected(10).is_ok());
+    let error = corrected(9).unwrap_err();
+    assert!(matches!(error, NodeError::Calibration(_)) && error.to_string().contains("90"), "{error}");
 }

@@ -33,9 +33,16 @@ impl Witness {
     /// When the bus does not open.
     pub fn connect(room: &str, endpoints: &[&str]) -> Self {
         let room = Room::new(room).expect("a test names its room well");
-        let config =
-            endpoints.iter().fold(BusConfig::new(room.clone()), |config, endpoint| config.connect_to(endpoint));
-        let bus = Bus::open(&config).expect("the bus opens");
+        Self::join(&endpoints.iter().fold(BusConfig::new(room), |config, endpoint| config.connect_to(endpoint)))
+    }
+
+    /// Joins a room, listening or connecting as the configuration says.
+    ///
+    /// # Panics
+    /// When the bus does not open.
+    pub fn join(config: &BusConfig) -> Self {
+        let room = config.room.clone();
+        let bus = Bus::open(config).expect("the bus opens");
         let heard: Arc<Mutex<Heard>> = Arc::default();
         let keys = [room.users(), room.command(), room.telemetry(), room.truth(), room.all_status()];
         let subscriptions = keys.map(|key| {

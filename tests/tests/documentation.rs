@@ -136,6 +136,11 @@ fn latency_report_runs() {
 }
 
 #[test]
+fn actuators_run() {
+    assert!(run("docs/actuators.md") >= 3);
+}
+
+#[test]
 fn every_tutorial_is_run() {
     let tests = fs::read_to_string(root().join("tests/tests/documentation.rs")).expect("this file is there");
     for entry in fs::read_dir(root().join("docs/tutorials")).expect("there are tutorials") {

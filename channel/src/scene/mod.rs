@@ -9,6 +9,7 @@
 mod evaluate;
 pub(crate) mod kernel;
 mod legs;
+mod reach;
 mod steer;
 mod update;
 

@@ -5,7 +5,7 @@ use heliostat_controller::{
     inbox::Message,
     policy::{ActorSource, Fixed, PolicyError, PolicyKind, build},
 };
-use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, encode};
+use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
 
 use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, controller, receive, scenario};
 
@@ -115,6 +115,24 @@ fn angles_stay_within_the_range() {
     assert!(command.roll.iter().all(|roll| f64::from(*roll) <= range && f64::from(*roll) > range - 1e-6));
     assert!(command.yaw.iter().all(|yaw| f64::from(*yaw) >= -range && f64::from(*yaw) < 1e-6 - range));
     assert_eq!(controller.counters().clipped.range, 18);
+}
+
+#[test]
+fn no_mirror_is_offered_to_a_user_beyond_its_range() {
+    let scenario = scenario(&[]);
+    let offered = |array: Option<f64>| {
+        let mut controller = controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count())));
+        if let Some(range_deg) = array {
+            let end = range_deg.to_radians() as f32;
+            let axis = AxisLimits { min_rad: -end, max_rad: end, ..AxisLimits::default() };
+            controller.set_array(&Capabilities { roll: axis, yaw: axis, ..Capabilities::default() });
+        }
+        Room::new(&scenario).tick(&mut controller, 1).command();
+        controller.observation().scene.steering_gain().iter().filter(|gain| **gain > 0.0).count()
+    };
+    let all = offered(None);
+    assert_eq!(offered(Some(90.0)), all);
+    assert!(offered(Some(12.0)) < all && offered(Some(0.01)) == 0, "{} of {all}", offered(Some(12.0)));
 }
 
 #[test]

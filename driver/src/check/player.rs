@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::{
     Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand, MirrorTelemetry, Nanos,
-    Stamp, StopAction, decode, encode,
+    NodeKind, Stamp, StopAction, decode, encode,
 };
 
 use crate::lines::random_id;
@@ -183,9 +183,18 @@ impl Player {
 
     /// Publishes a stop or a re-arm as of a time.
     pub fn order(&self, action: StopAction, time_ns: Nanos) -> Result<()> {
-        let stamp = Stamp { source: self.source, sequence: 1, time_ns };
-        let (operator, reason) = ("driver check".into(), "check of the contract".into());
-        Ok(self.stops.put(&bytes(&EmergencyStop { stamp, action, operator, reason })?)?)
+        Ok(self.stops.put(&order_of(self.source, action, time_ns)?)?)
+    }
+
+    /// The same by somebody with a liveliness token of their own, which is gone as soon as the driver has shown that it heard.
+    pub fn order_and_leave(&self, action: StopAction, shows: impl Fn(&MirrorTelemetry) -> bool) -> Result<bool> {
+        let source = random_id();
+        let token = self.bus.announce(&self.bus.room().alive(NodeKind::Viewer, source))?;
+        let from = self.count();
+        self.stops.put(&order_of(source, action, now_ns())?)?;
+        let heard = self.telemetry(from, shows).is_some();
+        drop(token);
+        Ok(heard)
     }
 
     /// Publishes a calibration for `mirrors` mirrors with these offsets and no gain; gives its sequence.
@@ -232,6 +241,12 @@ pub fn bytes<T: Message>(message: &T) -> Result<Vec<u8>> {
     let mut payload = Vec::new();
     encode(message, &mut payload)?;
     Ok(payload)
+}
+
+fn order_of(source: u64, action: StopAction, time_ns: Nanos) -> Result<Vec<u8>> {
+    let stamp = Stamp { source, sequence: 1, time_ns };
+    let (operator, reason) = ("driver check".into(), "check of the contract".into());
+    bytes(&EmergencyStop { stamp, action, operator, reason })
 }
 
 fn total(counters: &Counters) -> u64 {

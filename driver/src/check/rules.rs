@@ -1,5 +1,7 @@
 //! The rules, one function each, in an order in which none needs a later one.
 
+use std::time::Duration;
+
 use anyhow::Result;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
@@ -16,12 +18,15 @@ const ROUNDING_RAD: f64 = 1e-5;
 /// Commands of the flood.
 const FLOOD: usize = 300;
 
+/// How long a stop is watched after its sender has left.
+const ORPHAN_WATCH: Duration = Duration::from_millis(1500);
+
 /// Kept or broken with the evidence, or not judged and why.
 type Outcome = (Verdict, String);
 
 type Rule = (&'static str, &'static str, fn(&mut Player) -> Result<Outcome>);
 
-const RULES: [Rule; 17] = [
+const RULES: [Rule; 18] = [
     ("capabilities", "announced each second and given on request", capabilities),
     ("telemetry", "at least ten a second, for the whole array, numbered 1 by 1", telemetry),
     ("follow", "a sound command is applied, and told so", follow),
@@ -38,6 +43,7 @@ const RULES: [Rule; 17] = [
     ("late", "a command after the silence is followed and counted as late", late),
     ("flood", "a burst of commands leaves the last one applied and telemetry alive", flood),
     ("stop", "a stop is latched; commands are refused as stopped until a later re-arm", stop),
+    ("orphaned-stop", "a stop stays latched when its sender has left the room", orphaned_stop),
     ("calibration", "a sound calibration is used; an unsound one is refused with fault bit 16", calibration),
 ];
 
@@ -223,7 +229,7 @@ fn silence(player: &mut Player) -> Result<Outcome> {
     let command = MirrorCommand { validity_ms: 700, ..player.command(roll, yaw) };
     let from = player.count();
     let (counted, _) = player.play(&[bytes(&command)?])?;
-    let park_after = std::time::Duration::from_millis(u64::from(player.capabilities.park_after_ms));
+    let park_after = Duration::from_millis(u64::from(player.capabilities.park_after_ms));
     let [park_roll, park_yaw] = player.capabilities.park_rad;
     let parked = player.wait(PATIENCE + park_after, |heard| {
         let after = heard.telemetry[from..].iter().skip_while(|told| !shows(told, &command));
@@ -296,6 +302,28 @@ fn stop(player: &mut Player) -> Result<Outcome> {
         format!(
             "commands refused {latched}, early re-arm ignored {ignored}, parked by a later one {parked}, follows again {follows}"
         ),
+    )
+}
+
+fn orphaned_stop(player: &mut Player) -> Result<Outcome> {
+    if !player.order_and_leave(StopAction::Stop, |told| told.state == ArrayState::Stopped)? {
+        return verdict(false, format!("a stop was sent by another; state {:?} since", player.last().state));
+    }
+    // Long enough to notice that somebody is gone, and for telemetry to tell what came of it.
+    let left = player.count();
+    let released = player.wait(ORPHAN_WATCH, |heard| {
+        heard.telemetry[left..].iter().find(|told| told.state != ArrayState::Stopped).map(|told| told.state)
+    });
+    let (roll, yaw) = player.place(0.7);
+    let command = player.command(roll, yaw);
+    let (counted, _) = player.play(&[bytes(&command)?])?;
+    let refused = counted == Counters { stopped: 1, ..Counters::default() };
+    let from = player.count();
+    player.order(StopAction::Rearm, now_ns())?;
+    let parked = player.telemetry(from, |told| told.state == ArrayState::Parked).is_some();
+    verdict(
+        released.is_none() && refused && parked,
+        format!("state left meanwhile {released:?}, command refused {refused}, parked by another's re-arm {parked}"),
     )
 }
 

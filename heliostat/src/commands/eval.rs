@@ -51,6 +51,9 @@ pub struct Args {
     /// Show each policy that looks at users a second time, with constant-velocity prediction of the users
     #[arg(long, requires = "closed_loop")]
     predicted: bool,
+    /// Show each policy a second time, without being told which mirrors do not follow
+    #[arg(long, requires = "closed_loop")]
+    unaware: bool,
     /// Compare for each value of a scenario's key: table.key=FIRST..LAST or table.key=A,B,C
     #[arg(long, value_name = "KEY=VALUES")]
     sweep: Option<Sweep>,
@@ -82,7 +85,8 @@ impl Args {
         }
         let entrants = entrants.into_iter().flat_map(|entrant| {
             let predicted = if self.predicted { entrant.predicted() } else { None };
-            [Some(entrant), predicted].into_iter().flatten()
+            let unaware = self.unaware.then(|| entrant.unaware());
+            [Some(entrant), predicted, unaware].into_iter().flatten()
         });
         Ok(Settings {
             scenario,

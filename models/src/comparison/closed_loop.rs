@@ -122,6 +122,7 @@ fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut
             let policy = entrant.build(&scenario, seed)?;
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
             let mut bench = Lockstep::new(&scenario, episode.seed, controller)?;
+            bench.names_unusable = entrant.is_aware();
             let mut samples = Vec::new();
             let mut look = |room: &SimulatedRoom| samples.push(judge.judge(room.world().scene(), room.angles()));
             let done = bench.run(&episode.instants_ns, &mut look);
@@ -140,6 +141,8 @@ pub(super) struct Lockstep {
     reports: Reports,
     telemetry: Schedule,
     telemetry_sequence: u64,
+    /// Telemetry names the mirrors that do not follow.
+    names_unusable: bool,
     controller: Controller,
     decisions_us: Vec<f64>,
 }
@@ -149,12 +152,14 @@ impl Lockstep {
         controller.warm_up(2);
         let mut room = SimulatedRoom::new(scenario, seed)?;
         room.advance(start_ns());
+        controller.set_array(&room.capabilities(Stamp::default()));
         let streams = &scenario.streams;
         Ok(Self {
             room,
             reports: Reports::new(streams, scenario.users.count, seed, SOURCE),
             telemetry: Schedule::new(streams.telemetry.rate_hz, 0),
             telemetry_sequence: 0,
+            names_unusable: true,
             controller,
             decisions_us: Vec::new(),
         })
@@ -192,6 +197,9 @@ impl Lockstep {
             self.telemetry_sequence += 1;
             let stamp = Stamp { source: SOURCE, sequence: self.telemetry_sequence, time_ns: at_ns };
             let mut telemetry = self.room.telemetry(stamp);
+            if !self.names_unusable {
+                telemetry.unusable.clear();
+            }
             self.controller.receive(at_ns, Message::Telemetry(&mut telemetry), &mut |_| {});
         }
         while let Some(mut report) = self.reports.release(at_ns) {

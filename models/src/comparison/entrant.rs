@@ -20,6 +20,9 @@ const CODEBOOK: &str = "codebook";
 /// Added to the name of an entrant that predicts the users.
 const PREDICTION_SUFFIX: &str = "+prediction";
 
+/// Added to the name of an entrant that is not told which mirrors do not follow.
+const UNAWARE_SUFFIX: &str = "-unaware";
+
 /// No policy has this name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("no policy \"{name}\"; there are {}, and any FILE.onnx", Entrant::names().join(", "))]
@@ -40,6 +43,8 @@ pub struct Entrant {
     name: String,
     way: Way,
     prediction: Option<Prediction>,
+    /// Telemetry does not name the mirrors that do not follow.
+    unaware: bool,
 }
 
 impl Entrant {
@@ -56,7 +61,7 @@ impl Entrant {
             let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
             Way::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
-        Ok(Self { name: name.into(), way, prediction: None })
+        Ok(Self { name: name.into(), way, prediction: None, unaware: false })
     }
 
     /// The names of all policies.
@@ -76,6 +81,16 @@ impl Entrant {
             prediction: Some(Prediction::ConstantVelocity),
             ..self.clone()
         })
+    }
+
+    /// The same policy without being told which mirrors do not follow; for a closed loop.
+    pub fn unaware(&self) -> Self {
+        Self { name: format!("{}{UNAWARE_SUFFIX}", self.name), unaware: true, ..self.clone() }
+    }
+
+    /// Whether it is told which mirrors do not follow.
+    pub(super) fn is_aware(&self) -> bool {
+        !self.unaware
     }
 
     /// The name in reports.

@@ -7,7 +7,7 @@ use crate::evaluate::met;
 
 /// The worth of some angles in one state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Sample {
+pub(crate) struct Sample {
     /// Sum of the users' rates in Mbit/s.
     pub sum_rate_mbps: f64,
     /// Share of users whose minimum rate is met.
@@ -35,7 +35,7 @@ impl Sample {
 }
 
 /// Judges angles by the true evaluation: spill, the light's panel, blocked legs.
-pub(super) struct Judge {
+pub(crate) struct Judge {
     model: ChannelModel,
     min_rate_bps: Vec<f64>,
     sinr: Vec<f64>,

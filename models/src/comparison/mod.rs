@@ -16,7 +16,7 @@
 mod closed_loop;
 mod entrant;
 mod held_out;
-mod judge;
+pub(crate) mod judge;
 mod stale_aim;
 mod statistics;
 
@@ -96,10 +96,15 @@ pub struct Report {
 /// # Errors
 /// A scenario that makes no room, an actor that does not fit it, or a policy that fails.
 pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
+    compare_under(settings, &progress_bar()?)
+}
+
+/// A bar on standard error that shows what is done, what there is, what it is, and the time left.
+pub(crate) fn progress_bar() -> anyhow::Result<ProgressBar> {
     let bar = ProgressBar::new(0);
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {msg}, {eta} left")?);
     bar.enable_steady_tick(Duration::from_millis(200));
-    compare_under(settings, &bar)
+    Ok(bar)
 }
 
 /// The same under a progress bar of the caller, [`ProgressBar::hidden`] for none.

@@ -67,25 +67,30 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     Ok(())
 }
 
-/// Prints ratio and QoS met of every policy, a line for each value of the swept key.
+/// Prints ratio and QoS met of every policy, and then their sum rates, a line for each value of the swept key.
 pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
-    let names: Vec<&str> = first.policies.iter().map(|(name, _)| name.as_str()).collect();
-    let width = |name: &str| name.len().max(15);
-    let header: Vec<String> = names.iter().map(|name| format!("{name:>0$}", width(name))).collect();
     outln!(
         "ratio to the oracle with minimum rates, and share of minimum rates met; {} states of each of {} seeds",
         first.states,
         first.seeds
     )?;
-    outln!("{:>16} {:>8} {}", sweep.key(), "(oracle)", header.join(" "))?;
+    print_columns(sweep, reports, |row| {
+        (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
+    })?;
+    outln!("sum rate in Mb/s")?;
+    print_columns(sweep, reports, |row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))
+}
+
+/// Prints a column for the oracle and one for each policy, of which `cell` gives the text of either.
+fn print_columns(sweep: &Sweep, reports: &[Report], cell: impl Fn(&Row) -> (String, String)) -> io::Result<()> {
+    let width = |name: &str| name.len().max(18);
+    let header = reports.iter().take(1).flat_map(|report| &report.policies);
+    let header: Vec<String> = header.map(|(name, _)| format!("{name:>0$}", width(name))).collect();
+    outln!("{:>24} {:>8} {}", sweep.key(), "(oracle)", header.join(" "))?;
     for (value, report) in sweep.values().iter().zip(reports) {
-        let cell = |(name, row): &(String, Row)| {
-            let (ratio, met) = (row.ratio_to_oracle, row.qos_met);
-            format!("{:>1$}", format!("{} {}", interval(ratio, 3), number(met.mean, 3)), width(name).max(18))
-        };
-        let cells: Vec<String> = report.policies.iter().map(cell).collect();
-        outln!("{value:>16} {:>8} {}", number(report.oracle.qos_met.mean, 3), cells.join(" "))?;
+        let cells = report.policies.iter().map(|(name, row)| format!("{:>1$}", cell(row).1, width(name)));
+        outln!("{value:>24} {:>8} {}", cell(&report.oracle).0, cells.collect::<Vec<_>>().join(" "))?;
     }
     Ok(())
 }

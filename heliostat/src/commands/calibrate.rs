@@ -1,0 +1,130 @@
+//! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured gains.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, ensure};
+use heliostat_controller::policy::ActorSource;
+use heliostat_models::calibrate::{Method, Row, Settings, Study, study};
+use heliostat_models::comparison::Entrant;
+use heliostat_models::evaluate::Estimate;
+use heliostat_scenario::ScenarioArgs;
+
+use crate::output::outln;
+
+/// Estimate the mounting of each mirror from measured gains, and show what that wins back.
+///
+/// The simulator plays the room: arrays whose axes are mounted with a random error are calibrated with detectors at five known spots, one mirror
+/// after the other, and the sum rate is shown without mounting error, as mounted, and calibrated. Settle times, slew, jitter, hysteresis and quantisation
+/// are those of the scenario's actuator; readings have the noise of its receiver and of streams.channel.noise_relative.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    /// Mounting errors to show: the standard deviation of each axis in degrees, with commas between them
+    #[arg(long, value_name = "A,B", value_delimiter = ',', default_value = "1,2")]
+    mounting_deg: Vec<f64>,
+    /// How many arrays for each, their seeds counted up from the scenario's
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    seeds: u32,
+    /// States in which the sum rate of an array is taken
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    states: u32,
+    /// Who decides in them: a policy by name, or the path of an ONNX actor
+    #[arg(long, value_name = "POLICY", default_value = "fixed-point")]
+    policy: String,
+    /// How long the light is averaged for a reading, in ms
+    #[arg(long, value_name = "MS", default_value_t = 1.0)]
+    dwell_ms: f64,
+    /// How far off a mirror's light is looked for on either axis, in degrees
+    #[arg(long, value_name = "DEG", default_value_t = 8.0)]
+    search_deg: f64,
+    /// Write the calibration of the first array of the first mounting error: for --calibration of sim-node and driver run
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A scenario or a flag that means nothing, a file that cannot be written.
+pub fn run(args: Args) -> Result<()> {
+    for (flag, value, most) in [("--dwell-ms", args.dwell_ms, 1e4), ("--search-deg", args.search_deg, 30.0)] {
+        ensure!(value > 0.0 && value <= most, "{flag} {value}: wanted more than 0, and {most} at most");
+    }
+    let settings = Settings {
+        scenario: args.scenario.load()?,
+        mounting_deg: args.mounting_deg,
+        seeds: args.seeds as usize,
+        states: args.states as usize,
+        entrant: Entrant::parse(&args.policy, &ActorSource::Shipped)?,
+        method: Method { dwell_s: args.dwell_ms * 1e-3, search_rad: args.search_deg.to_radians() },
+    };
+    let (study, file) = study(&settings)?;
+    if let Some(out) = &args.out {
+        file.save(out)?;
+    }
+    if args.json {
+        outln!("{}", serde_json::to_string(&study)?)?;
+    } else {
+        print(&study)?;
+        if let Some(out) = &args.out {
+            outln!(
+                "written: {}, the array of seed {} mounted to {} degrees",
+                out.display(),
+                study.seed,
+                study.rows[0].mounting_deg
+            )?;
+        }
+    }
+    Ok(())
+}
+
+fn print(study: &Study) -> Result<()> {
+    let Study { scenario, policy, seed, seeds, states, rows, .. } = study;
+    outln!(
+        "{scenario}, {policy}: sum rate in Mb/s over {seeds} arrays (seeds from {seed}) with {states} states each; ± is the mean's 95 % interval"
+    )?;
+    outln!(
+        "{:>8} {:>14} {:>14} {:>14} {:>15} {:>15} {:>9} {:>8} {:>8} {:>8}",
+        "mounting",
+        "exact",
+        "as mounted",
+        "calibrated",
+        "kept as mounted",
+        "kept calibrated",
+        "readings",
+        "seconds",
+        "unfound",
+        "limited"
+    )?;
+    for row in rows {
+        let Row { exact_mbps, uncalibrated_mbps, calibrated_mbps, uncalibrated_ratio, calibrated_ratio, .. } = row;
+        outln!(
+            "{:>6} ° {:>14} {:>14} {:>14} {:>15} {:>15} {:>9.0} {:>8.0} {:>8.1} {:>8.1}",
+            row.mounting_deg,
+            plus_minus(exact_mbps, 1),
+            plus_minus(uncalibrated_mbps, 1),
+            plus_minus(calibrated_mbps, 1),
+            plus_minus(uncalibrated_ratio, 3),
+            plus_minus(calibrated_ratio, 3),
+            row.readings,
+            row.seconds,
+            row.unfound,
+            row.limited,
+        )?;
+    }
+    outln!(
+        "kept: share of the sum rate without mounting error, array by array; readings and seconds: for one array, as a real room would take them"
+    )?;
+    outln!(
+        "unfound: mirrors whose light was found at no spot; limited: whose correction is beyond what the drives can do"
+    )?;
+    Ok(())
+}
+
+fn plus_minus(estimate: &Estimate, digits: usize) -> String {
+    format!("{:.digits$} ±{:.digits$}", estimate.mean, estimate.ci95)
+}

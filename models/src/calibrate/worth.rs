@@ -1,0 +1,75 @@
+//! What a calibration is worth: the sum rate of the same decisions on the same states, with mirrors that stand where their mounting puts them.
+
+use heliostat_channel::MirrorAngles;
+use heliostat_driver::Kit;
+use heliostat_driver::calibration_file::CalibrationFile;
+use heliostat_proto::{MirrorCommand, Stamp};
+use heliostat_scenario::Scenario;
+use heliostat_sim_node::World;
+use heliostat_sim_node::clock::Moment;
+use heliostat_sim_node::mirrors::SimulatedMirrors;
+
+use crate::comparison::{Entrant, judge::Judge};
+use crate::evaluate::held_out_world;
+
+/// From a command to the look at the mirrors in ns: long enough for a servo to get there.
+const SETTLED_NS: u64 = 2_000_000_000;
+
+/// States of a room, and what a policy commands in each.
+pub struct Exam {
+    states: Vec<(World, MirrorAngles)>,
+    judge: Judge,
+}
+
+impl Exam {
+    /// `count` held-out states of a set of their own.
+    ///
+    /// # Errors
+    /// A scenario that makes no room, a policy that cannot be had for it.
+    pub fn new(scenario: &Scenario, entrant: &Entrant, set: u64, count: usize) -> anyhow::Result<Self> {
+        let state = |index: usize| {
+            let world = held_out_world(scenario, set, index as u64)?;
+            let angles = entrant.angles(scenario, &world)?;
+            anyhow::Ok((world, angles))
+        };
+        let states = (0..count).map(state).collect::<anyhow::Result<_>>()?;
+        Ok(Self { states, judge: Judge::new(scenario.channel_model()?, scenario.min_rate_bps()) })
+    }
+
+    /// Mean sum rate in Mbit/s with the array of a scenario and a seed, corrected or as it was mounted.
+    ///
+    /// # Errors
+    /// Corrections or commands that the array refuses.
+    pub fn sum_rate_mbps(
+        &mut self,
+        scenario: &Scenario,
+        seed: u64,
+        corrections: Option<&CalibrationFile>,
+    ) -> anyhow::Result<f64> {
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.judge.model().mirrors, seed);
+        let mut kit = Kit::new(mirrors);
+        let mut now_ns = SETTLED_NS;
+        kit.advance(Moment::simulated(now_ns));
+        if let Some(corrections) = corrections {
+            kit.calibrate(Moment::simulated(now_ns), &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
+        }
+        let mut sum = 0.0;
+        for (index, (world, angles)) in self.states.iter().enumerate() {
+            let narrowed = |list: &[f64]| list.iter().map(|angle| *angle as f32).collect();
+            let command = MirrorCommand {
+                epoch: 1,
+                sequence: index as u64 + 1,
+                time_ns: now_ns,
+                validity_ms: u32::MAX,
+                roll: narrowed(&angles.roll),
+                yaw: narrowed(&angles.yaw),
+                ..MirrorCommand::default()
+            };
+            kit.command(Moment::simulated(now_ns), &command)?;
+            now_ns += SETTLED_NS;
+            kit.device_mut().move_to(now_ns);
+            sum += self.judge.judge(world.scene(), kit.device().actuator().angles()).sum_rate_mbps;
+        }
+        Ok(sum / self.states.len() as f64)
+    }
+}

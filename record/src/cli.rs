@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use heliostat_bus::{BusArgs, BusConfig};
+use heliostat_bus::BusArgs;
 use heliostat_controller::node::{Stop, stop_channel, stop_with_parent};
 use heliostat_controller::policy::PolicyKind;
 use heliostat_proto::Room;
@@ -43,34 +43,42 @@ pub struct RecordArgs {
 
 /// Play a recording into a controller, and see whether it decides as it did.
 ///
-/// Without an endpoint the controller is one inside this process, and every command is compared with the recorded one; --verify makes the exit
-/// status say whether all were the same. With --listen or --connect the recording takes the room's place for a controller that runs by itself.
+/// By itself it takes the room's place for a controller that runs elsewhere: it listens where that controller connects, and plays at the recorded
+/// pace. With --verify, --policy or --model it decides anew inside this process and compares every command with the recorded one. The exit status is 1
+/// where --verify finds a difference, 2 where the file cannot be replayed.
 #[derive(Clone, Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("anew").multiple(true))]
 pub struct ReplayArgs {
     /// The recording
     file: PathBuf,
-    /// Fail unless every command that can be judged comes out bit for bit as recorded
-    #[arg(long, conflicts_with_all = ["listen", "connect"])]
+    /// Decide anew, and fail unless every command that can be judged comes out bit for bit as recorded
+    #[arg(long, group = "anew")]
     verify: bool,
-    /// The policy, in place of the recorded one
-    #[arg(long, value_enum)]
+    /// Decide anew by this policy in place of the recorded one
+    #[arg(long, value_enum, group = "anew")]
     policy: Option<PolicyKind>,
-    /// ONNX file of a learned policy, in place of the built-in one
-    #[arg(long, value_name = "FILE")]
+    /// Decide anew by this ONNX file of a learned policy in place of the built-in one
+    #[arg(long, visible_alias = "actor", value_name = "FILE", group = "anew")]
     model: Option<PathBuf>,
     /// Decisions of each epoch that are not judged: by default none of a lockstep run that is recorded from its beginning, else 200
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", requires = "anew")]
     settle: Option<u64>,
-    /// Endpoint at which to listen for a controller (repeatable)
-    #[arg(long, value_name = "ENDPOINT")]
+    /// Endpoint at which to listen for a controller (repeatable); without any endpoint tcp/127.0.0.1:7447
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "anew")]
     listen: Vec<String>,
     /// Endpoint of a controller or of a router (repeatable)
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "anew")]
     connect: Vec<String>,
+    /// Talk through a Zenoh router only, the one given by --connect
+    #[arg(long, conflicts_with = "anew")]
+    client: bool,
     /// Name of the room to play in, in place of the recorded one
-    #[arg(long, value_name = "NAME")]
-    room: Option<String>,
-    /// Print the verdict as one JSON object on the last line
+    #[arg(long, value_name = "NAME", conflicts_with = "anew")]
+    room: Option<Room>,
+    /// Play at so many times the recorded pace, 0.01 to 100
+    #[arg(long, value_name = "N", default_value_t = 1.0, value_parser = rate, conflicts_with = "anew")]
+    rate: f64,
+    /// Print what came out as one JSON object on the last line
     #[arg(long)]
     json: bool,
 }
@@ -103,22 +111,13 @@ pub fn record(args: RecordArgs) -> Result<()> {
     Ok(())
 }
 
-/// Replays, and prints the verdict.
+/// Replays, and prints what came out.
 ///
 /// # Errors
-/// A recording that cannot be read or replayed; with `--verify`, one that came out otherwise.
+/// [`Unusable`](replay::Unusable) where the recording cannot be replayed; with `--verify`, one that came out otherwise.
 pub fn replay(args: ReplayArgs) -> Result<()> {
-    if !args.listen.is_empty() || !args.connect.is_empty() {
-        let (stop, stopped) = stop_channel();
-        stop_on_signal(stop)?;
-        let room = match &args.room {
-            Some(room) => Room::new(room)?,
-            None => Room::new(&replay::open(&args.file)?.header().room)?,
-        };
-        let listening = args.listen.iter().fold(BusConfig::new(room), |config, endpoint| config.listen_at(endpoint));
-        let bus = args.connect.iter().fold(listening, |config, endpoint| config.connect_to(endpoint));
-        let playback = play::run(&args.file, &bus, &stopped)?;
-        return print(args.json, &playback, &playback);
+    if !args.verify && args.policy.is_none() && args.model.is_none() {
+        return play(args);
     }
     let settings = replay::Settings { file: args.file, policy: args.policy, model: args.model, settle: args.settle };
     let verdict = replay::run(&settings)?;
@@ -131,6 +130,15 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
         );
     }
     Ok(())
+}
+
+fn play(args: ReplayArgs) -> Result<()> {
+    let (stop, stopped) = stop_channel();
+    stop_on_signal(stop)?;
+    let bus = BusArgs { listen: args.listen, connect: args.connect, client: args.client, ..BusArgs::default() };
+    let settings = play::Settings { file: args.file, room: args.room, bus, rate: args.rate };
+    let playback = play::run(&settings, &stopped)?;
+    print(args.json, &playback, &playback)
 }
 
 fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> Result<()> {
@@ -147,6 +155,10 @@ fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> R
 fn seconds(text: &str) -> Result<Duration, String> {
     let value = text.parse().ok().filter(|value| (0.1..=1e7).contains(value));
     value.map(Duration::from_secs_f64).ok_or_else(|| "wanted 0.1 to 10000000".into())
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|rate| (0.01..=100.0).contains(rate)).ok_or_else(|| "wanted 0.01 to 100".into())
 }
 
 fn stop_on_signal(stop: Stop) -> Result<()> {

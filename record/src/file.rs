@@ -14,7 +14,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use heliostat_proto::{Nanos, NodeKind, codec::kind_of};
+use heliostat_proto::{Nanos, NodeKind, VERSION, codec::kind_of};
 use mcap::records::{MessageHeader, Metadata, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{MAGIC, McapError, WriteOptions, Writer};
@@ -64,6 +64,12 @@ pub enum RecordingError {
         "the file holds no recording of a room: its metadata \"heliostat\" is missing; wanted one made by `heliostat record`"
     )]
     Foreign,
+    /// A recording of another version of the contract.
+    #[error("the recording speaks version {found} of the contract, this program version {VERSION}")]
+    Version {
+        /// The version in the file.
+        found: String,
+    },
 }
 
 /// What is known before the first message.
@@ -103,12 +109,22 @@ pub trait Storage: Write + Seek {
     /// # Errors
     /// The operating system's.
     fn cut(&mut self, length: u64) -> io::Result<()>;
+
+    /// Waits until what was written is kept: some disks tell only then that they are full.
+    ///
+    /// # Errors
+    /// The operating system's.
+    fn settle(&mut self) -> io::Result<()>;
 }
 
 impl Storage for File {
     fn cut(&mut self, length: u64) -> io::Result<()> {
         self.set_len(length)?;
         self.seek(SeekFrom::Start(length)).map(drop)
+    }
+
+    fn settle(&mut self) -> io::Result<()> {
+        self.sync_all()
     }
 }
 
@@ -228,14 +244,14 @@ impl<S: Storage> Recording<S> {
     ///
     /// # Errors
     /// As [`Recording::flush`].
-    pub fn finish(mut self, account: &Account) -> Result<S, RecordingError> {
+    pub fn finish(mut self, account: &Account) -> Result<(), RecordingError> {
         self.flush()?;
         let json = serde_json::to_string(account).expect("an account has a JSON form");
         let metadata = Metadata { name: ACCOUNT_NAME.into(), metadata: [("json".to_owned(), json)].into() };
         self.with_writer(|writer| writer.write_metadata(&metadata))?;
         self.with_writer(|writer| writer.finish().map(drop))?;
         let writer = self.writer.take().expect("a writer that did not fail is there");
-        Ok(writer.into_inner().inner)
+        writer.into_inner().inner.settle().map_err(|error| failure(&McapError::Io(error), self.written, 0))
     }
 
     fn open_channel(&mut self, topic: &Topic<'_>) -> Result<u16, RecordingError> {
@@ -297,11 +313,15 @@ fn end_at<S: Storage>(mut storage: S, whole_bytes: u64) {
 
 fn failure(error: &McapError, written: u64, lost: u64) -> RecordingError {
     match error {
-        McapError::Io(error) if matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded) => {
-            RecordingError::Full { written, lost }
-        }
+        McapError::Io(error) if is_full(error) => RecordingError::Full { written, lost },
         other => RecordingError::Write { problem: other.to_string(), written, lost },
     }
+}
+
+/// Whether no more fits: on the disk, into the quota, into the longest file that is allowed.
+fn is_full(error: &io::Error) -> bool {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+    matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
 /// Counts the bytes that reach the storage.
@@ -364,7 +384,7 @@ impl<R: Read> Reading<R> {
     /// Begins to read.
     ///
     /// # Errors
-    /// [`RecordingError::Read`] or [`RecordingError::Foreign`].
+    /// [`RecordingError::Read`], [`RecordingError::Foreign`] or [`RecordingError::Version`].
     pub fn open(source: R) -> Result<Self, RecordingError> {
         // A chunk is checked before anything in it is used, so that half of one is as good as none.
         let options = LinearReaderOptions::default().with_skip_end_magic(true).with_prevalidate_chunk_crcs(true);
@@ -375,6 +395,9 @@ impl<R: Read> Reading<R> {
             if !matches!(reading.step()?, Step::Other) {
                 return Err(RecordingError::Foreign);
             }
+        }
+        if reading.header.contract != VERSION.to_string() {
+            return Err(RecordingError::Version { found: reading.header.contract });
         }
         Ok(reading)
     }

@@ -1,24 +1,25 @@
 //! From a recording onto a bus, in place of the room, for a controller that runs by itself.
 //!
 //! A recording of lockstep is played in lockstep, each report waiting for its answer, and the answers are compared. One of live operation is
-//! played at the pace at which it came, its stamps moved to the present, so that nothing in it is too old.
+//! played at the pace at which it came or a multiple of it, its stamps moved to the present, so that nothing in it is too old.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap, btree_map};
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, ensure};
-use heliostat_bus::{Bus, BusConfig, Class, Publisher};
+use heliostat_bus::{Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::{
-    ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, UserReport, decode, encode,
+    Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Room, Stamp,
+    UserReport, decode, encode,
 };
 use serde::Serialize;
 
 use crate::file::Entry;
 use crate::heard::Heard;
-use crate::replay::{self, Clock, difference};
+use crate::replay::{self, Beginning, Clock, Unusable, difference};
 
 /// How long a controller is waited for.
 const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
@@ -29,8 +30,21 @@ const WAIT: Duration = Duration::from_millis(20);
 /// Time for one round of questions who is there.
 const ALIVE_LIMIT: Duration = Duration::from_millis(500);
 
+/// What to play, and how.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The recording.
+    pub file: PathBuf,
+    /// The room to play in, in place of the recorded one.
+    pub room: Option<Room>,
+    /// Where to meet the controller.
+    pub bus: BusArgs,
+    /// Times the recorded pace.
+    pub rate: f64,
+}
+
 /// What a playback came to.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Playback {
     /// The recording.
     pub file: PathBuf,
@@ -51,12 +65,23 @@ pub struct Playback {
 /// Plays a recording to whoever is in the room, until its end or until stopped.
 ///
 /// # Errors
-/// Where the recording cannot be read, the bus cannot be opened, no controller comes, or a report of lockstep is not answered.
-pub fn run(file: &PathBuf, bus: &BusConfig, stopped: &Receiver<()>) -> Result<Playback> {
-    let clock = replay::clock(file)?;
-    let mut reading = replay::open(file)?;
-    let bus = Bus::open(bus).context("cannot join the room")?;
-    let room = bus.room().clone();
+/// [`Unusable`] where the recording cannot be read; a bus that cannot be opened, a controller that does not come, a report of lockstep that is
+/// not answered.
+pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
+    let unusable = || Unusable(settings.file.clone());
+    let Beginning { room: recorded_room, clock, capabilities } =
+        Beginning::read(&settings.file).with_context(unusable)?;
+    ensure!(
+        clock == Clock::Live || settings.rate == 1.0,
+        "--rate is for recordings of live operation: this one is of lockstep, where each report waits for its answer"
+    );
+    let mut reading = replay::open(&settings.file).with_context(unusable)?;
+    let room = settings.room.clone().unwrap_or_else(|| recorded_room.clone());
+    let flags = BusArgs { room: room.name().to_owned(), ..settings.bus.clone() };
+    let bus = Bus::open(&flags.config_or_listen()?).context("cannot join the room")?;
+    let _array = capabilities
+        .map(|payload| bus.serve(&room.capabilities(), move |answer| answer.clone_from(&payload)))
+        .transpose()?;
     let (sender, answers) = channel();
     let _subscription = bus.subscribe(&room.command(), move |payload| {
         if let Ok(command) = decode::<MirrorCommand>(payload) {
@@ -65,28 +90,14 @@ pub fn run(file: &PathBuf, bus: &BusConfig, stopped: &Receiver<()>) -> Result<Pl
         }
     })?;
     let mut player = Player {
-        outlets: [
-            (room.users(), Outlet::Users),
-            (room.channel(), Outlet::Channel),
-            (room.obstacles(), Outlet::Obstacles),
-            (room.telemetry(), Outlet::Telemetry),
-        ]
-        .into_iter()
-        .map(|(key, outlet)| Ok((key.clone(), (bus.publisher(&key, Class::Control)?, outlet))))
-        .collect::<Result<_>>()?,
-        recorded_commands: room.command(),
+        outlets: outlets(&bus, &recorded_room)?,
+        present: BTreeMap::new(),
+        recorded_commands: recorded_room.command(),
         answers,
+        rate: settings.rate,
         start: None,
         decided: HashMap::new(),
-        playback: Playback {
-            file: file.clone(),
-            clock,
-            reports: 0,
-            answered: 0,
-            same: 0,
-            different: 0,
-            first_difference: None,
-        },
+        playback: Playback { file: settings.file.clone(), clock, ..Playback::default() },
     };
     let begun = Instant::now();
     while bus.alive(&room.alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty() {
@@ -96,19 +107,29 @@ pub fn run(file: &PathBuf, bus: &BusConfig, stopped: &Receiver<()>) -> Result<Pl
             CONTROLLER_WAIT.as_secs()
         );
     }
-    while let Some(mut entry) = reading.entry()? {
+    while let Some(entry) = reading.entry().with_context(unusable)? {
         if stopped.try_recv().is_ok() {
             break;
         }
-        // The room may be played under another name.
-        if let Some((_, rest)) = entry.topic.strip_prefix("heliostat/v1/").and_then(|rest| rest.split_once('/')) {
-            entry.topic = format!("heliostat/v1/{room}/{rest}");
-            player.take(&entry)?;
-        }
+        player.take(&bus, &entry)?;
     }
     player.await_last_answers();
     bus.close()?;
     Ok(player.playback)
+}
+
+/// Where what was recorded under a key goes; the room may be played under another name.
+fn outlets(bus: &Bus, recorded: &Room) -> Result<HashMap<String, (Publisher, Outlet)>> {
+    let room = bus.room();
+    let keys = [
+        (recorded.users(), room.users(), Outlet::Users),
+        (recorded.channel(), room.channel(), Outlet::Channel),
+        (recorded.obstacles(), room.obstacles(), Outlet::Obstacles),
+        (recorded.telemetry(), room.telemetry(), Outlet::Telemetry),
+        (recorded.capabilities(), room.capabilities(), Outlet::Capabilities),
+    ];
+    let publisher = |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, Class::Control)?, outlet)));
+    keys.into_iter().map(publisher).collect()
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -117,20 +138,38 @@ enum Outlet {
     Channel,
     Obstacles,
     Telemetry,
+    Capabilities,
 }
 
 /// The beginning of a live playback.
 #[derive(Clone, Copy, Debug)]
 struct Start {
     at: Instant,
+    at_ns: Nanos,
     recorded_ns: Nanos,
-    shift_ns: Nanos,
+    rate: f64,
+}
+
+impl Start {
+    /// The time at which something is played that was recorded at `time_ns`.
+    fn played_ns(&self, time_ns: Nanos) -> Nanos {
+        let since_ns = time_ns.wrapping_sub(self.recorded_ns) as i64;
+        self.at_ns.saturating_add_signed((since_ns as f64 / self.rate) as i64)
+    }
+
+    fn due(&self, arrived_ns: Nanos) -> Instant {
+        self.at + Duration::from_nanos(self.played_ns(arrived_ns).saturating_sub(self.at_ns))
+    }
 }
 
 struct Player {
+    /// By the key under which it was recorded.
     outlets: HashMap<String, (Publisher, Outlet)>,
+    /// The sources that were played: a controller frees the room as soon as they are gone, for the next playback.
+    present: BTreeMap<u64, Token>,
     recorded_commands: String,
     answers: Receiver<MirrorCommand>,
+    rate: f64,
     start: Option<Start>,
     /// Answers of lockstep that wait for the recorded ones, by tick.
     decided: HashMap<u64, MirrorCommand>,
@@ -138,51 +177,57 @@ struct Player {
 }
 
 impl Player {
-    fn take(&mut self, entry: &Entry) -> Result<()> {
-        let lockstep = self.playback.clock == Clock::Lockstep;
+    fn take(&mut self, bus: &Bus, entry: &Entry) -> Result<()> {
         if entry.topic == self.recorded_commands {
-            if let Ok(Heard::Command(theirs)) = Heard::read(&entry.data)
-                && let Some(ours) = self.decided.remove(&theirs.answers)
-            {
-                match difference(&ours, &theirs, Clock::Live) {
-                    None => self.playback.same += 1,
-                    Some(found) => {
-                        self.playback.different += 1;
-                        self.playback.first_difference.get_or_insert(format!("tick {}: {found}", theirs.answers));
-                    }
-                }
+            if let Ok(theirs) = decode(&entry.data) {
+                self.compare(&theirs);
             }
             return Ok(());
         }
-        let Some((publisher, outlet)) = self.outlets.get(&entry.topic) else { return Ok(()) };
-        let shift_ns = if lockstep { 0 } else { self.wait_for(entry) };
-        let payload = match outlet {
-            Outlet::Users => shifted(&entry.data, |report: &mut UserReport| report.stamp.time_ns += shift_ns),
-            Outlet::Channel => shifted(&entry.data, |report: &mut ChannelReport| report.stamp.time_ns += shift_ns),
-            Outlet::Obstacles => shifted(&entry.data, |report: &mut ObstacleReport| report.stamp.time_ns += shift_ns),
-            Outlet::Telemetry => shifted(&entry.data, |report: &mut MirrorTelemetry| report.stamp.time_ns += shift_ns),
-        };
+        if !self.outlets.contains_key(&entry.topic) {
+            return Ok(());
+        }
+        let heard = Heard::read(&entry.data).ok();
+        if let Some(heard) = &heard {
+            let source = heard.origin().source;
+            if let btree_map::Entry::Vacant(place) = self.present.entry(source) {
+                place.insert(bus.announce(&bus.room().alive(NodeKind::Tracker, source))?);
+            }
+        }
+        let start = (self.playback.clock == Clock::Live).then(|| self.wait_for(entry));
+        let (publisher, outlet) = &self.outlets[&entry.topic];
+        let payload = start.and_then(|start| outlet.moved(&entry.data, &start));
         // What nobody could read then, nobody can read now: it is played as it came.
         publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
-        if let (Outlet::Users, Ok(report)) = (outlet, decode::<UserReport>(&entry.data)) {
+        if let Some(Heard::Users(report)) = heard {
             self.playback.reports += 1;
-            if lockstep {
+            if start.is_none() {
                 self.await_answer(report.tick)?;
             }
         }
         Ok(())
     }
 
-    /// Waits until it is time for an entry; gives what is to be added to its stamp.
-    fn wait_for(&mut self, entry: &Entry) -> Nanos {
+    fn compare(&mut self, theirs: &MirrorCommand) {
+        let Some(ours) = self.decided.remove(&theirs.answers) else { return };
+        match difference(&ours, theirs, Clock::Live) {
+            None => self.playback.same += 1,
+            Some(found) => {
+                self.playback.different += 1;
+                self.playback.first_difference.get_or_insert(format!("tick {}: {found}", theirs.answers));
+            }
+        }
+    }
+
+    /// Waits until it is time for an entry.
+    fn wait_for(&mut self, entry: &Entry) -> Start {
+        let rate = self.rate;
         let start = *self.start.get_or_insert_with(|| {
-            let now_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as Nanos;
-            let shift_ns = now_ns.saturating_sub(entry.arrived_ns);
-            Start { at: Instant::now(), recorded_ns: entry.arrived_ns, shift_ns }
+            let at_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as Nanos;
+            Start { at: Instant::now(), at_ns, recorded_ns: entry.arrived_ns, rate }
         });
-        let due = start.at + Duration::from_nanos(entry.arrived_ns.saturating_sub(start.recorded_ns));
-        self.collect(due.saturating_duration_since(Instant::now()));
-        start.shift_ns
+        self.collect(start.due(entry.arrived_ns).saturating_duration_since(Instant::now()));
+        start
     }
 
     /// Counts answers for so long.
@@ -223,13 +268,25 @@ impl Player {
     }
 }
 
-/// The payload of the changed message; nothing where it cannot be read.
-fn shifted<T: Message>(payload: &[u8], change: impl FnOnce(&mut T)) -> Option<Vec<u8>> {
-    let mut message: T = decode(payload).ok()?;
-    change(&mut message);
-    let mut out = Vec::new();
-    encode(&message, &mut out).ok()?;
-    Some(out)
+impl Outlet {
+    /// A payload with its stamp moved to when it is played; nothing where it cannot be read.
+    fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
+        fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {
+            let mut message: T = decode(payload).ok()?;
+            let stamp = stamp(&mut message);
+            stamp.time_ns = start.played_ns(stamp.time_ns);
+            let mut out = Vec::new();
+            encode(&message, &mut out).ok()?;
+            Some(out)
+        }
+        match self {
+            Self::Users => moved(payload, start, |report: &mut UserReport| &mut report.stamp),
+            Self::Channel => moved(payload, start, |report: &mut ChannelReport| &mut report.stamp),
+            Self::Obstacles => moved(payload, start, |report: &mut ObstacleReport| &mut report.stamp),
+            Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
+            Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
+        }
+    }
 }
 
 impl fmt::Display for Playback {

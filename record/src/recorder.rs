@@ -13,7 +13,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use heliostat_bus::{Bus, BusConfig, Presence as Liveliness};
-use heliostat_proto::{Nanos, NodeKind, VERSION, keys::parse_alive};
+use heliostat_proto::{Nanos, NodeKind, Room, VERSION, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
@@ -150,6 +150,7 @@ struct RoomWriter<S: Storage> {
     present: Vec<u64>,
     was_present: bool,
     flushed: Instant,
+    room: Room,
     scenario_hash: String,
     out: PathBuf,
     problems: Vec<String>,
@@ -175,6 +176,7 @@ impl<S: Storage> RoomWriter<S> {
             present: Vec::new(),
             was_present: false,
             flushed: Instant::now(),
+            room: settings.bus.room.clone(),
             scenario_hash: header.scenario_hash,
             out: settings.out.clone(),
             problems: Vec::new(),
@@ -240,8 +242,26 @@ impl<S: Storage> RoomWriter<S> {
             status.node, status.scenario, self.scenario_hash
         );
         if !self.problems.contains(&problem) {
-            eprintln!("record: {problem}");
-            self.problems.push(problem);
+            self.tell(problem);
+        }
+    }
+
+    fn tell(&mut self, problem: String) {
+        eprintln!("record: {problem}");
+        self.problems.push(problem);
+    }
+
+    /// Who was not heard, where a replay needs them.
+    fn silence(&self) -> Option<&'static str> {
+        let heard = |key: String| self.account.streams.contains_key(&key);
+        if self.account.messages() == 0 {
+            Some("nothing was heard: does the room's process run, with the same --room and a matching endpoint?")
+        } else if !heard(self.room.command()) {
+            Some("no command was heard: two peers hear each other over a direct link only; connect to the controller as well, or let it connect here")
+        } else if !heard(self.room.users()) {
+            Some("no position report was heard: two peers hear each other over a direct link only; connect to the room's process as well")
+        } else {
+            None
         }
     }
 
@@ -265,10 +285,13 @@ impl<S: Storage> RoomWriter<S> {
 
     fn finish(mut self, shed: u64) -> Outcome {
         self.account.shed = shed;
+        if let Some(problem) = self.silence() {
+            self.tell(problem.to_owned());
+        }
         let mut complete = false;
         if let Some(recording) = self.recording.take() {
             match recording.finish(&self.account) {
-                Ok(_) => complete = true,
+                Ok(()) => complete = true,
                 Err(error) => self.problems.push(error.to_string()),
             }
         }

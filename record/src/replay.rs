@@ -6,7 +6,7 @@
 //! - **live**: of an answered position report `now` is the time in the command that answers it, exactly. Of all other messages it is the
 //!   time at which the recorder got them, which decides only whether a message on the edge of being too old is taken. A report that nothing
 //!   answered is left out, since the controller may not have got it, or may have shed it for a newer one. An answer that repeats the command
-//!   before it is replayed as one for which there was no time.
+//!   before it is replayed as one for which there was no time, if the controller counted such.
 //!
 //! What a recording cannot hold is what a controller knew before the recording began, or heard in the instant before the recorder knew of it.
 //! So the first [`SETTLE`] decisions of an epoch are replayed but not judged, unless it is one of lockstep whose first command is there.
@@ -19,22 +19,25 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
+use heliostat_controller::capabilities::{Examiner, Force};
 use heliostat_controller::core::{Accepted, Controller, Decision, Haste, WARM_UP_RUNS};
 use heliostat_controller::inbox::Message;
 use heliostat_controller::policy::{self, ActorSource, PolicyKind};
 use heliostat_controller::refused::{Refusal, Stream};
 use heliostat_proto::{
-    ChannelReport, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, UserReport, decode,
+    Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, UserReport, decode,
 };
 use heliostat_scenario::Answer as WhenLate;
+use thiserror::Error;
 
-pub use plan::{Clock, clock};
+pub(crate) use plan::Beginning;
+pub use plan::Clock;
 pub use verdict::Verdict;
+pub(crate) use verdict::difference;
 
 use crate::file::{Entry, PRESENCE_TOPIC, Presence, Reading};
 use plan::{Answer, Plan};
-pub(crate) use verdict::difference;
 
 /// Decisions that are not judged where it is not known what the controller knew before; a second of reports and more.
 pub const SETTLE: u64 = 200;
@@ -55,21 +58,25 @@ pub struct Settings {
     pub settle: Option<u64>,
 }
 
+/// A file that cannot be replayed, which is not the same as one that comes out otherwise.
+#[derive(Debug, Error)]
+#[error("{} cannot be replayed", .0.display())]
+pub struct Unusable(
+    /// The file.
+    pub PathBuf,
+);
+
 /// Opens a recording.
-///
-/// # Errors
-/// Where it cannot be read or is none.
-pub fn open(file: &Path) -> Result<Reading<BufReader<File>>> {
-    let source = File::open(file).with_context(|| format!("cannot open {}", file.display()))?;
-    Reading::open(BufReader::new(source)).with_context(|| format!("in {}", file.display()))
+pub(crate) fn open(file: &Path) -> Result<Reading<BufReader<File>>> {
+    Ok(Reading::open(BufReader::new(File::open(file)?))?)
 }
 
 /// Replays a recording into a controller of this process.
 ///
 /// # Errors
-/// Where the recording cannot be read, or says too little to decide by: no policy, or several within one epoch.
+/// [`Unusable`] where the recording cannot be read, or says too little to decide by; a policy that cannot be built.
 pub fn run(settings: &Settings) -> Result<Verdict> {
-    let plan = Plan::read(&settings.file)?;
+    let plan = Plan::read(&settings.file).with_context(|| Unusable(settings.file.clone()))?;
     let mut reading = open(&settings.file)?;
     let mut player = Player::new(settings, plan)?;
     while let Some(entry) = reading.entry()? {
@@ -92,6 +99,9 @@ struct Reign {
 struct Player<'a> {
     settings: &'a Settings,
     plan: Plan,
+    examiner: Examiner,
+    /// What the array said last that it can do.
+    array: Option<Capabilities>,
     reign: Option<Reign>,
     /// A controller that came into the room and has not answered yet.
     next: Option<Reign>,
@@ -115,12 +125,12 @@ struct Tally {
 
 impl<'a> Player<'a> {
     fn new(settings: &'a Settings, plan: Plan) -> Result<Self> {
-        ensure!(
-            !plan.epochs.is_empty(),
-            "the recording holds no command: nothing was decided in that room, or the recorder did not hear the controller"
-        );
+        // Commands stand in the recording, so whatever the array lacks was accepted.
+        let force = Force { small_range: true, paper_angles: true };
         let mut player = Self {
             settings,
+            examiner: Examiner::new(&plan.scenario, &plan.scenario.channel_model()?, force),
+            array: None,
             plan,
             reign: None,
             next: None,
@@ -138,13 +148,16 @@ impl<'a> Player<'a> {
         let Some((&epoch, &first)) = self.plan.epochs.range(epoch..).next() else { return Ok(None) };
         let kind = match self.settings.policy {
             Some(kind) => kind,
-            None => self.plan.policy_of(epoch)?,
+            None => self.plan.policy_of(epoch).with_context(|| Unusable(self.settings.file.clone()))?,
         };
         let scenario = &self.plan.scenario;
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = policy::build(kind, scenario, &source)?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(WARM_UP_RUNS);
+        if let Some(array) = &self.array {
+            controller.meet_array(array, self.examiner.examine(array));
+        }
         self.policies.insert(epoch, controller.policy_name().to_owned());
         let known_from_the_start = first == 1 && self.plan.clock == Clock::Lockstep;
         let settle = self.settings.settle.unwrap_or(if known_from_the_start { 0 } else { SETTLE });
@@ -160,12 +173,20 @@ impl<'a> Player<'a> {
             return self.users(entry);
         }
         if *topic == room.command() {
-            // One that answers no tick follows from silence, not from a message.
-            if let Some(command) = decode::<MirrorCommand>(&entry.data).ok().filter(|command| command.answers > 0) {
-                match self.ours.remove(&command.answers) {
-                    Some((ours, judged)) => self.compare(&ours, &command, judged),
-                    None => drop(self.theirs.insert(command.answers, command)),
-                }
+            if let Ok(command) = decode(&entry.data) {
+                self.command(command);
+            }
+            return Ok(());
+        }
+        if *topic == room.capabilities() {
+            if let Ok(array) = decode(&entry.data) {
+                self.meet_array(array);
+            }
+            return Ok(());
+        }
+        if *topic == room.stop() {
+            if let Ok(order) = decode(&entry.data) {
+                self.reigns().for_each(|reign| reign.controller.guard_mut().heed(&order));
             }
             return Ok(());
         }
@@ -176,10 +197,52 @@ impl<'a> Player<'a> {
             _ => return Ok(()),
         };
         let clock = self.plan.clock;
-        for reign in self.reign.iter_mut().chain(&mut self.next) {
-            reign.hear(stream, &entry.data, clock, entry.arrived_ns);
-        }
+        self.reigns().for_each(|reign| reign.hear(stream, &entry.data, clock, entry.arrived_ns));
         Ok(())
+    }
+
+    /// The controllers that hear the room.
+    fn reigns(&mut self) -> impl Iterator<Item = &mut Reign> {
+        self.reign.iter_mut().chain(&mut self.next)
+    }
+
+    /// What the array can do; it says so again and again.
+    fn meet_array(&mut self, array: Capabilities) {
+        let known = self.array.as_ref();
+        if known.is_some_and(|known| *known == Capabilities { stamp: known.stamp, ..array.clone() }) {
+            return;
+        }
+        let verdict = self.examiner.examine(&array);
+        self.reigns().for_each(|reign| reign.controller.meet_array(&array, verdict.clone()));
+        self.array = Some(array);
+    }
+
+    fn command(&mut self, theirs: MirrorCommand) {
+        if theirs.answers == 0 {
+            self.unprompted(&theirs);
+            return;
+        }
+        match self.ours.remove(&theirs.answers) {
+            Some((ours, judged)) => self.compare(&ours, &theirs, judged),
+            None => drop(self.theirs.insert(theirs.answers, theirs)),
+        }
+    }
+
+    /// A command that answers no report: it answers silence, or a report that was too old.
+    fn unprompted(&mut self, theirs: &MirrorCommand) {
+        let Some(reign) = self.reign.as_mut().filter(|reign| reign.controller.epoch() == theirs.epoch) else { return };
+        let judged = reign.decided >= reign.settle;
+        let decision = match reign.controller.elapse(theirs.time_ns) {
+            Some(decision) => decision,
+            None => reign.controller.answer_stale(theirs.time_ns),
+        };
+        match decision {
+            Decision::Move { command, .. } => {
+                let ours = command.clone();
+                self.compare(&ours, theirs, judged);
+            }
+            Decision::Hold(_) => self.verdict.held += 1,
+        }
     }
 
     fn presence(&mut self, data: &[u8]) -> Result<()> {
@@ -194,9 +257,7 @@ impl<'a> Player<'a> {
                 }
             }
         } else if !presence.alive {
-            for reign in self.reign.iter_mut().chain(&mut self.next) {
-                reign.controller.source_gone(presence.source);
-            }
+            self.reigns().for_each(|reign| reign.controller.source_gone(presence.source));
         }
         Ok(())
     }
@@ -227,8 +288,8 @@ impl<'a> Player<'a> {
         };
         let tick = report.tick;
         let repeats = self.plan.scenario.control.when_late == WhenLate::LastGood;
-        let late = self.plan.clock == Clock::Live && repeats && answer.is_some_and(|answer| answer.is_repeat);
-        let haste = if late { Haste::Late } else { Haste::InTime };
+        let late = answer.is_some_and(|answer| answer.is_repeat && self.plan.was_late(answer.epoch));
+        let haste = if late && repeats { Haste::Late } else { Haste::InTime };
         let decided = match reign.controller.accept(now, Message::Users(&mut report)) {
             Accepted::Tick => Some(reign.controller.decide(now, haste, &mut |_| {})),
             Accepted::TooOld => Some(reign.controller.answer_stale(now)),

@@ -53,10 +53,14 @@ impl Storage for Disk {
         self.bytes.lock().unwrap().truncate(length as usize);
         Ok(())
     }
+
+    fn settle(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 fn header() -> Header {
-    Header { room: "a".into(), scenario: "seed = 3".into(), ..Header::default() }
+    Header { room: "a".into(), scenario: "seed = 3".into(), contract: "1".into(), ..Header::default() }
 }
 
 fn payload(index: u64) -> Vec<u8> {
@@ -178,4 +182,8 @@ fn what_is_no_recording_is_refused_by_name() {
     let mut foreign = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
     foreign.finish().unwrap();
     assert!(told(foreign.into_inner().get_ref()).contains("no recording of a room"));
+    let disk = Disk::new(usize::MAX);
+    let later = Header { contract: "2".into(), ..header() };
+    Recording::create(disk.clone(), &later).unwrap().finish(&Account::default()).unwrap();
+    assert!(told(&disk.bytes()).contains("version 2 of the contract"), "a recording from the future");
 }

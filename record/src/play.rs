@@ -128,7 +128,8 @@ fn outlets(bus: &Bus, recorded: &Room) -> Result<HashMap<String, (Publisher, Out
         (recorded.telemetry(), room.telemetry(), Outlet::Telemetry),
         (recorded.capabilities(), room.capabilities(), Outlet::Capabilities),
     ];
-    let publisher = |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, Class::Control)?, outlet)));
+    let publisher =
+        |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, Class::Control)?, outlet)));
     keys.into_iter().map(publisher).collect()
 }
 

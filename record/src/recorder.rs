@@ -257,9 +257,13 @@ impl<S: Storage> RoomWriter<S> {
         if self.account.messages() == 0 {
             Some("nothing was heard: does the room's process run, with the same --room and a matching endpoint?")
         } else if !heard(self.room.command()) {
-            Some("no command was heard: two peers hear each other over a direct link only; connect to the controller as well, or let it connect here")
+            Some(
+                "no command was heard: two peers hear each other over a direct link only; connect to the controller as well, or let it connect here",
+            )
         } else if !heard(self.room.users()) {
-            Some("no position report was heard: two peers hear each other over a direct link only; connect to the room's process as well")
+            Some(
+                "no position report was heard: two peers hear each other over a direct link only; connect to the room's process as well",
+            )
         } else {
             None
         }

@@ -89,8 +89,19 @@ fn each_foreign_library_has_one_door() {
 #[test]
 fn the_channel_reads_no_clock_opens_nothing_and_draws_nothing() {
     let words = ["std::time", "std::fs", "std::net", "std::env", "println!", "rand::", "SystemTime", "Instant::"];
-    let elsewhere =
-        ["scenario", "proto", "bus", "driver", "metrics", "sim-node", "controller", "models", "record", "ui", "heliostat"];
+    let elsewhere = [
+        "scenario",
+        "proto",
+        "bus",
+        "driver",
+        "metrics",
+        "sim-node",
+        "controller",
+        "models",
+        "record",
+        "ui",
+        "heliostat",
+    ];
     assert_eq!(offenders(&words, &elsewhere), Vec::<String>::new());
     assert!(!dependencies("channel").iter().any(|name| name.starts_with("rand")));
 }

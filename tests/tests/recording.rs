@@ -48,8 +48,7 @@ impl Setting {
 
     fn recorder_arguments(&self) -> Vec<String> {
         let file = text(&self.file());
-        let arguments =
-            ["record", "--connect", &self.room_at, "--listen", &self.recorder_at, "--json", "--out", &file];
+        let arguments = ["record", "--connect", &self.room_at, "--listen", &self.recorder_at, "--json", "--out", &file];
         arguments.map(str::to_owned).into()
     }
 
@@ -225,7 +224,13 @@ fn whatever_ends_a_recorder_the_file_can_be_read() {
 fn gaps_are_counted_by_sequence_number() {
     let setting = Setting::new();
     let recorder = Process::heliostat(&[
-        "record", "--listen", &setting.recorder_at, "--exit-with-parent", "--json", "--out", &text(&setting.file()),
+        "record",
+        "--listen",
+        &setting.recorder_at,
+        "--exit-with-parent",
+        "--json",
+        "--out",
+        &text(&setting.file()),
     ]);
     wait_until("a recorder", || recorder.errors().contains("room demo into"));
     let tracker = Witness::connect("demo", &[&setting.recorder_at]);

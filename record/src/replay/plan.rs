@@ -14,7 +14,8 @@ use super::open;
 use crate::account::Account;
 use crate::heard::Heard;
 
-const NO_REPORT: &str = "it holds no position report: the recorder did not hear the room's process, or was cut before it wrote";
+const NO_REPORT: &str =
+    "it holds no position report: the recorder did not hear the room's process, or was cut before it wrote";
 
 /// Reports whose time is further than this from their arrival are in simulated time.
 const LIVE_CLOCK_NS: u64 = 3_600_000_000_000;
@@ -151,9 +152,8 @@ impl Plan {
     /// Takes a command; `last` is the one before it.
     fn expect(&mut self, command: MirrorCommand, last: Option<&MirrorCommand>) -> MirrorCommand {
         self.epochs.entry(command.epoch).or_insert(command.sequence);
-        let is_repeat = last.is_some_and(|last| {
-            (last.epoch, &last.roll, &last.yaw) == (command.epoch, &command.roll, &command.yaw)
-        });
+        let is_repeat = last
+            .is_some_and(|last| (last.epoch, &last.roll, &last.yaw) == (command.epoch, &command.roll, &command.yaw));
         let answer = Answer { epoch: command.epoch, time_ns: command.time_ns, is_repeat };
         self.answers.entry(command.answers).or_default().push_back(answer);
         command
@@ -161,7 +161,8 @@ impl Plan {
 
     /// Takes what a controller says of itself.
     fn learn(&mut self, status: NodeStatus) {
-        let counter = |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
+        let counter =
+            |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
         let told = self.controllers.entry(counter("epoch")).or_default();
         told.late = told.late.max(counter("fallback:late"));
         told.policies.insert(status.policy);
@@ -186,8 +187,9 @@ impl Plan {
             policies.iter().cloned().collect::<Vec<_>>().join(", ")
         );
         let name = policies.first().map_or("", String::as_str);
-        PolicyKind::from_str(name, false)
-            .map_err(|_| anyhow!("policy \"{name}\" decided, which this program does not have: name another with --policy"))
+        PolicyKind::from_str(name, false).map_err(|_| {
+            anyhow!("policy \"{name}\" decided, which this program does not have: name another with --policy")
+        })
     }
 }
 

@@ -102,8 +102,8 @@ pub fn record(args: RecordArgs) -> Result<()> {
     };
     let outcome = recorder::run(&settings, &stopped)?;
     print(args.json, &outcome, &outcome.account)?;
-    if !outcome.complete {
-        bail!("{}", outcome.problems.last().map_or("the recording is not complete", String::as_str));
+    if let Some(failure) = &outcome.failure {
+        bail!("{}: {failure}", outcome.file.display());
     }
     if outcome.account.missing() > 0 {
         eprintln!("record: {} messages are missing, see the account", outcome.account.missing());

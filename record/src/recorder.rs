@@ -61,10 +61,10 @@ pub struct Outcome {
     /// What came and what is missing.
     #[serde(flatten)]
     pub account: Account,
-    /// What went wrong; empty while nothing did.
+    /// What makes the recording worth less than it could be.
     pub problems: Vec<String>,
-    /// Whether the file holds everything that was written, with account and index.
-    pub complete: bool,
+    /// Why the file could not be written to its end; it then holds no account and no index.
+    pub failure: Option<String>,
 }
 
 /// What the callbacks hand over.
@@ -154,6 +154,7 @@ struct RoomWriter<S: Storage> {
     scenario_hash: String,
     out: PathBuf,
     problems: Vec<String>,
+    failure: Option<String>,
 }
 
 impl<S: Storage> RoomWriter<S> {
@@ -180,6 +181,7 @@ impl<S: Storage> RoomWriter<S> {
             scenario_hash: header.scenario_hash,
             out: settings.out.clone(),
             problems: Vec::new(),
+            failure: None,
         })
     }
 
@@ -283,7 +285,7 @@ impl<S: Storage> RoomWriter<S> {
     fn keep(&mut self, recording: Recording<S>, outcome: Result<(), RecordingError>) {
         match outcome {
             Ok(()) => self.recording = Some(recording),
-            Err(error) => self.problems.push(error.to_string()),
+            Err(error) => self.failure = Some(error.to_string()),
         }
     }
 
@@ -292,13 +294,9 @@ impl<S: Storage> RoomWriter<S> {
         if let Some(problem) = self.silence() {
             self.tell(problem.to_owned());
         }
-        let mut complete = false;
         if let Some(recording) = self.recording.take() {
-            match recording.finish(&self.account) {
-                Ok(()) => complete = true,
-                Err(error) => self.problems.push(error.to_string()),
-            }
+            self.failure = recording.finish(&self.account).err().map(|error| error.to_string());
         }
-        Outcome { file: self.out, account: self.account, problems: self.problems, complete }
+        Outcome { file: self.out, account: self.account, problems: self.problems, failure: self.failure }
     }
 }

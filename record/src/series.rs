@@ -3,7 +3,7 @@
 //! | topic | a message for each | holds |
 //! | --- | --- | --- |
 //! | `/rates` | truth of a simulated room | sum rates, each user's rate and need |
-//! | `/answers` | command | time from the arrival of the report to that of the command, both at the recorder |
+//! | `/answers` | answered report | time from the arrival of the report to that of the command, both at the recorder; below 0 where the command took the shorter way |
 //! | `/status/NODE` | status | times by quantile, counts, gauges |
 
 use std::collections::BTreeMap;
@@ -15,15 +15,15 @@ use serde_json::{Value, json};
 use crate::file::Topic;
 use crate::heard::Heard;
 
-/// Reports that wait for their answer; older ones are forgotten.
+/// Ticks whose report or command has come without the other; older ones are forgotten.
 const WAITING_MAX: usize = 1024;
 
 /// Makes series of what a room says.
 #[derive(Debug)]
 pub struct Series {
     schemas: Schemas,
-    /// When the report of a tick arrived.
-    asked: BTreeMap<u64, Nanos>,
+    /// When the report of a tick, or the command that answers it, arrived, whichever came first.
+    first: BTreeMap<u64, Nanos>,
 }
 
 #[derive(Debug)]
@@ -35,7 +35,7 @@ struct Schemas {
 
 impl Default for Series {
     fn default() -> Self {
-        Self { schemas: Schemas::new(), asked: BTreeMap::new() }
+        Self { schemas: Schemas::new(), first: BTreeMap::new() }
     }
 }
 
@@ -56,21 +56,38 @@ impl Series {
                 let name = format!("/status/{}", status.node);
                 put(&topic(&name, "heliostat.Status", &self.schemas.status), &bytes(&status_of(status)))
             }
-            Heard::Users(report) => {
-                self.asked.insert(report.tick, arrived_ns);
-                if self.asked.len() > WAITING_MAX {
-                    self.asked.pop_first();
-                }
-                Ok(())
-            }
-            Heard::Command(command) => {
-                let Some(asked_ns) = self.asked.remove(&command.answers) else { return Ok(()) };
-                let answer_us = arrived_ns.saturating_sub(asked_ns) as f64 * 1e-3;
-                let message = json!({ "tick": command.answers, "epoch": command.epoch, "answer_us": answer_us });
-                put(&topic("/answers", "heliostat.Answer", &self.schemas.answers), &bytes(&message))
-            }
+            Heard::Users(report) => match self.pair(report.tick, arrived_ns) {
+                Some(apart_us) => self.answer(report.tick, -apart_us, put),
+                None => Ok(()),
+            },
+            Heard::Command(command) if command.answers > 0 => match self.pair(command.answers, arrived_ns) {
+                Some(apart_us) => self.answer(command.answers, apart_us, put),
+                None => Ok(()),
+            },
             _ => Ok(()),
         }
+    }
+
+    /// The time in us since the other half of a tick came; nothing where it is still to come.
+    fn pair(&mut self, tick: u64, arrived_ns: Nanos) -> Option<f64> {
+        let Some(first_ns) = self.first.remove(&tick) else {
+            self.first.insert(tick, arrived_ns);
+            if self.first.len() > WAITING_MAX {
+                self.first.pop_first();
+            }
+            return None;
+        };
+        Some(arrived_ns.saturating_sub(first_ns) as f64 * 1e-3)
+    }
+
+    fn answer<E>(
+        &self,
+        tick: u64,
+        answer_us: f64,
+        put: impl FnOnce(&Topic<'_>, &[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let message = json!({ "tick": tick, "answer_us": answer_us });
+        put(&topic("/answers", "heliostat.Answer", &self.schemas.answers), &bytes(&message))
     }
 }
 
@@ -141,7 +158,7 @@ impl Schemas {
         status.insert("timings".into(), named(numbers(&["count", "p50_us", "p90_us", "p99_us", "p999_us", "max_us"])));
         status.insert("counters".into(), named(numbers(&["value"])));
         status.insert("gauges".into(), named(numbers(&["value"])));
-        Self { rates: schema(rates), answers: schema(numbers(&["tick", "epoch", "answer_us"])), status: schema(status) }
+        Self { rates: schema(rates), answers: schema(numbers(&["tick", "answer_us"])), status: schema(status) }
     }
 }
 
@@ -155,4 +172,29 @@ fn list(entry: serde_json::Map<String, Value>) -> Value {
 
 fn schema(fields: serde_json::Map<String, Value>) -> Vec<u8> {
     bytes(&json!({ "type": "object", "properties": fields }))
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::{MirrorCommand, UserReport};
+
+    use super::*;
+
+    #[test]
+    fn a_tick_has_its_time_whichever_of_report_and_command_came_first() {
+        let report = |tick| Heard::Users(UserReport { tick, ..UserReport::default() });
+        let command = |answers| Heard::Command(MirrorCommand { answers, ..MirrorCommand::default() });
+        let mut series = Series::default();
+        let mut told = Vec::new();
+        // The second tick's command comes first; nothing answers the third, and a command without a tick answers nothing.
+        let said = [report(1), command(1), command(2), report(2), report(3), command(0), command(0)];
+        for (index, heard) in said.iter().enumerate() {
+            let put = |_: &Topic<'_>, message: &[u8]| {
+                told.push(serde_json::from_slice::<Value>(message).expect("JSON"));
+                Ok::<(), ()>(())
+            };
+            series.hear(heard, 1000 * index as Nanos, put).expect("it is taken");
+        }
+        assert_eq!(told, [json!({ "tick": 1, "answer_us": 1.0 }), json!({ "tick": 2, "answer_us": -1.0 })]);
+    }
 }

@@ -97,6 +97,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
         rate: settings.rate,
         start: None,
         decided: HashMap::new(),
+        recorded: HashMap::new(),
         playback: Playback { file: settings.file.clone(), clock, ..Playback::default() },
     };
     let begun = Instant::now();
@@ -172,16 +173,20 @@ struct Player {
     answers: Receiver<MirrorCommand>,
     rate: f64,
     start: Option<Start>,
-    /// Answers of lockstep that wait for the recorded ones, by tick.
+    /// Answers of lockstep that wait for the recorded ones, by tick, and recorded ones that came before their report.
     decided: HashMap<u64, MirrorCommand>,
+    recorded: HashMap<u64, MirrorCommand>,
     playback: Playback,
 }
 
 impl Player {
     fn take(&mut self, bus: &Bus, entry: &Entry) -> Result<()> {
         if entry.topic == self.recorded_commands {
-            if let Ok(theirs) = decode(&entry.data) {
-                self.compare(&theirs);
+            if let Ok(theirs) = decode::<MirrorCommand>(&entry.data) {
+                match self.decided.remove(&theirs.answers) {
+                    Some(ours) => self.compare(&ours, &theirs),
+                    None => drop(self.recorded.insert(theirs.answers, theirs)),
+                }
             }
             return Ok(());
         }
@@ -209,9 +214,8 @@ impl Player {
         Ok(())
     }
 
-    fn compare(&mut self, theirs: &MirrorCommand) {
-        let Some(ours) = self.decided.remove(&theirs.answers) else { return };
-        match difference(&ours, theirs, Clock::Live) {
+    fn compare(&mut self, ours: &MirrorCommand, theirs: &MirrorCommand) {
+        match difference(ours, theirs, Clock::Live) {
             None => self.playback.same += 1,
             Some(found) => {
                 self.playback.different += 1;
@@ -262,7 +266,10 @@ impl Player {
             })?;
             if command.answers == tick {
                 self.playback.answered += 1;
-                self.decided.insert(tick, command);
+                match self.recorded.remove(&tick) {
+                    Some(theirs) => self.compare(&command, &theirs),
+                    None => drop(self.decided.insert(tick, command)),
+                }
                 return Ok(());
             }
         }

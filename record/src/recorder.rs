@@ -63,7 +63,7 @@ pub struct Outcome {
     pub account: Account,
     /// What makes the recording worth less than it could be.
     pub problems: Vec<String>,
-    /// Why the file could not be written to its end; it then holds no account and no index.
+    /// Why it could not be written to its end, so that the file holds no account and no index; or that there was nothing to write.
     pub failure: Option<String>,
 }
 
@@ -256,9 +256,7 @@ impl<S: Storage> RoomWriter<S> {
     /// Who was not heard, where a replay needs them.
     fn silence(&self) -> Option<&'static str> {
         let heard = |key: String| self.account.streams.contains_key(&key);
-        if self.account.messages() == 0 {
-            Some("nothing was heard: does the room's process run, with the same --room and a matching endpoint?")
-        } else if !heard(self.room.command()) {
+        if !heard(self.room.command()) {
             Some(
                 "no command was heard: two peers hear each other over a direct link only; connect to the controller as well, or let it connect here",
             )
@@ -291,11 +289,16 @@ impl<S: Storage> RoomWriter<S> {
 
     fn finish(mut self, shed: u64) -> Outcome {
         self.account.shed = shed;
-        if let Some(problem) = self.silence() {
+        if self.account.messages() == 0 {
+            let nothing =
+                "nothing was heard: does the room's process run, with the same --room and a matching endpoint?";
+            self.failure.get_or_insert(nothing.to_owned());
+        } else if let Some(problem) = self.silence() {
             self.tell(problem.to_owned());
         }
         if let Some(recording) = self.recording.take() {
-            self.failure = recording.finish(&self.account).err().map(|error| error.to_string());
+            let finished = recording.finish(&self.account);
+            self.failure = finished.err().map(|error| error.to_string()).or(self.failure);
         }
         Outcome { file: self.out, account: self.account, problems: self.problems, failure: self.failure }
     }

@@ -3,9 +3,10 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use heliostat_bus::free_loopback_endpoint;
-use heliostat_proto::{Stamp, UserReport, codec};
+use heliostat_proto::{MirrorCommand, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_tests::{Process, Witness, programs, wait_until};
@@ -62,11 +63,13 @@ impl Setting {
     }
 
     /// Records until the room has ended; gives the recorder's account.
-    fn record(&self, room_arguments: &[&str], controller_arguments: &[&str]) -> Value {
-        let room = self.room(room_arguments);
-        let recorder = self.recorder(&["--until-empty"]);
-        let controller = self.controller(controller_arguments);
+    fn record(&self, both: &[&str], room_arguments: &[&str], controller_arguments: &[&str]) -> Value {
+        let room = self.room(&[both, room_arguments].concat());
+        let recorder = self.recorder(&[both, &["--until-empty"]].concat());
+        let controller = self.controller(&[both, controller_arguments].concat());
         room.wait().json();
+        // The controller notices that nobody reports any more.
+        std::thread::sleep(Duration::from_millis(1500));
         // A status of its own is said at the end at the latest, and names the policy.
         controller.end().json();
         recorder.wait().json()
@@ -96,7 +99,7 @@ fn copy(from: &Path, to: &Path, mut change: impl FnMut(&str, &mut Vec<u8>)) {
 #[test]
 fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     let setting = Setting::new();
-    let account = setting.record(&["--lockstep", "150"], &["--lockstep"]);
+    let account = setting.record(&[], &["--lockstep", "150"], &["--lockstep"]);
     let file = setting.file();
     let streams = account["streams"].as_object().expect("streams by key");
     let users = &streams["heliostat/v1/demo/users"];
@@ -152,11 +155,19 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
 #[test]
 fn a_live_recording_replays_once_it_has_settled() {
     let setting = Setting::new();
-    let account = setting.record(&["--seconds", "5"], &[]);
+    // When the room has ended, the controller has one command more to give, which answers no report.
+    let account = setting.record(&["--set", "control.when_silent=\"park\""], &["--seconds", "5"], &[]);
     assert_eq!(account["problems"].as_array().map(Vec::len), Some(0), "{account}");
+    let mut unprompted = 0;
+    let mut reading = Reading::open(File::open(setting.file()).unwrap()).unwrap();
+    while let Some(entry) = reading.entry().unwrap() {
+        unprompted += u64::from(codec::decode::<MirrorCommand>(&entry.data).is_ok_and(|command| command.answers == 0));
+    }
+    assert!(unprompted > 0);
     let verdict = verified(&setting.file());
     assert_eq!(verdict["clock"], "live", "{verdict}");
     assert!(verdict["same"].as_u64() > Some(100) && verdict["different"] == 0, "{verdict}");
+    assert_eq!(verdict["compared"], account["streams"]["heliostat/v1/demo/mirrors/command"]["messages"], "{verdict}");
 
     // Onto the bus, twice as fast, into a controller that serves two playbacks one after the other.
     let endpoint = free_loopback_endpoint().unwrap();
@@ -272,6 +283,11 @@ fn what_cannot_be_recorded_or_replayed_is_told_by_name() {
     let refused = Process::heliostat(&["record", "--seconds", "1", "--out", &text(&taken)]).wait();
     assert!(refused.refusal().contains("does not exist yet"), "{}", refused.errors);
     assert_eq!(fs::read_to_string(&taken).unwrap(), "something");
+
+    let nobody = free_loopback_endpoint().unwrap();
+    let empty = folder.path().join("nobody.mcap");
+    let alone = Process::heliostat(&["record", "--seconds", "1", "--connect", &nobody, "--out", &text(&empty)]).wait();
+    assert!(alone.refusal().contains("nothing was heard"), "{}", alone.errors);
 
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
     let refused = |name: &str, wanted: &str| {

@@ -29,7 +29,7 @@ use heliostat_scenario::{Answer, Scenario};
 
 pub use crate::outcome::{Accepted, Counters, Decision, Departure, Haste, Stage};
 use crate::{
-    capabilities::Guard,
+    capabilities::{Guard, Unfit},
     inbox::{Inbox, Message},
     observation::{Observation, RoomState},
     observer::{LosSource, Observer},
@@ -38,7 +38,7 @@ use crate::{
     safety::{self, Limits},
 };
 
-/// Decisions on an invented room before a controller announces itself. A policy remembers them, so whoever repeats a run makes as many.
+/// Decisions on an invented room before a controller announces itself. A policy remembers them, so a replay makes as many.
 pub const WARM_UP_RUNS: usize = 200;
 
 /// The scenario's answers, and when silence begins.
@@ -279,10 +279,13 @@ impl Controller {
         &mut self.guard
     }
 
-    /// Takes over what the array can do, which was found to fit.
-    pub fn set_array(&mut self, capabilities: &Capabilities) {
-        self.limits.narrow(&capabilities.roll, &capabilities.yaw);
-        self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
+    /// Takes over what the array can do, where it was found to fit; where not, it is not commanded.
+    pub fn meet_array(&mut self, capabilities: &Capabilities, verdict: Result<(), Unfit>) {
+        if verdict.is_ok() {
+            self.limits.narrow(&capabilities.roll, &capabilities.yaw);
+            self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
+        }
+        self.guard.set_verdict(verdict);
     }
 
     /// Why the policy failed last.

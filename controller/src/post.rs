@@ -253,11 +253,7 @@ fn learn_of_array(bus: &Bus, desk: &Arc<Mutex<Desk>>, examiner: Examiner) -> any
             return;
         }
         let verdict = judge.examine(&new);
-        let mut desk = lock(&judged);
-        if verdict.is_ok() {
-            desk.controller.set_array(&new);
-        }
-        desk.controller.guard_mut().set_verdict(verdict);
+        lock(&judged).controller.meet_array(&new, verdict);
         known = new;
     };
     // Asked for, so that an array which is there already is known before the first command.

@@ -48,6 +48,10 @@ enum Command {
     Doctor(doctor::Args),
     /// Print the effective configuration of a process
     Config(config::Args),
+    /// Record everything that a room says into an MCAP file
+    Record(heliostat_record::cli::RecordArgs),
+    /// Play a recording into a controller, and see whether it decides as it did
+    Replay(heliostat_record::cli::ReplayArgs),
     /// Print completions for a shell
     Completions(completions::CompletionArgs),
     /// Write manual pages
@@ -72,6 +76,8 @@ pub fn run() -> Result<()> {
         Command::Scenario(args) => scenario::run(args),
         Command::Doctor(args) => doctor::run(args),
         Command::Config(args) => config::run(args),
+        Command::Record(args) => heliostat_record::cli::record(args),
+        Command::Replay(args) => heliostat_record::cli::replay(args),
         Command::Completions(args) => completions::completions(args),
         Command::Manual(args) => completions::manual(args),
     }

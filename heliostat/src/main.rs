@@ -12,7 +12,8 @@ fn main() -> ExitCode {
         Err(error) if output::closed(&error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("heliostat: {error:#}");
-            ExitCode::FAILURE
+            // A recording that cannot be replayed is another matter than one that comes out otherwise.
+            if error.is::<heliostat_record::replay::Unusable>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
 }

@@ -154,7 +154,12 @@ impl Scenario {
 
     /// The first 16 hexadecimal digits of the SHA-256 of the effective configuration.
     pub fn hash(&self) -> String {
-        short_hash(&self.to_toml())
+        Self::hash_of(&self.to_toml())
+    }
+
+    /// The hash of a configuration whose effective text is kept elsewhere; defaults that joined since leave it alone.
+    pub fn hash_of(effective: &str) -> String {
+        short_hash(effective)
     }
 
     /// A hash of what fixes the optical geometry and with it the meaning of a mirror angle: room, access points, array,

@@ -7,7 +7,7 @@ mod process;
 mod witness;
 
 pub use browser::Browser;
-pub use process::Process;
+pub use process::{Process, programs};
 pub use witness::Witness;
 
 use std::time::{Duration, Instant};

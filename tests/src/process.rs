@@ -1,7 +1,7 @@
 //! A program of this workspace as an operating-system process.
 
 use std::io::{BufRead, BufReader, Read};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -151,11 +151,19 @@ pub(crate) fn workspace() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
+/// The folder of the built programs.
+///
+/// # Panics
+/// When this is called from elsewhere than a test.
+pub fn programs() -> PathBuf {
+    let test = std::env::current_exe().expect("a test has a file");
+    let folder = test.parent().and_then(Path::parent).expect("a test lies in target/PROFILE/deps");
+    folder.to_path_buf()
+}
+
 /// A program built beside this test: tests run from `target/PROFILE/deps`, programs are in `target/PROFILE`.
 fn built(name: &str) -> PathBuf {
-    let test = std::env::current_exe().expect("a test has a file");
-    let folder = test.parent().and_then(|deps| deps.parent()).expect("a test lies in target/PROFILE/deps");
-    let path = folder.join(name).with_extension(std::env::consts::EXE_EXTENSION);
+    let path = programs().join(name).with_extension(std::env::consts::EXE_EXTENSION);
     assert!(path.exists(), "{} is not built: run the tests with `cargo test --release --workspace`", path.display());
     path
 }

@@ -10,6 +10,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use heliostat_tests::programs;
 use tempfile::TempDir;
 
 /// Longest that one file's commands may take, in s; they take a fraction of that on an idle machine.
@@ -63,13 +64,6 @@ fn stage(folder: &TempDir) {
     for name in ["deploy", "docs", "models", "tests"] {
         symlink(root().join(name), folder.path().join(name)).expect("a fresh folder takes a link");
     }
-}
-
-/// The folder of the built programs.
-fn programs() -> PathBuf {
-    let test = std::env::current_exe().expect("a test has a file");
-    let folder = test.parent().and_then(Path::parent).expect("a test lies in target/PROFILE/deps");
-    folder.to_path_buf()
 }
 
 /// Runs a file's blocks; gives the number of commands.
@@ -138,6 +132,11 @@ fn latency_report_runs() {
 #[test]
 fn actuators_run() {
     assert!(run("docs/actuators.md") >= 3);
+}
+
+#[test]
+fn recording_runs() {
+    assert!(run("docs/recording.md") >= 8);
 }
 
 #[test]

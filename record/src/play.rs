@@ -1,0 +1,311 @@
+//! From a recording onto a bus, in place of the room, for a controller that runs by itself.
+//!
+//! A recording of lockstep is played in lockstep, each report waiting for its answer, and the answers are compared. One of live operation is
+//! played at the pace at which it came or a multiple of it, its stamps moved to the present, so that nothing in it is too old.
+
+use std::collections::{BTreeMap, HashMap, btree_map};
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result, ensure};
+use heliostat_bus::{Bus, BusArgs, Class, Publisher, Token};
+use heliostat_proto::{
+    Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Room, Stamp,
+    UserReport, decode, encode,
+};
+use serde::Serialize;
+
+use crate::file::Entry;
+use crate::heard::Heard;
+use crate::replay::{self, Beginning, Clock, Unusable, difference};
+
+/// How long a controller is waited for.
+const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
+/// How long the answer to a report of lockstep is waited for, and the last answers of live operation.
+const ANSWER_WAIT: Duration = Duration::from_secs(5);
+/// Between two looks whether all is answered.
+const WAIT: Duration = Duration::from_millis(20);
+/// Time for one round of questions who is there.
+const ALIVE_LIMIT: Duration = Duration::from_millis(500);
+
+/// What to play, and how.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The recording.
+    pub file: PathBuf,
+    /// The room to play in, in place of the recorded one.
+    pub room: Option<Room>,
+    /// Where to meet the controller.
+    pub bus: BusArgs,
+    /// Times the recorded pace.
+    pub rate: f64,
+}
+
+/// What a playback came to.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Playback {
+    /// The recording.
+    pub file: PathBuf,
+    /// In which time it was played.
+    pub clock: Clock,
+    /// Position reports published.
+    pub reports: u64,
+    /// Of those: answered.
+    pub answered: u64,
+    /// Lockstep: answers that are the recorded ones, bit for bit.
+    pub same: u64,
+    /// Lockstep: answers that differ.
+    pub different: u64,
+    /// Lockstep: the first difference.
+    pub first_difference: Option<String>,
+}
+
+/// Plays a recording to whoever is in the room, until its end or until stopped.
+///
+/// # Errors
+/// [`Unusable`] where the recording cannot be read; a bus that cannot be opened, a controller that does not come, a report of lockstep that is
+/// not answered.
+pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
+    let unusable = || Unusable(settings.file.clone());
+    let Beginning { room: recorded_room, clock, capabilities } =
+        Beginning::read(&settings.file).with_context(unusable)?;
+    ensure!(
+        clock == Clock::Live || settings.rate == 1.0,
+        "--rate is for recordings of live operation: this one is of lockstep, where each report waits for its answer"
+    );
+    let mut reading = replay::open(&settings.file).with_context(unusable)?;
+    let room = settings.room.clone().unwrap_or_else(|| recorded_room.clone());
+    let flags = BusArgs { room: room.name().to_owned(), ..settings.bus.clone() };
+    let bus = Bus::open(&flags.config_or_listen()?).context("cannot join the room")?;
+    let _array = capabilities
+        .map(|payload| bus.serve(&room.capabilities(), move |answer| answer.clone_from(&payload)))
+        .transpose()?;
+    let (sender, answers) = channel();
+    let _subscription = bus.subscribe(&room.command(), move |payload| {
+        if let Ok(command) = decode::<MirrorCommand>(payload) {
+            // The player may have ended.
+            let _ = sender.send(command);
+        }
+    })?;
+    let mut player = Player {
+        outlets: outlets(&bus, &recorded_room)?,
+        present: BTreeMap::new(),
+        recorded_commands: recorded_room.command(),
+        answers,
+        rate: settings.rate,
+        start: None,
+        decided: HashMap::new(),
+        recorded: HashMap::new(),
+        playback: Playback { file: settings.file.clone(), clock, ..Playback::default() },
+    };
+    let begun = Instant::now();
+    while bus.alive(&room.alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty() {
+        ensure!(
+            begun.elapsed() < CONTROLLER_WAIT,
+            "no controller came into room \"{room}\" within {} s: start one with the same --room and a matching endpoint",
+            CONTROLLER_WAIT.as_secs()
+        );
+    }
+    while let Some(entry) = reading.entry().with_context(unusable)? {
+        if stopped.try_recv().is_ok() {
+            break;
+        }
+        player.take(&bus, &entry)?;
+    }
+    player.await_last_answers();
+    bus.close()?;
+    Ok(player.playback)
+}
+
+/// Where what was recorded under a key goes; the room may be played under another name.
+fn outlets(bus: &Bus, recorded: &Room) -> Result<HashMap<String, (Publisher, Outlet)>> {
+    let room = bus.room();
+    let keys = [
+        (recorded.users(), room.users(), Outlet::Users),
+        (recorded.channel(), room.channel(), Outlet::Channel),
+        (recorded.obstacles(), room.obstacles(), Outlet::Obstacles),
+        (recorded.telemetry(), room.telemetry(), Outlet::Telemetry),
+        (recorded.capabilities(), room.capabilities(), Outlet::Capabilities),
+    ];
+    let publisher =
+        |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, Class::Control)?, outlet)));
+    keys.into_iter().map(publisher).collect()
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Outlet {
+    Users,
+    Channel,
+    Obstacles,
+    Telemetry,
+    Capabilities,
+}
+
+/// The beginning of a live playback.
+#[derive(Clone, Copy, Debug)]
+struct Start {
+    at: Instant,
+    at_ns: Nanos,
+    recorded_ns: Nanos,
+    rate: f64,
+}
+
+impl Start {
+    /// The time at which something is played that was recorded at `time_ns`.
+    fn played_ns(&self, time_ns: Nanos) -> Nanos {
+        let since_ns = time_ns.wrapping_sub(self.recorded_ns) as i64;
+        self.at_ns.saturating_add_signed((since_ns as f64 / self.rate) as i64)
+    }
+
+    fn due(&self, arrived_ns: Nanos) -> Instant {
+        self.at + Duration::from_nanos(self.played_ns(arrived_ns).saturating_sub(self.at_ns))
+    }
+}
+
+struct Player {
+    /// By the key under which it was recorded.
+    outlets: HashMap<String, (Publisher, Outlet)>,
+    /// The sources that were played: a controller frees the room as soon as they are gone, for the next playback.
+    present: BTreeMap<u64, Token>,
+    recorded_commands: String,
+    answers: Receiver<MirrorCommand>,
+    rate: f64,
+    start: Option<Start>,
+    /// Answers of lockstep that wait for the recorded ones, by tick, and recorded ones that came before their report.
+    decided: HashMap<u64, MirrorCommand>,
+    recorded: HashMap<u64, MirrorCommand>,
+    playback: Playback,
+}
+
+impl Player {
+    fn take(&mut self, bus: &Bus, entry: &Entry) -> Result<()> {
+        if entry.topic == self.recorded_commands {
+            if let Ok(theirs) = decode::<MirrorCommand>(&entry.data) {
+                match self.decided.remove(&theirs.answers) {
+                    Some(ours) => self.compare(&ours, &theirs),
+                    None => drop(self.recorded.insert(theirs.answers, theirs)),
+                }
+            }
+            return Ok(());
+        }
+        if !self.outlets.contains_key(&entry.topic) {
+            return Ok(());
+        }
+        let heard = Heard::read(&entry.data).ok();
+        if let Some(heard) = &heard {
+            let source = heard.origin().source;
+            if let btree_map::Entry::Vacant(place) = self.present.entry(source) {
+                place.insert(bus.announce(&bus.room().alive(NodeKind::Tracker, source))?);
+            }
+        }
+        let start = (self.playback.clock == Clock::Live).then(|| self.wait_for(entry));
+        let (publisher, outlet) = &self.outlets[&entry.topic];
+        let payload = start.and_then(|start| outlet.moved(&entry.data, &start));
+        // What nobody could read then, nobody can read now: it is played as it came.
+        publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
+        if let Some(Heard::Users(report)) = heard {
+            self.playback.reports += 1;
+            if start.is_none() {
+                self.await_answer(report.tick)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn compare(&mut self, ours: &MirrorCommand, theirs: &MirrorCommand) {
+        match difference(ours, theirs, Clock::Live) {
+            None => self.playback.same += 1,
+            Some(found) => {
+                self.playback.different += 1;
+                self.playback.first_difference.get_or_insert(format!("tick {}: {found}", theirs.answers));
+            }
+        }
+    }
+
+    /// Waits until it is time for an entry.
+    fn wait_for(&mut self, entry: &Entry) -> Start {
+        let rate = self.rate;
+        let start = *self.start.get_or_insert_with(|| {
+            let at_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as Nanos;
+            Start { at: Instant::now(), at_ns, recorded_ns: entry.arrived_ns, rate }
+        });
+        self.collect(start.due(entry.arrived_ns).saturating_duration_since(Instant::now()));
+        start
+    }
+
+    /// Counts answers for so long.
+    fn collect(&mut self, limit: Duration) {
+        let deadline = Instant::now() + limit;
+        loop {
+            match self.answers.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(_) => self.playback.answered += 1,
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return,
+            }
+        }
+    }
+
+    /// Waits until every report is answered, or no longer.
+    fn await_last_answers(&mut self) {
+        let deadline = Instant::now() + ANSWER_WAIT;
+        while self.playback.answered < self.playback.reports && Instant::now() < deadline {
+            self.collect(WAIT);
+        }
+    }
+
+    fn await_answer(&mut self, tick: u64) -> Result<()> {
+        let deadline = Instant::now() + ANSWER_WAIT;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            let command = self.answers.recv_timeout(left).ok().with_context(|| {
+                format!(
+                    "tick {tick} was not answered within {} s: the controller needs --lockstep to take its time from the recording, and the scenario of the recording",
+                    ANSWER_WAIT.as_secs()
+                )
+            })?;
+            if command.answers == tick {
+                self.playback.answered += 1;
+                match self.recorded.remove(&tick) {
+                    Some(theirs) => self.compare(&command, &theirs),
+                    None => drop(self.decided.insert(tick, command)),
+                }
+                return Ok(());
+            }
+        }
+    }
+}
+
+impl Outlet {
+    /// A payload with its stamp moved to when it is played; nothing where it cannot be read.
+    fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
+        fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {
+            let mut message: T = decode(payload).ok()?;
+            let stamp = stamp(&mut message);
+            stamp.time_ns = start.played_ns(stamp.time_ns);
+            let mut out = Vec::new();
+            encode(&message, &mut out).ok()?;
+            Some(out)
+        }
+        match self {
+            Self::Users => moved(payload, start, |report: &mut UserReport| &mut report.stamp),
+            Self::Channel => moved(payload, start, |report: &mut ChannelReport| &mut report.stamp),
+            Self::Obstacles => moved(payload, start, |report: &mut ObstacleReport| &mut report.stamp),
+            Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
+            Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
+        }
+    }
+}
+
+impl fmt::Display for Playback {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "reports played {}, answered {}", self.reports, self.answered)?;
+        if self.clock == Clock::Lockstep {
+            write!(formatter, "; answers as recorded {}, different {}", self.same, self.different)?;
+        }
+        match &self.first_difference {
+            Some(found) => write!(formatter, "\nfirst difference: {found}"),
+            None => Ok(()),
+        }
+    }
+}

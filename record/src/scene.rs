@@ -1,0 +1,372 @@
+//! The room as Foxglove's 3D panel draws it: walls, access points, mirrors and the light that they send, people, obstacles.
+//!
+//! Positions are in m in the room's frame, under the frame id [`FRAME`]. A scene is drawn from what the room says: the truth of a simulated
+//! room, or the reports of a real one.
+
+use foxglove::messages::{
+    Color, CubePrimitive, CylinderPrimitive, Duration, LinePrimitive, Point3, Pose, Quaternion, SceneEntity,
+    SceneUpdate, SpherePrimitive, TextPrimitive, Timestamp, Vector3, line_primitive::Type,
+};
+use foxglove::{Encode, Schema};
+use heliostat_channel::{ChannelError, ChannelModel, Vec3};
+use heliostat_proto::{Nanos, Obstacle};
+use heliostat_scenario::Scenario;
+
+use crate::file::Topic;
+use crate::heard::Heard;
+
+/// The frame of all positions.
+pub const FRAME: &str = "room";
+/// The topic of scenes.
+pub const SCENE_TOPIC: &str = "/scene";
+
+/// Least time between two scenes.
+const INTERVAL_NS: Nanos = 100_000_000;
+/// What does not move is told again after this long, for viewers that begin in the middle.
+const STILL_INTERVAL_NS: Nanos = 5_000_000_000;
+
+// Okabe and Ito's colours, which the colour-blind can tell apart.
+const MET: Color = rgba(0.0, 0.62, 0.45, 1.0);
+const MISSED: Color = rgba(0.84, 0.37, 0.0, 1.0);
+const LIGHT: Color = rgba(0.94, 0.89, 0.26, 0.35);
+const LAMP: Color = rgba(0.94, 0.89, 0.26, 1.0);
+const MIRROR: Color = rgba(0.34, 0.71, 0.91, 1.0);
+const OBSTACLE: Color = rgba(0.5, 0.5, 0.5, 0.6);
+const WALL: Color = rgba(0.6, 0.6, 0.6, 1.0);
+const BLOCKED: Color = rgba(0.84, 0.37, 0.0, 0.5);
+const CLEAR: Color = rgba(0.94, 0.89, 0.26, 0.7);
+
+const fn rgba(r: f64, g: f64, b: f64, a: f64) -> Color {
+    Color { r, g, b, a }
+}
+
+/// Somebody, as far as the room says.
+#[derive(Clone, Debug, Default)]
+struct Person {
+    position: Vec3,
+    label: String,
+    met: bool,
+    los_blocked: Option<bool>,
+}
+
+/// Draws scenes from what a room says.
+pub struct Scene {
+    schema: Schema,
+    model: ChannelModel,
+    size_m: [f64; 3],
+    people: Vec<Person>,
+    obstacles: Vec<Obstacle>,
+    /// Roll and yaw of each mirror in rad.
+    angles: (Vec<f32>, Vec<f32>),
+    has_truth: bool,
+    drawn_ns: Nanos,
+    still_drawn_ns: Nanos,
+    buffer: Vec<u8>,
+}
+
+impl Scene {
+    /// The scene of a scenario's room, as yet without people.
+    ///
+    /// # Errors
+    /// Where the scenario describes no channel.
+    pub fn new(scenario: &Scenario) -> Result<Self, ChannelError> {
+        let model = scenario.channel_model()?;
+        let flat = vec![0.0; model.mirrors.len()];
+        let room = &scenario.room;
+        Ok(Self {
+            schema: SceneUpdate::get_schema().expect("a message of Foxglove has a schema"),
+            model,
+            size_m: [room.length_x_m, room.length_y_m, room.height_m],
+            people: Vec::new(),
+            obstacles: Vec::new(),
+            angles: (flat.clone(), flat),
+            has_truth: false,
+            drawn_ns: 0,
+            still_drawn_ns: 0,
+            buffer: Vec::new(),
+        })
+    }
+
+    /// The channel that scenes go to.
+    pub fn topic(&self) -> Topic<'_> {
+        Topic {
+            name: SCENE_TOPIC,
+            encoding: "protobuf",
+            schema: &self.schema.name,
+            schema_encoding: &self.schema.encoding,
+            schema_data: &self.schema.data,
+        }
+    }
+
+    /// Takes what the room said; true when a new scene is due.
+    pub fn hear(&mut self, heard: &Heard, arrived_ns: Nanos) -> bool {
+        match heard {
+            Heard::Truth(truth) => {
+                self.has_truth = true;
+                self.obstacles.clone_from(&truth.obstacles);
+                self.people = truth
+                    .users
+                    .iter()
+                    .map(|user| Person {
+                        position: Vec3::from_iterator(user.position_m.map(f64::from)),
+                        label: format!("{}: {:.1} Mbit/s", user.user, user.rate_bps * 1e-6),
+                        met: user.rate_bps >= user.min_rate_bps,
+                        los_blocked: Some(user.los_blocked),
+                    })
+                    .collect();
+            }
+            Heard::Users(report) if !self.has_truth => {
+                let person = |user: &heliostat_proto::UserState| Person {
+                    position: Vec3::from_iterator(user.position_m.map(f64::from)),
+                    label: user.user.to_string(),
+                    met: true,
+                    los_blocked: None,
+                };
+                self.people = report.users.iter().map(person).collect();
+            }
+            Heard::Obstacles(report) if !self.has_truth => {
+                self.obstacles.clone_from(&report.obstacles);
+                return false;
+            }
+            Heard::Telemetry(telemetry) => {
+                let mirrors = self.model.mirrors.len();
+                if telemetry.roll_commanded.len() == mirrors && telemetry.yaw_commanded.len() == mirrors {
+                    self.angles = (telemetry.roll_commanded.clone(), telemetry.yaw_commanded.clone());
+                }
+                return false;
+            }
+            _ => return false,
+        }
+        arrived_ns.saturating_sub(self.drawn_ns) >= INTERVAL_NS
+    }
+
+    /// The scene as bytes of its channel.
+    pub fn draw(&mut self, at_ns: Nanos) -> &[u8] {
+        self.drawn_ns = at_ns;
+        let mut entities = vec![self.light(), self.people(), self.obstacles()];
+        if at_ns.saturating_sub(self.still_drawn_ns) >= STILL_INTERVAL_NS {
+            self.still_drawn_ns = at_ns;
+            entities.push(self.room());
+        }
+        for entity in &mut entities {
+            entity.timestamp = Some(Timestamp::new((at_ns / 1_000_000_000) as u32, (at_ns % 1_000_000_000) as u32));
+        }
+        self.buffer.clear();
+        let update = SceneUpdate { deletions: Vec::new(), entities };
+        update.encode(&mut self.buffer).expect("a vector takes whatever it is given");
+        &self.buffer
+    }
+
+    /// Walls, access points and mirrors.
+    fn room(&self) -> SceneEntity {
+        let [x, y, z] = self.size_m;
+        let spec = self.model.mirrors.spec();
+        let across = self.model.mirrors.room_from_wall(&Vec3::x());
+        let lamp = |position: &Vec3| cube(position, Vec3::new(0.3, 0.3, 0.03), LAMP);
+        let mirror = |position: &Vec3| {
+            let half = across * (spec.mirror_width_m / 2.0) + Vec3::z() * (spec.mirror_height_m / 2.0);
+            let size = 2.0 * half.map(f64::abs) + self.model.mirrors.inward().map(f64::abs) * 0.01;
+            cube(position, size, MIRROR)
+        };
+        let outline = CubeEdges { centre: Vec3::new(0.0, 0.0, z / 2.0), half: Vec3::new(x, y, z) / 2.0 };
+        SceneEntity {
+            cubes: self
+                .model
+                .leds
+                .iter()
+                .map(|led| lamp(&led.position))
+                .chain(self.model.mirrors.positions().iter().map(mirror))
+                .collect(),
+            lines: vec![segments(outline.points(), 0.01, WALL)],
+            ..entity("room")
+        }
+    }
+
+    /// The ray of the nearest access point over each mirror's centre, down to the height of the devices, and the direct paths.
+    fn light(&self) -> SceneEntity {
+        let height = self.people.first().map_or(0.0, |person| person.position.z);
+        let (mut rays, mut clear, mut blocked) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, mirror) in self.model.mirrors.positions().iter().enumerate() {
+            let normal = self.model.mirrors.normal(f64::from(self.angles.0[index]), f64::from(self.angles.1[index]));
+            let Some(incoming) = self.nearest_led(mirror).map(|led| (mirror - led).normalize()) else { continue };
+            let outgoing = incoming - 2.0 * incoming.dot(&normal) * normal;
+            if outgoing.z < -1e-3 {
+                rays.push(*mirror);
+                rays.push(mirror + outgoing * ((height - mirror.z) / outgoing.z));
+            }
+        }
+        for person in &self.people {
+            let Some(led) = self.nearest_led(&person.position) else { continue };
+            match person.los_blocked {
+                Some(true) => blocked.extend([led, person.position]),
+                Some(false) => clear.extend([led, person.position]),
+                None => {}
+            }
+        }
+        let lines = [(rays, 0.004, LIGHT), (clear, 0.01, CLEAR), (blocked, 0.01, BLOCKED)];
+        let lines = lines.into_iter().filter(|(points, ..)| !points.is_empty());
+        SceneEntity {
+            lines: lines.map(|(points, width, colour)| segments(points, width, colour)).collect(),
+            ..entity("light")
+        }
+    }
+
+    fn people(&self) -> SceneEntity {
+        let colour = |person: &Person| if person.met { MET } else { MISSED };
+        let sphere = |person: &Person| SpherePrimitive {
+            pose: Some(pose(&person.position)),
+            size: Some(vector(&Vec3::repeat(0.25))),
+            color: Some(colour(person)),
+        };
+        let text = |person: &Person| TextPrimitive {
+            pose: Some(pose(&(person.position + Vec3::z() * 0.3))),
+            billboard: true,
+            font_size: 0.15,
+            scale_invariant: false,
+            color: Some(colour(person)),
+            text: person.label.clone(),
+        };
+        SceneEntity {
+            spheres: self.people.iter().map(sphere).collect(),
+            texts: self.people.iter().map(text).collect(),
+            ..entity("people")
+        }
+    }
+
+    fn obstacles(&self) -> SceneEntity {
+        let cylinder = |obstacle: &Obstacle| {
+            let [x, y, radius, height] =
+                [obstacle.x_m, obstacle.y_m, obstacle.radius_m, obstacle.height_m].map(f64::from);
+            CylinderPrimitive {
+                pose: Some(pose(&Vec3::new(x, y, height / 2.0))),
+                size: Some(vector(&Vec3::new(2.0 * radius, 2.0 * radius, height))),
+                bottom_scale: 1.0,
+                top_scale: 1.0,
+                color: Some(OBSTACLE),
+            }
+        };
+        SceneEntity { cylinders: self.obstacles.iter().map(cylinder).collect(), ..entity("obstacles") }
+    }
+
+    fn nearest_led(&self, place: &Vec3) -> Option<Vec3> {
+        let distance = |led: &Vec3| (led - place).norm_squared();
+        let leds = self.model.leds.iter().map(|led| led.position);
+        leds.min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    }
+}
+
+/// The twelve edges of an upright box.
+struct CubeEdges {
+    centre: Vec3,
+    half: Vec3,
+}
+
+impl CubeEdges {
+    /// Two points an edge: corners whose numbers differ in one bit.
+    fn points(&self) -> Vec<Vec3> {
+        let sign = |corner: usize, axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
+        let place = |corner| {
+            self.centre + Vec3::new(sign(corner, 0), sign(corner, 1), sign(corner, 2)).component_mul(&self.half)
+        };
+        let edges = (0..8usize).flat_map(|from| (0..3).map(move |axis| (from, from | 1 << axis)));
+        edges.filter(|(from, to)| from != to).flat_map(|(from, to)| [place(from), place(to)]).collect()
+    }
+}
+
+/// An entity that replaces the one of the same name before it, and stays.
+fn entity(id: &str) -> SceneEntity {
+    SceneEntity {
+        frame_id: FRAME.to_owned(),
+        id: id.to_owned(),
+        lifetime: Some(Duration::new(0, 0)),
+        ..SceneEntity::default()
+    }
+}
+
+fn cube(centre: &Vec3, size: Vec3, color: Color) -> CubePrimitive {
+    CubePrimitive { pose: Some(pose(centre)), size: Some(vector(&size)), color: Some(color) }
+}
+
+fn segments(points: Vec<Vec3>, thickness: f64, color: Color) -> LinePrimitive {
+    LinePrimitive {
+        r#type: Type::LineList as i32,
+        pose: Some(pose(&Vec3::zeros())),
+        thickness,
+        scale_invariant: false,
+        points: points.iter().map(|point| Point3 { x: point.x, y: point.y, z: point.z }).collect(),
+        color: Some(color),
+        ..LinePrimitive::default()
+    }
+}
+
+fn pose(position: &Vec3) -> Pose {
+    Pose { position: Some(vector(position)), orientation: Some(Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }) }
+}
+
+fn vector(v: &Vec3) -> Vector3 {
+    Vector3 { x: v.x, y: v.y, z: v.z }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_channel::{decode::aim_at_point, mirrors::MirrorAngles};
+    use heliostat_proto::{MirrorTelemetry, RoomTruth, TruthUser};
+    use prost::Message;
+
+    use super::*;
+
+    fn scene() -> (Scenario, Scene) {
+        let scenario = Scenario::builtin("specular").expect("a built-in one");
+        let scene = Scene::new(&scenario).expect("it describes a channel");
+        (scenario, scene)
+    }
+
+    fn entity_of<'a>(update: &'a SceneUpdate, id: &str) -> &'a SceneEntity {
+        update.entities.iter().find(|entity| entity.id == id).unwrap_or_else(|| panic!("no entity {id}"))
+    }
+
+    #[test]
+    fn rays_of_aimed_mirrors_meet_in_the_person_they_are_aimed_at() {
+        let (scenario, mut scene) = scene();
+        let model = scenario.channel_model().expect("it describes a channel");
+        let target = Vec3::new(0.7, -0.4, 0.85);
+        let mut angles = MirrorAngles::flat(model.mirrors.len());
+        aim_at_point(&model, &target, &mut angles);
+        let narrow = |angles: &[f64]| angles.iter().map(|angle| *angle as f32).collect::<Vec<_>>();
+        let telemetry = MirrorTelemetry {
+            roll_commanded: narrow(&angles.roll),
+            yaw_commanded: narrow(&angles.yaw),
+            ..MirrorTelemetry::default()
+        };
+        let user =
+            TruthUser { position_m: [0.7, -0.4, 0.85], rate_bps: 2e6, los_blocked: true, ..TruthUser::default() };
+        let truth = RoomTruth { users: vec![user], ..RoomTruth::default() };
+        assert!(!scene.hear(&Heard::Telemetry(telemetry), 1));
+        assert!(scene.hear(&Heard::Truth(truth), 10_000_000_000));
+        let update = SceneUpdate::decode(scene.draw(10_000_000_000)).expect("it is what its schema says");
+        let rays = &entity_of(&update, "light").lines[0];
+        assert_eq!(rays.points.len(), 2 * model.mirrors.len());
+        for end in rays.points.iter().skip(1).step_by(2) {
+            let apart = (Vec3::new(end.x, end.y, end.z) - target).norm();
+            assert!(apart < 1e-3, "a ray ends {apart} m from its target");
+        }
+        let person = &entity_of(&update, "people").spheres[0];
+        assert_eq!(person.color, Some(MET));
+        let room = entity_of(&update, "room");
+        assert_eq!((room.cubes.len(), room.lines[0].points.len()), (model.mirrors.len() + 1, 24));
+    }
+
+    #[test]
+    fn scenes_are_spaced_and_still_things_told_again() {
+        let (_, mut scene) = scene();
+        let truth = Heard::Truth(RoomTruth::default());
+        let start = 1_000_000_000_000;
+        assert!(scene.hear(&truth, start));
+        scene.draw(start);
+        assert!(!scene.hear(&truth, start + INTERVAL_NS - 1));
+        assert!(scene.hear(&truth, start + INTERVAL_NS));
+        let entities = |bytes: &[u8]| SceneUpdate::decode(bytes).expect("a scene").entities.len();
+        assert_eq!(entities(scene.draw(start + INTERVAL_NS)), 3);
+        assert_eq!(entities(scene.draw(start + STILL_INTERVAL_NS)), 4);
+    }
+}

@@ -1,0 +1,189 @@
+//! A recording stays readable wherever it ends: cut at any byte, or on a disk that is full.
+
+use std::io::{self, Cursor, Read, Seek, SeekFrom, Write};
+use std::sync::{Arc, Mutex};
+
+use heliostat_record::account::Account;
+use heliostat_record::file::{Entry, Header, Reading, Recording, RecordingError, Storage};
+
+const KEY: &str = "heliostat/v1/a/users";
+
+/// A disk of limited size whose bytes the test can see.
+#[derive(Clone)]
+struct Disk {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    size: usize,
+}
+
+impl Disk {
+    fn new(size: usize) -> Self {
+        Self { bytes: Arc::default(), size }
+    }
+
+    fn bytes(&self) -> Vec<u8> {
+        self.bytes.lock().unwrap().clone()
+    }
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut disk = self.bytes.lock().unwrap();
+        let taken = bytes.len().min(self.size - disk.len());
+        if taken == 0 && !bytes.is_empty() {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        disk.extend_from_slice(&bytes[..taken]);
+        Ok(taken)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Seek for Disk {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        assert_eq!(to, SeekFrom::Current(0), "a recording is written from its beginning to its end");
+        Ok(self.bytes.lock().unwrap().len() as u64)
+    }
+}
+
+impl Storage for Disk {
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        self.bytes.lock().unwrap().truncate(length as usize);
+        Ok(())
+    }
+
+    fn settle(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn header() -> Header {
+    Header { room: "a".into(), scenario: "seed = 3".into(), contract: "1".into(), ..Header::default() }
+}
+
+fn payload(index: u64) -> Vec<u8> {
+    [b"message ".as_slice(), index.to_string().as_bytes()].concat()
+}
+
+fn read(source: impl Read) -> Result<Vec<Entry>, RecordingError> {
+    let mut reading = Reading::open(source)?;
+    let mut entries = Vec::new();
+    while let Some(entry) = reading.entry()? {
+        entries.push(entry);
+    }
+    Ok(entries)
+}
+
+fn assert_first(entries: &[Entry], count: usize) {
+    assert_eq!(entries.len(), count);
+    for (index, entry) in entries.iter().enumerate() {
+        let index = index as u64;
+        let wanted = Entry { topic: KEY.into(), arrived_ns: 100 + index, data: payload(index) };
+        assert_eq!(*entry, wanted);
+    }
+}
+
+#[test]
+fn what_was_written_is_read_with_header_and_account() {
+    let disk = Disk::new(usize::MAX);
+    let mut recording = Recording::create(disk.clone(), &header()).unwrap();
+    for index in 0..50 {
+        recording.payload(KEY, 100 + index, index, &payload(index)).unwrap();
+    }
+    let mut account = Account::default();
+    account.count(KEY, 9, None);
+    recording.finish(&account).unwrap();
+    let bytes = disk.bytes();
+    let mut reading = Reading::open(bytes.as_slice()).unwrap();
+    assert_eq!(*reading.header(), header());
+    let mut count = 0;
+    while reading.entry().unwrap().is_some() {
+        count += 1;
+    }
+    assert_eq!(count, 50);
+    let told: serde_json::Value = serde_json::from_str(reading.account().unwrap()).unwrap();
+    assert_eq!(told["streams"][KEY]["unreadable"], 1);
+    // The index that viewers jump by, as another reader sees it.
+    let summary = mcap::Summary::read(&bytes).unwrap().expect("a finished file has a summary");
+    assert_eq!(summary.stats.unwrap().message_count, 50);
+}
+
+#[test]
+fn a_file_cut_at_any_byte_holds_every_whole_chunk_before_the_cut() {
+    let disk = Disk::new(usize::MAX);
+    let mut recording = Recording::create(disk.clone(), &header()).unwrap();
+    let mut whole = vec![(disk.bytes().len(), 0)];
+    for index in 0..40 {
+        recording.payload(KEY, 100 + index, index, &payload(index)).unwrap();
+        if index % 8 == 7 {
+            recording.flush().unwrap();
+            whole.push((disk.bytes().len(), index as usize + 1));
+        }
+    }
+    recording.finish(&Account::default()).unwrap();
+    let bytes = disk.bytes();
+    for cut in 0..=bytes.len() {
+        let kept = whole.iter().rev().find(|(length, _)| *length <= cut);
+        match (read(&bytes[..cut]), kept) {
+            (Ok(entries), Some((_, count))) => {
+                // A chunk is whole before the index that follows it is.
+                assert!(entries.len() == *count || entries.len() == count + 8, "cut at {cut}: {}", entries.len());
+                assert_first(&entries, entries.len());
+            }
+            (Ok(entries), None) => assert!(entries.is_empty(), "cut at {cut}"),
+            (Err(error), kept) => assert!(kept.is_none(), "cut at {cut}: {error}"),
+        }
+    }
+}
+
+#[test]
+fn a_full_disk_is_told_and_leaves_a_whole_file() {
+    let mut ended = 0;
+    for size in (600..6000).step_by(97) {
+        let disk = Disk::new(size);
+        let begun = Recording::create(disk.clone(), &header());
+        let mut recording = match begun {
+            Ok(recording) => recording,
+            Err(error) => panic!("the header alone fits into {size} bytes: {error}"),
+        };
+        let mut taken = 0;
+        let error = loop {
+            let put = recording.payload(KEY, 100 + taken, taken, &payload(taken));
+            let put = put.and_then(|()| if taken % 8 == 7 { recording.flush() } else { Ok(()) });
+            taken += 1;
+            if let Err(error) = put {
+                break error;
+            }
+        };
+        let RecordingError::Full { written, lost } = error else { panic!("{error}") };
+        assert_eq!(written + lost, taken, "nothing is lost silently");
+        assert!(matches!(recording.payload(KEY, 0, 0, b"more"), Err(RecordingError::Write { .. })));
+        let bytes = disk.bytes();
+        assert!(bytes.len() <= size);
+        assert_first(&read(bytes.as_slice()).unwrap(), written as usize);
+        // Another reader, which wants an end in good order; there is room for one unless the disk was full to its last bytes.
+        if bytes.ends_with(mcap::MAGIC) {
+            let others = mcap::MessageStream::new(&bytes).unwrap().map(|message| message.expect("whole"));
+            assert_eq!(others.count() as u64, written);
+            ended += 1;
+        } else {
+            assert!(size - bytes.len() < 50, "{} of {size} bytes", bytes.len());
+        }
+    }
+    assert!(ended > 20, "{ended}");
+}
+
+#[test]
+fn what_is_no_recording_is_refused_by_name() {
+    let told = |bytes: &[u8]| read(Cursor::new(bytes.to_vec())).err().expect("no recording").to_string();
+    assert!(told(b"some text that is long enough to be looked at").contains("cannot be read"), "a text file");
+    let mut foreign = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
+    foreign.finish().unwrap();
+    assert!(told(foreign.into_inner().get_ref()).contains("no recording of a room"));
+    let disk = Disk::new(usize::MAX);
+    let later = Header { contract: "2".into(), ..header() };
+    Recording::create(disk.clone(), &later).unwrap().finish(&Account::default()).unwrap();
+    assert!(told(&disk.bytes()).contains("version 2 of the contract"), "a recording from the future");
+}

@@ -1,0 +1,322 @@
+//! What a room says, recorded by one process and replayed by another.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_proto::{MirrorCommand, Stamp, UserReport, codec};
+use heliostat_record::account::Account;
+use heliostat_record::file::{Reading, Recording};
+use heliostat_tests::{Process, Witness, programs, wait_until};
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}
+
+/// A room, a controller, and a recorder that hears both.
+struct Setting {
+    folder: TempDir,
+    room_at: String,
+    recorder_at: String,
+}
+
+impl Setting {
+    fn new() -> Self {
+        Self {
+            folder: TempDir::new().unwrap(),
+            room_at: free_loopback_endpoint().unwrap(),
+            recorder_at: free_loopback_endpoint().unwrap(),
+        }
+    }
+
+    fn file(&self) -> PathBuf {
+        self.folder.path().join("room.mcap")
+    }
+
+    fn room(&self, arguments: &[&str]) -> Process {
+        Process::heliostat(&[&["sim-node", "--listen", &self.room_at, "--json"], arguments].concat())
+    }
+
+    fn controller(&self, arguments: &[&str]) -> Process {
+        let fixed = ["controller", "--connect", &self.room_at, "--connect", &self.recorder_at];
+        let ended = ["--exit-with-parent", "--json", "--policy", "fixed-point"];
+        Process::heliostat(&[&fixed[..], &ended, arguments].concat())
+    }
+
+    fn recorder_arguments(&self) -> Vec<String> {
+        let file = text(&self.file());
+        let arguments = ["record", "--connect", &self.room_at, "--listen", &self.recorder_at, "--json", "--out", &file];
+        arguments.map(str::to_owned).into()
+    }
+
+    /// A recorder that hears the room already.
+    fn recorder(&self, arguments: &[&str]) -> Process {
+        let fixed = self.recorder_arguments();
+        let fixed: Vec<&str> = fixed.iter().map(String::as_str).collect();
+        let recorder = Process::heliostat(&[&fixed, arguments].concat());
+        wait_until("the recorder hears the room", || recorder.errors().contains("sim-node is here"));
+        recorder
+    }
+
+    /// Records until the room has ended; gives the recorder's account.
+    fn record(&self, both: &[&str], room_arguments: &[&str], controller_arguments: &[&str]) -> Value {
+        let room = self.room(&[both, room_arguments].concat());
+        let recorder = self.recorder(&[both, &["--until-empty"]].concat());
+        let controller = self.controller(&[both, controller_arguments].concat());
+        room.wait().json();
+        // The controller notices that nobody reports any more.
+        std::thread::sleep(Duration::from_millis(1500));
+        // A status of its own is said at the end at the latest, and names the policy.
+        controller.end().json();
+        recorder.wait().json()
+    }
+}
+
+fn replay(file: &Path, arguments: &[&str]) -> Process {
+    Process::heliostat(&[&["replay", &text(file), "--json"], arguments].concat())
+}
+
+/// The verdict of a replay that comes out as recorded.
+fn verified(file: &Path) -> Value {
+    replay(file, &["--verify"]).wait().json()
+}
+
+/// A copy of a recording, each payload changed by `change`.
+fn copy(from: &Path, to: &Path, mut change: impl FnMut(&str, &mut Vec<u8>)) {
+    let mut reading = Reading::open(File::open(from).unwrap()).unwrap();
+    let mut recording = Recording::create(File::create_new(to).unwrap(), reading.header()).unwrap();
+    while let Some(mut entry) = reading.entry().unwrap() {
+        change(&entry.topic, &mut entry.data);
+        recording.payload(&entry.topic, entry.arrived_ns, entry.arrived_ns, &entry.data).unwrap();
+    }
+    recording.finish(&Account::default()).unwrap();
+}
+
+#[test]
+fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
+    let setting = Setting::new();
+    let account = setting.record(&[], &["--lockstep", "150"], &["--lockstep"]);
+    let file = setting.file();
+    let streams = account["streams"].as_object().expect("streams by key");
+    let users = &streams["heliostat/v1/demo/users"];
+    assert_eq!((users["messages"].as_u64(), users["missing"].as_u64()), (Some(150), Some(0)), "{account}");
+    assert_eq!((&account["failure"], account["problems"].as_array().map(Vec::len)), (&Value::Null, Some(0)));
+    let verdict = verified(&file);
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
+    assert_eq!((&verdict["clock"], &verdict["policies"][0]), (&"lockstep".into(), &"fixed-point".into()));
+
+    // Another policy decides otherwise. Without --verify that is no failure.
+    let other = replay(&file, &["--policy", "nearest"]).wait().json();
+    assert!(other["different"].as_u64() > Some(100) && other["largest_difference_rad"].as_f64() > Some(0.0), "{other}");
+    let ended = replay(&file, &["--verify", "--policy", "nearest"]).wait();
+    assert_eq!(ended.status.code(), Some(1));
+    assert!(ended.refusal().contains("does not replay as recorded: tick 1: "), "{}", ended.errors);
+
+    // One bit of the last angle of the 70th command: the lowest of its mantissa.
+    let changed = setting.folder.path().join("changed.mcap");
+    let mut commands = 0;
+    copy(&file, &changed, |topic, payload| {
+        commands += u64::from(topic.ends_with("mirrors/command"));
+        if topic.ends_with("mirrors/command") && commands == 70 {
+            let lowest = payload.len() - 4;
+            payload[lowest] ^= 1;
+        }
+    });
+    let ended = replay(&changed, &["--verify"]).wait();
+    assert_eq!(ended.status.code(), Some(1), "{}", ended.errors);
+    assert!(ended.errors.contains("tick 70: yaw of mirror 99: recorded "), "{}", ended.errors);
+    let verdict: Value = serde_json::from_str(ended.output.trim()).unwrap();
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(149), Some(1)), "{verdict}");
+
+    // The same bit in the file itself is damage, which the checksum of its chunk tells.
+    let mut bytes = fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    let damaged = setting.folder.path().join("damaged.mcap");
+    fs::write(&damaged, &bytes).unwrap();
+    let ended = replay(&damaged, &["--verify"]).wait();
+    assert_eq!(ended.status.code(), Some(2), "{} {}", ended.output, ended.errors);
+
+    // Into a controller that runs by itself.
+    let endpoint = free_loopback_endpoint().unwrap();
+    let player = replay(&file, &["--listen", &endpoint]);
+    let arguments =
+        ["controller", "--lockstep", "--policy", "fixed-point", "--connect", &endpoint, "--exit-with-parent"];
+    let controller = Process::heliostat(&arguments);
+    let playback = player.wait().json();
+    assert_eq!((playback["answered"].as_u64(), playback["same"].as_u64()), (Some(150), Some(150)), "{playback}");
+    controller.end();
+}
+
+#[test]
+fn a_live_recording_replays_once_it_has_settled() {
+    let setting = Setting::new();
+    // When the room has ended, the controller has one command more to give, which answers no report.
+    let account = setting.record(&["--set", "control.when_silent=\"park\""], &["--seconds", "5"], &[]);
+    assert_eq!(account["problems"].as_array().map(Vec::len), Some(0), "{account}");
+    let mut unprompted = 0;
+    let mut reading = Reading::open(File::open(setting.file()).unwrap()).unwrap();
+    while let Some(entry) = reading.entry().unwrap() {
+        unprompted += u64::from(codec::decode::<MirrorCommand>(&entry.data).is_ok_and(|command| command.answers == 0));
+    }
+    assert!(unprompted > 0);
+    let verdict = verified(&setting.file());
+    assert_eq!(verdict["clock"], "live", "{verdict}");
+    assert!(verdict["same"].as_u64() > Some(100) && verdict["different"] == 0, "{verdict}");
+    assert_eq!(verdict["compared"], account["streams"]["heliostat/v1/demo/mirrors/command"]["messages"], "{verdict}");
+
+    // Onto the bus, twice as fast, into a controller that serves two playbacks one after the other.
+    let endpoint = free_loopback_endpoint().unwrap();
+    let arguments = ["controller", "--policy", "fixed-point", "--connect", &endpoint, "--exit-with-parent"];
+    let controller = Process::heliostat(&arguments);
+    for _ in 0..2 {
+        let playback = replay(&setting.file(), &["--listen", &endpoint, "--rate", "2"]).wait().json();
+        let (reports, answered) = (playback["reports"].as_u64().unwrap(), playback["answered"].as_u64().unwrap());
+        assert!(reports > 300 && answered > reports / 2, "{playback}");
+    }
+    controller.end();
+}
+
+#[test]
+fn the_golden_recording_replays() {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
+    let verdict = verified(&golden);
+    assert_eq!((verdict["same"].as_u64(), verdict["not_judged"].as_u64()), (Some(120), Some(0)), "{verdict}");
+}
+
+#[test]
+fn whatever_ends_a_recorder_the_file_can_be_read() {
+    let setting = Setting::new();
+    let room = setting.room(&["--exit-with-parent"]);
+    let controller = setting.controller(&[]);
+    let size = |file: &Path| fs::metadata(file).map_or(0, |metadata| metadata.len());
+
+    // Ctrl-C closes the file.
+    let recorder = setting.recorder(&[]);
+    wait_until("something to be written", || size(&setting.file()) > 300_000);
+    Command::new("kill").args(["-INT", &recorder.id().to_string()]).status().unwrap();
+    let account = recorder.wait().json();
+    assert_eq!(account["failure"], Value::Null, "{account}");
+    assert_eq!(replay(&setting.file(), &["--policy", "flat"]).wait().json()["complete"], true);
+
+    // A killed recorder leaves all but its last second.
+    fs::remove_file(setting.file()).unwrap();
+    let mut recorder = setting.recorder(&[]);
+    wait_until("something to be written", || size(&setting.file()) > 300_000);
+    recorder.kill();
+    let verdict = replay(&setting.file(), &["--policy", "flat"]).wait().json();
+    assert_eq!(verdict["complete"], false, "{verdict}");
+    assert!(verdict["reports"].as_u64() > Some(50), "{verdict}");
+
+    // A file that may grow no further: an error that says how much is lost, and a file in good order.
+    fs::remove_file(setting.file()).unwrap();
+    let limited = Command::new("bash")
+        .args(["-c", "trap '' XFSZ; ulimit -f 300; exec \"$@\"", "bash"])
+        .arg(programs().join("heliostat"))
+        .args(setting.recorder_arguments())
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&limited.stderr);
+    assert_eq!(limited.status.code(), Some(1), "{errors}");
+    assert!(errors.contains("no space is left for the recording: it ends after "), "{errors}");
+    let account: Value = serde_json::from_slice(&limited.stdout).unwrap();
+    assert!(account["failure"].as_str().unwrap().starts_with("no space is left"), "{account}");
+    let reports = replay(&setting.file(), &["--policy", "flat"]).wait().json()["reports"].as_u64();
+    assert!(reports > Some(20), "{reports:?}");
+    controller.end();
+    room.end();
+}
+
+#[test]
+fn gaps_are_counted_by_sequence_number() {
+    let setting = Setting::new();
+    let recorder = Process::heliostat(&[
+        "record",
+        "--listen",
+        &setting.recorder_at,
+        "--exit-with-parent",
+        "--json",
+        "--out",
+        &text(&setting.file()),
+    ]);
+    wait_until("a recorder", || recorder.errors().contains("room demo into"));
+    let tracker = Witness::connect("demo", &[&setting.recorder_at]);
+    let key = tracker.room().users();
+    let say = |sequence| {
+        let stamp = Stamp { source: 7, sequence, time_ns: 1 };
+        let mut payload = Vec::new();
+        codec::encode(&UserReport { stamp, tick: sequence, ..UserReport::default() }, &mut payload).unwrap();
+        tracker.say(&key, &payload);
+    };
+    let size = || fs::metadata(setting.file()).map_or(0, |file| file.len());
+    let say_until_written = |sequence| {
+        let before = size();
+        wait_until("a report on disk", || {
+            say(sequence);
+            size() > before
+        });
+    };
+    say_until_written(1);
+    [2, 3, 7, 8].into_iter().for_each(say);
+    // Once for what was under way before, and once more for itself.
+    say_until_written(10);
+    say_until_written(10);
+    let account = recorder.end().json();
+    let users = &account["streams"][&key];
+    assert_eq!((users["missing"].as_u64(), users["sources"].as_u64()), (Some(4), Some(1)), "{account}");
+    assert!(account["problems"][0].as_str().unwrap().contains("no command was heard"), "{account}");
+    // Nothing was decided, so there is nothing to verify.
+    let ended = replay(&setting.file(), &["--verify"]).wait();
+    assert_eq!(ended.status.code(), Some(2));
+    assert!(ended.errors.contains("cannot be replayed: it holds no command"), "{}", ended.errors);
+}
+
+#[test]
+fn what_cannot_be_recorded_or_replayed_is_told_by_name() {
+    let folder = TempDir::new().unwrap();
+    let taken = folder.path().join("taken.mcap");
+    fs::write(&taken, "something").unwrap();
+    let refused = Process::heliostat(&["record", "--seconds", "1", "--out", &text(&taken)]).wait();
+    assert!(refused.refusal().contains("does not exist yet"), "{}", refused.errors);
+    assert_eq!(fs::read_to_string(&taken).unwrap(), "something");
+
+    let nobody = free_loopback_endpoint().unwrap();
+    let empty = folder.path().join("nobody.mcap");
+    let alone = Process::heliostat(&["record", "--seconds", "1", "--connect", &nobody, "--out", &text(&empty)]).wait();
+    assert!(alone.refusal().contains("nothing was heard"), "{}", alone.errors);
+
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
+    let refused = |name: &str, wanted: &str| {
+        for arguments in [&["--verify"][..], &["--listen", "tcp/127.0.0.1:0"]] {
+            let ended = replay(&folder.path().join(name), arguments).wait();
+            assert_eq!(ended.status.code(), Some(2), "{name}: {}", ended.errors);
+            let wanted = format!("{name} cannot be replayed: {wanted}");
+            assert!(ended.errors.contains(&wanted), "{name} {arguments:?}: {}", ended.errors);
+        }
+    };
+    refused("absent.mcap", "No such file");
+    refused("taken.mcap", "the recording cannot be read: ");
+    let golden_bytes = fs::read(&golden).unwrap();
+    fs::write(folder.path().join("begun.mcap"), &golden_bytes[..20]).unwrap();
+    refused("begun.mcap", "the file holds no recording of a room");
+    fs::write(folder.path().join("cut.mcap"), &golden_bytes[..golden_bytes.len() / 30]).unwrap();
+    refused("cut.mcap", "it holds no position report");
+    let changed = |name: &str, change: fn(&mut heliostat_record::file::Header)| {
+        let mut header = Reading::open(File::open(&golden).unwrap()).unwrap().header().clone();
+        change(&mut header);
+        let file = File::create_new(folder.path().join(name)).unwrap();
+        Recording::create(file, &header).unwrap().finish(&Account::default()).unwrap();
+    };
+    changed("later.mcap", |header| header.contract = "2".into());
+    refused("later.mcap", "the recording speaks version 2 of the contract, this program version 1");
+    changed("empty.mcap", |_| {});
+    refused("empty.mcap", "it holds no position report");
+    changed("edited.mcap", |header| header.scenario = header.scenario.replace("seed = 1", "seed = 2"));
+    let ended = replay(&folder.path().join("edited.mcap"), &["--verify"]).wait();
+    assert_eq!(ended.status.code(), Some(2), "{}", ended.errors);
+    assert!(ended.errors.contains("it was changed after it was made"), "{}", ended.errors);
+}

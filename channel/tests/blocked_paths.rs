@@ -191,15 +191,20 @@ fn a_mirror_gives_nothing_where_its_range_does_not_reach() {
     let (mirrors, whole) = (model.mirrors.len(), scene.steering_gain().to_vec());
     let (roll, yaw) = (-0.1..=0.15, -0.3..=0.05);
     scene.keep_in_reach(&model, &roll, &yaw);
-    let mut reached = 0;
+    let (mut whole_aim, mut at_the_edge) = (0, 0);
     for (pair, (gain, before)) in scene.steering_gain().iter().zip(&whole).enumerate() {
-        let (mirror, user) = (&model.mirrors.positions()[pair % mirrors], &users[pair / mirrors]);
-        let aim = model.mirrors.angles_of(&bisector(mirror, &model.leds[0].position, user).expect("an angle"));
+        let (mirror, user, led) = (pair % mirrors, &users[pair / mirrors], &model.leds[0].position);
+        let towards = bisector(&model.mirrors.positions()[mirror], led, user).expect("an angle");
+        let aim = model.mirrors.angles_of(&towards);
         let within = roll.contains(&aim.0) && yaw.contains(&aim.1);
-        assert_eq!(*gain, if within { *before } else { 0.0 }, "{aim:?}");
-        reached += usize::from(within);
+        let off = (aim.0 - aim.0.clamp(-0.1, 0.15)).hypot(aim.1 - aim.1.clamp(-0.3, 0.05));
+        // A quarter of the side over the distance, twice, is what a mirror may be off: from 0.006 to 0.05 rad in this room.
+        let lit = *gain > 0.0;
+        assert!(lit || *gain == 0.0 && (!within || *before == 0.0), "{aim:?}");
+        assert!(!lit || (*gain == *before && off < 0.06), "{aim:?}");
+        (whole_aim, at_the_edge) = (whole_aim + usize::from(within), at_the_edge + usize::from(lit && !within));
     }
-    assert!(reached > 20 && reached < 280, "{reached} of 300");
+    assert!(whole_aim > 20 && whole_aim < 280 && at_the_edge > 0, "{whole_aim} and {at_the_edge} of 300");
     assert!(scene.leg_visible().iter().all(|visible| *visible), "light may still stray there");
     let paper = Room::paper().with_mode(PAPER).model();
     let mut scene = Scene::new(&paper, 3);

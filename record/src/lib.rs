@@ -4,7 +4,7 @@
 //! Foxglove draws by itself: a scene, and series of rates, times and counts. They are derived; a replay never reads them.
 //!
 //! - [`recorder`]: from the bus into a file, by way of a queue, so that a slow disk never slows the room down.
-//! - [`file`]: the file itself, written in whole chunks and readable up to the last of them wherever it was cut.
+//! - [`mod@file`]: the file itself, written in whole chunks and readable up to the last of them wherever it was cut.
 //! - [`account`]: what came, what is missing by sequence number, what could not be read.
 //! - [`scene`] and [`series`]: what Foxglove shows.
 //! - [`replay`]: from the file into the deciding core of a controller, and whether it decides as it did.

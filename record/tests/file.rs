@@ -177,7 +177,7 @@ fn a_full_disk_is_told_and_leaves_a_whole_file() {
 
 #[test]
 fn what_is_no_recording_is_refused_by_name() {
-    let told = |bytes: &[u8]| read(Cursor::new(bytes.to_vec())).err().expect("no recording").to_string();
+    let told = |bytes: &[u8]| read(Cursor::new(bytes.to_vec())).expect_err("no recording").to_string();
     assert!(told(b"some text that is long enough to be looked at").contains("cannot be read"), "a text file");
     let mut foreign = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
     foreign.finish().unwrap();

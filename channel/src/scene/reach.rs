@@ -28,11 +28,12 @@ impl Scene {
             for (index, gains) in row.chunks_mut(BLOCK).enumerate() {
                 let first = index * BLOCK;
                 let (rolls, yaws) = bisect(&model.mirrors, first, &from, &to);
-                for (lane, gain) in gains.iter_mut().enumerate() {
-                    let near = (cut(rolls[lane], roll), cut(yaws[lane], yaw));
-                    let lit = near == (rolls[lane], yaws[lane])
-                        || Plate::of(&model.mirrors, first + lane, near.0, near.1).path(&led, &position).is_some();
-                    *gain = if lit { *gain } else { 0.0 };
+                let within = |lane: usize| roll.contains(&rolls[lane]) && yaw.contains(&yaws[lane]);
+                for lane in (0..gains.len()).filter(|lane| !within(*lane)) {
+                    let plate = Plate::of(&model.mirrors, first + lane, cut(rolls[lane], roll), cut(yaws[lane], yaw));
+                    if plate.path(&led, &position).is_none() {
+                        gains[lane] = 0.0;
+                    }
                 }
             }
         }

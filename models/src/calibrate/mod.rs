@@ -8,7 +8,7 @@
 //! 3. **Fit** drive = gain * true + offset for each axis over the spots, which is the contract's calibration.
 //!
 //! A mirror whose light is found at no spot keeps gain 1 and offset 0. Corrections are held to what the drives can do beyond the range that
-//! they announce. The simulator plays the room ([`bench`]); nothing here looks at the mounting that it drew, but [`Study`] compares with it.
+//! they announce. The simulator plays the room ([`mod@bench`]); nothing here looks at the mounting that it drew, but [`Study`] compares with it.
 
 pub mod bench;
 pub mod locate;

@@ -125,7 +125,7 @@ fn no_mirror_is_offered_to_a_user_beyond_its_range() {
         if let Some(range_deg) = array {
             let end = range_deg.to_radians() as f32;
             let axis = AxisLimits { min_rad: -end, max_rad: end, ..AxisLimits::default() };
-            controller.set_array(&Capabilities { roll: axis, yaw: axis, ..Capabilities::default() });
+            controller.meet_array(&Capabilities { roll: axis, yaw: axis, ..Capabilities::default() }, Ok(()));
         }
         Room::new(&scenario).tick(&mut controller, 1).command();
         controller.observation().scene.steering_gain().iter().filter(|gain| **gain > 0.0).count()

@@ -152,7 +152,7 @@ impl Lockstep {
         controller.warm_up(2);
         let mut room = SimulatedRoom::new(scenario, seed)?;
         room.advance(start_ns());
-        controller.set_array(&room.capabilities(Stamp::default()));
+        controller.meet_array(&room.capabilities(Stamp::default()), Ok(()));
         let streams = &scenario.streams;
         Ok(Self {
             room,

@@ -225,6 +225,7 @@ pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, 
 }
 
 #[inline(always)]
+#[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
 fn add_points<const N: usize>(
     model: &ChannelModel,
     (panel, points): (&Panel, &[PointLanes<N>]),

@@ -63,8 +63,8 @@ impl Witness {
     /// # Panics
     /// When the bus does not take them.
     pub fn say(&self, key: &str, payload: &[u8]) {
-        // State class: nothing is dropped, so that each payload said is one received.
-        let publisher = self.bus.publisher(key, Class::State).expect("the key is one");
+        // The class that waits rather than being dropped, so that each payload said is one received.
+        let publisher = self.bus.publisher(key, Class::Order).expect("the key is one");
         publisher.put(payload).expect("the bus takes a payload");
     }
 

@@ -31,6 +31,7 @@ pub mod link;
 pub mod los;
 pub mod mirrors;
 pub mod model;
+mod quadrature;
 pub mod receiver;
 pub mod scene;
 pub mod solver;

@@ -7,6 +7,7 @@ use crate::error::{ChannelError, check};
 use crate::link::LinkBudget;
 use crate::los::front_factor;
 use crate::mirrors::MirrorArray;
+use crate::quadrature::{FewPoints, smooth_from_squared};
 use crate::receiver::Receiver;
 use crate::scene::kernel::POINT_LANES;
 
@@ -66,6 +67,10 @@ pub(crate) struct Panel {
     pub points: Vec<Vec3>,
     /// The same points in groups; the last group is filled up with weight 0.
     pub lanes: Vec<PointLanes<POINT_LANES>>,
+    /// Fewer points with the same mean of what is smooth; empty where there are none.
+    pub few_lanes: Vec<PointLanes<POINT_LANES>>,
+    /// Squared distance in m2 from which on the light of a point is smooth enough for them.
+    pub few_from_squared: f64,
     /// Largest distance of a point from the panel's centre in m.
     pub radius: f64,
     /// Largest offset of a point from the panel's centre along x or y in m.
@@ -157,12 +162,16 @@ impl Panel {
                 Mode::Paper { gain_scale, .. } => gain_scale * diffuse::illumination(led, mirrors, index),
             })
             .collect();
+        let half_side = points
+            .iter()
+            .map(|point| point - led.position)
+            .fold(0.0, |most: f64, offset| offset.x.abs().max(offset.y.abs()).max(most));
+        let few = FewPoints::of_grid(led.points_per_side, led.side_m / led.points_per_side as f64);
         Self {
             radius: points.iter().map(|point| (point - led.position).norm()).fold(0.0, f64::max),
-            half_side: points
-                .iter()
-                .map(|point| point - led.position)
-                .fold(0.0, |most, offset| offset.x.abs().max(offset.y.abs()).max(most)),
+            half_side,
+            few_from_squared: smooth_from_squared(half_side, order),
+            few_lanes: few.map_or(Vec::new(), |few| PointLanes::of_few(&few, points.len())),
             centre: led.position,
             front: front / points.len() as f64,
             lanes: points.chunks(POINT_LANES).map(|chunk| PointLanes::new(chunk, &led.position)).collect(),
@@ -177,6 +186,21 @@ impl Panel {
 impl PointLanes<1> {
     /// All of a point LED.
     pub const CENTRE: Self = Self { x: [0.0], y: [0.0], weight: [1.0] };
+}
+
+impl PointLanes<POINT_LANES> {
+    /// Eight points with the weight of all of a panel's.
+    fn of_few(few: &FewPoints, all: usize) -> Vec<Self> {
+        let lanes = |values: &[f64; 8], first: usize| std::array::from_fn(|lane| values[first + lane]);
+        (0..few.x.len())
+            .step_by(POINT_LANES)
+            .map(|first| Self {
+                x: lanes(&few.x, first),
+                y: lanes(&few.y, first),
+                weight: lanes(&few.weight, first).map(|weight: f64| weight * all as f64),
+            })
+            .collect()
+    }
 }
 
 impl<const N: usize> PointLanes<N> {

@@ -9,7 +9,7 @@
 use crate::Vec3;
 use crate::emitter::lambertian;
 use crate::mirrors::{MirrorAngles, MirrorArray};
-use crate::model::{ChannelModel, Panel, PointLanes};
+use crate::model::{ChannelModel, Detector, Panel, PointLanes};
 use crate::specular::Plate;
 use crate::trig::{BLOCK, Lanes, sin_cos};
 
@@ -218,9 +218,9 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
 pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, detector: &Vec3, gains: &mut [f64]) {
     // A point LED has no use for the other lanes.
     if panel.points.len() == 1 {
-        add_points(model, (panel, &[PointLanes::CENTRE]), plate, detector, gains);
+        add_points(model, (panel, &[PointLanes::CENTRE], &[]), plate, detector, gains);
     } else {
-        add_points(model, (panel, &panel.lanes), plate, detector, gains);
+        add_points(model, (panel, &panel.lanes, &panel.few_lanes), plate, detector, gains);
     }
 }
 
@@ -228,7 +228,7 @@ pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, 
 #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
 fn add_points<const N: usize>(
     model: &ChannelModel,
-    (panel, points): (&Panel, &[PointLanes<N>]),
+    (panel, all, few): (&Panel, &[PointLanes<N>], &[PointLanes<N>]),
     plate: &Plate,
     detector: &Vec3,
     gains: &mut [f64],
@@ -259,8 +259,20 @@ fn add_points<const N: usize>(
         & (up.centre.abs() + up.spread(half) <= plate.half_height_m * room);
     let (far_x, far_y) = (towards_panel.x.abs() + half, towards_panel.y.abs() + half);
     let most_squared = far_x * far_x + far_y * far_y + towards_panel.z * towards_panel.z;
+    let facing = |branch: &Detector| {
+        let turned = branch.normal - 2.0 * plate.normal.dot(&branch.normal) * plate.normal;
+        let facing = Linear::new(towards_panel.dot(&turned), &turned);
+        let least = facing.centre - facing.spread(half);
+        let all_seen = (least > 0.0) & (least * least >= branch.fov_cosine * branch.fov_cosine * most_squared);
+        (facing, all_seen)
+    };
+    // Without an edge, of the mirror or of a field of view, the light is a smooth function of the point, and fewer points have its mean.
+    let smooth = all_inside
+        && !few.is_empty()
+        && towards_panel.norm_squared() >= panel.few_from_squared
+        && model.detectors.iter().all(|branch| facing(branch).1);
     let front = model.reflectivity() * panel.front;
-    for lanes in points {
+    for lanes in if smooth { few } else { all } {
         let (mut squared, mut share) = ([0.0; N], lanes.weight);
         for lane in 0..N {
             let (dx, dy) = (towards_panel.x + lanes.x[lane], towards_panel.y + lanes.y[lane]);
@@ -279,16 +291,13 @@ fn add_points<const N: usize>(
         }
         fade(&mut share, &squared, towards_panel.z, panel.order);
         for (gain, branch) in gains.iter_mut().zip(&model.detectors) {
-            let turned = branch.normal - 2.0 * plate.normal.dot(&branch.normal) * plate.normal;
-            let facing = Linear::new(towards_panel.dot(&turned), &turned);
-            let least = branch.fov_cosine * branch.fov_cosine;
-            let least_facing = facing.centre - facing.spread(half);
-            let all_seen = (least_facing > 0.0) & (least_facing * least_facing >= least * most_squared);
+            let (facing, all_seen) = facing(branch);
             let mut detected = [0.0; N];
             for lane in 0..N {
                 detected[lane] = facing.at(lanes.x[lane], lanes.y[lane]);
             }
             if !all_seen {
+                let least = branch.fov_cosine * branch.fov_cosine;
                 for lane in 0..N {
                     let facing = detected[lane];
                     let seen = (facing > 0.0) & (facing * facing >= least * squared[lane]);

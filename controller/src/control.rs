@@ -20,6 +20,7 @@ use crate::{
     desk::Desk,
     intake::lock,
     policy::{self, ActorSource, Policy, PolicyKind},
+    post::warm_up_runs,
 };
 
 /// Orders that wait while a policy is being built; whoever presses faster is refused.
@@ -44,8 +45,6 @@ pub struct Workshop {
     pub model: ChannelModel,
     /// A policy whose actor is not the built-in one, and where that comes from; those of all others are.
     pub own: (PolicyKind, ActorSource),
-    /// Decisions on an invented room before a policy decides in earnest.
-    pub warm_up_runs: usize,
 }
 
 /// Listens in the room of a session on behalf of a desk, until the subscription is dropped.
@@ -76,7 +75,7 @@ impl Workshop {
         let (own, source) = &self.own;
         let source = if kind == *own { source } else { &ActorSource::Shipped };
         let mut policy = policy::build(kind, &self.scenario, source).map_err(|error| error.to_string())?;
-        warm_up(&mut [policy.as_mut()], &self.model, self.scenario.users.count, self.warm_up_runs);
+        warm_up(&mut [policy.as_mut()], &self.model, self.scenario.users.count, warm_up_runs());
         Ok(policy)
     }
 }
@@ -122,7 +121,7 @@ mod tests {
 
     fn workshop(scenario: Scenario) -> Workshop {
         let model = scenario.channel_model().expect("a built-in scenario");
-        Workshop { scenario, model, own: (PolicyKind::Ddpg, ActorSource::Shipped), warm_up_runs: 1 }
+        Workshop { scenario, model, own: (PolicyKind::Ddpg, ActorSource::Shipped) }
     }
 
     #[test]

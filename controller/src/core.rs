@@ -229,9 +229,9 @@ impl Controller {
         self.inbox.count_malformed(stream, refusal);
     }
 
-    /// Lets policy and fallback decide for an invented room, `runs` times, so that the first real decision finds buffers sized
-    /// and caches warm. Only what a policy remembers is left behind.
-    pub fn warm_up(&mut self, runs: usize) {
+    /// Lets policy and fallback decide for an invented room, once for each item of `runs`, so that the first real decision finds buffers
+    /// sized and caches warm. Only what a policy remembers is left behind.
+    pub fn warm_up(&mut self, runs: impl Iterator) {
         let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];
         if let Some(fallback) = self.fallback.as_mut() {
             policies.push(fallback.as_mut());
@@ -395,8 +395,8 @@ impl Controller {
     }
 }
 
-/// Lets policies decide for an invented room of so many users, `runs` times.
-pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: usize, runs: usize) {
+/// Lets policies decide for an invented room of so many users, once for each item of `runs`.
+pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: usize, runs: impl Iterator) {
     let positions: Vec<Vec3> = (0..users).map(|user| invented_position(user, users)).collect();
     let state = RoomState {
         tick: 0,
@@ -409,7 +409,7 @@ pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: us
     };
     let mut observation = Observation::new(model, users);
     let mut proposed = observation.angles.clone();
-    for _ in 0..runs {
+    for _ in runs {
         observation.set_state(model, &state);
         for policy in policies.iter_mut() {
             // A failure shows, and is counted, when it matters.

@@ -34,6 +34,15 @@ const CAPABILITIES_WITHIN: Duration = Duration::from_millis(300);
 /// A desk that is held longer than this is not answering: no decision takes so long.
 const ANSWER_WITHIN: Duration = Duration::from_millis(100);
 
+/// A policy so slow that its warm-up would take longer than this decides cold.
+const WARM_UP_MOST: Duration = Duration::from_secs(2);
+
+/// As many items as a warm-up that begins now has runs.
+pub fn warm_up_runs() -> impl Iterator {
+    let started = Instant::now();
+    (0..WARM_UP_RUNS).take_while(move |_| started.elapsed() < WARM_UP_MOST)
+}
+
 /// A room that is being served.
 pub struct Post {
     room: Room,
@@ -67,7 +76,7 @@ impl Post {
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
         let mut controller = Controller::new(scenario, model.clone(), policy, epoch);
-        controller.warm_up(WARM_UP_RUNS);
+        controller.warm_up(warm_up_runs());
         let room = bus.room().clone();
         tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
 
@@ -85,8 +94,7 @@ impl Post {
         let thread = thread.transpose().context("cannot start a room's thread")?;
         let mut subscriptions = subscribe(bus, deciding.place, &desk, &intake)?;
         subscriptions.extend(learn_of_array(bus, &desk, examiner)?);
-        let workshop =
-            Workshop { scenario: scenario.clone(), model, own: (config.policy, actor), warm_up_runs: WARM_UP_RUNS };
+        let workshop = Workshop { scenario: scenario.clone(), model, own: (config.policy, actor) };
         subscriptions.push(control::listen(bus, &desk, workshop)?);
         let source = RandomState::new().build_hasher().finish();
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;

@@ -154,7 +154,7 @@ impl<'a> Player<'a> {
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = policy::build(kind, scenario, &source)?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
-        controller.warm_up(WARM_UP_RUNS);
+        controller.warm_up(0..WARM_UP_RUNS);
         if let Some(array) = &self.array {
             controller.meet_array(array, self.examiner.examine(array));
         }

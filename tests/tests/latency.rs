@@ -8,7 +8,7 @@ use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_controller::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_models::onnx::{Ends, Graph};
-use heliostat_proto::{MirrorCommand, NodeKind, Room, UserReport, codec};
+use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;
 use heliostat_tests::{Process, Witness, wait_until};
 use serde_json::Value;
@@ -262,15 +262,13 @@ fn when_the_room_falls_silent_the_last_good_is_repeated_if_so_configured() {
     assert!(summary["commands"].as_u64() > summary["decisions"].as_u64(), "{summary}");
 }
 
-/// An actor that fits the default room and answers with what is no number: the logarithm of the current angles less 100.
-fn nonsense() -> Vec<u8> {
+/// An actor that fits the default room; `layers` lead from the current angles, of shape (1, 2 M), to its answer, whose node comes last.
+fn actor(layers: impl FnOnce(&mut Graph, &str, usize)) -> Vec<u8> {
     let scenario = Scenario::builtin("specular").unwrap();
     let encoder = ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count());
     let mut graph = Graph::default();
     let angles = graph.slice(INPUT_NAME, 1, encoder.angles());
-    let far = graph.scalar(-100.0);
-    let below = graph.node("Add", &[&angles, &far]);
-    graph.node("Log", &[&below]);
+    layers(&mut graph, &angles, encoder.angles().len());
     let metadata = [
         (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
         (key::USERS_MAX, USERS_CAPACITY.to_string()),
@@ -279,14 +277,37 @@ fn nonsense() -> Vec<u8> {
         (key::GEOMETRY, scenario.geometry_hash()),
     ];
     let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, encoder.angles().len()));
-    graph.finish(&Ends { name: "nonsense", input, output }, &metadata.map(|(key, value)| (key.to_owned(), value)))
+    graph.finish(&Ends { name: "test", input, output }, &metadata.map(|(key, value)| (key.to_owned(), value)))
+}
+
+/// Answers with what is no number: the logarithm of the current angles less 100.
+fn nonsense(graph: &mut Graph, angles: &str, _: usize) {
+    let far = graph.scalar(-100.0);
+    let below = graph.node("Add", &[angles, &far]);
+    graph.node("Log", &[&below]);
+}
+
+/// Answers after some tenths of a second, with small angles: a few products of large matrices that depend on the input.
+fn ponderous(graph: &mut Graph, angles: &str, outputs: usize) {
+    const SIZE: usize = 1000;
+    let column = graph.constant("column", &[SIZE, 1], &vec![0.01; SIZE]);
+    let row = graph.constant("row", &[outputs, SIZE], &vec![0.01; outputs * SIZE]);
+    let spread = graph.node("MatMul", &[angles, &row]);
+    let mut matrix = graph.node("MatMul", &[&column, &spread]);
+    for _ in 0..8 {
+        let product = graph.node("MatMul", &[&matrix, &matrix]);
+        matrix = graph.node("Tanh", &[&product]);
+    }
+    let first = graph.slice(&matrix, 0, 0..1);
+    let few = graph.slice(&first, 1, 0..outputs);
+    graph.node("Tanh", &[&few]);
 }
 
 #[test]
 fn an_actor_that_gives_no_numbers_is_answered_as_configured() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("nonsense.onnx");
-    std::fs::write(&file, nonsense()).unwrap();
+    std::fs::write(&file, actor(nonsense)).unwrap();
     for (answer, cause, moves) in [("fixed-point", "policy-failed", true), ("hold", "held", false)] {
         let set = format!("control.fallback={answer}");
         let pair = Pair::start(&[], &["--set", &set, "--model", file.to_str().unwrap()]);
@@ -330,4 +351,20 @@ fn a_policy_that_is_too_slow_is_late_and_what_piles_up_is_shed() {
     let (waited, infer) = (number(&controller, "/stages_us/wait/max"), number(&controller, "/stages_us/infer/max"));
     show("wait", &controller["stages_us"]["wait"]);
     assert!(waited < 5.0 * infer, "{controller}");
+}
+
+#[test]
+fn a_policy_that_does_not_answer_is_seen_and_the_array_parks_meanwhile() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ponderous.onnx");
+    std::fs::write(&file, actor(ponderous)).unwrap();
+    let pair = Pair::start(&[], &["--model", file.to_str().unwrap(), "--decide-in", "thread"]);
+    let witness = pair.witness();
+    wait_until("looks in vain", || witness.counter(NodeKind::Controller, "unanswered") > 0);
+    let problem = witness.status(NodeKind::Controller).unwrap().last_problem;
+    assert!(problem.contains("no answer"), "{problem}");
+    // What it once commanded has long expired, and nothing came in its place.
+    wait_until("parked mirrors", || witness.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Parked));
+    wait_until("shed reports", || witness.counter(NodeKind::Controller, "shed") > 0);
+    pair.end();
 }

@@ -187,7 +187,7 @@ fn the_core_is_deterministic() {
             let scenario = scenario(&["control.slew_deg_per_s=2000"]);
             let actor = ActorSource::Bytes(ActorRecipe::fitting(&scenario).file());
             let mut controller = controller(&scenario, build(kind, &scenario, &actor).unwrap());
-            controller.warm_up(3);
+            controller.warm_up(0..3);
             let mut room = Room::new(&scenario);
             let (mut all, mut payload) = (Vec::new(), Vec::new());
             for tick in 1..=200 {

@@ -149,7 +149,7 @@ pub(super) struct Lockstep {
 
 impl Lockstep {
     pub fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
-        controller.warm_up(2);
+        controller.warm_up(0..2);
         let mut room = SimulatedRoom::new(scenario, seed)?;
         room.advance(start_ns());
         controller.meet_array(&room.capabilities(Stamp::default()), Ok(()));

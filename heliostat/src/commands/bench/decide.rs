@@ -192,7 +192,7 @@ impl Decider {
     fn new(scenario: &Scenario, kind: PolicyKind, keep_warm_us: u64) -> Result<Self> {
         let policy = build(kind, scenario, &ActorSource::Shipped)?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
-        controller.warm_up(WARM_UP);
+        controller.warm_up(0..WARM_UP);
         let mut decider = Self {
             controller,
             people: People::default(),

@@ -25,6 +25,8 @@ const PAIR_ROUNDS_MAX: usize = 3;
 const REFINED: std::ops::RangeInclusive<usize> = 4..=16;
 /// Users times mirrors times refined assignments.
 const REFINED_WORK: usize = 2000;
+/// Mirrors given out at once.
+const OWNED_AT_ONCE: usize = 8;
 
 /// Workspace of the searches.
 #[derive(Clone, Debug)]
@@ -43,9 +45,10 @@ pub(super) struct Search {
     weights: Vec<f64>,
     trial_weights: Vec<f64>,
     amplitude: Vec<f64>,
-    /// Largest weight times gain of each mirror, and whose it is, as f64 so that both fit one SIMD register width.
-    strongest: Vec<f64>,
-    strongest_user: Vec<f64>,
+    /// Weights of the present step, zero for those who are not allowed.
+    effective: Vec<f64>,
+    /// To whom each mirror is worth most, as f64 so that it is as wide in a SIMD register as a gain.
+    owners: Vec<f64>,
     inverse_invitation: Vec<f64>,
     scratch: Scratch,
 }
@@ -65,8 +68,8 @@ impl Search {
             weights: vec![0.0; users],
             trial_weights: vec![0.0; users],
             amplitude: vec![0.0; users],
-            strongest: vec![0.0; mirrors],
-            strongest_user: vec![0.0; mirrors],
+            effective: vec![0.0; users],
+            owners: vec![0.0; mirrors],
             inverse_invitation: vec![0.0; users],
             scratch: Scratch::new(mirrors),
         }
@@ -260,32 +263,28 @@ impl Search {
     fn adopt(&mut self, nats: f64) {
         self.trial.nats = nats;
         self.trial_weights.copy_from_slice(&self.weights);
-        for (served, &user) in self.trial.served.iter_mut().zip(&self.strongest_user) {
+        for (served, &user) in self.trial.served.iter_mut().zip(&self.owners) {
             *served = user as usize;
         }
     }
 
     /// Gives each mirror to the allowed user with the largest weight times gain, and sums the amplitudes.
     ///
-    /// Selections instead of branches over contiguous f64: the compiler makes SIMD of both passes.
+    /// Selections instead of branches, and a few mirrors at a time: the compiler keeps them in SIMD registers through all users.
     fn assign(&mut self, table: &Table) {
-        self.strongest.fill(0.0);
-        self.strongest_user.fill(0.0);
-        for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
-            let weight = if self.allowed[k] { self.weights[k] } else { 0.0 };
-            if weight <= 0.0 {
-                continue;
-            }
-            let user = k as f64;
-            for ((&gain, strongest), owner) in line.iter().zip(&mut self.strongest).zip(&mut self.strongest_user) {
-                let worth = weight * gain;
-                let better = worth > *strongest;
-                *strongest = if better { worth } else { *strongest };
-                *owner = if better { user } else { *owner };
-            }
+        for (weight, (&wanted, &allowed)) in self.effective.iter_mut().zip(self.weights.iter().zip(&self.allowed)) {
+            *weight = if allowed { wanted } else { 0.0 };
+        }
+        let (blocks, rest) = self.owners.as_chunks_mut::<OWNED_AT_ONCE>();
+        let done = blocks.len() * OWNED_AT_ONCE;
+        for (block, owners) in blocks.iter_mut().enumerate() {
+            *owners = strongest(&self.effective, table, block * OWNED_AT_ONCE);
+        }
+        for (index, owner) in rest.iter_mut().enumerate() {
+            [*owner] = strongest(&self.effective, table, done + index);
         }
         for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
-            self.amplitude[k] = table.floor[k] + owned_sum(line, &self.strongest_user, k as f64);
+            self.amplitude[k] = table.floor[k] + owned_sum(line, &self.owners, k as f64);
         }
     }
 
@@ -419,6 +418,23 @@ impl Search {
             self.shortlist[place].copy_from(&self.trial);
         }
     }
+}
+
+/// The user with the largest weight times gain of each of `N` mirrors from an index on; the first one where nobody has any.
+#[inline(always)]
+fn strongest<const N: usize>(weights: &[f64], table: &Table, first: usize) -> [f64; N] {
+    let (mut most, mut owners) = ([0.0; N], [0.0; N]);
+    for (k, &weight) in weights.iter().enumerate() {
+        let start = k * table.mirrors + first;
+        let Some(gains) = table.by_user[start..].first_chunk::<N>() else { break };
+        for lane in 0..N {
+            let worth = weight * gains[lane];
+            let better = worth > most[lane];
+            most[lane] = if better { worth } else { most[lane] };
+            owners[lane] = if better { k as f64 } else { owners[lane] };
+        }
+    }
+    owners
 }
 
 /// Sum of the gains of the mirrors that a user owns, in four independent sums so that additions overlap.

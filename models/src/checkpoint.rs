@@ -31,10 +31,17 @@ pub struct Store {
 /// Writes a run's state to a file.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// A file that cannot be written; numbers that are none, and then the file stays as it was.
 pub fn save(learner: &dyn Learner, path: &Path) -> anyhow::Result<()> {
     let mut store = Store::default();
     learner.save(&mut store)?;
+    if let Some(name) = store.not_finite()? {
+        bail!(
+            "after {} episodes {name} holds values that are not finite: the training has diverged, and nothing is written; try lower \
+             learning rates or a smaller reward.lambda",
+            learner.episodes_done()
+        );
+    }
     store.put("version", &VERSION)?;
     store.put("settings", &learner.settings())?;
     store.put("scenario", &learner.scenario().hash())?;
@@ -68,6 +75,18 @@ pub fn load(learner: &mut dyn Learner, path: &Path) -> anyhow::Result<()> {
 }
 
 impl Store {
+    /// The name of a tensor that holds a value which is not finite, where one does.
+    fn not_finite(&self) -> anyhow::Result<Option<&str>> {
+        for (name, tensor) in &self.tensors {
+            if tensor.dtype().is_float()
+                && !tensor.flatten_all()?.to_vec1::<f32>()?.iter().all(|value| value.is_finite())
+            {
+                return Ok(Some(name));
+            }
+        }
+        Ok(None)
+    }
+
     /// Keeps a value as JSON.
     ///
     /// # Errors

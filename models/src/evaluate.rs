@@ -44,12 +44,18 @@ pub(crate) fn best_angles(
     angles
 }
 
-/// A mean with half the width of its 95 % interval (normal approximation).
+/// Two-sided 95 % quantiles of Student's t distribution for 1 to 30 degrees of freedom.
+const T_95: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120,
+    2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+];
+
+/// A mean with half the width of its 95 % interval by Student's t.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Estimate {
     /// The mean.
     pub mean: f64,
-    /// 1.96 standard errors.
+    /// The quantile of Student's t times the standard error; NaN for a single value.
     pub ci95: f64,
 }
 
@@ -58,8 +64,9 @@ impl Estimate {
     pub fn of(values: &[f64]) -> Self {
         let count = values.len() as f64;
         let mean = values.iter().sum::<f64>() / count;
-        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-        Self { mean, ci95: 1.96 * (variance / count).sqrt() }
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
+        let quantile = values.len().checked_sub(2).and_then(|index| T_95.get(index)).copied().unwrap_or(1.96);
+        Self { mean, ci95: quantile * (variance / count).sqrt() }
     }
 }
 

@@ -95,10 +95,54 @@ pub struct RunSettings {
     pub seed: u64,
 }
 
+/// Numbers that mean the same in every algorithm: where they stand in the settings, the least and the most, and both in words.
+const DOMAINS: [(&str, f64, f64, &str); 20] = [
+    ("/episodes", 1.0, 1e9, "at least 1"),
+    ("/steps", 1.0, 1e6, "1 to 1e6"),
+    ("/step_s", f64::MIN_POSITIVE, 1e6, "above 0"),
+    ("/batch", 1.0, 1e6, "1 to 1e6"),
+    ("/replay", 1.0, 1e8, "1 to 1e8"),
+    ("/warm_up", 0.0, 1e8, "0 to 1e8"),
+    ("/steps_per_update", 1.0, 1e6, "1 to 1e6"),
+    ("/rounds", 1.0, 16.0, "1 to 16"),
+    ("/cells", 1.0, 1000.0, "1 to 1000"),
+    ("/gamma", 0.0, 1.0 - f64::EPSILON, "0 to 1, without 1"),
+    ("/tau", f64::MIN_POSITIVE, 1.0, "above 0 and at most 1"),
+    ("/alpha", f64::MIN_POSITIVE, 1.0, "above 0 and at most 1"),
+    ("/rate", f64::MIN_POSITIVE, 1.0, "above 0 and at most 1"),
+    ("/actor_rate", f64::MIN_POSITIVE, 1.0, "above 0 and at most 1"),
+    ("/critic_rate", f64::MIN_POSITIVE, 1.0, "above 0 and at most 1"),
+    ("/rate_end", f64::MIN_POSITIVE, 1.0, "above 0 and at most 1"),
+    ("/exploration/start", f64::MIN_POSITIVE, 10.0, "above 0 and at most 10"),
+    ("/exploration/end", f64::MIN_POSITIVE, 10.0, "above 0 and at most 10"),
+    ("/reward/lambda", 0.0, 1e6, "0 to 1e6"),
+    ("/reward/margin", f64::MIN_POSITIVE, 1e3, "above 0"),
+];
+
+/// Refuses numbers outside their domain, and a replay buffer in which learning would never begin.
+fn check(tree: &serde_json::Value) -> anyhow::Result<()> {
+    let number = |pointer: &str| tree.pointer(pointer).and_then(serde_json::Value::as_f64);
+    for (pointer, least, most, wanted) in DOMAINS {
+        if let Some(value) = number(pointer).filter(|value| !(least..=most).contains(value)) {
+            bail!("{} = {value}: wanted {wanted}", pointer[1..].replace('/', "."));
+        }
+    }
+    for needed in ["warm_up", "batch"] {
+        if let (Some(kept), Some(wanted)) = (number("/replay"), number(&format!("/{needed}")))
+            && kept < wanted
+        {
+            bail!(
+                "replay = {kept} holds fewer transitions than {needed} = {wanted}, so that learning would never begin"
+            );
+        }
+    }
+    Ok(())
+}
+
 /// The same numbers with changes of the form `key=value`; a dot leads into a group, as in `exploration.start=0.2`.
 ///
 /// # Errors
-/// A message that names the change when there is no such key or the value does not fit.
+/// A message that names the change when there is no such key or the value does not fit, or the number that is outside its domain.
 pub fn with_options<S: Serialize + DeserializeOwned>(settings: S, options: &[String]) -> anyhow::Result<S> {
     let mut tree = serde_json::to_value(&settings)?;
     for option in options {
@@ -110,5 +154,6 @@ pub fn with_options<S: Serialize + DeserializeOwned>(settings: S, options: &[Str
         *place = serde_json::from_str(value).unwrap_or_else(|_| value.into());
         serde_json::from_value::<S>(tree.clone()).with_context(|| format!("--option {option}"))?;
     }
+    check(&tree)?;
     Ok(serde_json::from_value(tree)?)
 }

@@ -44,9 +44,9 @@ pub struct TrainArgs {
     /// Go on from the checkpoint in the folder
     #[arg(long)]
     resume: bool,
-    /// Episodes between two checkpoints, and between two evaluations
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..))]
-    every: u32,
+    /// Episodes between two checkpoints, and between two evaluations; a tenth of all, and at most 100, where it is not given
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    every: Option<u32>,
     /// Held-out states for each row of the final scores
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     states: u32,
@@ -119,6 +119,7 @@ impl TrainArgs {
 
 fn learn(learner: &mut dyn Learner, args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<()> {
     let episodes = learner.run().episodes;
+    let every = args.every.map_or((episodes / 10).clamp(1, 100), |every| every as usize);
     let mut curve = Curve::open(&args.out.join("curve.csv"), learner.episodes_done())?;
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(episodes as u64) };
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes, {eta} left  {msg}")?);
@@ -127,7 +128,7 @@ fn learn(learner: &mut dyn Learner, args: &TrainArgs, checkpoint: &Path) -> anyh
     let mut watched = watched(learner.scenario())?;
     while learner.episodes_done() < episodes {
         let episode = learner.run_episode()?;
-        let due = episode.number % args.every as usize == 0 || episode.number == episodes;
+        let due = episode.number % every == 0 || episode.number == episodes;
         let score = if due { Some(watched.score(learner)?) } else { None };
         curve.add(&episode, score.as_ref())?;
         bar.inc(1);

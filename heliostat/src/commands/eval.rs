@@ -3,6 +3,7 @@
 mod output;
 mod sweep;
 
+use std::fs::File;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
@@ -73,6 +74,12 @@ impl Args {
         scenario.overrides.extend(change);
         let scenario = scenario.load()?;
         let actor = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        ensure!(
+            self.model.is_none()
+                || self.policies.is_empty()
+                || self.policies.iter().any(|name| name == "ddpg" || name == "actor"),
+            "--model is the actor of ddpg, which --policies does not name; name a file itself there: --policies greedy,FILE.onnx"
+        );
         let mut entrants = Vec::new();
         for (index, name) in self.policies.iter().enumerate() {
             ensure!(!self.policies[..index].contains(name), "--policies names {name} twice");
@@ -107,6 +114,11 @@ pub fn run(args: Args) -> Result<()> {
         // A value that makes no room is told before any work is done.
         Some(sweep) => sweep.overrides().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
     };
+    if let Some(file) = &args.csv {
+        // What cannot be written is told before the work, and what is there stays until it is done.
+        let opened = File::options().create(true).append(true).open(file);
+        opened.with_context(|| format!("cannot write {}: wanted a file in a folder that exists", file.display()))?;
+    }
     let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
     if let Some(file) = &args.csv {
         output::write_csv(file, sweep, &reports).with_context(|| format!("cannot write {}", file.display()))?;

@@ -15,7 +15,7 @@ use crate::evaluate::Estimate;
 pub struct Spread {
     /// The mean.
     pub mean: f64,
-    /// Half the width of the mean's 95 % interval (normal approximation); NaN for a single group.
+    /// Half the width of the mean's 95 % interval by Student's t; NaN for a single group.
     pub ci95: f64,
     /// The 5th percentile over states.
     pub p5: f64,
@@ -158,8 +158,8 @@ mod tests {
         let (alone, together) = (of(&alone), of(&together));
         assert_eq!((alone.mean, together.mean, alone.p5), (2.5, 2.5, together.p5));
         // Standard errors: sqrt(5/3) / 2 of four values, sqrt(2) / sqrt(2) of two means.
-        assert!((alone.ci95 - 1.96 * (5.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-12);
-        assert!((together.ci95 - 1.96).abs() < 1e-12);
+        assert!((alone.ci95 - 3.182 * (5.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-12);
+        assert!((together.ci95 - 12.706).abs() < 1e-12);
         let gap = of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
         assert_eq!(gap.mean, 3.0);
         assert!(of(&[vec![f64::NAN]]).mean.is_nan() && of(&[vec![1.0, 2.0]]).ci95.is_nan());
@@ -173,6 +173,6 @@ mod tests {
         assert_eq!((one.mean, one.ci95), (same.mean, same.ci95));
         // Over runs: a standard error of sqrt(2) / sqrt(2).
         assert_eq!(apart.mean, 2.5);
-        assert!((apart.ci95 - one.ci95.hypot(1.96)).abs() < 1e-12 && apart.p5 < one.p5);
+        assert!((apart.ci95 - one.ci95.hypot(12.706)).abs() < 1e-12 && apart.p5 < one.p5);
     }
 }

@@ -63,10 +63,11 @@ impl Board {
         inner.waiting.iter_mut().for_each(|due| *due = None);
     }
 
-    /// What was measured, and how many reports were never answered.
-    pub fn take(&self) -> (Times, u64) {
+    /// What was measured, and how many reports were never answered; each of those is among the times with `lost_after`.
+    pub fn take(&self, lost_after: Duration) -> (Times, u64) {
         let mut inner = self.lock();
         let lost = inner.waiting.iter().flatten().count() as u64;
+        (0..lost).for_each(|_| inner.times.record(lost_after));
         (std::mem::replace(&mut inner.times, Times::new()), lost)
     }
 
@@ -88,8 +89,9 @@ mod tests {
             board.answered(tick, due + Duration::from_micros(tick));
         }
         assert!(board.wait(3, Duration::ZERO) && !board.wait(2, Duration::ZERO));
-        let (times, lost) = board.take();
-        assert_eq!((times.count(), lost), (2, 2));
+        let (times, lost) = board.take(Duration::from_millis(500));
+        assert_eq!((times.count(), lost), (4, 2));
+        assert_eq!(times.over(Duration::from_millis(400)), 2, "who was never answered waited long");
     }
 
     #[test]
@@ -98,7 +100,7 @@ mod tests {
         board.sent(1, Instant::now());
         board.begin();
         board.answered(1, Instant::now());
-        let (times, lost) = board.take();
+        let (times, lost) = board.take(Duration::from_millis(500));
         assert_eq!((times.count(), lost), (0, 0));
     }
 }

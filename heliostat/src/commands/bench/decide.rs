@@ -252,14 +252,20 @@ impl Party for Decider {
     }
 }
 
-/// The inference engine alone, on the actor that fits the room.
+/// The inference engine alone, on the actor that fits the room; on that of the default room where none does.
 struct Engine {
     actor: Actor,
 }
 
 impl Engine {
     fn new(scenario: &Scenario) -> Result<Self> {
-        let mut actor = Actor::load(&ActorSource::Shipped.fetch(PolicyKind::Ddpg, scenario)?, scenario)?;
+        let fetch = |room: &Scenario| ActorSource::Shipped.fetch(PolicyKind::Ddpg, room);
+        let default = Scenario::default();
+        let (file, room) = match fetch(scenario) {
+            Ok(file) => (file, scenario),
+            Err(_) => (fetch(&default)?, &default),
+        };
+        let mut actor = Actor::load(&file, room)?;
         for _ in 0..WARM_UP {
             actor.run_engine_alone()?;
         }

@@ -5,7 +5,7 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 
 /// One party acts for so long before the other does: far longer than a decision, far shorter than a drift of the machine.
 const BLOCK: Duration = Duration::from_millis(500);
@@ -38,6 +38,7 @@ impl PaceArgs {
         let plan = |hz: &f64| {
             ensure!(*hz == 0.0 || (0.1..=10_000.0).contains(hz), "--hz {hz}: wanted 0 (no pauses), or 0.1 to 10000");
             let amount = match self.decisions {
+                Some(0) => bail!("--decisions 0: wanted at least 1"),
                 Some(decisions) => Amount::Decisions(decisions),
                 None => Amount::Time(Duration::from_secs_f64(self.seconds)),
             };
@@ -83,7 +84,7 @@ pub struct Block {
 }
 
 impl Plan {
-    /// Lets the two take turns, block by block, until there is enough.
+    /// Lets the two take turns, block by block, until there is enough, and each has had one.
     pub fn take_turns(&self, mut act: impl FnMut(Turn, Block) -> Result<u64>) -> Result<()> {
         let (start, mut decisions) = (Instant::now(), 0);
         for turn in 0.. {
@@ -94,7 +95,7 @@ impl Plan {
                     Amount::Decisions(wanted) => decisions >= wanted,
                     Amount::Time(time) => start.elapsed() >= time,
                 };
-                if enough {
+                if enough && decisions > 0 {
                     break;
                 }
             } else {
@@ -117,6 +118,18 @@ impl Plan {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn however_short_the_time_something_is_measured() {
+        let plan = Plan { hz: Some(100.0), amount: Amount::Time(Duration::ZERO) };
+        let mut measured = 0;
+        plan.take_turns(|turn, block| {
+            measured += if turn == Turn::Measured { block.reports } else { 0 };
+            Ok(block.reports)
+        })
+        .unwrap();
+        assert!(measured > 0);
+    }
 
     #[test]
     fn the_two_take_turns_until_there_is_enough() {

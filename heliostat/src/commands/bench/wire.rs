@@ -25,7 +25,7 @@ use crate::commands::demo::child::Part;
 const MEET_WITHIN: Duration = Duration::from_secs(20);
 /// How long a process may take to end.
 const END_WITHIN: Duration = Duration::from_secs(10);
-/// A report that is not answered for this long is lost.
+/// A report that is not answered for this long is lost, and counts with this time.
 const LOST_AFTER: Duration = Duration::from_millis(500);
 /// Answers a room gives before the first that counts.
 const WARM_UP: u64 = 100;
@@ -113,8 +113,8 @@ impl Args {
             rooms,
             policy: summary.policy,
         };
-        let (took, lost) = measured.board.take();
-        let (compared, _) = reference.board.take();
+        let (took, lost) = measured.board.take(LOST_AFTER);
+        let (compared, _) = reference.board.take(LOST_AFTER);
         ensure!(took.count() > 0 && compared.count() > 0, "no report was answered");
         let row = Row::new(varied, (took.distribution(), took.over(BUDGET), took.count()), &compared);
         Ok(row.by_stage(summary.over_budget_by, &summary.stages_us).across_processes(lost, summary.decision_us))
@@ -133,6 +133,7 @@ impl Args {
         for text in &self.scenario.overrides {
             arguments.extend(["--set".into(), text.clone()]);
         }
+        arguments.extend(self.scenario.seed.map(|seed| format!("--seed={seed}")));
         arguments.extend(self.controller.iter().cloned());
         Ok(arguments)
     }

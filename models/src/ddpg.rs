@@ -7,8 +7,10 @@
 //!    observation vector but no feature, since without actuator dynamics the best angles do not depend on them.
 //! 3. **Reward.** The printed penalty falls on users whose need is met. The shortfall is punished instead; `reward` has the printed
 //!    form. The reward is divided by the bandwidth, so that values are of order one.
-//! 4. **Exploration.** Additive noise, as Algorithm 1 says; the text says epsilon-greedy, which `exploration` has too.
-//! 5. **Episodes.** Steps an episode are not given in the paper: 40, of one second each. Every episode has a new room.
+//! 4. **Exploration.** Additive noise, as Algorithm 1 says, of a deviation that falls from 0.4 to 0.05; the text says epsilon-greedy, which
+//!    `exploration` has too.
+//! 5. **Episodes.** Steps an episode are not given in the paper: 40, of one second each. Every episode has a new room, of another number of users,
+//!    blockage, noise and needs (`rooms=fixed` has the scenario's). The first update waits for 500 transitions.
 //! 6. **Several users.** Slots for 1 to 10 users with a mask, so that one actor serves any of these numbers.
 //!
 //! Preset `paper` departs in nothing else: plain 128/64 and 256/128 networks, gamma 0.9, tau 0.01, batch 32, replay 10000, rates 1e-3

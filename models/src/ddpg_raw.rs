@@ -10,6 +10,8 @@
 //! 3. **Gains of the state.** The gain of the direct path, as ln(1 + amplitude); the gain over the mirrors follows from positions and current
 //!    angles, which are both there.
 //! 4. **Slots.** The state has places for ten users; a room's users take the first ones.
+//! 5. **Exploration.** Additive noise, as Algorithm 1 says, where the text says epsilon-greedy from 0.995 to 1e-4; its deviation, which the paper does not
+//!    give, falls from 0.4 to 0.05 of the range. The first update waits for 500 transitions.
 //!
 //! Nearly all outputs end at their bounds, and the result is below that of mirrors that nobody turns. This is what the paper describes, and it
 //! is here to be seen, not to be used; [`crate::ddpg_basis`] and [`crate::ddpg`] say what helps.

@@ -28,7 +28,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         report.seed
     )?;
     outln!(
-        "{:<22} {:>7} {:>15} {:>15} {:>7} {:>7} {:>7} {:>9} {:>9} {:>9} {:>9}",
+        "{:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
         "",
         "trained",
         "Mb/s",
@@ -45,21 +45,21 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         let (rate, ratio) = (row.sum_rate_mbps, row.ratio_to_oracle);
         let time = |time: Option<f64>| time.map_or("-".into(), |time| format!("{time:.0}"));
         outln!(
-            "{name:<22} {:>7} {:>15} {:>15} {:>7} {:>7} {:>7} {:>9} {:>9.2e} {:>9} {:>9}",
+            "{name:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
             row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()),
             interval(rate, 1),
             interval(ratio, 3),
             number(ratio.p5, 3),
-            number(row.qos_met.mean, 3),
-            number(row.jain.mean, 3),
-            number(row.blocked_rate_mbps.mean, 2),
-            row.ber.mean,
+            interval(row.qos_met, 3),
+            interval(row.jain, 3),
+            interval(row.blocked_rate_mbps, 2),
+            format!("{:.2e} ±{:.1e}", row.ber.mean, row.ber.ci95),
             time(row.decision_us.map(|times| times.p50)),
             time(row.decision_us.map(|times| times.p99)),
         )?;
     }
     outln!("trained: training seeds behind a learned policy's figures; their spread is part of the interval")?;
-    outln!("ratio: to the sum rate of the oracle with minimum rates, with its 95 % interval and 5th percentile")?;
+    outln!("±: half the width of the mean's 95 % interval; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile")?;
     outln!("blocked: mean rate of a user without a direct path, in Mb/s")?;
     if report.mode == Loop::ClosedLoop {
         outln!("outage, the share of the users' time below their minimum rate, is one minus QoS met")?;

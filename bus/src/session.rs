@@ -287,7 +287,21 @@ fn refused(action: &'static str, key: &str) -> impl FnOnce(zenoh::Error) -> BusE
 }
 
 /// Zenoh reports all failures as text; this finds out which one it is.
-fn open_error(config: &BusConfig, problem: &str) -> BusError {
+/// Zenoh's account without the places in its sources, " at FILE.rs:LINE.", that it names.
+fn without_places(account: &str) -> String {
+    let mut plain = account.to_owned();
+    while let Some(end) = plain.find(".rs:") {
+        let Some(start) = plain[..end].rfind(" at ") else { break };
+        let line = plain[end + 4..].trim_start_matches(|letter: char| letter.is_ascii_digit());
+        let rest = line.strip_prefix('.').unwrap_or(line).to_owned();
+        plain.truncate(start);
+        plain.push_str(&rest);
+    }
+    plain
+}
+
+fn open_error(config: &BusConfig, account: &str) -> BusError {
+    let problem = &*without_places(account);
     let named = |endpoints: &[String]| {
         let mentioned = endpoints.iter().find(|endpoint| problem.contains(endpoint.as_str()));
         mentioned.cloned().unwrap_or_else(|| endpoints.join(", "))
@@ -305,5 +319,17 @@ fn open_error(config: &BusConfig, problem: &str) -> BusError {
             waited_ms: u64::try_from(limit.as_millis()).unwrap_or(u64::MAX),
         },
         _ => BusError::Open { problem: problem.to_owned() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_in_sources_are_no_part_of_an_account() {
+        let account = "Unable to listen on tcp/a: [os error 99] at /somewhere/zenoh/src/tcp.rs:61. at lib.rs:7.";
+        assert_eq!(without_places(account), "Unable to listen on tcp/a: [os error 99]");
+        assert_eq!(without_places("nothing of the kind"), "nothing of the kind");
     }
 }

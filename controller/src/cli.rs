@@ -85,6 +85,10 @@ impl Args {
         if self.model.is_some() && !self.policy.is_learned() {
             bail!("--model is the file of a learned policy; it goes with --policy {}", PolicyKind::learned_names());
         }
+        let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
+        if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
+            bail!("--also-room {}: this room is served already; name each room once", twice.1);
+        }
         Ok(NodeConfig {
             scenario: self.scenario.load()?,
             bus: self.bus.config_or_connect()?,

@@ -1,5 +1,6 @@
 //! The controller as a program of its own, for deployment.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -16,7 +17,7 @@ fn main() -> ExitCode {
     match cli::run(Program::parse().args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("heliostat-controller: {error:#}");
+            drop(writeln!(std::io::stderr(), "heliostat-controller: {error:#}"));
             ExitCode::FAILURE
         }
     }

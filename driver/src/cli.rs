@@ -92,7 +92,7 @@ fn drive(args: &RunArgs) -> Result<()> {
         }
     };
     ctrlc::set_handler(handler).context("cannot watch for Ctrl-C")?;
-    eprintln!("driver: room {}, array of {}", bus.room, args.config.display());
+    drop(writeln!(std::io::stderr(), "driver: room {}, array of {}", bus.room, args.config.display()));
     let summary = run::run(kit, &bus, args.seconds, &stop)?;
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();

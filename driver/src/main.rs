@@ -1,5 +1,6 @@
 //! The driver as a program of its own; `heliostat driver` is the same.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -17,7 +18,7 @@ fn main() -> ExitCode {
     match cli::run(Program::parse().args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("heliostat-driver: {error:#}");
+            drop(writeln!(std::io::stderr(), "heliostat-driver: {error:#}"));
             ExitCode::FAILURE
         }
     }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -81,6 +82,7 @@ pub fn run<D: Device>(
         source,
         sequences: [0; 3],
         told: ArrayState::Parked,
+        told_problem: String::new(),
         started_ns: clock.now().room_ns,
     };
     let token = bus.announce(&bus.room().alive(NodeKind::Driver, source))?;
@@ -118,7 +120,9 @@ fn open(config: &BusConfig, stop: &AtomicBool) -> Result<Option<Bus>, LinesError
     while !stop.load(Ordering::Relaxed) {
         match Bus::open(config) {
             Ok(bus) => return Ok(Some(bus)),
-            Err(error @ BusError::CannotReach { .. }) => eprintln!("driver: {error}; trying again in {pause:?}"),
+            Err(error @ BusError::CannotReach { .. }) => {
+                drop(writeln!(std::io::stderr(), "driver: {error}; trying again in {pause:?}"))
+            }
             Err(error) => return Err(error.into()),
         }
         std::thread::sleep(pause);
@@ -137,6 +141,8 @@ struct Driver<D> {
     sequences: [u64; 3],
     /// State that the last telemetry told.
     told: ArrayState,
+    /// Problem that the last status told.
+    told_problem: String,
     started_ns: u64,
 }
 
@@ -166,6 +172,10 @@ impl<D: Device> Driver<D> {
         let stamp = self.stamp(1, now);
         self.lines.announce(&self.kit.capabilities(stamp))?;
         let summary = self.summary();
+        if self.told_problem != summary.last_problem {
+            drop(writeln!(std::io::stderr(), "driver: {}", summary.last_problem));
+            self.told_problem.clone_from(&summary.last_problem);
+        }
         let stamp = self.stamp(2, now);
         let mut status = NodeStatus {
             stamp,

@@ -1,5 +1,6 @@
 //! The command line of Heliostat.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 mod cli;
@@ -11,7 +12,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if output::closed(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("heliostat: {error:#}");
+            drop(writeln!(std::io::stderr(), "heliostat: {error:#}"));
             // A recording that cannot be replayed is another matter than one that comes out otherwise.
             if error.is::<heliostat_record::replay::Unusable>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }

@@ -26,7 +26,8 @@ impl LogArgs {
     /// Begins to log: `default` unless RUST_LOG says otherwise. Does nothing where a part of the process has begun already.
     pub fn begin(&self, default: &str) {
         let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
-        let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr);
+        // Nobody need read the log: a standard error that is gone must not end a controller.
+        let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).log_internal_errors(false);
         let begun = match self.log_format {
             LogFormat::Text => log.with_ansi(stderr().is_terminal()).try_init(),
             LogFormat::Json => log.json().flatten_event(true).try_init(),

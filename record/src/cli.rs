@@ -106,7 +106,11 @@ pub fn record(args: RecordArgs) -> Result<()> {
         bail!("{}: {failure}", outcome.file.display());
     }
     if outcome.account.missing() > 0 {
-        eprintln!("record: {} messages are missing, see the account", outcome.account.missing());
+        drop(writeln!(
+            std::io::stderr(),
+            "record: {} messages are missing, see the account",
+            outcome.account.missing()
+        ));
     }
     Ok(())
 }

@@ -5,6 +5,7 @@
 
 use std::collections::{BTreeMap, HashMap, btree_map};
 use std::fmt;
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -101,20 +102,33 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
         playback: Playback { file: settings.file.clone(), clock, ..Playback::default() },
     };
     let begun = Instant::now();
+    let mut told = false;
     while bus.alive(&room.alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty() {
+        if stopped.try_recv().is_ok() {
+            bus.close()?;
+            return Ok(player.playback);
+        }
+        if !told {
+            drop(writeln!(std::io::stderr(), "replay: waiting for a controller in room {room}"));
+            told = true;
+        }
         ensure!(
             begun.elapsed() < CONTROLLER_WAIT,
             "no controller came into room \"{room}\" within {} s: start one with the same --room and a matching endpoint",
             CONTROLLER_WAIT.as_secs()
         );
     }
+    let mut ends = false;
     while let Some(entry) = reading.entry().with_context(unusable)? {
-        if stopped.try_recv().is_ok() {
+        ends = stopped.try_recv().is_ok();
+        if ends {
             break;
         }
         player.take(&bus, &entry)?;
     }
-    player.await_last_answers();
+    if !ends {
+        player.await_last_answers();
+    }
     bus.close()?;
     Ok(player.playback)
 }

@@ -5,6 +5,7 @@
 
 use std::fs::OpenOptions;
 use std::hash::{BuildHasher, Hasher, RandomState};
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -102,7 +103,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
         hand_over(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_shed);
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
-    eprintln!("record: room {room} into {}", out.display());
+    drop(writeln!(std::io::stderr(), "record: room {room} into {}", out.display()));
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
     while !writer.has_failed() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
@@ -199,7 +200,12 @@ impl<S: Storage> RoomWriter<S> {
         let taken = match item {
             Item::Payload { key, arrived_ns, payload } => self.payload(&mut recording, &key, arrived_ns, &payload),
             Item::Presence { arrived_ns, presence } => {
-                eprintln!("record: {} is {}", presence.node, if presence.alive { "here" } else { "gone" });
+                drop(writeln!(
+                    std::io::stderr(),
+                    "record: {} is {}",
+                    presence.node,
+                    if presence.alive { "here" } else { "gone" }
+                ));
                 self.present.retain(|source| *source != presence.source);
                 if presence.alive && presence.node != NodeKind::Viewer {
                     self.present.push(presence.source);
@@ -249,7 +255,7 @@ impl<S: Storage> RoomWriter<S> {
     }
 
     fn tell(&mut self, problem: String) {
-        eprintln!("record: {problem}");
+        drop(writeln!(std::io::stderr(), "record: {problem}"));
         self.problems.push(problem);
     }
 
@@ -299,6 +305,10 @@ impl<S: Storage> RoomWriter<S> {
         if let Some(recording) = self.recording.take() {
             let finished = recording.finish(&self.account);
             self.failure = finished.err().map(|error| error.to_string()).or(self.failure);
+        }
+        if self.account.messages() == 0 {
+            // A file without content would only stand in the way of the next attempt.
+            let _ = std::fs::remove_file(&self.out);
         }
         Outcome { file: self.out, account: self.account, problems: self.problems, failure: self.failure }
     }

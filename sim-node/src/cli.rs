@@ -32,7 +32,7 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = seconds)]
     seconds: Option<Duration>,
     /// Run so many ticks in simulated time, each waiting for its answer: the same seed gives the same run, bit for bit
-    #[arg(long, value_name = "TICKS", conflicts_with = "seconds")]
+    #[arg(long, value_name = "TICKS", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..))]
     lockstep: Option<u64>,
     /// Correct the mirrors' mounting by this file of `heliostat calibrate` from the start
     #[arg(long, value_name = "FILE")]

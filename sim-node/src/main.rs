@@ -1,5 +1,6 @@
 //! The simulated room as a program of its own.
 
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -17,7 +18,7 @@ fn main() -> ExitCode {
     match cli::run(Command::parse().args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("heliostat-sim-node: {error:#}");
+            drop(writeln!(std::io::stderr(), "heliostat-sim-node: {error:#}"));
             ExitCode::FAILURE
         }
     }

@@ -2,7 +2,7 @@
 
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{ArrayState, NodeKind};
-use heliostat_tests::{Process, Witness, wait_until};
+use heliostat_tests::{Process, Witness, programs, wait_until};
 
 /// A room, a controller and a witness of both.
 struct Setting {
@@ -165,4 +165,15 @@ fn the_demo_tells_of_a_part_that_dies() {
     let ended = demo.wait();
     assert!(ended.refusal().contains("the controller process ended early"), "{}", ended.errors);
     assert!(ended.errors.contains("signal: 9"), "{}", ended.errors);
+}
+
+#[test]
+fn nobody_need_read_what_is_said_on_standard_error() {
+    let full = std::fs::File::options().write(true).open("/dev/full").expect("a device that takes nothing");
+    let mut demo = std::process::Command::new(programs().join("heliostat"));
+    demo.args(["demo", "--seconds", "0.5", "--json", "--no-ui", "--policy", "flat"]).stderr(full);
+    let ended = demo.output().expect("the program starts");
+    assert!(ended.status.success(), "{:?}", ended.status);
+    let summary: serde_json::Value = serde_json::from_slice(&ended.stdout).expect("one JSON object");
+    assert!(summary["commands"].as_u64() > Some(0), "{summary}");
 }

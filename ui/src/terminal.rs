@@ -1,6 +1,6 @@
 //! The figures without a browser: a full screen on a terminal, one line at a time elsewhere.
 
-use std::io::{self, IsTerminal, Stdout};
+use std::io::{self, IsTerminal, Stdout, Write};
 use std::time::Duration;
 
 use ratatui::backend::TermionBackend;
@@ -72,7 +72,7 @@ impl Display {
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
         let figures = view.figures();
         match self {
-            Self::Lines => eprintln!("{}", line(&figures)),
+            Self::Lines => drop(writeln!(io::stderr(), "{}", line(&figures))),
             Self::Screen(screen) => {
                 let history = view.history();
                 screen.terminal.draw(|frame| draw(frame, &screen.title, &figures, &history))?;

@@ -60,8 +60,8 @@ pub enum ActorError {
     },
     /// No actor is built in for this array and mode.
     #[error(
-        "no built-in actor {wanted}; built in: {available}. Train one with `heliostat train {policy}` for this scenario and give it \
-         with --model FILE, or choose --policy fixed-point, which needs none"
+        "no built-in actor {wanted}; built in: {available}. Train one with `heliostat train {policy}` for this scenario and give its \
+         file (--model FILE; eval: --policies FILE.onnx), or choose --policy fixed-point, which needs none"
     )]
     NotShipped {
         /// The learned policy's name.

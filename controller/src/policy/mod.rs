@@ -85,6 +85,15 @@ pub enum BuildError {
     /// There is too much to search.
     #[error("an exhaustive search cannot run here: {0}; take --policy oracle, whose answers equal it where it can run")]
     Search(SolverError),
+    /// A file was given for a policy that reads none.
+    #[error(
+        "--model is the file of a learned policy, and {policy} reads none: leave it out, or take --policy {}",
+        PolicyKind::learned_names()
+    )]
+    NoUseForModel {
+        /// The policy's name.
+        policy: String,
+    },
 }
 
 /// The policies by name.
@@ -180,8 +189,12 @@ impl ActorSource {
 /// Builds a policy for a room.
 ///
 /// # Errors
-/// [`BuildError`] where the policy is learned and its actor is missing or does not fit, or where it searches more than can be searched.
+/// [`BuildError`] where the policy is learned and its actor is missing or does not fit, where it is not and one is given, or where it searches
+/// more than can be searched.
 pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Result<Box<dyn Policy>, BuildError> {
+    if matches!(actor, ActorSource::Path(_)) && !kind.is_learned() {
+        return Err(BuildError::NoUseForModel { policy: kind.name() });
+    }
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     let range_rad = Limits::new(&scenario.control).range_rad();
     Ok(match kind {

@@ -36,8 +36,16 @@ pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Resu
     match bytes(&wanted) {
         Some(bytes) => Ok(ActorFile { origin: format!("the built-in actor {wanted}"), bytes: bytes.into() }),
         None => {
-            let available = names().collect::<Vec<_>>().join(", ");
-            let available = if available.is_empty() { "none".into() } else { available };
+            let prefix = format!("{}-", policy.name());
+            // Of each room one, and none of policies whose names begin alike.
+            let of_policy = |name: &&str| {
+                let rest = name.strip_prefix(&prefix);
+                rest.is_some_and(|rest| {
+                    !["raw-", "basis-"].iter().any(|other| rest.starts_with(other)) && !rest.contains("-seed")
+                })
+            };
+            let available = names().filter(of_policy).collect::<Vec<_>>().join(", ");
+            let available = if available.is_empty() { "none of this policy".into() } else { available };
             Err(ActorError::NotShipped { policy: policy.name(), wanted, available })
         }
     }

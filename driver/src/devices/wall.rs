@@ -53,6 +53,12 @@ impl Wall {
     /// Which board, channel or mirror does not fit, and how.
     pub fn new(layout: Layout, boards: Vec<Mounted>) -> Result<Self, String> {
         let count = layout.rows * layout.columns;
+        if count == 0 {
+            return Err(format!(
+                "an array of {} x {} mirrors: wanted at least one row and one column",
+                layout.rows, layout.columns
+            ));
+        }
         let mut turned = vec![0; count];
         for (index, Mounted { board, mirrors, .. }) in boards.iter().enumerate() {
             if board.channels() != mirrors.len() {

@@ -1,6 +1,6 @@
 //! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured gains.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
 use heliostat_controller::policy::ActorSource;
@@ -53,6 +53,11 @@ pub struct Args {
 pub fn run(args: Args) -> Result<()> {
     for (flag, value, most) in [("--dwell-ms", args.dwell_ms, 1e4), ("--search-deg", args.search_deg, 30.0)] {
         ensure!(value > 0.0 && value <= most, "{flag} {value}: wanted more than 0, and {most} at most");
+    }
+    if let Some(out) = &args.out {
+        ensure!(!out.exists(), "{} exists already: wanted a new file", out.display());
+        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        ensure!(folder.is_dir(), "cannot write {}: there is no folder {}", out.display(), folder.display());
     }
     let settings = Settings {
         scenario: args.scenario.load()?,

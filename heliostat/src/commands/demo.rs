@@ -4,6 +4,7 @@ pub mod child;
 mod parts;
 mod summary;
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -78,7 +79,8 @@ pub fn run(args: Args) -> Result<()> {
         &args.controller_arguments(endpoints, args.policy)?,
     )?;
     let (room_id, controller_id) = parts.ids();
-    eprintln!(
+    drop(writeln!(
+        std::io::stderr(),
         "scenario {}: {} users, {} x {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
         scenario.name,
         scenario.users.count,
@@ -87,7 +89,7 @@ pub fn run(args: Args) -> Result<()> {
         endpoints.0,
         controller_id.unwrap_or_default(),
         endpoints.1
-    );
+    ));
     let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(endpoints.0).connect_to(endpoints.1))?;
     let view = Arc::new(View::open(&bus, &scenario)?);
     let (errands, ordered) = mpsc::channel();
@@ -96,7 +98,7 @@ pub fn run(args: Args) -> Result<()> {
         Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {
-        eprintln!("{server}");
+        drop(writeln!(std::io::stderr(), "{server}"));
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     watch(&args, &Watched { stop: &stop, view: &view, ordered, endpoints, title }, &mut parts)?;

@@ -1,5 +1,6 @@
 //! `heliostat ui`: the page and the terminal view of a room that runs elsewhere.
 
+use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -54,7 +55,7 @@ pub fn run(args: Args) -> Result<()> {
         Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {
-        eprintln!("{server}");
+        drop(writeln!(std::io::stderr(), "{server}"));
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     let mut display = Display::open(args.plain, &title)?;

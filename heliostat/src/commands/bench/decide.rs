@@ -4,6 +4,7 @@
 //! Between decisions the thread sleeps, as a controller does between reports, so that caches go cold as they do there. A decision counts from the
 //! moment the thread is awake, or from when it was due where the one before was still going on.
 
+use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
@@ -61,7 +62,7 @@ pub fn policies(args: &Args) -> Result<()> {
     for plan in args.pace.plans(&[100.0])? {
         for kind in PolicyKind::value_variants() {
             if let Err(error) = build(*kind, &scenario, &ActorSource::Shipped) {
-                eprintln!("left out: {error}");
+                drop(writeln!(std::io::stderr(), "left out: {error}"));
                 continue;
             }
             let mut reference = Engine::new(&scenario)?;

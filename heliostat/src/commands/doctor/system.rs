@@ -42,7 +42,9 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         scenario.hash()
     );
     let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario), check_driver(args, &scenario)];
-    checks.extend(args.port.iter().map(|port| check_port(*port)));
+    // Where a driver was asked, somebody listens, and rightly.
+    let asked = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
+    checks.extend(args.port.iter().filter(|port| !asked(port)).map(|port| check_port(*port)));
     checks
 }
 

@@ -59,7 +59,9 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         )?;
     }
     outln!("trained: training seeds behind a learned policy's figures; their spread is part of the interval")?;
-    outln!("±: half the width of the mean's 95 % interval; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile")?;
+    outln!(
+        "±: half the width of the mean's 95 % interval; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
+    )?;
     outln!("blocked: mean rate of a user without a direct path, in Mb/s")?;
     if report.mode == Loop::ClosedLoop {
         outln!("outage, the share of the users' time below their minimum rate, is one minus QoS met")?;

@@ -98,6 +98,8 @@ fn what_makes_no_sense_is_refused_before_it_begins() {
     let out = folder.path();
     let blocked = refusal("sum-rate-power", out, &["--set", "users.count=2", "--blocked", "0,3"]);
     assert!(blocked.contains("3 users") && blocked.contains("--blocked numbers up to 2"), "{blocked}");
+    let many = refusal("sum-rate-power", out, &["--set", "users.count=8", "--blocked", "0,1,2,3,4,5,6,7,8"]);
+    assert!(many.contains("--blocked has 9") && many.contains("give 8 numbers or fewer"), "{many}");
     let mirrors = refusal("sum-rate-power", out, &["--set", "mirrors.rows=0"]);
     assert!(mirrors.contains("mirrors.rows"), "{mirrors}");
     let pointless = refusal("ber-snr", out, &["--mode", "paper"]);

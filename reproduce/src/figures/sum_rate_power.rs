@@ -8,6 +8,7 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, intervals, series};
+use crate::draw::interactive::PANELS_MAX;
 use crate::figure::{Axis, Figure, Panel, Quoted, Series};
 use crate::part::{Curve, Job, Measured, Part};
 use crate::statistics::over_seeds;
@@ -38,6 +39,11 @@ pub fn group(blocked: usize) -> String {
 }
 
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
+    ensure!(
+        plan.blocked.len() <= PANELS_MAX,
+        "{ID} draws a panel for each number of blocked users, and --blocked has {}: give {PANELS_MAX} numbers or fewer",
+        plan.blocked.len()
+    );
     let users = room.scenario.users.count;
     let most = plan.blocked.iter().copied().max().unwrap_or(0);
     ensure!(

@@ -148,9 +148,9 @@ impl Figure {
         names
     }
 
-    /// The series of a name in the panel whose title begins so.
+    /// The series of a name in the panel of that title: one that only begins so may be another condition.
     pub fn series(&self, panel: &str, name: &str) -> Option<&Series> {
-        let panel = self.panels.iter().find(|candidate| candidate.title.starts_with(panel))?;
+        let panel = self.panels.iter().find(|candidate| candidate.title == panel)?;
         panel.series.iter().find(|series| series.name == name)
     }
 
@@ -163,5 +163,28 @@ impl Figure {
     pub fn floor_range(&self) -> Option<[f64; 2]> {
         let ranges = self.panels.iter().filter_map(|panel| panel.floor.as_ref()).map(Floor::range);
         ranges.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panel_whose_title_begins_alike_does_not_stand_in_for_one_that_is_missing() {
+        let series = Series { name: "2 m/s".into(), points: Vec::new() };
+        let panel = |title: &str| Panel { title: title.into(), series: vec![series.clone()], ..Panel::default() };
+        let figure = Figure {
+            id: String::new(),
+            room: String::new(),
+            title: String::new(),
+            caption: Vec::new(),
+            x: Axis::linear(""),
+            y: Axis::linear(""),
+            panels: vec![panel("100 + 100 ms, predicted")],
+            ratios: Vec::new(),
+        };
+        assert_eq!(figure.series("100 + 100 ms", "2 m/s"), None);
+        assert_eq!(figure.series("100 + 100 ms, predicted", "2 m/s"), Some(&series));
     }
 }

@@ -109,7 +109,7 @@ pub const QUOTED_BLOCKED: usize = 2;
 pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     let names = ["oracle", "ddpg", "flat", "random", "no-irs"];
     let panel = |name: &str| Panel {
-        title: format!("{name} of {} users", room.scenario.users.count),
+        title: name.to_owned(),
         series: series(done, name, &names),
         quoted: if name == group(QUOTED_BLOCKED) { quoted() } else { Vec::new() },
         floor: None,
@@ -123,7 +123,13 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         room: room.name.clone(),
         title: "Sum rate against optical power".into(),
         caption: vec![
-            format!("{} mirrors. {} Each seed has {} rooms of its own.", room.scenario.mirror_count(), intervals(done), states.unwrap_or(0)),
+            format!(
+                "{} mirrors, {} users; each panel says how many of them have no direct path. {} Each seed has {} rooms of its own.",
+                room.scenario.mirror_count(),
+                room.scenario.users.count,
+                intervals(done),
+                states.unwrap_or(0)
+            ),
             "Every policy sees a state as it is and its mirrors turn at once, so that the speed at which people walk plays no part (the paper: about \
              1 m/s). The paper's benchmark, each mirror turned at random and left so, is `random`, the mean of 30 draws; `flat` (no mirror turned) and \
              `no-irs` stand beside it because random angles are the weakest of the three in the paper's equations."

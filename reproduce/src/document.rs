@@ -12,7 +12,7 @@ use crate::run::span;
 /// Places of the horizontal axis that a table shows of a long curve.
 const ROWS: usize = 7;
 
-/// A report without what a document does not show: floors, single parts, most points of long curves, and digits beyond the fourth.
+/// A report without what a document does not show: floors, single parts, the figures' commands, most points of long curves, and digits beyond the fourth.
 pub fn reduced(report: &Report) -> Report {
     let mut report = Report { parts: Vec::new(), ..report.clone() };
     report.meta.cpu_s = rounded(report.meta.cpu_s);
@@ -20,6 +20,7 @@ pub fn reduced(report: &Report) -> Report {
         source.cpu_s = rounded(source.cpu_s);
     }
     for figure in &mut report.figures {
+        figure.command.clear();
         for panel in &mut figure.panels {
             // What stands on a floor goes with it.
             if panel.floor.take().is_some() {

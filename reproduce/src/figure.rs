@@ -13,6 +13,9 @@ pub struct Figure {
     pub title: String,
     /// How it came about, and how it is to be read.
     pub caption: Vec<String>,
+    /// The command that makes it again.
+    #[serde(skip_serializing_if = "String::is_empty", default)]
+    pub command: String,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
@@ -179,6 +182,7 @@ mod tests {
             room: String::new(),
             title: String::new(),
             caption: Vec::new(),
+            command: String::new(),
             x: Axis::linear(""),
             y: Axis::linear(""),
             panels: vec![panel("100 + 100 ms, predicted")],

@@ -67,6 +67,9 @@ fn a_report_needs_nothing_else_and_its_files_agree() {
     let page = read("report.html");
     assert_eq!(page.matches("<script type=\"text/javascript\">").count(), 1 + report.figures.len(), "the library once");
     assert!(!page.contains("<script src") && !page.contains("<link"), "nothing is fetched");
+    let command =
+        "<code>heliostat reproduce sum-rate-power --out DIR --mode specular --seeds 2 --blocked 2 --quick</code>";
+    assert_eq!(page.matches(command).count(), 2, "of the report and of its figure");
     let written: Report = serde_json::from_str(&read("report.json")).unwrap();
     assert_eq!((written.claims, written.meta.commits), (report.claims.clone(), report.meta.commits.clone()));
     assert!(read("sum-rate-power-specular.svg").contains("optical power (W)"));

@@ -8,6 +8,7 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, seeds};
+use crate::command;
 use crate::figure::{Axis, Figure, Panel, Point, Quoted, Series};
 use crate::machine;
 use crate::part::{Curve, Job, Measured, Part};
@@ -149,6 +150,7 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         room: room.name.clone(),
         title: "Time for a decision, and what it is worth".into(),
         caption,
+        command: command::of_figure(ID, room),
         x: Axis::log("time for a decision (us)", [1.0, 1e6]),
         y: Axis::linear("sum rate over the oracle's (1)"),
         panels: groups(done).into_iter().map(panel).collect(),

@@ -27,6 +27,8 @@ pub struct Room {
     pub scenario: Scenario,
     /// Where the policy ddpg comes from there.
     pub actor: ActorSource,
+    /// The flags of the command line on which figures in it depend.
+    pub flags: String,
 }
 
 /// What all figures are made with.

@@ -351,7 +351,8 @@ fn decision_time(figure: &Figure) -> Option<Judged> {
             "in a hot loop; see docs/latency.md for the whole way from report to mirror".into(),
         ),
         (true, false) => {
-            Judged(text, Verdict::InPart, "the median, not the 99th percentile, on a machine with other work".into())
+            let circumstance = if figure.overloaded { ", on a machine with other work" } else { "" };
+            Judged(text, Verdict::InPart, format!("the median, not the 99th percentile{circumstance}"))
         }
         _ => Judged(text, Verdict::NotReproduced, "slower".into()),
     })

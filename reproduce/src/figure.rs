@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// A figure in one room.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
     /// Which figure: the word on the command line.
     pub id: String,
@@ -16,6 +16,9 @@ pub struct Figure {
     /// The command that makes it again.
     #[serde(skip_serializing_if = "String::is_empty", default)]
     pub command: String,
+    /// Whether a part of it was computed under more load than there were cores, so that times in it are too long.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub overloaded: bool,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
@@ -28,7 +31,7 @@ pub struct Figure {
 }
 
 /// An axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
     /// The quantity with its unit.
     pub label: String,
@@ -177,17 +180,7 @@ mod tests {
     fn a_panel_whose_title_begins_alike_does_not_stand_in_for_one_that_is_missing() {
         let series = Series { name: "2 m/s".into(), points: Vec::new() };
         let panel = |title: &str| Panel { title: title.into(), series: vec![series.clone()], ..Panel::default() };
-        let figure = Figure {
-            id: String::new(),
-            room: String::new(),
-            title: String::new(),
-            caption: Vec::new(),
-            command: String::new(),
-            x: Axis::linear(""),
-            y: Axis::linear(""),
-            panels: vec![panel("100 + 100 ms, predicted")],
-            ratios: Vec::new(),
-        };
+        let figure = Figure { panels: vec![panel("100 + 100 ms, predicted")], ..Figure::default() };
         assert_eq!(figure.series("100 + 100 ms", "2 m/s"), None);
         assert_eq!(figure.series("100 + 100 ms, predicted", "2 m/s"), Some(&series));
     }

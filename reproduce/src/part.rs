@@ -59,9 +59,6 @@ pub struct Measured {
     /// Values over the floor, each with what stands on it.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub floors: Vec<(Floor, Vec<Series>)>,
-    /// What should be known about the circumstances.
-    #[serde(skip_serializing_if = "Vec::is_empty", default)]
-    pub notes: Vec<String>,
 }
 
 /// Values of one seed along an axis.

@@ -12,7 +12,6 @@ use heliostat_scenario::{Actuator, ActuatorProfile, MinRate, Prediction, Scenari
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, intervals, series};
-use crate::command;
 use crate::figure::{Axis, Figure, Panel, Quoted};
 use crate::part::{Curve, Job, Measured, Part};
 
@@ -150,10 +149,9 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
                 .into(),
             format!("{} Each seed is one walk with {} instants a speed.", intervals(done), instants.unwrap_or(0)),
         ],
-        command: command::of_figure(ID, room),
         x: Axis::linear("SNR at perfect aim (dB)"),
         y: Axis::log("bit error rate", [1e-9, 1.0]),
         panels: groups(done).into_iter().map(panel).collect(),
-        ratios: Vec::new(),
+        ..Figure::default()
     }
 }

@@ -8,9 +8,7 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, seeds};
-use crate::command;
 use crate::figure::{Axis, Figure, Panel, Point, Quoted, Series};
-use crate::machine;
 use crate::part::{Curve, Job, Measured, Part};
 use crate::statistics::mean;
 
@@ -90,7 +88,6 @@ impl Timing {
             mode: Loop::Static,
             training_seed: Some(1),
         };
-        let before = machine::load();
         let report = compare_under(&settings, &ProgressBar::hidden())?;
         let mut curves = Vec::new();
         for (name, row) in &report.policies {
@@ -99,8 +96,7 @@ impl Timing {
             let points = vec![[times.p50, row.ratio_to_oracle.mean], [times.p99, row.ratio_to_oracle.mean]];
             curves.push(Curve { group: group.clone(), name: name.clone(), points });
         }
-        let notes = before.map(|load| format!("load average at the start: {load:.1}")).into_iter().collect();
-        Ok(Measured { curves, floors: Vec::new(), notes })
+        Ok(Measured { curves, ..Measured::default() })
     }
 }
 
@@ -119,7 +115,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
             floor: None,
         }
     };
-    let notes: Vec<&str> = done.iter().flat_map(|(_, finished)| &finished.measured.notes).map(String::as_str).collect();
     let machine = done.first().map_or("", |(_, finished)| &finished.origin.machine);
     let job = done.iter().find_map(|(part, _)| match &part.job {
         Job::Timing(job) => Some(job.clone()),
@@ -134,10 +129,10 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         ),
         format!("`pso` and `sine-cosine` make {trials} trials for each decision. Machine: {machine}."),
     ];
-    if let (Some(first), Some(last)) = (notes.first(), notes.last()) {
+    let overload = done.iter().filter_map(|(_, finished)| Some((finished.origin.overload()?, finished.origin.cores)));
+    if let Some((load, cores)) = overload.max_by(|one, other| one.0.total_cmp(&other.0)) {
         caption.push(format!(
-            "Other work ran on the machine ({first} of the first part, and {} of the last), which stretches the right ends most.",
-            last.rsplit(' ').next().unwrap_or("?")
+            "Other work ran on the machine (load average up to {load:.1} on {cores} cores), which stretches the right ends most."
         ));
     }
     if room.scenario.channel.mode != ChannelMode::Specular {
@@ -150,11 +145,10 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         room: room.name.clone(),
         title: "Time for a decision, and what it is worth".into(),
         caption,
-        command: command::of_figure(ID, room),
         x: Axis::log("time for a decision (us)", [1.0, 1e6]),
         y: Axis::linear("sum rate over the oracle's (1)"),
         panels: groups(done).into_iter().map(panel).collect(),
-        ratios: Vec::new(),
+        ..Figure::default()
     }
 }
 
@@ -167,4 +161,47 @@ fn times(done: &[Done], group: &str, name: &str) -> Series {
         Point { x: mean(&of(0)).0, y, ci95 }
     });
     Series { name: name.into(), points: points.collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::args::ReproduceArgs;
+    use crate::claims::claims;
+    use crate::figures::Kind;
+    use crate::store::{Finished, Origin};
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: ReproduceArgs,
+    }
+
+    /// The figure whose every part finds for `ddpg` a median of 200 us and the 99th percentiles given, one a seed, under a load on 2 cores.
+    fn figure_of(p99s_us: &[f64], load: f64) -> Figure {
+        let seeds = p99s_us.len().to_string();
+        let command = ["reproduce", "inference", "--out", "DIR", "--mode", "paper", "--training-seeds", &seeds];
+        let args = Command::parse_from(command).args;
+        let rooms = args.rooms().unwrap();
+        let parts = parts(&rooms[0], &args.plan(args.effort())).unwrap();
+        let finished = |(part, p99): (Part, &f64)| {
+            let points = vec![[200.0, 1.0], [*p99, 1.0]];
+            let curve = Curve { group: "100 mirrors, 5 users".into(), name: "ddpg".into(), points };
+            let origin = Origin { load: Some(load), cores: 2, ..Origin::default() };
+            (part, Finished { origin, measured: Measured { curves: vec![curve], ..Measured::default() } })
+        };
+        Kind::Inference.figure(&rooms[0], &parts.into_iter().zip(p99s_us).map(finished).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn other_work_is_named_where_the_load_was_more_than_the_cores_could_bear() {
+        let (quiet, busy) = (figure_of(&[900.0], 1.2), figure_of(&[900.0], 7.0));
+        let said = |figure: &Figure| figure.caption.iter().any(|line| line.contains("Other work ran"));
+        let blamed = |figure: &Figure| claims(std::slice::from_ref(figure))[0].findings[0].why.contains("other work");
+        assert_eq!([said(&quiet), blamed(&quiet)], [false; 2]);
+        assert_eq!([said(&busy), blamed(&busy)], [true; 2]);
+        assert!(busy.caption.iter().any(|line| line.contains("up to 7.0 on 2 cores")));
+    }
 }

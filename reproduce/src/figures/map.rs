@@ -11,7 +11,6 @@ use heliostat_sim_node::World;
 use serde::Serialize;
 
 use super::{Done, Plan, Room};
-use crate::command;
 use crate::figure::{Axis, Figure, Panel, Point, Series};
 use crate::over_floor::over_floor;
 use crate::part::{Job, Measured, Part};
@@ -121,10 +120,9 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
                 "Nobody's direct path is forced off.".into()
             },
         ],
-        command: command::of_figure(ID, room),
         x: Axis::linear("x (m)"),
         y: Axis::linear("y (m)"),
         panels: titles.into_iter().zip(floors).map(panel).collect(),
-        ratios: Vec::new(),
+        ..Figure::default()
     }
 }

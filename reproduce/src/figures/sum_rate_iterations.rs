@@ -14,7 +14,6 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, intervals, series};
-use crate::command;
 use crate::figure::{Axis, Figure, Panel};
 use crate::part::{Curve, Job, Measured, Part};
 
@@ -196,10 +195,9 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
              keeps minimum rates where it can, so that a policy that gives a user up can pass it."
                 .into(),
         ],
-        command: command::of_figure(ID, room),
         x: Axis::linear("iterations (episodes)"),
         y: Axis::linear("sum rate on held-out states (Mbit/s)"),
         panels: groups(done).into_iter().map(panel).collect(),
-        ratios: Vec::new(),
+        ..Figure::default()
     }
 }

@@ -8,7 +8,6 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, intervals, series};
-use crate::command;
 use crate::draw::interactive::PANELS_MAX;
 use crate::figure::{Axis, Figure, Panel, Quoted, Series};
 use crate::part::{Curve, Job, Measured, Part};
@@ -139,11 +138,11 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
              a user up can get a larger sum."
                 .into(),
         ],
-        command: command::of_figure(ID, room),
         x: Axis::linear("optical power (W)"),
         y: Axis::linear("sum rate (Mbit/s)"),
         panels: groups(done).into_iter().map(panel).collect(),
         ratios: OVER.iter().filter_map(|policy| gain(done, policy)).collect(),
+        ..Figure::default()
     }
 }
 

@@ -95,6 +95,9 @@ pub struct Point {
     /// Half the width of the 95 % interval of the mean; none for a single value.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ci95: Option<f64>,
+    /// The same along x, where x is measured too.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub x_ci95: Option<f64>,
 }
 
 /// A value that the paper states: a point, or a line where one coordinate is not given.

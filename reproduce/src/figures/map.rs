@@ -74,7 +74,7 @@ impl Map {
 
 /// What stands on the floor.
 fn signs(world: &World) -> Vec<Series> {
-    let point = |x: f64, y: f64| Point { x, y, ci95: None };
+    let point = |x: f64, y: f64| Point { x, y, ci95: None, x_ci95: None };
     let outline = |cylinder: &Cylinder| {
         let at = |step: i32| {
             let (sin, cos) = (TAU * f64::from(step) / 24.0).sin_cos();

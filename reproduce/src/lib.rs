@@ -28,6 +28,8 @@ pub mod page;
 pub mod part;
 pub mod report;
 pub mod run;
+#[cfg(test)]
+mod sources;
 pub mod statistics;
 pub mod store;
 mod training;

@@ -15,9 +15,6 @@ use crate::statistics::mean;
 /// The word on the command line.
 pub const ID: &str = "inference";
 
-/// Raised when the computation changes.
-const VERSION: u32 = 1;
-
 /// The paper's time for a decision in us.
 pub const QUOTED_US: f64 = 500.0;
 
@@ -56,7 +53,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     let (decisions, slow_decisions, trials) = (plan.effort.timed, plan.effort.timed_slow, plan.effort.trials);
     let part = |small: bool, seed: u64| Part {
         figure: ID,
-        version: VERSION,
+        code: env!("HELIOSTAT_CODE_INFERENCE"),
         room: room.name.clone(),
         name: if small { "9 mirrors".into() } else { format!("{} mirrors", room.scenario.mirror_count()) },
         seed,

@@ -18,9 +18,6 @@ use crate::part::{Job, Measured, Part};
 /// The word on the command line.
 pub const ID: &str = "map";
 
-/// Raised when the computation changes.
-const VERSION: u32 = 1;
-
 /// Who turns the mirrors: nobody, and the controller's default.
 const POLICIES: [&str; 2] = ["no-irs", "ddpg"];
 
@@ -39,7 +36,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     let step_cm = plan.effort.step_cm;
     Ok(vec![Part {
         figure: ID,
-        version: VERSION,
+        code: env!("HELIOSTAT_CODE_MAP"),
         room: room.name.clone(),
         name: "floor".into(),
         seed: plan.first_seed,

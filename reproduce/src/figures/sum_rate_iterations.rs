@@ -20,9 +20,6 @@ use crate::part::{Curve, Job, Measured, Part};
 /// The word on the command line.
 pub const ID: &str = "sum-rate-iterations";
 
-/// Raised when the computation changes.
-const VERSION: u32 = 2;
-
 /// Who learns: the paper's DDPG, ours, and the paper's rival. With the time of one episode on 7 x 7 and on 10 x 10 mirrors in s.
 const LEARNERS: [(&str, [f64; 2]); 3] = [("ddpg-raw", [0.6, 0.8]), ("ddpg", [1.0, 1.1]), ("dql", [0.3, 0.4])];
 
@@ -83,7 +80,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         let states = effort.watched_states;
         let part = |name: String, seed: u64, job: Job, cost_s: f64| Part {
             figure: ID,
-            version: VERSION,
+            code: env!("HELIOSTAT_CODE_SUM_RATE_ITERATIONS"),
             room: room.name.clone(),
             name,
             seed,

@@ -16,9 +16,6 @@ use crate::statistics::over_seeds;
 /// The word on the command line.
 pub const ID: &str = "sum-rate-power";
 
-/// Raised when the computation changes.
-const VERSION: u32 = 1;
-
 /// Those compared; the oracle comes with every comparison.
 const POLICIES: [&str; 4] = ["ddpg", "flat", "random", "no-irs"];
 
@@ -59,7 +56,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     let effort = &plan.effort;
     let part = |blocked: usize, seed: u64| Part {
         figure: ID,
-        version: VERSION,
+        code: env!("HELIOSTAT_CODE_SUM_RATE_POWER"),
         room: room.name.clone(),
         name: group(blocked),
         seed,

@@ -22,7 +22,7 @@ pub const QUOTED_US: f64 = 500.0;
 const POLICIES: [&str; 7] = ["ddpg", "nearest", "fixed-point", "greedy", "oracle", "pso", "sine-cosine"];
 
 /// What can be timed where every assignment can be tried.
-const SMALL: [&str; 4] = ["exhaustive", "oracle", "greedy", "fixed-point"];
+pub(crate) const SMALL: [&str; 4] = ["exhaustive", "oracle", "greedy", "fixed-point"];
 
 /// Rows and columns, and users, of the array for the exhaustive search.
 const SMALL_SIDE: usize = 3;

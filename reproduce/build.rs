@@ -1,14 +1,20 @@
-//! Names the commit that is built, so that every figure can say what computed it.
+//! Names the commit that is built, so that every figure can say what computed it, and the code of each figure, so that a part can say whether it is
+//! still that.
 
-use std::{env, error::Error, path::Path, process::Command};
+use std::{env, error::Error, fs, path::Path, process::Command};
 
-/// The folders whose code decides the figures.
-const SOURCES: [&str; 6] = ["channel", "scenario", "sim-node", "controller", "models", "reproduce"];
+#[path = "src/sources.rs"]
+mod sources;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let root = Path::new(&env::var("CARGO_MANIFEST_DIR")?).join("..");
-    for folder in SOURCES {
-        println!("cargo::rerun-if-changed={}", root.join(folder).join("src").display());
+    for name in sources::CRATES.into_iter().chain(["reproduce"]) {
+        println!("cargo::rerun-if-changed={}", root.join(name).join("src").display());
+    }
+    for entry in fs::read_dir(root.join("reproduce/src/figures"))? {
+        let file = entry?.file_name().to_string_lossy().into_owned();
+        let figure = file.trim_end_matches(".rs").to_uppercase();
+        println!("cargo::rustc-env=HELIOSTAT_CODE_{figure}={}", sources::of_figure(&root, &file)?);
     }
     let git = |arguments: &[&str]| {
         let output = Command::new("git").arg("-C").arg(&root).args(arguments).output().ok()?;

@@ -6,6 +6,7 @@ use anyhow::{Result, bail, ensure};
 use clap::ValueEnum;
 use heliostat_scenario::ScenarioArgs;
 
+use crate::command;
 use crate::effort::Effort;
 use crate::figures::{Kind, Plan, Room};
 use crate::report::LeftOut;
@@ -48,7 +49,7 @@ pub struct ReproduceArgs {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Numbers of users whose direct path is off, in sum-rate-power
-    #[arg(long, value_name = "B,..", value_delimiter = ',', default_values_t = [0, 2, 3, 5])]
+    #[arg(long, value_name = "B,..", value_delimiter = ',', default_values_t = BLOCKED)]
     pub blocked: Vec<usize>,
     /// Train the policy ddpg for rooms without a built-in actor, instead of refusing them
     #[arg(long)]
@@ -101,6 +102,9 @@ impl What {
 /// The figures to make, each in a room, and those that are left out.
 pub type Choice<'a> = (Vec<(Kind, &'a Room)>, Vec<LeftOut>);
 
+/// The numbers of blocked users when none are given.
+pub(crate) const BLOCKED: [usize; 4] = [0, 2, 3, 5];
+
 /// The rooms that are made when none are named.
 const ROOMS: [&str; 3] = ["specular", "paper", "paper-calibrated"];
 
@@ -135,14 +139,16 @@ impl ReproduceArgs {
             (None, true) => ROOMS.map(String::from).to_vec(),
             (None, false) => self.mode.clone(),
         };
+        let flag = if self.scenario.is_some() { "scenario" } else { "mode" };
         let mut rooms: Vec<Room> = Vec::new();
-        for name in names {
-            let arguments = ScenarioArgs { scenario: name, overrides: self.overrides.clone(), seed: Some(self.seed) };
+        for given in names {
+            let flags = command::flags(self, Some((flag, &given)));
+            let arguments = ScenarioArgs { scenario: given, overrides: self.overrides.clone(), seed: Some(self.seed) };
             let scenario = arguments.load()?;
             let name = scenario.name.clone();
             ensure!(rooms.iter().all(|room| room.name != name), "--mode names {name} twice");
             let actor = training::source(&scenario, &self.out);
-            rooms.push(Room { name, scenario, actor });
+            rooms.push(Room { name, scenario, actor, flags });
         }
         Ok(rooms)
     }

@@ -128,8 +128,12 @@ fn is_calibrated(figure: &Figure) -> bool {
 }
 
 fn with_interval(point: &Point, digits: usize) -> String {
-    let mean = format!("{:.digits$}", point.y);
-    point.ci95.map_or(mean.clone(), |ci95| format!("{mean} ± {ci95:.digits$}"))
+    interval(point.y, point.ci95, digits)
+}
+
+fn interval(mean: f64, ci95: Option<f64>, digits: usize) -> String {
+    let mean = format!("{mean:.digits$}");
+    ci95.map_or(mean.clone(), |ci95| format!("{mean} ± {ci95:.digits$}"))
 }
 
 /// At 2 W with two users blocked.
@@ -334,24 +338,29 @@ fn error_floor(figure: &Figure) -> Option<Judged> {
     })
 }
 
-/// Median and 99th percentile in us in the panel of the whole array.
-fn times(figure: &Figure, name: &str) -> Option<[f64; 2]> {
+/// Median and 99th percentile, whose x is a time in us, in the panel of the whole array.
+fn times<'a>(figure: &'a Figure, name: &str) -> Option<[&'a Point; 2]> {
     let panel = figure.panels.first()?;
     let series = panel.series.iter().find(|series| series.name == name)?;
-    Some([series.points.first()?.x, series.points.get(1)?.x])
+    Some([series.points.first()?, series.points.get(1)?])
+}
+
+fn time(point: &Point) -> String {
+    interval(point.x, point.x_ci95, 0)
 }
 
 fn decision_time(figure: &Figure) -> Option<Judged> {
     let [p50, p99] = times(figure, "ddpg")?;
-    let text = format!("ddpg {p50:.0} us median, {p99:.0} us 99th percentile");
-    Some(match (p50 <= inference::QUOTED_US, p99 <= inference::QUOTED_US) {
+    let text = format!("ddpg {} us median, {} us 99th percentile", time(p50), time(p99));
+    Some(match (p50.x <= inference::QUOTED_US, p99.x <= inference::QUOTED_US) {
         (true, true) => Judged(
             text,
             Verdict::Reproduced,
             "in a hot loop; see docs/latency.md for the whole way from report to mirror".into(),
         ),
         (true, false) => {
-            Judged(text, Verdict::InPart, "the median, not the 99th percentile, on a machine with other work".into())
+            let circumstance = if figure.overloaded { ", on a machine with other work" } else { "" };
+            Judged(text, Verdict::InPart, format!("the median, not the 99th percentile{circumstance}"))
         }
         _ => Judged(text, Verdict::NotReproduced, "slower".into()),
     })
@@ -359,13 +368,13 @@ fn decision_time(figure: &Figure) -> Option<Judged> {
 
 fn faster(figure: &Figure) -> Option<Judged> {
     let [ddpg, _] = times(figure, "ddpg")?;
-    let medians: Vec<(&str, f64)> = ["oracle", "pso", "sine-cosine", "greedy", "fixed-point"]
+    let medians: Vec<(&str, &Point)> = ["oracle", "pso", "sine-cosine", "greedy", "fixed-point"]
         .into_iter()
         .filter_map(|name| Some((name, times(figure, name)?[0])))
         .collect();
-    let list: Vec<String> = medians.iter().map(|(name, p50)| format!("{name} {p50:.0}")).collect();
-    let text = format!("medians in us: ddpg {ddpg:.0}, {}", list.join(", "));
-    let slower = medians.iter().filter(|(_, p50)| *p50 > ddpg).count();
+    let list: Vec<String> = medians.iter().map(|(name, p50)| format!("{name} {}", time(p50))).collect();
+    let text = format!("medians in us: ddpg {}, {}", time(ddpg), list.join(", "));
+    let slower = medians.iter().filter(|(_, p50)| p50.x > ddpg.x).count();
     Some(if slower == medians.len() {
         Judged(text, Verdict::Reproduced, "faster than each search".into())
     } else if slower > 0 {

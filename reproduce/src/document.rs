@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use anyhow::Result;
 
-use crate::figure::{Figure, Panel, Series};
+use crate::figure::{Figure, Panel, Point, Series};
 use crate::figures::{inference, sum_rate_iterations};
 use crate::report::Report;
 use crate::run::span;
@@ -12,7 +12,7 @@ use crate::run::span;
 /// Places of the horizontal axis that a table shows of a long curve.
 const ROWS: usize = 7;
 
-/// A report without what a document does not show: floors, single parts, most points of long curves, and digits beyond the fourth.
+/// A report without what a document does not show: floors, single parts, the figures' commands, most points of long curves, and digits beyond the fourth.
 pub fn reduced(report: &Report) -> Report {
     let mut report = Report { parts: Vec::new(), ..report.clone() };
     report.meta.cpu_s = rounded(report.meta.cpu_s);
@@ -20,6 +20,7 @@ pub fn reduced(report: &Report) -> Report {
         source.cpu_s = rounded(source.cpu_s);
     }
     for figure in &mut report.figures {
+        figure.command.clear();
         for panel in &mut figure.panels {
             // What stands on a floor goes with it.
             if panel.floor.take().is_some() {
@@ -32,6 +33,7 @@ pub fn reduced(report: &Report) -> Report {
             for point in &mut series.points {
                 (point.x, point.y) = (rounded(point.x), rounded(point.y));
                 point.ci95 = point.ci95.map(rounded);
+                point.x_ci95 = point.x_ci95.map(rounded);
             }
         }
     }
@@ -183,8 +185,8 @@ fn write_times(panel: &Panel, text: &mut String) -> std::fmt::Result {
                 text,
                 "| {} | {} | {} | {} |",
                 series.name,
-                short(median.x),
-                short(tail.x),
+                time(median),
+                time(tail),
                 number(median.y, median.ci95)
             )?;
         }
@@ -231,6 +233,12 @@ fn number(value: f64, ci95: Option<f64>) -> String {
     };
     let mean = format!("{value:.digits$}");
     ci95.map_or(mean.clone(), |ci95| format!("{mean} ± {ci95:.digits$}"))
+}
+
+/// A time with its interval, in digits of the same place.
+fn time(point: Point) -> String {
+    let digits = if point.x >= 10.0 { 0 } else { 2 };
+    point.x_ci95.map_or(short(point.x), |ci95| format!("{:.digits$} ± {ci95:.digits$}", point.x))
 }
 
 fn short(value: f64) -> String {

@@ -19,8 +19,10 @@ pub struct Effort {
     pub powers_w: Vec<f64>,
     /// Instants of each seed, delay and speed.
     pub instants: usize,
-    /// Decisions that are timed of each policy and seed.
+    /// Decisions that are timed of each seed and each policy that is fast: enough for a 99th percentile.
     pub timed: usize,
+    /// The same of each policy that is slow.
+    pub timed_slow: usize,
     /// Trials of the metaheuristics for one decision.
     pub trials: u32,
     /// Distance between points of the map in cm.
@@ -39,7 +41,8 @@ impl Effort {
             states: 20,
             powers_w: vec![1.0, 1.5, 2.0, 2.5, 3.0],
             instants: 200,
-            timed: 50,
+            timed: 500,
+            timed_slow: 50,
             trials: 2000,
             step_cm: 5.0,
         }
@@ -56,7 +59,8 @@ impl Effort {
             states: 8,
             powers_w: vec![1.0, 2.0, 3.0],
             instants: 60,
-            timed: 12,
+            timed: 100,
+            timed_slow: 12,
             trials: 500,
             step_cm: 25.0,
         }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// A figure in one room.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
     /// Which figure: the word on the command line.
     pub id: String,
@@ -13,6 +13,12 @@ pub struct Figure {
     pub title: String,
     /// How it came about, and how it is to be read.
     pub caption: Vec<String>,
+    /// The command that makes it again.
+    #[serde(skip_serializing_if = "String::is_empty", default)]
+    pub command: String,
+    /// Whether a part of it was computed under more load than there were cores, so that times in it are too long.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub overloaded: bool,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
@@ -25,7 +31,7 @@ pub struct Figure {
 }
 
 /// An axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
     /// The quantity with its unit.
     pub label: String,
@@ -89,6 +95,9 @@ pub struct Point {
     /// Half the width of the 95 % interval of the mean; none for a single value.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ci95: Option<f64>,
+    /// The same along x, where x is measured too.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub x_ci95: Option<f64>,
 }
 
 /// A value that the paper states: a point, or a line where one coordinate is not given.
@@ -148,9 +157,9 @@ impl Figure {
         names
     }
 
-    /// The series of a name in the panel whose title begins so.
+    /// The series of a name in the panel of that title: one that only begins so may be another condition.
     pub fn series(&self, panel: &str, name: &str) -> Option<&Series> {
-        let panel = self.panels.iter().find(|candidate| candidate.title.starts_with(panel))?;
+        let panel = self.panels.iter().find(|candidate| candidate.title == panel)?;
         panel.series.iter().find(|series| series.name == name)
     }
 
@@ -163,5 +172,19 @@ impl Figure {
     pub fn floor_range(&self) -> Option<[f64; 2]> {
         let ranges = self.panels.iter().filter_map(|panel| panel.floor.as_ref()).map(Floor::range);
         ranges.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panel_whose_title_begins_alike_does_not_stand_in_for_one_that_is_missing() {
+        let series = Series { name: "2 m/s".into(), points: Vec::new() };
+        let panel = |title: &str| Panel { title: title.into(), series: vec![series.clone()], ..Panel::default() };
+        let figure = Figure { panels: vec![panel("100 + 100 ms, predicted")], ..Figure::default() };
+        assert_eq!(figure.series("100 + 100 ms", "2 m/s"), None);
+        assert_eq!(figure.series("100 + 100 ms, predicted", "2 m/s"), Some(&series));
     }
 }

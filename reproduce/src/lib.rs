@@ -9,12 +9,14 @@
 //! - [`figures`]: one file a figure: its parts, and the picture from finished parts.
 //! - [`part`], [`store`]: a part is named by all that it depends on, and kept on disk when it is finished.
 //! - [`run`]: estimate, progress, and the parts one by one.
+//! - [`command`]: the command that makes a report or a figure again.
 //! - [`claims`]: every statement of the paper with a verdict.
 //! - [`report`], [`page`], [`document`]: JSON, CSV and SVG files, the page, and docs/reproduction.md.
 //! - [`figure`](mod@figure), [`draw`], [`statistics`], [`machine`], [`over_floor`](mod@over_floor): what these share.
 
 pub mod args;
 pub mod claims;
+pub mod command;
 pub mod document;
 pub mod draw;
 pub mod effort;
@@ -26,6 +28,8 @@ pub mod page;
 pub mod part;
 pub mod report;
 pub mod run;
+#[cfg(test)]
+mod sources;
 pub mod statistics;
 pub mod store;
 mod training;

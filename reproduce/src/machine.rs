@@ -19,6 +19,11 @@ pub fn cpu_s() -> f64 {
     ProcessTime::now().as_duration().as_secs_f64()
 }
 
+/// Cores that this process may use.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// How many tasks wanted a processor over the last minute, where the system tells.
 pub fn load() -> Option<f64> {
     std::fs::read_to_string("/proc/loadavg").ok()?.split(' ').next()?.parse().ok()

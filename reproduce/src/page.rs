@@ -155,9 +155,8 @@ fn write_figure(report: &Report, figure: &Figure, page: &mut String) -> std::fmt
     writeln!(
         page,
         "</ul>\n<p class=\"files\"><a href=\"{stem}.svg\">SVG</a> · <a href=\"{stem}.csv\">CSV</a> · <a href=\"{stem}.json\">JSON</a> · \
-         <code>heliostat reproduce {} --mode {} --out DIR</code></p>\n</section>",
-        figure.id,
-        escape(&figure.room)
+         <code>{}</code></p>\n</section>",
+        escape(&figure.command)
     )
 }
 

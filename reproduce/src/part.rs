@@ -32,8 +32,8 @@ pub enum Job {
 pub struct Part {
     /// Which figure it belongs to.
     pub figure: &'static str,
-    /// Raised in the figure's file when its computation changes.
-    pub version: u32,
+    /// A hash of the code that computes it.
+    pub code: &'static str,
     /// The room's name.
     pub room: String,
     /// What sets it apart from the other parts of the same figure and seed.
@@ -59,9 +59,6 @@ pub struct Measured {
     /// Values over the floor, each with what stands on it.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub floors: Vec<(Floor, Vec<Series>)>,
-    /// What should be known about the circumstances.
-    #[serde(skip_serializing_if = "Vec::is_empty", default)]
-    pub notes: Vec<String>,
 }
 
 /// Values of one seed along an axis.
@@ -76,7 +73,7 @@ pub struct Curve {
 }
 
 impl Part {
-    /// A hash of all that the result depends on: program and part version, room, seed, settings, and the built-in or given actor.
+    /// A hash of all that the result depends on: code, room, seed, settings, and the built-in or given actor.
     ///
     /// # Errors
     /// An actor that cannot be fetched, where the part needs one.
@@ -86,8 +83,8 @@ impl Part {
             hash.update((text.len() as u64).to_le_bytes());
             hash.update(text);
         };
-        add(env!("CARGO_PKG_VERSION"));
-        add(&format!("{} {}", self.figure, self.version));
+        add(self.code);
+        add(self.figure);
         add(&self.scenario().to_toml());
         add(&serde_json::to_string(&self.job)?);
         if self.job.needs_actor() {
@@ -128,5 +125,27 @@ impl Part {
 impl Job {
     fn needs_actor(&self) -> bool {
         !matches!(self, Self::Learning(_) | Self::Yardsticks(_))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_has_another_key_under_other_code_and_the_same_under_the_same() {
+        let part = |code: &'static str| Part {
+            figure: map::ID,
+            code,
+            room: "paper".into(),
+            name: "floor".into(),
+            seed: 1,
+            scenario: Scenario::builtin("paper").unwrap(),
+            actor: ActorSource::Shipped,
+            job: Job::Map(map::Map { step_cm: 50.0 }),
+            cost_s: 1.0,
+        };
+        assert_eq!(part("one").key().unwrap(), part("one").key().unwrap());
+        assert_ne!(part("one").key().unwrap(), part("other").key().unwrap());
     }
 }

@@ -146,19 +146,21 @@ pub fn write(report: &Report, out: &Path) -> Result<()> {
 /// One line a point; for a floor one a cell.
 fn csv(figure: &Figure) -> Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(["panel", "series", &figure.x.label, &figure.y.label, "ci95"])?;
+    writer.write_record(["panel", "series", &figure.x.label, &figure.y.label, "ci95", "ci95 of x"])?;
     for panel in &figure.panels {
         for series in &panel.series {
             for point in &series.points {
-                let ci95 = point.ci95.map_or(String::new(), |ci95| ci95.to_string());
-                writer.write_record([&panel.title, &series.name, &point.x.to_string(), &point.y.to_string(), &ci95])?;
+                let [ci95, x_ci95] =
+                    [point.ci95, point.x_ci95].map(|half| half.map_or(String::new(), |half| half.to_string()));
+                let [x, y] = [point.x, point.y].map(|value| value.to_string());
+                writer.write_record([&panel.title, &series.name, &x, &y, &ci95, &x_ci95])?;
             }
         }
         let Some(floor) = &panel.floor else { continue };
         for (index, value) in floor.values.iter().enumerate() {
             let [x, y] = floor.centre(index % floor.columns, index / floor.columns);
             let name = format!("{}: {value}", floor.label);
-            writer.write_record([&panel.title, &name, &x.to_string(), &y.to_string(), ""])?;
+            writer.write_record([&panel.title, &name, &x.to_string(), &y.to_string(), "", ""])?;
         }
     }
     writer.into_inner().context("the table cannot be finished")

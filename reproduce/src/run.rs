@@ -17,7 +17,7 @@ use crate::figures::{Done, Kind, Room};
 use crate::part::Part;
 use crate::report::{LeftOut, Meta, Report, Source};
 use crate::store::{Origin, Store};
-use crate::{machine, report, training};
+use crate::{command, machine, report, training};
 
 /// Runs the command.
 ///
@@ -153,7 +153,7 @@ fn meta(args: &ReproduceArgs, parts: &[Origin]) -> Meta {
         commits: commits(parts),
         made: machine::now(),
         machine: machine::hardware(),
-        command: command(args),
+        command: command::of_report(args),
         effort: match args.quick {
             true => "quick",
             false if effort == Effort::full() => "full",
@@ -174,33 +174,6 @@ fn commits(parts: &[Origin]) -> Vec<String> {
     commits.sort_unstable();
     commits.dedup();
     commits
-}
-
-/// The command that makes the same report, without the places on this machine.
-fn command(args: &ReproduceArgs) -> String {
-    use clap::ValueEnum;
-    let what = args.what.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned());
-    let mut command = format!("heliostat reproduce {what} --out DIR");
-    let mut add = |flag: &str, value: String| command.push_str(&format!(" --{flag} {value}"));
-    if !args.mode.is_empty() {
-        add("mode", args.mode.join(","));
-    }
-    if let Some(file) = &args.scenario {
-        add("scenario", file.clone());
-    }
-    args.overrides.iter().for_each(|text| add("set", text.clone()));
-    let mut number = |flag: &str, value: Option<u64>| value.into_iter().for_each(|value| add(flag, value.to_string()));
-    number("seeds", args.seeds);
-    number("training-seeds", args.training_seeds);
-    number("episodes", args.episodes.map(u64::from));
-    number("seed", (args.seed != 1).then_some(args.seed));
-    if args.blocked != [0, 2, 3, 5] {
-        add("blocked", args.blocked.iter().map(usize::to_string).collect::<Vec<_>>().join(","));
-    }
-    for (given, flag) in [(args.quick, " --quick"), (args.finished, " --finished")] {
-        command.push_str(if given { flag } else { "" });
-    }
-    command
 }
 
 /// A time in words.

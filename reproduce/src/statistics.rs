@@ -32,7 +32,7 @@ pub fn over_seeds(name: &str, curves: &[&Curve]) -> Option<Series> {
     let points = first.points.iter().map(|[x, _]| {
         let values: Vec<f64> = curves.iter().filter_map(|curve| value(curve, *x)).collect();
         let (y, ci95) = mean(&values);
-        Point { x: *x, y, ci95 }
+        Point { x: *x, y, ci95, x_ci95: None }
     });
     Some(Series { name: name.into(), points: points.collect() })
 }

@@ -19,7 +19,7 @@ pub struct Finished {
 }
 
 /// Where a part came from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Origin {
     /// The figure it belongs to.
     pub figure: String,
@@ -37,9 +37,22 @@ pub struct Origin {
     pub machine: String,
     /// Processor time that it took in s.
     pub cpu_s: f64,
+    /// How many tasks wanted a processor, this one among them, where the system tells: the larger load average of its beginning and its end.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub load: Option<f64>,
+    /// Cores that there were for them.
+    #[serde(default)]
+    pub cores: usize,
     /// Whether it was there before this run.
     #[serde(default)]
     pub kept: bool,
+}
+
+impl Origin {
+    /// The load, where it was larger than the cores could bear: others then took time from the part.
+    pub fn overload(&self) -> Option<f64> {
+        self.load.filter(|load| *load > self.cores as f64)
+    }
 }
 
 /// The folder of finished parts.
@@ -78,7 +91,7 @@ impl Store {
     /// # Errors
     /// Those of the part, and a file that cannot be written.
     pub fn compute(&self, part: &Part) -> Result<Finished> {
-        let before_s = machine::cpu_s();
+        let (before_s, before) = (machine::cpu_s(), machine::load());
         let measured = part.compute()?;
         let origin = Origin {
             figure: part.figure.into(),
@@ -89,6 +102,8 @@ impl Store {
             commit: machine::COMMIT.into(),
             machine: machine::hardware(),
             cpu_s: machine::cpu_s() - before_s,
+            load: [before, machine::load()].into_iter().flatten().reduce(f64::max),
+            cores: machine::cores(),
             kept: false,
         };
         let text = serde_json::to_vec(&Finished { origin, measured })?;

@@ -67,6 +67,9 @@ fn a_report_needs_nothing_else_and_its_files_agree() {
     let page = read("report.html");
     assert_eq!(page.matches("<script type=\"text/javascript\">").count(), 1 + report.figures.len(), "the library once");
     assert!(!page.contains("<script src") && !page.contains("<link"), "nothing is fetched");
+    let command =
+        "<code>heliostat reproduce sum-rate-power --out DIR --mode specular --seeds 2 --blocked 2 --quick</code>";
+    assert_eq!(page.matches(command).count(), 2, "of the report and of its figure");
     let written: Report = serde_json::from_str(&read("report.json")).unwrap();
     assert_eq!((written.claims, written.meta.commits), (report.claims.clone(), report.meta.commits.clone()));
     assert!(read("sum-rate-power-specular.svg").contains("optical power (W)"));
@@ -98,6 +101,8 @@ fn what_makes_no_sense_is_refused_before_it_begins() {
     let out = folder.path();
     let blocked = refusal("sum-rate-power", out, &["--set", "users.count=2", "--blocked", "0,3"]);
     assert!(blocked.contains("3 users") && blocked.contains("--blocked numbers up to 2"), "{blocked}");
+    let many = refusal("sum-rate-power", out, &["--set", "users.count=8", "--blocked", "0,1,2,3,4,5,6,7,8"]);
+    assert!(many.contains("--blocked has 9") && many.contains("give 8 numbers or fewer"), "{many}");
     let mirrors = refusal("sum-rate-power", out, &["--set", "mirrors.rows=0"]);
     assert!(mirrors.contains("mirrors.rows"), "{mirrors}");
     let pointless = refusal("ber-snr", out, &["--mode", "paper"]);

@@ -205,7 +205,8 @@ fn curve(series: &Series) -> Box<Scatter<f64, f64>> {
     };
     let symbol = if look.points_only { MarkerSymbol::X } else { MarkerSymbol::Circle };
     let ci95 = series.points.iter().map(|point| point.ci95.unwrap_or(0.0)).collect();
-    Scatter::new(
+    let along = series.points.iter().map(|point| point.x_ci95.unwrap_or(0.0)).collect();
+    let curve = Scatter::new(
         series.points.iter().map(|point| point.x).collect(),
         series.points.iter().map(|point| point.y).collect(),
     )
@@ -216,7 +217,9 @@ fn curve(series: &Series) -> Box<Scatter<f64, f64>> {
     .marker(Marker::new().color(colour).size(if look.points_only { 9 } else { 6 }).symbol(symbol))
     // Shown when pointed at; the band is what is drawn.
     .error_y(ErrorData::new(ErrorType::Data).array(ci95).visible(false))
-    .hover_template(format!("{}: %{{y:.4g}} ± %{{error_y.array:.2g}} at %{{x:.4g}}<extra></extra>", series.name))
+    .hover_template(format!("{}: %{{y:.4g}} ± %{{error_y.array:.2g}} at %{{x:.4g}}<extra></extra>", series.name));
+    let measured = series.points.iter().any(|point| point.x_ci95.is_some());
+    if measured { curve.error_x(ErrorData::new(ErrorType::Data).array(along)) } else { curve }
 }
 
 fn dash(dashes: Option<[i32; 2]>) -> DashType {

@@ -19,7 +19,8 @@ pub fn style(name: &str) -> Style {
     // A policy that predicts the users keeps its colour; so do the sizes at which a yardstick stands.
     let policy = name.split(['+', ' ']).next().unwrap_or(name);
     let hex = match policy {
-        "oracle" | "exhaustive" => 0x000000,
+        "oracle" => 0x000000,
+        "exhaustive" => 0xC08A00,
         "ddpg" | "actor" => 0x0072B2,
         "analytic" => 0x56B4E9,
         "ddpg-basis" => 0x009E73,
@@ -51,7 +52,8 @@ pub fn style(name: &str) -> Style {
     Style {
         rgb: [red, green, blue],
         dashes: match policy {
-            "oracle" | "exhaustive" => Some([9, 4]),
+            "oracle" => Some([9, 4]),
+            "exhaustive" => Some([3, 3]),
             "random" => Some([5, 5]),
             "flat" => Some([2, 3]),
             "no-irs" => Some([12, 8]),
@@ -87,6 +89,46 @@ pub fn short_number(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::figures::inference::SMALL;
+
+    /// A colour in CIE L*a*b* as an eye sees it whose cones mix red, green and blue by `sight`.
+    ///
+    /// Source: Machado, Oliveira, Fernandes (2009), severity 1.
+    fn seen(rgb: [u8; 3], sight: [[f64; 3]; 3]) -> [f64; 3] {
+        let linear = rgb.map(|value| {
+            let value = f64::from(value) / 255.0;
+            if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+        });
+        let times = |rows: [[f64; 3]; 3], vector: [f64; 3]| {
+            rows.map(|row| row.iter().zip(vector).map(|(one, other)| one * other).sum::<f64>())
+        };
+        // From sRGB to XYZ over the white of D65.
+        let xyz = [[0.4339, 0.3762, 0.1899], [0.2126, 0.7152, 0.0722], [0.0177, 0.1095, 0.8727]];
+        let [x, y, z] = times(xyz, times(sight, linear).map(|value| value.clamp(0.0, 1.0)))
+            .map(|value| if value > 0.008856 { value.cbrt() } else { 7.787 * value + 16.0 / 116.0 });
+        [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+    }
+
+    #[test]
+    fn those_that_share_the_panel_of_nine_mirrors_are_told_apart_by_every_eye() {
+        let sights = [
+            [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+            [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+            [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+        ];
+        for (index, one) in SMALL.iter().enumerate() {
+            for other in &SMALL[..index] {
+                for sight in sights {
+                    let [one, other] = [one, other].map(|name| seen(style(name).rgb, sight));
+                    let apart = one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt();
+                    // A difference of 2 or 3 is seen side by side; thin lines of a legend and of a plot are not.
+                    assert!(apart > 20.0, "{one:?} and {other:?}");
+                }
+            }
+        }
+        assert_ne!(style("oracle").dashes, style("exhaustive").dashes);
+    }
 
     #[test]
     fn a_policy_keeps_its_colour_under_prediction_and_numbers_are_short() {

@@ -181,6 +181,9 @@ fn draw_series(chart: &mut Chart, figure: &Figure, series: &Series) -> Result<()
     } else {
         chart.draw_series([PathElement::new(path.clone(), colour.stroke_width(2))])?;
     }
+    let measured = series.points.iter().filter_map(|point| Some((point, point.x_ci95?)));
+    let across = measured.map(|(point, half)| vec![at(point.x - half, point.y), at(point.x + half, point.y)]);
+    chart.draw_series(across.map(|ends| PathElement::new(ends, colour.mix(0.35).stroke_width(7))))?;
     if path.len() <= 12 && !look.points_only {
         chart.draw_series(path.iter().map(|point| Circle::new(*point, 3, colour.filled())))?;
     }

@@ -18,9 +18,6 @@ use crate::part::{Curve, Job, Measured, Part};
 /// The word on the command line.
 pub const ID: &str = "ber-snr";
 
-/// Raised when the computation changes.
-const VERSION: u32 = 1;
-
 /// Why there is no such figure under the paper's equations.
 pub const POINTLESS: &str = "equations (2) and (3) spread a mirror's light over the whole room, so that a mirror which is aimed a little aside loses \
                              nothing and the error rate does not depend on the speed; only the law of reflection (mode specular) has a spot that can \
@@ -69,7 +66,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Vec<Part> {
     let instants = plan.effort.instants;
     let part = |delay: (f64, f64, bool), seed: u64| Part {
         figure: ID,
-        version: VERSION,
+        code: env!("HELIOSTAT_CODE_BER_SNR"),
         room: room.name.clone(),
         name: group(delay),
         seed,
@@ -152,6 +149,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::linear("SNR at perfect aim (dB)"),
         y: Axis::log("bit error rate", [1e-9, 1.0]),
         panels: groups(done).into_iter().map(panel).collect(),
-        ratios: Vec::new(),
+        ..Figure::default()
     }
 }

@@ -18,9 +18,6 @@ use crate::part::{Job, Measured, Part};
 /// The word on the command line.
 pub const ID: &str = "map";
 
-/// Raised when the computation changes.
-const VERSION: u32 = 1;
-
 /// Who turns the mirrors: nobody, and the controller's default.
 const POLICIES: [&str; 2] = ["no-irs", "ddpg"];
 
@@ -39,7 +36,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     let step_cm = plan.effort.step_cm;
     Ok(vec![Part {
         figure: ID,
-        version: VERSION,
+        code: env!("HELIOSTAT_CODE_MAP"),
         room: room.name.clone(),
         name: "floor".into(),
         seed: plan.first_seed,
@@ -74,7 +71,7 @@ impl Map {
 
 /// What stands on the floor.
 fn signs(world: &World) -> Vec<Series> {
-    let point = |x: f64, y: f64| Point { x, y, ci95: None };
+    let point = |x: f64, y: f64| Point { x, y, ci95: None, x_ci95: None };
     let outline = |cylinder: &Cylinder| {
         let at = |step: i32| {
             let (sin, cos) = (TAU * f64::from(step) / 24.0).sin_cos();
@@ -123,6 +120,6 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         x: Axis::linear("x (m)"),
         y: Axis::linear("y (m)"),
         panels: titles.into_iter().zip(floors).map(panel).collect(),
-        ratios: Vec::new(),
+        ..Figure::default()
     }
 }

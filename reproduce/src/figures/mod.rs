@@ -12,6 +12,7 @@ use anyhow::Result;
 use heliostat_controller::policy::ActorSource;
 use heliostat_scenario::{ChannelMode, Scenario};
 
+use crate::command;
 use crate::effort::Effort;
 use crate::figure::{Figure, Series};
 use crate::part::{Curve, Part};
@@ -27,6 +28,8 @@ pub struct Room {
     pub scenario: Scenario,
     /// Where the policy ddpg comes from there.
     pub actor: ActorSource,
+    /// The flags of the command line on which figures in it depend.
+    pub flags: String,
 }
 
 /// What all figures are made with.
@@ -107,13 +110,15 @@ impl Kind {
 
     /// The figure from its finished parts.
     pub fn figure(self, room: &Room, done: &[Done]) -> Figure {
-        match self {
+        let figure = match self {
             Self::SumRateIterations => sum_rate_iterations::figure(room, done),
             Self::SumRatePower => sum_rate_power::figure(room, done),
             Self::BerSnr => ber_snr::figure(room, done),
             Self::Inference => inference::figure(room, done),
             Self::Map => map::figure(room, done),
-        }
+        };
+        let overloaded = done.iter().any(|(_, finished)| finished.origin.overload().is_some());
+        Figure { command: command::of_figure(self.id(), room), overloaded, ..figure }
     }
 }
 

@@ -8,15 +8,13 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::{Done, Plan, Room, groups, intervals, series};
+use crate::draw::interactive::PANELS_MAX;
 use crate::figure::{Axis, Figure, Panel, Quoted, Series};
 use crate::part::{Curve, Job, Measured, Part};
 use crate::statistics::over_seeds;
 
 /// The word on the command line.
 pub const ID: &str = "sum-rate-power";
-
-/// Raised when the computation changes.
-const VERSION: u32 = 1;
 
 /// Those compared; the oracle comes with every comparison.
 const POLICIES: [&str; 4] = ["ddpg", "flat", "random", "no-irs"];
@@ -38,6 +36,11 @@ pub fn group(blocked: usize) -> String {
 }
 
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
+    ensure!(
+        plan.blocked.len() <= PANELS_MAX,
+        "{ID} draws a panel for each number of blocked users, and --blocked has {}: give {PANELS_MAX} numbers or fewer",
+        plan.blocked.len()
+    );
     let users = room.scenario.users.count;
     let most = plan.blocked.iter().copied().max().unwrap_or(0);
     ensure!(
@@ -53,7 +56,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     let effort = &plan.effort;
     let part = |blocked: usize, seed: u64| Part {
         figure: ID,
-        version: VERSION,
+        code: env!("HELIOSTAT_CODE_SUM_RATE_POWER"),
         room: room.name.clone(),
         name: group(blocked),
         seed,
@@ -103,7 +106,7 @@ pub const QUOTED_BLOCKED: usize = 2;
 pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     let names = ["oracle", "ddpg", "flat", "random", "no-irs"];
     let panel = |name: &str| Panel {
-        title: format!("{name} of {} users", room.scenario.users.count),
+        title: name.to_owned(),
         series: series(done, name, &names),
         quoted: if name == group(QUOTED_BLOCKED) { quoted() } else { Vec::new() },
         floor: None,
@@ -117,7 +120,13 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         room: room.name.clone(),
         title: "Sum rate against optical power".into(),
         caption: vec![
-            format!("{} mirrors. {} Each seed has {} rooms of its own.", room.scenario.mirror_count(), intervals(done), states.unwrap_or(0)),
+            format!(
+                "{} mirrors, {} users; each panel says how many of them have no direct path. {} Each seed has {} rooms of its own.",
+                room.scenario.mirror_count(),
+                room.scenario.users.count,
+                intervals(done),
+                states.unwrap_or(0)
+            ),
             "Every policy sees a state as it is and its mirrors turn at once, so that the speed at which people walk plays no part (the paper: about \
              1 m/s). The paper's benchmark, each mirror turned at random and left so, is `random`, the mean of 30 draws; `flat` (no mirror turned) and \
              `no-irs` stand beside it because random angles are the weakest of the three in the paper's equations."
@@ -130,6 +139,7 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         y: Axis::linear("sum rate (Mbit/s)"),
         panels: groups(done).into_iter().map(panel).collect(),
         ratios: OVER.iter().filter_map(|policy| gain(done, policy)).collect(),
+        ..Figure::default()
     }
 }
 

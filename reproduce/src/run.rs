@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::IsTerminal;
+use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
@@ -117,11 +118,12 @@ fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<Progr
             cost_s += part.cost_s;
         }
     }
-    eprintln!(
+    drop(writeln!(
+        std::io::stderr(),
         "{count} parts, {} of them finished before; the rest takes about {} of one core",
         count - missing,
         span(cost_s)
-    );
+    ));
     let bar = ProgressBar::new((1e3 * cost_s) as u64);
     bar.set_style(ProgressStyle::with_template("{bar:32} {percent} %, {eta} left  {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
@@ -140,7 +142,7 @@ fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
     bar.set_message(part.label());
     let finished = on_one_thread(|| store.compute(&part))??;
     if !std::io::stderr().is_terminal() {
-        eprintln!("{}: {:.1} s", part.label(), finished.origin.cpu_s);
+        drop(writeln!(std::io::stderr(), "{}: {:.1} s", part.label(), finished.origin.cpu_s));
     }
     bar.inc((1e3 * part.cost_s) as u64);
     Ok((part, finished))

@@ -1,13 +1,9 @@
 //! From the values of several seeds to a mean with its interval.
 
+use heliostat_models::evaluate::Estimate;
+
 use crate::figure::{Point, Series};
 use crate::part::Curve;
-
-/// Two-sided 95 % quantiles of Student's t distribution for 1 to 30 degrees of freedom.
-const T_95: [f64; 30] = [
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120,
-    2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
-];
 
 /// The mean of independent values, and half the width of its 95 % interval by Student's t; none for a single value.
 ///
@@ -15,14 +11,8 @@ const T_95: [f64; 30] = [
 /// Without a value.
 pub fn mean(values: &[f64]) -> (f64, Option<f64>) {
     assert!(!values.is_empty(), "a mean of nothing");
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
-    if values.len() == 1 {
-        return (mean, None);
-    }
-    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    let quantile = T_95.get(values.len() - 2).copied().unwrap_or(1.96);
-    (mean, Some(quantile * (variance / count).sqrt()))
+    let estimate = Estimate::of(values);
+    (estimate.mean, (values.len() > 1).then_some(estimate.ci95))
 }
 
 /// The mean curve over seeds: at each place of the first curve, of all curves that have a value there.

@@ -1,6 +1,7 @@
 //! The policy ddpg for rooms that no built-in actor fits, trained by `heliostat train` itself.
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -50,7 +51,7 @@ pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
     }
     fs::create_dir_all(&folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     crate::store::write(&file, room.scenario.to_toml().as_bytes())?;
-    eprintln!("training the policy ddpg for room {}", room.name);
+    drop(writeln!(std::io::stderr(), "training the policy ddpg for room {}", room.name));
     let [file, into] = [&file, &folder].map(|path| path.display().to_string());
     let mut command = vec!["train", "ddpg", "--scenario", &file, "--out", &into];
     if folder.join("checkpoint.safetensors").exists() {

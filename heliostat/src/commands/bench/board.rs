@@ -10,31 +10,47 @@ use super::rows::Times;
 pub struct Board(Arc<(Mutex<Inner>, Condvar)>);
 
 struct Inner {
-    /// When each report was due, from tick 1 on; none once it is answered.
-    waiting: Vec<Option<Instant>>,
+    /// Room and due time of each report, from tick 1 on; none once it is answered or overtaken.
+    waiting: Vec<Option<(usize, Instant)>>,
+    /// Reports before this index wait no more.
+    oldest: usize,
+    /// Reports that were never answered themselves, because an answer to a later one of their room came.
+    overtaken: u64,
     times: Times,
 }
 
 impl Default for Board {
     fn default() -> Self {
-        Self(Arc::new((Mutex::new(Inner { waiting: Vec::new(), times: Times::new() }), Condvar::new())))
+        Self(Arc::new((
+            Mutex::new(Inner { waiting: Vec::new(), oldest: 0, overtaken: 0, times: Times::new() }),
+            Condvar::new(),
+        )))
     }
 }
 
 impl Board {
-    /// A report goes out; ticks count from 1 without gaps.
-    pub fn sent(&self, tick: u64, due: Instant) {
+    /// A report to a room goes out; ticks count from 1 without gaps.
+    pub fn sent(&self, tick: u64, room: usize, due: Instant) {
         let mut inner = self.lock();
         debug_assert_eq!(inner.waiting.len() as u64 + 1, tick);
-        inner.waiting.push(Some(due));
+        inner.waiting.push(Some((room, due)));
     }
 
-    /// An answer arrived; only the first to each report counts.
+    /// An answer arrived; only the first to each report counts. Earlier reports of the room that still wait are overtaken: what the array
+    /// knows now is newer, and they count with the time until then.
     pub fn answered(&self, tick: u64, arrived: Instant) {
         let mut inner = self.lock();
-        let due = tick.checked_sub(1).and_then(|index| inner.waiting.get_mut(index as usize)).and_then(Option::take);
-        if let Some(due) = due {
-            inner.times.record(arrived.saturating_duration_since(due));
+        let Inner { waiting, oldest, overtaken, times } = &mut *inner;
+        let index = (tick as usize).wrapping_sub(1);
+        if let Some((room, due)) = waiting.get_mut(index).and_then(Option::take) {
+            times.record(arrived.saturating_duration_since(due));
+            for report in &mut waiting[*oldest..index] {
+                if let Some((_, due)) = report.take_if(|(other, _)| *other == room) {
+                    times.record(arrived.saturating_duration_since(due));
+                    *overtaken += 1;
+                }
+            }
+            *oldest += waiting[*oldest..].iter().take_while(|report| report.is_none()).count();
         }
         drop(inner);
         self.0.1.notify_one();
@@ -60,15 +76,17 @@ impl Board {
     pub fn begin(&self) {
         let mut inner = self.lock();
         inner.times = Times::new();
-        inner.waiting.iter_mut().for_each(|due| *due = None);
+        inner.overtaken = 0;
+        inner.oldest = inner.waiting.len();
+        inner.waiting.iter_mut().for_each(|report| *report = None);
     }
 
-    /// What was measured, and how many reports were never answered; each of those is among the times with `lost_after`.
+    /// What was measured, and how many reports were never answered themselves; those that nothing overtook are among the times with `lost_after`.
     pub fn take(&self, lost_after: Duration) -> (Times, u64) {
         let mut inner = self.lock();
-        let lost = inner.waiting.iter().flatten().count() as u64;
-        (0..lost).for_each(|_| inner.times.record(lost_after));
-        (std::mem::replace(&mut inner.times, Times::new()), lost)
+        let silent = inner.waiting.iter().flatten().count() as u64;
+        (0..silent).for_each(|_| inner.times.record(lost_after));
+        (std::mem::replace(&mut inner.times, Times::new()), silent + inner.overtaken)
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -81,23 +99,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn answers_are_matched_out_of_order_once_each() {
+    fn an_answer_counts_once_and_overtakes_earlier_reports_of_its_room() {
         let board = Board::default();
         let due = Instant::now();
-        (1..=4).for_each(|tick| board.sent(tick, due));
-        for tick in [3, 1, 1, 99, 0] {
-            board.answered(tick, due + Duration::from_micros(tick));
+        // Ticks of two rooms in turn: the answer to 3 overtakes 1 of the same room, and neither 2 nor 4 is ever answered.
+        (1..=4).for_each(|tick| board.sent(tick, tick as usize % 2, due));
+        for tick in [3, 1, 99, 0] {
+            board.answered(tick, due + Duration::from_millis(10));
         }
-        assert!(board.wait(3, Duration::ZERO) && !board.wait(2, Duration::ZERO));
+        assert!(board.wait(3, Duration::ZERO) && board.wait(1, Duration::ZERO) && !board.wait(2, Duration::ZERO));
         let (times, lost) = board.take(Duration::from_millis(500));
-        assert_eq!((times.count(), lost), (4, 2));
+        assert_eq!((times.count(), lost), (4, 3));
         assert_eq!(times.over(Duration::from_millis(400)), 2, "who was never answered waited long");
     }
 
     #[test]
     fn what_was_before_the_beginning_does_not_count() {
         let board = Board::default();
-        board.sent(1, Instant::now());
+        board.sent(1, 0, Instant::now());
         board.begin();
         board.answered(1, Instant::now());
         let (times, lost) = board.take(Duration::from_millis(500));

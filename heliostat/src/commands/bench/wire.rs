@@ -281,7 +281,7 @@ impl Side {
     }
 
     fn send(&mut self, room: usize, due: Instant) -> Result<()> {
-        self.board.sent(self.tick, due);
+        self.board.sent(self.tick, room, due);
         self.rooms[room].channel.put(&self.buffers[1])?;
         Ok(self.rooms[room].users.put(&self.buffers[0])?)
     }

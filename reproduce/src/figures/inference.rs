@@ -36,7 +36,7 @@ const FAST_US: f64 = 1000.0;
 pub struct Timing {
     /// Nine mirrors and three users, with the exhaustive search.
     pub small: bool,
-    /// Decisions of each policy whose median is under [`FAST_US`].
+    /// Decisions of each policy whose median is under `FAST_US`.
     pub decisions: usize,
     /// Decisions of each other policy.
     pub slow_decisions: usize,

@@ -286,7 +286,6 @@ fn refused(action: &'static str, key: &str) -> impl FnOnce(zenoh::Error) -> BusE
     move |error| BusError::Refused { action, key, problem: error.to_string() }
 }
 
-/// Zenoh reports all failures as text; this finds out which one it is.
 /// Zenoh's account without the places in its sources, " at FILE.rs:LINE.", that it names.
 fn without_places(account: &str) -> String {
     let mut plain = account.to_owned();
@@ -300,6 +299,7 @@ fn without_places(account: &str) -> String {
     plain
 }
 
+/// Zenoh reports all failures as text; this finds out which one it is.
 fn open_error(config: &BusConfig, account: &str) -> BusError {
     let problem = &*without_places(account);
     let named = |endpoints: &[String]| {

@@ -13,7 +13,7 @@ use crate::{
     intake::{Deciding, Place},
     machine::MachineArgs,
     node::{self, NodeConfig, Pace},
-    policy::PolicyKind,
+    policy::{ActorSource, PolicyKind},
     summary::Summary,
 };
 
@@ -82,9 +82,7 @@ impl Args {
         if self.keep_warm > 0 && !(50..=1_000_000).contains(&self.keep_warm) {
             bail!("--keep-warm {}: wanted 0, or 50 to 1000000 us", self.keep_warm);
         }
-        if self.model.is_some() && !self.policy.is_learned() {
-            bail!("--model is the file of a learned policy; it goes with --policy {}", PolicyKind::learned_names());
-        }
+        self.policy.check_takes(&self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path))?;
         let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
             bail!("--also-room {}: this room is served already; name each room once", twice.1);

@@ -173,7 +173,9 @@ impl<D: Device> Driver<D> {
         self.lines.announce(&self.kit.capabilities(stamp))?;
         let summary = self.summary();
         if self.told_problem != summary.last_problem {
-            drop(writeln!(std::io::stderr(), "driver: {}", summary.last_problem));
+            if !summary.last_problem.is_empty() {
+                drop(writeln!(std::io::stderr(), "driver: {}", summary.last_problem));
+            }
             self.told_problem.clone_from(&summary.last_problem);
         }
         let stamp = self.stamp(2, now);

@@ -134,6 +134,7 @@ fn every_algorithm_trains_the_policy_of_its_name_and_refuses_what_makes_no_sense
             algorithm.begin(scenario.clone(), Preset::Tuned, &options).err().expect("a refusal").to_string()
         };
         assert!(refusal(&["nonsense=1"]).contains("no such key"), "{name}");
+        assert!(refusal(&["step_s=0"]).contains("step_s = 0"), "{name}");
         assert!(refusal(&["steps=0"]).contains("steps = 0: wanted"), "{name}");
         assert!(refusal(&["episodes=many"]).contains("episodes=many"), "{name}");
     }

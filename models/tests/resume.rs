@@ -82,3 +82,14 @@ fn a_damaged_checkpoint_is_refused() {
     std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("the file");
     assert!(checkpoint::load(&mut run, &path).is_err());
 }
+
+#[test]
+fn a_run_that_diverged_writes_nothing() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("checkpoint.safetensors");
+    let mut lost = trainer(short(Settings { critic_rate: f64::INFINITY, ..Settings::tuned(1, ChannelMode::Specular) }));
+    run(&mut lost, EPISODES);
+    let refusal = checkpoint::save(&lost, &path).expect_err("there is no number left").to_string();
+    assert!(refusal.contains("not finite") && refusal.contains("after 6 episodes"), "{refusal}");
+    assert!(!path.exists());
+}

@@ -178,3 +178,13 @@ impl ReproduceArgs {
         Ok((chosen, left_out))
     }
 }
+
+#[cfg(test)]
+impl ReproduceArgs {
+    /// The flags of a command line without quotes, from "heliostat" on.
+    pub(crate) fn of_command(command: &str) -> Self {
+        use clap::{Args, Command, FromArgMatches};
+        let matches = Self::augment_args(Command::new("reproduce")).get_matches_from(command.split(' ').skip(1));
+        Self::from_arg_matches(&matches).expect("a command line of a test")
+    }
+}

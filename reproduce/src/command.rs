@@ -55,40 +55,32 @@ fn quoted(word: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
-
     use super::*;
-
-    #[derive(Parser)]
-    struct Command {
-        #[command(flatten)]
-        args: ReproduceArgs,
-    }
-
-    fn parsed(command: &str) -> ReproduceArgs {
-        Command::parse_from(command.split(' ').skip(1)).args
-    }
 
     const CHANGED: &str = "--set users.count=6 --set mirrors.rows=8 --seeds 4 --training-seeds 2 --episodes 7 --seed 3 --blocked 0,6 --quick";
 
     #[test]
     fn a_report_s_command_is_the_one_that_was_given() {
         for given in ["--mode paper,specular", "--scenario hall.toml", "--finished", "--train-missing"] {
-            let args = parsed(&format!("heliostat reproduce all --out DIR {given} {CHANGED}"));
-            assert_eq!(format!("{:?}", parsed(&of_report(&args))), format!("{args:?}"));
+            let args = ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR {given} {CHANGED}"));
+            assert_eq!(format!("{:?}", ReproduceArgs::of_command(&of_report(&args))), format!("{args:?}"));
         }
         assert_eq!(
-            of_report(&parsed("heliostat reproduce map --out /tmp --json")),
+            of_report(&ReproduceArgs::of_command("heliostat reproduce map --out /tmp --json")),
             "heliostat reproduce map --out DIR"
         );
     }
 
     #[test]
     fn a_figure_s_command_names_its_room_and_keeps_every_other_flag() {
-        let all = parsed(&format!("heliostat reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"));
-        let one = parsed(&format!("heliostat reproduce map --out DIR --mode specular --train-missing {CHANGED}"));
+        let all = ReproduceArgs::of_command(&format!(
+            "heliostat reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"
+        ));
+        let one = ReproduceArgs::of_command(&format!(
+            "heliostat reproduce map --out DIR --mode specular --train-missing {CHANGED}"
+        ));
         let command = of_figure("map", &all.rooms().unwrap()[1]);
-        assert_eq!(format!("{:?}", parsed(&command)), format!("{one:?}"));
+        assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command)), format!("{one:?}"));
     }
 
     #[test]
@@ -96,7 +88,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("hall.toml").display().to_string();
         std::fs::write(&file, heliostat_scenario::Scenario::builtin_text("specular").unwrap()).unwrap();
-        let args = parsed(&format!("heliostat reproduce all --out DIR --scenario {file} --finished"));
+        let args =
+            ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR --scenario {file} --finished"));
         let command = of_figure("inference", &args.rooms().unwrap()[0]);
         assert_eq!(command, format!("heliostat reproduce inference --out DIR --scenario {file}"));
     }

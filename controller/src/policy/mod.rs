@@ -150,6 +150,15 @@ impl PolicyKind {
         matches!(self, Ddpg | DdpgRaw | DdpgBasis | Analytic | Dql | QLearning | Sarsa)
     }
 
+    /// Refuses a file where the policy reads none.
+    ///
+    /// # Errors
+    /// [`BuildError::NoUseForModel`].
+    pub fn check_takes(self, actor: &ActorSource) -> Result<(), BuildError> {
+        let useless = matches!(actor, ActorSource::Path(_)) && !self.is_learned();
+        if useless { Err(BuildError::NoUseForModel { policy: self.name() }) } else { Ok(()) }
+    }
+
     /// The names of all learned policies, with commas between them.
     pub fn learned_names() -> String {
         let learned = Self::value_variants().iter().filter(|kind| kind.is_learned());
@@ -192,9 +201,7 @@ impl ActorSource {
 /// [`BuildError`] where the policy is learned and its actor is missing or does not fit, where it is not and one is given, or where it searches
 /// more than can be searched.
 pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Result<Box<dyn Policy>, BuildError> {
-    if matches!(actor, ActorSource::Path(_)) && !kind.is_learned() {
-        return Err(BuildError::NoUseForModel { policy: kind.name() });
-    }
+    kind.check_takes(actor)?;
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     let range_rad = Limits::new(&scenario.control).range_rad();
     Ok(match kind {

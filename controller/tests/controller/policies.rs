@@ -183,3 +183,10 @@ fn a_time_budget_ends_the_search() {
         searched(kind, &["control.search_evaluations=100000000", "control.search_time_us=500"]);
     }
 }
+
+#[test]
+fn a_file_for_a_policy_that_reads_none_is_refused() {
+    let file = ActorSource::Path("actor.onnx".into());
+    let refusal = build(PolicyKind::FixedPoint, &Scenario::default(), &file).err().expect("a refusal").to_string();
+    assert!(refusal.contains("fixed-point reads none"), "{refusal}");
+}

@@ -176,25 +176,18 @@ fn times(done: &[Done], group: &str, name: &str) -> Series {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
-
     use super::*;
     use crate::args::ReproduceArgs;
     use crate::claims::claims;
     use crate::figures::Kind;
     use crate::store::{Finished, Origin};
 
-    #[derive(Parser)]
-    struct Command {
-        #[command(flatten)]
-        args: ReproduceArgs,
-    }
-
     /// The figure whose every part finds for `ddpg` the medians and 99th percentiles given, one pair a seed, under a load on 2 cores.
     fn figure_of(times_us: &[[f64; 2]], load: f64) -> Figure {
-        let seeds = times_us.len().to_string();
-        let command = ["reproduce", "inference", "--out", "DIR", "--mode", "paper", "--training-seeds", &seeds];
-        let args = Command::parse_from(command).args;
+        let seeds = times_us.len();
+        let args = ReproduceArgs::of_command(&format!(
+            "heliostat reproduce inference --out DIR --mode paper --training-seeds {seeds}"
+        ));
         let rooms = args.rooms().unwrap();
         let parts = parts(&rooms[0], &args.plan(args.effort())).unwrap();
         let finished = |(part, times): (Part, &[f64; 2])| {

@@ -37,6 +37,7 @@ pub mod scene;
 pub mod solver;
 pub mod specular;
 mod trig;
+mod wide;
 
 pub use angle::{Mechanical, Optical};
 pub use blockage::Cylinder;

@@ -37,7 +37,7 @@ pub(crate) fn front_factor(order: f64, receiver: &Receiver) -> f64 {
 }
 
 /// cos^n(irradiance) cos(incidence) / D^2 of one point of an LED within the field of view, zero elsewhere; in 1/m2.
-#[inline]
+#[inline(always)]
 pub(crate) fn unit_gain(point: &Vec3, order: f64, (normal, fov_cosine): (&Vec3, f64), detector: &Vec3) -> f64 {
     let towards_led = point - detector;
     let squared = towards_led.norm_squared();

@@ -80,6 +80,8 @@ pub(crate) struct Panel {
     pub front: f64,
     /// Distance from the panel's centre to each mirror in m. Shape: M.
     pub distance: Vec<f64>,
+    /// Unit vectors from each mirror to the panel's centre: x, y and z. Shape: M each.
+    pub direction: [Vec<f64>; 3],
     /// Specular: rho (n + 1) A_r T_s cos^n / (2 pi) towards each mirror's centre in m2; paper: illumination times gain scale. Shape: M.
     pub towards_mirror: Vec<f64>,
 }
@@ -177,6 +179,10 @@ impl Panel {
             lanes: points.chunks(POINT_LANES).map(|chunk| PointLanes::new(chunk, &led.position)).collect(),
             points,
             order,
+            direction: [0, 1, 2].map(|axis| {
+                let along = mirrors.positions().iter().zip(&distance);
+                along.map(|(mirror, distance)| (led.position[axis] - mirror[axis]) / distance).collect()
+            }),
             distance,
             towards_mirror,
         }

@@ -64,6 +64,7 @@ impl Plate {
     ///
     /// # Panics
     /// When the array has no such mirror.
+    #[inline(always)]
     pub fn facing(mirrors: &MirrorArray, index: usize, normal: &Vec3) -> Self {
         // Horizontal and across the normal; a mirror that lies flat keeps the wall's own direction.
         let width_axis = Vec3::new(-normal.y, normal.x, 0.0)
@@ -164,6 +165,7 @@ pub(crate) fn detected(towards_mirror: &Vec3, branch: &Branch) -> f64 {
 /// Unit normal that sends light from a source over a point to a detector: the bisector of the two directions.
 ///
 /// `None` where the three points are in line (light cannot be turned back on itself) or two of them coincide.
+#[inline(always)]
 pub fn bisector(mirror: &Vec3, source: &Vec3, detector: &Vec3) -> Option<Vec3> {
     let to_source = (source - mirror).try_normalize(1e-9)?;
     let to_detector = (detector - mirror).try_normalize(1e-9)?;

@@ -13,7 +13,7 @@ pub(crate) const BLOCK: usize = 16;
 pub(crate) type Lanes = [f64; BLOCK];
 
 /// Sines and cosines of a block of angles in radians.
-#[inline]
+#[inline(always)]
 pub(crate) fn sin_cos(angles: &Lanes) -> (Lanes, Lanes) {
     let (mut sines, mut cosines) = ([0.0; BLOCK], [0.0; BLOCK]);
     if angles.iter().all(|angle| angle.abs() <= FRAC_PI_2) {

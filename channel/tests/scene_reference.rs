@@ -198,7 +198,11 @@ fn steering_gain_is_the_gain_of_an_aimed_mirror() {
     let mut adr = Room::paper().with_panel();
     adr.receiver.branches = angle_diversity();
     adr.receiver.combining = Combining::MaximalRatio;
-    for room in [Room::paper(), Room::paper().with_panel(), adr] {
+    // Mirrors of which one edge or the other cuts the panel's light, on its way to some places and not to others.
+    let (mut narrow, mut low) = (Room::paper().with_panel(), Room::paper().with_panel());
+    narrow.array.mirror_width_m = 0.045;
+    low.array.mirror_height_m = 0.03;
+    for room in [Room::paper(), Room::paper().with_panel(), adr, narrow, low] {
         for seed in 0..10 {
             let case = Case::new(&room, seed);
             let mirrors = case.model.mirrors.len();

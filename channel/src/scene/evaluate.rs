@@ -8,6 +8,7 @@ use crate::model::ChannelModel;
 use crate::receiver::BRANCHES_MAX;
 use crate::specular::Plate;
 use crate::trig::{BLOCK, Lanes};
+use crate::wide::widest;
 use std::ops::Range;
 
 /// Users that share one pass over the mirrors: the mirrors are turned once for all of them.
@@ -56,16 +57,22 @@ impl Scene {
     pub fn irs_gain_each(&self, model: &ChannelModel, angles: &MirrorAngles, out: &mut [f64]) {
         assert_eq!(out.len(), self.users * self.mirrors, "one gain a pair");
         out.fill(0.0);
-        for first in (0..self.mirrors).step_by(BLOCK) {
-            let block = self.turn(model, angles, first);
-            for user in 0..self.users {
-                let row = &mut out[user * self.mirrors + first..][..block.lanes];
-                self.each_of_block(model, &block, user, row);
-            }
-        }
+        widest(
+            #[inline(always)]
+            || {
+                for first in (0..self.mirrors).step_by(BLOCK) {
+                    let block = self.turn(model, angles, first);
+                    for user in 0..self.users {
+                        let row = &mut out[user * self.mirrors + first..][..block.lanes];
+                        self.each_of_block(model, &block, user, row);
+                    }
+                }
+            },
+        );
     }
 
     /// Calls `finish` with each user's gain on each branch and writes what it returns.
+    #[inline(always)]
     fn evaluate(
         &self,
         model: &ChannelModel,
@@ -77,7 +84,11 @@ impl Scene {
         for (index, out) in out.chunks_mut(GROUP).enumerate() {
             let first_user = index * GROUP;
             let mut gains: Gains = [[0.0; BRANCHES_MAX]; GROUP];
-            self.gather(model, angles, first_user..first_user + out.len(), &mut gains);
+            let users = first_user..first_user + out.len();
+            widest(
+                #[inline(always)]
+                || self.gather(model, angles, users, &mut gains),
+            );
             for (offset, (out, gains)) in out.iter_mut().zip(&mut gains).enumerate() {
                 *out = finish(first_user + offset, &mut gains[..self.branches]);
             }
@@ -85,6 +96,7 @@ impl Scene {
     }
 
     /// Sums the reflected light of a group of users over all mirrors.
+    #[inline(always)]
     fn gather(&self, model: &ChannelModel, angles: &MirrorAngles, users: Range<usize>, gains: &mut Gains) {
         for first in (0..self.mirrors).step_by(BLOCK) {
             let block = self.turn(model, angles, first);
@@ -107,6 +119,7 @@ impl Scene {
     }
 
     /// Writes one user's combined gain over each mirror of a block.
+    #[inline(always)]
     fn each_of_block(&self, model: &ChannelModel, block: &Block, user: usize, row: &mut [f64]) {
         let Some(reading) = model.mode.reading() else {
             return self.each_hit(model, block, user, |lane, plate| {
@@ -124,6 +137,7 @@ impl Scene {
     }
 
     /// Calls `hit` for each visible mirror of a block whose light may reach the user.
+    #[inline(always)]
     fn each_hit(&self, model: &ChannelModel, block: &Block, user: usize, mut hit: impl FnMut(usize, &Plate)) {
         let led = self.serving[user];
         let other;
@@ -143,6 +157,7 @@ impl Scene {
     }
 
     /// Gains of a block of mirrors by eqs. (2) and (3) on one branch of one user: coefficient times tilt cosine.
+    #[inline(always)]
     fn diffused(&self, model: &ChannelModel, block: &Block, (user, branch): (usize, usize), reading: Reading) -> Lanes {
         let pair = user * self.mirrors + block.first;
         let coefficients = if self.branches == 1 {
@@ -163,6 +178,7 @@ impl Scene {
     }
 
     /// Turns the block of mirrors that starts at index `first`.
+    #[inline(always)]
     fn turn(&self, model: &ChannelModel, angles: &MirrorAngles, first: usize) -> Block {
         assert_eq!(angles.roll.len(), self.mirrors, "one roll a mirror");
         assert_eq!(angles.yaw.len(), self.mirrors, "one yaw a mirror");

@@ -1,10 +1,8 @@
 //! The inner loops of a scene: blocks of mirrors, and one mirror's light on one user.
 //!
 //! Layout: one array a component, a fixed number of mirrors a block, no branch on data inside a loop over lanes. rustc
-//! vectorises these loops on its own. Checked by counting instructions in the output of
-//! `cargo rustc --release -p heliostat-channel -- --emit asm`: on the x86-64 baseline `Turned::candidates` has 116 packed arithmetic instructions
-//! (`mulpd`, `addpd`, `cmpltpd`, ...) and `sin_cos` 53, and neither has a scalar one. Two mirrors go at a time there, four or eight with
-//! `-C target-cpu=native`.
+//! vectorises these loops on its own: two mirrors at a time on the x86-64 baseline, four where [`widest`](crate::wide::widest) finds AVX2.
+//! To look at it: `cargo rustc --release -p heliostat-channel -- --emit asm`.
 
 use crate::Vec3;
 use crate::emitter::lambertian;
@@ -68,6 +66,7 @@ impl Form {
 
 impl Turned {
     /// The mirrors from index `first` on.
+    #[inline(always)]
     pub fn new(mirrors: &MirrorArray, angles: &MirrorAngles, first: usize) -> Self {
         let (sin_roll, cos_roll) = sin_cos(&block(&angles.roll, first));
         let (sin_yaw, cos_yaw) = sin_cos(&block(&angles.yaw, first));
@@ -97,6 +96,7 @@ impl Turned {
     }
 
     /// How the mirrors see an LED panel.
+    #[inline(always)]
     pub fn source(&self, panel: &Panel) -> Source {
         let width = [self.width[0], self.width[1], [0.0; BLOCK]];
         let above = self.along(&self.normal, &panel.centre);
@@ -113,7 +113,7 @@ impl Turned {
     ///
     /// A point of the panel is at most `radius` from its centre, so each of its coordinates in the mirror's axes differs by no more: what
     /// this bound rules out, no point of the panel can reach. What it lets through is then computed exactly.
-    #[inline]
+    #[inline(always)]
     #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
     pub fn candidates(&self, source: &Source, point: &Vec3) -> Lanes {
         let mut slack = [0.0; BLOCK];
@@ -138,7 +138,7 @@ impl Turned {
     }
 
     /// Cosine between each mirror's normal and the direction to a point, whose distances' reciprocals are given.
-    #[inline]
+    #[inline(always)]
     pub fn tilt_cosines(&self, point: &Vec3, inverse_distance: &Lanes) -> Lanes {
         let mut cosines = [0.0; BLOCK];
         for lane in 0..BLOCK {
@@ -151,7 +151,7 @@ impl Turned {
     }
 
     /// One mirror of the block.
-    #[inline]
+    #[inline(always)]
     pub fn plate(&self, lane: usize) -> Plate {
         let vector = |parts: &[Lanes; 3]| Vec3::new(parts[0][lane], parts[1][lane], parts[2][lane]);
         Plate {
@@ -165,7 +165,7 @@ impl Turned {
     }
 
     /// Coordinate of a point along an axis of each mirror, from its centre, in m.
-    #[inline]
+    #[inline(always)]
     fn along(&self, axis: &[Lanes; 3], point: &Vec3) -> Lanes {
         let mut along = [0.0; BLOCK];
         for lane in 0..BLOCK {
@@ -177,7 +177,7 @@ impl Turned {
     }
 
     /// a (R - p) . u + b (R - p) . v as a form in R.
-    #[inline]
+    #[inline(always)]
     fn form(&self, a: &Lanes, u: &[Lanes; 3], (b, v): (&Lanes, &[Lanes; 3])) -> Form {
         let mut form = Form { constant: [0.0; BLOCK], slope: [[0.0; BLOCK]; 3] };
         for axis in 0..3 {
@@ -192,13 +192,13 @@ impl Turned {
 }
 
 /// A block of a list, from an index on; the last entry is repeated past the end.
-#[inline]
+#[inline(always)]
 pub(crate) fn block(values: &[f64], first: usize) -> Lanes {
     lanes(&values[first..])
 }
 
 /// The first entries of a list; the last one is repeated past the end.
-#[inline]
+#[inline(always)]
 pub(crate) fn lanes(values: &[f64]) -> Lanes {
     match values.first_chunk() {
         Some(full) => *full,
@@ -214,7 +214,7 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
 /// linear in a point's offset from the panel's centre.
 ///
 /// `gains`: one a branch, dimensionless.
-#[inline]
+#[inline(always)]
 pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, detector: &Vec3, gains: &mut [f64]) {
     // A point LED has no use for the other lanes.
     if panel.points.len() == 1 {
@@ -355,6 +355,7 @@ fn fade<const N: usize>(share: &mut [f64; N], squared: &[f64; N], rise: f64, ord
 }
 
 /// Sum of a list in eight interleaved parts: an order that the compiler can vectorise and that never changes.
+#[inline(always)]
 pub(crate) fn interleaved_sum(values: &[f64]) -> f64 {
     let (full, rest) = values.as_chunks::<8>();
     let mut parts = [0.0; 8];

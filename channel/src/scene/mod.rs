@@ -6,6 +6,7 @@
 //!
 //! A position from which no light can arrive (behind the mirror wall, at or above the LED, not a number) has gain zero; it is no error here.
 
+mod aimed;
 mod evaluate;
 pub(crate) mod kernel;
 mod legs;

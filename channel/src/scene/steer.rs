@@ -1,6 +1,7 @@
 //! The steering table: what each mirror can give each user.
 
 use super::Scene;
+use super::aimed::Aimed;
 use super::kernel::{add_reflected, block};
 use crate::Vec3;
 use crate::diffuse::Reading;
@@ -21,6 +22,7 @@ struct Seen {
 
 impl Scene {
     /// Writes one user's row of the steering table, with the light of one LED and the legs that are marked as visible.
+    #[inline(always)]
     pub(super) fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let row = user * self.mirrors..(user + 1) * self.mirrors;
         let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
@@ -41,6 +43,7 @@ impl Scene {
     /// Specular, point LED: the central ray of an aimed mirror arrives, so the gain needs no angle of the mirror.
     ///
     /// rho (n + 1) A_r T_s cos^n(irradiance) / (2 pi (D1 + D2)^2) times what the branches detect.
+    #[inline(always)]
     fn steer_point(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
         let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
@@ -65,24 +68,49 @@ impl Scene {
         }
     }
 
-    /// Specular, panel of finite size: the true evaluation at the aimed angles, for each visible mirror.
+    /// Specular, panel of finite size: the true evaluation at the aimed angles, together for mirrors all of whose light arrives.
+    #[inline(always)]
     fn steer_panel(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
-        for mirror in 0..self.mirrors {
-            let pair = user * self.mirrors + mirror;
-            let mut gains = [0.0; BRANCHES_MAX];
-            let gains = &mut gains[..self.branches];
-            let worth_it = self.leg_visible[pair] && panel.towards_mirror[mirror] > 0.0;
-            let normal = worth_it.then(|| bisector(&model.mirrors.positions()[mirror], &panel.centre, &position));
-            if let Some(normal) = normal.flatten() {
-                let plate = Plate::facing(&model.mirrors, mirror, &normal);
-                add_reflected(model, panel, &plate, &position, gains);
+        let few = panel.order == 1.0 && !panel.few_lanes.is_empty();
+        for first in (0..self.mirrors).step_by(BLOCK) {
+            let (mut whole, mut combined) = ([false; BLOCK], [0.0; BLOCK]);
+            if few {
+                let mut aimed = Aimed::new(model, panel, first, &position);
+                for branch in &model.detectors {
+                    let gains = aimed.gains(model, panel, branch);
+                    for lane in 0..BLOCK {
+                        combined[lane] = self.combining.add(combined[lane], gains[lane]);
+                    }
+                }
+                whole = aimed.whole;
             }
-            self.steering_gain[pair] = self.combining.combine(gains);
+            for lane in 0..BLOCK.min(self.mirrors - first) {
+                let pair = user * self.mirrors + first + lane;
+                self.steering_gain[pair] = if whole[lane] {
+                    self.combining.finish(combined[lane], self.branches)
+                } else if self.leg_visible[pair] && panel.towards_mirror[first + lane] > 0.0 {
+                    self.aimed_exactly(model, panel, first + lane, &position)
+                } else {
+                    0.0
+                };
+            }
         }
     }
 
+    /// Combined gain of one mirror that is aimed at a detector, whatever edge cuts the light.
+    fn aimed_exactly(&self, model: &ChannelModel, panel: &Panel, mirror: usize, detector: &Vec3) -> f64 {
+        let mut gains = [0.0; BRANCHES_MAX];
+        let gains = &mut gains[..self.branches];
+        if let Some(normal) = bisector(&model.mirrors.positions()[mirror], &panel.centre, detector) {
+            let plate = Plate::facing(&model.mirrors, mirror, &normal);
+            add_reflected(model, panel, &plate, detector, gains);
+        }
+        self.combining.combine(gains)
+    }
+
     /// Paper: illumination times collection; see [`diffuse`](crate::diffuse). Directions and distances are kept for the evaluation.
+    #[inline(always)]
     fn steer_paper(&mut self, model: &ChannelModel, user: usize, panel: &Panel, reading: Reading) {
         let position = self.positions[user];
         let inward = model.mirrors.inward();
@@ -123,6 +151,7 @@ impl Scene {
 }
 
 impl Seen {
+    #[inline(always)]
     fn new(mirrors: &MirrorArray, first: usize, detector: &Vec3) -> Self {
         let mut seen = Self {
             x: block(&mirrors.x, first),
@@ -143,7 +172,7 @@ impl Seen {
     }
 
     /// Distance times incidence cosine on a branch in m, zero outside its field of view.
-    #[inline]
+    #[inline(always)]
     #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
     fn facing(&self, branch: &Detector) -> Lanes {
         let least = branch.fov_cosine * branch.fov_cosine;
@@ -158,7 +187,7 @@ impl Seen {
     }
 
     /// Distance times cosine from the wall's normal in m, zero behind the wall.
-    #[inline]
+    #[inline(always)]
     #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
     fn against(&self, inward: &Vec3) -> Lanes {
         let mut facing = [0.0; BLOCK];

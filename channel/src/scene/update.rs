@@ -6,6 +6,7 @@ use crate::Vec3;
 use crate::blockage::{Cylinder, blocks};
 use crate::los::unit_gain;
 use crate::model::ChannelModel;
+use crate::wide::widest;
 
 impl Scene {
     /// Recomputes blockage of each leg, direct gains and the steering table for these positions.
@@ -25,11 +26,17 @@ impl Scene {
         for (led, legs) in self.led_leg.chunks_exact_mut(self.mirrors).enumerate() {
             mark_visible(legs, &model.mirrors, &model.leds[led].position, blockers);
         }
-        for (user, forced) in forced.iter().enumerate() {
-            self.update_user(model, blockers, user, *forced);
-        }
+        widest(
+            #[inline(always)]
+            || {
+                for (user, forced) in forced.iter().enumerate() {
+                    self.update_user(model, blockers, user, *forced);
+                }
+            },
+        );
     }
 
+    #[inline(always)]
     fn update_user(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) {
         let position = self.positions[user];
         let pairs = user * self.mirrors..(user + 1) * self.mirrors;
@@ -74,6 +81,7 @@ impl Scene {
     }
 
     /// Writes the direct gain of each branch with nothing in the way.
+    #[inline(always)]
     fn direct(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let panel = &model.panels[led];
         let clear = &mut self.los_clear[user * self.branches..(user + 1) * self.branches];

@@ -1,0 +1,127 @@
+//! A block of mirrors, each aimed at one detector: the light of a panel that no edge cuts.
+//!
+//! What [`add_reflected`](super::kernel::add_reflected) computes for any plate is simpler for a mirror that is aimed. With unit vectors p and d from the mirror to the
+//! panel's centre and to the detector, and distances P and D, the normal is n = (p + d) / |p + d| and n . p = n . d = |p + d| / 2; the image of the detector
+//! lies on the line through mirror and panel, at P + D from the panel; the central ray meets the mirror in its centre; and what a branch of normal b sees of
+//! the panel's centre has the cosine -d . b. Only mirrors all of whose light arrives are treated here: the others are told apart, for the exact evaluation.
+
+use super::kernel::block;
+use crate::Vec3;
+use crate::model::{ChannelModel, Detector, Panel};
+use crate::trig::{BLOCK, Lanes};
+
+/// The mirrors, aimed.
+pub(super) struct Aimed {
+    /// Lanes in which no edge of the mirror cuts the light, and which are far enough for the panel's few points.
+    pub whole: [bool; BLOCK],
+    normal: [Lanes; 3],
+    /// Unit vector from mirror to detector.
+    to_detector: [Lanes; 3],
+    /// From the image of the detector to the panel's centre, in m.
+    towards_panel: [Lanes; 3],
+    /// Its length.
+    length: Lanes,
+    /// The most that its square can be to any point of the panel.
+    farthest_squared: Lanes,
+}
+
+impl Aimed {
+    /// The mirrors from index `first` on, aimed at a detector.
+    #[inline(always)]
+    pub fn new(model: &ChannelModel, panel: &Panel, first: usize, detector: &Vec3) -> Self {
+        let mirrors = &model.mirrors;
+        let (half_width, half_height) = (0.5 * mirrors.spec().mirror_width_m, 0.5 * mirrors.spec().mirror_height_m);
+        let centre = [block(&mirrors.x, first), block(&mirrors.y, first), block(&mirrors.z, first)];
+        let to_panel = [0, 1, 2].map(|axis: usize| block(&panel.direction[axis], first));
+        let panel_distance = block(&panel.distance, first);
+        let half = panel.half_side;
+        let zero = [0.0; BLOCK];
+        let mut aimed = Self {
+            whole: [false; BLOCK],
+            normal: [zero; 3],
+            to_detector: [zero; 3],
+            towards_panel: [zero; 3],
+            length: zero,
+            farthest_squared: zero,
+        };
+        for lane in 0..BLOCK {
+            let way = [0, 1, 2].map(|axis: usize| detector[axis] - centre[axis][lane]);
+            let distance = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt();
+            let to_detector = way.map(|part| part / distance);
+            let sum = [0, 1, 2].map(|axis: usize| to_panel[axis][lane] + to_detector[axis]);
+            let sum_length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
+            let normal = sum.map(|part| part / sum_length);
+            let cosine = 0.5 * sum_length;
+            let (panel_above, detector_above) = (panel_distance[lane] * cosine, distance * cosine);
+
+            // The mirror's own axes, the first of them level.
+            let level = 1.0 / (normal[0] * normal[0] + normal[1] * normal[1]).sqrt();
+            let width = [-normal[1] * level, normal[0] * level];
+            let height = [-width[1] * normal[2], width[0] * normal[2], width[1] * normal[0] - width[0] * normal[1]];
+            let across = way[0] * width[0] + way[1] * width[1];
+            let up = way[0] * height[0] + way[1] * height[1] + way[2] * height[2];
+            // How much the heights-weighted place where a ray meets the mirror changes with its point on the panel; it is zero for the centre.
+            let spread = |along: f64, axis: [f64; 2]| {
+                let [x, y] = [0, 1].map(|part: usize| along * normal[part] + detector_above * axis[part]);
+                half * (x.abs() + y.abs())
+            };
+            let least_height = panel_above - half * (normal[0].abs() + normal[1].abs());
+            let room = least_height + detector_above;
+            let length = panel_distance[lane] + distance;
+            let towards_panel = [0, 1, 2].map(|axis: usize| length * to_panel[axis][lane]);
+            let (far_x, far_y) = (towards_panel[0].abs() + half, towards_panel[1].abs() + half);
+
+            // Written so that what is not a number fails.
+            aimed.whole[lane] = (least_height > 0.0)
+                & (towards_panel[2] > 0.0)
+                & (spread(across, width) <= half_width * room)
+                & (spread(up, [height[0], height[1]]) <= half_height * room)
+                & (length * length >= panel.few_from_squared);
+            aimed.length[lane] = length;
+            aimed.farthest_squared[lane] = far_x * far_x + far_y * far_y + towards_panel[2] * towards_panel[2];
+            for axis in 0..3 {
+                aimed.normal[axis][lane] = normal[axis];
+                aimed.to_detector[axis][lane] = to_detector[axis];
+                aimed.towards_panel[axis][lane] = towards_panel[axis];
+            }
+        }
+        aimed
+    }
+
+    /// Gain of each mirror on a branch, for a Lambertian order of 1; lanes of which the branch does not see all of the panel are no longer whole.
+    ///
+    /// rho (n + 1) A_r T_s g / (2 pi) times the panel's mean of cos(irradiance) cos(incidence) / (D1 + D2)^2.
+    #[inline(always)]
+    pub fn gains(&mut self, model: &ChannelModel, panel: &Panel, branch: &Detector) -> Lanes {
+        let least_squared = branch.fov_cosine * branch.fov_cosine;
+        let (mut seen, mut slope_x, mut slope_y) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+        for lane in 0..BLOCK {
+            let dot = |of: &[Lanes; 3]| {
+                of[0][lane] * branch.normal.x + of[1][lane] * branch.normal.y + of[2][lane] * branch.normal.z
+            };
+            let twice = 2.0 * dot(&self.normal);
+            slope_x[lane] = branch.normal.x - twice * self.normal[0][lane];
+            slope_y[lane] = branch.normal.y - twice * self.normal[1][lane];
+            seen[lane] = -self.length[lane] * dot(&self.to_detector);
+            let least = seen[lane] - panel.half_side * (slope_x[lane].abs() + slope_y[lane].abs());
+            self.whole[lane] &= (least > 0.0) & (least * least >= least_squared * self.farthest_squared[lane]);
+        }
+        let [x, y, z] = &self.towards_panel;
+        let mut sum = [0.0; BLOCK];
+        for points in &panel.few_lanes {
+            for ((dx, dy), weight) in points.x.iter().zip(&points.y).zip(&points.weight) {
+                for lane in 0..BLOCK {
+                    let (x, y) = (x[lane] + dx, y[lane] + dy);
+                    let squared = x * x + y * y + z[lane] * z[lane];
+                    let facing = seen[lane] + slope_x[lane] * dx + slope_y[lane] * dy;
+                    sum[lane] += weight * facing / (squared * squared);
+                }
+            }
+        }
+        let factor = model.reflectivity() * panel.front * branch.concentrator_gain;
+        for lane in 0..BLOCK {
+            sum[lane] *= factor * z[lane];
+        }
+        sum
+    }
+}

@@ -10,7 +10,7 @@ use heliostat_scenario::ScenarioArgs;
 
 use crate::{
     capabilities::Force,
-    intake::{Deciding, Place},
+    intake::{Deciding, KeepWarm, Place},
     machine::MachineArgs,
     node::{self, NodeConfig, Pace},
     policy::{ActorSource, PolicyKind},
@@ -41,9 +41,10 @@ pub struct Args {
     /// Where decisions are made
     #[arg(long, value_enum, default_value_t = Deciding::default().place)]
     decide_in: Place,
-    /// Rehearse this often while no report comes, in us, so that caches stay warm; 0 never
-    #[arg(long, value_name = "US", default_value_t = Deciding::default().keep_warm_us())]
-    keep_warm: u64,
+    /// Rehearse on the room's thread, so that caches stay warm: `expected` (shortly before each report, for a slow policy in a process of one room),
+    /// `off`, or a pause in us between rehearsals of any policy
+    #[arg(long, value_name = "WHEN", default_value_t = Deciding::default().keep_warm)]
+    keep_warm: KeepWarm,
     /// Command mirrors that cannot reach all of the floor
     #[arg(long)]
     accept_small_range: bool,
@@ -79,9 +80,6 @@ impl Args {
         if let Some(seconds) = self.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
             bail!("--seconds {seconds}: wanted 0.1 to 10000000");
         }
-        if self.keep_warm > 0 && !(50..=1_000_000).contains(&self.keep_warm) {
-            bail!("--keep-warm {}: wanted 0, or 50 to 1000000 us", self.keep_warm);
-        }
         self.policy.check_takes(&self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path))?;
         let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
@@ -91,10 +89,7 @@ impl Args {
             scenario: self.scenario.load()?,
             bus: self.bus.config_or_connect()?,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
-            deciding: Deciding {
-                place: self.decide_in,
-                keep_warm: (self.keep_warm > 0).then(|| Duration::from_micros(self.keep_warm)),
-            },
+            deciding: Deciding { place: self.decide_in, keep_warm: self.keep_warm },
             policy: self.policy,
             model: self.model.clone(),
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },

@@ -5,7 +5,10 @@
 //!
 //! Several payloads may be taken before one answer: the newest tick is answered, and those that it replaced are shed and counted.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::{
+    ops::RangeInclusive,
+    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+};
 
 use heliostat_bus::Publisher;
 use heliostat_proto::{
@@ -18,6 +21,7 @@ use crate::{
     inbox::Message,
     ledger::{Laps, Ledger},
     refused::{Refusal, Stream},
+    rhythm::Rhythm,
 };
 
 /// Where room time comes from.
@@ -59,11 +63,14 @@ pub fn utc_ns() -> Nanos {
     Nanos::try_from(since.as_nanos()).unwrap_or(Nanos::MAX)
 }
 
-/// Rehearsals end this long after the last decision: nobody is expected any more.
-const REHEARSE_FOR: Duration = Duration::from_millis(300);
-
-/// Share of the newest decision's duration in the duration that is expected of the next one.
+/// Share of the newest duration in the mean that is expected of the next one.
 const NEWEST_SHARE: f64 = 0.125;
+
+/// Decisions that take so long gain by warm caches more than waking a thread costs; what takes longer still gains little, and would be in the way.
+const WORTH_REHEARSING: RangeInclusive<Duration> = Duration::from_micros(250)..=Duration::from_millis(5);
+
+/// Rehearsals end at least this long before a report is expected.
+const BEFORE_REPORT: Duration = Duration::from_micros(50);
 
 /// The controller with everything that deciding needs.
 pub struct Desk {
@@ -96,6 +103,9 @@ pub struct Desk {
     expected: Duration,
     was_late: bool,
     decided: Option<Instant>,
+    rhythm: Rhythm,
+    /// How long a rehearsal is expected to take.
+    rehearsal: Duration,
 }
 
 impl Desk {
@@ -123,6 +133,8 @@ impl Desk {
             expected: Duration::ZERO,
             was_late: false,
             decided: None,
+            rhythm: Rhythm::default(),
+            rehearsal: Duration::ZERO,
         }
     }
 
@@ -150,6 +162,7 @@ impl Desk {
         let now = self.clock.at_arrival(message.stamp().time_ns);
         match self.controller.accept(now, message) {
             Accepted::Tick => {
+                self.rhythm.heard(entered);
                 laps.mark(Stage::Decoded);
                 self.shed += u64::from(self.due.replace(laps).is_some());
             }
@@ -178,12 +191,7 @@ impl Desk {
             self.ledger.record(&laps, age_ns);
         }
         if haste == Haste::InTime {
-            let took = started.elapsed();
-            self.expected = if self.expected.is_zero() {
-                took
-            } else {
-                self.expected.mul_f64(1.0 - NEWEST_SHARE) + took.mul_f64(NEWEST_SHARE)
-            };
+            self.expected = mean(self.expected, started.elapsed());
         }
         self.decided = Some(Instant::now());
     }
@@ -200,14 +208,24 @@ impl Desk {
         }
     }
 
-    /// Rehearses the next decision; false when reports have become so rare that it is not worth it.
-    pub fn rehearse(&mut self) -> bool {
-        let worth_it = self.decided.is_some_and(|decided| decided.elapsed() < REHEARSE_FOR);
-        if worth_it {
-            self.controller.rehearse();
-            self.rehearsals += 1;
-        }
-        worth_it
+    /// Whether decisions take so long that they are better made where they are rehearsed. In lockstep nobody is in a hurry.
+    pub fn gains_by_rehearsal(&self) -> bool {
+        self.clock == RoomClock::Utc && WORTH_REHEARSING.contains(&self.expected)
+    }
+
+    /// How long to wait before that many rehearsals for the next report; none where no report is expected, or it is too late for that.
+    pub fn until_rehearsals(&self, count: u32, now: Instant) -> Option<Duration> {
+        let takes = count * if self.rehearsal.is_zero() { self.expected } else { self.rehearsal };
+        let begin = self.rhythm.earliest()?.checked_sub(takes + BEFORE_REPORT)?;
+        begin.checked_duration_since(now).filter(|_| self.gains_by_rehearsal())
+    }
+
+    /// Rehearses the next decision.
+    pub fn rehearse(&mut self) {
+        let begun = Instant::now();
+        self.controller.rehearse();
+        self.rehearsals += 1;
+        self.rehearsal = mean(self.rehearsal, begun.elapsed());
     }
 
     /// Late is what would be ready after the deadline, but never twice in a row: the policy must come to decide. In lockstep the room waits.
@@ -216,6 +234,11 @@ impl Desk {
         self.was_late = late;
         if late { Haste::Late } else { Haste::InTime }
     }
+}
+
+/// The mean of durations, once the newest has come.
+fn mean(before: Duration, newest: Duration) -> Duration {
+    if before.is_zero() { newest } else { before.mul_f64(1.0 - NEWEST_SHARE) + newest.mul_f64(NEWEST_SHARE) }
 }
 
 /// Publishes a command, where the decision is one; false where it could not be sent. The core's commands are sound, so encoding fails no

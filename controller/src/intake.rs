@@ -2,11 +2,16 @@
 //!
 //! In the callback no thread has to be woken, but what comes while it decides waits in the transport, unseen, and the oldest is answered first. So when reports
 //! come faster than they are answered, callbacks only put payloads into a queue for the thread. It holds at most `CAPACITY`; beyond it the oldest is shed. The thread
-//! takes all that waits before it answers, so that a tick which a newer one has replaced costs no decision. Between reports the thread may rehearse,
-//! which keeps code and data in the caches of the processor that decides.
+//! takes all that waits before it answers, so that a tick which a newer one has replaced costs no decision.
+//!
+//! Between reports the thread may rehearse, which keeps code and data in the caches of the processor that decides. A policy that takes long gains more by that
+//! than waking the thread costs, so it decides there too.
 
 use std::{
     collections::VecDeque,
+    fmt,
+    ops::RangeInclusive,
+    str::FromStr,
     sync::{Condvar, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
@@ -22,13 +27,22 @@ const BUFFER_MAX: usize = 1 << 16;
 /// A report that comes sooner than this after the last decision had been waiting for its end: reports come faster than they are answered.
 const BREATH: Duration = Duration::from_micros(50);
 
+/// One after the other before an expected report: the first brings code and data back, the second finds them.
+const REHEARSALS: u32 = 2;
+
+/// Rehearsals without an expected report end this long after the last decision.
+const REHEARSE_FOR: Duration = Duration::from_millis(300);
+
 /// Between two looks whether rehearsals are worth it again.
 const IDLE: Duration = Duration::from_millis(50);
+
+/// Pauses between rehearsals that may be asked for.
+const PAUSES: RangeInclusive<Duration> = Duration::from_micros(50)..=Duration::from_secs(1);
 
 /// Where a room's decisions are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Place {
-    /// In the callback while there is time, and on the room's own thread when reports come faster than they are answered
+    /// In the callback; on the room's own thread when reports come faster than they are answered, or a slow policy is kept warm
     Auto,
     /// In the callback that brings the report, on the transport's thread; what comes too fast waits in the transport
     Callback,
@@ -36,25 +50,67 @@ pub enum Place {
     Thread,
 }
 
+/// When the room's thread rehearses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum KeepWarm {
+    /// Never.
+    Off,
+    /// Before each report, so as to be done when it is expected.
+    Expected,
+    /// Again and again while no report comes, with this pause in between.
+    Every(Duration),
+}
+
+impl FromStr for KeepWarm {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "off" | "0" => return Ok(Self::Off),
+            "expected" => return Ok(Self::Expected),
+            _ => {}
+        }
+        let pause = text.parse().ok().map(Duration::from_micros);
+        let pause = pause.filter(|pause| PAUSES.contains(pause));
+        pause.map(Self::Every).ok_or_else(|| "wanted off, expected, or a pause of 50 to 1000000 us".into())
+    }
+}
+
+impl fmt::Display for KeepWarm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Off => f.write_str("off"),
+            Self::Expected => f.write_str("expected"),
+            Self::Every(pause) => write!(f, "{}", pause.as_micros()),
+        }
+    }
+}
+
 /// How a room's decisions are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Deciding {
     /// Where.
     pub place: Place,
-    /// Time between two rehearsals while no report comes; none without.
-    pub keep_warm: Option<Duration>,
+    /// When they are rehearsed.
+    pub keep_warm: KeepWarm,
 }
 
 impl Deciding {
-    /// Time between two rehearsals in us; 0 without.
-    pub fn keep_warm_us(&self) -> u64 {
-        self.keep_warm.map_or(0, |interval| interval.as_micros() as u64)
+    /// The same in a process that serves so many rooms: where there are others, their decisions keep the caches warm, and rehearsals would take their time.
+    pub fn among(self, rooms: usize) -> Self {
+        let crowded = rooms > 1 && self.keep_warm == KeepWarm::Expected;
+        Self { keep_warm: if crowded { KeepWarm::Off } else { self.keep_warm }, ..self }
+    }
+
+    /// Whether a room needs a thread of its own.
+    pub fn has_thread(self) -> bool {
+        self.place != Place::Callback || matches!(self.keep_warm, KeepWarm::Every(_))
     }
 }
 
 impl Default for Deciding {
     fn default() -> Self {
-        Self { place: Place::Auto, keep_warm: None }
+        Self { place: Place::Auto, keep_warm: KeepWarm::Expected }
     }
 }
 
@@ -102,13 +158,16 @@ impl Intake {
     }
 
     /// Handles a payload at once, if the callback that brought it may decide; otherwise the room's thread is left to.
-    pub fn handle(&self, place: Place, desk: &Mutex<Desk>, stream: Stream, payload: &[u8], entered: Instant) {
-        let at_once = match place {
+    pub fn handle(&self, deciding: Deciding, desk: &Mutex<Desk>, stream: Stream, payload: &[u8], entered: Instant) {
+        let at_once = match deciding.place {
             Place::Callback => Some(lock(desk)),
             Place::Thread => None,
             // The thread holds the desk while it works through the queue, so nothing overtakes what waits.
-            Place::Auto if !lock(&self.queue).waiting.is_empty() => None,
-            Place::Auto => desk.try_lock().ok().filter(|desk| !desk.decided_within(BREATH, entered)),
+            Place::Auto if self.has_waiting() => None,
+            Place::Auto => desk.try_lock().ok().filter(|desk| {
+                let warm = deciding.keep_warm == KeepWarm::Expected && desk.gains_by_rehearsal();
+                !desk.decided_within(BREATH, entered) && !(warm && stream == Stream::Users)
+            }),
         };
         match at_once {
             Some(mut desk) => {
@@ -151,6 +210,10 @@ impl Intake {
         }
     }
 
+    fn has_waiting(&self) -> bool {
+        !lock(&self.queue).waiting.is_empty()
+    }
+
     fn pop(&self) -> Option<Arrival> {
         lock(&self.queue).waiting.pop_front()
     }
@@ -163,8 +226,8 @@ impl Intake {
 }
 
 /// The room's thread: answers what is in the intake, and rehearses while nothing is. Ends when the intake is closed.
-pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: Option<Duration>) {
-    let mut pause = keep_warm;
+pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: KeepWarm) {
+    let mut pause = None;
     loop {
         match intake.wait(pause) {
             Woken::Closed => return,
@@ -175,14 +238,36 @@ pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: Option<Duration>) 
                     intake.give_back(arrival.payload);
                 }
                 desk.answer();
-                pause = keep_warm;
+                pause = match keep_warm {
+                    KeepWarm::Off => None,
+                    KeepWarm::Expected => desk.until_rehearsals(REHEARSALS, Instant::now()),
+                    KeepWarm::Every(pause) => Some(pause),
+                };
             }
             Woken::TimedOut => {
-                // Held by another: a decision is being made, which warms more than a rehearsal would.
-                let worth_it = desk.try_lock().map_or(true, |mut desk| desk.rehearse());
-                pause = keep_warm.map(|interval| if worth_it { interval } else { IDLE });
+                pause = match keep_warm {
+                    KeepWarm::Off => None,
+                    KeepWarm::Expected => {
+                        (0..REHEARSALS).take_while(|_| !intake.has_waiting()).for_each(|_| rehearse(desk));
+                        None
+                    }
+                    KeepWarm::Every(pause) => {
+                        let worth_it = lock(desk).decided_within(REHEARSE_FOR, Instant::now());
+                        if worth_it {
+                            rehearse(desk);
+                        }
+                        Some(if worth_it { pause } else { IDLE })
+                    }
+                };
             }
         }
+    }
+}
+
+/// Rehearses, unless another holds the desk: then a decision is being made, which warms more than a rehearsal would.
+fn rehearse(desk: &Mutex<Desk>) {
+    if let Ok(mut desk) = desk.try_lock() {
+        desk.rehearse();
     }
 }
 

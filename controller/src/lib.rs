@@ -30,6 +30,7 @@ mod outcome;
 pub mod policy;
 mod post;
 pub mod refused;
+mod rhythm;
 pub mod safety;
 mod status;
 pub mod summary;

@@ -19,7 +19,7 @@ use crate::{
     control::{self, Workshop},
     core::{Controller, WARM_UP_RUNS},
     desk::{Desk, RoomClock, utc_ns},
-    intake::{Intake, Place, attend, lock},
+    intake::{Deciding, Intake, attend, lock},
     ledger::Ledger,
     node::{NodeConfig, Pace},
     policy::{self, ActorSource},
@@ -84,15 +84,14 @@ impl Post {
         let status = bus.publisher(&room.status(NodeKind::Controller), Class::Info)?;
         let desk = Arc::new(Mutex::new(Desk::new(controller, clock, publisher, deadline(config))));
         let intake = Arc::new(Intake::default());
-        let deciding = config.deciding;
-        let has_thread = deciding.place != Place::Callback || deciding.keep_warm.is_some();
-        let thread = has_thread.then(|| {
+        let deciding = config.deciding.among(1 + config.also_rooms.len());
+        let thread = deciding.has_thread().then(|| {
             let (desk, intake) = (Arc::clone(&desk), Arc::clone(&intake));
             let run = move || attend(&desk, &intake, deciding.keep_warm);
             std::thread::Builder::new().name(format!("decide-{room}")).spawn(run)
         });
         let thread = thread.transpose().context("cannot start a room's thread")?;
-        let mut subscriptions = subscribe(bus, deciding.place, &desk, &intake)?;
+        let mut subscriptions = subscribe(bus, deciding, &desk, &intake)?;
         subscriptions.extend(learn_of_array(bus, &desk, examiner)?);
         let workshop = Workshop { scenario: scenario.clone(), model, own: (config.policy, actor) };
         subscriptions.push(control::listen(bus, &desk, workshop)?);
@@ -221,21 +220,22 @@ fn lock_within(desk: &Mutex<Desk>, limit: Duration) -> Option<MutexGuard<'_, Des
 /// Hears the room.
 fn subscribe(
     bus: &Bus,
-    place: Place,
+    deciding: Deciding,
     desk: &Arc<Mutex<Desk>>,
     intake: &Arc<Intake>,
 ) -> anyhow::Result<Vec<Subscription>> {
     let room = bus.room();
-    let keys = Stream::ALL.map(|stream| match stream {
-        Stream::Users => (stream, room.users()),
-        Stream::Channel => (stream, room.channel()),
-        Stream::Obstacles => (stream, room.obstacles()),
-        Stream::Telemetry => (stream, room.telemetry()),
-    });
+    // What a report is answered with comes before the reports, so that the first one finds it.
+    let keys = [
+        (Stream::Telemetry, room.telemetry()),
+        (Stream::Obstacles, room.obstacles()),
+        (Stream::Channel, room.channel()),
+        (Stream::Users, room.users()),
+    ];
     let mut subscriptions = Vec::with_capacity(keys.len() + 1);
     for (stream, key) in keys {
         let (desk, intake) = (Arc::clone(desk), Arc::clone(intake));
-        let callback = move |payload: &[u8]| intake.handle(place, &desk, stream, payload, Instant::now());
+        let callback = move |payload: &[u8]| intake.handle(deciding, &desk, stream, payload, Instant::now());
         subscriptions.push(bus.subscribe(&key, callback)?);
     }
     let desk = Arc::clone(desk);

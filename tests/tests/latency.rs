@@ -97,7 +97,8 @@ fn show(name: &str, times: &Value) {
     println!("{name:<10} p50 {p50:8.1}  p90 {p90:8.1}  p99 {p99:8.1}  max {:8.1} us", at("max"));
 }
 
-fn counts_order_and_stages(controller_flags: &[&str]) {
+/// The controller's summary.
+fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
     let pair = Pair::start(&[], controller_flags);
     let listener = Listener::connect("demo", &pair.endpoints());
     wait_until("300 commands", || listener.commands() >= 300);
@@ -145,16 +146,25 @@ fn counts_order_and_stages(controller_flags: &[&str]) {
     assert!(decision < 1.5 * round, "the decision is a part of the loop: {decision} us of {round} us");
     let blamed = controller["over_budget_by"].as_object().unwrap().values().filter_map(Value::as_u64).sum::<u64>();
     assert_eq!(blamed as f64, number(&controller, "/over_budget"), "each miss has its stage: {controller}");
+    controller
 }
 
 #[test]
 fn decided_in_the_callback_nothing_is_missing() {
-    counts_order_and_stages(&["--policy", "fixed-point", "--decide-in", "callback", "--keep-warm", "0"]);
+    counts_order_and_stages(&["--policy", "fixed-point", "--decide-in", "callback", "--keep-warm", "off"]);
 }
 
 #[test]
 fn decided_on_a_thread_that_keeps_warm_nothing_is_missing() {
     counts_order_and_stages(&["--policy", "actor", "--decide-in", "thread", "--keep-warm", "1000"]);
+}
+
+#[test]
+fn a_slow_policy_is_rehearsed_for_each_report_and_nothing_is_missing() {
+    let summary = counts_order_and_stages(&["--policy", "actor"]);
+    let (rehearsals, decisions) = (number(&summary, "/rehearsals"), number(&summary, "/decisions"));
+    // Two before each report, less where it comes too soon for that.
+    assert!((0.2 * decisions..=2.0 * decisions).contains(&rehearsals), "{summary}");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
 use crate::scene::kernel::block;
 use crate::trig::{BLOCK, Lanes, atan};
+use crate::wide::widest;
 
 /// Lengths below this, in m, have no direction.
 const TOO_NEAR_M: f64 = 1e-9;
@@ -74,20 +75,25 @@ pub fn aim_at_point(model: &ChannelModel, target: &Vec3, out: &mut MirrorAngles)
 ///
 /// `choose` gives the LED and the point of a mirror.
 fn aim_each(model: &ChannelModel, out: &mut MirrorAngles, choose: impl Fn(usize) -> (usize, Vec3)) {
-    for first in (0..model.mirrors.len()).step_by(BLOCK) {
-        let lanes = BLOCK.min(model.mirrors.len() - first);
-        let (mut from, mut to) = ([[0.0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
-        for lane in 0..lanes {
-            let (led, target) = choose(first + lane);
-            for axis in 0..3 {
-                from[axis][lane] = model.leds[led].position[axis];
-                to[axis][lane] = target[axis];
+    widest(
+        #[inline(always)]
+        || {
+            for first in (0..model.mirrors.len()).step_by(BLOCK) {
+                let lanes = BLOCK.min(model.mirrors.len() - first);
+                let (mut from, mut to) = ([[0.0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
+                for lane in 0..lanes {
+                    let (led, target) = choose(first + lane);
+                    for axis in 0..3 {
+                        from[axis][lane] = model.leds[led].position[axis];
+                        to[axis][lane] = target[axis];
+                    }
+                }
+                let (roll, yaw) = bisect(&model.mirrors, first, &from, &to);
+                out.roll[first..first + lanes].copy_from_slice(&roll[..lanes]);
+                out.yaw[first..first + lanes].copy_from_slice(&yaw[..lanes]);
             }
-        }
-        let (roll, yaw) = bisect(&model.mirrors, first, &from, &to);
-        out.roll[first..first + lanes].copy_from_slice(&roll[..lanes]);
-        out.yaw[first..first + lanes].copy_from_slice(&yaw[..lanes]);
-    }
+        },
+    );
 }
 
 /// Roll and yaw of a block of mirrors whose normals are to halve the angle between the directions to two points.
@@ -108,7 +114,8 @@ pub(crate) fn bisect(mirrors: &MirrorArray, first: usize, from: &[Lanes; 3], to:
         let (x, y) = (cos * nx + sin * ny, cos * ny - sin * nx);
         let across = x * x + y * y;
         // A point in the mirror, or two in opposite directions, leave no angle; nor does what is not a number.
-        sound[lane] = (a > TOO_NEAR_M) & (b > TOO_NEAR_M) & ((across + nz * nz).sqrt() > TOO_NEAR_M * a * b);
+        sound[lane] =
+            (a > TOO_NEAR_M) & (b > TOO_NEAR_M) & (across + nz * nz > (TOO_NEAR_M * a * b) * (TOO_NEAR_M * a * b));
         rise[lane] = -nz / across.sqrt();
         turn[lane] = if x == 0.0 { 0.0 } else { x / y };
     }

@@ -6,6 +6,7 @@
 
 use crate::Vec3;
 use crate::error::{ChannelError, check, positive};
+use crate::trig::Lanes;
 
 /// Most branches of a receiver.
 pub const BRANCHES_MAX: usize = 16;
@@ -47,6 +48,29 @@ impl Combining {
             Self::Best => sum.max(gain),
             Self::EqualGain => sum + gain,
             Self::MaximalRatio => sum + gain * gain,
+        }
+    }
+
+    /// Takes one more branch into the running values of a block of mirrors.
+    ///
+    /// The choice stands outside the loop, where it keeps no compiler from vectorising.
+    #[inline(always)]
+    pub(crate) fn add_each(self, sums: &mut Lanes, gains: &Lanes) {
+        let both = sums.iter_mut().zip(gains);
+        match self {
+            Self::Best => both.for_each(|(sum, gain)| *sum = Self::Best.add(*sum, *gain)),
+            Self::EqualGain => both.for_each(|(sum, gain)| *sum = Self::EqualGain.add(*sum, *gain)),
+            Self::MaximalRatio => both.for_each(|(sum, gain)| *sum = Self::MaximalRatio.add(*sum, *gain)),
+        }
+    }
+
+    /// Makes the combined gains of the running values of a block.
+    #[inline(always)]
+    pub(crate) fn finish_each(self, sums: &mut Lanes, branches: usize) {
+        match self {
+            Self::Best => {}
+            Self::EqualGain => sums.iter_mut().for_each(|sum| *sum = Self::EqualGain.finish(*sum, branches)),
+            Self::MaximalRatio => sums.iter_mut().for_each(|sum| *sum = Self::MaximalRatio.finish(*sum, branches)),
         }
     }
 

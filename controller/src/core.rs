@@ -15,6 +15,7 @@
 //! | the position report is too old | `when_stale` | no command: the array holds, then parks | `stale-report` |
 //! | no channel report of acceptable age | `when_channel_missing` | the policy acts on modelled direct gains | `channel-missing` |
 //! | no position report for as long | `when_silent` | no command | `silence` |
+//! | the policy gives no answer for 0.1 s, as its caller sees | `when_unanswered` | no command | `unanswered` |
 //! | the policy fails, or gives a value that is not finite | `fallback` | the fixed point | `policy-failed` |
 //! | nothing can act: the fallback fails too or is `hold`, or there is no last command | no command | | `held` |
 //! | the array is stopped, or does not fit | no command | | `withheld` |
@@ -237,6 +238,11 @@ impl Controller {
             policies.push(fallback.as_mut());
         }
         warm_up(&mut policies, &self.model, self.observation.users(), runs);
+    }
+
+    /// Numbers the next command beyond those that were given in this controller's stead.
+    pub fn skip_to(&mut self, sequence: u64) {
+        self.command.sequence = self.command.sequence.max(sequence);
     }
 
     /// Lets another policy decide from now on, and gives back the one that did. The new one should be warm.

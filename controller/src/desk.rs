@@ -7,12 +7,13 @@
 
 use std::{
     ops::RangeInclusive,
+    sync::Arc,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
 use heliostat_bus::Publisher;
 use heliostat_proto::{
-    ChannelReport, CodecError, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode_into, encode,
+    ChannelReport, CodecError, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode_into, encode,
 };
 
 use crate::{
@@ -22,6 +23,7 @@ use crate::{
     ledger::{Laps, Ledger},
     refused::{Refusal, Stream},
     rhythm::Rhythm,
+    standby::Standby,
 };
 
 /// Where room time comes from.
@@ -91,6 +93,7 @@ pub struct Desk {
     /// What operators ordered.
     pub control: ControlAccount,
     publisher: Publisher,
+    standby: Arc<Standby>,
     payload: Vec<u8>,
     users: UserReport,
     channel: ChannelReport,
@@ -109,8 +112,13 @@ pub struct Desk {
 }
 
 impl Desk {
-    /// A desk that publishes commands by `publisher`; a decision that takes longer than `deadline` is late.
-    pub fn new(controller: Controller, clock: RoomClock, publisher: Publisher, deadline: Duration) -> Self {
+    /// A desk that publishes commands by `publisher`, and tells `standby` of them; a decision that takes longer than `deadline` is late.
+    pub fn new(
+        controller: Controller,
+        clock: RoomClock,
+        (publisher, standby): (Publisher, Arc<Standby>),
+        deadline: Duration,
+    ) -> Self {
         // Two f32 a mirror, and less than 100 bytes beside them.
         let payload = Vec::with_capacity(100 + 8 * controller.observation().mirrors());
         Self {
@@ -123,6 +131,7 @@ impl Desk {
             last_malformed: None,
             control: ControlAccount::default(),
             publisher,
+            standby,
             payload,
             users: UserReport::default(),
             channel: ChannelReport::default(),
@@ -168,7 +177,8 @@ impl Desk {
             }
             Accepted::TooOld => {
                 let decision = self.controller.answer_stale(now);
-                self.unsent += u64::from(!publish(decision, &mut self.payload, &self.publisher));
+                let sent = send(decision, &self.standby, &mut self.payload, &self.publisher);
+                self.account(sent);
             }
             Accepted::Other => {}
         }
@@ -177,6 +187,7 @@ impl Desk {
     /// Answers the newest tick that was taken, if one was.
     pub fn answer(&mut self) {
         let Some(mut laps) = self.due.take() else { return };
+        self.standby.tick();
         let started = Instant::now();
         let haste = self.haste(laps.waited(started));
         let decision = self.controller.decide(self.clock.now(), haste, &mut |stage| laps.mark(stage));
@@ -184,9 +195,10 @@ impl Desk {
             Decision::Move { age_ns, .. } => Some(*age_ns),
             Decision::Hold(_) => None,
         };
-        let sent = publish(decision, &mut self.payload, &self.publisher);
+        let sent = send(decision, &self.standby, &mut self.payload, &self.publisher);
         laps.mark(Stage::Published);
-        self.unsent += u64::from(!sent);
+        self.standby.tick();
+        self.account(sent);
         if let Some(age_ns) = age_ns {
             self.ledger.record(&laps, age_ns);
         }
@@ -204,7 +216,8 @@ impl Desk {
     /// Answers the absence of position reports, where it is time to.
     pub fn elapse(&mut self) {
         if let Some(decision) = self.controller.elapse(self.clock.now()) {
-            self.unsent += u64::from(!publish(decision, &mut self.payload, &self.publisher));
+            let sent = send(decision, &self.standby, &mut self.payload, &self.publisher);
+            self.account(sent);
         }
     }
 
@@ -228,6 +241,11 @@ impl Desk {
         self.rehearsal = mean(self.rehearsal, begun.elapsed());
     }
 
+    fn account(&mut self, sent: Sent) {
+        self.unsent += u64::from(!sent.taken);
+        self.controller.skip_to(sent.sequence);
+    }
+
     /// Late is what would be ready after the deadline, but never twice in a row: the policy must come to decide. In lockstep the room waits.
     fn haste(&mut self, waited: Duration) -> Haste {
         let late = self.clock == RoomClock::Utc && !self.was_late && waited + self.expected > self.deadline;
@@ -241,11 +259,22 @@ fn mean(before: Duration, newest: Duration) -> Duration {
     if before.is_zero() { newest } else { before.mul_f64(1.0 - NEWEST_SHARE) + newest.mul_f64(NEWEST_SHARE) }
 }
 
-/// Publishes a command, where the decision is one; false where it could not be sent. The core's commands are sound, so encoding fails no
-/// more than the transport does.
-fn publish(decision: Decision<'_>, payload: &mut Vec<u8>, publisher: &Publisher) -> bool {
-    match decision {
-        Decision::Move { command, .. } => encode(command, payload).is_ok() && publisher.put(payload).is_ok(),
-        Decision::Hold(_) => true,
-    }
+/// What became of an answer.
+struct Sent {
+    /// Whether the transport took it.
+    taken: bool,
+    /// The command's number; 0 for none.
+    sequence: u64,
+}
+
+/// Publishes a command, where the decision is one. The core's commands are sound, so encoding fails no more than the transport does.
+fn send(decision: Decision<'_>, standby: &Standby, payload: &mut Vec<u8>, publisher: &Publisher) -> Sent {
+    let Decision::Move { command, .. } = decision else { return Sent { taken: true, sequence: 0 } };
+    let sequence = standby.note(command);
+    let encoded = if sequence == command.sequence {
+        encode(command, payload)
+    } else {
+        encode(&MirrorCommand { sequence, ..command.clone() }, payload)
+    };
+    Sent { taken: encoded.is_ok() && publisher.put(payload).is_ok(), sequence }
 }

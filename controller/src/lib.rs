@@ -32,5 +32,6 @@ mod post;
 pub mod refused;
 mod rhythm;
 pub mod safety;
+mod standby;
 mod status;
 pub mod summary;

@@ -103,7 +103,7 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
     let mut next_look = Instant::now() + STATUS_INTERVAL;
     let mut silence_told = false;
     while !wait_for_stop(stopped, deadline) {
-        posts.iter().for_each(Post::elapse);
+        posts.iter_mut().for_each(Post::elapse);
         if Instant::now() < next_look {
             continue;
         }

@@ -24,6 +24,7 @@ use crate::{
     node::{NodeConfig, Pace},
     policy::{self, ActorSource},
     refused::Stream,
+    standby::Standby,
     status::{Identity, Reporter},
     summary::Summary,
 };
@@ -50,6 +51,11 @@ pub struct Post {
     intake: Arc<Intake>,
     thread: Option<JoinHandle<()>>,
     declared: Option<(Vec<Subscription>, Token)>,
+    standby: Arc<Standby>,
+    /// For commands of the standby's.
+    in_stead: Publisher,
+    /// Since when the desk has been held, and by which decision.
+    held: Option<(Instant, u64)>,
     status: Publisher,
     reporter: Reporter,
     /// Exchanged with the desk's ledger, so that the desk is held only for an instant.
@@ -82,7 +88,10 @@ impl Post {
 
         let publisher = bus.publisher(&room.command(), Class::Control)?;
         let status = bus.publisher(&room.status(NodeKind::Controller), Class::Info)?;
-        let desk = Arc::new(Mutex::new(Desk::new(controller, clock, publisher, deadline(config))));
+        let standby = Arc::new(Standby::new(scenario.control.when_unanswered));
+        let in_stead = bus.publisher(&room.command(), Class::Control)?;
+        let desk = Desk::new(controller, clock, (publisher, Arc::clone(&standby)), deadline(config));
+        let desk = Arc::new(Mutex::new(desk));
         let intake = Arc::new(Intake::default());
         let deciding = config.deciding.among(1 + config.also_rooms.len());
         let thread = deciding.has_thread().then(|| {
@@ -104,6 +113,9 @@ impl Post {
             intake,
             thread,
             declared: Some((subscriptions, token)),
+            standby,
+            in_stead,
+            held: None,
             status,
             reporter: Reporter::new(identity),
             spare: Ledger::new(),
@@ -137,18 +149,37 @@ impl Post {
         self.desk.try_lock().ok().and_then(|desk| desk.controller.guard().unfit().cloned())
     }
 
-    /// Lets time pass, since the absence of reports may have to be answered.
-    pub fn elapse(&self) {
-        // Held: a report is just being answered.
+    /// Lets time pass, since the absence of reports may have to be answered, or that of answers.
+    pub fn elapse(&mut self) {
         if let Ok(mut desk) = self.desk.try_lock() {
+            self.held = None;
             desk.elapse();
+            return;
+        }
+        // A report is just being answered; or it is the same one still.
+        let progress = self.standby.progress();
+        match self.held.filter(|(_, decision)| *decision == progress) {
+            None => self.held = Some((Instant::now(), progress)),
+            Some((since, _)) if since.elapsed() < ANSWER_WITHIN => {}
+            Some(_) => self.speak_in_stead(),
+        }
+    }
+
+    /// Gives the command, where one is to be given, that stands in for an answer.
+    fn speak_in_stead(&self) {
+        let Some(command) = self.standby.speak(utc_ns()) else { return };
+        let mut payload = Vec::new();
+        let sent = encode(&command, &mut payload).is_ok() && self.in_stead.put(&payload).is_ok();
+        if !sent {
+            tracing::warn!(room = %self.room, "the command in the policy's stead could not be sent");
         }
     }
 
     /// Takes the new times over, publishes a status report, and updates the summary.
     pub fn look(&mut self) {
         let Some(mut desk) = lock_within(&self.desk, ANSWER_WITHIN) else {
-            let problem = format!("policy {} gives no answer; the array holds, then parks", self.summary.policy);
+            let meanwhile = self.standby.meanwhile();
+            let problem = format!("policy {} gives no answer; {meanwhile}", self.summary.policy);
             tracing::warn!(room = %self.room, "{problem}");
             self.summary.unanswered += 1;
             self.summary.last_problem = problem;

@@ -174,20 +174,22 @@ impl Scenario {
         within("control.range_deg", control.range_deg, 0.01..=90.0)?;
         within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)?;
         within("control.deadline_ms", control.deadline_ms, 0.0..=60_000.0)?;
-        without_positions("control.when_stale", control.when_stale)?;
-        without_positions("control.when_silent", control.when_silent)?;
+        let no_positions = "there are no positions to decide by";
+        undecided("control.when_stale", control.when_stale, no_positions)?;
+        undecided("control.when_silent", control.when_silent, no_positions)?;
+        undecided("control.when_unanswered", control.when_unanswered, "the one who decides does not answer")?;
         count("control.search_evaluations", control.search_evaluations as usize, 1..=100_000_000)?;
         within("control.search_time_us", control.search_time_us, 0.0..=60e6)
     }
 }
 
-/// Nobody can decide without positions.
-fn without_positions(key: &str, answer: Answer) -> Result<(), ScenarioError> {
+/// The answer where nobody can decide.
+fn undecided(key: &str, answer: Answer, why: &str) -> Result<(), ScenarioError> {
     match answer {
         Answer::LastGood | Answer::Hold | Answer::Park => Ok(()),
         Answer::Policy | Answer::Fallback => {
             let name = if answer == Answer::Policy { "policy" } else { "fallback" };
-            invalid(key, name, "wanted last-good, hold or park: there are no positions to decide by")
+            invalid(key, name, &format!("wanted last-good, hold or park: {why}"))
         }
     }
 }

@@ -314,6 +314,8 @@ pub struct Control {
     pub when_channel_missing: Answer,
     /// The answer once no position report came for `report_age_max_ms`.
     pub when_silent: Answer,
+    /// The answer once the policy gives none for a tenth of a second.
+    pub when_unanswered: Answer,
     /// Where users are taken to be.
     pub prediction: Prediction,
     /// Most trials that a metaheuristic policy makes for one decision.
@@ -336,6 +338,7 @@ impl Default for Control {
             when_stale: Answer::Hold,
             when_channel_missing: Answer::Policy,
             when_silent: Answer::Hold,
+            when_unanswered: Answer::Hold,
             prediction: Prediction::None,
             search_evaluations: 2000,
             search_time_us: 500.0,

@@ -365,6 +365,29 @@ fn a_policy_that_is_too_slow_is_late_and_what_piles_up_is_shed() {
 }
 
 #[test]
+fn where_the_policy_does_not_answer_the_last_command_is_repeated_or_the_array_parked() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ponderous.onnx");
+    std::fs::write(&file, actor(ponderous)).unwrap();
+    for (answer, flat) in [("last-good", false), ("park", true)] {
+        let set = format!("control.when_unanswered={answer}");
+        let pair = Pair::start(&[], &["--model", file.to_str().unwrap(), "--set", &set]);
+        let witness = pair.witness();
+        let is_flat = |command: &MirrorCommand| command.roll.iter().chain(&command.yaw).all(|angle| *angle == 0.0);
+        wait_until(&format!("a command in the policy's stead: {answer}"), || {
+            witness.command().1.is_some_and(|command| command.answers == 0 && is_flat(&command) == flat)
+        });
+        // The policy comes back, and its later commands are numbered on.
+        let first = witness.command().1.unwrap().sequence;
+        wait_until("an answer of the policy", || {
+            witness.command().1.is_some_and(|command| command.answers > 0 && command.sequence > first)
+        });
+        assert_eq!(witness.counter(NodeKind::SimNode, "refused:command:old-sequence"), 0, "{answer}");
+        pair.end();
+    }
+}
+
+#[test]
 fn a_policy_that_does_not_answer_is_seen_and_the_array_holds_meanwhile() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("ponderous.onnx");

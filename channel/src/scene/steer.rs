@@ -51,18 +51,16 @@ impl Scene {
             let seen = Seen::new(&model.mirrors, index * BLOCK, &position);
             let mut combined = [0.0; BLOCK];
             for branch in &model.detectors {
-                let facing = seen.facing(branch);
-                for lane in 0..BLOCK {
-                    combined[lane] = self.combining.add(combined[lane], branch.concentrator_gain * facing[lane]);
-                }
+                let facing = seen.facing(branch).map(|facing| branch.concentrator_gain * facing);
+                self.combining.add_each(&mut combined, &facing);
             }
+            self.combining.finish_each(&mut combined, self.branches);
             let to_led = block(&panel.distance, index * BLOCK);
             let emitted = block(&panel.towards_mirror, index * BLOCK);
             let mut gains = [0.0; BLOCK];
             for lane in 0..BLOCK {
                 let length = to_led[lane] + seen.distance[lane];
-                let detected = self.combining.finish(combined[lane], self.branches);
-                gains[lane] = detected * emitted[lane] / (seen.distance[lane] * length * length);
+                gains[lane] = combined[lane] * emitted[lane] / (seen.distance[lane] * length * length);
             }
             out.copy_from_slice(&gains[..out.len()]);
         }
@@ -78,17 +76,15 @@ impl Scene {
             if few {
                 let mut aimed = Aimed::new(model, panel, first, &position);
                 for branch in &model.detectors {
-                    let gains = aimed.gains(model, panel, branch);
-                    for lane in 0..BLOCK {
-                        combined[lane] = self.combining.add(combined[lane], gains[lane]);
-                    }
+                    self.combining.add_each(&mut combined, &aimed.gains(model, panel, branch));
                 }
+                self.combining.finish_each(&mut combined, self.branches);
                 whole = aimed.whole;
             }
             for lane in 0..BLOCK.min(self.mirrors - first) {
                 let pair = user * self.mirrors + first + lane;
                 self.steering_gain[pair] = if whole[lane] {
-                    self.combining.finish(combined[lane], self.branches)
+                    combined[lane]
                 } else if self.leg_visible[pair] && panel.towards_mirror[first + lane] > 0.0 {
                     self.aimed_exactly(model, panel, first + lane, &position)
                 } else {
@@ -129,8 +125,8 @@ impl Scene {
                 for lane in 0..BLOCK {
                     let volume = seen.squared[lane] * seen.distance[lane];
                     gains[lane] = factor * branch.concentrator_gain * illumination[lane] * facing[lane] / volume;
-                    combined[lane] = self.combining.add(combined[lane], gains[lane]);
                 }
+                self.combining.add_each(&mut combined, &gains);
                 if self.branches > 1 {
                     let start = (user * self.branches + index) * self.mirrors + first;
                     let visible = &self.leg_visible[user * self.mirrors + first..][..lanes];
@@ -139,9 +135,10 @@ impl Scene {
                     }
                 }
             }
+            self.combining.finish_each(&mut combined, self.branches);
             for (lane, combined) in combined[..lanes].iter().enumerate() {
                 let pair = user * self.mirrors + first + lane;
-                self.steering_gain[pair] = self.combining.finish(*combined, self.branches);
+                self.steering_gain[pair] = *combined;
                 let inverse = 1.0 / seen.distance[lane];
                 self.inverse_distance[pair] = inverse;
                 self.directions[pair] = -inverse * Vec3::new(seen.x[lane], seen.y[lane], seen.z[lane]);

@@ -4,6 +4,7 @@ use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, Reach, Role};
 use heliostat_controller::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::node::Pace;
 use serde_json::{Map, Value, json};
@@ -68,7 +69,8 @@ pub fn run(args: Args) -> Result<()> {
             document(&settings.scenario, Some(&settings.bus), process)?
         }
         Process::Demo(args) => {
-            let process = json!({ "name": "demo", "policy": args.policy.name(), "room": args.room });
+            let process =
+                json!({ "name": "demo", "policy": args.policy.name(), "room": Room::new(&args.room)?.name() });
             // Its endpoints are free ports, found when it starts.
             document(&args.scenario.load()?, None, process)?
         }

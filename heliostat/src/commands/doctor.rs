@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
     /// Port of 127.0.0.1 that is to be free (repeatable)
-    #[arg(long, value_name = "PORT", default_values_t = [7447])]
+    #[arg(long, value_name = "PORT", default_values_t = [7447], value_parser = clap::value_parser!(u16).range(1..))]
     port: Vec<u16>,
     /// Print the checks as one JSON object
     #[arg(long)]

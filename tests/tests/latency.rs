@@ -311,7 +311,9 @@ fn ponderous(graph: &mut Graph, angles: &str, outputs: usize) {
     }
     let first = graph.slice(&matrix, 0, 0..1);
     let few = graph.slice(&first, 1, 0..outputs);
-    graph.node("Tanh", &[&few]);
+    let turned = graph.scalar(0.1);
+    let turned = graph.node("Add", &[&few, &turned]);
+    graph.node("Tanh", &[&turned]);
 }
 
 #[test]

@@ -8,6 +8,7 @@
 use crate::Vec3;
 use crate::blockage::{Cylinder, dips, plan_chord};
 use crate::mirrors::MirrorArray;
+use crate::trig::BLOCK;
 
 /// Room for rounding in m: far more than the rounding of a room's coordinates, far less than a radius.
 const ROUNDING_M: f64 = 1e-9;
@@ -25,14 +26,32 @@ pub(super) fn mark_visible(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3
         if blocker.height_m < lowest || view.misses(blocker) {
             continue;
         }
-        for column in 0..columns {
-            let mirror = &positions[column];
-            let Some(chord) = plan_chord(blocker, (from.x, from.y), (mirror.x, mirror.y)) else {
-                continue;
-            };
-            for index in (column..positions.len()).step_by(columns) {
-                legs[index] &= !dips(blocker, from.z, positions[index].z, chord);
-            }
+        for first in (0..columns).step_by(BLOCK) {
+            shade(legs, mirrors, from, blocker, first);
+        }
+    }
+}
+
+/// Unmarks the mirrors that a cylinder hides, in a block of columns from `first` on: first the chords, then row by row.
+#[inline]
+fn shade(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blocker: &Cylinder, first: usize) {
+    let (columns, positions) = (mirrors.columns(), mirrors.positions());
+    let lanes = BLOCK.min(columns - first);
+    // What is no chord is no number, and compares with no height.
+    let (mut enter, mut leave, mut any) = ([f64::NAN; BLOCK], [f64::NAN; BLOCK], false);
+    for (lane, mirror) in positions[first..first + lanes].iter().enumerate() {
+        if let Some(chord) = plan_chord(blocker, (from.x, from.y), (mirror.x, mirror.y)) {
+            (enter[lane], leave[lane]) = chord;
+            any = true;
+        }
+    }
+    if !any {
+        return;
+    }
+    for (row, legs) in legs.chunks_exact_mut(columns).enumerate() {
+        let height = positions[row * columns].z;
+        for (lane, leg) in legs[first..first + lanes].iter_mut().enumerate() {
+            *leg &= !dips(blocker, from.z, height, (enter[lane], leave[lane]));
         }
     }
 }

@@ -165,8 +165,9 @@ impl Intake {
             // The thread holds the desk while it works through the queue, so nothing overtakes what waits.
             Place::Auto if self.has_waiting() => None,
             Place::Auto => desk.try_lock().ok().filter(|desk| {
-                let warm = deciding.keep_warm == KeepWarm::Expected && desk.gains_by_rehearsal();
-                !desk.decided_within(BREATH, entered) && !(warm && stream == Stream::Users)
+                let warm =
+                    stream == Stream::Users && deciding.keep_warm == KeepWarm::Expected && desk.gains_by_rehearsal();
+                !(warm || desk.decided_within(BREATH, entered))
             }),
         };
         match at_once {

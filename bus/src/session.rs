@@ -25,7 +25,8 @@ pub enum Class {
     State,
     /// What people look at: status, truth. May wait to be sent together with others; dropped when the network is full.
     Info,
-    /// What must arrive: emergency stop, calibration. Ahead of the rest; waits rather than being dropped.
+    /// What must arrive: emergency stop, calibration, and in lockstep, where nobody is in a hurry, reports, commands and telemetry. Ahead of the rest; waits
+    /// rather than being dropped.
     Order,
 }
 

@@ -12,7 +12,7 @@ use std::{
     fmt,
     ops::RangeInclusive,
     str::FromStr,
-    sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    sync::{Condvar, Mutex, MutexGuard, PoisonError, TryLockError},
     time::{Duration, Instant},
 };
 
@@ -164,7 +164,7 @@ impl Intake {
             Place::Thread => None,
             // The thread holds the desk while it works through the queue, so nothing overtakes what waits.
             Place::Auto if self.has_waiting() => None,
-            Place::Auto => desk.try_lock().ok().filter(|desk| {
+            Place::Auto => try_lock(desk).filter(|desk| {
                 let warm =
                     stream == Stream::Users && deciding.keep_warm == KeepWarm::Expected && desk.gains_by_rehearsal();
                 !(warm || desk.decided_within(BREATH, entered))
@@ -267,7 +267,7 @@ pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: KeepWarm) {
 
 /// Rehearses, unless another holds the desk: then a decision is being made, which warms more than a rehearsal would.
 fn rehearse(desk: &Mutex<Desk>) {
-    if let Ok(mut desk) = desk.try_lock() {
+    if let Some(mut desk) = try_lock(desk) {
         desk.rehearse();
     }
 }
@@ -275,6 +275,15 @@ fn rehearse(desk: &Mutex<Desk>) {
 /// What is behind these locks is whole between any two of its operations, so a panic elsewhere does not spoil it.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The same, unless another holds it.
+pub fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
+    match mutex.try_lock() {
+        Ok(guard) => Some(guard),
+        Err(TryLockError::Poisoned(guard)) => Some(guard.into_inner()),
+        Err(TryLockError::WouldBlock) => None,
+    }
 }
 
 #[cfg(test)]
@@ -322,6 +331,25 @@ mod tests {
         pass();
         pass();
         assert_eq!(allocation_counter::measure(pass).count_total, 0);
+    }
+
+    #[test]
+    fn when_to_keep_warm_is_read_as_it_is_written() {
+        let every = |us| KeepWarm::Every(Duration::from_micros(us));
+        for keep_warm in [KeepWarm::Off, KeepWarm::Expected, every(50), every(1_000_000)] {
+            assert_eq!(keep_warm.to_string().parse(), Ok(keep_warm));
+        }
+        for wrong in ["49", "1000001", "-1", "often", ""] {
+            assert!(wrong.parse::<KeepWarm>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn rooms_that_share_a_process_rehearse_only_when_told() {
+        let expected = Deciding::default();
+        assert_eq!((expected.among(1).keep_warm, expected.among(2).keep_warm), (KeepWarm::Expected, KeepWarm::Off));
+        let every = Deciding { keep_warm: KeepWarm::Every(Duration::from_millis(1)), ..expected };
+        assert_eq!(every.among(2), every);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 
 use std::{
     hash::{BuildHasher, Hasher, RandomState},
-    sync::{Arc, Mutex, MutexGuard, TryLockError},
+    sync::{Arc, Mutex, MutexGuard},
     thread::JoinHandle,
     time::{Duration, Instant},
 };
@@ -19,7 +19,7 @@ use crate::{
     control::{self, Workshop},
     core::{Controller, WARM_UP_RUNS},
     desk::{Desk, RoomClock, utc_ns},
-    intake::{Deciding, Intake, attend, lock},
+    intake::{Deciding, Intake, attend, lock, try_lock},
     ledger::Ledger,
     node::{NodeConfig, Pace},
     policy::{self, ActorSource},
@@ -73,9 +73,10 @@ impl Post {
     pub fn open(bus: &Bus, config: &NodeConfig) -> anyhow::Result<Self> {
         let scenario = &config.scenario;
         let started_ns = utc_ns();
-        let (clock, epoch) = match config.pace {
-            Pace::Live => (RoomClock::Utc, started_ns / 1_000_000),
-            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1),
+        let (clock, epoch, class) = match config.pace {
+            Pace::Live => (RoomClock::Utc, started_ns / 1_000_000, Class::Control),
+            // Nobody is in a hurry, and nothing may be dropped.
+            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1, Class::Order),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = policy::build(config.policy, scenario, &actor)?;
@@ -86,7 +87,7 @@ impl Post {
         let room = bus.room().clone();
         tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
 
-        let publisher = bus.publisher(&room.command(), Class::Control)?;
+        let publisher = bus.publisher(&room.command(), class)?;
         let status = bus.publisher(&room.status(NodeKind::Controller), Class::Info)?;
         let standby = Arc::new(Standby::new(scenario.control.when_unanswered));
         let in_stead = bus.publisher(&room.command(), Class::Control)?;
@@ -141,17 +142,17 @@ impl Post {
 
     /// The epoch of the controller that has taken over the array, if one has.
     pub fn deposed_by(&self) -> Option<u64> {
-        self.desk.try_lock().ok().and_then(|desk| desk.controller.deposed_by())
+        try_lock(&self.desk).and_then(|desk| desk.controller.deposed_by())
     }
 
     /// Why the array of this room cannot be commanded, if it cannot.
     pub fn unfit(&self) -> Option<Unfit> {
-        self.desk.try_lock().ok().and_then(|desk| desk.controller.guard().unfit().cloned())
+        try_lock(&self.desk).and_then(|desk| desk.controller.guard().unfit().cloned())
     }
 
     /// Lets time pass, since the absence of reports may have to be answered, or that of answers.
     pub fn elapse(&mut self) {
-        if let Ok(mut desk) = self.desk.try_lock() {
+        if let Some(mut desk) = try_lock(&self.desk) {
             self.held = None;
             desk.elapse();
             return;
@@ -239,11 +240,9 @@ fn deadline(config: &NodeConfig) -> Duration {
 fn lock_within(desk: &Mutex<Desk>, limit: Duration) -> Option<MutexGuard<'_, Desk>> {
     let deadline = Instant::now() + limit;
     loop {
-        match desk.try_lock() {
-            Ok(desk) => return Some(desk),
-            Err(TryLockError::Poisoned(desk)) => return Some(desk.into_inner()),
-            Err(TryLockError::WouldBlock) if Instant::now() >= deadline => return None,
-            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_micros(100)),
+        match try_lock(desk) {
+            None if Instant::now() < deadline => std::thread::sleep(Duration::from_micros(100)),
+            desk => return desk,
         }
     }
 }

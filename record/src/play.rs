@@ -91,7 +91,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
         }
     })?;
     let mut player = Player {
-        outlets: outlets(&bus, &recorded_room)?,
+        outlets: outlets(&bus, &recorded_room, clock)?,
         present: BTreeMap::new(),
         recorded_commands: recorded_room.command(),
         answers,
@@ -134,7 +134,8 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
 }
 
 /// Where what was recorded under a key goes; the room may be played under another name.
-fn outlets(bus: &Bus, recorded: &Room) -> Result<HashMap<String, (Publisher, Outlet)>> {
+fn outlets(bus: &Bus, recorded: &Room, clock: Clock) -> Result<HashMap<String, (Publisher, Outlet)>> {
+    let class = if clock == Clock::Live { Class::Control } else { Class::Order };
     let room = bus.room();
     let keys = [
         (recorded.users(), room.users(), Outlet::Users),
@@ -143,8 +144,7 @@ fn outlets(bus: &Bus, recorded: &Room) -> Result<HashMap<String, (Publisher, Out
         (recorded.telemetry(), room.telemetry(), Outlet::Telemetry),
         (recorded.capabilities(), room.capabilities(), Outlet::Capabilities),
     ];
-    let publisher =
-        |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, Class::Control)?, outlet)));
+    let publisher = |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, class)?, outlet)));
     keys.into_iter().map(publisher).collect()
 }
 

@@ -39,8 +39,8 @@ pub(crate) struct Edge {
 impl Edge {
     /// Opens a session and declares everything, unless another simulator is in the room.
     ///
-    /// `telemetry` is the class of the telemetry: in lockstep it must not be overtaken by reports.
-    pub fn open(config: &BusConfig, telemetry: Class) -> Result<Self, NodeError> {
+    /// `reports` and `telemetry` are the classes of both.
+    pub fn open(config: &BusConfig, reports: Class, telemetry: Class) -> Result<Self, NodeError> {
         let bus = Bus::open(config)?;
         let keys = config.room.clone();
         lines::check_alone(&bus)?;
@@ -63,9 +63,9 @@ impl Edge {
             }
         })?;
         Ok(Self {
-            users: Outlet::new(&bus, &keys.users(), Class::Control)?,
-            channel: Outlet::new(&bus, &keys.channel(), Class::Control)?,
-            obstacles: Outlet::new(&bus, &keys.obstacles(), Class::Control)?,
+            users: Outlet::new(&bus, &keys.users(), reports)?,
+            channel: Outlet::new(&bus, &keys.channel(), reports)?,
+            obstacles: Outlet::new(&bus, &keys.obstacles(), reports)?,
             lines: Lines::open(&bus, clock, telemetry)?,
             _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control]),
             bus,

@@ -114,11 +114,7 @@ pub enum NodeError {
 /// [`NodeError`]: a room that cannot be built, a transport that fails, another simulator in the room, a tick of a lockstep run that
 /// nobody answers.
 pub fn run(settings: &Settings, stop: &AtomicBool) -> Result<Summary, NodeError> {
-    let telemetry = match settings.pace {
-        Pace::Live { .. } => Class::State,
-        Pace::Lockstep { .. } => Class::Control,
-    };
-    let node = Node::open(settings, telemetry)?;
+    let node = Node::open(settings)?;
     match settings.pace {
         Pace::Live { duration } => live::run(node, duration, stop),
         Pace::Lockstep { ticks } => lockstep::run(node, ticks, stop),
@@ -151,14 +147,19 @@ pub(crate) struct Node {
 }
 
 impl Node {
-    fn open(settings: &Settings, telemetry: Class) -> Result<Self, NodeError> {
+    fn open(settings: &Settings) -> Result<Self, NodeError> {
+        // In lockstep nothing may be dropped, and telemetry is not to be overtaken by reports.
+        let (reports, telemetry) = match settings.pace {
+            Pace::Live { .. } => (Class::Control, Class::State),
+            Pace::Lockstep { .. } => (Class::Order, Class::Order),
+        };
         let scenario = settings.scenario.clone();
         let exporter = settings.metrics.open()?;
         let mut room = SimulatedRoom::new(&scenario, scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
             room.calibrate(Moment::default(), &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
         }
-        let edge = Edge::open(&settings.bus, telemetry)?;
+        let edge = Edge::open(&settings.bus, reports, telemetry)?;
         let clock = edge.clock();
         // Halfway between two ticks: the mean of an interval's aim, and never in the way of a tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;

@@ -124,7 +124,7 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
     assert!(number(&room, "/loop_us/count") <= commands, "{room} {controller}");
     assert!(number(&room, "/loop_us/count") >= heard.commands.len() as f64 - 2.0, "{room}");
     // A report that was overtaken on a busy machine is shed, and one that a stalled link cannot take is dropped: no command answers these.
-    let dropped = 0.02 * number(&room, "/ticks");
+    let dropped = 0.1 * number(&room, "/ticks");
     assert!(number(&room, "/lost_ticks") <= number(&controller, "/shed") + dropped, "{room} {controller}");
     assert_eq!(number(&controller, "/unsent"), 0.0, "{controller}");
 

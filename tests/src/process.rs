@@ -27,14 +27,28 @@ impl Process {
         Self::program("heliostat", arguments)
     }
 
+    /// The same, for tests to which no message may be lost: a busy machine makes it wait for up to a second, where it would drop a message after 50 us.
+    ///
+    /// # Panics
+    /// When the program is not built or does not start.
+    pub fn heliostat_that_waits(arguments: &[&str]) -> Self {
+        let wait = "transport/link/tx/queue/congestion_control/drop/wait_before_drop=1000000";
+        Self::start("heliostat", arguments, &[("HELIOSTAT_ZENOH", wait)])
+    }
+
     /// Starts a program of the workspace with these arguments.
     ///
     /// # Panics
     /// When the program is not built or does not start.
     pub fn program(name: &str, arguments: &[&str]) -> Self {
+        Self::start(name, arguments, &[])
+    }
+
+    fn start(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Self {
         let path = built(name);
         let mut child = Command::new(&path)
             .args(arguments)
+            .envs(variables.iter().copied())
             .current_dir(workspace())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

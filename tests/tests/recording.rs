@@ -38,13 +38,13 @@ impl Setting {
     }
 
     fn room(&self, arguments: &[&str]) -> Process {
-        Process::heliostat(&[&["sim-node", "--listen", &self.room_at, "--json"], arguments].concat())
+        Process::heliostat_that_waits(&[&["sim-node", "--listen", &self.room_at, "--json"], arguments].concat())
     }
 
     fn controller(&self, arguments: &[&str]) -> Process {
         let fixed = ["controller", "--connect", &self.room_at, "--connect", &self.recorder_at];
         let ended = ["--exit-with-parent", "--json", "--policy", "fixed-point"];
-        Process::heliostat(&[&fixed[..], &ended, arguments].concat())
+        Process::heliostat_that_waits(&[&fixed[..], &ended, arguments].concat())
     }
 
     fn recorder_arguments(&self) -> Vec<String> {

@@ -228,7 +228,11 @@ impl Intake {
 
 /// The room's thread: answers what is in the intake, and rehearses while nothing is. Ends when the intake is closed.
 pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: KeepWarm) {
-    let mut pause = None;
+    // Where the callback decides nothing fills the intake, and the rehearsals begin by themselves.
+    let mut pause = match keep_warm {
+        KeepWarm::Off | KeepWarm::Expected => None,
+        KeepWarm::Every(pause) => Some(pause),
+    };
     loop {
         match intake.wait(pause) {
             Woken::Closed => return,

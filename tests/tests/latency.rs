@@ -151,12 +151,21 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
 
 #[test]
 fn decided_in_the_callback_nothing_is_missing() {
-    counts_order_and_stages(&["--policy", "fixed-point", "--decide-in", "callback", "--keep-warm", "off"]);
+    let summary =
+        counts_order_and_stages(&["--policy", "fixed-point", "--decide-in", "callback", "--keep-warm", "off"]);
+    assert_eq!(number(&summary, "/rehearsals"), 0.0, "{summary}");
 }
 
 #[test]
 fn decided_on_a_thread_that_keeps_warm_nothing_is_missing() {
-    counts_order_and_stages(&["--policy", "actor", "--decide-in", "thread", "--keep-warm", "1000"]);
+    let summary = counts_order_and_stages(&["--policy", "actor", "--decide-in", "thread", "--keep-warm", "1000"]);
+    assert!(number(&summary, "/rehearsals") > 0.0, "{summary}");
+}
+
+#[test]
+fn decided_in_the_callback_beside_a_thread_that_keeps_warm_nothing_is_missing() {
+    let summary = counts_order_and_stages(&["--policy", "nearest", "--decide-in", "callback", "--keep-warm", "1000"]);
+    assert!(number(&summary, "/rehearsals") > 0.0, "{summary}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Nothing is allocated between the first byte of a payload and the last byte of the command; what the inference engine
 //! allocates is its own, and is measured against the engine alone.
 
-use std::{sync::mpsc, time::Duration};
+use std::{path::Path, sync::mpsc, time::Duration};
 
 use allocation_counter::measure;
 use clap::ValueEnum;
@@ -134,17 +134,29 @@ fn the_counter_sees_allocations() {
 #[test]
 fn with_an_actor_only_the_engine_allocates() {
     let scenario = large();
-    let bare = bare_engine_allocations(&scenario);
+    let bare = bare_engine_allocations(&actor_of(&scenario), &scenario).0;
     let counts = allocations(&scenario, PolicyKind::Ddpg);
-    println!("the inference engine allocates {bare} times a run");
+    println!("the inference engine allocates {bare} times a run of the test's network");
     assert!(bare > 0 && counts.iter().all(|count| *count == bare), "engine alone {bare}, with us {counts:?}");
 }
 
-/// Allocations of one run of the engine on the same network, without anything of ours.
-fn bare_engine_allocations(scenario: &Scenario) -> u64 {
-    let mut actor = Actor::load(&actor_of(scenario), scenario).unwrap();
+/// Allocations of one run of the engine on a network, and their bytes, without anything of ours.
+fn bare_engine_allocations(file: &ActorFile, scenario: &Scenario) -> (u64, u64) {
+    let mut actor = Actor::load(file, scenario).unwrap();
     (0..20).for_each(|_| actor.run_engine_alone().unwrap());
-    measure(|| actor.run_engine_alone().unwrap()).count_total
+    let run = measure(|| actor.run_engine_alone().unwrap());
+    (run.count_total, run.bytes_total)
+}
+
+/// What the engine allocates for the actor that is shipped, told for who wants to know; it is not ours to change.
+#[test]
+fn what_the_engine_allocates_for_the_shipped_actor_does_not_grow() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/actors/ddpg-specular-10x10.onnx");
+    let file = ActorFile::read(&file).unwrap();
+    let scenario = Scenario::builtin("specular").unwrap();
+    let (count, bytes) = bare_engine_allocations(&file, &scenario);
+    println!("the inference engine allocates {count} times a run of the shipped actor, {bytes} bytes in all");
+    assert_eq!((count, bytes), bare_engine_allocations(&file, &scenario));
 }
 
 #[test]

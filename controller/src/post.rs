@@ -102,7 +102,7 @@ impl Post {
         });
         let thread = thread.transpose().context("cannot start a room's thread")?;
         let mut subscriptions = subscribe(bus, deciding, &desk, &intake)?;
-        subscriptions.extend(learn_of_array(bus, &desk, examiner)?);
+        subscriptions.extend(learn_of_array(bus, (&desk, &standby), examiner)?);
         let workshop = Workshop { scenario: scenario.clone(), model, own: (config.policy, actor) };
         subscriptions.push(control::listen(bus, &desk, workshop)?);
         let source = RandomState::new().build_hasher().finish();
@@ -280,7 +280,11 @@ fn subscribe(
 }
 
 /// Hears what the array can do, who drives it, and who stops it. Nothing of this is on the way from a report to its command.
-fn learn_of_array(bus: &Bus, desk: &Arc<Mutex<Desk>>, examiner: Examiner) -> anyhow::Result<[Subscription; 3]> {
+fn learn_of_array(
+    bus: &Bus,
+    (desk, standby): (&Arc<Mutex<Desk>>, &Arc<Standby>),
+    examiner: Examiner,
+) -> anyhow::Result<[Subscription; 3]> {
     let room = bus.room();
     let examiner = Arc::new(examiner);
     let (judge, judged) = (Arc::clone(&examiner), Arc::clone(desk));
@@ -297,9 +301,10 @@ fn learn_of_array(bus: &Bus, desk: &Arc<Mutex<Desk>>, examiner: Examiner) -> any
     // Asked for, so that an array which is there already is known before the first command.
     bus.fetch(&room.capabilities(), CAPABILITIES_WITHIN)?.iter().for_each(|payload| learn(payload));
     let announced = bus.subscribe(&room.capabilities(), learn)?;
-    let heeded = Arc::clone(desk);
+    let (heeded, at_once) = (Arc::clone(desk), Arc::clone(standby));
     let stops = bus.subscribe(&room.stop(), move |payload| {
         if let Ok(order) = decode::<EmergencyStop>(payload) {
+            at_once.heed(&order);
             lock(&heeded).controller.guard_mut().heed(&order);
         }
     })?;

@@ -1,17 +1,17 @@
 //! What is said in a policy's stead while it gives no answer.
 //!
 //! Whoever decides holds the desk, so a policy that does not come back keeps everybody from it, and from the last command. Standby keeps a copy beside the
-//! desk, and gives commands of its own after it. When the policy comes back after all, its command is numbered on.
+//! desk, and gives commands of its own after it, unless the array is stopped. When the policy comes back after all, its command is numbered on.
 
 use std::sync::{
     Mutex,
     atomic::{AtomicU64, Ordering},
 };
 
-use heliostat_proto::{MirrorCommand, Nanos};
+use heliostat_proto::{EmergencyStop, MirrorCommand, Nanos};
 use heliostat_scenario::Answer;
 
-use crate::intake::lock;
+use crate::{capabilities::Guard, intake::lock};
 
 /// The last command beside the desk.
 pub struct Standby {
@@ -26,6 +26,8 @@ pub struct Standby {
 struct Said {
     command: MirrorCommand,
     by_standby: bool,
+    /// Of its own: orders of an operator must not wait for the desk.
+    guard: Guard,
 }
 
 impl Standby {
@@ -41,6 +43,11 @@ impl Standby {
             Answer::Park => "the array is parked",
             Answer::Policy | Answer::Fallback | Answer::Hold => "the array holds, then parks",
         }
+    }
+
+    /// Heeds a stop or a re-arm.
+    pub fn heed(&self, order: &EmergencyStop) {
+        lock(&self.said).guard.heed(order);
     }
 
     /// A decision begins or ends.
@@ -76,7 +83,7 @@ impl Standby {
             Answer::Park => said.by_standby,
             Answer::Policy | Answer::Fallback | Answer::Hold => true,
         };
-        if silent || said.command.sequence == 0 {
+        if silent || said.guard.is_stopped() || said.command.sequence == 0 {
             return None;
         }
         if self.answer == Answer::Park {
@@ -93,6 +100,8 @@ impl Standby {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::{Stamp, StopAction};
+
     use super::*;
 
     fn command(sequence: u64) -> MirrorCommand {
@@ -138,6 +147,22 @@ mod tests {
         standby.note(&command(7));
         assert_eq!(standby.speak(6), None);
         assert_eq!(standby.note(&command(8)), 8);
+    }
+
+    #[test]
+    fn it_says_nothing_while_the_array_is_stopped() {
+        let standby = Standby::new(Answer::LastGood);
+        standby.note(&command(7));
+        let order = |action, time_ns| {
+            let stamp = Stamp { time_ns, ..Stamp::default() };
+            standby.heed(&EmergencyStop { stamp, action, ..EmergencyStop::default() });
+        };
+        order(StopAction::Stop, 5);
+        assert_eq!(standby.speak(6), None);
+        order(StopAction::Rearm, 5);
+        assert_eq!(standby.speak(6), None, "too early a re-arm");
+        order(StopAction::Rearm, 6);
+        assert!(standby.speak(7).is_some());
     }
 
     #[test]

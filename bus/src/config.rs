@@ -1,5 +1,6 @@
 //! Who listens where, who connects whither, and how Zenoh is set up for short delays.
 
+use std::hash::{BuildHasher, RandomState};
 use std::net::TcpListener;
 use std::time::Duration;
 
@@ -225,14 +226,35 @@ impl BusArgs {
     }
 }
 
-/// An endpoint on 127.0.0.1 whose port was free a moment ago.
+/// Ports that no system hands out by itself: below those that Linux, macOS and Windows give to outgoing connections and to listeners at port 0.
+const PORTS_LEFT_TO_CHOICE: std::ops::Range<u16> = 20_000..32_768;
+
+/// A TCP port on 127.0.0.1, chosen at random, that was free a moment ago, and that the system gives to nobody who does not ask for it by
+/// number: what connects elsewhere in the meantime does not take it.
+///
+/// # Errors
+/// [`BusError::NoFreePort`].
+pub fn free_loopback_port() -> Result<u16, BusError> {
+    let mut last = None;
+    for _ in 0..100 {
+        let span = u64::from(PORTS_LEFT_TO_CHOICE.end - PORTS_LEFT_TO_CHOICE.start);
+        // Each `RandomState` has keys of its own; those of different processes have nothing in common.
+        let offset = RandomState::new().hash_one(()) % span;
+        let port = PORTS_LEFT_TO_CHOICE.start + u16::try_from(offset).expect("below the span of a u16 range");
+        match TcpListener::bind(("127.0.0.1", port)) {
+            Ok(_) => return Ok(port),
+            Err(error) => last = Some(error),
+        }
+    }
+    Err(BusError::NoFreePort { problem: last.map(|error| error.to_string()).unwrap_or_default() })
+}
+
+/// An endpoint on 127.0.0.1, at a [`free_loopback_port`].
 ///
 /// # Errors
 /// [`BusError::NoFreePort`].
 pub fn free_loopback_endpoint() -> Result<String, BusError> {
-    let port = TcpListener::bind(("127.0.0.1", 0)).and_then(|listener| listener.local_addr()).map(|at| at.port());
-    let port = port.map_err(|error| BusError::NoFreePort { problem: error.to_string() })?;
-    Ok(format!("tcp/127.0.0.1:{port}"))
+    free_loopback_port().map(|port| format!("tcp/127.0.0.1:{port}"))
 }
 
 fn check_endpoint(text: &str) -> Result<(), BusError> {

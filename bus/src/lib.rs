@@ -21,6 +21,6 @@ mod config;
 mod error;
 mod session;
 
-pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, Reach, Role, free_loopback_endpoint};
+pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, Reach, Role, free_loopback_endpoint, free_loopback_port};
 pub use error::BusError;
 pub use session::{Bus, Class, Presence, Publisher, Service, Subscription, Token};

@@ -78,15 +78,6 @@ pub fn run(args: Args) -> Result<()> {
         stop_with_parent(&stop);
     }
     args.log.begin(DEFAULT_LOG);
-    let Settings { scenario, bus, .. } = &settings;
-    tracing::info!(
-        room = %bus.room,
-        scenario = scenario.name,
-        hash = scenario.hash(),
-        seed = scenario.seed,
-        "{}",
-        endpoints(&bus.listen, &bus.connect)
-    );
     let summary = node::run(&settings, &stop)?;
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
@@ -96,12 +87,6 @@ pub fn run(args: Args) -> Result<()> {
         write!(out, "{summary}")?;
     }
     Ok(())
-}
-
-fn endpoints(listen: &[String], connect: &[String]) -> String {
-    let at = listen.iter().map(|endpoint| format!("listening at {endpoint}"));
-    let to = connect.iter().map(|endpoint| format!("connecting to {endpoint}"));
-    at.chain(to).collect::<Vec<_>>().join(", ")
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

@@ -115,10 +115,25 @@ pub enum NodeError {
 /// nobody answers.
 pub fn run(settings: &Settings, stop: &AtomicBool) -> Result<Summary, NodeError> {
     let node = Node::open(settings)?;
+    let Settings { scenario, bus, .. } = settings;
+    tracing::info!(
+        room = %bus.room,
+        scenario = scenario.name,
+        hash = scenario.hash(),
+        seed = scenario.seed,
+        "{}",
+        endpoints(&bus.listen, &bus.connect)
+    );
     match settings.pace {
         Pace::Live { duration } => live::run(node, duration, stop),
         Pace::Lockstep { ticks } => lockstep::run(node, ticks, stop),
     }
+}
+
+fn endpoints(listen: &[String], connect: &[String]) -> String {
+    let at = listen.iter().map(|endpoint| format!("listening at {endpoint}"));
+    let to = connect.iter().map(|endpoint| format!("connecting to {endpoint}"));
+    at.chain(to).collect::<Vec<_>>().join(", ")
 }
 
 /// The room with everything around it.

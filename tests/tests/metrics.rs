@@ -3,14 +3,14 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 
-use heliostat_bus::free_loopback_endpoint;
+use heliostat_bus::{free_loopback_endpoint, free_loopback_port};
 use heliostat_tests::{Process, wait_until};
 
 fn free_address() -> SocketAddr {
-    TcpListener::bind(("127.0.0.1", 0)).and_then(|listener| listener.local_addr()).expect("a free port")
+    SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port")))
 }
 
 /// The page at an address; empty where nobody answers.

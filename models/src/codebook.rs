@@ -122,7 +122,7 @@ impl Codebook {
         let shape = [rows.len(), rows[0].len()];
         let book = graph.constant("codebook", &shape, &rows.concat());
         let best = graph.argmax(values, 1);
-        graph.gather(&book, &best)
+        graph.gather(&book, &best, 0)
     }
 }
 

@@ -21,6 +21,9 @@ use serde::{Deserialize, Serialize};
 /// Features of one user.
 pub const FEATURES: usize = 7;
 
+/// The place of what is 1 for every user present, and 0 in an absent slot, among them.
+pub const PRESENT: usize = 0;
+
 /// The place of ln(1 + direct amplitude) among them.
 pub const LOG_DIRECT: usize = 3;
 

@@ -66,7 +66,7 @@ impl Needy {
         let slot = graph.argmax(&need, 1);
         let positions = graph.slice(INPUT_NAME, 1, self.encoder.positions());
         let positions = graph.reshape(&positions, &[slots, 3]);
-        let position = graph.gather(&positions, &slot);
+        let position = graph.gather(&positions, &slot, 0);
         graph.slice(&position, 1, 0..2)
     }
 }

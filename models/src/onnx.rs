@@ -70,14 +70,22 @@ impl Graph {
         self.reshape(&best, &[1, columns])
     }
 
+    /// The row that holds the largest value of each column of a table of this shape, the first of equal ones; (columns).
+    pub fn best_row(&mut self, input: &str, [rows, columns]: [usize; 2]) -> Value {
+        let image = self.reshape(input, &[1, 1, rows, columns]);
+        let window = integers("kernel_shape", &[rows as i64, 1]);
+        let best = self.node_with("MaxPool", &[&image], vec![window]);
+        // The place of the value in the image, row by row.
+        let place = format!("{best}_place");
+        self.nodes.last_mut().expect("just added").output.push(place.clone());
+        let width = self.indices(&[columns as i64]);
+        let row = self.node("Div", &[&place, &width]);
+        self.reshape(&row, &[columns])
+    }
+
     /// A table turned about, so that its rows are columns.
     pub fn transpose(&mut self, input: &str) -> Value {
         self.node_with("Transpose", &[input], vec![integers("perm", &[1, 0])])
-    }
-
-    /// Truth as 1 and 0.
-    pub fn as_numbers(&mut self, input: &str) -> Value {
-        self.node_with("Cast", &[input], vec![integer("to", DataType::Float as i64)])
     }
 
     /// The first index of the maximum along an axis, which disappears.
@@ -85,9 +93,17 @@ impl Graph {
         self.node_with("ArgMax", &[input], vec![integer("axis", axis as i64), integer("keepdims", 0)])
     }
 
-    /// Rows of a value by index.
-    pub fn gather(&mut self, input: &str, indices: &str) -> Value {
-        self.node_with("Gather", &[input, indices], vec![integer("axis", 0)])
+    /// Parts of a value along an axis by index.
+    pub fn gather(&mut self, input: &str, indices: &str, axis: usize) -> Value {
+        self.node_with("Gather", &[input, indices], vec![integer("axis", axis as i64)])
+    }
+
+    /// Values at these places of a row, as a table of this shape.
+    pub fn picked(&mut self, row: &str, places: &[usize], shape: [usize; 2]) -> Value {
+        let places: Vec<i64> = places.iter().map(|&place| place as i64).collect();
+        let places = self.indices(&places);
+        let picked = self.gather(row, &places, 1);
+        self.reshape(&picked, &shape)
     }
 
     /// Values side by side along an axis.

@@ -222,7 +222,7 @@ impl Learner for Trainer {
         let place = self.needy.place_nodes(&mut graph);
         let state = self.cells.cell_nodes(&mut graph, &place);
         let values = graph.constant("table", &[self.table.states(), self.table.entries()], self.table.values());
-        let row = graph.gather(&values, &state);
+        let row = graph.gather(&values, &state, 0);
         self.codebook.choose_nodes(&mut graph, &row);
         let (input, output) = (self.needy.encoder().len(), 2 * self.needy.encoder().mirrors());
         let ends = Ends { name: "heliostat-table", input: (INPUT_NAME, input), output: (OUTPUT_NAME, output) };

@@ -9,7 +9,7 @@ use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 use heliostat_controller::safety::Limits;
 use heliostat_scenario::Scenario;
 
-use crate::export::NetworkNodes;
+use crate::export::{Column, NetworkNodes};
 use crate::networks::Network;
 use crate::onnx::{Ends, Graph, Value};
 
@@ -100,8 +100,10 @@ impl RawLayout {
     pub fn export(&self, network: &Network, metadata: &[(String, String)]) -> Result<Vec<u8>> {
         let mut graph = Graph::default();
         let state = self.state_nodes(&mut graph);
-        let raw = NetworkNodes::new(&mut graph, network, &(0..self.inputs()).map(Some).collect::<Vec<_>>())?
-            .plain(&mut graph, &state);
+        let nodes = NetworkNodes::new(&mut graph, network)?;
+        let columns: Vec<Column> = (0..self.inputs()).map(|input| Some((input, 1.0))).collect();
+        let entry = nodes.entry(&mut graph, &columns)?;
+        let raw = nodes.plain(&mut graph, &entry, &state);
         let action = graph.node("Tanh", &[&raw]);
         let range = graph.scalar(self.range_rad);
         graph.node("Mul", &[&action, &range]);

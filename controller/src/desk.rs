@@ -74,6 +74,12 @@ const WORTH_REHEARSING: RangeInclusive<Duration> = Duration::from_micros(250)..=
 /// Rehearsals end at least this long before a report is expected.
 const BEFORE_REPORT: Duration = Duration::from_micros(50);
 
+/// What a report that comes as late as it is likely to takes to get here.
+const AFTER_REPORT: Duration = Duration::from_micros(100);
+
+/// Longer than this nobody stays awake for a report: a twentieth of the time between reports at 100 a second.
+const AWAKE_MAX: Duration = Duration::from_micros(500);
+
 /// The controller with everything that deciding needs.
 pub struct Desk {
     /// The deciding core.
@@ -231,6 +237,11 @@ impl Desk {
         let takes = count * if self.rehearsal.is_zero() { self.expected } else { self.rehearsal };
         let begin = self.rhythm.earliest()?.checked_sub(takes + BEFORE_REPORT)?;
         begin.checked_duration_since(now).filter(|_| self.gains_by_rehearsal())
+    }
+
+    /// Until when the next report is worth staying awake for.
+    pub fn awake_until(&self, now: Instant) -> Instant {
+        self.rhythm.latest().map_or(now, |latest| (latest + AFTER_REPORT).min(now + AWAKE_MAX))
     }
 
     /// Rehearses the next decision.

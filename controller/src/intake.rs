@@ -12,7 +12,10 @@ use std::{
     fmt,
     ops::RangeInclusive,
     str::FromStr,
-    sync::{Condvar, Mutex, MutexGuard, PoisonError, TryLockError},
+    sync::{
+        Condvar, Mutex, MutexGuard, PoisonError, TryLockError,
+        atomic::{AtomicBool, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -126,6 +129,8 @@ struct Arrival {
 pub struct Intake {
     queue: Mutex<Queue>,
     filled: Condvar,
+    /// Whether it was filled or closed since the last wait; can be read without holding up who fills it.
+    stirred: AtomicBool,
 }
 
 #[derive(Default)]
@@ -153,6 +158,7 @@ impl Intake {
         buffer.clear();
         buffer.extend_from_slice(payload);
         queue.waiting.push_back(Arrival { stream, payload: buffer, entered });
+        self.stirred.store(true, Ordering::Relaxed);
         drop(queue);
         self.filled.notify_one();
     }
@@ -187,11 +193,13 @@ impl Intake {
     /// Ends [`attend`].
     pub fn close(&self) {
         lock(&self.queue).closed = true;
+        self.stirred.store(true, Ordering::Relaxed);
         self.filled.notify_one();
     }
 
     fn wait(&self, limit: Option<Duration>) -> Woken {
         let mut queue = lock(&self.queue);
+        self.stirred.store(false, Ordering::Relaxed);
         loop {
             if queue.closed {
                 return Woken::Closed;
@@ -208,6 +216,17 @@ impl Intake {
             if timeout.timed_out() && queue.waiting.is_empty() && !queue.closed {
                 return Woken::TimedOut;
             }
+        }
+    }
+
+    fn is_stirred(&self) -> bool {
+        self.stirred.load(Ordering::Relaxed)
+    }
+
+    /// Waits without giving the processor up to idling, which would let its caches go cold, but gives it to whoever else is ready to run.
+    fn stay_awake(&self, until: Instant) {
+        while !self.is_stirred() && Instant::now() < until {
+            std::thread::yield_now();
         }
     }
 
@@ -253,7 +272,9 @@ pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: KeepWarm) {
                 pause = match keep_warm {
                     KeepWarm::Off => None,
                     KeepWarm::Expected => {
-                        (0..REHEARSALS).take_while(|_| !intake.has_waiting()).for_each(|_| rehearse(desk));
+                        (0..REHEARSALS).take_while(|_| !intake.is_stirred()).for_each(|_| rehearse(desk));
+                        let until = lock(desk).awake_until(Instant::now());
+                        intake.stay_awake(until);
                         None
                     }
                     KeepWarm::Every(pause) => {

@@ -13,14 +13,19 @@ const PAUSE: Duration = Duration::from_secs(2);
 /// Intervals after which an expectation is worth acting on.
 const ENOUGH: u32 = 4;
 
-/// Mean deviations by which a report is expected to come early at most.
-const EARLY: f64 = 2.0;
+/// An interval of so many means is none of the rhythm's.
+const STRAY: f64 = 1.5;
+
+/// Mean deviations by which a report is expected to come early or late at most.
+const DEVIATIONS: f64 = 2.0;
 
 /// Mean and mean deviation of the intervals between reports.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rhythm {
     last: Option<Instant>,
     intervals: u32,
+    /// Intervals in a row that were none of the rhythm's.
+    strays: u32,
     mean_s: f64,
     deviation_s: f64,
 }
@@ -29,25 +34,41 @@ impl Rhythm {
     /// A report came.
     pub fn heard(&mut self, at: Instant) {
         let interval = self.last.replace(at).map(|last| at.saturating_duration_since(last));
-        match interval {
-            Some(interval) if interval < PAUSE => {
-                let interval_s = interval.as_secs_f64();
-                if self.intervals == 0 {
-                    self.mean_s = interval_s;
-                }
-                let error_s = interval_s - self.mean_s;
-                self.mean_s += NEWEST_SHARE * error_s;
-                self.deviation_s += NEWEST_SHARE * (error_s.abs() - self.deviation_s);
-                self.intervals = self.intervals.saturating_add(1);
-            }
-            _ => (self.intervals, self.deviation_s) = (0, 0.0),
+        let Some(interval) = interval.filter(|interval| *interval < PAUSE) else {
+            *self = Self { last: self.last, ..Self::default() };
+            return;
+        };
+        let interval_s = interval.as_secs_f64();
+        // One was lost, or the reports paused: the rhythm is the same, unless it goes on so.
+        let strays = self.intervals >= ENOUGH && interval_s > STRAY * self.mean_s;
+        self.strays = if strays { self.strays + 1 } else { 0 };
+        if self.strays > ENOUGH {
+            *self = Self { last: self.last, ..Self::default() };
+        } else if strays {
+            return;
         }
+        if self.intervals == 0 {
+            self.mean_s = interval_s;
+        }
+        let error_s = interval_s - self.mean_s;
+        self.mean_s += NEWEST_SHARE * error_s;
+        self.deviation_s += NEWEST_SHARE * (error_s.abs() - self.deviation_s);
+        self.intervals = self.intervals.saturating_add(1);
     }
 
     /// The earliest at which the next report is likely to come; none while there is no rhythm.
     pub fn earliest(&self) -> Option<Instant> {
-        let ahead_s = (self.mean_s - EARLY * self.deviation_s).max(0.0);
-        self.last.filter(|_| self.intervals >= ENOUGH).map(|last| last + Duration::from_secs_f64(ahead_s))
+        self.after(self.mean_s - DEVIATIONS * self.deviation_s)
+    }
+
+    /// The latest, likewise.
+    pub fn latest(&self) -> Option<Instant> {
+        self.after(self.mean_s + DEVIATIONS * self.deviation_s)
+    }
+
+    fn after(&self, ahead_s: f64) -> Option<Instant> {
+        let ahead = Duration::from_secs_f64(ahead_s.max(0.0));
+        self.last.filter(|_| self.intervals >= ENOUGH).map(|last| last + ahead)
     }
 }
 
@@ -73,17 +94,37 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_irregularly_is_expected_earlier() {
+    fn what_comes_irregularly_is_expected_earlier_and_later() {
         let start = Instant::now();
         let rhythm = heard(start, &[0.0, 11.0, 20.0, 31.0, 40.0, 51.0, 60.0, 71.0, 80.0]);
         let ahead = rhythm.earliest().unwrap().duration_since(start + 8 * TICK);
         assert!(ahead < TICK - Duration::from_millis(1) && ahead > TICK / 2, "{ahead:?}");
+        let ahead = rhythm.latest().unwrap().duration_since(start + 8 * TICK);
+        assert!(ahead > TICK + Duration::from_millis(1) && ahead < 3 * TICK / 2, "{ahead:?}");
+    }
+
+    #[test]
+    fn a_lost_report_and_a_pause_leave_the_rhythm_as_it_was() {
+        let start = Instant::now();
+        let rhythm = heard(start, &[0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 80.0, 580.0]);
+        let error = rhythm.earliest().unwrap().duration_since(start).abs_diff(59 * TICK);
+        assert!(error < Duration::from_micros(1), "{error:?}");
+    }
+
+    #[test]
+    fn a_slower_rhythm_is_learned_anew() {
+        let start = Instant::now();
+        let slower = (1..=10).map(|tick| 40.0 + 50.0 * f64::from(tick));
+        let times: Vec<f64> = [0.0, 10.0, 20.0, 30.0, 40.0].into_iter().chain(slower).collect();
+        assert!(heard(start, &times[..7]).earliest().unwrap() < start + 16 * TICK, "not yet");
+        let error = heard(start, &times).earliest().unwrap().duration_since(start).abs_diff(59 * TICK);
+        assert!(error < Duration::from_micros(1), "{error:?}");
     }
 
     #[test]
     fn without_a_rhythm_nothing_is_expected() {
         let start = Instant::now();
-        assert_eq!(Rhythm::default().earliest(), None);
+        assert_eq!((Rhythm::default().earliest(), Rhythm::default().latest()), (None, None));
         assert_eq!(heard(start, &[0.0, 10.0, 20.0]).earliest(), None, "too few");
         assert_eq!(
             heard(start, &[0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 5000.0, 5010.0]).earliest(),

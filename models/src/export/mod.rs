@@ -15,7 +15,7 @@ use crate::actor::{Actor, EXPONENT, SQUARINGS};
 use crate::features::{FEATURES, Head, LOG_DIRECT, Layout, PRESENT, Prior, TINY};
 use crate::onnx::{Ends, Graph, Value};
 
-pub use network::{Column, NetworkNodes};
+pub use network::{Column, Entry, NetworkNodes};
 
 /// Writes an actor for the room of a channel as an ONNX file with the given metadata.
 ///
@@ -41,10 +41,10 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
             logits = run(&mut graph, &network, &entry, &observed, &[&exponents, &amplitude]);
         }
     }
-    let weights = weigh(&mut graph, &observed, &logits, actor.head);
+    let weighed = weigh(&mut graph, &observed, &logits, actor.head);
     let normal = match model.mode {
-        Mode::Specular => specular(&mut graph, model, &observed, &weights),
-        Mode::Paper { .. } => paper(&mut graph, model, &observed, &weights),
+        Mode::Specular => specular(&mut graph, model, &observed, &weighed),
+        Mode::Paper { .. } => paper(&mut graph, model, &observed, &weighed),
     };
     angles(&mut graph, &normal);
     let input = (INPUT_NAME, actor.layout.encoder.len());
@@ -98,10 +98,8 @@ struct Observed {
     per_user: Value,
     /// 1 + direct amplitude, (slots, 1)
     raised_direct: Value,
-    /// (slots, mirrors)
-    steering: Value,
-    /// Of the order of 1 / sum of the steering amplitudes, (slots, 1)
-    inverse_total: Value,
+    /// Steering amplitudes times the weights of logits of zero, or as many times as much for all, (slots, mirrors)
+    asked: Value,
     /// (s p_k a_km)^8 with the weights p of logits of zero and one s for all, (slots, mirrors)
     claims: Value,
     /// The same times a_km, (slots, mirrors)
@@ -129,21 +127,29 @@ fn observe(graph: &mut Graph, actor: &Actor) -> Observed {
     let steering = graph.slice(INPUT_NAME, 1, encoder.steering_amplitude());
     let steering = graph.reshape(&steering, &[slots, mirrors]);
     let total = graph.sum(&steering, 1);
-    let inverse_total = inverse_total(graph, &total, mirrors);
-    let mut claims = match actor.head.prior {
+    let (asked, mut claims) = match actor.head.prior {
         // Of any size: only beside each other do their powers stay within f32.
         Prior::Uniform => {
-            let share = over_all(graph, &steering);
-            graph.node("Mul", &[&steering, &share])
+            let nothing = graph.scalar(NOTHING);
+            let something = graph.node("Add", &[&steering, &nothing]);
+            let share = over_all(graph, &something);
+            (steering.clone(), graph.node("Mul", &[&steering, &share]))
         }
-        Prior::EqualShare => graph.node("Mul", &[&steering, &inverse_total]),
+        Prior::EqualShare => {
+            let inverse_total = inverse_total(graph, &total, mirrors);
+            let asked = graph.node("Mul", &[&steering, &inverse_total]);
+            (asked.clone(), asked)
+        }
     };
     for _ in 0..SQUARINGS {
         claims = graph.node("Mul", &[&claims, &claims]);
     }
     let gains = graph.node("Mul", &[&claims, &steering]);
+    // So that no sum of claims is zero.
+    let nothing = graph.scalar(NOTHING);
+    let claims = graph.node("Add", &[&claims, &nothing]);
 
-    let given = given(graph, &gains, &claims, mirrors);
+    let given = given(graph, &gains, &claims);
     let amplitude = graph.node("Add", &[&direct, &given]);
     let one = graph.scalar(1.0);
     let raised = graph.concat(&[&direct, &total, &amplitude], 1);
@@ -151,7 +157,7 @@ fn observe(graph: &mut Graph, actor: &Actor) -> Observed {
     let logs = graph.node("Log", &[&raised]);
     let known = graph.concat(&[&picked, &crowd, &logs], 1);
     let raised_direct = column(graph, &raised, 0);
-    Observed { slots, mirrors, picked, known, present, per_user, raised_direct, steering, inverse_total, claims, gains }
+    Observed { slots, mirrors, picked, known, present, per_user, raised_direct, asked, claims, gains }
 }
 
 /// sqrt(mirrors) / (total + [`TINY`]): with it a mirror's claims are about as far below 1 where all are alike as they are above where one has everything,
@@ -165,13 +171,7 @@ fn inverse_total(graph: &mut Graph, total: &str, mirrors: usize) -> Value {
 }
 
 /// The logits of one round: the network on what is known, and on what the round before found.
-fn run(
-    graph: &mut Graph,
-    network: &NetworkNodes<'_>,
-    entry: &network::Entry,
-    observed: &Observed,
-    found: &[&str],
-) -> Value {
+fn run(graph: &mut Graph, network: &NetworkNodes<'_>, entry: &Entry, observed: &Observed, found: &[&str]) -> Value {
     let input = match found {
         [] => observed.known.clone(),
         [..] => graph.concat(&[&[observed.known.as_str()], found].concat(), 1),
@@ -185,39 +185,34 @@ fn run(
 fn amplitude(graph: &mut Graph, observed: &Observed, exponents: &str) -> Value {
     let weights = graph.node("Exp", &[exponents]);
     let claims = graph.node("Mul", &[&observed.claims, &weights]);
-    let given = given(graph, &observed.gains, &claims, observed.mirrors);
+    let given = given(graph, &observed.gains, &claims);
     let given = graph.node("Mul", &[&given, &weights]);
     let raised = graph.node("Add", &[&given, &observed.raised_direct]);
     graph.node("Log", &[&raised])
 }
 
 /// What each user gets of the gains when every mirror is shared by these claims, over the user's own weight; (slots, 1).
-fn given(graph: &mut Graph, gains: &str, claims: &str, mirrors: usize) -> Value {
+fn given(graph: &mut Graph, gains: &str, claims: &str) -> Value {
     let share = over_all(graph, claims);
-    let share = graph.reshape(&share, &[mirrors, 1]);
+    let share = graph.transpose(&share);
     graph.node("MatMul", &[gains, &share])
 }
 
 /// One over the sum of each mirror's column, (1, mirrors).
 fn over_all(graph: &mut Graph, table: &str) -> Value {
-    let nothing = graph.scalar(NOTHING);
     let all = graph.sum(table, 0);
-    let all = graph.node("Add", &[&all, &nothing]);
     graph.node("Reciprocal", &[&all])
 }
 
 /// In the place of [`NO_CLAIM`](crate::actor::NO_CLAIM): claims are not divided by their sum here, and may be small.
 const NOTHING: f32 = 1e-35;
 
-/// The weight of each user, (slots, 1); of no meaning in absent slots, whose amplitudes are zero.
+/// What each user asks of each mirror: steering amplitudes times weights, up to a factor for all; (slots, mirrors).
 fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Value {
     let range = graph.scalar(head.range);
     let exponent = graph.node("Mul", &[logits, &range]);
     let weight = graph.node("Exp", &[&exponent]);
-    match head.prior {
-        Prior::Uniform => weight,
-        Prior::EqualShare => graph.node("Mul", &[&weight, &observed.inverse_total]),
-    }
+    graph.node("Mul", &[&observed.asked, &weight])
 }
 
 /// A point or direction as the graph has it: along the wall, into the wall, and down.
@@ -249,10 +244,9 @@ fn places(graph: &mut Graph, observed: &Observed, mirrors: &MirrorArray) -> Valu
 }
 
 /// Each mirror serves the user with the largest weighted amplitude, the first where nobody sees it, at the bisector; normals of any length, (3, mirrors).
-fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> Value {
+fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores: &str) -> Value {
     let (mirrors, led) = (&model.mirrors, model.leds[0].position);
-    let scores = graph.node("Mul", &[&observed.steering, weights]);
-    let served = graph.best_row(&scores, [observed.slots, observed.mirrors]);
+    let served = graph.best_row(scores, [observed.slots, observed.mirrors]);
     let places = places(graph, observed, mirrors);
     let target = graph.gather(&places, &served, 1);
     let from = rows(graph, "centres", centres(mirrors));
@@ -268,9 +262,8 @@ fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weight
 }
 
 /// The sum over users of weight, coefficient and direction, flat where it is zero; normals of any length, (3, mirrors).
-fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: &str) -> Value {
+fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, pull: &str) -> Value {
     let mirrors = &model.mirrors;
-    let pull = graph.node("Mul", &[&observed.steering, weights]);
     let squares = [0, 1, 2].map(|axis| {
         let place = graph.slice(&observed.picked, 1, Picked::Place as usize + axis..Picked::Place as usize + axis + 1);
         let centre: Vec<f32> = mirrors.positions().iter().map(|centre| centre[axis] as f32).collect();
@@ -281,7 +274,7 @@ fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weights: 
     let squared = graph.node("Add", &[&squares[0], &squares[1]]);
     let squared = graph.node("Add", &[&squared, &squares[2]]);
     let distance = graph.node("Sqrt", &[&squared]);
-    let pull = graph.node("Div", &[&pull, &distance]);
+    let pull = graph.node("Div", &[pull, &distance]);
     let places = places(graph, observed, mirrors);
     let towards_users = graph.node("MatMul", &[&places, &pull]);
     let from = rows(graph, "centres", centres(mirrors));

@@ -71,6 +71,9 @@ const NEWEST_SHARE: f64 = 0.125;
 /// Decisions that take so long gain by warm caches more than waking a thread costs; what takes longer still gains little, and would be in the way.
 const WORTH_REHEARSING: RangeInclusive<Duration> = Duration::from_micros(250)..=Duration::from_millis(5);
 
+/// The same of decisions that are rehearsed, and therefore quicker than they would be.
+const WORTH_GOING_ON: RangeInclusive<Duration> = Duration::from_micros(125)..=Duration::from_millis(5);
+
 /// Rehearsals end at least this long before a report is expected.
 const BEFORE_REPORT: Duration = Duration::from_micros(50);
 
@@ -229,7 +232,8 @@ impl Desk {
 
     /// Whether decisions take so long that they are better made where they are rehearsed. In lockstep nobody is in a hurry.
     pub fn gains_by_rehearsal(&self) -> bool {
-        self.clock == RoomClock::Utc && WORTH_REHEARSING.contains(&self.expected)
+        let worth = if self.rehearsal.is_zero() { WORTH_REHEARSING } else { WORTH_GOING_ON };
+        self.clock == RoomClock::Utc && worth.contains(&self.expected)
     }
 
     /// How long to wait before that many rehearsals for the next report; none where no report is expected, or it is too late for that.

@@ -13,7 +13,7 @@ const LEARNED: [&str; 7] = ["ddpg", "ddpg-raw", "ddpg-basis", "analytic", "dql",
 const SMALL: [&str; 6] = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];
 
 fn demo(policy: &str, more: &[&str]) -> Process {
-    let first = ["demo", "--policy", policy, "--seconds", "0.3", "--json"];
+    let first = ["demo", "--policy", policy, "--seconds", "0.6", "--json"];
     Process::heliostat(&[&first[..], more].concat())
 }
 

@@ -185,6 +185,15 @@ impl Intake {
         }
     }
 
+    /// Takes all that waits, and answers it.
+    pub fn work_off(&self, desk: &mut Desk) {
+        while let Some(arrival) = self.pop() {
+            desk.take(arrival.stream, &arrival.payload, arrival.entered);
+            self.give_back(arrival.payload);
+        }
+        desk.answer();
+    }
+
     /// Payloads that were shed because too many waited.
     pub fn shed(&self) -> u64 {
         lock(&self.queue).shed
@@ -257,11 +266,7 @@ pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: KeepWarm) {
             Woken::Closed => return,
             Woken::Filled => {
                 let mut desk = lock(desk);
-                while let Some(arrival) = intake.pop() {
-                    desk.take(arrival.stream, &arrival.payload, arrival.entered);
-                    intake.give_back(arrival.payload);
-                }
-                desk.answer();
+                intake.work_off(&mut desk);
                 pause = match keep_warm {
                     KeepWarm::Off => None,
                     KeepWarm::Expected => desk.until_rehearsals(REHEARSALS, Instant::now()),

@@ -268,12 +268,15 @@ fn subscribe(
         let callback = move |payload: &[u8]| intake.handle(deciding, &desk, stream, payload, Instant::now());
         subscriptions.push(bus.subscribe(&key, callback)?);
     }
-    let desk = Arc::clone(desk);
+    let (desk, intake) = (Arc::clone(desk), Arc::clone(intake));
     subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
         if presence == Presence::Gone
             && let Some((_, source)) = parse_alive(key)
         {
-            lock(&desk).controller.source_gone(source);
+            let mut desk = lock(&desk);
+            // What it said last would give it the room again.
+            intake.work_off(&mut desk);
+            desk.controller.source_gone(source);
         }
     })?);
     Ok(subscriptions)

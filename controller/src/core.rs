@@ -225,6 +225,11 @@ impl Controller {
         self.inbox.release(source);
     }
 
+    /// A source is known to be there, perhaps again.
+    pub fn source_there(&mut self, source: u64) {
+        self.inbox.welcome(source);
+    }
+
     /// Counts a payload that is no message.
     pub fn count_malformed(&mut self, stream: Stream, refusal: Refusal) {
         self.inbox.count_malformed(stream, refusal);

@@ -87,6 +87,8 @@ pub struct Inbox {
     rules: Rules,
     room: Option<Owner>,
     array: Option<Owner>,
+    /// The source that was last known to be gone, and is not known to be back.
+    gone: Option<u64>,
     users: Slot<UserReport>,
     channel: Slot<ChannelReport>,
     obstacles: Slot<ObstacleReport>,
@@ -102,6 +104,7 @@ impl Inbox {
             rules: Rules::new(scenario),
             room: None,
             array: None,
+            gone: None,
             users: Slot::default(),
             channel: Slot::default(),
             obstacles: Slot::default(),
@@ -172,8 +175,9 @@ impl Inbox {
         self.sources
     }
 
-    /// A source is known to be gone: what it owned is free at once, and what it said is forgotten.
+    /// A source is known to be gone: what it owned is free at once, what it said is forgotten, and what of it still arrives claims nothing.
     pub fn release(&mut self, source: u64) {
+        self.gone = Some(source);
         if self.room.is_some_and(|owner| owner.source == source) {
             self.room = None;
             self.forget_room();
@@ -184,7 +188,15 @@ impl Inbox {
         }
     }
 
+    /// A source is known to be there.
+    pub fn welcome(&mut self, source: u64) {
+        self.gone = self.gone.filter(|gone| *gone != source);
+    }
+
     fn check_source(&mut self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
+        if self.gone == Some(source) {
+            return Err(Refusal::ForeignSource);
+        }
         let is_array = stream == Stream::Telemetry;
         let slot = if is_array { &mut self.array } else { &mut self.room };
         match slot {

@@ -186,7 +186,7 @@ impl Intake {
     }
 
     /// Takes all that waits, and answers it.
-    pub fn work_off(&self, desk: &mut Desk) {
+    fn work_off(&self, desk: &mut Desk) {
         while let Some(arrival) = self.pop() {
             desk.take(arrival.stream, &arrival.payload, arrival.entered);
             self.give_back(arrival.payload);

@@ -268,15 +268,13 @@ fn subscribe(
         let callback = move |payload: &[u8]| intake.handle(deciding, &desk, stream, payload, Instant::now());
         subscriptions.push(bus.subscribe(&key, callback)?);
     }
-    let (desk, intake) = (Arc::clone(desk), Arc::clone(intake));
+    let desk = Arc::clone(desk);
     subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
-        if presence == Presence::Gone
-            && let Some((_, source)) = parse_alive(key)
-        {
-            let mut desk = lock(&desk);
-            // What it said last would give it the room again.
-            intake.work_off(&mut desk);
-            desk.controller.source_gone(source);
+        let Some((_, source)) = parse_alive(key) else { return };
+        let controller = &mut lock(&desk).controller;
+        match presence {
+            Presence::Gone => controller.source_gone(source),
+            Presence::Alive => controller.source_there(source),
         }
     })?);
     Ok(subscriptions)

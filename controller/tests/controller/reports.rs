@@ -106,6 +106,19 @@ fn a_source_that_said_goodbye_frees_the_room_at_once() {
 }
 
 #[test]
+fn a_last_report_of_a_source_that_is_gone_claims_nothing_until_it_is_back() {
+    let (mut controller, mut room) = flat(&[]);
+    room.tick(&mut controller, 1).command();
+    controller.source_gone(SOURCE);
+    assert_eq!(room.tick(&mut controller, 2), Outcome::Nothing);
+    assert_eq!((controller.inbox().source(), refused(&controller, Stream::Users, Refusal::ForeignSource)), (None, 1));
+    controller.source_there(0x99);
+    assert_eq!(room.tick(&mut controller, 3), Outcome::Nothing);
+    controller.source_there(SOURCE);
+    assert_eq!(room.tick(&mut controller, 4).command().answers, 4);
+}
+
+#[test]
 fn a_report_about_another_number_of_users_is_refused() {
     let (mut controller, mut room) = flat(&[]);
     room.users = 4;

@@ -195,7 +195,7 @@ impl Inbox {
 
     fn check_source(&mut self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
         if self.gone == Some(source) {
-            return Err(Refusal::ForeignSource);
+            return Err(Refusal::SourceGone);
         }
         let is_array = stream == Stream::Telemetry;
         let slot = if is_array { &mut self.array } else { &mut self.room };

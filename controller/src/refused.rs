@@ -53,6 +53,8 @@ pub enum Refusal {
     Malformed,
     /// Another source owns the room.
     ForeignSource,
+    /// The source is known to be gone: word of its end overtook what it said last.
+    SourceGone,
     /// The sequence number was seen last.
     Repeated,
     /// The sequence number is lower than the last.
@@ -73,7 +75,7 @@ pub enum Refusal {
 
 impl Refusal {
     /// All reasons, in the order of their counters.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::WrongVersion,
         Self::WrongKind,
         Self::Truncated,
@@ -83,6 +85,7 @@ impl Refusal {
         Self::NotFinite,
         Self::Malformed,
         Self::ForeignSource,
+        Self::SourceGone,
         Self::Repeated,
         Self::OutOfOrder,
         Self::Stale,
@@ -105,6 +108,7 @@ impl Refusal {
             Self::NotFinite => "not-finite",
             Self::Malformed => "malformed",
             Self::ForeignSource => "foreign-source",
+            Self::SourceGone => "source-gone",
             Self::Repeated => "repeated",
             Self::OutOfOrder => "out-of-order",
             Self::Stale => "stale",

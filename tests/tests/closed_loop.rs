@@ -25,7 +25,9 @@ fn assert_complete(summary: &Value) {
     assert!(number(summary, "/lost_ticks") <= 0.1 * number(summary, "/ticks"), "{summary}");
     let refused = summary["refused_by_room"].as_object().expect("an object");
     assert!(!refused.keys().any(|name| name.starts_with("command:")), "{summary}");
-    assert_eq!(summary["refused_by_controller"], serde_json::json!({}), "{summary}");
+    // The room ends first, and word of its end may overtake its last reports.
+    let refused = summary["refused_by_controller"].as_object().expect("an object");
+    assert!(refused.keys().all(|name| name.ends_with(":source-gone")), "{summary}");
 }
 
 #[test]

@@ -111,7 +111,7 @@ fn a_last_report_of_a_source_that_is_gone_claims_nothing_until_it_is_back() {
     room.tick(&mut controller, 1).command();
     controller.source_gone(SOURCE);
     assert_eq!(room.tick(&mut controller, 2), Outcome::Nothing);
-    assert_eq!((controller.inbox().source(), refused(&controller, Stream::Users, Refusal::ForeignSource)), (None, 1));
+    assert_eq!((controller.inbox().source(), refused(&controller, Stream::Users, Refusal::SourceGone)), (None, 1));
     controller.source_there(0x99);
     assert_eq!(room.tick(&mut controller, 3), Outcome::Nothing);
     controller.source_there(SOURCE);

@@ -71,7 +71,8 @@ pub(crate) fn plan_chord(cylinder: &Cylinder, from: (f64, f64), to: (f64, f64)) 
 #[inline]
 pub(crate) fn dips(cylinder: &Cylinder, from_z: f64, to_z: f64, (enter, leave): (f64, f64)) -> bool {
     let (first, last) = (from_z + enter * (to_z - from_z), from_z + leave * (to_z - from_z));
-    first.min(last) <= cylinder.height_m && first.max(last) >= 0.0
+    // Without a branch, and without the care for what is no number that a minimum takes: such a chord compares with nothing.
+    ((first <= cylinder.height_m) | (last <= cylinder.height_m)) & ((first >= 0.0) | (last >= 0.0))
 }
 
 /// Length of the shadow behind a blocker on the receiver plane, in m: d_B h_B / (h_l - h_B).

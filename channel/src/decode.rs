@@ -4,12 +4,13 @@
 //! bisector of the directions to that user and to the LED. Under the paper's eqs. (2) and (3) the best normal is a weighted sum of the directions to the users. Either way one weight a user
 //! is enough, and this module turns weights into angles.
 
+use std::ops::Range;
+
 use crate::Vec3;
 use crate::mirrors::{MirrorAngles, MirrorArray};
 use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
-use crate::scene::kernel::block;
-use crate::trig::{BLOCK, Lanes, atan};
+use crate::trig::{BLOCK, Lanes, atan_of_quotient};
 use crate::wide::widest;
 
 /// Lengths below this, in m, have no direction.
@@ -28,16 +29,17 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
     let (users, mirrors) = (scene.users(), model.mirrors.len());
     assert_eq!(weights.len(), users, "one weight a user");
     check_angles(out, mirrors);
-    let gain = |user: usize, mirror: usize| weights[user] * scene.steering_gain()[user * mirrors + mirror];
     if model.mode == Mode::Specular {
-        aim_each(model, out, |mirror| {
-            let first = (0, gain(0, mirror));
-            let gains = (1..users).map(|user| (user, gain(user, mirror)));
-            let (user, _) = gains.fold(first, |a, b| if b.1 > a.1 { b } else { a });
-            (scene.serving()[user], scene.positions()[user])
-        });
+        aim_each(
+            model,
+            &Targets::of(scene),
+            out,
+            #[inline(always)]
+            |first, lanes| best_in_block(scene, weights, first..first + lanes),
+        );
         return;
     }
+    let gain = |user: usize, mirror: usize| weights[user] * scene.steering_gain()[user * mirrors + mirror];
     for mirror in 0..mirrors {
         let direction = |user: usize| scene.directions()[user * mirrors + mirror];
         let sum: Vec3 = (0..users).map(|user| gain(user, mirror) * direction(user)).sum();
@@ -55,7 +57,17 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
 pub fn aim(model: &ChannelModel, scene: &Scene, served: &[usize], out: &mut MirrorAngles) {
     assert_eq!(served.len(), model.mirrors.len(), "one user a mirror");
     check_angles(out, model.mirrors.len());
-    aim_each(model, out, |mirror| (scene.serving()[served[mirror]], scene.positions()[served[mirror]]));
+    aim_each(
+        model,
+        &Targets::of(scene),
+        out,
+        #[inline(always)]
+        |first, lanes| {
+            let mut block = [0; BLOCK];
+            block[..lanes].copy_from_slice(&served[first..first + lanes]);
+            block
+        },
+    );
 }
 
 /// Aims all mirrors at one point (in m) by the law of reflection, with the light of the LED that is nearest to it.
@@ -68,27 +80,72 @@ pub fn aim_at_point(model: &ChannelModel, target: &Vec3, out: &mut MirrorAngles)
     check_angles(out, model.mirrors.len());
     let distance = |led: usize| (model.leds[led].position - target).norm_squared();
     let nearest = (1..model.leds.len()).fold(0, |best, led| if distance(led) < distance(best) { led } else { best });
-    aim_each(model, out, |_| (nearest, *target));
+    aim_each(model, &Targets { points: &[*target], leds: &[nearest] }, out, |_, _| [0; BLOCK]);
 }
 
-/// Roll and yaw that send the light of an LED's centre over each mirror's centre to a point; flat where no angle does.
+/// For each of these mirrors, at most a block, the user with the largest weighted gain, the first of equals.
+#[inline(always)]
+fn best_in_block(scene: &Scene, weights: &[f64], mirrors: Range<usize>) -> [usize; BLOCK] {
+    let (mut best, mut largest) = ([0; BLOCK], [f64::NEG_INFINITY; BLOCK]);
+    let rows = scene.steering_gain().chunks_exact(scene.mirrors());
+    for (user, (row, weight)) in rows.zip(weights).enumerate() {
+        let mut gains = [0.0; BLOCK];
+        gains[..mirrors.len()].copy_from_slice(&row[mirrors.clone()]);
+        for lane in 0..BLOCK {
+            let score = weight * gains[lane];
+            // Written so that no lane takes a branch.
+            let larger = score > largest[lane];
+            largest[lane] = if larger { score } else { largest[lane] };
+            best[lane] = if larger { user } else { best[lane] };
+        }
+    }
+    best
+}
+
+/// Where mirrors can be aimed, in m, and with the light of which LED.
+struct Targets<'a> {
+    points: &'a [Vec3],
+    leds: &'a [usize],
+}
+
+impl<'a> Targets<'a> {
+    /// The users of a scene.
+    fn of(scene: &'a Scene) -> Self {
+        Self { points: scene.positions(), leds: scene.serving() }
+    }
+}
+
+/// Roll and yaw that send the light of an LED's centre over each mirror's centre to a target; flat where no angle does.
 ///
-/// `choose` gives the LED and the point of a mirror.
-fn aim_each(model: &ChannelModel, out: &mut MirrorAngles, choose: impl Fn(usize) -> (usize, Vec3)) {
+/// `choose` gives the targets of a block, from the index of its first mirror and the number of its mirrors; what it says of lanes beyond these does
+/// not matter, but must be a target.
+fn aim_each(
+    model: &ChannelModel,
+    targets: &Targets<'_>,
+    out: &mut MirrorAngles,
+    choose: impl Fn(usize, usize) -> [usize; BLOCK],
+) {
     widest(
         #[inline(always)]
         || {
-            for first in (0..model.mirrors.len()).step_by(BLOCK) {
+            for (index, first) in (0..model.mirrors.len()).step_by(BLOCK).enumerate() {
                 let lanes = BLOCK.min(model.mirrors.len() - first);
-                let (mut from, mut to) = ([[0.0; BLOCK]; 3], [[0.0; BLOCK]; 3]);
-                for lane in 0..lanes {
-                    let (led, target) = choose(first + lane);
-                    for axis in 0..3 {
-                        from[axis][lane] = model.leds[led].position[axis];
-                        to[axis][lane] = target[axis];
+                let chosen = choose(first, lanes);
+                let mut towards_led = towards(model, 0, index).map(|lanes| *lanes);
+                let mut target = [[0.0; BLOCK]; 3];
+                for lane in 0..BLOCK {
+                    let point = &targets.points[chosen[lane]];
+                    for (lanes, coordinate) in target.iter_mut().zip(point) {
+                        lanes[lane] = *coordinate;
+                    }
+                    if model.leds.len() > 1 {
+                        let directions = towards(model, targets.leds[chosen[lane]], index);
+                        for (lanes, direction) in towards_led.iter_mut().zip(directions) {
+                            lanes[lane] = direction[lane];
+                        }
                     }
                 }
-                let (roll, yaw) = bisect(&model.mirrors, first, &from, &to);
+                let (roll, yaw) = bisect(&model.mirrors, index, towards_led.each_ref(), &target);
                 out.roll[first..first + lanes].copy_from_slice(&roll[..lanes]);
                 out.yaw[first..first + lanes].copy_from_slice(&yaw[..lanes]);
             }
@@ -96,35 +153,37 @@ fn aim_each(model: &ChannelModel, out: &mut MirrorAngles, choose: impl Fn(usize)
     );
 }
 
-/// Roll and yaw of a block of mirrors whose normals are to halve the angle between the directions to two points.
+/// Unit vectors from a block of mirrors to an LED.
+#[inline(always)]
+pub(crate) fn towards(model: &ChannelModel, led: usize, block: usize) -> [&Lanes; 3] {
+    model.panels[led].direction.each_ref().map(|axis| &axis[block])
+}
+
+/// Roll and yaw of a block of mirrors whose normals are to halve the angle between a direction and the way to a point.
 ///
-/// In the wall's frame the normal b s + a t, with s and t the ways to the points and a and b their lengths, has the direction of the bisector; then
+/// With u the unit vector, t the way and b its length, the normal b u + t has the direction of the bisector; then, in the wall's frame,
 /// yaw = atan(x / y) and roll = atan(-z / sqrt(x^2 + y^2)), as in [`MirrorArray::angles_of`].
 #[inline(always)]
-pub(crate) fn bisect(mirrors: &MirrorArray, first: usize, from: &[Lanes; 3], to: &[Lanes; 3]) -> (Lanes, Lanes) {
-    let centre = [block(&mirrors.x, first), block(&mirrors.y, first), block(&mirrors.z, first)];
+pub(crate) fn bisect(mirrors: &MirrorArray, block: usize, towards: [&Lanes; 3], target: &[Lanes; 3]) -> (Lanes, Lanes) {
+    let centre = mirrors.block(block);
     let (cos, sin) = mirrors.rotation();
-    let (mut rise, mut turn, mut sound) = ([0.0; BLOCK], [0.0; BLOCK], [false; BLOCK]);
+    let zero = [0.0; BLOCK];
+    let (mut down, mut level, mut along, mut inward) = (zero, zero, zero, zero);
     for lane in 0..BLOCK {
-        let [sx, sy, sz] = [0, 1, 2].map(|axis| from[axis][lane] - centre[axis][lane]);
-        let [tx, ty, tz] = [0, 1, 2].map(|axis| to[axis][lane] - centre[axis][lane]);
-        let a = (sx * sx + sy * sy + sz * sz).sqrt();
-        let b = (tx * tx + ty * ty + tz * tz).sqrt();
-        let (nx, ny, nz) = (b * sx + a * tx, b * sy + a * ty, b * sz + a * tz);
-        let (x, y) = (cos * nx + sin * ny, cos * ny - sin * nx);
+        let way = [0, 1, 2].map(|axis: usize| target[axis][lane] - centre[axis][lane]);
+        let squared = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
+        let distance = squared.sqrt();
+        let normal = [0, 1, 2].map(|axis: usize| distance * towards[axis][lane] + way[axis]);
+        let (x, y) = (cos * normal[0] + sin * normal[1], cos * normal[1] - sin * normal[0]);
         let across = x * x + y * y;
-        // A point in the mirror, or two in opposite directions, leave no angle; nor does what is not a number.
-        sound[lane] =
-            (a > TOO_NEAR_M) & (b > TOO_NEAR_M) & (across + nz * nz > (TOO_NEAR_M * a * b) * (TOO_NEAR_M * a * b));
-        rise[lane] = -nz / across.sqrt();
-        turn[lane] = if x == 0.0 { 0.0 } else { x / y };
+        // A point in the mirror, or one opposite to the direction, leaves no angle; nor does what is not a number.
+        let sound = (distance > TOO_NEAR_M) & (across + normal[2] * normal[2] > (TOO_NEAR_M * TOO_NEAR_M) * squared);
+        down[lane] = if sound { -normal[2] } else { 0.0 };
+        level[lane] = if sound { across.sqrt() } else { 1.0 };
+        along[lane] = if sound { x } else { 0.0 };
+        inward[lane] = if sound { y } else { 1.0 };
     }
-    let (mut roll, mut yaw) = (atan(&rise), atan(&turn));
-    for lane in 0..BLOCK {
-        roll[lane] = if sound[lane] { roll[lane] } else { 0.0 };
-        yaw[lane] = if sound[lane] { yaw[lane] } else { 0.0 };
-    }
-    (roll, yaw)
+    (atan_of_quotient(&down, &level), atan_of_quotient(&along, &inward))
 }
 
 fn check_angles(angles: &MirrorAngles, mirrors: usize) {

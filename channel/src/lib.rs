@@ -19,6 +19,7 @@
 //! - [`model`]: the parts above, checked, as one [`ChannelModel`].
 //! - [`scene`]: all users and mirrors at once, without allocation.
 //! - [`decode`]: from weights of users to angles of mirrors.
+//! - [`sharing`]: what shares of the mirrors give, and weights that balance them.
 //! - [`solver`]: which mirror should serve whom; the oracle and what the model-based policies use.
 
 pub mod angle;
@@ -34,6 +35,7 @@ pub mod model;
 mod quadrature;
 pub mod receiver;
 pub mod scene;
+pub mod sharing;
 pub mod solver;
 pub mod specular;
 mod trig;

@@ -7,6 +7,7 @@
 
 use crate::Vec3;
 use crate::error::{ChannelError, check, finite, not_negative, positive};
+use crate::trig::{Lanes, in_blocks};
 
 /// Most mirrors of an array: the limit of the messages that carry their angles.
 pub const MIRRORS_MAX: usize = 16_384;
@@ -106,10 +107,8 @@ impl MirrorAngles {
 pub struct MirrorArray {
     spec: ArraySpec,
     positions: Vec<Vec3>,
-    /// The same positions, one contiguous list a coordinate, for the pass over all mirrors.
-    pub(crate) x: Vec<f64>,
-    pub(crate) y: Vec<f64>,
-    pub(crate) z: Vec<f64>,
+    /// The same positions, x, y and z, in blocks for the pass over all mirrors.
+    pub(crate) blocks: [Vec<Lanes>; 3],
 }
 
 impl MirrorArray {
@@ -126,9 +125,7 @@ impl MirrorArray {
         let mut array = Self {
             spec: spec.clone(),
             positions: Vec::with_capacity(spec.rows * spec.columns),
-            x: Vec::new(),
-            y: Vec::new(),
-            z: Vec::new(),
+            blocks: [const { Vec::new() }; 3],
         };
         for row in 0..spec.rows {
             for column in 0..spec.columns {
@@ -138,9 +135,7 @@ impl MirrorArray {
                 array.positions.push(position);
             }
         }
-        array.x = array.positions.iter().map(|position| position.x).collect();
-        array.y = array.positions.iter().map(|position| position.y).collect();
-        array.z = array.positions.iter().map(|position| position.z).collect();
+        array.blocks = [0, 1, 2].map(|axis| in_blocks(array.positions.iter().map(|position| position[axis])));
         Ok(array)
     }
 
@@ -215,6 +210,12 @@ impl MirrorArray {
         let yaw = if n.x == 0.0 { 0.0 } else { (n.x / n.y).atan() };
         let roll = (-n.z).atan2(n.x.hypot(n.y));
         (roll, yaw)
+    }
+
+    /// x, y and z of a block of mirrors in m.
+    #[inline(always)]
+    pub(crate) fn block(&self, index: usize) -> [&Lanes; 3] {
+        [&self.blocks[0][index], &self.blocks[1][index], &self.blocks[2][index]]
     }
 
     pub(crate) fn rotation(&self) -> (f64, f64) {

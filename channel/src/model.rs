@@ -10,6 +10,7 @@ use crate::mirrors::MirrorArray;
 use crate::quadrature::{FewPoints, smooth_from_squared};
 use crate::receiver::Receiver;
 use crate::scene::kernel::POINT_LANES;
+use crate::trig::{Lanes, in_blocks};
 
 /// Most LEDs of a room.
 pub const LEDS_MAX: usize = 64;
@@ -78,12 +79,12 @@ pub(crate) struct Panel {
     pub order: f64,
     /// (n + 1) A_r T_s / (2 pi) over the number of points, in m2.
     pub front: f64,
-    /// Distance from the panel's centre to each mirror in m. Shape: M.
-    pub distance: Vec<f64>,
-    /// Unit vectors from each mirror to the panel's centre: x, y and z. Shape: M each.
-    pub direction: [Vec<f64>; 3],
-    /// Specular: rho (n + 1) A_r T_s cos^n / (2 pi) towards each mirror's centre in m2; paper: illumination times gain scale. Shape: M.
-    pub towards_mirror: Vec<f64>,
+    /// Distance from the panel's centre to each mirror in m, in blocks.
+    pub distance: Vec<Lanes>,
+    /// Unit vectors from each mirror to the panel's centre: x, y and z, in blocks.
+    pub direction: [Vec<Lanes>; 3],
+    /// Specular: rho (n + 1) A_r T_s cos^n / (2 pi) towards each mirror's centre in m2; paper: illumination times gain scale; in blocks.
+    pub towards_mirror: Vec<Lanes>,
 }
 
 /// A few points of a panel: offsets from its centre in m, and weight.
@@ -154,16 +155,14 @@ impl Panel {
         let order = led.lambertian_order();
         let front = front_factor(order, receiver);
         let distance: Vec<f64> = mirrors.positions().iter().map(|mirror| (led.position - mirror).norm()).collect();
-        let towards_mirror = (0..mirrors.len())
-            .map(|index| match mode {
-                Mode::Specular => {
-                    let rise = led.position.z - mirrors.positions()[index].z;
-                    let cosine = (rise / distance[index]).max(0.0);
-                    mirrors.spec().reflectivity * front * lambertian(cosine, order)
-                }
-                Mode::Paper { gain_scale, .. } => gain_scale * diffuse::illumination(led, mirrors, index),
-            })
-            .collect();
+        let towards_mirror = |index: usize| match mode {
+            Mode::Specular => {
+                let rise = led.position.z - mirrors.positions()[index].z;
+                let cosine = (rise / distance[index]).max(0.0);
+                mirrors.spec().reflectivity * front * lambertian(cosine, order)
+            }
+            Mode::Paper { gain_scale, .. } => gain_scale * diffuse::illumination(led, mirrors, index),
+        };
         let half_side = points
             .iter()
             .map(|point| point - led.position)
@@ -181,10 +180,10 @@ impl Panel {
             order,
             direction: [0, 1, 2].map(|axis| {
                 let along = mirrors.positions().iter().zip(&distance);
-                along.map(|(mirror, distance)| (led.position[axis] - mirror[axis]) / distance).collect()
+                in_blocks(along.map(|(mirror, distance)| (led.position[axis] - mirror[axis]) / distance))
             }),
-            distance,
-            towards_mirror,
+            towards_mirror: in_blocks((0..mirrors.len()).map(towards_mirror)),
+            distance: in_blocks(distance.iter().copied()),
         }
     }
 }

@@ -4,13 +4,24 @@
 //! platforms. Here both are polynomials of half the angle, good to 4e-16 for angles within 90 degrees, which is all that a
 //! mirror can do. A block with any other angle falls back on the standard library.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
 /// How many mirrors are treated together. 100 mirrors waste 12 lanes of 112, and one array of this length fits a few registers.
 pub(crate) const BLOCK: usize = 16;
 
 /// One value for each mirror of a block.
 pub(crate) type Lanes = [f64; BLOCK];
+
+/// sqrt(2) - 1
+const TAN_22_5: f64 = std::f64::consts::SQRT_2 - 1.0;
+/// sqrt(2) + 1
+const TAN_67_5: f64 = std::f64::consts::SQRT_2 + 1.0;
+
+/// A list in blocks; the last entry is repeated past the end, so that every block is full and all of its lanes lie side by side.
+pub(crate) fn in_blocks(values: impl Iterator<Item = f64>) -> Vec<Lanes> {
+    let values: Vec<f64> = values.collect();
+    values.chunks(BLOCK).map(|chunk| std::array::from_fn(|lane| chunk[lane.min(chunk.len() - 1)])).collect()
+}
 
 /// Sines and cosines of a block of angles in radians.
 #[inline(always)]
@@ -51,26 +62,39 @@ fn series(x: f64, ratios: &[f64; 8]) -> f64 {
     sum
 }
 
-/// Arcus tangents of a block of numbers, in radians.
+/// Arcus tangents of the quotients of two blocks of numbers, in radians; zero where both are zero.
 ///
-/// Three times the half of the angle by tan(a/2) = t / (1 + sqrt(1 + t^2)), which leaves at most 11.25 degrees, then the Taylor series. Good to
-/// 1e-15; an infinite tangent gives the 90 degrees that it stands for.
+/// Within 22.5 degrees the quotient itself, within 67.5 the 45 degrees and the tangent of the rest, and beyond the 90 degrees less the
+/// reciprocal: one division, and a tangent of at most 22.5 degrees for the Taylor series. Good to 1e-15; a quotient without bound gives the 90
+/// degrees that it stands for.
 #[inline(always)]
-pub(crate) fn atan(tangents: &Lanes) -> Lanes {
+pub(crate) fn atan_of_quotient(above: &Lanes, below: &Lanes) -> Lanes {
+    let (mut bases, mut tangents, mut squares) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+    for lane in 0..BLOCK {
+        let (rise, run) = (above[lane].abs(), below[lane].abs());
+        let steep = rise > TAN_67_5 * run;
+        let slanted = rise > TAN_22_5 * run;
+        let (base, above_rest) = if slanted { (FRAC_PI_4, rise - run) } else { (0.0, rise) };
+        let below_rest = if slanted { rise + run } else { run };
+        let (base, above_rest) = if steep { (FRAC_PI_2, -run) } else { (base, above_rest) };
+        let below_rest = if steep { rise } else { below_rest };
+        bases[lane] = base;
+        tangents[lane] = above_rest / if below_rest == 0.0 { 1.0 } else { below_rest };
+        squares[lane] = tangents[lane] * tangents[lane];
+    }
+    // Term by term for all lanes: within a lane each step waits for the one before.
+    let mut sums = [0.0; BLOCK];
+    for index in (0..20).rev() {
+        let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
+        for lane in 0..BLOCK {
+            sums[lane] = sums[lane] * squares[lane] + sign * (1.0 / (2 * index + 1) as f64);
+        }
+    }
     let mut angles = [0.0; BLOCK];
     for lane in 0..BLOCK {
-        // Beyond this the square would overflow, and the angle is 90 degrees to the last bit.
-        let mut tangent = tangents[lane].clamp(-1e150, 1e150);
-        for _ in 0..3 {
-            tangent /= 1.0 + (1.0 + tangent * tangent).sqrt();
-        }
-        let square = tangent * tangent;
-        let mut sum = 0.0;
-        for index in (0..12).rev() {
-            let sign = if index % 2 == 0 { 1.0 } else { -1.0 };
-            sum = sum * square + sign * (1.0 / (2 * index + 1) as f64);
-        }
-        angles[lane] = 8.0 * tangent * sum;
+        let angle = bases[lane] + tangents[lane] * sums[lane];
+        let signs = (above[lane].to_bits() ^ below[lane].to_bits()) & (1 << 63);
+        angles[lane] = f64::from_bits(angle.to_bits() ^ signs);
     }
     angles
 }
@@ -89,11 +113,19 @@ mod tests {
         }
         for step in -2000..=2000 {
             let tangent = f64::from(step) * 0.01 * f64::from(step).abs();
-            let angle = atan(&[tangent; BLOCK])[5];
-            assert!((angle - tangent.atan()).abs() < 1e-15, "atan {tangent}: {angle} {}", tangent.atan());
+            for below in [1.0, -0.37, 250.0] {
+                let angle = atan_of_quotient(&[tangent * below; BLOCK], &[below; BLOCK])[5];
+                assert!((angle - tangent.atan()).abs() < 1e-15, "atan {tangent}: {angle} {}", tangent.atan());
+            }
         }
-        for endless in [f64::INFINITY, f64::MAX, -f64::INFINITY] {
-            assert!((atan(&[endless; BLOCK])[0] - endless.atan()).abs() < 1e-15);
+        for step in -10_000..=10_000 {
+            let angle = f64::from(step) * 1e-4 * FRAC_PI_2;
+            let found = atan_of_quotient(&[angle.sin(); BLOCK], &[angle.cos(); BLOCK])[0];
+            assert!((found - angle).abs() < 1e-15, "{angle}: {found}");
+        }
+        for (above, below, angle) in [(0.0, 0.0, 0.0), (2.0, 0.0, FRAC_PI_2), (-2.0, 0.0, -FRAC_PI_2), (0.0, -3.0, 0.0)]
+        {
+            assert_eq!(atan_of_quotient(&[above; BLOCK], &[below; BLOCK])[7], angle, "{above} / {below}");
         }
         let wide = [2.5; BLOCK];
         assert_eq!(sin_cos(&wide).0[3], 2.5_f64.sin());

@@ -185,15 +185,6 @@ impl Intake {
         }
     }
 
-    /// Takes all that waits, and answers it.
-    fn work_off(&self, desk: &mut Desk) {
-        while let Some(arrival) = self.pop() {
-            desk.take(arrival.stream, &arrival.payload, arrival.entered);
-            self.give_back(arrival.payload);
-        }
-        desk.answer();
-    }
-
     /// Payloads that were shed because too many waited.
     pub fn shed(&self) -> u64 {
         lock(&self.queue).shed
@@ -266,7 +257,11 @@ pub fn attend(desk: &Mutex<Desk>, intake: &Intake, keep_warm: KeepWarm) {
             Woken::Closed => return,
             Woken::Filled => {
                 let mut desk = lock(desk);
-                intake.work_off(&mut desk);
+                while let Some(arrival) = intake.pop() {
+                    desk.take(arrival.stream, &arrival.payload, arrival.entered);
+                    intake.give_back(arrival.payload);
+                }
+                desk.answer();
                 pause = match keep_warm {
                     KeepWarm::Off => None,
                     KeepWarm::Expected => desk.until_rehearsals(REHEARSALS, Instant::now()),

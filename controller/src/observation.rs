@@ -3,7 +3,7 @@
 //! Training and serving fill the same [`Observation`] and encode it by the same [`ObservationEncoder`]; there is no second
 //! encoder. Serving fills it from reports (see [`crate::observer`]), training from the true state of a simulated room.
 //!
-//! # Layout of the vector, version 1
+//! # Layout of the vector, version 3
 //! For a capacity of U users and M mirrors, all in f32; slots beyond the users present hold 0:
 //!
 //! | part | values | meaning |
@@ -14,20 +14,57 @@
 //! | need | U | minimum rate times users over bandwidth, bit/s/Hz |
 //! | steering amplitude | U M, user by user | s times the gain of each mirror if it were aimed at the user |
 //! | angles | 2 M | roll of each mirror, then yaw of each mirror, as last commanded, rad |
+//! | summary | 11 U | what a network needs to know of each user, one column after the other: see [`Summary`] |
 //!
 //! s is [`LinkBudget::amplitude_scale`](heliostat_channel::link::LinkBudget::amplitude_scale): it folds power, noise and responsivity
 //! into the gains, so that the vector is dimensionless where it matters and one actor serves other powers and noises.
 
 use std::ops::Range;
 
-use heliostat_channel::{ChannelModel, Scene, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
+use heliostat_channel::{ChannelModel, Scene, Vec3, blockage::Cylinder, mirrors::MirrorAngles, sharing};
 use thiserror::Error;
 
 /// Version of the vector's layout; an actor made for another version is refused.
-pub const OBSERVATION_VERSION: u32 = 1;
+///
+/// Version 2 added the summary at the end; version 3 has it column by column, with balanced weights.
+pub const OBSERVATION_VERSION: u32 = 3;
 
 /// How many users the shipped actors can see.
 pub const USERS_CAPACITY: usize = 10;
+
+/// Columns of the summary, each with a value for every slot.
+///
+/// a_km is the steering amplitude of mirror m towards user k, and p_k = sqrt(M) / sum_m a_km the weight with which all users would get equal shares. A shared
+/// amplitude is that of [`heliostat_channel::sharing`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Summary {
+    /// 1 where the slot holds a user.
+    Present,
+    /// x in m; y and z follow.
+    Place,
+    /// Minimum rate times users over bandwidth, bit/s/Hz.
+    Need = 4,
+    /// How many users there are.
+    Users,
+    /// ln(1 + direct amplitude).
+    LogDirect,
+    /// ln(1 + sum_m a_km): were all mirrors the user's own, without the direct path.
+    LogSteering,
+    /// ln(1 + shared amplitude with the weights p).
+    LogShared,
+    /// ln(1 + shared amplitude with the weights q).
+    LogBalanced,
+    /// ln q_k, where q is what [`heliostat_channel::sharing::balance`] makes of p, times a factor for all by which the mean of ln q is that of ln p.
+    LogWeight,
+}
+
+impl Summary {
+    /// How many columns there are.
+    pub const COLUMNS: usize = 11;
+}
+
+/// Keeps the weight of a user finite who sees no mirror; far below any amplitude that carries data.
+const NO_AMPLITUDE: f32 = 1e-6;
 
 /// One snapshot of the room: K users and M mirrors. Its buffers are reused from tick to tick.
 pub struct Observation {
@@ -165,10 +202,10 @@ impl ObservationEncoder {
         self.mirrors
     }
 
-    /// Length of the vector: U (6 + M) + 2 M.
+    /// Length of the vector: U (17 + M) + 2 M.
     #[expect(clippy::len_without_is_empty, reason = "the vector is never empty")]
     pub fn len(&self) -> usize {
-        self.angles().end
+        self.summary().end
     }
 
     /// The presence flags.
@@ -201,6 +238,17 @@ impl ObservationEncoder {
         following(&self.steering_amplitude(), 2 * self.mirrors)
     }
 
+    /// The summary, column by column.
+    pub fn summary(&self) -> Range<usize> {
+        following(&self.angles(), Summary::COLUMNS * self.users_max)
+    }
+
+    /// A column of the summary.
+    pub fn column(&self, column: usize) -> Range<usize> {
+        let start = self.summary().start + column * self.users_max;
+        start..start + self.users_max
+    }
+
     /// Writes the vector of an observation. Does not allocate.
     ///
     /// # Errors
@@ -228,7 +276,42 @@ impl ObservationEncoder {
         let (roll, yaw) = out[self.angles()].split_at_mut(self.mirrors);
         write_scaled(roll, &observation.angles.roll, 1.0);
         write_scaled(yaw, &observation.angles.yaw, 1.0);
+        self.summarise(users, out);
         Ok(())
+    }
+
+    /// Writes the summary of so many users from the other parts.
+    fn summarise(&self, users: usize, out: &mut [f32]) {
+        let (parts, summary) = out.split_at_mut(self.summary().start);
+        summary.fill(0.0);
+        let direct = &parts[self.los_amplitude()][..users];
+        let needs = &parts[self.need()][..users];
+        let steering = &parts[self.steering_amplitude()][..users * self.mirrors];
+        let mut columns = summary.chunks_exact_mut(self.users_max).map(|column| &mut column[..users]);
+        let [present, x, y, z, need, count, log_direct, log_steering, shared, balanced, weight] =
+            std::array::from_fn::<_, { Summary::COLUMNS }, _>(|_| columns.next().expect("a column for each entry"));
+        present.fill(1.0);
+        count.fill(users as f32);
+        need.copy_from_slice(needs);
+        let scale = (self.mirrors as f32).sqrt();
+        for user in 0..users {
+            let place = &parts[self.positions()][3 * user..][..3];
+            (x[user], y[user], z[user]) = (place[0], place[1], place[2]);
+            let total = interleaved_sum(&steering[user * self.mirrors..][..self.mirrors]);
+            log_steering[user] = total.ln_1p();
+            log_direct[user] = direct[user].ln_1p();
+            weight[user] = scale / (total + NO_AMPLITUDE);
+        }
+        sharing::amplitudes(steering, direct, weight, shared);
+        balanced.copy_from_slice(shared);
+        let before = mean_log(weight);
+        sharing::balance(steering, direct, needs, weight, balanced);
+        let factor = before - mean_log(weight);
+        for user in 0..users {
+            shared[user] = shared[user].ln_1p();
+            balanced[user] = balanced[user].ln_1p();
+            weight[user] = weight[user].ln() + factor;
+        }
     }
 
     fn check(&self, observation: &Observation, out: &[f32]) -> Result<(), EncodeError> {
@@ -243,6 +326,23 @@ impl ObservationEncoder {
         }
         Ok(())
     }
+}
+
+/// The mean of the values' logarithms.
+fn mean_log(values: &[f32]) -> f32 {
+    values.iter().map(|value| value.ln()).sum::<f32>() / values.len() as f32
+}
+
+/// Sum of a list in eight interleaved parts: an order that the compiler can vectorise.
+fn interleaved_sum(values: &[f32]) -> f32 {
+    let (full, rest) = values.as_chunks::<8>();
+    let mut parts = [0.0; 8];
+    for chunk in full {
+        for (part, value) in parts.iter_mut().zip(chunk) {
+            *part += value;
+        }
+    }
+    parts.iter().sum::<f32>() + rest.iter().sum::<f32>()
 }
 
 /// The range of `length` values after `previous`.

@@ -75,8 +75,9 @@ impl Limits {
         let axes = [(&from.roll, &mut angles.roll), (&from.yaw, &mut angles.yaw)];
         for ((from, angles), [min, max]) in axes.into_iter().zip(self.axes_rad) {
             for (&from, angle) in from.iter().zip(angles) {
-                let in_range = angle.clamp(min, max);
-                let in_reach = in_range.clamp(from - reach_rad, from + reach_rad);
+                // A clamp checks its bounds for each angle, which keeps the compiler from treating several at a time.
+                let in_range = angle.max(min).min(max);
+                let in_reach = in_range.max(from - reach_rad).min(from + reach_rad);
                 clipped.range += u64::from(in_range != *angle);
                 clipped.slew += u64::from(in_reach != in_range);
                 *angle = in_reach;

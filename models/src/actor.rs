@@ -1,25 +1,25 @@
 //! The actor: from the state of a room to one logit for each user, in one or several rounds.
 //!
-//! In each round the network reads what is known of every user, the logit of the round before, and the amplitude that the user would
-//! get under those logits; the first round starts from logits of zero. The amplitude comes from a smooth copy of the decoder: each
+//! In each round the network reads what is known of a user, the user's logit of the round before, and the amplitude that the user would
+//! get under the logits of all; the first round starts from logits of zero and balanced shares. So users meet in that amplitude alone. It comes from a smooth copy of the decoder: each
 //! mirror is shared among the users in proportion to (w_k a_km)^8, where the true decoder gives it to the largest. Smooth, so
 //! that a gradient can pass and rounding cannot flip a mirror.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::{MirrorAngles, decode};
+use heliostat_channel::{MirrorAngles, decode, sharing};
 
 use crate::env::Environment;
-use crate::features::{FEATURES, Head, LOG_DIRECT, Layout, Prior, TINY};
+use crate::features::{FEATURES, Head, LOG_BALANCED, LOG_DIRECT, LOG_WEIGHT, Layout, Prior, WEIGHT_SCALE};
 use crate::networks::Network;
 
 /// Inputs of the actor's network for each user: the features, the logit of the round before, and ln(1 + amplitude).
 pub const ACTOR_INPUTS: usize = FEATURES + 2;
 
 /// How often a claim is squared; makes [`EXPONENT`].
-pub const SQUARINGS: usize = 3;
+pub const SQUARINGS: u32 = sharing::EXPONENT.ilog2();
 
 /// The exponent of the smooth decoder.
-pub const EXPONENT: f32 = 8.0;
+pub const EXPONENT: f32 = sharing::EXPONENT as f32;
 
 /// Keeps quotients finite for mirrors that no user sees; far below every sum of claims that counts.
 pub const NO_CLAIM: f32 = 1e-20;
@@ -66,7 +66,7 @@ impl States {
         let column = |index| features.narrow(2, index, 1)?.contiguous();
         let asked = match prior {
             Prior::Uniform => steering.clone(),
-            Prior::EqualShare => steering.broadcast_div(&(steering.sum_keepdim(2)? + f64::from(TINY))?)?,
+            Prior::Balanced => steering.broadcast_mul(&(column(LOG_WEIGHT)? / f64::from(WEIGHT_SCALE))?.exp()?)?,
         };
         let mut claims = asked.broadcast_div(&(asked.sum_keepdim(1)? + f64::from(NO_CLAIM))?)?;
         for _ in 0..SQUARINGS {
@@ -79,6 +79,14 @@ impl States {
             claims,
             features,
         })
+    }
+
+    /// ln(1 + amplitude) of each user at balanced shares, (batch, slots).
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub fn balanced(&self) -> Result<Tensor> {
+        self.features.narrow(2, LOG_BALANCED, 1)?.squeeze(2)
     }
 
     /// ln(1 + amplitude) of each user under these logits by the smooth decoder, (batch, slots).
@@ -115,11 +123,13 @@ impl Actor {
     /// # Errors
     /// Those of candle, when shapes do not fit.
     pub fn forward(&self, states: &States) -> Result<Tensor> {
-        let mut logits = states.present.zeros_like()?;
-        for _ in 0..self.rounds {
-            let amplitude = states.amplitude(&logits, self.head.range)?.mul(&states.present)?;
+        let (mut logits, mut amplitude) = (states.present.zeros_like()?, states.balanced()?);
+        for round in 0..self.rounds {
+            if round > 0 {
+                amplitude = states.amplitude(&logits, self.head.range)?.mul(&states.present)?;
+            }
             let input = Tensor::cat(&[&states.features, &logits.unsqueeze(2)?, &amplitude.unsqueeze(2)?], 2)?;
-            logits = self.network.forward(&input, &states.present)?.tanh()?.mul(&states.present)?;
+            logits = self.network.forward(&input)?.tanh()?.mul(&states.present)?;
         }
         Ok(logits)
     }
@@ -158,6 +168,9 @@ mod tests {
     use candle_core::Var;
     use heliostat_controller::observation::ObservationEncoder;
 
+    /// Of the three users.
+    const LOG_WEIGHTS: [f64; 3] = [0.5, 0.25, 2.75];
+
     /// Three users, the last slot empty, and four mirrors of which nobody sees the last.
     fn states() -> States {
         let layout = Layout { encoder: ObservationEncoder::new(4, 4), half_room_m: [2.5, 2.5] };
@@ -165,10 +178,11 @@ mod tests {
         for slot in 0..3 {
             row[slot * FEATURES] = 1.0;
             row[slot * FEATURES + LOG_DIRECT] = 0.5 * slot as f32;
+            row[slot * FEATURES + LOG_WEIGHT] = WEIGHT_SCALE * LOG_WEIGHTS[slot] as f32;
         }
         let steering = [[0.30, 0.20, 0.10, 0.0], [0.21, 0.33, 0.25, 0.0], [0.02, 0.015, 0.03, 0.0]];
         row[4 * FEATURES..][..12].copy_from_slice(steering.as_flattened());
-        States::new(row, 1, layout, Prior::EqualShare).expect("a state")
+        States::new(row, 1, layout, Prior::Balanced).expect("a state")
     }
 
     #[test]
@@ -188,7 +202,7 @@ mod tests {
     /// The same amplitude by its definition, in f64.
     fn expected(logits: [f64; 3]) -> [f64; 3] {
         let steering = [[0.30_f64, 0.20, 0.10], [0.21, 0.33, 0.25], [0.02, 0.015, 0.03]];
-        let weight = |user: usize| (2.0 * logits[user]).exp() / (steering[user].iter().sum::<f64>() + 1e-6);
+        let weight = |user: usize| (2.0 * logits[user] + LOG_WEIGHTS[user]).exp();
         let claim = |user: usize, mirror: usize| (weight(user) * steering[user][mirror]).powi(8);
         [0, 1, 2].map(|user| {
             let given = |mirror| {

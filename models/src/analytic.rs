@@ -19,6 +19,7 @@
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{MirrorAngles, Mode, decode};
+use heliostat_controller::observation::Summary;
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -29,7 +30,7 @@ use crate::checkpoint::Store;
 use crate::ddpg;
 use crate::env::{Environment, Reward, RewardForm, Rooms};
 use crate::export::export;
-use crate::features::{Head, Layout, Prior, TINY};
+use crate::features::{Head, Layout, Prior};
 use crate::learner::{Episode, Learner, RunSettings};
 use crate::networks::{Adam, Network, Shape};
 
@@ -116,6 +117,8 @@ pub struct Channel {
     direct: Tensor,
     /// Needs in bit/s/Hz of a user's band, (batch, slots).
     need: Tensor,
+    /// Balanced weights, (batch, slots).
+    balanced: Tensor,
     /// Amplitude of each mirror when it is aimed at the user, (batch, slots, mirrors).
     steering: Tensor,
     mirrors: Mirrors,
@@ -157,6 +160,7 @@ impl Channel {
             present: part(encoder.present())?,
             direct: part(encoder.los_amplitude())?,
             need: part(encoder.need())?,
+            balanced: part(encoder.column(Summary::LogWeight as usize))?.exp()?,
             steering: part(encoder.steering_amplitude())?.reshape(all)?,
             mirrors,
         })
@@ -217,7 +221,7 @@ impl Channel {
     fn prior(&self, head: Head, weight: &Tensor) -> Result<Tensor> {
         match head.prior {
             Prior::Uniform => Ok(weight.clone()),
-            Prior::EqualShare => weight.div(&(self.steering.sum(2)? + f64::from(TINY))?),
+            Prior::Balanced => weight.mul(&self.balanced),
         }
     }
 }

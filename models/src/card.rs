@@ -3,6 +3,8 @@
 use std::fmt::Write;
 use std::time::Duration;
 
+use heliostat_controller::observation::OBSERVATION_VERSION;
+
 use crate::algorithm::Algorithm;
 use crate::evaluate::{Estimate, Score};
 use crate::learner::Learner;
@@ -52,7 +54,7 @@ impl Card<'_> {
         writeln!(text, "# {}\n", self.file)?;
         writeln!(
             text,
-            "Turns the {} mirrors of a {} x {} array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version 1; \
+            "Turns the {} mirrors of a {} x {} array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}; \
              output: roll and yaw of each mirror in radians. All that lies between is inside the graph.\n",
             scenario.mirror_count(),
             scenario.mirrors.rows,

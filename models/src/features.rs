@@ -1,7 +1,8 @@
 //! From the controller's observation vector to the actor's inputs, and from its logits to the decoder's weights.
 //!
 //! Everything is dimensionless: gains enter as amplitudes whose square is the effective signal-to-noise ratio, so one actor
-//! serves any transmit power and noise. The exported graph computes the same in the same order ([`crate::export`]).
+//! serves any transmit power and noise. The observation encoder computes all of it ([`Summary`]); what is done here is to scale, which the exported graph
+//! does in the weights of the first layer ([`crate::export`]).
 //!
 //! # Features of a user
 //! 1. present
@@ -11,15 +12,18 @@
 //! 5. ln(1 + sum over mirrors of the steering amplitude)
 //! 6. minimum rate in bit/s/Hz of the user's band
 //! 7. number of users over the number of slots
+//! 8. ln(1 + amplitude at equal shares)
+//! 9. ln(1 + amplitude at balanced shares)
+//! 10. ln(balanced weight) / 4
 //!
 //! All are zero in an absent slot.
 
-use heliostat_controller::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_controller::observation::{ObservationEncoder, Summary, USERS_CAPACITY};
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
 /// Features of one user.
-pub const FEATURES: usize = 7;
+pub const FEATURES: usize = 10;
 
 /// The place of what is 1 for every user present, and 0 in an absent slot, among them.
 pub const PRESENT: usize = 0;
@@ -27,8 +31,14 @@ pub const PRESENT: usize = 0;
 /// The place of ln(1 + direct amplitude) among them.
 pub const LOG_DIRECT: usize = 3;
 
-/// Keeps quotients finite where a user sees no mirror; far below any amplitude that carries data.
-pub const TINY: f32 = 1e-6;
+/// The place of ln(1 + amplitude at balanced shares) among them.
+pub const LOG_BALANCED: usize = 8;
+
+/// The place of ln(balanced weight), times [`WEIGHT_SCALE`], among them.
+pub const LOG_WEIGHT: usize = 9;
+
+/// Brings the logarithms of weights to the size of the other features.
+pub const WEIGHT_SCALE: f32 = 0.25;
 
 /// What the weights are at logits of zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,8 +46,8 @@ pub const TINY: f32 = 1e-6;
 pub enum Prior {
     /// One: w_k = exp(c u_k).
     Uniform,
-    /// Inverse to the user's total steering amplitude, an equal share for all: w_k = exp(c u_k) / sum_m a_km.
-    EqualShare,
+    /// Those that balance the users: w_k = exp(c u_k) q_k, see [`Summary::LogWeight`].
+    Balanced,
 }
 
 /// How logits in [-1, 1] become weights.
@@ -72,47 +82,50 @@ impl Layout {
         self.encoder.users_max()
     }
 
+    /// Which column of the summary makes each feature, and by what factor.
+    pub fn sources(&self) -> [(usize, f32); FEATURES] {
+        let [half_x, half_y] = self.half_room_m.map(|half| 1.0 / half);
+        let place = Summary::Place as usize;
+        [
+            (Summary::Present as usize, 1.0),
+            (place, half_x),
+            (place + 1, half_y),
+            (Summary::LogDirect as usize, 1.0),
+            (Summary::LogSteering as usize, 1.0),
+            (Summary::Need as usize, 1.0),
+            (Summary::Users as usize, 1.0 / self.slots() as f32),
+            (Summary::LogShared as usize, 1.0),
+            (Summary::LogBalanced as usize, 1.0),
+            (Summary::LogWeight as usize, WEIGHT_SCALE),
+        ]
+    }
+
     /// Features of all slots, (slots, [`FEATURES`]).
     ///
     /// # Panics
     /// When a slice has another length than this layout says.
     pub fn features(&self, observation: &[f32], out: &mut [f32]) {
-        let slots = self.slots();
         assert_eq!(observation.len(), self.encoder.len(), "observation of another layout");
-        assert_eq!(out.len(), slots * FEATURES, "features of another layout");
-        let users: f32 = observation[self.encoder.present()].iter().sum();
+        assert_eq!(out.len(), self.slots() * FEATURES, "features of another layout");
         for (slot, row) in out.chunks_exact_mut(FEATURES).enumerate() {
-            let present = observation[slot];
-            let position = &observation[self.encoder.positions()][3 * slot..][..3];
-            let direct = observation[self.encoder.los_amplitude()][slot];
-            row.copy_from_slice(&[
-                present,
-                position[0] / self.half_room_m[0],
-                position[1] / self.half_room_m[1],
-                (1.0 + direct).ln(),
-                (1.0 + self.steering_of(observation, slot).iter().sum::<f32>()).ln(),
-                observation[self.encoder.need()][slot],
-                present * users / slots as f32,
-            ]);
+            for (feature, (column, factor)) in row.iter_mut().zip(self.sources()) {
+                *feature = observation[self.encoder.column(column)][slot] * factor;
+            }
         }
     }
 
     /// The weights of all slots; zero where no user is.
     pub fn weights(&self, observation: &[f32], logits: &[f32], head: Head) -> Vec<f32> {
+        let column = |column: Summary| &observation[self.encoder.column(column as usize)];
+        let (present, balanced) = (column(Summary::Present), column(Summary::LogWeight));
         let weight = |(slot, logit): (usize, &f32)| {
-            let weight = (head.range * logit).exp() * observation[slot];
-            match head.prior {
-                Prior::Uniform => weight,
-                Prior::EqualShare => weight / (self.steering_of(observation, slot).iter().sum::<f32>() + TINY),
-            }
+            let prior = match head.prior {
+                Prior::Uniform => 0.0,
+                Prior::Balanced => balanced[slot],
+            };
+            (head.range * logit + prior).exp() * present[slot]
         };
         logits.iter().enumerate().map(weight).collect()
-    }
-
-    /// The steering amplitude of each mirror towards the user in a slot.
-    pub fn steering_of<'a>(&self, observation: &'a [f32], slot: usize) -> &'a [f32] {
-        let mirrors = self.encoder.mirrors();
-        &observation[self.encoder.steering_amplitude()][slot * mirrors..][..mirrors]
     }
 }
 
@@ -126,10 +139,15 @@ mod tests {
 
     /// Two users, the second in the direct light; each mirror suits one of them.
     fn observation() -> Vec<f32> {
-        let mut vector =
-            vec![1.0, 1.0, 0.0, 1.0, -2.0, 0.85, 0.5, 2.0, 0.85, 0.0, 0.0, 0.0, 0.0, 3.0, 0.0, 0.25, 0.25, 0.0];
-        vector.extend([0.4, 0.1, 0.2, 0.6, 0.0, 0.0]);
-        vector.extend([0.0; 4]);
+        let layout = layout();
+        let mut vector = vec![0.0; layout.encoder.len()];
+        vector[layout.encoder.steering_amplitude()].copy_from_slice(&[0.4, 0.1, 0.2, 0.6, 0.0, 0.0]);
+        let first = [1.0, 1.0, -2.0, 0.85, 0.25, 2.0, 0.1, 0.2, 0.3, 0.4, -1.0];
+        let second = [1.0, 0.5, 2.0, 0.85, 0.25, 2.0, 1.1, 1.2, 1.3, 1.4, 2.0];
+        for (column, values) in first.into_iter().zip(second).enumerate() {
+            let slots = layout.encoder.column(column);
+            vector[slots][..2].copy_from_slice(&[values.0, values.1]);
+        }
         vector
     }
 
@@ -138,12 +156,9 @@ mod tests {
         let layout = layout();
         let mut out = vec![9.0; 3 * FEATURES];
         layout.features(&observation(), &mut out);
-        let first = &out[..FEATURES];
-        assert_eq!(first[..4], [1.0, 0.4, -0.8, 0.0]);
-        assert!((first[4] - 1.5_f32.ln()).abs() < 1e-6);
-        assert_eq!(first[5], 0.25);
-        assert!((first[6] - 2.0 / 3.0).abs() < 1e-6);
-        assert!((out[FEATURES + 3] - 4.0_f32.ln()).abs() < 1e-6);
+        assert_eq!(out[..FEATURES], [1.0, 0.4, -0.8, 0.1, 0.2, 0.25, 2.0 / 3.0, 0.3, 0.4, -0.25]);
+        let second = &out[FEATURES..];
+        assert_eq!([second[LOG_DIRECT], second[LOG_BALANCED], second[LOG_WEIGHT]], [1.1, 1.4, 0.5]);
         assert_eq!(out[2 * FEATURES..], [0.0; FEATURES]);
     }
 
@@ -154,9 +169,7 @@ mod tests {
         assert_eq!(uniform[0], 1.0);
         assert!((uniform[1] - 2.0_f32.exp()).abs() < 1e-5);
         assert_eq!(uniform[2], 0.0);
-        let equal = layout.weights(&observation(), &[0.0; 3], Head { prior: Prior::EqualShare, range: 2.0 });
-        assert!((equal[0] * 0.5 - 1.0).abs() < 1e-4);
-        assert!((equal[1] * 0.8 - 1.0).abs() < 1e-4);
-        assert_eq!(equal[2], 0.0);
+        let balanced = layout.weights(&observation(), &[0.5; 3], Head { prior: Prior::Balanced, range: 2.0 });
+        assert_eq!(balanced, [1.0, 3.0_f32.exp(), 0.0]);
     }
 }

@@ -1,8 +1,7 @@
 //! The networks of actor and critic, their initialisation, and the optimiser.
 //!
-//! A [`Network`] reads one row of features for each user slot and a mask of the slots in use. [`Encoder::Mlp`] is the paper's
-//! plain network over all slots in a row; [`Encoder::Set`] applies the same layers to each user beside a pooled context, so
-//! its answer does not depend on the users' order and holds for any number of them.
+//! A [`Network`] reads one row of features for each user slot. [`Encoder::Mlp`] is the paper's plain network over all slots in a row;
+//! [`Encoder::PerUser`] applies the same layers to each user, so its answer does not depend on the users' order and holds for any number of them.
 //!
 //! Every random number comes from a generator that the caller passes in; candle's own is never used.
 
@@ -14,8 +13,8 @@ use rand::{Rng, RngExt};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Encoder {
-    /// Shared layers for each user, with the mean and the maximum over users as context of the second layer.
-    Set,
+    /// The same layers for each user, who see nothing of the others but what the features tell.
+    PerUser,
     /// The paper's two layers over all slots side by side.
     Mlp,
 }
@@ -31,7 +30,7 @@ pub struct Shape {
     pub inputs: usize,
     /// Widths of the two hidden layers.
     pub hidden: [usize; 2],
-    /// Outputs of an [`Encoder::Mlp`]; a set network has one output for each slot.
+    /// Outputs of an [`Encoder::Mlp`]; a network for each user has one output for each slot.
     pub outputs: usize,
 }
 
@@ -89,19 +88,15 @@ impl Network {
     /// Those of candle, when memory runs out.
     pub fn new(shape: Shape, rng: &mut impl Rng) -> Result<Self> {
         let [first, second] = shape.hidden;
-        let layers = match shape.encoder {
-            Encoder::Set => vec![
-                Linear::new("first", shape.inputs, first, rng)?,
-                Linear::new("second", first, second, rng)?,
-                Linear::new("context", 2 * first, second, rng)?,
-                Linear::new("head", second, 1, rng)?,
-            ],
-            Encoder::Mlp => vec![
-                Linear::new("first", shape.slots * shape.inputs, first, rng)?,
-                Linear::new("second", first, second, rng)?,
-                Linear::new("head", second, shape.outputs, rng)?,
-            ],
+        let (inputs, outputs) = match shape.encoder {
+            Encoder::PerUser => (shape.inputs, 1),
+            Encoder::Mlp => (shape.slots * shape.inputs, shape.outputs),
         };
+        let layers = vec![
+            Linear::new("first", inputs, first, rng)?,
+            Linear::new("second", first, second, rng)?,
+            Linear::new("head", second, outputs, rng)?,
+        ];
         Ok(Self { shape, layers })
     }
 
@@ -147,30 +142,25 @@ impl Network {
         Ok(Self { shape: self.shape, layers: self.layers.iter().map(layer).collect::<Result<_>>()? })
     }
 
-    /// Outputs before any activation: (batch, slots) of a set network, (batch, outputs) of the plain one.
+    /// Outputs before any activation: (batch, slots) of a network for each user, of no meaning in absent slots; (batch, outputs) of the plain one.
     ///
-    /// `input` is (batch, slots, inputs), zero in absent slots; `present` is (batch, slots), 1 or 0.
+    /// `input` is (batch, slots, inputs), zero in absent slots.
     ///
     /// # Errors
     /// Those of candle, when shapes do not fit.
-    pub fn forward(&self, input: &Tensor, present: &Tensor) -> Result<Tensor> {
+    pub fn forward(&self, input: &Tensor) -> Result<Tensor> {
         let (batch, slots, inputs) = input.dims3()?;
+        let mut rows = match self.shape.encoder {
+            Encoder::Mlp => input.reshape((batch, slots * inputs))?,
+            Encoder::PerUser => input.reshape((batch * slots, inputs))?,
+        };
+        for name in ["first", "second"] {
+            rows = self.layer(name).forward(&rows)?.relu()?;
+        }
+        let outputs = self.layer("head").forward(&rows)?;
         match self.shape.encoder {
-            Encoder::Mlp => {
-                let mut hidden = input.reshape((batch, slots * inputs))?;
-                for name in ["first", "second"] {
-                    hidden = self.layer(name).forward(&hidden)?.relu()?;
-                }
-                self.layer("head").forward(&hidden)
-            }
-            Encoder::Set => {
-                let rows = input.reshape((batch * slots, inputs))?;
-                let first = self.layer("first").forward(&rows)?.relu()?;
-                let context = self.layer("context").forward(&pool(&first, present)?)?;
-                let second = self.layer("second").forward(&first)?.reshape((batch, slots, ()))?;
-                let second = second.broadcast_add(&context.unsqueeze(1)?)?.relu()?;
-                self.layer("head").forward(&second.reshape((batch * slots, ()))?)?.reshape((batch, slots))
-            }
+            Encoder::Mlp => Ok(outputs),
+            Encoder::PerUser => outputs.reshape((batch, slots)),
         }
     }
 }
@@ -181,17 +171,8 @@ impl Network {
     /// # Errors
     /// Those of candle, when shapes do not fit.
     pub fn forward_rows(&self, rows: &Tensor) -> Result<Tensor> {
-        let present = Tensor::ones((rows.dim(0)?, 1), candle_core::DType::F32, &Device::Cpu)?;
-        self.forward(&rows.unsqueeze(1)?, &present)
+        self.forward(&rows.unsqueeze(1)?)
     }
-}
-
-/// Mean and maximum over the users present, (batch, 2 width), of rows (batch x slots, width) that are nowhere negative.
-fn pool(rows: &Tensor, present: &Tensor) -> Result<Tensor> {
-    let (batch, slots) = present.dims2()?;
-    let masked = rows.reshape((batch, slots, ()))?.broadcast_mul(&present.unsqueeze(2)?)?;
-    let mean = masked.sum(1)?.broadcast_div(&present.sum_keepdim(1)?)?;
-    Tensor::cat(&[mean, masked.max(1)?], 1)
 }
 
 /// Moves `target` towards `source`: target <- tau source + (1 - tau) target.

@@ -62,15 +62,9 @@ impl Graph {
         self.node_with("ReduceSum", &[input, &axes], vec![integer("keepdims", 1)])
     }
 
-    /// The maximum over the rows of a table of this shape, (1, columns). By pooling: many times as fast in tract as its reduction.
-    pub fn max_of_rows(&mut self, input: &str, [rows, columns]: [usize; 2]) -> Value {
-        let image = self.reshape(input, &[1, 1, rows, columns]);
-        let window = integers("kernel_shape", &[rows as i64, 1]);
-        let best = self.node_with("MaxPool", &[&image], vec![window]);
-        self.reshape(&best, &[1, columns])
-    }
-
     /// The row that holds the largest value of each column of a table of this shape, the first of equal ones; (columns).
+    ///
+    /// By pooling: many times as fast in tract as its search for the largest.
     pub fn best_row(&mut self, input: &str, [rows, columns]: [usize; 2]) -> Value {
         let image = self.reshape(input, &[1, 1, rows, columns]);
         let window = integers("kernel_shape", &[rows as i64, 1]);
@@ -96,14 +90,6 @@ impl Graph {
     /// Parts of a value along an axis by index.
     pub fn gather(&mut self, input: &str, indices: &str, axis: usize) -> Value {
         self.node_with("Gather", &[input, indices], vec![integer("axis", axis as i64)])
-    }
-
-    /// Values at these places of a row, as a table of this shape.
-    pub fn picked(&mut self, row: &str, places: &[usize], shape: [usize; 2]) -> Value {
-        let places: Vec<i64> = places.iter().map(|&place| place as i64).collect();
-        let places = self.indices(&places);
-        let picked = self.gather(row, &places, 1);
-        self.reshape(&picked, &shape)
     }
 
     /// Values side by side along an axis.

@@ -101,7 +101,7 @@ impl RawLayout {
         let mut graph = Graph::default();
         let state = self.state_nodes(&mut graph);
         let nodes = NetworkNodes::new(&mut graph, network)?;
-        let columns: Vec<Column> = (0..self.inputs()).map(|input| Some((input, 1.0))).collect();
+        let columns: Vec<Column> = (0..self.inputs()).map(|input| vec![(input, 1.0)]).collect();
         let entry = nodes.entry(&mut graph, &columns)?;
         let raw = nodes.plain(&mut graph, &entry, &state);
         let action = graph.node("Tanh", &[&raw]);

@@ -3,10 +3,11 @@
 use candle_core::{Device, Tensor, Var};
 use heliostat_channel::decode;
 use heliostat_channel::mirrors::MirrorAngles;
+use heliostat_controller::observation::Summary;
 use heliostat_models::analytic::{Channel, Settings};
 use heliostat_models::env::{Environment, Reward, RewardForm, Rooms};
 use heliostat_models::features::{Head, Layout};
-use heliostat_scenario::{ChannelMode, Scenario};
+use heliostat_scenario::Scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -41,17 +42,10 @@ impl Bench {
     /// The mean of the users' parts of the reward by the decoder and the channel, in bit/s/Hz of a user's band.
     fn truth(&self, room: &Environment, logits: &[f64]) -> f64 {
         let (model, seen) = (room.model(), room.observation());
-        let steering = seen.scene.steering_gain().chunks_exact(seen.mirrors());
-        let scale = model.budget.amplitude_scale();
-        let weight = |(logit, gains): (&f64, &[f64])| {
-            let weight = (f64::from(self.head.range) * logit).exp();
-            if self.scenario.channel.mode == ChannelMode::Specular {
-                weight / (scale * gains.iter().sum::<f64>() + 1e-6)
-            } else {
-                weight
-            }
-        };
-        let weights: Vec<f64> = logits.iter().zip(steering).map(weight).collect();
+        let balanced = &room.vector()[self.layout.encoder.column(Summary::LogWeight as usize)];
+        let weight =
+            |(logit, balanced): (&f64, &f32)| (f64::from(self.head.range) * logit + f64::from(*balanced)).exp();
+        let weights: Vec<f64> = logits.iter().zip(balanced).map(weight).collect();
         let mut angles = MirrorAngles::flat(seen.mirrors());
         decode::decode(model, &seen.scene, &weights, &mut angles);
         let mut rates = vec![0.0; seen.users()];

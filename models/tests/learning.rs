@@ -2,12 +2,13 @@
 
 use heliostat_models::ddpg::{Settings, Trainer};
 use heliostat_models::evaluate::HeldOut;
+use heliostat_models::features::{Head, Prior};
 use heliostat_models::learner::{Learner, RunSettings};
 use heliostat_models::networks::on_one_thread;
 use heliostat_scenario::{ChannelMode, Scenario};
 
 #[test]
-fn a_short_run_comes_nearer_to_the_oracle() {
+fn a_short_run_learns_to_meet_needs() {
     on_one_thread(check).expect("a thread");
 }
 
@@ -17,16 +18,18 @@ fn check() {
     let scenario = scenario.expect("a valid scenario");
     let tuned = Settings::tuned(1, ChannelMode::Specular);
     let run = RunSettings { episodes: 24, steps: 25, ..tuned.run };
-    let settings = Settings { run, warm_up: 100, ..tuned };
+    // Without balanced weights to start from there is much to learn.
+    let head = Head { prior: Prior::Uniform, ..tuned.head };
+    let settings = Settings { run, head, warm_up: 100, ..tuned };
     let mut trainer = Trainer::new(scenario.clone(), settings).expect("a valid run");
     let mut held_out = HeldOut::default();
     held_out.add(&scenario, 25).expect("held-out states");
-    let before = held_out.score(&trainer).expect("a score").ratio_to_oracle.mean;
+    let before = held_out.score(&trainer).expect("a score").qos_met;
     for _ in 0..24 {
         trainer.run_episode().expect("an episode");
     }
-    let after = held_out.score(&trainer).expect("a score").ratio_to_oracle.mean;
-    assert!(after > before + 0.02, "ratio to the oracle {before} before and {after} after training");
+    let after = held_out.score(&trainer).expect("a score").qos_met;
+    assert!(after > before + 0.15, "share of needs met: {before} before and {after} after training");
     let parameters = trainer.actor().network.parameters();
     let finite = |values: Vec<f32>| values.iter().all(|value| value.is_finite());
     assert!(

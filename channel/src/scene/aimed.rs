@@ -5,7 +5,6 @@
 //! lies on the line through mirror and panel, at P + D from the panel; the central ray meets the mirror in its centre; and what a branch of normal b sees of
 //! the panel's centre has the cosine -d . b. Only mirrors all of whose light arrives are treated here: the others are told apart, for the exact evaluation.
 
-use super::kernel::block;
 use crate::Vec3;
 use crate::model::{ChannelModel, Detector, Panel};
 use crate::trig::{BLOCK, Lanes};
@@ -31,9 +30,9 @@ impl Aimed {
     pub fn new(model: &ChannelModel, panel: &Panel, first: usize, detector: &Vec3) -> Self {
         let mirrors = &model.mirrors;
         let (half_width, half_height) = (0.5 * mirrors.spec().mirror_width_m, 0.5 * mirrors.spec().mirror_height_m);
-        let centre = [block(&mirrors.x, first), block(&mirrors.y, first), block(&mirrors.z, first)];
-        let to_panel = [0, 1, 2].map(|axis: usize| block(&panel.direction[axis], first));
-        let panel_distance = block(&panel.distance, first);
+        let centre = mirrors.block(first / BLOCK);
+        let to_panel = [0, 1, 2].map(|axis: usize| &panel.direction[axis][first / BLOCK]);
+        let panel_distance = &panel.distance[first / BLOCK];
         let half = panel.half_side;
         let zero = [0.0; BLOCK];
         let mut aimed = Self {

@@ -68,11 +68,11 @@ impl Turned {
     /// The mirrors from index `first` on.
     #[inline(always)]
     pub fn new(mirrors: &MirrorArray, angles: &MirrorAngles, first: usize) -> Self {
-        let (sin_roll, cos_roll) = sin_cos(&block(&angles.roll, first));
-        let (sin_yaw, cos_yaw) = sin_cos(&block(&angles.yaw, first));
+        let (sin_roll, cos_roll) = sin_cos(&lanes(&angles.roll[first..]));
+        let (sin_yaw, cos_yaw) = sin_cos(&lanes(&angles.yaw[first..]));
         let (cos_wall, sin_wall) = mirrors.rotation();
         let mut turned = Self {
-            centre: [block(&mirrors.x, first), block(&mirrors.y, first), block(&mirrors.z, first)],
+            centre: mirrors.block(first / BLOCK).map(|lanes| *lanes),
             normal: [[0.0; BLOCK]; 3],
             width: [[0.0; BLOCK]; 2],
             height: [[0.0; BLOCK]; 3],
@@ -189,12 +189,6 @@ impl Turned {
         }
         form
     }
-}
-
-/// A block of a list, from an index on; the last entry is repeated past the end.
-#[inline(always)]
-pub(crate) fn block(values: &[f64], first: usize) -> Lanes {
-    lanes(&values[first..])
 }
 
 /// The first entries of a list; the last one is repeated past the end.

@@ -16,6 +16,7 @@ const ROUNDING_M: f64 = 1e-9;
 /// Marks the mirrors that a point can see: `legs[m]` becomes whether no cylinder stands between the point and the centre of mirror m.
 ///
 /// `legs`: shape M.
+#[inline(always)]
 pub(super) fn mark_visible(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blockers: &[Cylinder]) {
     legs.fill(true);
     let columns = mirrors.columns();
@@ -33,7 +34,7 @@ pub(super) fn mark_visible(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3
 }
 
 /// Unmarks the mirrors that a cylinder hides, in a block of columns from `first` on: first the chords, then row by row.
-#[inline]
+#[inline(always)]
 fn shade(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blocker: &Cylinder, first: usize) {
     let (columns, positions) = (mirrors.columns(), mirrors.positions());
     let lanes = BLOCK.min(columns - first);

@@ -81,6 +81,11 @@ impl Scene {
         self.users
     }
 
+    /// Number of mirrors M.
+    pub fn mirrors(&self) -> usize {
+        self.mirrors
+    }
+
     /// Position of each user's receiver in m. Shape: K.
     pub fn positions(&self) -> &[Vec3] {
         &self.positions

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use super::Scene;
-use crate::decode::bisect;
+use crate::decode::{bisect, towards};
 use crate::model::{ChannelModel, Mode};
 use crate::specular::Plate;
 use crate::trig::BLOCK;
@@ -22,12 +22,11 @@ impl Scene {
         let cut = |angle: f64, range: &RangeInclusive<f64>| angle.clamp(*range.start(), *range.end());
         for user in 0..self.users {
             let (led, position) = (model.leds[self.serving[user]].position, self.positions[user]);
-            let from = [0, 1, 2].map(|axis| [led[axis]; BLOCK]);
-            let to = [0, 1, 2].map(|axis| [position[axis]; BLOCK]);
+            let target = [0, 1, 2].map(|axis| [position[axis]; BLOCK]);
             let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
             for (index, gains) in row.chunks_mut(BLOCK).enumerate() {
                 let first = index * BLOCK;
-                let (rolls, yaws) = bisect(&model.mirrors, first, &from, &to);
+                let (rolls, yaws) = bisect(&model.mirrors, index, towards(model, self.serving[user], index), &target);
                 let within = |lane: usize| roll.contains(&rolls[lane]) && yaw.contains(&yaws[lane]);
                 for lane in (0..gains.len()).filter(|lane| !within(*lane)) {
                     let plate = Plate::of(&model.mirrors, first + lane, cut(rolls[lane], roll), cut(yaws[lane], yaw));

@@ -2,7 +2,7 @@
 
 use super::Scene;
 use super::aimed::Aimed;
-use super::kernel::{add_reflected, block};
+use super::kernel::add_reflected;
 use crate::Vec3;
 use crate::diffuse::Reading;
 use crate::mirrors::MirrorArray;
@@ -48,15 +48,14 @@ impl Scene {
         let position = self.positions[user];
         let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
         for (index, out) in row.chunks_mut(BLOCK).enumerate() {
-            let seen = Seen::new(&model.mirrors, index * BLOCK, &position);
+            let seen = Seen::new(&model.mirrors, index, &position);
             let mut combined = [0.0; BLOCK];
             for branch in &model.detectors {
                 let facing = seen.facing(branch).map(|facing| branch.concentrator_gain * facing);
                 self.combining.add_each(&mut combined, &facing);
             }
             self.combining.finish_each(&mut combined, self.branches);
-            let to_led = block(&panel.distance, index * BLOCK);
-            let emitted = block(&panel.towards_mirror, index * BLOCK);
+            let (to_led, emitted) = (&panel.distance[index], &panel.towards_mirror[index]);
             let mut gains = [0.0; BLOCK];
             for lane in 0..BLOCK {
                 let length = to_led[lane] + seen.distance[lane];
@@ -85,7 +84,7 @@ impl Scene {
                 let pair = user * self.mirrors + first + lane;
                 self.steering_gain[pair] = if whole[lane] {
                     combined[lane]
-                } else if self.leg_visible[pair] && panel.towards_mirror[first + lane] > 0.0 {
+                } else if self.leg_visible[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
                     self.aimed_exactly(model, panel, first + lane, &position)
                 } else {
                     0.0
@@ -112,8 +111,8 @@ impl Scene {
         let inward = model.mirrors.inward();
         let factor = model.receiver.detector_area_m2 * model.receiver.filter_gain;
         for first in (0..self.mirrors).step_by(BLOCK) {
-            let seen = Seen::new(&model.mirrors, first, &position);
-            let illumination = block(&panel.towards_mirror, first);
+            let seen = Seen::new(&model.mirrors, first / BLOCK, &position);
+            let illumination = &panel.towards_mirror[first / BLOCK];
             let lanes = BLOCK.min(self.mirrors - first);
             let mut combined = [0.0; BLOCK];
             for (index, branch) in model.detectors.iter().enumerate() {
@@ -149,14 +148,9 @@ impl Scene {
 
 impl Seen {
     #[inline(always)]
-    fn new(mirrors: &MirrorArray, first: usize, detector: &Vec3) -> Self {
-        let mut seen = Self {
-            x: block(&mirrors.x, first),
-            y: block(&mirrors.y, first),
-            z: block(&mirrors.z, first),
-            squared: [0.0; BLOCK],
-            distance: [0.0; BLOCK],
-        };
+    fn new(mirrors: &MirrorArray, block: usize, detector: &Vec3) -> Self {
+        let [x, y, z] = mirrors.block(block).map(|lanes| *lanes);
+        let mut seen = Self { x, y, z, squared: [0.0; BLOCK], distance: [0.0; BLOCK] };
         for lane in 0..BLOCK {
             seen.x[lane] -= detector.x;
             seen.y[lane] -= detector.y;

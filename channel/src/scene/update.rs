@@ -23,12 +23,12 @@ impl Scene {
         assert_eq!(model.receiver.branches.len(), self.branches, "the scene was made for another receiver");
         assert_eq!(model.leds.len() * self.mirrors, self.led_leg.len(), "the scene was made for other LEDs");
         self.positions.copy_from_slice(users);
-        for (led, legs) in self.led_leg.chunks_exact_mut(self.mirrors).enumerate() {
-            mark_visible(legs, &model.mirrors, &model.leds[led].position, blockers);
-        }
         widest(
             #[inline(always)]
             || {
+                for (led, legs) in self.led_leg.chunks_exact_mut(self.mirrors).enumerate() {
+                    mark_visible(legs, &model.mirrors, &model.leds[led].position, blockers);
+                }
                 for (user, forced) in forced.iter().enumerate() {
                     self.update_user(model, blockers, user, *forced);
                 }

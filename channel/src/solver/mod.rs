@@ -37,6 +37,7 @@ mod table;
 use crate::Vec3;
 use normals::NormalSearch;
 use search::Search;
+pub(crate) use table::slope;
 use table::{Table, Utility};
 use thiserror::Error;
 

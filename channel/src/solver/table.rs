@@ -20,6 +20,18 @@ pub(super) struct Utility {
     bps_per_nat: f64,
 }
 
+/// Derivative of a utility by amplitude; below the minimum rate (in nats, met at `threshold`), the slope of the line to it.
+///
+/// The derivative is 0 at amplitude 0, where the penalty would pull nobody out of the dark; the line does.
+#[inline]
+pub(crate) fn slope(need: f64, threshold: f64, penalty: f64, amplitude: f64) -> f64 {
+    let short = threshold - amplitude;
+    if short > 1e-9 {
+        return (1.0 + penalty) * (need - Utility::nats(amplitude)) / short;
+    }
+    2.0 * amplitude / (1.0 + amplitude * amplitude)
+}
+
 impl Utility {
     pub(super) fn new(users: usize) -> Self {
         Self { need: vec![0.0; users], threshold: vec![0.0; users], penalty: 0.0, bps_per_nat: 0.0 }
@@ -54,16 +66,10 @@ impl Utility {
         if amplitude < self.threshold[k] { 1.0 + self.penalty } else { 1.0 }
     }
 
-    /// Derivative of the utility of user k by amplitude; below the minimum rate, the slope of the line to it.
-    ///
-    /// The derivative is 0 at amplitude 0, where the penalty would pull nobody out of the dark; the line does.
+    /// Derivative of the utility of user k by amplitude: see [`slope`].
     #[inline]
     pub(super) fn slope(&self, k: usize, amplitude: f64) -> f64 {
-        let short = self.threshold[k] - amplitude;
-        if short > 1e-9 {
-            return (1.0 + self.penalty) * (self.need[k] - Self::nats(amplitude)) / short;
-        }
-        2.0 * amplitude / (1.0 + amplitude * amplitude)
+        slope(self.need[k], self.threshold[k], self.penalty, amplitude)
     }
 
     /// exp of the change in the utility of user k from one amplitude to another, given 1 / (1 + from^2).

@@ -218,7 +218,7 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, actor: &ActorSource) -> Resu
         PolicyKind::Exhaustive => Box::new(Exhaustive::new(scenario).map_err(BuildError::Search)?),
         PolicyKind::SineCosine => Box::new(SineCosine::new(scenario)),
         PolicyKind::Pso => Box::new(Pso::new(scenario)),
-        PolicyKind::Nearest => Box::new(Nearest::new(mirrors)),
+        PolicyKind::Nearest => Box::new(Nearest::new(users)),
         PolicyKind::Random => Box::new(Fixed::random(mirrors, range_rad, scenario.seed)),
         PolicyKind::Flat => Box::new(Fixed::flat(mirrors)),
         PolicyKind::NoIrs => Box::new(Fixed::no_irs(mirrors, range_rad)),
@@ -231,7 +231,7 @@ pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {
         Fallback::FixedPoint => Some(Box::new(ModelBased::fixed_point(users, mirrors))),
-        Fallback::Nearest => Some(Box::new(Nearest::new(mirrors))),
+        Fallback::Nearest => Some(Box::new(Nearest::new(users))),
         Fallback::Flat => Some(Box::new(Fixed::flat(mirrors))),
         Fallback::LastGood => Some(Box::new(Hold)),
         Fallback::Hold => None,

@@ -9,26 +9,30 @@ use crate::observation::Observation;
 ///
 /// A baseline: about .86 of the optimum with two blocked users of five and .74 with five.
 pub struct Nearest {
-    served: Vec<usize>,
-    /// The gain of each mirror to the user it serves.
-    largest: Vec<f64>,
+    /// One a user: nobody's light counts more.
+    weights: Vec<f64>,
 }
 
 impl Nearest {
-    /// For an array of `mirrors` mirrors.
-    pub fn new(mirrors: usize) -> Self {
-        Self { served: vec![0; mirrors], largest: vec![0.0; mirrors] }
+    /// For so many users.
+    pub fn new(users: usize) -> Self {
+        Self { weights: vec![1.0; users] }
     }
 }
 
-impl Nearest {
-    /// Turns each mirror straight towards the user it serves: the best that the paper's equations allow for one user.
-    fn face_served(&self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        let mirrors = self.served.len();
-        for (mirror, user) in self.served.iter().enumerate() {
-            let direction = &observation.scene.directions()[user * mirrors + mirror];
-            (out.roll[mirror], out.yaw[mirror]) = model.mirrors.angles_of(direction);
-        }
+/// Turns each mirror straight towards the user it serves: the best that the paper's equations allow for one user.
+fn face_served(model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
+    let (users, mirrors) = (observation.users(), observation.mirrors());
+    let gains = observation.scene.steering_gain();
+    for mirror in 0..mirrors {
+        let larger = |best: usize, user: usize| {
+            let [gain, largest] = [user, best].map(|user| gains[user * mirrors + mirror]);
+            // The first user wins a tie, as in the decoder.
+            if gain > largest { user } else { best }
+        };
+        let served = (1..users).fold(0, larger);
+        let direction = &observation.scene.directions()[served * mirrors + mirror];
+        (out.roll[mirror], out.yaw[mirror]) = model.mirrors.angles_of(direction);
     }
 }
 
@@ -43,19 +47,9 @@ impl Policy for Nearest {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        let rows = observation.scene.steering_gain().chunks_exact(self.served.len());
-        self.largest.fill(f64::NEG_INFINITY);
-        for (user, row) in rows.enumerate() {
-            for ((served, largest), &gain) in self.served.iter_mut().zip(&mut self.largest).zip(row) {
-                // The first user wins a tie, as in the decoder. Written so that no mirror takes a branch.
-                let larger = gain > *largest;
-                *largest = if larger { gain } else { *largest };
-                *served = if larger { user } else { *served };
-            }
-        }
         match model.mode {
-            Mode::Specular => decode::aim(model, &observation.scene, &self.served, out),
-            Mode::Paper { .. } => self.face_served(model, observation, out),
+            Mode::Specular => decode::decode(model, &observation.scene, &self.weights, out),
+            Mode::Paper { .. } => face_served(model, observation, out),
         }
         Ok(())
     }

@@ -94,9 +94,9 @@ fn other_ports_are_refused() {
 #[test]
 fn other_shapes_are_refused() {
     let scenario = scenario(&[]);
-    // 4 users and 9 mirrors: 4 * (6 + 9) + 18 = 78.
-    let error = refusal(&ActorRecipe { input_length: 77, ..ActorRecipe::fitting(&scenario) }, &scenario);
-    assert_says(&error, &["observation", "f32 [1, 77]", "f32 [1, 78]", "4 users", "9 mirrors"]);
+    // 4 users and 9 mirrors: 4 * (17 + 9) + 18 = 122.
+    let error = refusal(&ActorRecipe { input_length: 117, ..ActorRecipe::fitting(&scenario) }, &scenario);
+    assert_says(&error, &["observation", "f32 [1, 117]", "f32 [1, 122]", "4 users", "9 mirrors"]);
     let error = refusal(&ActorRecipe { output_length: 9, ..ActorRecipe::fitting(&scenario) }, &scenario);
     assert_says(&error, &["angles", "f32 [1, 9]", "f32 [1, 18]"]);
 }
@@ -114,8 +114,14 @@ fn missing_and_unreadable_metadata_is_named() {
 #[test]
 fn an_actor_of_another_observation_version_is_refused() {
     let scenario = scenario(&[]);
-    let error = refusal(&ActorRecipe::fitting(&scenario).with_metadata(key::OBSERVATION_VERSION, "2"), &scenario);
-    assert_says(&error, &["observation version 2", "has 1", "train it again"]);
+    let error = refusal(&ActorRecipe::fitting(&scenario).with_metadata(key::OBSERVATION_VERSION, "1"), &scenario);
+    assert_says(&error, &["observation version 1", "has 3", "train it again"]);
+    // As long as these versions were, 4 * (6 + 9) + 18 and 4 * (16 + 9) + 18: it is the version that is wrong, not the shape.
+    for (version, input_length) in [("1", 78), ("2", 118)] {
+        let former = ActorRecipe { input_length, ..ActorRecipe::fitting(&scenario) };
+        let error = refusal(&former.with_metadata(key::OBSERVATION_VERSION, version), &scenario);
+        assert_says(&error, &[&format!("observation version {version}"), "has 3", "train it again"]);
+    }
 }
 
 #[test]

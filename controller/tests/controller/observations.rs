@@ -3,7 +3,7 @@
 use heliostat_channel::{MirrorAngles, Vec3};
 use heliostat_controller::{
     inbox::Message,
-    observation::{EncodeError, Observation, ObservationEncoder, RoomState},
+    observation::{EncodeError, Observation, ObservationEncoder, RoomState, Summary},
     policy::Fixed,
 };
 use heliostat_proto::Obstacle;
@@ -24,9 +24,9 @@ const STATE: RoomState<'_> = RoomState {
     measured_los_gain: None,
 };
 
-/// Version 1 of the layout, written out: a failure means a new version, not a test to update.
+/// Version 3 of the layout, written out: a failure means a new version, not a test to update.
 #[test]
-fn the_layout_is_version_one() {
+fn the_layout_is_version_three() {
     let scenario = scenario(&[]);
     let model = model(&scenario);
     let mut observation = Observation::new(&model, 3);
@@ -34,8 +34,8 @@ fn the_layout_is_version_one() {
     observation.set_angles(&MirrorAngles { roll: (0..9).map(f64::from).collect(), yaw: vec![-0.5; 9] });
 
     let encoder = ObservationEncoder::new(4, 9);
-    assert_eq!(encoder.len(), 78);
-    let mut vector = vec![f32::NAN; 78];
+    assert_eq!(encoder.len(), 122);
+    let mut vector = vec![f32::NAN; 122];
     encoder.encode(&model, &observation, &mut vector).unwrap();
 
     assert_eq!(vector[0..4], [1.0, 1.0, 1.0, 0.0]);
@@ -55,6 +55,75 @@ fn the_layout_is_version_one() {
     assert_eq!(vector[51..60], [0.0; 9]);
     assert_eq!(vector[60..69], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
     assert_eq!(vector[69..78], [-0.5; 9]);
+
+    let summary: Vec<&[f32]> = vector[78..].chunks(4).collect();
+    let (direct, need) = (&vector[16..20], &vector[20..24]);
+    assert_eq!(summary[0], [1.0, 1.0, 1.0, 0.0]);
+    assert_eq!([summary[1], summary[2]], [[0.5, -1.0, 2.0, 0.0], [0.25, 1.5, -2.0, 0.0]]);
+    assert_eq!([summary[3], summary[4], summary[5]], [&[0.85, 0.85, 0.85, 0.0], need, &[3.0, 3.0, 3.0, 0.0]]);
+    assert_eq!(summary[6], [direct[0].ln_1p(), direct[1].ln_1p(), direct[2].ln_1p(), 0.0]);
+    let in_f64 = |values: &[f32]| values.iter().map(|&value| f64::from(value)).collect::<Vec<f64>>();
+    let wanted = balanced(&in_f64(&vector[24..51]), &in_f64(&direct[..3]), &in_f64(&need[..3]));
+    for (column, wanted) in summary[7..].iter().zip(wanted) {
+        for (found, wanted) in column.iter().zip(wanted) {
+            assert!((f64::from(*found) - wanted).abs() < 1e-4 * wanted.abs().max(1.0), "{column:?} for {wanted:?}");
+        }
+        assert_eq!(column[3], 0.0);
+    }
+}
+
+/// The last four columns by their definitions.
+fn balanced(steering: &[f64], direct: &[f64], needs: &[f64]) -> [Vec<f64>; 4] {
+    let rows: Vec<&[f64]> = steering.chunks(steering.len() / direct.len()).collect();
+    let totals: Vec<f64> = rows.iter().map(|row| row.iter().sum()).collect();
+    let shared = |weights: &[f64]| -> Vec<f64> {
+        let claim = |user: usize, mirror: usize| (weights[user] * rows[user][mirror]).powi(8);
+        let share = |user: usize, mirror: usize| {
+            let all: f64 = (0..rows.len()).map(|other| claim(other, mirror)).sum();
+            if rows[user][mirror] > 0.0 { rows[user][mirror] * claim(user, mirror) / all } else { 0.0 }
+        };
+        (0..rows.len()).map(|k| direct[k] + (0..rows[k].len()).map(|mirror| share(k, mirror)).sum::<f64>()).collect()
+    };
+    let slope = |need: f64, x: f64| {
+        let need = need * std::f64::consts::LN_2;
+        let (threshold, nats) = (need.exp_m1().sqrt(), (x * x).ln_1p());
+        if x < threshold { 11.0 * (need - nats) / (threshold - x) } else { 2.0 * x / (1.0 + x * x) }
+    };
+    let mean_log = |weights: &[f64]| weights.iter().map(|weight| weight.ln()).sum::<f64>() / weights.len() as f64;
+    let mut weights: Vec<f64> = totals.iter().map(|total| (rows[0].len() as f64).sqrt() / (total + 1e-6)).collect();
+    let (before, equal) = (mean_log(&weights), shared(&weights));
+    let mut amplitudes = equal.clone();
+    for step in [0.4, 0.4 / 1.5, 0.2, 0.16] {
+        for (k, weight) in weights.iter_mut().enumerate() {
+            *weight = weight.powf(1.0 - step) * slope(needs[k], amplitudes[k].max(1e-3)).powf(step);
+        }
+        amplitudes = shared(&weights);
+    }
+    let after = mean_log(&weights);
+    let logs = |values: &[f64]| values.iter().map(|value| value.ln_1p()).collect();
+    let weights = weights.iter().map(|weight| weight.ln() + before - after).collect();
+    [logs(&totals), logs(&equal), logs(&amplitudes), weights]
+}
+
+/// Where nobody sees a mirror, or somebody sees none, nothing is divided by zero.
+#[test]
+fn whoever_sees_no_mirror_gets_nothing_of_them() {
+    let scenario = scenario(&[]);
+    let model = model(&scenario);
+    let mut observation = Observation::new(&model, 3);
+    observation.set_state(&model, &STATE);
+    let encoder = ObservationEncoder::new(3, 9);
+    let mut vector = vec![f32::NAN; encoder.len()];
+    for unseen in [vec![4], (0..9).collect()] {
+        observation.scene.leave_out(&unseen);
+        encoder.encode(&model, &observation, &mut vector).unwrap();
+        assert!(vector.iter().all(|value| value.is_finite()), "without {unseen:?}");
+    }
+    let direct: Vec<f32> = vector[encoder.los_amplitude()].iter().map(|amplitude| amplitude.ln_1p()).collect();
+    for column in [Summary::LogShared, Summary::LogBalanced] {
+        assert_eq!(vector[encoder.column(column as usize)], direct);
+    }
+    assert_eq!(vector[encoder.column(Summary::LogSteering as usize)], [0.0; 3]);
 }
 
 #[test]
@@ -67,11 +136,12 @@ fn the_parts_cover_the_vector_without_gap() {
         encoder.need(),
         encoder.steering_amplitude(),
         encoder.angles(),
+        encoder.summary(),
     ];
     assert_eq!(parts[0].start, 0);
     assert!(parts.windows(2).all(|pair| pair[0].end == pair[1].start));
-    assert_eq!(parts[5].end, encoder.len());
-    assert_eq!(encoder.len(), 1260);
+    assert_eq!(parts[6].end, encoder.len());
+    assert_eq!(encoder.len(), 1370);
 }
 
 #[test]
@@ -82,9 +152,9 @@ fn what_does_not_fit_is_an_error() {
     let encode = |users_max, mirrors, length| {
         ObservationEncoder::new(users_max, mirrors).encode(&model, &observation, &mut vec![0.0; length])
     };
-    assert_eq!(encode(2, 9, 48), Err(EncodeError::Users { users: 3, capacity: 2 }));
-    assert_eq!(encode(4, 8, 72), Err(EncodeError::Mirrors { found: 9, wanted: 8 }));
-    assert_eq!(encode(4, 9, 77), Err(EncodeError::Buffer { found: 77, wanted: 78 }));
+    assert_eq!(encode(2, 9, 68), Err(EncodeError::Users { users: 3, capacity: 2 }));
+    assert_eq!(encode(4, 8, 112), Err(EncodeError::Mirrors { found: 9, wanted: 8 }));
+    assert_eq!(encode(4, 9, 121), Err(EncodeError::Buffer { found: 121, wanted: 122 }));
 }
 
 #[test]

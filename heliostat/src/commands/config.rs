@@ -107,6 +107,7 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
             "need": part(encoder.need()),
             "steering_amplitude": part(encoder.steering_amplitude()),
             "angles": part(encoder.angles()),
+            "summary": part(encoder.summary()),
         },
     });
     match document {

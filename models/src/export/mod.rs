@@ -1,7 +1,7 @@
 //! The exported actor: observation in, mirror angles out, all in one ONNX graph.
 //!
-//! Three parts follow each other in the graph: the features of [`crate::features`], the trained network, and the geometric
-//! decoder, the same that `heliostat_channel::decode` computes in Rust. A controller therefore needs no knowledge of how an
+//! Three parts follow each other in the graph: the scaling of the features (in the weights of the first layer), the trained network, and the
+//! geometric decoder, the same that `heliostat_channel::decode` computes in Rust. A controller therefore needs no knowledge of how an
 //! actor was trained, and no actor can point a mirror where the geometry does not allow.
 
 mod network;
@@ -9,10 +9,11 @@ mod network;
 use candle_core::Result;
 use heliostat_channel::mirrors::MirrorArray;
 use heliostat_channel::{ChannelModel, Mode, Vec3};
+use heliostat_controller::observation::Summary;
 use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 
 use crate::actor::{Actor, EXPONENT, SQUARINGS};
-use crate::features::{FEATURES, Head, LOG_DIRECT, Layout, PRESENT, Prior, TINY};
+use crate::features::{FEATURES, Head, Layout, Prior};
 use crate::onnx::{Ends, Graph, Value};
 
 pub use network::{Column, Entry, NetworkNodes};
@@ -28,17 +29,26 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
     let observed = observe(&mut graph, actor);
     let network = NetworkNodes::new(&mut graph, &actor.network)?;
     let sharpness = EXPONENT * actor.head.range;
-    let known = columns(&actor.layout, Some(AMPLITUDE));
-    let entry = network.entry(&mut graph, &known)?;
-    let mut logits = run(&mut graph, &network, &entry, &observed, &[]);
+    let mut columns = columns(&actor.layout);
+    let mut first = columns.clone();
+    // Before the first round nobody has a logit, and so everybody the balanced share.
+    first[Summary::LogBalanced as usize].push((AMPLITUDE, 1.0));
+    let entry = network.entry(&mut graph, &first)?;
+    let users = graph.transpose(&observed.summary);
+    let mut logits = network.apply(&mut graph, &entry, &users);
     if actor.rounds > 1 {
-        let before = [Some((LOGIT, 1.0 / sharpness)), Some((AMPLITUDE, 1.0))];
-        let entry = network.entry(&mut graph, &[columns(&actor.layout, None), before.to_vec()].concat())?;
+        columns.extend([vec![(LOGIT, 1.0 / sharpness)], vec![(AMPLITUDE, 1.0)]]);
+        let entry = network.entry(&mut graph, &columns)?;
+        let claims = Claims::new(&mut graph, &observed, actor.head);
         let sharpness = graph.scalar(sharpness);
+        let present = column(&mut graph, &observed, Summary::Present as usize);
         for _ in 1..actor.rounds {
             let exponents = graph.node("Mul", &[&logits, &sharpness]);
-            let amplitude = amplitude(&mut graph, &observed, &exponents);
-            logits = run(&mut graph, &network, &entry, &observed, &[&exponents, &amplitude]);
+            let amplitude = claims.amplitude(&mut graph, &exponents);
+            let input = graph.concat(&[&users, &exponents, &amplitude], 1);
+            // Empties absent slots, and keeps tract from splitting the product that follows into one for each part.
+            let input = graph.node("Mul", &[&input, &present]);
+            logits = network.apply(&mut graph, &entry, &input);
         }
     }
     let weighed = weigh(&mut graph, &observed, &logits, actor.head);
@@ -57,145 +67,92 @@ const LOGIT: usize = FEATURES;
 /// The place of ln(1 + amplitude) under that logit.
 const AMPLITUDE: usize = FEATURES + 1;
 
-/// What is picked from the observation for each user, in this order.
-#[derive(Clone, Copy)]
-enum Picked {
-    Present,
-    /// x, y and z in m.
-    Place,
-    /// Direct amplitude.
-    Direct = 4,
-    Need,
-}
+/// In the place of [`NO_CLAIM`](crate::actor::NO_CLAIM): claims are not divided by their sum here, and may be small.
+const NOTHING: f32 = 1e-35;
 
-/// Values picked for each user.
-const PICKED: usize = 6;
-
-/// Which inputs of the actor's network stand in the columns that all rounds have: what was picked, the number of users, and the three logarithms.
-fn columns(layout: &Layout, first_amplitude: Option<usize>) -> Vec<Column> {
-    let [x, y] = layout.half_room_m.map(|half| 1.0 / half);
-    let mut columns = vec![None; PICKED];
-    columns[Picked::Present as usize] = Some((PRESENT, 1.0));
-    columns[Picked::Place as usize] = Some((1, x));
-    columns[Picked::Place as usize + 1] = Some((2, y));
-    columns[Picked::Need as usize] = Some((5, 1.0));
-    columns.push(Some((6, 1.0 / layout.slots() as f32)));
-    columns.extend([Some((LOG_DIRECT, 1.0)), Some((4, 1.0)), first_amplitude.map(|input| (input, 1.0))]);
+/// Which of the network's inputs each column of the summary makes.
+fn columns(layout: &Layout) -> Vec<Column> {
+    let mut columns = vec![Vec::new(); Summary::COLUMNS];
+    for (input, (column, factor)) in layout.sources().into_iter().enumerate() {
+        columns[column].push((input, factor));
+    }
     columns
 }
 
-/// The parts of the observation that later stages use.
+/// The parts of the observation that several stages use.
 struct Observed {
     slots: usize,
     mirrors: usize,
-    /// See [`Picked`]; (slots, [`PICKED`])
-    picked: Value,
-    /// What all rounds are given of each user, as [`columns`] says; (slots, columns).
-    known: Value,
-    /// (slots, 1)
-    present: Value,
-    /// 1 / number of users, (1, 1)
-    per_user: Value,
-    /// 1 + direct amplitude, (slots, 1)
-    raised_direct: Value,
-    /// Steering amplitudes times the weights of logits of zero, or as many times as much for all, (slots, mirrors)
-    asked: Value,
-    /// (s p_k a_km)^8 with the weights p of logits of zero and one s for all, (slots, mirrors)
-    claims: Value,
-    /// The same times a_km, (slots, mirrors)
-    gains: Value,
+    /// ([`Summary::COLUMNS`], slots)
+    summary: Value,
+    /// Steering amplitudes, (slots, mirrors).
+    steering: Value,
 }
 
 fn observe(graph: &mut Graph, actor: &Actor) -> Observed {
-    let (layout, encoder) = (&actor.layout, actor.layout.encoder);
-    let (slots, mirrors) = (layout.slots(), encoder.mirrors());
-    let of_slot = |slot: usize| {
-        let place = encoder.positions().start + 3 * slot;
-        let [present, direct, need] =
-            [encoder.present(), encoder.los_amplitude(), encoder.need()].map(|part| part.start + slot);
-        [present, place, place + 1, place + 2, direct, need]
-    };
-    let places: Vec<usize> = (0..slots).flat_map(of_slot).collect();
-    let picked = graph.picked(INPUT_NAME, &places, [slots, PICKED]);
-    let column = |graph: &mut Graph, value: &str, column: usize| graph.slice(value, 1, column..column + 1);
-    let present = column(graph, &picked, Picked::Present as usize);
-    let direct = column(graph, &picked, Picked::Direct as usize);
-    let users = graph.sum(&present, 0);
-    let per_user = graph.node("Reciprocal", &[&users]);
-    let crowd = graph.node("Mul", &[&present, &users]);
-
+    let encoder = actor.layout.encoder;
+    let (slots, mirrors) = (actor.layout.slots(), encoder.mirrors());
+    let summary = graph.slice(INPUT_NAME, 1, encoder.summary());
+    let summary = graph.reshape(&summary, &[Summary::COLUMNS, slots]);
     let steering = graph.slice(INPUT_NAME, 1, encoder.steering_amplitude());
     let steering = graph.reshape(&steering, &[slots, mirrors]);
-    let total = graph.sum(&steering, 1);
-    let (asked, mut claims) = match actor.head.prior {
-        // Of any size: only beside each other do their powers stay within f32.
-        Prior::Uniform => {
-            let nothing = graph.scalar(NOTHING);
-            let something = graph.node("Add", &[&steering, &nothing]);
-            let share = over_all(graph, &something);
-            (steering.clone(), graph.node("Mul", &[&steering, &share]))
+    Observed { slots, mirrors, summary, steering }
+}
+
+/// A column of the summary, (slots, 1).
+fn column(graph: &mut Graph, observed: &Observed, column: usize) -> Value {
+    let column = graph.slice(&observed.summary, 0, column..column + 1);
+    graph.reshape(&column, &[observed.slots, 1])
+}
+
+/// The smooth decoder.
+struct Claims {
+    /// (s p_k a_km)^8 with the weights p of logits of zero and one s for all, (slots, mirrors).
+    claims: Value,
+    /// The same times a_km.
+    gains: Value,
+    /// 1 + direct amplitude, (slots, 1).
+    raised_direct: Value,
+}
+
+impl Claims {
+    fn new(graph: &mut Graph, observed: &Observed, head: Head) -> Self {
+        let nothing = graph.scalar(NOTHING);
+        let mut claims = match head.prior {
+            // Of any size: only beside each other do their powers stay within f32.
+            Prior::Uniform => {
+                let something = graph.node("Add", &[&observed.steering, &nothing]);
+                let share = over_all(graph, &something);
+                graph.node("Mul", &[&observed.steering, &share])
+            }
+            Prior::Balanced => {
+                let weight = column(graph, observed, Summary::LogWeight as usize);
+                let weight = graph.node("Exp", &[&weight]);
+                graph.node("Mul", &[&observed.steering, &weight])
+            }
+        };
+        for _ in 0..SQUARINGS {
+            claims = graph.node("Mul", &[&claims, &claims]);
         }
-        Prior::EqualShare => {
-            let inverse_total = inverse_total(graph, &total, mirrors);
-            let asked = graph.node("Mul", &[&steering, &inverse_total]);
-            (asked.clone(), asked)
-        }
-    };
-    for _ in 0..SQUARINGS {
-        claims = graph.node("Mul", &[&claims, &claims]);
+        let gains = graph.node("Mul", &[&claims, &observed.steering]);
+        // So that no sum of claims is zero.
+        let claims = graph.node("Add", &[&claims, &nothing]);
+        let log_direct = column(graph, observed, Summary::LogDirect as usize);
+        let raised_direct = graph.node("Exp", &[&log_direct]);
+        Self { claims, gains, raised_direct }
     }
-    let gains = graph.node("Mul", &[&claims, &steering]);
-    // So that no sum of claims is zero.
-    let nothing = graph.scalar(NOTHING);
-    let claims = graph.node("Add", &[&claims, &nothing]);
 
-    let given = given(graph, &gains, &claims);
-    let amplitude = graph.node("Add", &[&direct, &given]);
-    let one = graph.scalar(1.0);
-    let raised = graph.concat(&[&direct, &total, &amplitude], 1);
-    let raised = graph.node("Add", &[&raised, &one]);
-    let logs = graph.node("Log", &[&raised]);
-    let known = graph.concat(&[&picked, &crowd, &logs], 1);
-    let raised_direct = column(graph, &raised, 0);
-    Observed { slots, mirrors, picked, known, present, per_user, raised_direct, asked, claims, gains }
-}
-
-/// sqrt(mirrors) / (total + [`TINY`]): with it a mirror's claims are about as far below 1 where all are alike as they are above where one has everything,
-/// and their powers stay within f32.
-fn inverse_total(graph: &mut Graph, total: &str, mirrors: usize) -> Value {
-    let scale = 1.0 / (mirrors as f32).sqrt();
-    let (scale, tiny) = (graph.scalar(scale), graph.scalar(TINY * scale));
-    let total = graph.node("Mul", &[total, &scale]);
-    let total = graph.node("Add", &[&total, &tiny]);
-    graph.node("Reciprocal", &[&total])
-}
-
-/// The logits of one round: the network on what is known, and on what the round before found.
-fn run(graph: &mut Graph, network: &NetworkNodes<'_>, entry: &Entry, observed: &Observed, found: &[&str]) -> Value {
-    let input = match found {
-        [] => observed.known.clone(),
-        [..] => graph.concat(&[&[observed.known.as_str()], found].concat(), 1),
-    };
-    // Empties absent slots, and keeps tract from splitting the product that follows into one for each column.
-    let input = graph.node("Mul", &[&input, &observed.present]);
-    network.apply(graph, entry, &input, &observed.per_user)
-}
-
-/// ln(1 + amplitude) of each user by the smooth decoder, from [`EXPONENT`] times what the weights are the exponential of; (slots, 1).
-fn amplitude(graph: &mut Graph, observed: &Observed, exponents: &str) -> Value {
-    let weights = graph.node("Exp", &[exponents]);
-    let claims = graph.node("Mul", &[&observed.claims, &weights]);
-    let given = given(graph, &observed.gains, &claims);
-    let given = graph.node("Mul", &[&given, &weights]);
-    let raised = graph.node("Add", &[&given, &observed.raised_direct]);
-    graph.node("Log", &[&raised])
-}
-
-/// What each user gets of the gains when every mirror is shared by these claims, over the user's own weight; (slots, 1).
-fn given(graph: &mut Graph, gains: &str, claims: &str) -> Value {
-    let share = over_all(graph, claims);
-    let share = graph.transpose(&share);
-    graph.node("MatMul", &[gains, &share])
+    /// ln(1 + amplitude) of each user, from [`EXPONENT`] times what the weights are the exponential of; (slots, 1).
+    fn amplitude(&self, graph: &mut Graph, exponents: &str) -> Value {
+        let weights = graph.node("Exp", &[exponents]);
+        let claims = graph.node("Mul", &[&self.claims, &weights]);
+        let share = over_all(graph, &claims);
+        let share = graph.transpose(&share);
+        let given = graph.node("MatMul", &[&self.gains, &share]);
+        let given = graph.node("Mul", &[&given, &weights]);
+        let raised = graph.node("Add", &[&given, &self.raised_direct]);
+        graph.node("Log", &[&raised])
+    }
 }
 
 /// One over the sum of each mirror's column, (1, mirrors).
@@ -204,15 +161,16 @@ fn over_all(graph: &mut Graph, table: &str) -> Value {
     graph.node("Reciprocal", &[&all])
 }
 
-/// In the place of [`NO_CLAIM`](crate::actor::NO_CLAIM): claims are not divided by their sum here, and may be small.
-const NOTHING: f32 = 1e-35;
-
 /// What each user asks of each mirror: steering amplitudes times weights, up to a factor for all; (slots, mirrors).
 fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Value {
     let range = graph.scalar(head.range);
-    let exponent = graph.node("Mul", &[logits, &range]);
+    let mut exponent = graph.node("Mul", &[logits, &range]);
+    if head.prior == Prior::Balanced {
+        let prior = column(graph, observed, Summary::LogWeight as usize);
+        exponent = graph.node("Add", &[&exponent, &prior]);
+    }
     let weight = graph.node("Exp", &[&exponent]);
-    graph.node("Mul", &[&observed.asked, &weight])
+    graph.node("Mul", &[&observed.steering, &weight])
 }
 
 /// A point or direction as the graph has it: along the wall, into the wall, and down.
@@ -235,9 +193,8 @@ fn centres(mirrors: &MirrorArray) -> impl Iterator<Item = Vec3> + Clone {
 
 /// Where the users are, (3, slots).
 fn places(graph: &mut Graph, observed: &Observed, mirrors: &MirrorArray) -> Value {
-    let first = Picked::Place as usize;
-    let places = graph.slice(&observed.picked, 1, first..first + 3);
-    let places = graph.transpose(&places);
+    let first = Summary::Place as usize;
+    let places = graph.slice(&observed.summary, 0, first..first + 3);
     let axes = [Vec3::x(), Vec3::y(), Vec3::z()];
     let turn = rows(graph, "turn", axes.iter().map(|axis| seen(mirrors, axis)));
     graph.node("MatMul", &[&turn, &places])
@@ -265,7 +222,7 @@ fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores
 fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, pull: &str) -> Value {
     let mirrors = &model.mirrors;
     let squares = [0, 1, 2].map(|axis| {
-        let place = graph.slice(&observed.picked, 1, Picked::Place as usize + axis..Picked::Place as usize + axis + 1);
+        let place = column(graph, observed, Summary::Place as usize + axis);
         let centre: Vec<f32> = mirrors.positions().iter().map(|centre| centre[axis] as f32).collect();
         let centre = graph.constant(&format!("centre_{axis}"), &[1, centre.len()], &centre);
         let way = graph.node("Sub", &[&place, &centre]);

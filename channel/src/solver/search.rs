@@ -3,6 +3,7 @@
 use super::assignment::{Assignment, Scratch};
 use super::starts::Starts;
 use super::table::{Table, Utility};
+use crate::wide::widest;
 
 /// Most steps of one damped fixed point.
 const FIXED_POINT_STEPS: usize = 20;
@@ -275,17 +276,22 @@ impl Search {
         for (weight, (&wanted, &allowed)) in self.effective.iter_mut().zip(self.weights.iter().zip(&self.allowed)) {
             *weight = if allowed { wanted } else { 0.0 };
         }
-        let (blocks, rest) = self.owners.as_chunks_mut::<OWNED_AT_ONCE>();
-        let done = blocks.len() * OWNED_AT_ONCE;
-        for (block, owners) in blocks.iter_mut().enumerate() {
-            *owners = strongest(&self.effective, table, block * OWNED_AT_ONCE);
-        }
-        for (index, owner) in rest.iter_mut().enumerate() {
-            [*owner] = strongest(&self.effective, table, done + index);
-        }
-        for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
-            self.amplitude[k] = table.floor[k] + owned_sum(line, &self.owners, k as f64);
-        }
+        widest(
+            #[inline(always)]
+            || {
+                let (blocks, rest) = self.owners.as_chunks_mut::<OWNED_AT_ONCE>();
+                let done = blocks.len() * OWNED_AT_ONCE;
+                for (block, owners) in blocks.iter_mut().enumerate() {
+                    *owners = strongest(&self.effective, table, block * OWNED_AT_ONCE);
+                }
+                for (index, owner) in rest.iter_mut().enumerate() {
+                    [*owner] = strongest(&self.effective, table, done + index);
+                }
+                for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
+                    self.amplitude[k] = table.floor[k] + owned_sum(line, &self.owners, k as f64);
+                }
+            },
+        );
     }
 
     /// 1 / total gain: weights that ask nobody's channel to be good.
@@ -438,6 +444,7 @@ fn strongest<const N: usize>(weights: &[f64], table: &Table, first: usize) -> [f
 }
 
 /// Sum of the gains of the mirrors that a user owns, in four independent sums so that additions overlap.
+#[inline(always)]
 fn owned_sum(line: &[f64], owners: &[f64], user: f64) -> f64 {
     let mut sums = [0.0; 4];
     let (lines, rest) = line.as_chunks::<4>();

@@ -232,8 +232,7 @@ impl Desk {
 
     /// Whether decisions take so long that they are better made where they are rehearsed. In lockstep nobody is in a hurry.
     pub fn gains_by_rehearsal(&self) -> bool {
-        let worth = if self.rehearsal.is_zero() { WORTH_REHEARSING } else { WORTH_GOING_ON };
-        self.clock == RoomClock::Utc && worth.contains(&self.expected)
+        self.clock == RoomClock::Utc && gains(self.expected, !self.rehearsal.is_zero())
     }
 
     /// How long to wait before that many rehearsals for the next report; none where no report is expected, or it is too late for that.
@@ -269,6 +268,12 @@ impl Desk {
     }
 }
 
+/// Whether decisions that take so long, rehearsed or not, gain by being rehearsed.
+fn gains(expected: Duration, rehearsed: bool) -> bool {
+    let worth = if rehearsed { WORTH_GOING_ON } else { WORTH_REHEARSING };
+    worth.contains(&expected)
+}
+
 /// The mean of durations, once the newest has come.
 fn mean(before: Duration, newest: Duration) -> Duration {
     if before.is_zero() { newest } else { before.mul_f64(1.0 - NEWEST_SHARE) + newest.mul_f64(NEWEST_SHARE) }
@@ -292,4 +297,16 @@ fn send(decision: Decision<'_>, standby: &Standby, payload: &mut Vec<u8>, publis
         encode(&MirrorCommand { sequence, ..command.clone() }, payload)
     };
     Sent { taken: encoded.is_ok() && publisher.put(payload).is_ok(), sequence }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_rehearsals_make_quick_is_rehearsed_further() {
+        let us = Duration::from_micros;
+        assert_eq!([us(200), us(300), us(6000)].map(|expected| gains(expected, false)), [false, true, false]);
+        assert_eq!([us(100), us(200), us(6000)].map(|expected| gains(expected, true)), [false, true, false]);
+    }
 }

@@ -378,6 +378,19 @@ mod tests {
     }
 
     #[test]
+    fn who_stays_awake_sees_what_comes() {
+        let (intake, soon) = (Intake::default(), Instant::now() + Duration::from_millis(1));
+        intake.stay_awake(soon);
+        assert!(Instant::now() >= soon, "nothing came");
+        let late = Instant::now() + Duration::from_secs(60);
+        std::thread::scope(|scope| {
+            scope.spawn(|| intake.push(Stream::Users, &[1], Instant::now()));
+            intake.stay_awake(late);
+        });
+        assert!(Instant::now() < late, "it did not look");
+    }
+
+    #[test]
     fn a_closed_intake_lets_go_of_who_waits() {
         let intake = Intake::default();
         std::thread::scope(|scope| {

@@ -366,6 +366,11 @@ fn decision_time(figure: &Figure) -> Option<Judged> {
     })
 }
 
+/// Whether one time is longer than another with intervals that do not meet.
+fn longer(one: &Point, other: &Point) -> bool {
+    one.x - one.x_ci95.unwrap_or(0.0) > other.x + other.x_ci95.unwrap_or(0.0)
+}
+
 fn faster(figure: &Figure) -> Option<Judged> {
     let [ddpg, _] = times(figure, "ddpg")?;
     let medians: Vec<(&str, &Point)> = ["oracle", "pso", "sine-cosine", "greedy", "fixed-point"]
@@ -374,7 +379,7 @@ fn faster(figure: &Figure) -> Option<Judged> {
         .collect();
     let list: Vec<String> = medians.iter().map(|(name, p50)| format!("{name} {}", time(p50))).collect();
     let text = format!("medians in us: ddpg {}, {}", time(ddpg), list.join(", "));
-    let slower = medians.iter().filter(|(_, p50)| p50.x > ddpg.x).count();
+    let slower = medians.iter().filter(|(_, p50)| longer(p50, ddpg)).count();
     Some(if slower == medians.len() {
         Judged(text, Verdict::Reproduced, "faster than each search".into())
     } else if slower > 0 {
@@ -383,4 +388,18 @@ fn faster(figure: &Figure) -> Option<Judged> {
     } else {
         Judged(text, Verdict::NotReproduced, "slower than each search".into())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_is_longer_where_the_intervals_do_not_meet() {
+        let point = |x, half| Point { x, y: 0.5, ci95: None, x_ci95: Some(half) };
+        let ours = point(32.0, 2.0);
+        assert!(longer(&point(104.0, 18.0), &ours));
+        assert!(!longer(&point(40.0, 17.0), &ours));
+        assert!(!longer(&point(20.0, 1.0), &ours));
+    }
 }

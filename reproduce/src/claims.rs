@@ -248,7 +248,17 @@ fn beats_dql(figure: &Figure) -> Option<Judged> {
 
 /// Whether one mean lies above another with intervals that do not meet.
 fn above(one: &Point, other: &Point) -> bool {
-    one.y - one.ci95.unwrap_or(0.0) > other.y + other.ci95.unwrap_or(0.0)
+    clear_of((one.y, one.ci95), (other.y, other.ci95))
+}
+
+/// Whether one time, along x, is longer than another, likewise.
+fn longer(one: &Point, other: &Point) -> bool {
+    clear_of((one.x, one.x_ci95), (other.x, other.x_ci95))
+}
+
+/// Whether a mean with half of its interval lies above another, and the intervals do not meet.
+fn clear_of((one, half): (f64, Option<f64>), (other, other_half): (f64, Option<f64>)) -> bool {
+    one - half.unwrap_or(0.0) > other + other_half.unwrap_or(0.0)
 }
 
 /// The verdict on one mean above another: from a single seed there is no interval, and so no more than a part.
@@ -364,11 +374,6 @@ fn decision_time(figure: &Figure) -> Option<Judged> {
         }
         _ => Judged(text, Verdict::NotReproduced, "slower".into()),
     })
-}
-
-/// Whether one time is longer than another with intervals that do not meet.
-fn longer(one: &Point, other: &Point) -> bool {
-    one.x - one.x_ci95.unwrap_or(0.0) > other.x + other.x_ci95.unwrap_or(0.0)
 }
 
 fn faster(figure: &Figure) -> Option<Judged> {

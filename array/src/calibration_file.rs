@@ -13,11 +13,33 @@
 //! gain = [1.0, 0.99]
 //! ```
 
-use std::path::Path;
-
-use anyhow::{Context, Result, ensure};
 use heliostat_proto::{Calibration, Stamp};
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Why a text is no calibration.
+#[derive(Debug, Error)]
+pub enum CalibrationFileError {
+    /// A key is unknown, missing or of another type.
+    #[error(transparent)]
+    Toml(#[from] toml::de::Error),
+    /// A list is not as long as the array has mirrors.
+    #[error("{list} has {found} entries: expected {expected}, one a mirror")]
+    Length {
+        /// The list, for example `roll.gain`.
+        list: String,
+        /// Its entries.
+        found: usize,
+        /// The array's mirrors.
+        expected: usize,
+    },
+    /// A list holds a value that is not a finite number.
+    #[error("{list} has an entry that is not finite: expected a number")]
+    NotFinite {
+        /// The list.
+        list: String,
+    },
+}
 
 /// Corrections of every mirror of an array.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,37 +73,38 @@ impl AxisCorrections {
 }
 
 impl CalibrationFile {
-    /// Reads a file.
+    /// Reads a calibration from its TOML text.
     ///
     /// # Errors
-    /// A file that cannot be read, a key that is unknown, missing or of another type, a list that is not as long as the array has mirrors.
-    pub fn load(file: &Path) -> Result<Self> {
-        let in_file = || format!("in {}", file.display());
-        let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-        let read: Self = toml::from_str(&text).with_context(in_file)?;
-        read.check().with_context(in_file)?;
+    /// [`CalibrationFileError`] for a key that is unknown, missing or of another type, and for a list that does not fit the array.
+    pub fn parse(text: &str) -> Result<Self, CalibrationFileError> {
+        let read: Self = toml::from_str(text)?;
+        read.check()?;
         Ok(read)
     }
 
-    fn check(&self) -> Result<()> {
-        let mirrors = self.rows * self.columns;
+    fn check(&self) -> Result<(), CalibrationFileError> {
+        let expected = self.rows * self.columns;
         for (axis, AxisCorrections { offset_deg, gain }) in [("roll", &self.roll), ("yaw", &self.yaw)] {
-            for (list, values) in [("offset_deg", offset_deg), ("gain", gain)] {
-                let found = values.len();
-                ensure!(found == mirrors, "{axis}.{list} has {found} entries; wanted {mirrors}, one a mirror");
-                ensure!(values.iter().all(|value| value.is_finite()), "{axis}.{list} has an entry that is not finite");
+            for (name, values) in [("offset_deg", offset_deg), ("gain", gain)] {
+                let (list, found) = (format!("{axis}.{name}"), values.len());
+                if found != expected {
+                    return Err(CalibrationFileError::Length { list, found, expected });
+                }
+                if !values.iter().all(|value| value.is_finite()) {
+                    return Err(CalibrationFileError::NotFinite { list });
+                }
             }
         }
         Ok(())
     }
 
-    /// Writes the file.
+    /// The TOML text of the calibration.
     ///
-    /// # Errors
-    /// A file that cannot be written.
-    pub fn save(&self, file: &Path) -> Result<()> {
-        let text = toml::to_string(self).context("a calibration has a TOML form")?;
-        std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
+    /// # Panics
+    /// Never: every calibration has a TOML form.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("numbers and lists of numbers have a TOML form")
     }
 
     /// The message with the same meaning.
@@ -104,24 +127,20 @@ mod tests {
 
     #[test]
     fn a_file_reads_back_and_lists_must_fit_the_array() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("wall.toml");
         let mut written = CalibrationFile {
             rows: 1,
             columns: 2,
             roll: AxisCorrections { offset_deg: vec![90.0, -0.25], gain: vec![1.0, 1.01] },
             yaw: AxisCorrections::none(2),
         };
-        written.save(&file).unwrap();
-        let read = CalibrationFile::load(&file).unwrap();
+        let read = CalibrationFile::parse(&written.to_toml()).unwrap();
         assert_eq!(read, written);
         let message = read.message(Stamp::default());
         assert!(
             (message.roll_offset_rad[0] - std::f32::consts::FRAC_PI_2).abs() < 1e-6 && message.roll_gain[1] == 1.01
         );
         written.yaw.gain.pop();
-        written.save(&file).unwrap();
-        let refusal = format!("{:#}", CalibrationFile::load(&file).unwrap_err());
-        assert!(refusal.contains("wall.toml") && refusal.contains("yaw.gain has 1 entries; wanted 2"), "{refusal}");
+        let refusal = CalibrationFile::parse(&written.to_toml()).unwrap_err().to_string();
+        assert_eq!(refusal, "yaw.gain has 1 entries: expected 2, one a mirror");
     }
 }

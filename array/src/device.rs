@@ -4,7 +4,7 @@ use heliostat_channel::MirrorAngles;
 use heliostat_proto::Capabilities;
 use thiserror::Error;
 
-use crate::clock::Moment;
+use crate::moment::Moment;
 
 /// Why a device did not do what it was asked to.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]

@@ -8,10 +8,10 @@ use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, Calibration, Capabilities, EmergencyStop, MirrorCommand, MirrorTelemetry, Stamp};
 
 use crate::calibration::{Correction, Unfit};
-use crate::clock::Moment;
+use crate::content::Content;
 use crate::device::{Device, DeviceError, Health};
 use crate::follow::Follow;
-use crate::inbox::Content;
+use crate::moment::Moment;
 use crate::refused::Refused;
 use crate::rules::{Array, Limits, Refusal};
 

@@ -19,7 +19,7 @@ use heliostat_proto::{
 };
 use thiserror::Error;
 
-use crate::clock::Moment;
+use crate::moment::Moment;
 
 /// What an array may be told.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! The rules of the array's guard, one by one.
 
-use heliostat_driver::clock::Moment;
-use heliostat_driver::rules::{Array, Limits, Refusal};
+use heliostat_array::moment::Moment;
+use heliostat_array::rules::{Array, Limits, Refusal};
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, EmergencyStop, MirrorCommand, Stamp, StopAction, ValidityClock};
 

@@ -9,13 +9,13 @@ use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 
 use crate::{
-    capabilities::Force,
     intake::{Deciding, KeepWarm, Place},
     machine::MachineArgs,
     node::{self, NodeConfig, Pace},
-    policy::{ActorSource, PolicyKind},
     summary::Summary,
 };
+use heliostat_decide::{capabilities::Force, policy::PolicyKind};
+use heliostat_engine::ActorSource;
 
 /// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
 const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_controller=info,heliostat_metrics=info";
@@ -80,7 +80,7 @@ impl Args {
         if let Some(seconds) = self.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
             bail!("--seconds {seconds}: wanted 0.1 to 10000000");
         }
-        self.policy.check_takes(&self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path))?;
+        self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path).check_used_by(self.policy)?;
         let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
             bail!("--also-room {}: this room is served already; name each room once", twice.1);

@@ -15,13 +15,12 @@ use heliostat_channel::ChannelModel;
 use heliostat_proto::{ControllerControl, decode};
 use heliostat_scenario::Scenario;
 
-use crate::{
+use crate::{desk::Desk, intake::lock, post::warm_up_runs};
+use heliostat_decide::{
     core::warm_up,
-    desk::Desk,
-    intake::lock,
-    policy::{self, ActorSource, Policy, PolicyKind},
-    post::warm_up_runs,
+    policy::{Policy, PolicyKind},
 };
+use heliostat_engine::ActorSource;
 
 /// Orders that wait while a policy is being built; whoever presses faster is refused.
 const WAITING_MAX: usize = 4;
@@ -74,7 +73,7 @@ impl Workshop {
         let kind = PolicyKind::from_str(name, false).map_err(|_| unknown(name))?;
         let (own, source) = &self.own;
         let source = if kind == *own { source } else { &ActorSource::Shipped };
-        let mut policy = policy::build(kind, &self.scenario, source).map_err(|error| error.to_string())?;
+        let mut policy = heliostat_engine::build(kind, &self.scenario, source).map_err(|error| error.to_string())?;
         warm_up(&mut [policy.as_mut()], &self.model, self.scenario.users.count, warm_up_runs());
         Ok(policy)
     }

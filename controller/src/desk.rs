@@ -18,12 +18,14 @@ use heliostat_proto::{
 
 use crate::{
     control::ControlAccount,
-    core::{Accepted, Controller, Decision, Haste, Stage},
-    inbox::Message,
     ledger::{Laps, Ledger},
-    refused::{Refusal, Stream},
     rhythm::Rhythm,
     standby::Standby,
+};
+use heliostat_decide::{
+    core::{Accepted, Controller, Decision, Haste, Stage},
+    inbox::Message,
+    refusal::{Refusal, Stream},
 };
 
 /// Where room time comes from.

@@ -19,7 +19,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{desk::Desk, refused::Stream};
+use crate::desk::Desk;
+use heliostat_decide::refusal::Stream;
 
 /// Most payloads that wait.
 const CAPACITY: usize = 64;

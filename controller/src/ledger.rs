@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use heliostat_proto::{Nanos, Quantiles};
 
-use crate::core::Stage;
+use heliostat_decide::core::Stage;
 
 /// A decision should take no longer, from the entry of the callback to the return of the put.
 pub const BUDGET: Duration = Duration::from_micros(500);

@@ -3,7 +3,8 @@
 use heliostat_metrics::{Histogram, Page};
 use heliostat_proto::messages::fault;
 
-use crate::{core::Stage, post::Post};
+use crate::post::Post;
+use heliostat_decide::core::Stage;
 
 /// The bits of an array's faults by name.
 const FAULTS: [(u32, &str); 6] = [

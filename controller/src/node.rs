@@ -15,13 +15,10 @@ use heliostat_metrics::MetricsArgs;
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 
-use crate::{
+use crate::{intake::Deciding, metrics, post::Post, summary::Summary};
+use heliostat_decide::{
     capabilities::{Force, Unfit},
-    intake::Deciding,
-    metrics,
     policy::PolicyKind,
-    post::Post,
-    summary::Summary,
 };
 
 /// Time between two status reports.

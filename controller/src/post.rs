@@ -15,19 +15,21 @@ use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
 use heliostat_proto::{Capabilities, EmergencyStop, NodeKind, Room, decode, encode, keys::parse_alive};
 
 use crate::{
-    capabilities::{Examiner, Unfit},
     control::{self, Workshop},
-    core::{Controller, WARM_UP_RUNS},
     desk::{Desk, RoomClock, utc_ns},
     intake::{Deciding, Intake, attend, lock, try_lock},
     ledger::Ledger,
     node::{NodeConfig, Pace},
-    policy::{self, ActorSource},
-    refused::Stream,
     standby::Standby,
     status::{Identity, Reporter},
     summary::Summary,
 };
+use heliostat_decide::{
+    capabilities::{Examiner, Unfit},
+    core::{Controller, WARM_UP_RUNS},
+    refusal::Stream,
+};
+use heliostat_engine::ActorSource;
 
 /// How long an array is asked what it can do.
 const CAPABILITIES_WITHIN: Duration = Duration::from_millis(300);
@@ -79,7 +81,7 @@ impl Post {
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1, Class::Order),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let policy = policy::build(config.policy, scenario, &actor)?;
+        let policy = heliostat_engine::build(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
         let mut controller = Controller::new(scenario, model.clone(), policy, epoch);

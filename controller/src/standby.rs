@@ -11,7 +11,8 @@ use std::sync::{
 use heliostat_proto::{EmergencyStop, MirrorCommand, Nanos};
 use heliostat_scenario::Answer;
 
-use crate::{capabilities::Guard, intake::lock};
+use crate::intake::lock;
+use heliostat_decide::capabilities::Guard;
 
 /// The last command beside the desk.
 pub struct Standby {

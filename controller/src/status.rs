@@ -4,11 +4,13 @@ use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
 
 use crate::{
     control::ControlAccount,
-    core::{Controller, Departure},
     desk::{Desk, utc_ns},
     ledger::Ledger,
-    refused::Refusal,
     summary::Summary,
+};
+use heliostat_decide::{
+    core::{Controller, Departure},
+    refusal::Refusal,
 };
 
 /// Who reports.

@@ -5,11 +5,8 @@ use std::{collections::BTreeMap, fmt};
 use heliostat_proto::Quantiles;
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    core::{Controller, Departure, Stage},
-    ledger::Ledger,
-    post::Post,
-};
+use crate::{ledger::Ledger, post::Post};
+use heliostat_decide::core::{Controller, Departure, Stage};
 
 /// The account of one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -35,7 +35,7 @@ use crate::{
     observation::{Observation, RoomState},
     observer::{LosSource, Observer},
     policy::{Policy, PolicyError, build_fallback},
-    refused::{Refusal, Stream},
+    refusal::{Refusal, Stream},
     safety::{self, Limits},
 };
 

@@ -12,7 +12,7 @@
 use heliostat_proto::{CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, Stamp, UserReport};
 use heliostat_scenario::Scenario;
 
-use crate::refused::{Refusal, Refused, Stream};
+use crate::refusal::{Refusal, Refused, Stream};
 
 /// How far outside the room a position may be reported, in m; a tracker's noise may carry it beyond a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;

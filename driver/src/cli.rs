@@ -11,12 +11,11 @@ use clap::Subcommand;
 use heliostat_bus::BusArgs;
 use heliostat_proto::{Room, Stamp};
 
-use crate::Kit;
-use crate::calibration_file::CalibrationFile;
-use crate::check;
-use crate::clock::Moment;
 use crate::config::Config;
 use crate::run;
+use crate::{calibration_store, check};
+use heliostat_array::Kit;
+use heliostat_array::moment::Moment;
 
 /// Flags of the driver.
 #[derive(Clone, Debug, clap::Args)]
@@ -80,7 +79,7 @@ fn drive(args: &RunArgs) -> Result<()> {
     let wall = Config::load(&args.config)?.wall().with_context(|| format!("in {}", args.config.display()))?;
     let mut kit = Kit::new(wall);
     if let Some(file) = &args.calibration {
-        let corrections = CalibrationFile::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
+        let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
         kit.calibrate(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
     }
     let bus = args.bus.config_or_connect()?;

@@ -1,25 +1,8 @@
-//! The two times of a room, and the clocks that tell them.
-//!
-//! Room time stands in messages: UTC in live operation, simulated time in lockstep. Local time only ever moves forward and paces
-//! the node. They are kept apart so that a wall clock that is set does not disturb pacing, watchdogs or latencies.
+//! The clock of live operation: both times of a room.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// One instant in both times.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Moment {
-    /// Monotonic time since the start of the node in ns.
-    pub local_ns: u64,
-    /// Room time in ns.
-    pub room_ns: u64,
-}
-
-impl Moment {
-    /// An instant of simulated time, where both times are the same.
-    pub fn simulated(ns: u64) -> Self {
-        Self { local_ns: ns, room_ns: ns }
-    }
-}
+use heliostat_array::moment::Moment;
 
 /// The clock of live operation.
 #[derive(Clone, Copy, Debug)]

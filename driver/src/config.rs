@@ -145,7 +145,7 @@ impl BoardConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::Device;
+    use heliostat_array::device::Device;
 
     const TWO_BOARDS: &str = r#"
         rows = 1

@@ -4,23 +4,11 @@ use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use heliostat_proto::{Calibration, CodecError, EmergencyStop, MirrorCommand};
-
-use crate::clock::Moment;
+use heliostat_array::content::Content;
+use heliostat_array::moment::Moment;
 
 /// Most arrivals of each urgency that wait; beyond it the oldest is shed.
 const CAPACITY: usize = 256;
-
-/// A payload, decoded, or what is wrong with it.
-#[derive(Clone, Debug)]
-pub enum Content {
-    /// From the command key.
-    Command(Result<MirrorCommand, CodecError>),
-    /// From the key of the emergency stop.
-    Stop(Result<EmergencyStop, CodecError>),
-    /// From the key of the calibration.
-    Calibration(Result<Calibration, CodecError>),
-}
 
 /// One payload.
 #[derive(Clone, Debug)]
@@ -99,6 +87,8 @@ impl Inbox {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::{EmergencyStop, MirrorCommand};
+
     use super::*;
 
     fn command() -> Content {

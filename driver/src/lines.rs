@@ -8,7 +8,8 @@ use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, NodeKi
 use thiserror::Error;
 
 use crate::clock::Clock;
-use crate::inbox::{Content, Inbox};
+use crate::inbox::Inbox;
+use heliostat_array::content::Content;
 
 /// How long answers to "who is alive" are waited for.
 pub const ALIVE_LIMIT: Duration = Duration::from_secs(1);

@@ -10,11 +10,12 @@ use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_proto::{ArrayState, NodeKind, NodeStatus, Stamp};
 use serde::Serialize;
 
-use crate::clock::{Clock, Moment, as_ns};
-use crate::device::Device;
-use crate::kit::Kit;
+use crate::clock::{Clock, as_ns};
 use crate::lines::{Lines, LinesError, Outlet, check_alone, random_id};
-use crate::refused::Refused;
+use heliostat_array::device::Device;
+use heliostat_array::kit::Kit;
+use heliostat_array::moment::Moment;
+use heliostat_array::refused::Refused;
 
 /// Between two telemetry messages; the contract asks for ten a second.
 const TELEMETRY: Duration = Duration::from_millis(50);

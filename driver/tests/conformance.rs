@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use heliostat_array::content::Content;
+use heliostat_array::moment::Moment;
+use heliostat_array::refused::Refused;
 use heliostat_bus::{Bus, BusConfig, Class, Presence, free_loopback_endpoint};
 use heliostat_channel::MirrorAngles;
 use heliostat_driver::check::{self, Report, Verdict};
-use heliostat_driver::clock::{Clock, Moment};
-use heliostat_driver::inbox::Content;
+use heliostat_driver::clock::Clock;
 use heliostat_driver::lines::Lines;
-use heliostat_driver::refused::Refused;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
     AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, Room, Stamp, StopAction, ValidityClock,

@@ -8,8 +8,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;
-use heliostat_driver::clock::Moment;
 use heliostat_driver::config::Config;
 use heliostat_driver::devices::wall::Wall;
 use heliostat_driver::{Device, Kit};

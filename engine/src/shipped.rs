@@ -2,8 +2,9 @@
 
 use heliostat_scenario::Scenario;
 
-use super::PolicyKind;
-use super::actor_file::{ActorError, ActorFile};
+use heliostat_decide::policy::{PolicyKind, actor_file::ActorFile};
+
+use crate::source::SourceError;
 
 include!(concat!(env!("OUT_DIR"), "/shipped_actors.rs"));
 
@@ -30,8 +31,8 @@ const TRAINING_SEEDS_MAX: u32 = 10;
 /// The built-in actor for a scenario.
 ///
 /// # Errors
-/// [`ActorError::NotShipped`] with the names of those there are.
-pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Result<ActorFile, ActorError> {
+/// [`SourceError::NotShipped`] with the names of those there are.
+pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Result<ActorFile, SourceError> {
     let wanted = file_name(policy, scenario, u64::from(training_seed));
     match bytes(&wanted) {
         Some(bytes) => Ok(ActorFile { origin: format!("the built-in actor {wanted}"), bytes: bytes.into() }),
@@ -46,7 +47,7 @@ pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Resu
             };
             let available = names().filter(of_policy).collect::<Vec<_>>().join(", ");
             let available = if available.is_empty() { "none of this policy".into() } else { available };
-            Err(ActorError::NotShipped { policy: policy.name(), wanted, available })
+            Err(SourceError::NotShipped { policy: policy.name(), wanted, available })
         }
     }
 }

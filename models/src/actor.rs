@@ -166,7 +166,7 @@ impl Actor {
 mod tests {
     use super::*;
     use candle_core::Var;
-    use heliostat_controller::observation::ObservationEncoder;
+    use heliostat_decide::observation::ObservationEncoder;
 
     /// Of the three users.
     const LOG_WEIGHTS: [f64; 3] = [0.5, 0.25, 2.75];

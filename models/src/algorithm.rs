@@ -4,7 +4,7 @@
 //! [`Algorithm`] and its arm to each method. Checkpoints, curve, card, held-out scores and the command line follow.
 
 use anyhow::ensure;
-use heliostat_controller::policy::PolicyKind;
+use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::Scenario;
 
 use crate::learner::{Learner, with_options};

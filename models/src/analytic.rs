@@ -19,7 +19,7 @@
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{MirrorAngles, Mode, decode};
-use heliostat_controller::observation::Summary;
+use heliostat_decide::observation::Summary;
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::time::Duration;
 
-use heliostat_controller::observation::OBSERVATION_VERSION;
+use heliostat_decide::observation::OBSERVATION_VERSION;
 
 use crate::algorithm::Algorithm;
 use crate::evaluate::{Estimate, Score};

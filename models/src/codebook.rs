@@ -23,9 +23,9 @@
 
 use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode};
-use heliostat_controller::observation::Observation;
-use heliostat_controller::policy::{Policy, PolicyError};
-use heliostat_controller::safety::Limits;
+use heliostat_decide::observation::Observation;
+use heliostat_decide::policy::{Policy, PolicyError};
+use heliostat_decide::safety::Limits;
 use heliostat_scenario::{ChannelMode, Scenario};
 
 use crate::env::{Environment, Outcome, Reward};

@@ -18,7 +18,7 @@
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
+use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 use heliostat_scenario::Scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -6,9 +6,9 @@
 
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::{ChannelModel, Vec3};
-use heliostat_controller::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
+use heliostat_decide::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
 use heliostat_scenario::{ChannelMode, MinRate, Scenario};
-use heliostat_sim_node::world::World;
+use heliostat_sim::world::World;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
@@ -70,7 +70,7 @@ impl Environment {
     /// # Errors
     /// A scenario that makes no room, or one with more than [`USERS_CAPACITY`] users.
     pub fn new(scenario: &Scenario, seed: u64) -> anyhow::Result<Self> {
-        let world = World::new(scenario, seed)?;
+        let world = World::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
         let users = scenario.users.count;
         let mut observation = Observation::new(world.model(), users);
         observation.min_rate_bps.copy_from_slice(world.min_rate_bps());

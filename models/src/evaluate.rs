@@ -8,7 +8,7 @@ use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::{Method, Need, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Scene};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::world::{World, WorldError};
+use heliostat_sim::World;
 use serde::Serialize;
 
 use crate::env::Environment;
@@ -26,8 +26,8 @@ pub(crate) fn held_out_seed(set: u64, index: u64) -> u64 {
 }
 
 /// A held-out room at the instant at which its state is taken.
-pub(crate) fn held_out_world(scenario: &Scenario, set: u64, index: u64) -> Result<World, WorldError> {
-    let mut world = World::new(scenario, held_out_seed(set, index))?;
+pub(crate) fn held_out_world(scenario: &Scenario, set: u64, index: u64) -> anyhow::Result<World> {
+    let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), held_out_seed(set, index))?;
     world.step(SETTLE_S);
     Ok(world)
 }

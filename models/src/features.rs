@@ -18,7 +18,7 @@
 //!
 //! All are zero in an absent slot.
 
-use heliostat_controller::observation::{ObservationEncoder, Summary, USERS_CAPACITY};
+use heliostat_decide::observation::{ObservationEncoder, Summary, USERS_CAPACITY};
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
 

@@ -9,8 +9,8 @@
 //! with the amplitudes of the observation vector. It is largest for a user in shadow whom mirrors reach well, and zero in an absent slot. The first of equals
 //! counts. Rust and the exported graph compute the same in f32.
 
-use heliostat_controller::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_controller::policy::actor_file::INPUT_NAME;
+use heliostat_decide::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_decide::policy::actor_file::INPUT_NAME;
 use heliostat_scenario::Scenario;
 
 use crate::onnx::{Graph, Value};

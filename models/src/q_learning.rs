@@ -21,7 +21,7 @@
 //! 7. **Episodes.** 1000 of 80 steps of one second. In `specular`, seed 1, watched rooms: .50 of the oracle after a run of 600, .54 of 2500.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
+use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -4,9 +4,9 @@ use std::f64::consts::PI;
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::observation::{ObservationEncoder, USERS_CAPACITY};
-use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
-use heliostat_controller::safety::Limits;
+use heliostat_decide::observation::{ObservationEncoder, USERS_CAPACITY};
+use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
+use heliostat_decide::safety::Limits;
 use heliostat_scenario::Scenario;
 
 use crate::export::{Column, NetworkNodes};

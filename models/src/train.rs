@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use heliostat_controller::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_controller::policy::actor_file::key;
-use heliostat_controller::policy::shipped;
+use heliostat_decide::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
+use heliostat_decide::policy::actor_file::key;
+use heliostat_engine::shipped;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
 

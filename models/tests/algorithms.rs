@@ -3,9 +3,10 @@
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
-use heliostat_controller::policy::actor_file::{ActorFile, key};
-use heliostat_controller::policy::{Actor, PolicyKind};
+use heliostat_decide::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
+use heliostat_decide::policy::PolicyKind;
+use heliostat_decide::policy::actor_file::{ActorFile, key};
+use heliostat_engine::load_actor;
 use heliostat_models::algorithm::{Algorithm, Preset};
 use heliostat_models::checkpoint;
 use heliostat_models::env::{Environment, Rooms};
@@ -103,7 +104,7 @@ fn exported_graphs_answer_as_the_trainers_do() {
             let scenario = learner.scenario().clone();
             let bytes = learner.export(&metadata(&scenario)).expect("an actor");
             let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
-            let mut served = Actor::load(&file, &scenario).expect("the engine takes the graph");
+            let mut served = load_actor(&file, &scenario).expect("the engine takes the graph");
             let (mut rng, mut differ) = (ChaCha8Rng::seed_from_u64(11), 0);
             let mut got = MirrorAngles::flat(scenario.mirror_count());
             for _ in 0..OBSERVATIONS {

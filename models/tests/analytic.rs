@@ -3,7 +3,7 @@
 use candle_core::{Device, Tensor, Var};
 use heliostat_channel::decode;
 use heliostat_channel::mirrors::MirrorAngles;
-use heliostat_controller::observation::Summary;
+use heliostat_decide::observation::Summary;
 use heliostat_models::analytic::{Channel, Settings};
 use heliostat_models::env::{Environment, Reward, RewardForm, Rooms};
 use heliostat_models::features::{Head, Layout};

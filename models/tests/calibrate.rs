@@ -1,11 +1,11 @@
 //! Calibration from measured gains: what a mounting error costs, and what is won back.
 
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::calibrate::{Method, Settings, calibrate, study};
 use heliostat_models::comparison::Entrant;
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::actuator::Actuator;
-use heliostat_sim_node::random::{Purpose, stream};
+use heliostat_sim::actuator::Actuator;
+use heliostat_sim::random::{Purpose, stream};
 use indicatif::ProgressBar;
 
 const METHOD: Method = Method { dwell_s: 1e-3, search_rad: 8.0 * std::f64::consts::PI / 180.0 };
@@ -30,7 +30,7 @@ fn residual_deg(scenario: &Scenario, seed: u64, corrected: bool) -> f64 {
     let mirrors = scenario.mirror_count();
     let mut squares = Vec::new();
     for wanted_deg in [-8.0, 0.0, 8.0] {
-        let told = |axis: &heliostat_driver::calibration_file::AxisCorrections| {
+        let told = |axis: &heliostat_array::calibration_file::AxisCorrections| {
             let correct = |mirror: usize| axis.gain[mirror] * wanted_deg + axis.offset_deg[mirror];
             (0..mirrors).map(|mirror| if corrected { correct(mirror) } else { wanted_deg }.to_radians()).collect()
         };

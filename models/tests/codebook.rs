@@ -1,10 +1,10 @@
 //! Learners that choose among the entries of a codebook: the graph against the trainer, the ceiling, and whether they learn.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::observation::OBSERVATION_VERSION;
-use heliostat_controller::policy::Actor as Served;
-use heliostat_controller::policy::actor_file::{ActorFile, key};
-use heliostat_controller::safety::Limits;
+use heliostat_decide::observation::OBSERVATION_VERSION;
+use heliostat_decide::policy::Actor as Served;
+use heliostat_decide::policy::actor_file::{ActorFile, key};
+use heliostat_decide::safety::Limits;
 use heliostat_models::algorithm::{Algorithm, Preset};
 use heliostat_models::codebook::{Codebook, objective_bps};
 use heliostat_models::env::{Environment, Rooms};
@@ -46,7 +46,7 @@ fn served(learner: &dyn Learner) -> Served {
     ];
     let bytes = learner.export(&entries.map(|(key, value)| (key.to_string(), value))).expect("a file");
     let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
-    Served::load(&file, scenario).expect("the engine takes the graph")
+    heliostat_engine::load_actor(&file, scenario).expect("the engine takes the graph")
 }
 
 /// Whether two users' needs are so close that rounding may order them either way.

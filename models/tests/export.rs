@@ -1,9 +1,9 @@
 //! The exported graph against the trainer's own forward pass and the channel's decoder.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::observation::OBSERVATION_VERSION;
-use heliostat_controller::policy::Actor as Served;
-use heliostat_controller::policy::actor_file::{ActorFile, key};
+use heliostat_decide::observation::OBSERVATION_VERSION;
+use heliostat_decide::policy::Actor as Served;
+use heliostat_decide::policy::actor_file::{ActorFile, key};
 use heliostat_models::actor::{Actor, States};
 use heliostat_models::ddpg::{Settings, Trainer};
 use heliostat_models::env::{Environment, Rooms};
@@ -46,7 +46,7 @@ fn served(actor: &Actor, scenario: &Scenario) -> Served {
     let model = scenario.channel_model().expect("a valid channel");
     let bytes = export(actor, &model, &metadata).expect("an exported actor");
     let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
-    Served::load(&file, scenario).expect("the engine takes the graph")
+    heliostat_engine::load_actor(&file, scenario).expect("the engine takes the graph")
 }
 
 /// Whether the two best scores of a mirror are too close to be ordered safely.

@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use heliostat_bus::BusArgs;
 use heliostat_controller::node::{Stop, stop_channel, stop_with_parent};
-use heliostat_controller::policy::PolicyKind;
+use heliostat_decide::policy::PolicyKind;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 use serde::Serialize;

@@ -20,11 +20,12 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use heliostat_controller::capabilities::{Examiner, Force};
-use heliostat_controller::core::{Accepted, Controller, Decision, Haste, WARM_UP_RUNS};
-use heliostat_controller::inbox::Message;
-use heliostat_controller::policy::{self, ActorSource, PolicyKind};
-use heliostat_controller::refused::{Refusal, Stream};
+use heliostat_decide::capabilities::{Examiner, Force};
+use heliostat_decide::core::{Accepted, Controller, Decision, Haste, WARM_UP_RUNS};
+use heliostat_decide::inbox::Message;
+use heliostat_decide::policy::PolicyKind;
+use heliostat_decide::refusal::{Refusal, Stream};
+use heliostat_engine::ActorSource;
 use heliostat_proto::{
     Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, UserReport, decode,
 };
@@ -152,7 +153,7 @@ impl<'a> Player<'a> {
         };
         let scenario = &self.plan.scenario;
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let policy = policy::build(kind, scenario, &source)?;
+        let policy = heliostat_engine::build(kind, scenario, &source)?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(0..WARM_UP_RUNS);
         if let Some(array) = &self.array {

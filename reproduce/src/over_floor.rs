@@ -2,7 +2,7 @@
 
 use heliostat_channel::{Scene, Vec3};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 
 use crate::figure::Floor;
 

@@ -1,7 +1,8 @@
 //! The parts of which figures are made: each can be computed alone, and is named by all that it depends on.
 
 use anyhow::Result;
-use heliostat_controller::policy::{ActorSource, PolicyKind};
+use heliostat_decide::policy::PolicyKind;
+use heliostat_engine::ActorSource;
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Parser;
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::comparison::Entrant;
 use heliostat_models::{TrainArgs, run_train};
 use heliostat_scenario::Scenario;

@@ -4,7 +4,7 @@
 //! value is checked against its domain, and each refusal names the key, the value, the line and what was wanted.
 //! Simulator, controller and trainer read the same file.
 //!
-//! Only [`ScenarioArgs`], the flags that every command shares, opens a file; all else works on text.
+//! [`ScenarioArgs`], the flags that every command shares, and [`Scenario::read_trace`] open files; all else works on text.
 //!
 //! # Tables
 //! [`tables`] holds what does not change while a room runs, [`runtime`] the actuators, report streams and limits.
@@ -18,12 +18,14 @@ mod check;
 mod error;
 pub mod runtime;
 pub mod tables;
+mod trace;
 
 pub use args::ScenarioArgs;
 pub use check::{MIRRORS_MAX, USERS_MAX};
 pub use error::ScenarioError;
 pub use runtime::*;
 pub use tables::*;
+pub use trace::TraceFileError;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use heliostat_bus::BusArgs;
-use heliostat_driver::calibration_file::CalibrationFile;
+use heliostat_driver::calibration_store;
 use heliostat_metrics::{LogArgs, MetricsArgs};
 use heliostat_scenario::ScenarioArgs;
 
@@ -60,7 +60,7 @@ impl Args {
             bus: self.bus.config_or_listen()?,
             pace,
             metrics: self.metrics,
-            calibration: self.calibration.as_deref().map(CalibrationFile::load).transpose()?,
+            calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,
         })
     }
 }

@@ -11,7 +11,7 @@ use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{Capabilities, CodecError, MirrorTelemetry, NodeKind, SimulatorControl, Stamp, decode};
 
 use crate::node::NodeError;
-use crate::streams::Report;
+use heliostat_sim::streams::Report;
 
 /// From here on everything is declared within milliseconds; time begins after this.
 const START_DELAY: Duration = Duration::from_millis(30);

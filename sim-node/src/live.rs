@@ -6,13 +6,14 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use heliostat_driver::clock::{Moment, as_ns};
+use heliostat_array::moment::Moment;
+use heliostat_driver::clock::as_ns;
 
 use crate::ledger::TICK_TIMEOUT_NS;
 use crate::node::{Node, NodeError};
 use crate::reporter::ReporterThread;
-use crate::streams::Report;
 use crate::summary::Summary;
+use heliostat_sim::streams::Report;
 
 /// Longest sleep, so that a stop is noticed soon.
 const SLEEP_MAX: Duration = Duration::from_millis(50);

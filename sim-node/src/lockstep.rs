@@ -7,15 +7,15 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use heliostat_driver::clock::Moment;
-use heliostat_driver::inbox::Content;
+use heliostat_array::content::Content;
+use heliostat_array::moment::Moment;
 use heliostat_proto::MirrorCommand;
 
 use crate::node::{Node, NodeError};
 use crate::reporter::Reporter;
-use crate::streams::Report;
 use crate::summary::Summary;
-use crate::yardstick::Measured;
+use heliostat_sim::baselines::Measured;
+use heliostat_sim::streams::Report;
 
 /// How long a controller is waited for.
 const CONTROLLER_WAIT: Duration = Duration::from_secs(30);

@@ -4,7 +4,7 @@ use heliostat_metrics::{Histogram, Page};
 
 use crate::ledger::Ledger;
 use crate::summary::Summary;
-use crate::yardstick::Measured;
+use heliostat_sim::baselines::Measured;
 
 /// The page of a room, as far as the room itself knows it.
 pub(crate) fn page(room: &str, summary: &Summary, ledger: &Ledger) -> Page {

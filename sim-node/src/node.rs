@@ -3,28 +3,30 @@
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use heliostat_array::calibration::Unfit;
+use heliostat_array::calibration_file::CalibrationFile;
+use heliostat_array::moment::Moment;
+use heliostat_array::refused::Refused;
 use heliostat_bus::{BusConfig, BusError, Class};
-use heliostat_driver::calibration::Unfit;
-use heliostat_driver::calibration_file::CalibrationFile;
-use heliostat_driver::clock::{Clock, Moment};
+use heliostat_driver::clock::Clock;
 use heliostat_driver::inbox::Arrival;
 use heliostat_driver::lines::LinesError;
-use heliostat_driver::refused::Refused;
 use heliostat_metrics::{Exporter, MetricsArgs, MetricsError, Page};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Scenario, TraceFileError};
 use thiserror::Error;
 
 use crate::edge::Edge;
 use crate::ledger::Ledger;
 use crate::reporter::{Measurements, Reporter};
-use crate::room::SimulatedRoom;
-use crate::schedule::Schedule;
-use crate::streams::Reports;
 use crate::summary::Summary;
-use crate::world::WorldError;
-use crate::yardstick::Snapshot;
-use crate::{control, live, lockstep, metrics};
+use crate::{live, lockstep, metrics};
+use heliostat_sim::baselines::Snapshot;
+use heliostat_sim::control;
+use heliostat_sim::room::SimulatedRoom;
+use heliostat_sim::schedule::Schedule;
+use heliostat_sim::streams::Reports;
+use heliostat_sim::world::WorldError;
 
 /// Announcements of the array's capabilities a second.
 const CAPABILITIES_HZ: f64 = 1.0;
@@ -71,6 +73,9 @@ pub enum NodeError {
     /// The scenario describes no valid room.
     #[error(transparent)]
     World(#[from] WorldError),
+    /// The recorded walk cannot be read.
+    #[error(transparent)]
+    Trace(#[from] TraceFileError),
     /// The transport failed.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -170,7 +175,7 @@ impl Node {
         };
         let scenario = settings.scenario.clone();
         let exporter = settings.metrics.open()?;
-        let mut room = SimulatedRoom::new(&scenario, scenario.seed)?;
+        let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
             room.calibrate(Moment::default(), &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
         }

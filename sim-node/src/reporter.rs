@@ -12,9 +12,9 @@ use heliostat_proto::{NodeStatus, RoomTruth, Stamp, TruthUser};
 use crate::edge::Edge;
 use crate::metrics;
 use crate::node::NodeError;
-use crate::streams;
-use crate::world::World;
-use crate::yardstick::{Measured, Snapshot, Tally, Yardstick};
+use heliostat_sim::baselines::{Measured, Snapshot, Tally, Yardstick};
+use heliostat_sim::streams;
+use heliostat_sim::world::World;
 
 /// Jobs that may wait for the thread; beyond it an instant is not measured, and counted as skipped.
 const WAITING_MAX: usize = 4;

@@ -6,7 +6,7 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::ledger::Distribution;
-use crate::yardstick::Tally;
+use heliostat_sim::baselines::Tally;
 
 /// Mean sum rates in Mbit/s over the same instants.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

@@ -3,8 +3,8 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
+use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
-use heliostat_driver::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_driver::lines::LinesError;
 use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{

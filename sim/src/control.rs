@@ -135,7 +135,7 @@ mod tests {
     use heliostat_scenario::Scenario;
 
     fn room() -> SimulatedRoom {
-        SimulatedRoom::new(&Scenario::builtin("specular").unwrap(), 1).unwrap()
+        SimulatedRoom::new(&Scenario::builtin("specular").unwrap(), None, 1).unwrap()
     }
 
     fn names(refused: &[Refusal]) -> Vec<&'static str> {
@@ -180,7 +180,7 @@ mod tests {
         assert_eq!(draw(0.0, 3), Vec::<usize>::new());
         let scenario = Scenario::builtin("specular").unwrap();
         let scenario = scenario.with_overrides(&["actuator.stuck_share=0.3".into()]).unwrap();
-        assert_eq!(SimulatedRoom::new(&scenario, 1).unwrap().actuator().faulty_mirrors(), 30);
+        assert_eq!(SimulatedRoom::new(&scenario, None, 1).unwrap().actuator().faulty_mirrors(), 30);
     }
 
     #[test]

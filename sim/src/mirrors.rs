@@ -1,8 +1,8 @@
 //! The simulated mirrors as a device: what the driver kit turns in a room that does not exist.
 
+use heliostat_array::moment::Moment;
+use heliostat_array::{Device, DeviceError};
 use heliostat_channel::{MirrorAngles, MirrorArray};
-use heliostat_driver::clock::Moment;
-use heliostat_driver::{Device, DeviceError};
 use heliostat_proto::{AxisLimits, Capabilities, Feedback};
 use heliostat_scenario::{Actuator as Table, ActuatorParameters};
 

@@ -1,11 +1,11 @@
 //! The room with its mirrors: people, and the driver kit around the simulated array, moving through the same time.
 
+use heliostat_array::Kit;
+use heliostat_array::content::Content;
+use heliostat_array::moment::Moment;
+use heliostat_array::refused::Refused;
+use heliostat_array::rules::{Array, Refusal};
 use heliostat_channel::MirrorAngles;
-use heliostat_driver::Kit;
-use heliostat_driver::clock::Moment;
-use heliostat_driver::inbox::Content;
-use heliostat_driver::refused::Refused;
-use heliostat_driver::rules::{Array, Refusal};
 use heliostat_proto::{Calibration, Capabilities, MirrorCommand, MirrorTelemetry, Stamp};
 use heliostat_scenario::Scenario;
 
@@ -28,8 +28,8 @@ impl SimulatedRoom {
     ///
     /// # Errors
     /// [`WorldError`] as from [`World::new`].
-    pub fn new(scenario: &Scenario, seed: u64) -> Result<Self, WorldError> {
-        let world = World::new(scenario, seed)?;
+    pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
+        let world = World::new(scenario, trace, seed)?;
         let mirrors = SimulatedMirrors::new(&scenario.actuator, &world.model().mirrors, seed);
         let mut room = Self { world, kit: Kit::new(mirrors), world_ns: 0, room_ahead_ns: 0 };
         room.kit.advance(Moment::default());
@@ -55,12 +55,12 @@ impl SimulatedRoom {
     /// Corrects the mirrors' mounting.
     ///
     /// # Errors
-    /// [`Unfit`](heliostat_driver::calibration::Unfit): the correction in use stays.
+    /// [`Unfit`](heliostat_array::calibration::Unfit): the correction in use stays.
     pub fn calibrate(
         &mut self,
         at: Moment,
         calibration: &Calibration,
-    ) -> Result<(), heliostat_driver::calibration::Unfit> {
+    ) -> Result<(), heliostat_array::calibration::Unfit> {
         self.keep_time(at);
         self.kit.calibrate(at, calibration)
     }

@@ -6,8 +6,8 @@
 
 use std::collections::BTreeMap;
 
+use heliostat_array::moment::Moment;
 use heliostat_channel::{Cylinder, MirrorAngles};
-use heliostat_driver::clock::Moment;
 use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState};
 use heliostat_scenario::Streams;
 

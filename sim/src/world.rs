@@ -25,13 +25,11 @@ pub enum WorldError {
     /// The obstacles cannot be placed.
     #[error(transparent)]
     Obstacles(#[from] ObstacleError),
-    /// The file of recorded movement cannot be read.
-    #[error("users.trace: {path}: {reason}")]
-    TraceFile {
-        /// The file.
+    /// The scenario names a recorded walk, and its text was not given.
+    #[error("users.trace: {path}: expected the text of this recorded walk, found none")]
+    TraceExpected {
+        /// The file that the scenario names.
         path: String,
-        /// What the operating system says.
-        reason: std::io::Error,
     },
     /// The recorded movement is not valid.
     #[error("users.trace: {path}: {reason}")]
@@ -64,17 +62,17 @@ pub struct World {
 }
 
 impl World {
-    /// The world of a scenario; `seed` stands in place of the scenario's own. Reads the file `users.trace` where one is given.
+    /// The world of a scenario; `seed` stands in place of the scenario's own, `trace` is the text of the file `users.trace`.
     ///
     /// # Errors
     /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recording are not valid.
-    pub fn new(scenario: &Scenario, seed: u64) -> Result<Self, WorldError> {
+    pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
         let model = scenario.channel_model()?;
         let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
         let speeds = Speeds::new(scenario.users.speed_min_m_s, scenario.users.speed_max_m_s)?;
         let users = scenario.users.count;
         let mobility = match &scenario.users.trace {
-            Some(path) => Mobility::Trace(read_trace(path, users, &floor)?),
+            Some(path) => Mobility::Trace(parse_trace(path, trace, users, &floor)?),
             None => Mobility::random_waypoint(floor, speeds, users, seed),
         };
         let blockage = scenario.blockage.clone();
@@ -227,8 +225,7 @@ impl World {
     }
 }
 
-fn read_trace(path: &str, users: usize, floor: &Floor) -> Result<Trace, WorldError> {
-    let text =
-        std::fs::read_to_string(path).map_err(|reason| WorldError::TraceFile { path: path.to_owned(), reason })?;
-    Trace::parse(&text, users, floor).map_err(|reason| WorldError::Trace { path: path.to_owned(), reason })
+fn parse_trace(path: &str, text: Option<&str>, users: usize, floor: &Floor) -> Result<Trace, WorldError> {
+    let text = text.ok_or_else(|| WorldError::TraceExpected { path: path.to_owned() })?;
+    Trace::parse(text, users, floor).map_err(|reason| WorldError::Trace { path: path.to_owned(), reason })
 }

@@ -2,8 +2,8 @@
 
 use heliostat_channel::MirrorAngles;
 use heliostat_scenario::{Actuator as Table, ActuatorParameters, ActuatorProfile};
-use heliostat_sim_node::actuator::Actuator;
-use heliostat_sim_node::random::{Purpose, stream, uniform, uniform_in};
+use heliostat_sim::actuator::Actuator;
+use heliostat_sim::random::{Purpose, stream, uniform, uniform_in};
 
 const MIRRORS: usize = 6;
 
@@ -101,7 +101,7 @@ fn the_slew_limit_bounds_the_mean_speed_of_a_long_turn() {
 
 #[test]
 fn each_fault_does_what_its_name_says() {
-    use heliostat_sim_node::actuator::AxisFault;
+    use heliostat_sim::actuator::AxisFault;
     for profile in [ActuatorProfile::Ideal, ActuatorProfile::Mems] {
         let mut mirrors = actuator(&ActuatorParameters { resolution_bits: None, ..parameters(profile) });
         let to = |angle: f64| MirrorAngles { roll: vec![angle; MIRRORS], yaw: vec![angle; MIRRORS] };

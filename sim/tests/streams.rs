@@ -1,10 +1,10 @@
 //! The report streams: rates, latencies, order, noise.
 
+use heliostat_array::moment::Moment;
 use heliostat_proto::{ChannelReport, UserReport};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::SimulatedRoom;
-use heliostat_sim_node::clock::Moment;
-use heliostat_sim_node::streams::{Report, Reports};
+use heliostat_sim::SimulatedRoom;
+use heliostat_sim::streams::{Report, Reports};
 
 const MS: u64 = 1_000_000;
 const SOURCE: u64 = 42;
@@ -13,7 +13,7 @@ const SOURCE: u64 = 42;
 fn run(overrides: &[&str], until_ms: u64) -> Vec<(u64, Report)> {
     let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
     let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
-    let mut room = SimulatedRoom::new(&scenario, 3).unwrap();
+    let mut room = SimulatedRoom::new(&scenario, None, 3).unwrap();
     let mut reports = Reports::new(&scenario.streams, scenario.users.count, 3, SOURCE);
     let mut out = Vec::new();
     loop {

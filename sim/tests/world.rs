@@ -2,8 +2,8 @@
 
 use heliostat_channel::blockage::blocks;
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::World;
-use heliostat_sim_node::world::WorldError;
+use heliostat_sim::World;
+use heliostat_sim::world::WorldError;
 
 fn scenario(overrides: &[&str]) -> Scenario {
     let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
@@ -11,7 +11,7 @@ fn scenario(overrides: &[&str]) -> Scenario {
 }
 
 fn world(overrides: &[&str], seed: u64) -> World {
-    World::new(&scenario(overrides), seed).unwrap()
+    World::new(&scenario(overrides), None, seed).unwrap()
 }
 
 /// Every bit of where people are and what light they get, over a while.
@@ -122,17 +122,12 @@ fn changes_in_a_running_world_take_effect_and_nonsense_does_not() {
 
 #[test]
 fn a_recording_moves_the_users_and_a_bad_one_is_refused_with_its_line() {
-    let path = std::env::temp_dir().join(format!("heliostat-trace-{}.csv", std::process::id()));
-    let with = |text: &str| {
-        std::fs::write(&path, text).unwrap();
-        World::new(&scenario(&["users.count=1", &format!("users.trace={}", path.display())]), 1)
-    };
-    let mut recorded = with("time,user,x,y\n0,0,-1,0\n2,0,1,0\n").unwrap();
+    let with = |text| World::new(&scenario(&["users.count=1", "users.trace=walk.csv"]), text, 1);
+    let mut recorded = with(Some("time,user,x,y\n0,0,-1,0\n2,0,1,0\n")).unwrap();
     recorded.step(0.5);
     assert_eq!((recorded.positions()[0].x, recorded.positions()[0].z), (-0.5, 0.85));
-    let error = with("time,user,x,y\n0,0,-1,0\n2,0,9,0\n").unwrap_err();
+    let error = with(Some("time,user,x,y\n0,0,-1,0\n2,0,9,0\n")).unwrap_err();
     assert!(matches!(error, WorldError::Trace { .. }) && error.to_string().contains("line 3"), "{error}");
-    std::fs::remove_file(&path).unwrap();
-    let error = World::new(&scenario(&["users.trace=missing.csv"]), 1).unwrap_err();
-    assert!(error.to_string().starts_with("users.trace: missing.csv"), "{error}");
+    let error = with(None).unwrap_err();
+    assert!(error.to_string().starts_with("users.trace: walk.csv"), "{error}");
 }

@@ -10,9 +10,9 @@ use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
 use heliostat_controller::{
     intake::Deciding,
     node::{self, NodeConfig, Pace},
-    policy::PolicyKind,
     summary::Summary,
 };
+use heliostat_decide::policy::PolicyKind;
 use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{MirrorCommand, Room as RoomName, UserReport, decode, encode};
 

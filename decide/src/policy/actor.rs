@@ -1,24 +1,15 @@
 //! The trained policy: an ONNX network whose last layers are the geometric decoder, so that it gives angles itself.
 //!
-//! This is the only file that names the inference engine: tract, which is built in, or ONNX Runtime with the cargo feature `onnxruntime`. The engine
-//! copies its input and allocates at each run; our part writes into one tensor that lives as long as the actor.
-
-use std::sync::{Mutex, PoisonError};
+//! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run; our part writes into one input that lives as
+//! long as the actor.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
-use ort::{
-    environment::Environment,
-    session::{
-        Session,
-        builder::{GraphOptimizationLevel, SessionBuilder},
-    },
-    value::Tensor,
-};
 
 use super::{
     Policy, PolicyError,
-    actor_file::{ActorError, ActorFile, ActorInfo, OUTPUT_NAME},
+    actor_file::{ActorError, ActorFile, ActorInfo},
+    network::{Engine, Network},
 };
 use crate::{
     observation::{Observation, ObservationEncoder},
@@ -30,8 +21,7 @@ pub struct Actor {
     name: String,
     info: ActorInfo,
     encoder: ObservationEncoder,
-    session: Session,
-    input: Tensor<f32>,
+    network: Box<dyn Network>,
 }
 
 impl Actor {
@@ -39,15 +29,14 @@ impl Actor {
     ///
     /// # Errors
     /// [`ActorError`] that names what does not fit, and what to do.
-    pub fn load(file: &ActorFile, scenario: &Scenario) -> Result<Self, ActorError> {
+    pub fn load(file: &ActorFile, scenario: &Scenario, engine: &dyn Engine) -> Result<Self, ActorError> {
         let info = ActorInfo::read(file)?;
         info.check_fits(scenario)?;
-        let engine_refused = |message: String| ActorError::Engine { origin: file.origin.clone(), message };
-        let session = build_session(&file.bytes).map_err(|error| engine_refused(error.to_string()))?;
         let encoder = info.encoder();
-        let input = Tensor::from_array(([1, encoder.len()], vec![0.0_f32; encoder.len()]))
-            .map_err(|error| engine_refused(error.to_string()))?;
-        Ok(Self { name: "actor".into(), info, encoder, session, input })
+        let network = engine
+            .load(&file.bytes, encoder.len())
+            .map_err(|message| ActorError::Engine { origin: file.origin.clone(), message })?;
+        Ok(Self { name: "actor".into(), info, encoder, network })
     }
 
     /// The same actor under the name of a policy, for summaries.
@@ -68,7 +57,7 @@ impl Actor {
     /// # Panics
     /// Where `vector` has not the encoder's length.
     pub fn answer(&mut self, vector: &[f32], out: &mut MirrorAngles) -> Result<(), PolicyError> {
-        self.input.extract_tensor_mut().1.copy_from_slice(vector);
+        self.network.input_mut().copy_from_slice(vector);
         self.run(out)
     }
 
@@ -78,13 +67,12 @@ impl Actor {
     /// # Errors
     /// [`PolicyError`] where the engine fails.
     pub fn run_engine_alone(&mut self) -> Result<(), PolicyError> {
-        self.session.run(ort::inputs![&self.input]).map(drop).map_err(engine_failed)
+        self.network.run().map(drop)
     }
 
-    /// Runs the network on the tensor as it stands.
+    /// Runs the network on its input as it stands.
     fn run(&mut self, out: &mut MirrorAngles) -> Result<(), PolicyError> {
-        let outputs = self.session.run(ort::inputs![&self.input]).map_err(engine_failed)?;
-        let (_, angles) = outputs[OUTPUT_NAME].try_extract_tensor::<f32>().map_err(engine_failed)?;
+        let angles = self.network.run()?;
         let (roll, yaw) = angles
             .split_at_checked(self.info.mirrors)
             .filter(|(_, yaw)| yaw.len() == self.info.mirrors)
@@ -106,7 +94,7 @@ impl Policy for Actor {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        self.encoder.encode(model, observation, self.input.extract_tensor_mut().1)?;
+        self.encoder.encode(model, observation, self.network.input_mut())?;
         self.run(out)
     }
 
@@ -114,56 +102,6 @@ impl Policy for Actor {
         // It remembers nothing, and a failure shows when it matters.
         let _ = self.act(model, observation, out);
     }
-}
-
-fn build_session(bytes: &[u8]) -> ort::Result<Session> {
-    // Without the level set by hand the engine runs the graph as written, thirty times slower.
-    let builder = Session::builder(&engine()?)?.with_optimization_level(GraphOptimizationLevel::Level3)?;
-    one_thread(builder)?.commit_from_memory(bytes)
-}
-
-fn engine_failed(error: ort::Error) -> PolicyError {
-    PolicyError::Inference { message: error.to_string() }
-}
-
-/// The inference engine. It can be started only once in a process, so all actors share it.
-fn engine() -> ort::Result<Environment> {
-    static ENGINE: Mutex<Option<Environment>> = Mutex::new(None);
-    let mut engine = ENGINE.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(engine) = engine.as_ref() {
-        return Ok(engine.clone());
-    }
-    choose_engine();
-    Ok(engine.insert(ort::init().with_telemetry(false).build()?).clone())
-}
-
-#[cfg(all(feature = "tract", feature = "onnxruntime"))]
-compile_error!(
-    "the features tract and onnxruntime exclude each other: build with --no-default-features --features onnxruntime"
-);
-
-#[cfg(not(any(feature = "tract", feature = "onnxruntime")))]
-compile_error!("an inference engine is wanted: the feature tract (the default) or onnxruntime");
-
-#[cfg(feature = "tract")]
-fn choose_engine() {
-    ort::set_api(ort_tract::api());
-}
-
-/// The library is found by itself, by ORT_DYLIB_PATH.
-#[cfg(not(feature = "tract"))]
-fn choose_engine() {}
-
-/// tract uses the calling thread alone.
-#[cfg(feature = "tract")]
-fn one_thread(builder: SessionBuilder) -> ort::Result<SessionBuilder> {
-    Ok(builder)
-}
-
-/// Handing work to another thread costs more than all the work.
-#[cfg(not(feature = "tract"))]
-fn one_thread(builder: SessionBuilder) -> ort::Result<SessionBuilder> {
-    Ok(builder.with_intra_threads(1)?)
 }
 
 fn widen(values: &[f32], out: &mut [f64]) {

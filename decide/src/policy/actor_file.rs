@@ -3,10 +3,7 @@
 //! The inference engine gives no metadata, so the file is parsed by its protobuf types. Every refusal names the file, the
 //! value found, the value wanted and the way out.
 
-use std::{
-    borrow::Cow,
-    path::{Path, PathBuf},
-};
+use std::borrow::Cow;
 
 use heliostat_scenario::Scenario;
 use prost::Message;
@@ -49,36 +46,6 @@ pub mod key {
 /// Why an actor cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ActorError {
-    /// There is no such file.
-    #[error(
-        "no actor at {}: train one with `heliostat train` (`--help` lists the algorithms), give another file with --model, \
-         or choose --policy fixed-point, which needs none", path.display()
-    )]
-    Missing {
-        /// Where it was looked for.
-        path: PathBuf,
-    },
-    /// No actor is built in for this array and mode.
-    #[error(
-        "no built-in actor {wanted}; built in: {available}. Train one with `heliostat train {policy}` for this scenario and give its \
-         file (--model FILE; eval: --policies FILE.onnx), or choose --policy fixed-point, which needs none"
-    )]
-    NotShipped {
-        /// The learned policy's name.
-        policy: String,
-        /// File name of the actor that would fit.
-        wanted: String,
-        /// The built-in ones.
-        available: String,
-    },
-    /// The file is there but cannot be read.
-    #[error("cannot read the actor {}: {message}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's words.
-        message: String,
-    },
     /// The bytes are no ONNX model.
     #[error("{origin} is not an ONNX model: {message}")]
     NotOnnx {
@@ -159,22 +126,6 @@ pub struct ActorFile {
     pub origin: String,
     /// The ONNX model.
     pub bytes: Cow<'static, [u8]>,
-}
-
-impl ActorFile {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// [`ActorError::Missing`] or [`ActorError::Unreadable`].
-    pub fn read(path: &Path) -> Result<Self, ActorError> {
-        match std::fs::read(path) {
-            Ok(bytes) => Ok(Self { origin: path.display().to_string(), bytes: bytes.into() }),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                Err(ActorError::Missing { path: path.into() })
-            }
-            Err(error) => Err(ActorError::Unreadable { path: path.into(), message: error.to_string() }),
-        }
-    }
 }
 
 /// What an actor says about itself.

@@ -4,16 +4,15 @@
 //! of rates by the true evaluation, less [`QOS_PENALTY`] bit/s for each bit/s that a user is short of the minimum rate.
 //!
 //! Each decision starts anew from uniform draws, except that the first candidate starts where the mirrors stand, so that no answer is
-//! worse than to leave them. It ends with the trials or the time, whichever runs out first. This is the one place among the
-//! policies that reads a clock: without a time limit (`control.search_time_us = 0`) the answers depend on the seed alone.
-
-use std::time::{Duration, Instant};
+//! worse than to leave them. It ends with the trials or the time, whichever runs out first. Time comes from
+//! the caller: without a time limit (`control.search_time_us = 0`) the answers depend on the seed alone.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::QOS_PENALTY};
 use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::TimeSource;
 use crate::{observation::Observation, safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
@@ -44,16 +43,13 @@ pub(super) struct Round<'a> {
 /// How much a decision may cost.
 struct Budget {
     evaluations: u32,
-    time: Option<Duration>,
+    time_ns: Option<f64>,
 }
 
 impl Budget {
     fn of(control: &Control) -> Self {
         let limited = control.search_time_us > 0.0;
-        Self {
-            evaluations: control.search_evaluations,
-            time: limited.then(|| Duration::from_secs_f64(1e-6 * control.search_time_us)),
-        }
+        Self { evaluations: control.search_evaluations, time_ns: limited.then_some(1e3 * control.search_time_us) }
     }
 }
 
@@ -67,12 +63,13 @@ pub(super) struct Population {
     best: MirrorAngles,
     best_worth: f64,
     rates_bps: Vec<f64>,
-    begun: Instant,
+    monotonic_ns: TimeSource,
+    begun_ns: u64,
     evaluations: u32,
 }
 
 impl Population {
-    pub fn new(scenario: &Scenario) -> Self {
+    pub fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
         let flat = MirrorAngles::flat(scenario.mirror_count());
         Self {
             budget: Budget::of(&scenario.control),
@@ -83,7 +80,8 @@ impl Population {
             best: flat,
             best_worth: f64::NEG_INFINITY,
             rates_bps: vec![0.0; scenario.users.count],
-            begun: Instant::now(),
+            monotonic_ns,
+            begun_ns: 0,
             evaluations: 0,
         }
     }
@@ -128,7 +126,7 @@ impl Population {
     }
 
     fn draw(&mut self, observation: &Observation) {
-        self.begun = Instant::now();
+        self.begun_ns = (self.monotonic_ns)();
         self.evaluations = 0;
         self.best_worth = f64::NEG_INFINITY;
         self.worths.fill(f64::NEG_INFINITY);
@@ -146,7 +144,8 @@ impl Population {
     /// Share of the budget that is spent.
     fn spent(&self) -> f64 {
         let trials = f64::from(self.evaluations) / f64::from(self.budget.evaluations);
-        let time = self.budget.time.map_or(0.0, |time| self.begun.elapsed().as_secs_f64() / time.as_secs_f64());
+        let elapsed_ns = |limit_ns| (self.monotonic_ns)().saturating_sub(self.begun_ns) as f64 / limit_ns;
+        let time = self.budget.time_ns.map_or(0.0, elapsed_ns);
         trials.max(time)
     }
 

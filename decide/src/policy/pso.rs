@@ -15,7 +15,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::{Policy, PolicyError};
+use super::{Policy, PolicyError, TimeSource};
 use crate::observation::Observation;
 
 /// w: the constriction for c1 + c2 = 4.1.
@@ -31,8 +31,8 @@ pub struct Pso {
 
 impl Pso {
     /// With the budget and the seed of a scenario.
-    pub fn new(scenario: &Scenario) -> Self {
-        let population = Population::new(scenario);
+    pub fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
+        let population = Population::new(scenario, monotonic_ns);
         let places = population.places().to_vec();
         let memory = Memory { worths: vec![f64::NEG_INFINITY; places.len()], velocities: places.clone(), places };
         Self { population, memory }

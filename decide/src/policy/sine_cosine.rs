@@ -17,7 +17,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::{Policy, PolicyError};
+use super::{Policy, PolicyError, TimeSource};
 use crate::observation::Observation;
 
 /// r1 at the start; the author's constant.
@@ -30,8 +30,8 @@ pub struct SineCosine {
 
 impl SineCosine {
     /// With the budget and the seed of a scenario.
-    pub fn new(scenario: &Scenario) -> Self {
-        Self { population: Population::new(scenario) }
+    pub fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
+        Self { population: Population::new(scenario, monotonic_ns) }
     }
 }
 

@@ -1,22 +1,19 @@
 //! Which actors are refused, and with which words.
 
-use std::path::Path;
-
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::{
+use heliostat_decide::{
     observation::Observation,
     policy::{
-        Actor, ActorSource, Policy, PolicyKind,
+        Policy,
         actor_file::{ActorError, ActorFile, key},
-        build,
     },
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{ActorRecipe, model, scenario};
+use crate::support::{ActorRecipe, load_actor, model, scenario};
 
 fn refusal(recipe: &ActorRecipe, scenario: &Scenario) -> ActorError {
-    match Actor::load(&recipe.file(), scenario) {
+    match load_actor(&recipe.file(), scenario) {
         Ok(_) => panic!("the actor was accepted"),
         Err(error) => error,
     }
@@ -34,7 +31,7 @@ fn assert_says(error: &dyn std::error::Error, words: &[&str]) {
 fn an_actor_that_fits_acts() {
     let scenario = scenario(&[]);
     let model = model(&scenario);
-    let mut actor = Actor::load(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap();
+    let mut actor = load_actor(&ActorRecipe::fitting(&scenario).file(), &scenario).unwrap();
     let mut angles = MirrorAngles::flat(9);
     actor.act(&model, &Observation::new(&model, 3), &mut angles).unwrap();
     assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| *angle == 0.25));
@@ -42,31 +39,11 @@ fn an_actor_that_fits_acts() {
 }
 
 #[test]
-fn a_missing_file_says_how_to_get_one() {
-    let source = ActorSource::Path("/nowhere/actor.onnx".into());
-    let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &source) else { panic!("accepted") };
-    assert_eq!(error, ActorError::Missing { path: "/nowhere/actor.onnx".into() }.into());
-    assert_says(&error, &["/nowhere/actor.onnx", "heliostat train", "--policy fixed-point"]);
-}
-
-#[test]
-fn a_folder_is_no_file() {
-    let error = ActorFile::read(Path::new("/")).unwrap_err();
-    assert!(matches!(error, ActorError::Unreadable { .. }), "{error}");
-}
-
-#[test]
-fn no_actor_is_built_in_for_an_odd_array() {
-    let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
-    assert_says(&error, &["ddpg-specular-3x3.onnx", "heliostat train", "--model", "--policy fixed-point"]);
-}
-
-#[test]
 fn bytes_that_are_no_onnx_are_refused() {
     let scenario = scenario(&[]);
     for bytes in [&b"not a network"[..], b"", &[0xff; 64]] {
         let file = ActorFile { origin: "junk.onnx".into(), bytes: bytes.to_vec().into() };
-        let Err(error) = Actor::load(&file, &scenario) else { panic!("accepted") };
+        let Err(error) = load_actor(&file, &scenario) else { panic!("accepted") };
         assert!(matches!(error, ActorError::NotOnnx { .. }), "{error}");
         assert_says(&error, &["junk.onnx"]);
     }
@@ -78,7 +55,7 @@ fn a_truncated_file_is_refused() {
     let bytes = ActorRecipe::fitting(&scenario).bytes();
     for length in [1, bytes.len() / 2, bytes.len() - 1] {
         let file = ActorFile { origin: "cut.onnx".into(), bytes: bytes[..length].to_vec().into() };
-        assert!(Actor::load(&file, &scenario).is_err(), "{length} bytes were accepted");
+        assert!(load_actor(&file, &scenario).is_err(), "{length} bytes were accepted");
     }
 }
 
@@ -150,14 +127,14 @@ fn an_actor_of_another_geometry_is_refused_but_other_noise_is_not_geometry() {
     let error = refusal(&recipe, &scenario(&["mirrors.centre_height_m=1.8"]));
     assert_says(&error, &["optical geometry", "heliostat train"]);
     let noisier = scenario(&["noise.variance_a2=1e-13", "led.power_w=1.0", "users.speed_max_m_s=1.0"]);
-    assert!(Actor::load(&recipe.file(), &noisier).is_ok());
+    assert!(load_actor(&recipe.file(), &noisier).is_ok());
 }
 
 #[test]
 fn what_an_actor_gives_that_is_no_number_is_an_error() {
     let scenario = scenario(&[]);
     let recipe = ActorRecipe { bias: f32::INFINITY, ..ActorRecipe::fitting(&scenario) };
-    let mut actor = Actor::load(&recipe.file(), &scenario).unwrap();
+    let mut actor = load_actor(&recipe.file(), &scenario).unwrap();
     let vector = vec![0.0; recipe.input_length];
     let error = actor.answer(&vector, &mut MirrorAngles::flat(9)).unwrap_err();
     assert!(error.to_string().contains("mirror 0"), "{error}");

@@ -1,19 +1,19 @@
 //! What the core answers when there is no time, no report or no actor; and that rehearsals leave no trace.
 
-use heliostat_controller::{
+use heliostat_decide::{
     core::{Controller, Decision, Departure, Haste},
     inbox::Message,
-    policy::{ActorSource, PolicyError, PolicyKind, build},
+    policy::{PolicyError, PolicyKind},
 };
 use heliostat_proto::{MirrorCommand, Nanos};
 use heliostat_scenario::Scenario;
 
-use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, controller, scenario};
+use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, build, build_with, controller, scenario};
 
 /// Two ticks in time, then one that is late.
 fn late_answer(answer: &str) -> (MirrorCommand, Outcome, Controller) {
     let scenario = scenario(&[&format!("control.when_late={answer}")]);
-    let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario, &ActorSource::Shipped).unwrap());
+    let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
     let mut room = Room::new(&scenario);
     room.tick(&mut controller, 1);
     let good = room.tick(&mut controller, 2).command();
@@ -50,7 +50,7 @@ fn a_late_decision_has_the_answer_that_is_configured() {
 #[test]
 fn the_last_good_of_nothing_is_to_hold() {
     let scenario = scenario(&["control.when_stale=last-good"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario, &ActorSource::Shipped).unwrap());
+    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     assert_eq!(controller.answer_stale(Room::time(1)), Decision::Hold(Departure::Held));
     assert_eq!(controller.counters().departures(Departure::StaleReport), 1);
 }
@@ -77,7 +77,7 @@ fn an_actor_that_fails_may_be_answered_by_the_last_good() {
 /// Commands given over a silence of one second, looked at every 50 ms.
 fn silence(answer: &str) -> (Vec<MirrorCommand>, Controller) {
     let scenario = scenario(&[&format!("control.when_silent={answer}"), "control.report_age_max_ms=100"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario, &ActorSource::Shipped).unwrap());
+    let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
     assert!(controller.elapse(Room::time(1)).is_none(), "nobody was ever heard");
     let mut room = Room::new(&scenario);
     room.tick(&mut controller, 1);
@@ -110,7 +110,7 @@ fn silence_is_counted_once_and_answered_as_configured() {
 #[test]
 fn a_report_ends_the_silence() {
     let scenario = scenario(&["control.report_age_max_ms=100"]);
-    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario, &ActorSource::Shipped).unwrap());
+    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     let mut room = Room::new(&scenario);
     for (tick, silences) in [(1, 1), (100, 2)] {
         room.tick(&mut controller, tick).command();
@@ -122,8 +122,8 @@ fn a_report_ends_the_silence() {
 
 /// The commands of a walk, with so many rehearsals after each.
 fn walk(scenario: &Scenario, kind: PolicyKind, rehearsals: usize) -> Vec<MirrorCommand> {
-    let source = ActorSource::Bytes(ActorRecipe::fitting(scenario).file());
-    let mut controller = controller(scenario, build(kind, scenario, &source).unwrap());
+    let source = ActorRecipe::fitting(scenario).file();
+    let mut controller = controller(scenario, build_with(kind, scenario, &source).unwrap());
     controller.rehearse();
     let mut room = Room::new(scenario);
     let one = |tick: Nanos| {

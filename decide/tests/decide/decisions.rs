@@ -1,20 +1,20 @@
 //! What the core answers when all is well, and when it is not.
 
-use heliostat_controller::{
+use heliostat_decide::{
     core::{Departure, Stage},
     inbox::Message,
-    policy::{ActorSource, Fixed, PolicyError, PolicyKind, build},
+    policy::{Fixed, PolicyError, PolicyKind},
 };
 use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
 
-use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, controller, receive, scenario};
+use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, build, build_with, controller, receive, scenario};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
     let scenario = scenario(&["control.fallback=nearest"]);
     let failing = Scripted(|_, _| Err(PolicyError::Inference { message: "broken".into() }));
     let mut broken = controller(&scenario, Box::new(failing));
-    let mut nearest = controller(&scenario, build(PolicyKind::Nearest, &scenario, &ActorSource::Shipped).unwrap());
+    let mut nearest = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     let (mut one, mut other) = (Room::new(&scenario), Room::new(&scenario));
     let (answer, wanted) = (one.tick(&mut broken, 1).command(), other.tick(&mut nearest, 1).command());
     assert_eq!((answer.roll, answer.yaw), (wanted.roll, wanted.yaw));
@@ -44,7 +44,7 @@ fn a_value_that_is_no_number_never_leaves() {
 fn an_actor_that_gives_no_numbers_falls_back() {
     let scenario = scenario(&[]);
     let file = ActorRecipe { bias: f32::NAN, ..ActorRecipe::fitting(&scenario) }.file();
-    let actor = build(PolicyKind::Ddpg, &scenario, &ActorSource::Bytes(file)).unwrap();
+    let actor = build_with(PolicyKind::Ddpg, &scenario, &file).unwrap();
     let mut controller = controller(&scenario, actor);
     Room::new(&scenario).tick(&mut controller, 1).command();
     assert_eq!(controller.counters().departures(Departure::PolicyFailed), 1);
@@ -185,8 +185,8 @@ fn the_core_is_deterministic() {
     {
         let run = || {
             let scenario = scenario(&["control.slew_deg_per_s=2000"]);
-            let actor = ActorSource::Bytes(ActorRecipe::fitting(&scenario).file());
-            let mut controller = controller(&scenario, build(kind, &scenario, &actor).unwrap());
+            let actor = ActorRecipe::fitting(&scenario).file();
+            let mut controller = controller(&scenario, build_with(kind, &scenario, &actor).unwrap());
             controller.warm_up(0..3);
             let mut room = Room::new(&scenario);
             let (mut all, mut payload) = (Vec::new(), Vec::new());

@@ -1,10 +1,9 @@
-//! The controller from outside: reports in, decisions out, without a bus.
+//! The decision core from outside: reports in, decisions out.
 
 mod actor_files;
 mod allocations;
 mod deadlines;
 mod decisions;
-mod node;
 mod observations;
 mod policies;
 mod reports;

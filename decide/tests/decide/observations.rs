@@ -1,7 +1,7 @@
 //! The observation's layout, and what is inferred from reports.
 
 use heliostat_channel::{MirrorAngles, Vec3};
-use heliostat_controller::{
+use heliostat_decide::{
     inbox::Message,
     observation::{EncodeError, Observation, ObservationEncoder, RoomState, Summary},
     policy::Fixed,

@@ -2,13 +2,13 @@
 
 use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
-use heliostat_controller::{
+use heliostat_decide::{
     observation::{Observation, RoomState},
-    policy::{ActorSource, PolicyKind, build},
+    policy::PolicyKind,
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{ActorRecipe, scenario};
+use crate::support::{ActorRecipe, build, build_with, scenario};
 
 /// Three users of whom the first two have no direct path.
 fn observe(scenario: &Scenario) -> (ChannelModel, Observation) {
@@ -32,7 +32,7 @@ fn observe(scenario: &Scenario) -> (ChannelModel, Observation) {
 fn sum_rate(kind: PolicyKind, scenario: &Scenario) -> f64 {
     let (model, observation) = observe(scenario);
     let mut angles = MirrorAngles::flat(scenario.mirror_count());
-    let mut policy = build(kind, scenario, &ActorSource::Shipped).unwrap();
+    let mut policy = build(kind, scenario).unwrap();
     policy.act(&model, &observation, &mut angles).unwrap();
     let mut rates = [0.0; 3];
     observation.scene.rates_bps(&model, &angles, &mut rates);
@@ -49,10 +49,10 @@ fn every_policy_gives_finite_angles_in_every_mode() {
     for mode in ["specular", "paper", "paper-calibrated"] {
         let scenario = scenario(&[&format!("channel.mode={mode}")]);
         let (model, observation) = observe(&scenario);
-        let actor = ActorSource::Bytes(ActorRecipe::fitting(&scenario).file());
+        let actor = ActorRecipe::fitting(&scenario).file();
         let runs = |kind: &&PolicyKind| mode == "specular" || **kind != PolicyKind::Exhaustive;
         for kind in PolicyKind::value_variants().iter().filter(runs) {
-            let mut policy = build(*kind, &scenario, &actor).unwrap();
+            let mut policy = build_with(*kind, &scenario, &actor).unwrap();
             let mut angles = MirrorAngles { roll: vec![f64::NAN; 9], yaw: vec![f64::NAN; 9] };
             policy.act(&model, &observation, &mut angles).unwrap();
             assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| angle.is_finite()), "{mode} {kind:?}");
@@ -67,7 +67,7 @@ fn the_exhaustive_search_runs_where_it_can_and_says_what_to_take_elsewhere() {
     let (best, oracle) = (sum_rate(PolicyKind::Exhaustive, &small), sum_rate(PolicyKind::Oracle, &small));
     assert!((best / oracle - 1.0).abs() < 0.02, "{best} {oracle}");
     for (elsewhere, why) in [(large(&[]), "assignments"), (scenario(&["channel.mode=paper"]), "continuous")] {
-        let Err(error) = build(PolicyKind::Exhaustive, &elsewhere, &ActorSource::Shipped) else { panic!("accepted") };
+        let Err(error) = build(PolicyKind::Exhaustive, &elsewhere) else { panic!("accepted") };
         let text = error.to_string();
         assert!(text.contains(why) && text.contains("--policy oracle"), "{text}");
     }
@@ -101,7 +101,7 @@ fn no_irs_sends_nothing_to_anybody() {
         let scenario = large(&[&format!("channel.mode={mode}")]);
         let (model, observation) = observe(&scenario);
         let mut angles = MirrorAngles::flat(100);
-        let mut policy = build(PolicyKind::NoIrs, &scenario, &ActorSource::Shipped).unwrap();
+        let mut policy = build(PolicyKind::NoIrs, &scenario).unwrap();
         policy.act(&model, &observation, &mut angles).unwrap();
         let mut gains = [f64::NAN; 3];
         observation.scene.irs_gain(&model, &angles, &mut gains);
@@ -114,10 +114,7 @@ fn nearest_serves_whom_each_mirror_can_give_most() {
     let scenario = large(&[]);
     let (model, observation) = observe(&scenario);
     let mut angles = MirrorAngles::flat(100);
-    build(PolicyKind::Nearest, &scenario, &ActorSource::Shipped)
-        .unwrap()
-        .act(&model, &observation, &mut angles)
-        .unwrap();
+    build(PolicyKind::Nearest, &scenario).unwrap().act(&model, &observation, &mut angles).unwrap();
     let mut gains = vec![0.0; 300];
     observation.scene.irs_gain_each(&model, &angles, &mut gains);
     let steering = observation.scene.steering_gain();
@@ -133,7 +130,7 @@ fn random_is_one_draw_by_seed_within_the_range() {
     let draw = |seed: u64| {
         let scenario = large(&["control.range_deg=30", &format!("seed={seed}")]);
         let (model, observation) = observe(&scenario);
-        let mut policy = build(PolicyKind::Random, &scenario, &ActorSource::Shipped).unwrap();
+        let mut policy = build(PolicyKind::Random, &scenario).unwrap();
         let mut angles = [MirrorAngles::flat(100), MirrorAngles::flat(100)];
         policy.act(&model, &observation, &mut angles[0]).unwrap();
         policy.act(&model, &observation, &mut angles[1]).unwrap();
@@ -153,7 +150,7 @@ fn searched(kind: PolicyKind, overrides: &[&str]) -> (MirrorAngles, f64) {
     let scenario = large(&[&calibrated[..], &["control.search_time_us=0"], overrides].concat());
     let (model, observation) = observe(&scenario);
     let mut angles = MirrorAngles::flat(100);
-    build(kind, &scenario, &ActorSource::Shipped).unwrap().act(&model, &observation, &mut angles).unwrap();
+    build(kind, &scenario).unwrap().act(&model, &observation, &mut angles).unwrap();
     let mut rates = [0.0; 3];
     observation.scene.rates_bps(&model, &angles, &mut rates);
     let worth = rates.iter().map(|rate| rate - 50.0 * (1e6 - rate).max(0.0)).sum();
@@ -182,11 +179,4 @@ fn a_time_budget_ends_the_search() {
     for kind in [PolicyKind::SineCosine, PolicyKind::Pso] {
         searched(kind, &["control.search_evaluations=100000000", "control.search_time_us=500"]);
     }
-}
-
-#[test]
-fn a_file_for_a_policy_that_reads_none_is_refused() {
-    let file = ActorSource::Path("actor.onnx".into());
-    let refusal = build(PolicyKind::FixedPoint, &Scenario::default(), &file).err().expect("a refusal").to_string();
-    assert!(refusal.contains("fixed-point reads none"), "{refusal}");
 }

@@ -1,10 +1,10 @@
 //! Which reports are taken, and under which name the others are refused.
 
-use heliostat_controller::{
+use heliostat_decide::{
     core::{Controller, Departure},
     inbox::Message,
     policy::Fixed,
-    refused::{Refusal, Stream},
+    refusal::{Refusal, Stream},
 };
 use heliostat_proto::{MirrorTelemetry, Obstacle, Stamp};
 

@@ -1,13 +1,13 @@
 //! A small room that reports, and actors made to order.
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_controller::{
+use heliostat_decide::{
     core::{Controller, Decision, Departure},
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
-        Policy, PolicyError,
-        actor_file::{ActorFile, INPUT_NAME, OUTPUT_NAME, key},
+        self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
+        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
     },
 };
 use heliostat_proto::{
@@ -237,4 +237,51 @@ fn port(name: &str, length: usize) -> ValueInfoProto {
         r#type: Some(TypeProto { value: Some(type_proto::Value::TensorType(tensor)), ..TypeProto::default() }),
         ..ValueInfoProto::default()
     }
+}
+
+/// Evaluates the networks of [`ActorRecipe`]: whatever the input, they return their bias.
+pub struct BiasEngine;
+
+impl Engine for BiasEngine {
+    fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        let model = ModelProto::decode(model).map_err(|error| error.to_string())?;
+        let weights = model.graph.map(|graph| graph.initializer).unwrap_or_default();
+        let bias = weights.into_iter().find(|tensor| tensor.name == "bias").ok_or("expected a tensor \"bias\"")?;
+        Ok(Box::new(BiasNetwork { input: vec![0.0; input_length], bias: bias.float_data }))
+    }
+}
+
+struct BiasNetwork {
+    input: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+impl Network for BiasNetwork {
+    fn input_mut(&mut self) -> &mut [f32] {
+        &mut self.input
+    }
+
+    fn run(&mut self) -> Result<&[f32], PolicyError> {
+        Ok(&self.bias)
+    }
+}
+
+/// A policy by its name; learned ones with an actor that fits.
+pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
+    build_with(kind, scenario, &ActorRecipe::fitting(scenario).file())
+}
+
+/// A policy by its name, learned ones with this actor.
+pub fn build_with(kind: PolicyKind, scenario: &Scenario, actor: &ActorFile) -> Result<Box<dyn Policy>, BuildError> {
+    policy::build(kind, scenario, &Resources { actor: Some(actor), engine: &BiasEngine, monotonic_ns })
+}
+
+/// Loads an actor with the test's engine.
+pub fn load_actor(file: &ActorFile, scenario: &Scenario) -> Result<Actor, ActorError> {
+    Actor::load(file, scenario, &BiasEngine)
+}
+
+fn monotonic_ns() -> u64 {
+    static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
+    START.get_or_init(std::time::Instant::now).elapsed().as_nanos() as u64
 }

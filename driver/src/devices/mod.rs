@@ -8,7 +8,7 @@
 
 use heliostat_proto::AxisLimits;
 
-use crate::device::DeviceError;
+use heliostat_array::device::DeviceError;
 
 pub mod playzerx;
 pub mod port;

@@ -11,9 +11,9 @@ use std::time::Duration;
 
 use heliostat_proto::AxisLimits;
 
-use crate::device::DeviceError;
 use crate::devices::Board;
 use crate::devices::port::{Address, Port};
+use heliostat_array::device::DeviceError;
 
 /// Speed of the port unless told otherwise; on USB it means nothing.
 pub const BAUD: u32 = 460_800;

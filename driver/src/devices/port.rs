@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use nix::fcntl::OFlag;
 use nix::sys::termios::{self, BaudRate, SetArg, SpecialCharacterIndices};
 
-use crate::device::DeviceError;
+use heliostat_array::device::DeviceError;
 
 /// How long a socket may take to open.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);

@@ -17,9 +17,9 @@ use std::time::Duration;
 
 use heliostat_proto::AxisLimits;
 
-use crate::device::DeviceError;
 use crate::devices::Board;
 use crate::devices::port::{Address, Port};
+use heliostat_array::device::DeviceError;
 
 /// Speed of a serial port unless told otherwise, in baud.
 pub const BAUD: u32 = 115_200;

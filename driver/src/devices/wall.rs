@@ -3,9 +3,9 @@
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{AxisLimits, Capabilities, Feedback, ValidityClock};
 
-use crate::clock::Moment;
-use crate::device::{Device, DeviceError};
 use crate::devices::Board;
+use heliostat_array::device::{Device, DeviceError};
+use heliostat_array::moment::Moment;
 
 /// A board and the mirrors that its channels turn, in the order of the channels.
 pub struct Mounted {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, ensure};
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::calibrate::{Method, Row, Settings, Study, study};
 use heliostat_models::comparison::Entrant;
 use heliostat_models::evaluate::Estimate;
@@ -69,7 +69,7 @@ pub fn run(args: Args) -> Result<()> {
     };
     let (study, file) = study(&settings)?;
     if let Some(out) = &args.out {
-        file.save(out)?;
+        heliostat_driver::calibration_store::save(&file, out)?;
     }
     if args.json {
         outln!("{}", serde_json::to_string(&study)?)?;

@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, Reach, Role};
-use heliostat_controller::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_decide::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
+use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::node::Pace;

@@ -14,7 +14,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
-use heliostat_controller::policy::{self, ActorSource, PolicyKind};
+use heliostat_decide::policy::PolicyKind;
+use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_ui::{Display, Errand, Operator, Page, PageArgs, View};
@@ -162,7 +163,7 @@ impl Args {
     /// Builds the policy once here, so that an actor that does not fit is told before anything starts.
     fn check_policy(&self, scenario: &Scenario) -> Result<()> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        policy::build(self.policy, scenario, &source)
+        heliostat_engine::build(self.policy, scenario, &source)
             .context("nothing was started: the controller would have no policy")?;
         Ok(())
     }

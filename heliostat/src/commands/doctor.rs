@@ -7,7 +7,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use heliostat_controller::policy::PolicyKind;
+use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ScenarioArgs;
 use serde::Serialize;
 

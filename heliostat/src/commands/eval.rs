@@ -7,7 +7,7 @@ use std::fs::File;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Settings, compare};
 use heliostat_scenario::ScenarioArgs;
 

@@ -9,7 +9,7 @@ use heliostat_channel::link::ber_ook;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_scenario::{MinRate, Scenario, ScenarioArgs};
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 use serde::{Deserialize, Serialize};
 
 use super::mirrors::{Instant, place_of};
@@ -174,7 +174,7 @@ struct ObstacleRow {
 fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<Cylinder>, Vec<String>)> {
     let mut blockers: Vec<Cylinder> = match args.obstacles.as_str() {
         "none" => Vec::new(),
-        "seed" => World::new(scenario, scenario.seed)?.obstacles().to_vec(),
+        "seed" => World::new(scenario, scenario.read_trace()?.as_deref(), scenario.seed)?.obstacles().to_vec(),
         file => read_csv::<ObstacleRow>(file, &["x", "y", "radius", "height"], &[])?
             .into_iter()
             .map(|row| {

@@ -11,7 +11,7 @@ use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::scene::Scene;
 use heliostat_reproduce::over_floor::over_floor;
 use heliostat_scenario::{Scenario, ScenarioArgs};
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 
 use super::mirrors::Instant;
 use crate::output::outln;
@@ -81,7 +81,7 @@ pub fn run(args: Args) -> Result<()> {
     ensure!((0.0..=3600.0).contains(&args.at_seconds), "--at-seconds {}: wanted 0 to 3600", args.at_seconds);
     let svg = args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
     ensure!(svg, "--out {}: wanted a name that ends in .svg", args.out.display());
-    let mut world = World::new(&scenario, scenario.seed)?;
+    let mut world = World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
     world.step(args.at_seconds);
     let instant = Instant::new(&scenario, world.model(), world.positions(), world.blockers(), world.forced());
     let angles = instant.angles(&args.array)?;

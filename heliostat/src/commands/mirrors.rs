@@ -6,8 +6,9 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use heliostat_channel::solver::{Method, Need, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Vec3, decode};
-use heliostat_controller::observation::{Observation, RoomState};
-use heliostat_controller::policy::{ActorSource, PolicyKind, build};
+use heliostat_decide::observation::{Observation, RoomState};
+use heliostat_decide::policy::PolicyKind;
+use heliostat_engine::{ActorSource, build};
 use heliostat_scenario::Scenario;
 use serde::Deserialize;
 

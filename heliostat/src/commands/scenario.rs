@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 
 use crate::output::outln;
 
@@ -65,7 +65,7 @@ fn check(file: String, json: bool) -> Result<()> {
     let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
     let verdict = args.load().map_err(anyhow::Error::from).and_then(|scenario| {
         // The room itself: what only shows when a world is made of the file, such as a recording that cannot be read.
-        World::new(&scenario, scenario.seed)?;
+        World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         Ok(scenario)
     });
     if json {

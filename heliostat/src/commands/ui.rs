@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusArgs};
-use heliostat_controller::policy::PolicyKind;
+use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_ui::{Display, Operator, Page, PageArgs, View};
 

@@ -3,14 +3,14 @@
 //! A reading turns the mirrors, waits until they have settled, and averages the light for a while. What it gives is the simulated channel's
 //! gain at the angles at which the mirrors truly stand, with the noise of the receiver and the relative noise of `streams.channel`.
 
+use heliostat_array::moment::Moment;
+use heliostat_array::{Device, DeviceError};
 use heliostat_channel::specular::{self, Plate, bisector};
 use heliostat_channel::{ChannelModel, MirrorAngles, Scene, Vec3};
-use heliostat_driver::{Device, DeviceError};
 use heliostat_proto::{AxisLimits, Capabilities};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::clock::Moment;
-use heliostat_sim_node::mirrors::SimulatedMirrors;
-use heliostat_sim_node::random::{self, Purpose, RoomRng};
+use heliostat_sim::mirrors::SimulatedMirrors;
+use heliostat_sim::random::{self, Purpose, RoomRng};
 
 use super::locate::{Instrument, Pair};
 

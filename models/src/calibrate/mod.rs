@@ -15,7 +15,7 @@ pub mod locate;
 pub mod worth;
 
 use anyhow::{Context, ensure};
-use heliostat_driver::calibration_file::{AxisCorrections, CalibrationFile};
+use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_proto::AxisLimits;
 use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;

@@ -1,13 +1,13 @@
 //! What a calibration is worth: the sum rate of the same decisions on the same states, with mirrors that stand where their mounting puts them.
 
+use heliostat_array::Kit;
+use heliostat_array::calibration_file::CalibrationFile;
+use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;
-use heliostat_driver::Kit;
-use heliostat_driver::calibration_file::CalibrationFile;
 use heliostat_proto::{MirrorCommand, Stamp};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::World;
-use heliostat_sim_node::clock::Moment;
-use heliostat_sim_node::mirrors::SimulatedMirrors;
+use heliostat_sim::World;
+use heliostat_sim::mirrors::SimulatedMirrors;
 
 use crate::comparison::{Entrant, judge::Judge};
 use crate::evaluate::held_out_world;

@@ -7,16 +7,16 @@
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
+use heliostat_array::moment::Moment;
 use heliostat_channel::solver::Solver;
-use heliostat_controller::core::{Controller, Decision, Departure, Stage};
-use heliostat_controller::inbox::Message;
+use heliostat_decide::core::{Controller, Decision, Departure, Stage};
+use heliostat_decide::inbox::Message;
 use heliostat_proto::Stamp;
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::SimulatedRoom;
-use heliostat_sim_node::clock::Moment;
-use heliostat_sim_node::schedule::Schedule;
-use heliostat_sim_node::streams::{Report, Reports};
-use heliostat_sim_node::world::World;
+use heliostat_sim::SimulatedRoom;
+use heliostat_sim::schedule::Schedule;
+use heliostat_sim::streams::{Report, Reports};
+use heliostat_sim::world::World;
 use indicatif::ProgressBar;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -98,7 +98,7 @@ fn episodes(settings: &Settings) -> Vec<Episode> {
 
 /// What the oracle gets, who knows the true state and whose mirrors turn at once.
 fn solve(scenario: &Scenario, episode: &Episode, judge: &mut Judge) -> anyhow::Result<Vec<Sample>> {
-    let mut world = World::new(scenario, episode.seed)?;
+    let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), episode.seed)?;
     let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
     let mut now_ns = 0;
     let mut samples = Vec::new();
@@ -150,7 +150,7 @@ pub(super) struct Lockstep {
 impl Lockstep {
     pub fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
         controller.warm_up(0..2);
-        let mut room = SimulatedRoom::new(scenario, seed)?;
+        let mut room = SimulatedRoom::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
         room.advance(start_ns());
         controller.meet_array(&room.capabilities(Stamp::default()), Ok(()));
         let streams = &scenario.streams;

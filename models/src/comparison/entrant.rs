@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
-use heliostat_controller::observation::Observation;
-use heliostat_controller::policy::{ActorSource, Policy, PolicyKind, build, shipped};
-use heliostat_controller::safety::Limits;
+use heliostat_decide::observation::Observation;
+use heliostat_decide::policy::{Policy, PolicyKind};
+use heliostat_decide::safety::Limits;
+use heliostat_engine::{ActorSource, build, shipped};
 use heliostat_scenario::{Prediction, Scenario};
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 use thiserror::Error;
 
 use crate::codebook::BestEntry;

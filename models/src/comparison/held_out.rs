@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use heliostat_channel::MirrorAngles;
 use heliostat_channel::solver::Solver;
-use heliostat_controller::observation::Observation;
-use heliostat_controller::policy::Policy;
-use heliostat_controller::safety::{Limits, check_finite};
+use heliostat_decide::observation::Observation;
+use heliostat_decide::policy::Policy;
+use heliostat_decide::safety::{Limits, check_finite};
 use indicatif::ProgressBar;
 
 use super::entrant::Entrant;

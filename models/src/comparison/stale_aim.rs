@@ -1,9 +1,9 @@
 //! What is left of the light when mirrors are aimed at where people were.
 
 use heliostat_channel::solver::Solver;
-use heliostat_controller::core::Controller;
+use heliostat_decide::core::Controller;
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::SimulatedRoom;
+use heliostat_sim::SimulatedRoom;
 
 use super::closed_loop::{Episode, Lockstep};
 use super::entrant::Entrant;

@@ -9,8 +9,8 @@ mod network;
 use candle_core::Result;
 use heliostat_channel::mirrors::MirrorArray;
 use heliostat_channel::{ChannelModel, Mode, Vec3};
-use heliostat_controller::observation::Summary;
-use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
+use heliostat_decide::observation::Summary;
+use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 
 use crate::actor::{Actor, EXPONENT, SQUARINGS};
 use crate::features::{FEATURES, Head, Layout, Prior};

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
-use heliostat_controller::policy::PolicyKind;
+use heliostat_decide::policy::PolicyKind;
 use heliostat_proto::{MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
 use heliostat_scenario::Scenario;
 use serde::Serialize;

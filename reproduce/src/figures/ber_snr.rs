@@ -6,7 +6,7 @@
 
 use anyhow::Result;
 use heliostat_channel::link::ber_ook;
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{Entrant, kept_sinr};
 use heliostat_scenario::{Actuator, ActuatorProfile, MinRate, Prediction, Scenario};
 use serde::Serialize;

@@ -1,7 +1,7 @@
 //! How long a decision takes, beside the paper's half millisecond and beside the methods that search at every decision.
 
 use anyhow::{Result, ensure};
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Row, Settings, compare_under};
 use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;

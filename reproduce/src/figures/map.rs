@@ -4,10 +4,10 @@ use std::f64::consts::TAU;
 
 use anyhow::{Result, ensure};
 use heliostat_channel::{Cylinder, MirrorAngles};
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::comparison::Entrant;
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 use serde::Serialize;
 
 use super::{Done, Plan, Room};
@@ -50,7 +50,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
 impl Map {
     /// The floor under each policy, with what stands on it.
     pub(crate) fn run(&self, scenario: &Scenario, actor: &ActorSource) -> Result<Measured> {
-        let mut world = World::new(scenario, scenario.seed)?;
+        let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         world.step(SETTLE_S);
         let mut floors = Vec::new();
         for name in POLICIES {

@@ -9,7 +9,7 @@ pub mod sum_rate_iterations;
 pub mod sum_rate_power;
 
 use anyhow::Result;
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_scenario::{ChannelMode, Scenario};
 
 use crate::command;

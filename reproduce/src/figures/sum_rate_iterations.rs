@@ -5,7 +5,7 @@
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::algorithm::{Algorithm, Preset};
 use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
 use heliostat_models::evaluate::HeldOut;

@@ -1,7 +1,7 @@
 //! Fig4 to Fig6 go by their labels; this is Fig5: sum rate against optical power for several numbers of blocked users.
 
 use anyhow::{Result, ensure};
-use heliostat_controller::policy::ActorSource;
+use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;

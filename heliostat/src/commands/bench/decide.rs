@@ -9,10 +9,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use heliostat_controller::core::{Controller, Decision, Stage};
-use heliostat_controller::inbox::Message;
 use heliostat_controller::ledger::{Laps, Ledger};
-use heliostat_controller::policy::{Actor, ActorSource, PolicyKind, build};
+use heliostat_decide::core::{Controller, Decision, Stage};
+use heliostat_decide::inbox::Message;
+use heliostat_decide::policy::{Actor, PolicyKind};
+use heliostat_engine::{ActorSource, build, load_actor};
 use heliostat_proto::{UserReport, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
@@ -266,7 +267,7 @@ impl Engine {
             Ok(file) => (file, scenario),
             Err(_) => (fetch(&default)?, &default),
         };
-        let mut actor = Actor::load(&file, room)?;
+        let mut actor = load_actor(&file, room)?;
         for _ in 0..WARM_UP {
             actor.run_engine_alone()?;
         }

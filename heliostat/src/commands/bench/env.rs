@@ -15,7 +15,7 @@ use heliostat_channel::diffuse::{self, Reading};
 use heliostat_channel::specular::{self, Plate};
 use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Mode, Scene, Vec3, decode, los};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::world::World;
+use heliostat_sim::world::World;
 use serde::Serialize;
 
 use crate::output::outln;
@@ -145,7 +145,7 @@ fn measure(scenario: &Scenario, time: Duration) -> Result<Row> {
 
 /// Users, obstacles and bodies as the simulator places them; the mirrors serve the users in turn.
 fn state(scenario: &Scenario, model: &ChannelModel, seed: u64) -> Result<State> {
-    let world = World::new(scenario, seed)?;
+    let world = World::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
     let served: Vec<usize> = (0..model.mirrors.len()).map(|mirror| mirror % scenario.users.count).collect();
     let mut angles = MirrorAngles::flat(served.len());
     decode::aim(model, world.scene(), &served, &mut angles);

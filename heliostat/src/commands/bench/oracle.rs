@@ -11,7 +11,7 @@ use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_channel::solver::{Method, Need, Solver};
 use heliostat_channel::{MirrorAngles, Scene};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 use serde::Serialize;
 
 use crate::output::outln;
@@ -109,8 +109,9 @@ fn print(row: &Row) -> std::io::Result<()> {
 fn measure(mode: &str, (users, side): (usize, usize), qos: bool, time: Duration) -> Result<Row> {
     let scenario = Scenario::builtin(mode)?.with_overrides(&super::room(users, side))?;
     let model = scenario.channel_model()?;
-    let scenes =
-        (0..STATES).map(|seed| Ok(World::new(&scenario, seed)?.scene().clone())).collect::<Result<Vec<_>>>()?;
+    let scenes = (0..STATES)
+        .map(|seed| Ok(World::new(&scenario, scenario.read_trace()?.as_deref(), seed)?.scene().clone()))
+        .collect::<Result<Vec<_>>>()?;
     let min_rate_bps = scenario.min_rate_bps();
     let need = Need { min_rate_bps: &min_rate_bps, qos_penalty: if qos { QOS_PENALTY } else { 0.0 } };
     let mut solver = Solver::new(users, model.mirrors.len());

@@ -10,8 +10,9 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, Class, Publisher, Subscription, free_loopback_endpoint};
 use heliostat_controller::ledger::BUDGET;
-use heliostat_controller::policy::{self, ActorSource, PolicyKind};
 use heliostat_controller::summary::Summary;
+use heliostat_decide::policy::PolicyKind;
+use heliostat_engine::ActorSource;
 use heliostat_proto::{MirrorCommand, Room, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
@@ -71,7 +72,7 @@ impl Args {
     fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize]) -> Result<()> {
         let scenario = self.scenario.load()?;
         // Otherwise the controller's process would say so, and end, while its room waits for an answer.
-        policy::build(self.policy, &scenario, &ActorSource::Shipped)?;
+        heliostat_engine::build(self.policy, &scenario, &ActorSource::Shipped)?;
         let named: Vec<usize> = self.rooms.iter().map(|rooms| usize::from(*rooms)).collect();
         let rooms = if named.is_empty() { rooms } else { &named };
         let mut table = Table::new(self.json, title)?;

@@ -4,11 +4,11 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Reach};
-use heliostat_controller::capabilities::{Examiner, Force};
-use heliostat_controller::policy::{self, ActorSource};
+use heliostat_decide::capabilities::{Examiner, Force};
+use heliostat_engine::ActorSource;
 use heliostat_proto::{Capabilities, Room, ValidityClock, decode};
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 
 use super::{Args, Check};
 
@@ -21,7 +21,7 @@ const SAME_ANGLE_RAD: f64 = 1e-4;
 /// All of them.
 pub(super) fn checks(args: &Args) -> Vec<Check> {
     let scenario = match args.scenario.load().map_err(anyhow::Error::from).and_then(|scenario| {
-        World::new(&scenario, scenario.seed)?;
+        World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         Ok(scenario)
     }) {
         Ok(scenario) => scenario,
@@ -50,7 +50,7 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
 
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    match policy::build(args.policy, scenario, &source) {
+    match heliostat_engine::build(args.policy, scenario, &source) {
         Ok(policy) => Check::ok("policy", format!("{} fits the scenario", policy.name())),
         Err(error) => Check::fail(
             "policy",

@@ -6,7 +6,7 @@ use anyhow::Result;
 use heliostat_channel::Cylinder;
 use heliostat_reproduce::figure::Floor;
 use heliostat_scenario::Scenario;
-use heliostat_sim_node::World;
+use heliostat_sim::World;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 

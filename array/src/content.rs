@@ -1,0 +1,14 @@
+//! What arrives for an array.
+
+use heliostat_proto::{Calibration, CodecError, EmergencyStop, MirrorCommand};
+
+/// A payload, decoded, or what is wrong with it.
+#[derive(Clone, Debug)]
+pub enum Content {
+    /// From the command key.
+    Command(Result<MirrorCommand, CodecError>),
+    /// From the key of the emergency stop.
+    Stop(Result<EmergencyStop, CodecError>),
+    /// From the key of the calibration.
+    Calibration(Result<Calibration, CodecError>),
+}

@@ -1,0 +1,23 @@
+//! Calibration files on disk.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use heliostat_array::calibration_file::CalibrationFile;
+
+/// Reads a calibration file.
+///
+/// # Errors
+/// A file that cannot be read, or that is no calibration.
+pub fn load(file: &Path) -> Result<CalibrationFile> {
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    CalibrationFile::parse(&text).with_context(|| format!("in {}", file.display()))
+}
+
+/// Writes a calibration file.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn save(calibration: &CalibrationFile, file: &Path) -> Result<()> {
+    std::fs::write(file, calibration.to_toml()).with_context(|| format!("cannot write {}", file.display()))
+}

@@ -1,0 +1,46 @@
+//! The embedded engine: tract, on the calling thread.
+//!
+//! A run copies its input and allocates in tract; the tests print how often.
+
+use heliostat_decide::policy::{Engine, Network, PolicyError};
+use tract_onnx::prelude::{Framework, InferenceModelExt, IntoRunnable, Tensor, TractResult, TypedSimplePlan, tvec};
+use std::sync::Arc;
+
+/// Builds networks with tract.
+#[derive(Clone, Copy, Debug)]
+pub struct Tract;
+
+impl Engine for Tract {
+    fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        // The alternate form has the chain of causes.
+        let plan = plan(model).map_err(|error| format!("{error:#}"))?;
+        Ok(Box::new(TractNetwork { plan, input: vec![0.0; input_length], output: Vec::new() }))
+    }
+}
+
+fn plan(mut model: &[u8]) -> TractResult<Arc<TypedSimplePlan>> {
+    tract_onnx::onnx().model_for_read(&mut model)?.into_optimized()?.into_runnable()
+}
+
+struct TractNetwork {
+    plan: Arc<TypedSimplePlan>,
+    input: Vec<f32>,
+    /// A copy of the last output.
+    output: Vec<f32>,
+}
+
+impl Network for TractNetwork {
+    fn input_mut(&mut self) -> &mut [f32] {
+        &mut self.input
+    }
+
+    fn run(&mut self) -> Result<&[f32], PolicyError> {
+        let failed = |error: tract_onnx::prelude::TractError| PolicyError::Inference { message: format!("{error:#}") };
+        let input = Tensor::from_shape(&[1, self.input.len()], &self.input).map_err(failed)?;
+        let outputs = self.plan.run(tvec!(input.into())).map_err(failed)?;
+        let values = outputs[0].as_slice::<f32>().map_err(failed)?;
+        self.output.clear();
+        self.output.extend_from_slice(values);
+        Ok(&self.output)
+    }
+}

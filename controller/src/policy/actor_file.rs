@@ -8,12 +8,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use heliostat_onnx::{
+    ModelProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto::dimension::Value as Dimension, type_proto,
+};
 use heliostat_scenario::Scenario;
 use prost::Message;
 use thiserror::Error;
-use tract_onnx::pb::{
-    ModelProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto::dimension::Value as Dimension, type_proto,
-};
 
 use crate::observation::{OBSERVATION_VERSION, ObservationEncoder};
 

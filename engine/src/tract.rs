@@ -2,9 +2,10 @@
 //!
 //! A run copies its input and allocates in tract; the tests print how often.
 
+use std::sync::Arc;
+
 use heliostat_decide::policy::{Engine, Network, PolicyError};
 use tract_onnx::prelude::{Framework, InferenceModelExt, IntoRunnable, Tensor, TractResult, TypedSimplePlan, tvec};
-use std::sync::Arc;
 
 /// Builds networks with tract.
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +39,8 @@ impl Network for TractNetwork {
         let failed = |error: tract_onnx::prelude::TractError| PolicyError::Inference { message: format!("{error:#}") };
         let input = Tensor::from_shape(&[1, self.input.len()], &self.input).map_err(failed)?;
         let outputs = self.plan.run(tvec!(input.into())).map_err(failed)?;
-        let values = outputs[0].as_slice::<f32>().map_err(failed)?;
+        let view = outputs[0].try_as_plain_ram().map_err(failed)?;
+        let values = view.as_slice::<f32>().map_err(failed)?;
         self.output.clear();
         self.output.extend_from_slice(values);
         Ok(&self.output)

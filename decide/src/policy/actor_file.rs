@@ -5,12 +5,12 @@
 
 use std::borrow::Cow;
 
+use heliostat_onnx::{
+    ModelProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto::dimension::Value as Dimension, type_proto,
+};
 use heliostat_scenario::Scenario;
 use prost::Message;
 use thiserror::Error;
-use tract_onnx::pb::{
-    ModelProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto::dimension::Value as Dimension, type_proto,
-};
 
 use crate::observation::{OBSERVATION_VERSION, ObservationEncoder};
 

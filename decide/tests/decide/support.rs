@@ -10,15 +10,15 @@ use heliostat_decide::{
         actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
     },
 };
+use heliostat_onnx::{
+    GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, TensorShapeProto,
+    TypeProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto, type_proto,
+};
 use heliostat_proto::{
     ChannelReport, MirrorCommand, Nanos, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
 use prost::Message as _;
-use tract_onnx::pb::{
-    GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, TensorShapeProto,
-    TypeProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto, type_proto,
-};
 
 pub const MS: Nanos = 1_000_000;
 pub const SOURCE: u64 = 0x51;

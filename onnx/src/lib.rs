@@ -1,0 +1,43 @@
+//! The protobuf messages of ONNX files, and a builder of graphs.
+//!
+//! `src/generated.rs` is generated from `proto/onnx.proto3`, the definition that ONNX 1.23.2
+//! publishes under the licence Apache-2.0. That file documents every message and field.
+//! The test `tests/generated.rs` compares the two; run it with `HELIOSTAT_ONNX_GENERATE=1` to
+//! write `generated.rs` again after a change of the definition.
+//!
+//! ```
+//! use heliostat_onnx::{GraphProto, ModelProto, f32_row};
+//! use prost::Message;
+//!
+//! let graph = GraphProto { output: vec![f32_row("angles", 200)], ..GraphProto::default() };
+//! let model = ModelProto { ir_version: 8, graph: Some(graph), ..ModelProto::default() };
+//! let read = ModelProto::decode(&model.encode_to_vec()[..])?;
+//! assert_eq!(read.graph.expect("the graph was written").output[0].name, "angles");
+//! # Ok::<(), prost::DecodeError>(())
+//! ```
+
+pub mod graph;
+
+#[allow(missing_docs, unused_qualifications, clippy::all)]
+#[rustfmt::skip]
+mod generated;
+
+pub use generated::*;
+
+use tensor_proto::DataType;
+use tensor_shape_proto::{Dimension, dimension};
+
+/// An input or output of shape (1, `length`) whose elements are 32-bit floats.
+pub fn f32_row(name: &str, length: usize) -> ValueInfoProto {
+    let dimension =
+        |size: usize| Dimension { value: Some(dimension::Value::DimValue(size as i64)), ..Dimension::default() };
+    let tensor = type_proto::Tensor {
+        elem_type: DataType::Float as i32,
+        shape: Some(TensorShapeProto { dim: vec![dimension(1), dimension(length)] }),
+    };
+    ValueInfoProto {
+        name: name.into(),
+        r#type: Some(TypeProto { value: Some(type_proto::Value::TensorType(tensor)), ..TypeProto::default() }),
+        ..ValueInfoProto::default()
+    }
+}

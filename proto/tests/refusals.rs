@@ -53,8 +53,8 @@ fn a_payload_without_header_is_refused() {
 #[test]
 fn another_kind_is_refused_by_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
-    assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, wanted: Kind::MirrorCommand });
-    assert_eq!(error.to_string(), "payload holds a user report: wanted a mirror command");
+    assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
+    assert_eq!(error.to_string(), "payload holds a user report: expected a mirror command");
     for number in [0, 13, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
@@ -153,13 +153,13 @@ fn roll_and_yaw_go_together() {
     payload.extend_from_slice(&0.5f32.to_le_bytes());
     let error = refusal::<MirrorCommand>(&payload);
     let wanted =
-        CodecError::LengthMismatch { kind: Kind::MirrorCommand, field: "yaw", found: 1, like: "roll", wanted: 2 };
+        CodecError::LengthMismatch { kind: Kind::MirrorCommand, field: "yaw", found: 1, like: "roll", expected: 2 };
     assert_eq!(error, wanted);
-    assert_eq!(error.to_string(), "mirror command: yaw has 1 entries: wanted 2, as many as roll");
+    assert_eq!(error.to_string(), "mirror command: yaw has 1 entries: expected 2, as many as roll");
     let half = MirrorTelemetry { roll_measured: vec![0.0], ..mirror_telemetry() };
     assert!(matches!(
         encode(&half, &mut Vec::new()),
-        Err(CodecError::LengthMismatch { field: "roll_measured", found: 1, wanted: 2, .. })
+        Err(CodecError::LengthMismatch { field: "roll_measured", found: 1, expected: 2, .. })
     ));
     let short = Calibration { yaw_gain: vec![1.0], ..calibration() };
     assert!(matches!(encode(&short, &mut Vec::new()), Err(CodecError::LengthMismatch { field: "yaw_gain", .. })));
@@ -181,7 +181,7 @@ fn numbers_that_are_not_finite_are_refused_with_field_and_index() {
         }
     }
     let error = refusal::<MirrorCommand>(&with_f32(payload, end - 4, f32::NAN));
-    assert_eq!(error.to_string(), "mirror command: yaw at index 1 is NaN: wanted a finite number");
+    assert_eq!(error.to_string(), "mirror command: yaw at index 1 is NaN: expected a finite number");
 }
 
 /// A field's name, and what makes it NaN.
@@ -316,7 +316,7 @@ fn orders_without_meaning_are_refused() {
         encode(&control, &mut Vec::new()).expect_err("the order has no meaning")
     };
     let share = refused(|control| control.faults[0].share = 1.5);
-    assert_eq!(share.to_string(), "simulator control: faults.share at index 0 is 1.5: wanted a share from 0 to 1");
+    assert_eq!(share.to_string(), "simulator control: faults.share at index 0 is 1.5: expected a share from 0 to 1");
     let power = refused(|control| control.power_w = Some(-1.0));
     assert!(matches!(power, CodecError::OutOfDomain { field: "power_w", .. }));
     let speed = refused(|control| control.speed_m_s = Some([-0.1, 1.0]));
@@ -329,7 +329,7 @@ fn orders_without_meaning_are_refused() {
     let fault = payload.len() - 15;
     assert_eq!(payload[fault], 3, "the number of the fault");
     payload[fault] = 9;
-    assert!(matches!(refusal::<SimulatorControl>(&payload), CodecError::Malformed { field: "faults", .. }));
+    assert!(matches!(refusal::<SimulatorControl>(&payload), CodecError::Malformed { field: "faults.fault", .. }));
     let policy = ControllerControl { policy: "x".repeat(MAX_TEXT + 1), ..controller_control() };
     assert!(matches!(encode(&policy, &mut Vec::new()), Err(CodecError::TooMany { field: "policy", .. })));
 }
@@ -393,13 +393,13 @@ fn a_refused_message_leaves_no_bytes() {
 fn counts_are_held_against_the_receiver() {
     assert_eq!(mirror_command().check_mirrors(2), Ok(()));
     let error = mirror_command().check_mirrors(100).expect_err("the command is for two");
-    assert_eq!(error.to_string(), "mirror command for 2 mirrors: this array has 100");
+    assert_eq!(error.to_string(), "mirror command for 2 mirrors: expected 100, as many as the array has");
     assert!(mirror_telemetry().check_mirrors(3).is_err());
     assert!(capabilities().check_mirrors(3).is_err());
     assert!(calibration().check_mirrors(3).is_err());
     assert_eq!(user_report().check_users(1), Ok(()));
     let error = channel_report().check_users(5).expect_err("the report is about one");
-    assert_eq!(error, CodecError::WrongUsers { kind: Kind::ChannelReport, found: 1, wanted: 5 });
+    assert_eq!(error, CodecError::WrongUsers { kind: Kind::ChannelReport, found: 1, expected: 5 });
 }
 
 #[test]

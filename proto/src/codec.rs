@@ -1,8 +1,9 @@
 //! Messages to bytes and back; the only file that names postcard.
 //!
-//! A payload is the contract's version (one byte), the kind of message (one byte), and the fields in order as
-//! postcard writes them. A payload is either a complete, valid message or it is refused by name; [`encode`]
-//! never writes a payload that [`decode`] would refuse. The version is checked first, after the length.
+//! A payload is the contract's version (one byte), the kind of message (one byte), and the fields
+//! in order as postcard writes them. A payload is either a complete, valid message or it is refused
+//! by name; [`encode`] never writes a payload that [`decode`] would refuse. The version is checked
+//! first, after the length.
 
 use postcard::ser_flavors::{Flavor, Slice};
 use serde::{Deserialize, Serialize};
@@ -17,7 +18,8 @@ const HEADER: usize = 2;
 /// Initial size of a buffer in bytes, before the size of the message is known.
 const MIN_SIZE: usize = 256;
 
-/// A message of the contract. The message table of this crate implements it; other crates only use it.
+/// A message of the contract. The message table of this crate implements it; other crates only use
+/// it.
 pub trait Message: Default {
     /// Kind of the message.
     const KIND: Kind;
@@ -41,14 +43,15 @@ pub trait Message: Default {
     fn check(&self) -> Result<(), CodecError>;
 }
 
-/// Writes a message into a buffer and replaces its contents; allocates nothing once the buffer is large enough.
+/// Writes a message into a buffer and replaces its contents; allocates nothing once the buffer is
+/// large enough.
 ///
 /// # Errors
 /// [`CodecError`] where [`decode`] would refuse the payload; the buffer is then empty.
 pub fn encode<T: Message>(message: &T, out: &mut Vec<u8>) -> Result<(), CodecError> {
     message.check().inspect_err(|_| out.clear())?;
-    // postcard writes numbers several times faster into a slice than into a vector, which checks its
-    // capacity for each number.
+    // postcard writes numbers several times faster into a slice than into a vector, which checks
+    // its capacity for each number.
     let mut size = out.capacity().clamp(MIN_SIZE, MAX_PAYLOAD);
     loop {
         out.resize(size, 0);
@@ -85,10 +88,12 @@ pub fn decode<T: Message>(payload: &[u8]) -> Result<T, CodecError> {
     Ok(message)
 }
 
-/// Reads a message from a payload into an existing message; allocates nothing once its lists and texts are large enough.
+/// Reads a message from a payload into an existing message; allocates nothing once its lists and
+/// texts are large enough.
 ///
 /// # Errors
-/// [`CodecError`] names the fault of the payload. The message then holds a mixture of old and new fields and must not be used.
+/// [`CodecError`] names the fault of the payload. The message then holds a mixture of old and new
+/// fields and must not be used.
 pub fn decode_into<T: Message>(message: &mut T, payload: &[u8]) -> Result<(), CodecError> {
     let found = kind_of(payload)?;
     if found != T::KIND {
@@ -105,7 +110,8 @@ pub fn decode_into<T: Message>(message: &mut T, payload: &[u8]) -> Result<(), Co
 /// The kind of message that the header of a payload names.
 ///
 /// # Errors
-/// [`CodecError::Oversized`], [`CodecError::NoHeader`], [`CodecError::WrongVersion`], [`CodecError::UnknownKind`].
+/// [`CodecError::Oversized`], [`CodecError::NoHeader`], [`CodecError::WrongVersion`],
+/// [`CodecError::UnknownKind`].
 pub fn kind_of(payload: &[u8]) -> Result<Kind, CodecError> {
     if payload.len() > MAX_PAYLOAD {
         return Err(CodecError::Oversized { found: payload.len() });

@@ -1,4 +1,5 @@
-//! How the fields of messages are read, written and checked, and the macro that does so for a structure.
+//! How the fields of messages are read, written and checked, and the macro that does so for a
+//! structure.
 
 use crate::codec::{BufferFull, Reader, Unreadable, Writer};
 use crate::error::CodecError;
@@ -31,8 +32,8 @@ impl Place {
         Self { kind, field: "", index: None }
     }
 
-    /// A field of the structure at this place. A field without a name of its own keeps the name of the structure
-    /// and is told apart by its position.
+    /// A field of the structure at this place. A field without a name of its own keeps the name of
+    /// the structure and is told apart by its position.
     pub(crate) fn inside(self, name: Option<&'static str>, position: Option<usize>) -> Self {
         match name {
             Some(field) => Self { field, ..self },
@@ -238,11 +239,12 @@ impl<A: Value, B: Value> Value for (A, B) {
     }
 }
 
-/// Implements [`Value`] for a structure: reader, writer and checks take the fields in the given order.
+/// Implements [`Value`] for a structure: reader, writer and checks take the fields in the given
+/// order.
 ///
-/// Each of the three destructures the structure, so that a field missing from the list does not compile. `$naming`
-/// gives the names of the fields in refusals: `[message]` for their own, `[in users]` for `users.FIELD`,
-/// and `[]` for the name of the field that holds the structure.
+/// Each of the three destructures the structure, so that a field missing from the list does not
+/// compile. `$naming` gives the names of the fields in refusals: `[message]` for their own, `[in
+/// users]` for `users.FIELD`, and `[]` for the name of the field that holds the structure.
 macro_rules! implement_value {
     (
         $structure:ident, $naming:tt,

@@ -1,4 +1,5 @@
-//! Key expressions of a room: the room's name, the contract's version, and one key for each message.
+//! Key expressions of a room: the room's name, the contract's version, and one key for each
+//! message.
 
 use std::fmt;
 use std::str::FromStr;
@@ -35,7 +36,8 @@ pub enum RoomError {
     },
 }
 
-/// The name of a room, 1 to 64 ASCII letters, digits, '-' or '_'; it gives the keys of the room's messages.
+/// The name of a room, 1 to 64 ASCII letters, digits, '-' or '_'; it gives the keys of the room's
+/// messages.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Room {
     name: String,

@@ -1,11 +1,12 @@
 //! The contract between rooms, controllers and mirror drivers: messages, keys and the codec.
 //!
-//! Trackers publish the positions of the users, receivers the measured channel gains, a controller the mirror
-//! angles, and a mirror driver the state of the array. This crate defines the bytes and the key of each
-//! message. It knows no transport and reads no clock. `CONTRACT.md` at the root of the repository describes the
-//! same bytes for drivers in other languages.
+//! Trackers publish the positions of the users, receivers the measured channel gains, a controller
+//! the mirror angles, and a mirror driver the state of the array. This crate defines the bytes and
+//! the key of each message. It knows no transport and reads no clock. `CONTRACT.md` at the root of
+//! the repository describes the same bytes for drivers in other languages.
 //!
-//! - `table.rs`: the message table, the only place where a message or one of its fields is written down.
+//! - `table.rs`: the message table, the only place where a message or one of its fields is written
+//!   down.
 //! - [`messages`]: the messages that the table yields.
 //! - `structures.rs`: the structures and enumerations in the fields of messages.
 //! - [`codec`]: messages to bytes and back; it refuses everything malformed by name.

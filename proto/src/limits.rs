@@ -21,7 +21,8 @@ pub const MAX_ENTRIES: usize = 256;
 /// Longest text in bytes of UTF-8.
 pub const MAX_TEXT: usize = 1024;
 
-/// Largest lead of a sender's clock in ns. A receiver refuses a message whose time is later than this.
+/// Largest lead of a sender's clock in ns. A receiver refuses a message whose time is later than
+/// this.
 pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
 
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.

@@ -1,6 +1,7 @@
 //! The messages: structs with their readers, writers and checks, from the message table.
 //!
-//! Positions are in m in the room's frame: origin at the centre of the floor, z up. Angles are in rad and mechanical.
+//! Positions are in m in the room's frame: origin at the centre of the floor, z up. Angles are in
+//! rad and mechanical.
 
 use crate::codec::{BufferFull, Message, Reader, Writer};
 use crate::error::CodecError;
@@ -60,7 +61,8 @@ message_table!(define_messages);
 pub mod fault {
     /// The device does not answer.
     pub const LINK: u32 = 1;
-    /// At least one mirror does not follow commands; see [`unusable`](super::MirrorTelemetry::unusable).
+    /// At least one mirror does not follow commands; see
+    /// [`unusable`](super::MirrorTelemetry::unusable).
     pub const MIRROR: u32 = 1 << 1;
     /// The temperature is outside its range.
     pub const TEMPERATURE: u32 = 1 << 2;

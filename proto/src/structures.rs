@@ -1,8 +1,9 @@
 //! Structures and enumerations that the fields of messages consist of.
 //!
-//! Positions are in m in the room's frame: origin at the centre of the floor, z up. Angles are in rad and mechanical.
-//! `structure NAME in LIST` names the fields in refusals after the list that holds the structure, for example
-//! `users.position_m`. The order of the fields is the order of their bytes, so it never changes within a version.
+//! Positions are in m in the room's frame: origin at the centre of the floor, z up. Angles are in
+//! rad and mechanical. `structure NAME in LIST` names the fields in refusals after the list that
+//! holds the structure, for example `users.position_m`. The order of the fields is the order of
+//! their bytes, so it never changes within a version.
 
 use std::fmt;
 
@@ -94,16 +95,19 @@ structures! {
         accepted: u64,
         /// Accepted commands with at least one angle outside its range, which the driver clamped.
         clipped: u64,
-        /// Accepted commands that arrived after the end of validity of the previous one, while the array held or was parked.
+        /// Accepted commands that arrived after the end of validity of the previous one, while the
+        /// array held or was parked.
         late: u64,
-        /// Commands refused as malformed: undecodable, not finite, or for another number of mirrors.
+        /// Commands refused as malformed: undecodable, not finite, or for another number of
+        /// mirrors.
         rejected: u64,
         /// Commands refused because a command of a higher epoch was applied before.
         old_epoch: u64,
-        /// Commands refused because this sequence number or a later one of the epoch was applied before.
+        /// Commands refused because this sequence number or a later one of the epoch was applied
+        /// before.
         old_sequence: u64,
-        /// Commands refused because their validity had ended on arrival, or because their time was later than now by
-        /// more than [`CLOCK_LEAD_MAX_NS`](crate::CLOCK_LEAD_MAX_NS).
+        /// Commands refused because their validity had ended on arrival, or because their time was
+        /// later than now by more than [`CLOCK_LEAD_MAX_NS`](crate::CLOCK_LEAD_MAX_NS).
         expired: u64,
         /// Commands refused because an emergency stop is latched.
         stopped: u64,
@@ -160,8 +164,8 @@ structures! {
         no_irs: f64,
         /// Sum rate with all mirrors flat, in bit/s.
         flat: f64,
-        /// Sum rate in bit/s with the best angles of the solver, which satisfies minimum rates first. A policy that
-        /// leaves a minimum rate unsatisfied can exceed it.
+        /// Sum rate in bit/s with the best angles of the solver, which satisfies minimum rates
+        /// first. A policy that leaves a minimum rate unsatisfied can exceed it.
         oracle: f64,
     }
 
@@ -184,14 +188,16 @@ structures! {
     structure MirrorFault in faults {
         /// Kind of fault.
         fault: FaultKind,
-        /// Duration of [`FaultKind::Offline`] and [`FaultKind::Reboot`], and delay of commands under
-        /// [`FaultKind::Late`], in s; ignored by the others.
+        /// Duration of [`FaultKind::Offline`] and [`FaultKind::Reboot`], and delay of commands
+        /// under [`FaultKind::Late`], in s; ignored by the others.
         seconds: f32 where not_negative,
-        /// Share of all mirrors, from 0 to 1, rounded to a number of mirrors; used where `mirrors` is empty.
+        /// Share of all mirrors, from 0 to 1, rounded to a number of mirrors; used where `mirrors`
+        /// is empty.
         share: f32 where share,
         /// Seed of the draw of that share; the same seed draws the same mirrors.
         seed: u64,
-        /// Indices of the mirrors; empty where a share is drawn, or where the fault concerns the array as a whole.
+        /// Indices of the mirrors; empty where a share is drawn, or where the fault concerns the
+        /// array as a whole.
         mirrors: Vec<u32> where at_most(MAX_MIRRORS),
     }
 }
@@ -259,7 +265,8 @@ macro_rules! enumerations {
 enumerations! {
     /// State of the array.
     enumeration ArrayState {
-        /// At the park position: no command yet, or none for longer than the driver holds the last one.
+        /// At the park position: no command yet, or none for longer than the driver holds the last
+        /// one.
         #[default]
         Parked = 0 "parked",
         /// Moving to, or at, the angles of a valid command.
@@ -286,7 +293,8 @@ enumerations! {
         /// From the time of the command; the driver's clock is synchronised to UTC.
         #[default]
         SourceTime = 0 "source-time",
-        /// From the arrival of the command; the driver has no such clock and cannot detect delayed commands.
+        /// From the arrival of the command; the driver has no such clock and cannot detect delayed
+        /// commands.
         Arrival = 1 "arrival",
     }
 
@@ -301,7 +309,8 @@ enumerations! {
 
     /// Fault of simulated mirrors.
     enumeration FaultKind {
-        /// No fault: ends all faults of the mirrors except late, offline and reboot, which concern the array.
+        /// No fault: ends all faults of the mirrors except late, offline and reboot, which concern
+        /// the array.
         #[default]
         Healed = 0 "healed",
         /// Both axes keep their angles.

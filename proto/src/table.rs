@@ -1,8 +1,9 @@
 //! The table of messages: the only place where a message or one of its fields is written down.
 //!
-//! Three files expand the table: `kind.rs` to [`Kind`](crate::Kind), `messages.rs` to the structs with their
-//! readers, writers and checks, and `keys.rs` to the methods of [`Room`](crate::Room) that give the keys.
-//! The order of the fields is the order of their bytes, so it never changes within a version.
+//! Three files expand the table: `kind.rs` to [`Kind`](crate::Kind), `messages.rs` to the structs
+//! with their readers, writers and checks, and `keys.rs` to the methods of [`Room`](crate::Room)
+//! that give the keys. The order of the fields is the order of their bytes, so it never changes
+//! within a version.
 //!
 //! # How to write a message
 //! ```text
@@ -16,13 +17,15 @@
 //!     capacity_wh: Vec<f32> where at_most(MAX_ENTRIES) and not_negative,
 //! } requires { same_length(capacity_wh, charge) }
 //! ```
-//! This yields `Kind::BatteryReport`, `struct BatteryReport` with public fields, `encode` and `decode` for it,
-//! and `Room::battery()`. CONTRACT.md and the golden bytes in `tests/golden.rs` need their entries too.
+//! This yields `Kind::BatteryReport`, `struct BatteryReport` with public fields, `encode` and
+//! `decode` for it, and `Room::battery()`. CONTRACT.md and the golden bytes in `tests/golden.rs`
+//! need their entries too.
 //!
-//! - The type of a field is a number, a bool, a text, an `Option`, an array, a `Vec`, a pair, or a type of
-//!   `structures.rs`. Every `f32` and `f64` must be finite, every text at most [`MAX_TEXT`](crate::MAX_TEXT)
-//!   bytes long. The type implies both rules.
-//! - `where` adds rules for one field: the methods of `Bounds` in `fields.rs`. A `Vec` needs `at_most`.
+//! - The type of a field is a number, a bool, a text, an `Option`, an array, a `Vec`, a pair, or a
+//!   type of `structures.rs`. Every `f32` and `f64` must be finite, every text at most
+//!   [`MAX_TEXT`](crate::MAX_TEXT) bytes long. The type implies both rules.
+//! - `where` adds rules for one field: the methods of `Bounds` in `fields.rs`. A `Vec` needs
+//!   `at_most`.
 //! - `requires` adds rules that involve several fields: functions at the end of `fields.rs`.
 
 /// Calls the macro with the given name on the whole table.
@@ -59,7 +62,8 @@ macro_rules! message_table {
 
             /// Angles for every mirror of the array.
             message MirrorCommand(kind: 4, name: "mirror command", key: command = "mirrors/command") {
-                /// Epoch of the sending controller, at least 1. A driver refuses epochs lower than the highest it applied.
+                /// Epoch of the sending controller, at least 1. A driver refuses epochs lower than
+                /// the highest it applied.
                 epoch: u64,
                 /// Sequence number within the epoch, from 1.
                 sequence: u64,
@@ -67,7 +71,8 @@ macro_rules! message_table {
                 answers: u64,
                 /// Time at which the controller made the command, in ns.
                 time_ns: Nanos,
-                /// Duration in ms after `time_ns` for which a driver may apply and then hold the command.
+                /// Duration in ms after `time_ns` for which a driver may apply and then hold the
+                /// command.
                 validity_ms: u32,
                 /// Mechanical roll of each mirror in rad, in index order.
                 roll: Vec<f32> where at_most(MAX_MIRRORS),
@@ -137,7 +142,8 @@ macro_rules! message_table {
                 counters: Vec<(String, u64)> where at_most(MAX_ENTRIES),
                 /// Present values, by name; the name ends in the unit.
                 gauges: Vec<(String, f64)> where at_most(MAX_ENTRIES),
-                /// Distributions since the start in us, by name: `decision`, `loop`, `age` and stages.
+                /// Distributions since the start in us, by name: `decision`, `loop`, `age` and
+                /// stages.
                 timings: Vec<(String, Quantiles)> where at_most(MAX_ENTRIES),
                 /// The latest problem; empty where there was none.
                 last_problem: String,
@@ -157,7 +163,8 @@ macro_rules! message_table {
                 sum_rate_bps: SumRates,
             }
 
-            /// Properties of an array; a driver announces them at its start, every second, and on request.
+            /// Properties of an array; a driver announces them at its start, every second, and on
+            /// request.
             message Capabilities(kind: 8, name: "capabilities message", key: capabilities = "mirrors/capabilities") {
                 /// Source, sequence, time.
                 stamp: Stamp,
@@ -179,16 +186,19 @@ macro_rules! message_table {
                 validity_clock: ValidityClock,
                 /// Highest rate of commands in Hz; 0 where unknown.
                 command_rate_max_hz: f32 where not_negative,
-                /// Duration in ms for which the mirrors hold after the end of validity, before they park.
+                /// Duration in ms for which the mirrors hold after the end of validity, before they
+                /// park.
                 park_after_ms: u32,
                 /// Roll and yaw of the park position in rad.
                 park_rad: [f32; 2],
             } requires { mirrors_within_limit(rows, columns) }
 
-            /// Stops an array, or allows it to move again; the stop is latched until a later re-arm.
+            /// Stops an array, or allows it to move again; the stop is latched until a later
+            /// re-arm.
             #[derive(Eq)]
             message EmergencyStop(kind: 9, name: "emergency stop", key: stop = "mirrors/stop") {
-                /// Source, sequence, time. A re-arm counts only when its time is later than that of the last stop.
+                /// Source, sequence, time. A re-arm counts only when its time is later than that of
+                /// the last stop.
                 stamp: Stamp,
                 /// Stop or re-arm.
                 action: StopAction,
@@ -198,9 +208,11 @@ macro_rules! message_table {
                 reason: String,
             }
 
-            /// Corrections for the mounting of each mirror: the device is set to `gain * angle + offset`.
+            /// Corrections for the mounting of each mirror: the device is set to `gain * angle +
+            /// offset`.
             message Calibration(kind: 10, name: "calibration", key: calibration = "mirrors/calibration") {
-                /// Source, sequence, time; telemetry repeats the sequence number of the calibration in use.
+                /// Source, sequence, time; telemetry repeats the sequence number of the calibration
+                /// in use.
                 stamp: Stamp,
                 /// Offset of roll of each mirror in rad.
                 roll_offset_rad: Vec<f32> where at_most(MAX_MIRRORS),
@@ -216,11 +228,13 @@ macro_rules! message_table {
                 same_length(yaw_gain, roll_offset_rad),
             }
 
-            /// A change in a simulated room; absent fields change nothing. A real room has no such key.
+            /// A change in a simulated room; absent fields change nothing. A real room has no such
+            /// key.
             message SimulatorControl(kind: 11, name: "simulator control", key: simulator_control = "sim/control") {
                 /// Source, sequence, time.
                 stamp: Stamp,
-                /// Number of users, counted from the first, whose direct path is forced off; all other paths are on.
+                /// Number of users, counted from the first, whose direct path is forced off; all
+                /// other paths are on.
                 forced_users: Option<u32>,
                 /// Transmitted optical power in W.
                 power_w: Option<f32> where not_negative,

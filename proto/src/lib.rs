@@ -16,7 +16,8 @@
 //! ```
 //! use heliostat_proto::{MirrorCommand, Room, decode, encode};
 //!
-//! let command = MirrorCommand { epoch: 1, sequence: 1, roll: vec![0.1], yaw: vec![0.0], ..Default::default() };
+//! let (roll, yaw) = (vec![0.1], vec![0.0]);
+//! let command = MirrorCommand { epoch: 1, sequence: 1, roll, yaw, ..Default::default() };
 //! let mut payload = Vec::new();
 //! encode(&command, &mut payload)?;
 //! assert_eq!(decode::<MirrorCommand>(&payload)?, command);

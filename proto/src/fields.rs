@@ -67,14 +67,16 @@ impl Place {
     /// The one check that a number is finite, and within its bounds.
     #[inline]
     fn check_number(self, value: f64, bounds: Bounds) -> Result<(), CodecError> {
-        if !value.is_finite() {
-            let index = self.index.unwrap_or(0);
-            return Err(CodecError::NotFinite { kind: self.kind, field: self.field, index, value });
+        // Comparisons with NaN are false, and all bounds are finite.
+        if value >= bounds.least && value <= bounds.most { Ok(()) } else { Err(self.bad_number(value, bounds)) }
+    }
+
+    #[cold]
+    fn bad_number(self, value: f64, bounds: Bounds) -> CodecError {
+        if value.is_finite() {
+            return self.out_of_domain(value, bounds.expected);
         }
-        if value < bounds.least || value > bounds.most {
-            return Err(self.out_of_domain(value, bounds.expected));
-        }
-        Ok(())
+        CodecError::NotFinite { kind: self.kind, field: self.field, index: self.index.unwrap_or(0), value }
     }
 }
 
@@ -89,8 +91,7 @@ pub(crate) struct Bounds {
 
 impl Bounds {
     /// No rule; a list has no entries until [`at_most`](Self::at_most) allows some.
-    pub(crate) const NONE: Self =
-        Self { entries: 0, least: f64::NEG_INFINITY, most: f64::INFINITY, expected: "a finite number" };
+    pub(crate) const NONE: Self = Self { entries: 0, least: f64::MIN, most: f64::MAX, expected: "a finite number" };
 
     /// A list has at most this many entries.
     pub(crate) const fn at_most(self, entries: usize) -> Self {

@@ -332,6 +332,7 @@ enumerations! {
     }
 
     /// Kind of process that takes part in a room.
+    #[derive(Serialize, Deserialize)]
     enumeration NodeKind {
         /// Decides the mirror angles.
         #[default]

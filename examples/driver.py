@@ -1,9 +1,10 @@
-"""A mirror driver in plain Python: the eclipse-zenoh package carries the messages, the codec of CONTRACT.md reads them.
+"""A mirror driver in Python: the package eclipse-zenoh transports the messages, the codec of CONTRACT.md decodes them.
 
     pip install eclipse-zenoh
     python3 examples/driver.py ROOM tcp/127.0.0.1:7447[,ENDPOINT...] ROWS COLUMNS [SECONDS]
 
-Its mirrors are a list of numbers: put what turns yours into `Mirrors.turn`. Everything else is section 4 of CONTRACT.md.
+Its mirrors are lists of angles: replace `Mirrors.turn` with calls of your hardware. The rest implements section 4 of
+CONTRACT.md, "Rules for a driver".
 """
 import json
 import pathlib
@@ -33,7 +34,7 @@ class Mirrors:
         self.park()
 
     def turn(self, roll, yaw):
-        """Your hardware goes here. This one is where it is told to be."""
+        """Replace this with calls of your hardware. These mirrors reach every commanded angle at once."""
         self.roll, self.yaw = roll, yaw
 
     def park(self):
@@ -41,7 +42,7 @@ class Mirrors:
         self.turn([0.0] * self.count, [0.0] * self.count)
 
     def refusal(self, command, now):
-        """The counter under which a command is refused, or None: the rules in their order."""
+        """The counter of a refused command, or None for a command to apply. The rules of section 4 in their order."""
         if len(command["roll"]) != self.count:
             return "rejected"
         if self.state == STOPPED:
@@ -81,7 +82,7 @@ class Mirrors:
             self.park()
 
     def calibrate(self, payload):
-        """These mirrors need none: only one that changes nothing fits their hardware."""
+        """Accepts only a calibration that changes nothing, since these mirrors have no errors to correct."""
         self.faults |= CALIBRATION
         new = decode(payload, 10)
         lists = [new[axis + part] for part in ("_offset_rad", "_gain") for axis in ("roll", "yaw")]
@@ -122,17 +123,17 @@ def main(room, endpoints, rows, columns, seconds="1e9"):
         config.insert_json5(key, json.dumps(value))
     mirrors, lock, base = Mirrors(int(rows), int(columns)), threading.Lock(), "heliostat/v1/%s/" % room
 
-    def hear(act):
-        def heard(sample):
+    def locked(handle):
+        def callback(sample):
             with lock:
                 try:
-                    act(bytes(sample.payload))
+                    handle(bytes(sample.payload))
                 except Refused as problem:
                     print("refused:", problem, file=sys.stderr)
-        return heard
+        return callback
 
     with zenoh.open(config) as session:
-        declared = [session.declare_subscriber(base + key, hear(act)) for key, act in [
+        declared = [session.declare_subscriber(base + key, locked(handle)) for key, handle in [
             ("mirrors/command", mirrors.command), ("mirrors/stop", mirrors.stop),
             ("mirrors/calibration", mirrors.calibrate)]]
         key = base + "mirrors/capabilities"
@@ -142,8 +143,8 @@ def main(room, endpoints, rows, columns, seconds="1e9"):
         while time.monotonic() < end:
             with lock:
                 mirrors.pass_time()
-                told = mirrors.telemetry(turn + 1)
-            session.put(base + "mirrors/telemetry", told)
+                telemetry = mirrors.telemetry(turn + 1)
+            session.put(base + "mirrors/telemetry", telemetry)
             if turn % 20 == 0:
                 session.put(key, mirrors.capabilities(turn // 20 + 1))
             turn += 1

@@ -1,4 +1,4 @@
-//! Who listens where, who connects whither, and how Zenoh is set up for short delays.
+//! Endpoints of a session, and the settings of Zenoh for short delays.
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::TcpListener;
@@ -9,79 +9,80 @@ use zenoh::config::{Config, EndPoint};
 
 use crate::error::BusError;
 
-/// Where the first process of a room listens, and others connect, unless told otherwise.
+/// Default endpoint: one process of a room listens there, the others connect to it.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// How long a client started from the command line looks for its router.
-const ROUTER_PATIENCE: Duration = Duration::from_secs(5);
+/// Time limit for a client started from the command line to reach its router.
+const ROUTER_LIMIT: Duration = Duration::from_secs(5);
 
-/// How a session takes part in the network.
+/// Role of a session in the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Role {
-    /// Talks to others directly.
+    /// Exchanges messages with other peers directly.
     #[default]
     Peer,
-    /// Talks to one router only.
+    /// Exchanges messages through one router only.
     Client,
 }
 
-/// What opening does when nobody answers yet.
+/// Behaviour of opening a session while no process answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reach {
-    /// Goes on, and keeps trying in the background, so that it does not matter who starts first. A client has nothing
-    /// to do before it reaches its router: for it, opening waits without limit.
+    /// Returns and keeps trying in the background, so that processes may start in any order. A
+    /// client is of no use before it reaches its router; for a client, opening waits without limit.
     #[default]
     Eventually,
-    /// Fails after this long.
+    /// Fails after this duration.
     Within(Duration),
 }
 
-/// Everything that opening a session needs.
+/// Configuration of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BusConfig {
-    /// The room whose keys are used.
+    /// Room that gives the keys.
     pub room: Room,
     /// Endpoints at which to listen, such as `tcp/127.0.0.1:7447`.
     pub listen: Vec<String>,
-    /// Endpoints of others.
+    /// Endpoints of other processes.
     pub connect: Vec<String>,
     /// Peer or client.
     pub role: Role,
-    /// What to do while nobody answers.
+    /// Behaviour while no process answers.
     pub reach: Reach,
 }
 
 impl BusConfig {
-    /// A peer that listens nowhere and connects to nobody yet.
+    /// A peer without endpoints.
     pub fn new(room: Room) -> Self {
         Self { room, listen: Vec::new(), connect: Vec::new(), role: Role::Peer, reach: Reach::Eventually }
     }
 
-    /// Listens at one more endpoint.
+    /// Adds an endpoint at which to listen.
     #[must_use]
     pub fn listen_at(mut self, endpoint: &str) -> Self {
         self.listen.push(endpoint.to_owned());
         self
     }
 
-    /// Connects to one more endpoint.
+    /// Adds an endpoint to which to connect.
     #[must_use]
     pub fn connect_to(mut self, endpoint: &str) -> Self {
         self.connect.push(endpoint.to_owned());
         self
     }
 
-    /// Sets what happens while nobody answers.
+    /// Sets the behaviour while no process answers.
     #[must_use]
     pub fn reaching(mut self, reach: Reach) -> Self {
         self.reach = reach;
         self
     }
 
-    /// Whether each endpoint is one, and whether anybody could be met.
+    /// Checks each endpoint, and that there is at least one.
     ///
     /// # Errors
-    /// [`BusError::NoEndpoint`], [`BusError::ClientWithoutRouter`] or [`BusError::InvalidEndpoint`].
+    /// [`BusError::NoEndpoint`], [`BusError::ClientWithoutRouter`] or
+    /// [`BusError::InvalidEndpoint`].
     pub fn check(&self) -> Result<(), BusError> {
         if self.role == Role::Client && (self.connect.is_empty() || !self.listen.is_empty()) {
             return Err(BusError::ClientWithoutRouter);
@@ -122,53 +123,61 @@ impl BusConfig {
     }
 }
 
-/// What is the same for every session.
+/// Settings of Zenoh that are the same for every session.
 const FIXED_SETTINGS: [(&str, &str); 9] = [
-    // Peers are named, not discovered; scouting would also delay the opening.
+    // Endpoints are explicit; scouting would also delay opening.
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "false"),
-    // Whoever starts first is tried again soon; the default begins at 1 s.
+    // A process may start before the one to which it connects. The default first retry comes after
+    // 1 s.
     ("connect/retry", "{ period_init_ms: 50, period_max_ms: 1000, period_increase_factor: 2 }"),
-    // Payloads are far below the size at which shared memory pays.
+    // Payloads are far below the size at which shared memory is faster.
     ("transport/shared_memory/enabled", "false"),
-    // In us. The default of 1000 could hold a publication for twice the time that a decision has.
+    // In us. The default of 1000 could delay a publication by twice the deadline of a decision, 0.5
+    // ms.
     ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", "50"),
-    // Batches that may wait while the sending thread sleeps: with the default of 2, a third report within a scheduler's
-    // time slice is lost on a busy machine. Memory is taken only when used.
+    // Batches that may wait while the sending thread sleeps. With the default of 2, a third report
+    // within one scheduler time slice is dropped on a busy machine. Memory is allocated only when
+    // used.
     ("transport/link/tx/queue/size/real_time", "8"),
     ("transport/link/tx/queue/size/data_high", "4"),
-    // In ms. A partition without a closed connection shows after this long; the default is 10 s.
+    // In ms. A partition without a closed connection is detected after this time; the default is 10
+    // s.
     ("transport/link/tx/lease", "5000"),
-    // In bytes. Bounds what a stranger can make us assemble, yet lets an oversized payload arrive to be refused by name.
+    // In bytes. Limits the memory that an unknown sender can occupy. It is above the limit of
+    // payloads, so that the codec can refuse an oversized payload by name.
     ("transport/link/rx/max_message_size", "16777216"),
 ];
 
-/// Settings of Zenoh that are laid over our own: `key=value`, several separated by semicolons, values in JSON5.
+/// Environment variable that overrides settings of Zenoh: `key=value`, separated by semicolons,
+/// values in JSON5.
 const ENVIRONMENT: &str = "HELIOSTAT_ZENOH";
 
 fn from_environment() -> Result<Vec<(String, String)>, BusError> {
     let text = std::env::var(ENVIRONMENT).unwrap_or_default();
     let pair = |setting: &str| {
         let pair = setting.split_once('=').map(|(key, value)| (key.trim().to_owned(), value.trim().to_owned()));
-        let wanted = "wanted key=value, for example transport/unicast/lowlatency=true";
-        pair.ok_or_else(|| BusError::Open { problem: format!("{ENVIRONMENT}: \"{setting}\": {wanted}") })
+        let expected = "expected key=value, for example transport/unicast/lowlatency=true";
+        pair.ok_or_else(|| BusError::Open { problem: format!("{ENVIRONMENT}: \"{setting}\": {expected}") })
     };
     text.split(';').filter(|setting| !setting.trim().is_empty()).map(pair).collect()
 }
 
-/// The flags by which a process is told its room and its endpoints.
+/// Command-line flags for the room and the endpoints of a process.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BusArgs {
-    /// Name of the room; processes of different rooms never hear each other
+    /// Name of the room; messages stay within their room
     #[arg(long, value_name = "NAME", default_value = "demo")]
     pub room: String,
-    /// Endpoint at which to listen (repeatable); without any endpoint sim-node listens at tcp/127.0.0.1:7447
+    /// Endpoint at which to listen (repeatable); without any endpoint sim-node listens at
+    /// tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Endpoint of another process or of a router (repeatable); without any endpoint controller connects to tcp/127.0.0.1:7447
+    /// Endpoint of another process or of a router (repeatable); without any endpoint controller
+    /// connects to tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
-    /// Talk through a Zenoh router only, the one given by --connect
+    /// Exchange messages only through the Zenoh router given by --connect
     #[arg(long)]
     pub client: bool,
 }
@@ -183,21 +192,21 @@ impl BusArgs {
     /// The configuration that the flags describe.
     ///
     /// # Errors
-    /// [`BusError`] where a flag has no sense, or no endpoint is given.
+    /// [`BusError`] where a flag is invalid, or no endpoint is given.
     pub fn config(&self) -> Result<BusConfig, BusError> {
         let config = BusConfig {
             room: Room::new(&self.room)?,
             listen: self.listen.clone(),
             connect: self.connect.clone(),
             role: if self.client { Role::Client } else { Role::Peer },
-            // A client without its router can do nothing, not even listen for a signal.
-            reach: if self.client { Reach::Within(ROUTER_PATIENCE) } else { Reach::Eventually },
+            // Opening blocks a client until it reaches its router, and it then ignores signals.
+            reach: if self.client { Reach::Within(ROUTER_LIMIT) } else { Reach::Eventually },
         };
         config.check()?;
         Ok(config)
     }
 
-    /// The same; without any endpoint, listens at [`DEFAULT_ENDPOINT`].
+    /// Like [`config`](Self::config); without any endpoint, listens at [`DEFAULT_ENDPOINT`].
     ///
     /// # Errors
     /// As for [`config`](Self::config).
@@ -209,7 +218,7 @@ impl BusArgs {
         flags.config()
     }
 
-    /// The same; without any endpoint, connects to [`DEFAULT_ENDPOINT`].
+    /// Like [`config`](Self::config); without any endpoint, connects to [`DEFAULT_ENDPOINT`].
     ///
     /// # Errors
     /// As for [`config`](Self::config).
@@ -226,21 +235,22 @@ impl BusArgs {
     }
 }
 
-/// Ports that no system hands out by itself: below those that Linux, macOS and Windows give to outgoing connections and to listeners at port 0.
-const PORTS_LEFT_TO_CHOICE: std::ops::Range<u16> = 20_000..32_768;
+/// Ports below the ephemeral ranges of Linux, macOS and Windows, so that no outgoing connection and
+/// no listener at port 0 gets one.
+const PORTS_BELOW_EPHEMERAL: std::ops::Range<u16> = 20_000..32_768;
 
-/// A TCP port on 127.0.0.1, chosen at random, that was free a moment ago, and that the system gives to nobody who does not ask for it by
-/// number: what connects elsewhere in the meantime does not take it.
+/// A random TCP port on 127.0.0.1 that is free at the time of the call. It is below the ephemeral
+/// range, so that no outgoing connection takes it in the meantime.
 ///
 /// # Errors
 /// [`BusError::NoFreePort`].
 pub fn free_loopback_port() -> Result<u16, BusError> {
     let mut last = None;
     for _ in 0..100 {
-        let span = u64::from(PORTS_LEFT_TO_CHOICE.end - PORTS_LEFT_TO_CHOICE.start);
-        // Each `RandomState` has keys of its own; those of different processes have nothing in common.
+        let span = u64::from(PORTS_BELOW_EPHEMERAL.end - PORTS_BELOW_EPHEMERAL.start);
+        // Each `RandomState` has its own random keys, in every process.
         let offset = RandomState::new().hash_one(()) % span;
-        let port = PORTS_LEFT_TO_CHOICE.start + u16::try_from(offset).expect("below the span of a u16 range");
+        let port = PORTS_BELOW_EPHEMERAL.start + u16::try_from(offset).expect("below the span of a u16 range");
         match TcpListener::bind(("127.0.0.1", port)) {
             Ok(_) => return Ok(port),
             Err(error) => last = Some(error),
@@ -268,7 +278,7 @@ fn check_endpoint(text: &str) -> Result<(), BusError> {
         "tcp" => match address.rsplit_once(':') {
             None => refuse("it has no port".to_owned()),
             Some(("", _)) => refuse("it has no host".to_owned()),
-            Some((_, port)) if port.parse::<u16>().is_err() => refuse(format!("\"{port}\" is no port")),
+            Some((_, port)) if port.parse::<u16>().is_err() => refuse(format!("\"{port}\" is not a port")),
             Some(_) => Ok(()),
         },
         "unixsock-stream" => Ok(()),

@@ -1,82 +1,82 @@
-//! What can go wrong between processes, and what to do about it.
+//! Errors of sessions, with the remedy.
 
 use heliostat_proto::RoomError;
 use thiserror::Error;
 
-/// Why something could not be opened, declared, published or asked.
+/// Why a session, a declaration, a publication or a query failed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum BusError {
-    /// The name of the room cannot stand in a key.
+    /// The name of the room is not valid in a key.
     #[error(transparent)]
     Room(#[from] RoomError),
-    /// Nowhere to listen and nowhere to connect: nobody could be met.
+    /// The configuration has no endpoint at all, so no connection is possible.
     #[error(
-        "no endpoint given: one process needs --listen tcp/127.0.0.1:7447, the others --connect tcp/127.0.0.1:7447 (any free port will do)"
+        "no endpoint: expected --listen tcp/127.0.0.1:7447 for one process and --connect tcp/127.0.0.1:7447 for the others (any free port works)"
     )]
     NoEndpoint,
-    /// A client without a router to connect to.
-    #[error("a client listens nowhere and connects to a router: give --connect with the router's endpoint")]
+    /// The client has no router to connect to, or listens.
+    #[error("wrong endpoints for a client: expected no --listen, and --connect with the endpoint of a Zenoh router")]
     ClientWithoutRouter,
-    /// Not an endpoint.
+    /// The text is not an endpoint.
     #[error(
-        "endpoint \"{endpoint}\": {problem}; wanted tcp/HOST:PORT, for example tcp/127.0.0.1:7447, or unixsock-stream/PATH"
+        "endpoint \"{endpoint}\": {problem}; expected tcp/HOST:PORT, for example tcp/127.0.0.1:7447, or unixsock-stream/PATH"
     )]
     InvalidEndpoint {
-        /// As given.
+        /// The text.
         endpoint: String,
-        /// What is wrong with it.
+        /// Its fault.
         problem: String,
     },
-    /// Another process listens there.
+    /// Another process listens at the endpoint.
     #[error("endpoint {endpoint} is in use: another process listens there; stop it, or listen at another port")]
     EndpointInUse {
-        /// Where.
+        /// The endpoint.
         endpoint: String,
     },
     /// Listening failed for another reason.
     #[error("cannot listen at {endpoint}: {problem}; give --listen an address of this machine and a port it may use")]
     CannotListen {
-        /// Where.
+        /// The endpoint.
         endpoint: String,
-        /// Zenoh's account.
+        /// Zenoh's message.
         problem: String,
     },
-    /// Nobody answers, and the configuration says not to go on without.
+    /// No process answers within the limit of the configuration.
     #[error(
-        "nobody answers at {endpoints} within {waited_ms} ms; start the process that listens there first, or correct --connect"
+        "no answer from {endpoints} within {waited_ms} ms; start the process that listens there first, or correct --connect"
     )]
     CannotReach {
-        /// Where.
+        /// The endpoints.
         endpoints: String,
-        /// How long was waited.
+        /// Duration of the wait in ms.
         waited_ms: u64,
     },
     /// The session could not be opened for another reason.
     #[error("the Zenoh session cannot be opened: {problem}")]
     Open {
-        /// Zenoh's account.
+        /// Zenoh's message.
         problem: String,
     },
-    /// Not a key, or the session is closed.
+    /// The key is invalid, or the session is closed.
     #[error("cannot {action} \"{key}\": {problem}")]
     Refused {
-        /// What was tried: "publish on", "subscribe to".
+        /// The action that failed, for example "publish on".
         action: &'static str,
         /// The key or pattern.
         key: String,
-        /// Zenoh's account.
+        /// Zenoh's message.
         problem: String,
     },
-    /// The session did not close in good order.
+    /// The session did not close cleanly.
     #[error("the Zenoh session did not close cleanly: {problem}")]
     Close {
-        /// Zenoh's account.
+        /// Zenoh's message.
         problem: String,
     },
     /// No loopback port is free.
     #[error("no free port on 127.0.0.1: {problem}")]
     NoFreePort {
-        /// The operating system's account.
+        /// Message of the operating system.
         problem: String,
     },
 }

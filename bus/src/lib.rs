@@ -1,21 +1,30 @@
-//! Publishers, subscribers and liveliness over Zenoh: the only crate that names it.
+//! Publishers, subscribers and liveliness over Zenoh; no other crate names Zenoh.
 //!
-//! Payloads are bytes here; `heliostat-proto` knows what they mean and under which key they travel. All calls block and none
-//! is async. Endpoints are explicit: nothing is discovered by multicast or gossip, so a room never meets another by chance.
+//! Payloads are bytes in this crate; `heliostat-proto` defines their contents and their keys. All
+//! calls block, none is async. Endpoints are explicit, without multicast or gossip discovery, so
+//! that rooms never connect by accident.
 //!
-//! - [`BusConfig`] and [`BusArgs`]: who listens, who connects.
+//! - [`BusConfig`] and [`BusArgs`]: endpoints at which to listen and to which to connect.
 //! - [`Bus`]: one session in one room.
-//! - [`Publisher`], [`Subscription`], [`Token`], [`Service`]: what a session declares; dropping one ends it.
+//! - [`Publisher`], [`Subscription`], [`Token`], [`Service`]: declarations of a session; dropping
+//!   one withdraws it.
 //!
-//! # Who hears whom
-//! Two peers talk when one of them listens at an endpoint to which the other connects. A peer does not pass on what it hears:
-//! a viewer that wants to hear a controller and a simulator connects to both, or all three are clients of a Zenoh router.
+//! # Connections
+//! Two peers exchange messages when one listens at an endpoint and the other connects to it. A peer
+//! does not forward messages: a viewer that needs a controller and a simulator connects to both, or
+//! all three are clients of a Zenoh router.
 //!
 //! # Threads
-//! Callbacks run on Zenoh's receive threads, one at a time for each subscription. A slow callback delays everything else
-//! that arrives over the same link. Callbacks may publish, but must not open, close, query or declare. The number of threads
-//! is set by the environment variable `ZENOH_RUNTIME`, for example `ZENOH_RUNTIME='(rx:(worker_threads:1))'`, read when the
-//! first session of a process opens. Any other setting of Zenoh can be laid over ours by `HELIOSTAT_ZENOH='key=value;key=value'`, for measurements. Never call this crate from a current-thread tokio runtime: Zenoh panics there.
+//! Callbacks run on Zenoh's receive threads, one at a time for each subscription. A slow callback
+//! delays everything else that arrives over the same link. Callbacks may publish, but must not
+//! open, close, query or declare. Zenoh panics when this crate is called from a current-thread
+//! tokio runtime.
+//!
+//! # Environment
+//! - `ZENOH_RUNTIME` sets the number of threads, for example
+//!   `ZENOH_RUNTIME='(rx:(worker_threads:1))'`. Zenoh reads it when the first session of a process
+//!   opens.
+//! - `HELIOSTAT_ZENOH='key=value;key=value'` overrides settings of Zenoh, for measurements.
 
 mod config;
 mod error;

@@ -1,4 +1,4 @@
-//! One Zenoh session in one room, and what it declares.
+//! A Zenoh session in a room, and its declarations.
 
 use std::time::Duration;
 
@@ -14,19 +14,21 @@ use zenoh::sample::{Sample, SampleKind};
 use crate::config::{BusConfig, Reach};
 use crate::error::BusError;
 
-/// How urgent a message is, and what happens to it when the network is full.
+/// Quality of service of a message: its priority, and what happens to it under congestion.
 ///
-/// Messages of one class keep their order on one link; those of a more urgent class overtake.
+/// Messages of one class keep their order on one link. Messages of a higher priority can overtake
+/// them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
-    /// What a decision waits for: reports and commands. Sent at once, ahead of the rest; dropped rather than late.
+    /// Reports and commands, on which decisions wait: highest priority, sent at once, dropped under
+    /// congestion.
     Control,
-    /// What the system needs, but not this instant: telemetry, capabilities. Sent at once; dropped when the network is full.
+    /// Telemetry and capabilities: high priority, sent at once, dropped under congestion.
     State,
-    /// What people look at: status, truth. May wait to be sent together with others; dropped when the network is full.
+    /// Status and truth, for viewers: low priority, sent in batches, dropped under congestion.
     Info,
-    /// What must arrive: emergency stop, calibration, and in lockstep, where nobody is in a hurry, reports, commands and telemetry. Ahead of the rest; waits
-    /// rather than being dropped.
+    /// Messages that must arrive: emergency stop, calibration and controls, and in lockstep also
+    /// reports, commands and telemetry. Highest priority, sent at once, blocks under congestion.
     Order,
 }
 
@@ -51,16 +53,16 @@ impl Class {
     }
 }
 
-/// Whether a liveliness token is there.
+/// Presence of a liveliness token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
-    /// It appeared, or was there when watching began.
+    /// The token appeared, or was present when the subscription began.
     Alive,
-    /// It was withdrawn, or its process or the way to it is gone.
+    /// The token was withdrawn, or its process or the connection to it ended.
     Gone,
 }
 
-/// One session in one room. Dropping it, or [`close`](Self::close), ends all that it declared.
+/// A session in a room. Dropping or [closing](Self::close) it withdraws all its declarations.
 pub struct Bus {
     session: zenoh::Session,
     room: Room,
@@ -69,30 +71,32 @@ pub struct Bus {
 impl Bus {
     /// Opens a session.
     ///
-    /// With [`Reach::Eventually`] a peer returns within about half a second whether or not anybody answers.
+    /// With [`Reach::Eventually`] a peer returns within about half a second, whether or not another
+    /// process answers.
     ///
     /// # Errors
-    /// [`BusError`] says what is wrong with the configuration, or where nobody answers or somebody else listens.
+    /// [`BusError`] names the fault of the configuration, the endpoint that does not answer, or the
+    /// endpoint in use.
     pub fn open(config: &BusConfig) -> Result<Self, BusError> {
         let session = zenoh::open(config.to_zenoh()?).wait().map_err(|error| open_error(config, &error.to_string()))?;
         Ok(Self { session, room: config.room.clone() })
     }
 
-    /// The same session in another room; [`close`](Self::close) closes it for all of them.
+    /// The same session in another room; [`close`](Self::close) closes it for all rooms.
     #[must_use]
     pub fn enter(&self, room: Room) -> Self {
         Self { session: self.session.clone(), room }
     }
 
-    /// The room that gives the keys.
+    /// Room that gives the keys.
     pub fn room(&self) -> &Room {
         &self.room
     }
 
-    /// Declares a publisher; declare once and publish often.
+    /// Declares a publisher. A declaration is expensive, a publication is not: declare once.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the key is none, or the session is closed.
+    /// [`BusError::Refused`] where the key is invalid, or the session is closed.
     pub fn publisher(&self, key: &str, class: Class) -> Result<Publisher, BusError> {
         let inner = self
             .session
@@ -105,13 +109,14 @@ impl Bus {
         Ok(Publisher { inner })
     }
 
-    /// Calls back with each payload published under the key or pattern, until the subscription is dropped.
+    /// Calls `callback` with each payload published under the key or pattern, until the
+    /// subscription is dropped.
     ///
-    /// The callback runs on a Zenoh thread, never twice at once. Bytes are borrowed from the receive buffer unless the
-    /// network delivered them in pieces.
+    /// The callback runs on a Zenoh thread, one call at a time. The payload is borrowed from the
+    /// receive buffer; a payload that arrived in fragments is copied.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the key is none, or the session is closed.
+    /// [`BusError::Refused`] where the key is invalid, or the session is closed.
     pub fn subscribe(
         &self,
         key: &str,
@@ -120,10 +125,10 @@ impl Bus {
         self.subscribe_keyed(key, move |_, payload| callback(payload))
     }
 
-    /// Like [`subscribe`](Self::subscribe), with the key of each payload.
+    /// Like [`subscribe`](Self::subscribe); `callback` also gets the key of each payload.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the pattern is none, or the session is closed.
+    /// [`BusError::Refused`] where the pattern is invalid, or the session is closed.
     pub fn subscribe_keyed(
         &self,
         pattern: &str,
@@ -143,22 +148,23 @@ impl Bus {
         Ok(Subscription { _inner: inner })
     }
 
-    /// Says that this instance is there, until the token is dropped or the process ends.
+    /// Declares a liveliness token, present until it is dropped or the process ends.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the key is none, or the session is closed.
+    /// [`BusError::Refused`] where the key is invalid, or the session is closed.
     pub fn announce(&self, key: &str) -> Result<Token, BusError> {
         let token = self.session.liveliness().declare_token(key.to_owned());
         Ok(Token { _inner: token.wait().map_err(refused("announce", key))? })
     }
 
-    /// The liveliness tokens now there, sorted; waits for answers, at most `limit`. Not for use in callbacks.
+    /// Keys of the liveliness tokens now present, sorted. Waits for all answers, at most `limit`;
+    /// not for use in callbacks.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the pattern is none, or the session is closed.
+    /// [`BusError::Refused`] where the pattern is invalid, or the session is closed.
     pub fn alive(&self, pattern: &str, limit: Duration) -> Result<Vec<String>, BusError> {
         let query = self.session.liveliness().get(pattern.to_owned()).timeout(limit);
-        let replies = query.wait().map_err(refused("ask who is alive under", pattern))?;
+        let replies = query.wait().map_err(refused("query liveliness under", pattern))?;
         let mut keys = Vec::new();
         while let Ok(reply) = replies.recv() {
             if let Ok(sample) = reply.result() {
@@ -170,10 +176,11 @@ impl Bus {
         Ok(keys)
     }
 
-    /// Calls back with each liveliness token that is there, appears or goes, until the subscription is dropped.
+    /// Calls `callback` for each liveliness token that is present, appears or disappears, until the
+    /// subscription is dropped.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the pattern is none, or the session is closed.
+    /// [`BusError::Refused`] where the pattern is invalid, or the session is closed.
     pub fn watch(
         &self,
         pattern: &str,
@@ -191,18 +198,18 @@ impl Bus {
         Ok(Subscription { _inner: inner })
     }
 
-    /// Answers whoever fetches the key, until the service is dropped. The callback fills an empty buffer; leaving it empty
-    /// gives no answer.
+    /// Answers queries for the key, until the service is dropped. `answer` fills an empty buffer; a
+    /// buffer left empty gives no answer.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the key is none, or the session is closed.
+    /// [`BusError::Refused`] where the key is invalid, or the session is closed.
     pub fn serve(&self, key: &str, answer: impl Fn(&mut Vec<u8>) + Send + Sync + 'static) -> Result<Service, BusError> {
         let own_key = key.to_owned();
         let reply = move |query: zenoh::query::Query| {
             let mut payload = Vec::new();
             answer(&mut payload);
             if !payload.is_empty() {
-                // Whoever asked may be gone by now, and there is nobody else to tell.
+                // The sender of the query may have gone; no other process needs this error.
                 let _ = query.reply(own_key.as_str(), payload).wait();
             }
         };
@@ -210,10 +217,11 @@ impl Bus {
         Ok(Service { _inner: queryable.wait().map_err(refused("serve", key))? })
     }
 
-    /// The payloads that services give for a key; waits for all of them, at most `limit`. Not for use in callbacks.
+    /// Answers of all services to a query for the key. Waits for all answers, at most `limit`; not
+    /// for use in callbacks.
     ///
     /// # Errors
-    /// [`BusError::Refused`] where the key is none, or the session is closed.
+    /// [`BusError::Refused`] where the key is invalid, or the session is closed.
     pub fn fetch(&self, key: &str, limit: Duration) -> Result<Vec<Vec<u8>>, BusError> {
         let query = self
             .session
@@ -231,7 +239,7 @@ impl Bus {
         Ok(payloads)
     }
 
-    /// Closes the session; others see its tokens go at once.
+    /// Closes the session; its liveliness tokens disappear at once.
     ///
     /// # Errors
     /// [`BusError::Close`].
@@ -246,7 +254,8 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Publishes one payload; copies it once, waits for nobody. Without subscribers it does nothing.
+    /// Publishes a payload; copies it once and does not wait for subscribers. Without subscribers
+    /// it does nothing.
     ///
     /// # Errors
     /// [`BusError::Refused`] where the session is closed.
@@ -257,7 +266,7 @@ impl Publisher {
             .map_err(|error| refused("publish on", self.inner.key_expr().as_str())(error))
     }
 
-    /// Whether anybody is known to subscribe to the key at this moment.
+    /// Whether the key has a known subscriber now.
     ///
     /// # Errors
     /// [`BusError::Refused`] where the session is closed.
@@ -267,17 +276,17 @@ impl Publisher {
     }
 }
 
-/// A declared subscription; dropping it ends the calls back, save for one that is under way.
+/// A subscription; after it is dropped no call of the callback begins, but one may still run.
 pub struct Subscription {
     _inner: Subscriber<()>,
 }
 
-/// A liveliness token; dropping it withdraws it.
+/// A liveliness token; dropping it withdraws the token.
 pub struct Token {
     _inner: LivelinessToken,
 }
 
-/// A key that is answered; dropping it ends that.
+/// A service that answers queries for a key; dropping it ends the answers.
 pub struct Service {
     _inner: Queryable<()>,
 }
@@ -287,9 +296,9 @@ fn refused(action: &'static str, key: &str) -> impl FnOnce(zenoh::Error) -> BusE
     move |error| BusError::Refused { action, key, problem: error.to_string() }
 }
 
-/// Zenoh's account without the places in its sources, " at FILE.rs:LINE.", that it names.
-fn without_places(account: &str) -> String {
-    let mut plain = account.to_owned();
+/// Zenoh's message without source locations, " at FILE.rs:LINE.".
+fn without_locations(message: &str) -> String {
+    let mut plain = message.to_owned();
     while let Some(end) = plain.find(".rs:") {
         let Some(start) = plain[..end].rfind(" at ") else { break };
         let line = plain[end + 4..].trim_start_matches(|letter: char| letter.is_ascii_digit());
@@ -300,9 +309,9 @@ fn without_places(account: &str) -> String {
     plain
 }
 
-/// Zenoh reports all failures as text; this finds out which one it is.
-fn open_error(config: &BusConfig, account: &str) -> BusError {
-    let problem = &*without_places(account);
+/// Derives the error from Zenoh's message, since Zenoh reports all failures as text.
+fn open_error(config: &BusConfig, message: &str) -> BusError {
+    let problem = &*without_locations(message);
     let named = |endpoints: &[String]| {
         let mentioned = endpoints.iter().find(|endpoint| problem.contains(endpoint.as_str()));
         mentioned.cloned().unwrap_or_else(|| endpoints.join(", "))
@@ -328,9 +337,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_in_sources_are_no_part_of_an_account() {
-        let account = "Unable to listen on tcp/a: [os error 99] at /somewhere/zenoh/src/tcp.rs:61. at lib.rs:7.";
-        assert_eq!(without_places(account), "Unable to listen on tcp/a: [os error 99]");
-        assert_eq!(without_places("nothing of the kind"), "nothing of the kind");
+    fn source_locations_are_removed_from_messages() {
+        let message = "Unable to listen on tcp/a: [os error 99] at /somewhere/zenoh/src/tcp.rs:61. at lib.rs:7.";
+        assert_eq!(without_locations(message), "Unable to listen on tcp/a: [os error 99]");
+        assert_eq!(without_locations("nothing of the kind"), "nothing of the kind");
     }
 }

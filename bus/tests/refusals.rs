@@ -1,4 +1,4 @@
-//! What cannot be opened, and what is said about it.
+//! Sessions that cannot be opened, and their errors.
 
 use std::time::{Duration, Instant};
 
@@ -6,28 +6,28 @@ use heliostat_bus::*;
 use heliostat_proto::{Room, RoomError};
 
 fn config() -> BusConfig {
-    BusConfig::new(Room::new("test").expect("a plain name"))
+    BusConfig::new(Room::new("test").expect("a valid name"))
 }
 
 fn refusal(config: &BusConfig) -> BusError {
-    Bus::open(config).err().expect("this cannot be opened")
+    Bus::open(config).err().expect("this configuration cannot be opened")
 }
 
 #[test]
-fn endpoints_are_checked_before_anything_starts() {
+fn endpoints_are_checked_before_a_session_opens() {
     assert_eq!(refusal(&config()), BusError::NoEndpoint);
     for (endpoint, problem) in [
         ("127.0.0.1:7447", "it has no protocol before a '/'"),
         ("", "it has no protocol before a '/'"),
         ("tcp/127.0.0.1", "it has no port"),
         ("tcp/:7447", "it has no host"),
-        ("tcp/127.0.0.1:74470", "\"74470\" is no port"),
-        ("tcp/127.0.0.1:http", "\"http\" is no port"),
+        ("tcp/127.0.0.1:74470", "\"74470\" is not a port"),
+        ("tcp/127.0.0.1:http", "\"http\" is not a port"),
         ("quic/127.0.0.1:7447", "protocol \"quic\" is not built in"),
     ] {
-        let wanted = BusError::InvalidEndpoint { endpoint: endpoint.into(), problem: problem.into() };
-        assert_eq!(refusal(&config().listen_at(endpoint)), wanted);
-        assert_eq!(refusal(&config().connect_to(endpoint)), wanted);
+        let expected = BusError::InvalidEndpoint { endpoint: endpoint.into(), problem: problem.into() };
+        assert_eq!(refusal(&config().listen_at(endpoint)), expected);
+        assert_eq!(refusal(&config().connect_to(endpoint)), expected);
     }
 }
 
@@ -42,20 +42,20 @@ fn an_endpoint_in_use_is_named() {
 }
 
 #[test]
-fn an_address_of_another_machine_cannot_be_listened_at() {
+fn listening_at_an_address_of_another_machine_fails() {
     let endpoint = "tcp/192.0.2.1:7447";
     let error = refusal(&config().listen_at(endpoint));
     assert!(matches!(&error, BusError::CannotListen { endpoint: named, .. } if named == endpoint), "{error}");
 }
 
 #[test]
-fn nobody_there_is_an_error_where_somebody_is_required() {
+fn an_endpoint_without_answer_is_an_error_after_the_limit() {
     let endpoint = free_loopback_endpoint().expect("a free port");
     let limit = Duration::from_millis(300);
     let start = Instant::now();
     let error = refusal(&config().connect_to(&endpoint).reaching(Reach::Within(limit)));
     assert_eq!(error, BusError::CannotReach { endpoints: endpoint.clone(), waited_ms: 300 });
-    assert!(start.elapsed() >= limit, "it gives up only after the limit");
+    assert!(start.elapsed() >= limit, "the error comes only after the limit");
     let client = BusConfig { role: Role::Client, ..config().connect_to(&endpoint).reaching(Reach::Within(limit)) };
     assert!(matches!(refusal(&client), BusError::CannotReach { .. }));
 }
@@ -70,11 +70,11 @@ fn a_client_needs_a_router() {
 }
 
 #[test]
-fn what_is_no_key_is_refused_by_name() {
+fn invalid_keys_are_refused_by_name() {
     let endpoint = free_loopback_endpoint().expect("a free port");
     let bus = Bus::open(&config().listen_at(&endpoint)).expect("a free port");
     for bad in ["", "/a", "a//b", "a/"] {
-        let error = bus.publisher(bad, Class::Control).err().expect("this is no key");
+        let error = bus.publisher(bad, Class::Control).err().expect("the key is invalid");
         assert!(matches!(&error, BusError::Refused { action: "publish on", key, .. } if key == bad), "{error}");
         assert!(matches!(bus.subscribe(bad, |_| {}), Err(BusError::Refused { action: "subscribe to", .. })));
         assert!(matches!(bus.announce(bad), Err(BusError::Refused { .. })));
@@ -83,11 +83,11 @@ fn what_is_no_key_is_refused_by_name() {
 }
 
 #[test]
-fn a_publisher_outlives_its_session_only_to_say_so() {
+fn a_publisher_of_a_closed_session_returns_an_error() {
     let endpoint = free_loopback_endpoint().expect("a free port");
     let bus = Bus::open(&config().listen_at(&endpoint)).expect("a free port");
-    let publisher = bus.publisher("some/key", Class::Control).expect("a sound key");
-    bus.close().expect("closes");
+    let publisher = bus.publisher("some/key", Class::Control).expect("a valid key");
+    bus.close().expect("the session closes");
     assert!(matches!(publisher.put(b"late"), Err(BusError::Refused { action: "publish on", .. })));
 }
 
@@ -104,9 +104,10 @@ fn flags_become_a_configuration() {
 }
 
 #[test]
-fn free_ports_differ_and_are_none_that_systems_give_out() {
+fn free_ports_differ_and_are_below_the_ephemeral_range() {
     let ports: Vec<u16> = (0..20).map(|_| free_loopback_port().expect("a free port")).collect();
-    // Linux gives out those from 32768 unless told otherwise, others those from 49152; such a port may go to any outgoing connection before it is listened at.
+    // The ephemeral range begins at 32768 on Linux by default and at 49152 elsewhere. Any outgoing
+    // connection could take such a port before a process listens at it.
     assert!(ports.iter().all(|port| *port < 32_768), "{ports:?}");
     assert!(ports.iter().any(|port| *port != ports[0]), "chosen at random: {ports:?}");
 }

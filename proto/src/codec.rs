@@ -1,211 +1,165 @@
-//! The one way from messages to bytes and the one way back.
+//! Messages to bytes and back; the only file that names postcard.
 //!
-//! A payload is the contract's version (one byte), the kind of message (one byte), and the fields one after the other as
-//! postcard writes them. Nothing is decoded in part: a payload is a whole, sound message or it is refused by name, and what
-//! [`decode`] would refuse [`encode`] does not write. The version is looked at before anything else but the length.
+//! A payload is the contract's version (one byte), the kind of message (one byte), and the fields
+//! in order as postcard writes them. A payload is either a complete, valid message or it is refused
+//! by name; [`encode`] never writes a payload that [`decode`] would refuse. The version is checked
+//! first, after the length.
 
-use std::fmt;
-
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use postcard::ser_flavors::{Flavor, Slice};
+use serde::{Deserialize, Serialize};
 
 use crate::error::CodecError;
-use crate::fields::Fields;
-use crate::{MAX_PAYLOAD, VERSION};
+pub use crate::kind::Kind;
+use crate::limits::{MAX_PAYLOAD, VERSION};
 
-/// Bytes that a buffer is given before it is known how many it needs.
-const MIN_ROOM: usize = 256;
+/// Length of the header: version and kind.
+const HEADER: usize = 2;
 
-/// What a payload holds; the number is its second byte.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum Kind {
-    /// [`UserReport`](crate::UserReport)
-    UserReport = 1,
-    /// [`ChannelReport`](crate::ChannelReport)
-    ChannelReport = 2,
-    /// [`ObstacleReport`](crate::ObstacleReport)
-    ObstacleReport = 3,
-    /// [`MirrorCommand`](crate::MirrorCommand)
-    MirrorCommand = 4,
-    /// [`MirrorTelemetry`](crate::MirrorTelemetry)
-    MirrorTelemetry = 5,
-    /// [`NodeStatus`](crate::NodeStatus)
-    NodeStatus = 6,
-    /// [`RoomTruth`](crate::RoomTruth)
-    RoomTruth = 7,
-    /// [`Capabilities`](crate::Capabilities)
-    Capabilities = 8,
-    /// [`EmergencyStop`](crate::EmergencyStop)
-    EmergencyStop = 9,
-    /// [`Calibration`](crate::Calibration)
-    Calibration = 10,
-    /// [`SimulatorControl`](crate::SimulatorControl)
-    SimulatorControl = 11,
-    /// [`ControllerControl`](crate::ControllerControl)
-    ControllerControl = 12,
-}
+/// Initial size of a buffer in bytes, before the size of the message is known.
+const MIN_SIZE: usize = 256;
 
-impl Kind {
-    /// All kinds of this version.
-    pub const ALL: [Self; 12] = [
-        Self::UserReport,
-        Self::ChannelReport,
-        Self::ObstacleReport,
-        Self::MirrorCommand,
-        Self::MirrorTelemetry,
-        Self::NodeStatus,
-        Self::RoomTruth,
-        Self::Capabilities,
-        Self::EmergencyStop,
-        Self::Calibration,
-        Self::SimulatorControl,
-        Self::ControllerControl,
-    ];
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = match self {
-            Self::UserReport => "user report",
-            Self::ChannelReport => "channel report",
-            Self::ObstacleReport => "obstacle report",
-            Self::MirrorCommand => "mirror command",
-            Self::MirrorTelemetry => "mirror telemetry",
-            Self::NodeStatus => "node status",
-            Self::RoomTruth => "room truth",
-            Self::Capabilities => "capabilities message",
-            Self::EmergencyStop => "emergency stop",
-            Self::Calibration => "calibration",
-            Self::SimulatorControl => "simulator control",
-            Self::ControllerControl => "controller control",
-        };
-        formatter.write_str(name)
-    }
-}
-
-/// A message of the contract. Only this crate implements it.
-pub trait Message: Fields + Serialize + Default {
-    /// Its kind.
+/// A message of the contract. The message table of this crate implements it; other crates only use
+/// it.
+pub trait Message: Default {
+    /// Kind of the message.
     const KIND: Kind;
+
+    /// Reads all fields in the order of their bytes.
+    ///
+    /// # Errors
+    /// [`CodecError`] where the bytes are not those of the field.
+    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError>;
+
+    /// Writes all fields in the order of their bytes.
+    ///
+    /// # Errors
+    /// [`BufferFull`] where the buffer is too short.
+    fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull>;
+
+    /// Checks that the fields keep the rules of the contract.
+    ///
+    /// # Errors
+    /// [`CodecError`] names the field that breaks a rule.
+    fn check(&self) -> Result<(), CodecError>;
 }
 
-/// Writes a message into a buffer, in place of what the buffer held; allocates nothing once the buffer is large enough.
+/// Writes a message into a buffer and replaces its contents; allocates nothing once the buffer is
+/// large enough.
 ///
 /// # Errors
-/// [`CodecError`] where [`decode`] would refuse the payload; the buffer is left empty.
+/// [`CodecError`] where [`decode`] would refuse the payload; the buffer is then empty.
 pub fn encode<T: Message>(message: &T, out: &mut Vec<u8>) -> Result<(), CodecError> {
-    message.check(T::KIND).inspect_err(|_| out.clear())?;
-    // A slice of fixed length takes numbers several times faster than a vector that checks whether to grow at each of them.
-    let mut room = out.capacity().clamp(MIN_ROOM, MAX_PAYLOAD);
+    message.check().inspect_err(|_| out.clear())?;
+    // postcard writes numbers several times faster into a slice than into a vector, which checks
+    // its capacity for each number.
+    let mut size = out.capacity().clamp(MIN_SIZE, MAX_PAYLOAD);
     loop {
-        out.resize(room, 0);
-        out[..2].copy_from_slice(&[VERSION, T::KIND as u8]);
-        match postcard::to_slice(message, &mut out[2..]).map(|body| body.len()) {
+        out.resize(size, 0);
+        out[..HEADER].copy_from_slice(&[VERSION, T::KIND.number()]);
+        match written(message, &mut out[HEADER..]) {
             Ok(body) => {
-                out.truncate(2 + body);
+                out.truncate(HEADER + body);
                 return Ok(());
             }
-            // Out of reach as long as the limits of lists and texts keep every message below it.
-            Err(_) if room == MAX_PAYLOAD => {
+            // Unreachable while the limits of lists and texts keep every message shorter.
+            Err(BufferFull) if size == MAX_PAYLOAD => {
                 out.clear();
                 return Err(CodecError::Oversized { found: MAX_PAYLOAD + 1 });
             }
-            Err(_) => room = (2 * room).min(MAX_PAYLOAD),
+            Err(BufferFull) => size = (2 * size).min(MAX_PAYLOAD),
         }
     }
+}
+
+/// Writes the fields into a slice and returns their length in bytes.
+fn written<T: Message>(message: &T, out: &mut [u8]) -> Result<usize, BufferFull> {
+    let mut writer = Writer { bytes: postcard::Serializer { output: Slice::new(out) } };
+    message.write(&mut writer)?;
+    writer.bytes.output.finalize().map(|body| body.len()).map_err(|_| BufferFull)
 }
 
 /// Reads a message from a payload.
 ///
 /// # Errors
-/// [`CodecError`] names what is wrong with the payload.
+/// [`CodecError`] names the fault of the payload.
 pub fn decode<T: Message>(payload: &[u8]) -> Result<T, CodecError> {
     let mut message = T::default();
     decode_into(&mut message, payload)?;
     Ok(message)
 }
 
-/// Reads a message from a payload into an old message, whose lists and texts are reused: nothing is allocated once they are
-/// large enough.
+/// Reads a message from a payload into an existing message; allocates nothing once its lists and
+/// texts are large enough.
 ///
 /// # Errors
-/// [`CodecError`] names what is wrong with the payload; what the message then holds is partly old and partly new, and not to
-/// be used.
+/// [`CodecError`] names the fault of the payload. The message then holds a mixture of old and new
+/// fields and must not be used.
 pub fn decode_into<T: Message>(message: &mut T, payload: &[u8]) -> Result<(), CodecError> {
     let found = kind_of(payload)?;
     if found != T::KIND {
-        return Err(CodecError::WrongKind { found, wanted: T::KIND });
+        return Err(CodecError::WrongKind { found, expected: T::KIND });
     }
-    let mut reader = Reader { kind: found, bytes: postcard::Deserializer::from_bytes(&payload[2..]) };
+    let mut reader = Reader { bytes: postcard::Deserializer::from_bytes(&payload[HEADER..]) };
     message.read(&mut reader)?;
-    reader.finish()?;
-    message.check(found)
+    match reader.bytes.finalize().map_or(0, <[u8]>::len) {
+        0 => message.check(),
+        extra => Err(CodecError::TrailingBytes { kind: found, extra }),
+    }
 }
 
-/// The kind of message that a payload says it holds.
+/// The kind of message that the header of a payload names.
 ///
 /// # Errors
-/// [`CodecError::Oversized`], [`CodecError::NoHeader`], [`CodecError::WrongVersion`], [`CodecError::UnknownKind`].
+/// [`CodecError::Oversized`], [`CodecError::NoHeader`], [`CodecError::WrongVersion`],
+/// [`CodecError::UnknownKind`].
 pub fn kind_of(payload: &[u8]) -> Result<Kind, CodecError> {
     if payload.len() > MAX_PAYLOAD {
         return Err(CodecError::Oversized { found: payload.len() });
     }
     match *payload {
         [version, ..] if version != VERSION => Err(CodecError::WrongVersion { found: version }),
-        [_, number, ..] => {
-            Kind::ALL.into_iter().find(|kind| *kind as u8 == number).ok_or(CodecError::UnknownKind { found: number })
-        }
+        [_, number, ..] => Kind::from_number(number).ok_or(CodecError::UnknownKind { found: number }),
         _ => Err(CodecError::NoHeader { found: payload.len() }),
     }
 }
 
-/// Takes the fields of one message from a payload, one after the other.
+/// Reads values from the body of a payload.
 pub struct Reader<'de> {
-    kind: Kind,
     bytes: postcard::Deserializer<'de, postcard::de_flavors::Slice<'de>>,
 }
 
 impl<'de> Reader<'de> {
-    /// The next field.
-    pub(crate) fn value<T: Deserialize<'de>>(&mut self, field: &'static str, place: &mut T) -> Result<(), CodecError> {
-        T::deserialize_in_place(&mut self.bytes, place).map_err(|error| self.refusal(field, error))
-    }
-
-    /// The next field, a list of at most `limit` entries; the length is refused before anything is allocated for it.
-    pub(crate) fn list<T: DeserializeOwned>(
-        &mut self,
-        field: &'static str,
-        limit: usize,
-        place: &mut Vec<T>,
-    ) -> Result<(), CodecError> {
-        let mut found = 0u64;
-        self.value(field, &mut found)?;
-        if found > limit as u64 {
-            return Err(CodecError::TooMany { kind: self.kind, field, found, limit });
-        }
-        let count = found as usize;
-        place.truncate(count);
-        for entry in place.iter_mut() {
-            self.value(field, entry)?;
-        }
-        place.reserve(count - place.len());
-        while place.len() < count {
-            let entry = T::deserialize(&mut self.bytes).map_err(|error| self.refusal(field, error))?;
-            place.push(entry);
-        }
-        Ok(())
-    }
-
-    /// Refuses what is left over.
-    fn finish(self) -> Result<(), CodecError> {
-        let left = self.bytes.finalize().map_or(0, <[u8]>::len);
-        if left > 0 { Err(CodecError::TrailingBytes { kind: self.kind, extra: left }) } else { Ok(()) }
-    }
-
-    fn refusal(&self, field: &'static str, error: postcard::Error) -> CodecError {
-        match error {
-            postcard::Error::DeserializeUnexpectedEnd => CodecError::Truncated { kind: self.kind, field },
-            other => CodecError::Malformed { kind: self.kind, field, problem: other.to_string() },
-        }
+    /// Reads the next number, bool or text; a text keeps its memory.
+    #[inline]
+    pub(crate) fn take<T: Deserialize<'de>>(&mut self, value: &mut T) -> Result<(), Unreadable> {
+        T::deserialize_in_place(&mut self.bytes, value).map_err(|error| match error {
+            postcard::Error::DeserializeUnexpectedEnd => Unreadable::Truncated,
+            other => Unreadable::Invalid(other.to_string()),
+        })
     }
 }
+
+/// Why the next bytes are not a value.
+pub(crate) enum Unreadable {
+    /// The payload ends within the value.
+    Truncated,
+    /// The bytes do not form a value of the type.
+    Invalid(String),
+}
+
+/// Writes values into a buffer.
+pub struct Writer<'a> {
+    bytes: postcard::Serializer<Slice<'a>>,
+}
+
+impl Writer<'_> {
+    /// Writes a number, a bool or a text.
+    #[inline]
+    pub(crate) fn put<T: Serialize + ?Sized>(&mut self, value: &T) -> Result<(), BufferFull> {
+        value.serialize(&mut self.bytes).map_err(|_| BufferFull)
+    }
+}
+
+/// The buffer is too short for the message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BufferFull;

@@ -1,147 +1,147 @@
-//! Why a payload is refused.
+//! Reasons to refuse a payload.
 
 use thiserror::Error;
 
-use crate::codec::Kind;
-use crate::{MAX_PAYLOAD, VERSION};
+use crate::kind::Kind;
+use crate::limits::{MAX_PAYLOAD, VERSION};
 
-/// What is wrong with a payload or a message, and what was wanted.
+/// Fault of a payload or of a message, and what was expected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum CodecError {
-    /// Longer than any payload may be.
-    #[error("payload of {found} bytes: at most {MAX_PAYLOAD} are allowed")]
+    /// The payload is longer than the contract allows.
+    #[error("payload of {found} bytes: expected at most {MAX_PAYLOAD}")]
     Oversized {
-        /// Bytes found.
+        /// Length found, in bytes.
         found: usize,
     },
-    /// Too short even for the two bytes of the header.
-    #[error("payload of {found} bytes: the header alone has 2, version and kind")]
+    /// The payload is shorter than the header.
+    #[error("payload of {found} bytes: expected at least the header of 2, version and kind")]
     NoHeader {
-        /// Bytes found.
+        /// Length found, in bytes.
         found: usize,
     },
-    /// Of another version of the contract.
-    #[error("payload of contract version {found}: this program speaks version {VERSION}")]
+    /// The payload belongs to another version of the contract.
+    #[error("payload of contract version {found}: expected version {VERSION}; update the older program")]
     WrongVersion {
         /// Version found.
         found: u8,
     },
-    /// A kind of message that does not exist in this version.
-    #[error("payload of kind {found}, which does not exist in version {VERSION}")]
+    /// The kind of message does not exist in this version.
+    #[error("payload of kind {found}: expected a kind of version {VERSION}")]
     UnknownKind {
         /// Number found.
         found: u8,
     },
-    /// Another kind of message than belongs here.
-    #[error("payload holds a {found}: wanted a {wanted}")]
+    /// The payload holds another kind of message than expected.
+    #[error("payload holds a {found}: expected a {expected}")]
     WrongKind {
         /// Kind found.
         found: Kind,
-        /// Kind wanted.
-        wanted: Kind,
+        /// Kind expected.
+        expected: Kind,
     },
-    /// The payload ends too soon.
+    /// The payload ends before the last field is complete.
     #[error("{kind}: payload ends within {field}")]
     Truncated {
         /// Kind of message.
         kind: Kind,
-        /// Field in which it ends.
+        /// Field in which the payload ends.
         field: &'static str,
     },
-    /// Bytes that cannot be a value of the field's type.
-    #[error("{kind}: bytes of {field} are no valid value: {problem}")]
+    /// The bytes are not a value of the field's type.
+    #[error("{kind}: the bytes of {field} are not a valid value: {problem}")]
     Malformed {
         /// Kind of message.
         kind: Kind,
-        /// Field.
+        /// Name of the field.
         field: &'static str,
-        /// What is wrong with them.
+        /// Fault of the bytes.
         problem: String,
     },
-    /// Bytes are left after the last field.
-    #[error("{kind}: {extra} bytes are left after the last field")]
+    /// Bytes remain after the last field.
+    #[error("{kind}: {extra} bytes remain after the last field: expected the end of the payload")]
     TrailingBytes {
         /// Kind of message.
         kind: Kind,
-        /// How many are left.
+        /// Number of bytes that remain.
         extra: usize,
     },
-    /// A list or a text is longer than allowed.
-    #[error("{kind}: {field} has a length of {found}: at most {limit} is allowed")]
+    /// A list or a text is longer than the contract allows.
+    #[error("{kind}: {field} has a length of {found}: expected at most {limit}")]
     TooMany {
         /// Kind of message.
         kind: Kind,
-        /// Field.
+        /// Name of the field.
         field: &'static str,
-        /// Length found.
+        /// Length found: entries of a list, bytes of a text.
         found: u64,
-        /// Length allowed.
+        /// Largest length allowed.
         limit: usize,
     },
-    /// Two lists that go together have different lengths.
-    #[error("{kind}: {field} has {found} entries: wanted {wanted}, as many as {like}")]
+    /// Two lists that must have the same length differ.
+    #[error("{kind}: {field} has {found} entries: expected {expected}, as many as {like}")]
     LengthMismatch {
         /// Kind of message.
         kind: Kind,
-        /// Field.
+        /// Name of the field.
         field: &'static str,
-        /// Entries found.
+        /// Number of entries found.
         found: usize,
-        /// The field that it goes with.
+        /// Field that sets the length.
         like: &'static str,
-        /// Entries of that field.
-        wanted: usize,
+        /// Number of entries of that field.
+        expected: usize,
     },
     /// A number is NaN or infinite.
-    #[error("{kind}: {field} at index {index} is {value}: wanted a finite number")]
+    #[error("{kind}: {field} at index {index} is {value}: expected a finite number")]
     NotFinite {
         /// Kind of message.
         kind: Kind,
-        /// Field.
+        /// Name of the field.
         field: &'static str,
-        /// Index in its list; 0 where there is none.
+        /// Index in the list or structure; 0 for a single number.
         index: usize,
-        /// The number.
+        /// Number found.
         value: f64,
     },
-    /// A number has no meaning in its field.
-    #[error("{kind}: {field} at index {index} is {value}: wanted {wanted}")]
+    /// A number is outside the domain of its field.
+    #[error("{kind}: {field} at index {index} is {value}: expected {expected}")]
     OutOfDomain {
         /// Kind of message.
         kind: Kind,
-        /// Field.
+        /// Name of the field.
         field: &'static str,
-        /// Index in its list; 0 where there is none.
+        /// Index in the list or structure; 0 for a single number.
         index: usize,
-        /// The number.
+        /// Number found.
         value: f64,
-        /// What would be right.
-        wanted: &'static str,
+        /// Description of the domain.
+        expected: &'static str,
     },
-    /// For an array of another size.
-    #[error("{kind} for {found} mirrors: this array has {wanted}")]
+    /// The message is for an array of another size.
+    #[error("{kind} for {found} mirrors: expected {expected}, as many as the array has")]
     WrongMirrors {
         /// Kind of message.
         kind: Kind,
-        /// Mirrors found.
+        /// Number of mirrors found.
         found: usize,
-        /// Mirrors wanted.
-        wanted: usize,
+        /// Number of mirrors of the array.
+        expected: usize,
     },
-    /// About another number of users.
-    #[error("{kind} about {found} users: wanted {wanted}")]
+    /// The report is about another number of users.
+    #[error("{kind} about {found} users: expected {expected}")]
     WrongUsers {
         /// Kind of message.
         kind: Kind,
-        /// Users found.
+        /// Number of users found.
         found: usize,
-        /// Users wanted.
-        wanted: usize,
+        /// Number of users expected.
+        expected: usize,
     },
 }
 
 impl CodecError {
-    /// The name under which nodes count this refusal.
+    /// Name of the counter for this refusal.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Oversized { .. } => "oversized",

@@ -1,457 +1,346 @@
-//! The fields of each message in the order of their bytes, and what each may hold.
-//!
-//! Writing follows the order in which the types declare their fields; `read` here must follow the same order, and the round
-//! trips in the tests hold the two together.
+//! How the fields of messages are read, written and checked, and the macro that does so for a
+//! structure.
 
-use crate::codec::{Kind, Message, Reader};
+use crate::codec::{BufferFull, Reader, Unreadable, Writer};
 use crate::error::CodecError;
-use crate::hardware::{AxisLimits, Calibration, Capabilities, EmergencyStop};
-use crate::messages::{
-    ChannelReport, MirrorCommand, MirrorTelemetry, NodeStatus, Obstacle, ObstacleReport, RoomTruth, UserReport,
-};
-use crate::operator::{ControllerControl, SimulatorControl};
-use crate::{MAX_ENTRIES, MAX_MIRRORS, MAX_OBSTACLES, MAX_TEXT, MAX_USERS};
+use crate::kind::Kind;
+use crate::limits::{MAX_MIRRORS, MAX_TEXT};
 
-/// How a message is read field by field, and what its fields may hold.
-pub trait Fields {
-    /// Takes each field from the reader.
-    ///
-    /// # Errors
-    /// [`CodecError`] where the bytes are not those of the field.
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError>;
+/// A type that a field can have.
+pub(crate) trait Value {
+    /// Reads the next value; lists and texts keep their memory.
+    fn read(&mut self, reader: &mut Reader<'_>, place: Place, bounds: Bounds) -> Result<(), CodecError>;
 
-    /// Holds the contents against the contract.
-    ///
-    /// # Errors
-    /// [`CodecError`] names the field that breaks it.
-    fn check(&self, kind: Kind) -> Result<(), CodecError>;
+    /// Writes the value.
+    fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull>;
+
+    /// Checks what the type and the bounds allow.
+    fn check(&self, place: Place, bounds: Bounds) -> Result<(), CodecError>;
 }
 
-impl Message for UserReport {
-    const KIND: Kind = Kind::UserReport;
-}
-
-impl Fields for UserReport {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("tick", &mut self.tick)?;
-        reader.list("users", MAX_USERS, &mut self.users)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        check.count("users", self.users.len(), MAX_USERS)?;
-        for (index, user) in self.users.iter().enumerate() {
-            check.finite_at("users.position_m", index, &user.position_m)?;
-            check.finite_at("users.velocity_m_s", index, &user.velocity_m_s)?;
-            check.not_negative("users.min_rate_bps", index, user.min_rate_bps)?;
-        }
-        Ok(())
-    }
-}
-
-impl Message for ChannelReport {
-    const KIND: Kind = Kind::ChannelReport;
-}
-
-impl Fields for ChannelReport {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("tick", &mut self.tick)?;
-        reader.list("users", MAX_USERS, &mut self.users)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        check.count("users", self.users.len(), MAX_USERS)?;
-        for (index, user) in self.users.iter().enumerate() {
-            check.finite_at("users.los_gain", index, &[user.los_gain])?;
-            check.finite_at("users.irs_gain", index, &[user.irs_gain])?;
-            check.finite_at("users.sinr", index, &[user.sinr])?;
-        }
-        Ok(())
-    }
-}
-
-impl Message for ObstacleReport {
-    const KIND: Kind = Kind::ObstacleReport;
-}
-
-impl Fields for ObstacleReport {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.list("obstacles", MAX_OBSTACLES, &mut self.obstacles)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        Check { kind }.obstacles(&self.obstacles)
-    }
-}
-
-impl Message for MirrorCommand {
-    const KIND: Kind = Kind::MirrorCommand;
-}
-
-impl Fields for MirrorCommand {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("epoch", &mut self.epoch)?;
-        reader.value("sequence", &mut self.sequence)?;
-        reader.value("answers", &mut self.answers)?;
-        reader.value("time_ns", &mut self.time_ns)?;
-        reader.value("validity_ms", &mut self.validity_ms)?;
-        reader.list("roll", MAX_MIRRORS, &mut self.roll)?;
-        reader.list("yaw", MAX_MIRRORS, &mut self.yaw)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        check.count("roll", self.roll.len(), MAX_MIRRORS)?;
-        check.same_length(("yaw", self.yaw.len()), ("roll", self.roll.len()))?;
-        check.finite("roll", &self.roll)?;
-        check.finite("yaw", &self.yaw)
-    }
-}
-
-impl Message for MirrorTelemetry {
-    const KIND: Kind = Kind::MirrorTelemetry;
-}
-
-impl Fields for MirrorTelemetry {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("state", &mut self.state)?;
-        reader.value("epoch", &mut self.epoch)?;
-        reader.value("applied_sequence", &mut self.applied_sequence)?;
-        reader.value("answers", &mut self.answers)?;
-        reader.value("received_ns", &mut self.received_ns)?;
-        reader.value("applied_ns", &mut self.applied_ns)?;
-        reader.value("calibration", &mut self.calibration)?;
-        reader.value("faults", &mut self.faults)?;
-        reader.value("counters", &mut self.counters)?;
-        reader.value("temperature_c", &mut self.temperature_c)?;
-        reader.list("roll_commanded", MAX_MIRRORS, &mut self.roll_commanded)?;
-        reader.list("yaw_commanded", MAX_MIRRORS, &mut self.yaw_commanded)?;
-        reader.list("roll_measured", MAX_MIRRORS, &mut self.roll_measured)?;
-        reader.list("yaw_measured", MAX_MIRRORS, &mut self.yaw_measured)?;
-        reader.list("unusable", MAX_MIRRORS, &mut self.unusable)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        let commanded = ("roll_commanded", self.roll_commanded.len());
-        check.count(commanded.0, commanded.1, MAX_MIRRORS)?;
-        check.count("unusable", self.unusable.len(), MAX_MIRRORS)?;
-        check.same_length(("yaw_commanded", self.yaw_commanded.len()), commanded)?;
-        for measured in [("roll_measured", self.roll_measured.len()), ("yaw_measured", self.yaw_measured.len())] {
-            if measured.1 > 0 {
-                check.same_length(measured, commanded)?;
-            }
-        }
-        check.finite("temperature_c", self.temperature_c.as_slice())?;
-        check.finite("roll_commanded", &self.roll_commanded)?;
-        check.finite("yaw_commanded", &self.yaw_commanded)?;
-        check.finite("roll_measured", &self.roll_measured)?;
-        check.finite("yaw_measured", &self.yaw_measured)
-    }
-}
-
-impl Message for NodeStatus {
-    const KIND: Kind = Kind::NodeStatus;
-}
-
-impl Fields for NodeStatus {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("node", &mut self.node)?;
-        reader.value("name", &mut self.name)?;
-        reader.value("software", &mut self.software)?;
-        reader.value("state", &mut self.state)?;
-        reader.value("scenario", &mut self.scenario)?;
-        reader.value("policy", &mut self.policy)?;
-        reader.value("started_ns", &mut self.started_ns)?;
-        reader.list("counters", MAX_ENTRIES, &mut self.counters)?;
-        reader.list("gauges", MAX_ENTRIES, &mut self.gauges)?;
-        reader.list("timings", MAX_ENTRIES, &mut self.timings)?;
-        reader.value("last_problem", &mut self.last_problem)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        check.text("name", &self.name)?;
-        check.text("software", &self.software)?;
-        check.text("state", &self.state)?;
-        check.text("scenario", &self.scenario)?;
-        check.text("policy", &self.policy)?;
-        check.text("last_problem", &self.last_problem)?;
-        check.count("counters", self.counters.len(), MAX_ENTRIES)?;
-        check.count("gauges", self.gauges.len(), MAX_ENTRIES)?;
-        check.count("timings", self.timings.len(), MAX_ENTRIES)?;
-        for (name, _) in &self.counters {
-            check.text("counters", name)?;
-        }
-        for (index, (name, value)) in self.gauges.iter().enumerate() {
-            check.text("gauges", name)?;
-            check.finite_at("gauges", index, &[*value])?;
-        }
-        for (index, (name, times)) in self.timings.iter().enumerate() {
-            check.text("timings", name)?;
-            check.finite_at("timings", index, &[times.p50, times.p90, times.p99, times.p999, times.max])?;
-        }
-        Ok(())
-    }
-}
-
-impl Message for RoomTruth {
-    const KIND: Kind = Kind::RoomTruth;
-}
-
-impl Fields for RoomTruth {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("tick", &mut self.tick)?;
-        reader.list("users", MAX_USERS, &mut self.users)?;
-        reader.list("obstacles", MAX_OBSTACLES, &mut self.obstacles)?;
-        reader.value("sum_rate_bps", &mut self.sum_rate_bps)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        check.count("users", self.users.len(), MAX_USERS)?;
-        for (index, user) in self.users.iter().enumerate() {
-            check.finite_at("users.position_m", index, &user.position_m)?;
-            check.finite_at("users.heading_rad", index, &[user.heading_rad])?;
-            check.finite_at("users.los_gain", index, &[user.los_gain])?;
-            check.finite_at("users.irs_gain", index, &[user.irs_gain])?;
-            check.finite_at("users.sinr", index, &[user.sinr])?;
-            check.finite_at("users.rate_bps", index, &[user.rate_bps])?;
-            check.not_negative("users.min_rate_bps", index, user.min_rate_bps)?;
-        }
-        check.obstacles(&self.obstacles)?;
-        let rates = &self.sum_rate_bps;
-        check.finite("sum_rate_bps", &[rates.policy, rates.no_irs, rates.flat, rates.oracle])
-    }
-}
-
-impl Message for Capabilities {
-    const KIND: Kind = Kind::Capabilities;
-}
-
-impl Fields for Capabilities {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("hardware", &mut self.hardware)?;
-        reader.value("driver", &mut self.driver)?;
-        reader.value("rows", &mut self.rows)?;
-        reader.value("columns", &mut self.columns)?;
-        reader.value("roll", &mut self.roll)?;
-        reader.value("yaw", &mut self.yaw)?;
-        reader.value("feedback", &mut self.feedback)?;
-        reader.value("validity_clock", &mut self.validity_clock)?;
-        reader.value("command_rate_max_hz", &mut self.command_rate_max_hz)?;
-        reader.value("park_after_ms", &mut self.park_after_ms)?;
-        reader.value("park_rad", &mut self.park_rad)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        check.text("hardware", &self.hardware)?;
-        check.text("driver", &self.driver)?;
-        let mirrors = u64::from(self.rows) * u64::from(self.columns);
-        if mirrors > MAX_MIRRORS as u64 {
-            return Err(CodecError::TooMany { kind, field: "rows * columns", found: mirrors, limit: MAX_MIRRORS });
-        }
-        check.axis("roll", &self.roll)?;
-        check.axis("yaw", &self.yaw)?;
-        check.not_negative("command_rate_max_hz", 0, self.command_rate_max_hz)?;
-        check.finite("park_rad", &self.park_rad)
-    }
-}
-
-impl Message for EmergencyStop {
-    const KIND: Kind = Kind::EmergencyStop;
-}
-
-impl Fields for EmergencyStop {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("action", &mut self.action)?;
-        reader.value("operator", &mut self.operator)?;
-        reader.value("reason", &mut self.reason)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        Check { kind }.text("operator", &self.operator)?;
-        Check { kind }.text("reason", &self.reason)
-    }
-}
-
-impl Message for Calibration {
-    const KIND: Kind = Kind::Calibration;
-}
-
-impl Fields for Calibration {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.list("roll_offset_rad", MAX_MIRRORS, &mut self.roll_offset_rad)?;
-        reader.list("roll_gain", MAX_MIRRORS, &mut self.roll_gain)?;
-        reader.list("yaw_offset_rad", MAX_MIRRORS, &mut self.yaw_offset_rad)?;
-        reader.list("yaw_gain", MAX_MIRRORS, &mut self.yaw_gain)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        let first = ("roll_offset_rad", self.roll_offset_rad.len());
-        check.count(first.0, first.1, MAX_MIRRORS)?;
-        check.finite(first.0, &self.roll_offset_rad)?;
-        let others =
-            [("roll_gain", &self.roll_gain), ("yaw_offset_rad", &self.yaw_offset_rad), ("yaw_gain", &self.yaw_gain)];
-        for (field, values) in others {
-            check.same_length((field, values.len()), first)?;
-            check.finite(field, values)?;
-        }
-        Ok(())
-    }
-}
-
-impl Message for SimulatorControl {
-    const KIND: Kind = Kind::SimulatorControl;
-}
-
-impl Fields for SimulatorControl {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("forced_users", &mut self.forced_users)?;
-        reader.value("power_w", &mut self.power_w)?;
-        reader.value("speed_m_s", &mut self.speed_m_s)?;
-        reader.list("faults", MAX_ENTRIES, &mut self.faults)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        let check = Check { kind };
-        if let Some(power_w) = self.power_w {
-            check.not_negative("power_w", 0, power_w)?;
-        }
-        for (index, speed_m_s) in self.speed_m_s.iter().flatten().enumerate() {
-            check.not_negative("speed_m_s", index, *speed_m_s)?;
-        }
-        check.count("faults", self.faults.len(), MAX_ENTRIES)?;
-        for (index, fault) in self.faults.iter().enumerate() {
-            check.not_negative("faults.seconds", index, fault.seconds)?;
-            check.not_negative("faults.share", index, fault.share)?;
-            check.count("faults.mirrors", fault.mirrors.len(), MAX_MIRRORS)?;
-            if fault.share > 1.0 {
-                let (field, value, wanted) = ("faults.share", fault.share.into(), "a share from 0 to 1");
-                return Err(CodecError::OutOfDomain { kind, field, index, value, wanted });
-            }
-        }
-        Ok(())
-    }
-}
-
-impl Message for ControllerControl {
-    const KIND: Kind = Kind::ControllerControl;
-}
-
-impl Fields for ControllerControl {
-    fn read(&mut self, reader: &mut Reader<'_>) -> Result<(), CodecError> {
-        reader.value("stamp", &mut self.stamp)?;
-        reader.value("policy", &mut self.policy)
-    }
-
-    fn check(&self, kind: Kind) -> Result<(), CodecError> {
-        Check { kind }.text("policy", &self.policy)
-    }
-}
-
-/// The tests that fields share.
-struct Check {
+/// A field of a message, for refusals.
+#[derive(Clone, Copy)]
+pub(crate) struct Place {
     kind: Kind,
+    field: &'static str,
+    index: Option<usize>,
 }
 
-impl Check {
-    fn count(&self, field: &'static str, found: usize, limit: usize) -> Result<(), CodecError> {
-        if found <= limit {
-            return Ok(());
-        }
-        Err(CodecError::TooMany { kind: self.kind, field, found: found as u64, limit })
+impl Place {
+    /// The message as a whole.
+    pub(crate) const fn message(kind: Kind) -> Self {
+        Self { kind, field: "", index: None }
     }
 
-    fn text(&self, field: &'static str, text: &str) -> Result<(), CodecError> {
-        self.count(field, text.len(), MAX_TEXT)
-    }
-
-    fn same_length(&self, one: (&'static str, usize), other: (&'static str, usize)) -> Result<(), CodecError> {
-        let ((field, found), (like, wanted)) = (one, other);
-        if found == wanted {
-            return Ok(());
-        }
-        Err(CodecError::LengthMismatch { kind: self.kind, field, found, like, wanted })
-    }
-
-    /// Each value of a list.
-    fn finite<T: Copy + Into<f64>>(&self, field: &'static str, values: &[T]) -> Result<(), CodecError> {
-        match values.iter().position(|value| !(*value).into().is_finite()) {
-            None => Ok(()),
-            Some(index) => Err(self.not_finite(field, index, values[index].into())),
+    /// A field of the structure at this place. A field without a name of its own keeps the name of
+    /// the structure and is told apart by its position.
+    pub(crate) fn inside(self, name: Option<&'static str>, position: Option<usize>) -> Self {
+        match name {
+            Some(field) => Self { field, ..self },
+            None => Self { index: self.index.or(position), ..self },
         }
     }
 
-    /// The values of one entry of a list.
-    fn finite_at<T: Copy + Into<f64>>(
-        &self,
-        field: &'static str,
-        index: usize,
-        values: &[T],
-    ) -> Result<(), CodecError> {
-        match values.iter().find(|value| !(**value).into().is_finite()) {
-            None => Ok(()),
-            Some(value) => Err(self.not_finite(field, index, (*value).into())),
+    /// An entry of the list at this place; of nested lists the outer index stays.
+    fn entry(self, index: usize) -> Self {
+        Self { index: self.index.or(Some(index)), ..self }
+    }
+
+    /// The refusal of bytes that are not a value.
+    pub(crate) fn unreadable(self, reason: Unreadable) -> CodecError {
+        let Self { kind, field, .. } = self;
+        match reason {
+            Unreadable::Truncated => CodecError::Truncated { kind, field },
+            Unreadable::Invalid(problem) => CodecError::Malformed { kind, field, problem },
         }
     }
 
-    fn not_negative(&self, field: &'static str, index: usize, value: f32) -> Result<(), CodecError> {
-        self.finite_at(field, index, &[value])?;
-        if value >= 0.0 {
-            return Ok(());
-        }
-        Err(CodecError::OutOfDomain {
-            kind: self.kind,
-            field,
-            index,
-            value: value.into(),
-            wanted: "a number that is not negative",
-        })
+    fn too_many(self, found: u64, limit: usize) -> CodecError {
+        CodecError::TooMany { kind: self.kind, field: self.field, found, limit }
     }
 
-    fn obstacles(&self, obstacles: &[Obstacle]) -> Result<(), CodecError> {
-        self.count("obstacles", obstacles.len(), MAX_OBSTACLES)?;
-        for (index, obstacle) in obstacles.iter().enumerate() {
-            self.finite_at("obstacles.x_m", index, &[obstacle.x_m])?;
-            self.finite_at("obstacles.y_m", index, &[obstacle.y_m])?;
-            self.not_negative("obstacles.radius_m", index, obstacle.radius_m)?;
-            self.not_negative("obstacles.height_m", index, obstacle.height_m)?;
+    fn out_of_domain(self, value: f64, expected: &'static str) -> CodecError {
+        let index = self.index.unwrap_or(0);
+        CodecError::OutOfDomain { kind: self.kind, field: self.field, index, value, expected }
+    }
+
+    /// The one check that a number is finite, and within its bounds.
+    #[inline]
+    fn check_number(self, value: f64, bounds: Bounds) -> Result<(), CodecError> {
+        // Comparisons with NaN are false, and all bounds are finite.
+        if value >= bounds.least && value <= bounds.most { Ok(()) } else { Err(self.bad_number(value, bounds)) }
+    }
+
+    #[cold]
+    fn bad_number(self, value: f64, bounds: Bounds) -> CodecError {
+        if value.is_finite() {
+            return self.out_of_domain(value, bounds.expected);
+        }
+        CodecError::NotFinite { kind: self.kind, field: self.field, index: self.index.unwrap_or(0), value }
+    }
+}
+
+/// Rules for one field that do not follow from its type.
+#[derive(Clone, Copy)]
+pub(crate) struct Bounds {
+    entries: usize,
+    least: f64,
+    most: f64,
+    expected: &'static str,
+}
+
+impl Bounds {
+    /// No rule; a list has no entries until [`at_most`](Self::at_most) allows some.
+    pub(crate) const NONE: Self = Self { entries: 0, least: f64::MIN, most: f64::MAX, expected: "a finite number" };
+
+    /// A list has at most this many entries.
+    pub(crate) const fn at_most(self, entries: usize) -> Self {
+        Self { entries, ..self }
+    }
+
+    /// Each number is 0 or above.
+    pub(crate) const fn not_negative(self) -> Self {
+        Self { least: 0.0, expected: "a number that is not negative", ..self }
+    }
+
+    /// Each number is a share, from 0 to 1.
+    pub(crate) const fn share(self) -> Self {
+        Self { least: 0.0, most: 1.0, expected: "a share from 0 to 1", ..self }
+    }
+}
+
+/// Implements [`Value`] for types that postcard reads and writes as a whole.
+macro_rules! plain_values {
+    ($($plain:ty, $check:expr;)*) => { $(
+        impl Value for $plain {
+            #[inline]
+            fn read(&mut self, reader: &mut Reader<'_>, place: Place, _: Bounds) -> Result<(), CodecError> {
+                reader.take(self).map_err(|reason| place.unreadable(reason))
+            }
+
+            #[inline]
+            fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+                writer.put(self)
+            }
+
+            #[inline]
+            fn check(&self, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+                let check: fn(&Self, Place, Bounds) -> Result<(), CodecError> = $check;
+                check(self, place, bounds)
+            }
+        }
+    )* };
+}
+
+plain_values! {
+    bool, |_, _, _| Ok(());
+    u32, |_, _, _| Ok(());
+    u64, |_, _, _| Ok(());
+    f32, |number, place, bounds| place.check_number(f64::from(*number), bounds);
+    f64, |number, place, bounds| place.check_number(*number, bounds);
+    String, |text, place, _| match text.len() {
+        0..=MAX_TEXT => Ok(()),
+        found => Err(place.too_many(found as u64, MAX_TEXT)),
+    };
+}
+
+impl<T: Value, const N: usize> Value for [T; N] {
+    #[inline]
+    fn read(&mut self, reader: &mut Reader<'_>, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        let mut entries = self.iter_mut().enumerate();
+        entries.try_for_each(|(index, entry)| entry.read(reader, place.entry(index), bounds))
+    }
+
+    #[inline]
+    fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+        self.iter().try_for_each(|entry| entry.write(writer))
+    }
+
+    #[inline]
+    fn check(&self, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        let mut entries = self.iter().enumerate();
+        entries.try_for_each(|(index, entry)| entry.check(place.entry(index), bounds))
+    }
+}
+
+impl<T: Value + Default> Value for Option<T> {
+    #[inline]
+    fn read(&mut self, reader: &mut Reader<'_>, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        let mut is_present = false;
+        is_present.read(reader, place, Bounds::NONE)?;
+        if is_present {
+            return self.get_or_insert_default().read(reader, place, bounds);
+        }
+        *self = None;
+        Ok(())
+    }
+
+    #[inline]
+    fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+        self.is_some().write(writer)?;
+        self.iter().try_for_each(|value| value.write(writer))
+    }
+
+    #[inline]
+    fn check(&self, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        self.iter().try_for_each(|value| value.check(place, bounds))
+    }
+}
+
+impl<T: Value + Default> Value for Vec<T> {
+    /// Refuses a length above the limit before it allocates anything for the entries.
+    fn read(&mut self, reader: &mut Reader<'_>, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        let mut found = 0u64;
+        found.read(reader, place, Bounds::NONE)?;
+        if found > bounds.entries as u64 {
+            return Err(place.too_many(found, bounds.entries));
+        }
+        let count = found as usize;
+        self.truncate(count);
+        for (index, entry) in self.iter_mut().enumerate() {
+            entry.read(reader, place.entry(index), bounds)?;
+        }
+        self.reserve(count - self.len());
+        while self.len() < count {
+            let mut entry = T::default();
+            entry.read(reader, place.entry(self.len()), bounds)?;
+            self.push(entry);
         }
         Ok(())
     }
 
-    fn axis(&self, field: &'static str, limits: &AxisLimits) -> Result<(), CodecError> {
-        self.finite_at(field, 0, &[limits.min_rad, limits.max_rad])?;
-        for value in [limits.slew_rad_s, limits.settling_s, limits.resolution_rad] {
-            self.not_negative(field, 0, value)?;
-        }
-        if limits.min_rad <= limits.max_rad {
-            return Ok(());
-        }
-        Err(CodecError::OutOfDomain {
-            kind: self.kind,
-            field,
-            index: 0,
-            value: limits.min_rad.into(),
-            wanted: "a smallest angle that is not above the largest",
-        })
+    fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+        (self.len() as u64).write(writer)?;
+        self.iter().try_for_each(|entry| entry.write(writer))
     }
 
-    fn not_finite(&self, field: &'static str, index: usize, value: f64) -> CodecError {
-        CodecError::NotFinite { kind: self.kind, field, index, value }
+    fn check(&self, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        if self.len() > bounds.entries {
+            return Err(place.too_many(self.len() as u64, bounds.entries));
+        }
+        let mut entries = self.iter().enumerate();
+        entries.try_for_each(|(index, entry)| entry.check(place.entry(index), bounds))
     }
+}
+
+impl<A: Value, B: Value> Value for (A, B) {
+    fn read(&mut self, reader: &mut Reader<'_>, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        self.0.read(reader, place, bounds)?;
+        self.1.read(reader, place, bounds)
+    }
+
+    fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+        self.0.write(writer)?;
+        self.1.write(writer)
+    }
+
+    fn check(&self, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        self.0.check(place, bounds)?;
+        self.1.check(place, bounds)
+    }
+}
+
+/// Implements [`Value`] for a structure: reader, writer and checks take the fields in the given
+/// order.
+///
+/// Each of the three destructures the structure, so that a field missing from the list does not
+/// compile. `$naming` gives the names of the fields in refusals: `[message]` for their own, `[in
+/// users]` for `users.FIELD`, and `[]` for the name of the field that holds the structure.
+macro_rules! implement_value {
+    (
+        $structure:ident, $naming:tt,
+        { $( $field:ident [$($rule:ident $(($limit:expr))?)*] )* },
+        [$( $relation:ident($($of:ident),+) )*]
+    ) => {
+        impl Value for $structure {
+            fn read(&mut self, reader: &mut Reader<'_>, place: Place, _: Bounds) -> Result<(), CodecError> {
+                let Self { $($field),* } = self;
+                let mut positions = 0..;
+                $(
+                    let inner = place.inside(field_name!($naming, $field), positions.next());
+                    $field.read(reader, inner, Bounds::NONE$(.$rule($($limit)?))*)?;
+                )*
+                Ok(())
+            }
+
+            fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+                let Self { $($field),* } = self;
+                $( $field.write(writer)?; )*
+                Ok(())
+            }
+
+            fn check(&self, place: Place, _: Bounds) -> Result<(), CodecError> {
+                let Self { $($field),* } = self;
+                let mut positions = 0..;
+                $(
+                    let inner = place.inside(field_name!($naming, $field), positions.next());
+                    $field.check(inner, Bounds::NONE$(.$rule($($limit)?))*)?;
+                )*
+                $( $relation(place, $((stringify!($of), $of)),+)?; )*
+                Ok(())
+            }
+        }
+    };
+}
+
+/// Name of a field in refusals, see [`implement_value`].
+macro_rules! field_name {
+    ([message], $field:ident) => {
+        Some(stringify!($field))
+    };
+    ([in $list:ident], $field:ident) => {
+        Some(concat!(stringify!($list), ".", stringify!($field)))
+    };
+    ([], $field:ident) => {
+        None
+    };
+}
+
+pub(crate) use {field_name, implement_value};
+
+/// Rule for two fields: the first list is as long as the second.
+pub(crate) fn same_length<T, U>(
+    place: Place,
+    (field, list): (&'static str, &Vec<T>),
+    (like, other): (&'static str, &Vec<U>),
+) -> Result<(), CodecError> {
+    let (found, expected) = (list.len(), other.len());
+    if found == expected {
+        return Ok(());
+    }
+    Err(CodecError::LengthMismatch { kind: place.kind, field, found, like, expected })
+}
+
+/// Rule for two fields: the first list is empty or as long as the second.
+pub(crate) fn same_length_or_empty<T, U>(
+    place: Place,
+    list: (&'static str, &Vec<T>),
+    other: (&'static str, &Vec<U>),
+) -> Result<(), CodecError> {
+    if list.1.is_empty() { Ok(()) } else { same_length(place, list, other) }
+}
+
+/// Rule for two fields: rows times columns is the number of mirrors of an array.
+pub(crate) fn mirrors_within_limit(
+    place: Place,
+    (_, rows): (&'static str, &u32),
+    (_, columns): (&'static str, &u32),
+) -> Result<(), CodecError> {
+    let found = u64::from(*rows) * u64::from(*columns);
+    if found <= MAX_MIRRORS as u64 {
+        return Ok(());
+    }
+    Err(Place { field: "rows * columns", ..place }.too_many(found, MAX_MIRRORS))
+}
+
+/// Rule for two fields: the smallest angle is not above the largest.
+pub(crate) fn ordered(
+    place: Place,
+    (_, smallest): (&'static str, &f32),
+    (_, largest): (&'static str, &f32),
+) -> Result<(), CodecError> {
+    if smallest <= largest {
+        return Ok(());
+    }
+    Err(place.out_of_domain(f64::from(*smallest), "a smallest angle that is not above the largest"))
 }

@@ -1,73 +1,33 @@
-//! Where each message travels: key expressions under a room's name, with the contract's version in the key.
+//! Key expressions of a room: the room's name, the contract's version, and one key for each
+//! message.
 
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+use crate::structures::NodeKind;
+use crate::table::message_table;
 
 /// Longest name of a room in bytes.
 pub const MAX_ROOM_NAME: usize = 64;
 
 const PREFIX: &str = "heliostat/v1";
 
-/// A sort of process that takes part in a room.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum NodeKind {
-    /// Decides the angles.
-    #[default]
-    Controller,
-    /// Simulates a whole room: users, receivers, mirrors.
-    SimNode,
-    /// Drives a real array.
-    Driver,
-    /// Finds real users and obstacles.
-    Tracker,
-    /// Only reads: user interfaces, recorders, the command line.
-    Viewer,
-}
-
-impl NodeKind {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Controller, Self::SimNode, Self::Driver, Self::Tracker, Self::Viewer];
-
-    /// The name in keys.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Controller => "controller",
-            Self::SimNode => "sim-node",
-            Self::Driver => "driver",
-            Self::Tracker => "tracker",
-            Self::Viewer => "viewer",
-        }
-    }
-
-    /// The node with this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|node| node.name() == name)
-    }
-}
-
-impl fmt::Display for NodeKind {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
-/// Why a text cannot name a room.
+/// Why a text is not the name of a room.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum RoomError {
-    /// Nothing there.
-    #[error("the name of the room is empty: wanted 1 to {MAX_ROOM_NAME} letters, digits, '-' or '_'")]
+    /// The name is empty.
+    #[error("the name of the room is empty: expected 1 to {MAX_ROOM_NAME} letters, digits, '-' or '_'")]
     Empty,
-    /// Longer than allowed.
-    #[error("the name of the room has {found} bytes: wanted at most {MAX_ROOM_NAME}")]
+    /// The name is too long.
+    #[error("the name of the room has {found} bytes: expected at most {MAX_ROOM_NAME}")]
     TooLong {
-        /// Bytes found.
+        /// Length found, in bytes.
         found: usize,
     },
-    /// A character that could mean something else in a key.
-    #[error("the name of the room \"{name}\" contains {found:?}: wanted only ASCII letters, digits, '-' and '_'")]
+    /// The name contains a character that has or could get a meaning in keys.
+    #[error("the name of the room \"{name}\" contains {found:?}: expected only ASCII letters, digits, '-' and '_'")]
     BadCharacter {
         /// The name.
         name: String,
@@ -76,17 +36,42 @@ pub enum RoomError {
     },
 }
 
-/// The name of a room: 1 to 64 ASCII letters, digits, '-' or '_'. It gives the keys of everything said in the room.
+/// The name of a room, 1 to 64 ASCII letters, digits, '-' or '_'; it gives the keys of the room's
+/// messages.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Room {
     name: String,
 }
 
+/// Expands the message table to the methods that give the keys.
+macro_rules! message_keys {
+    ($(
+        $(#[$meta:meta])*
+        message $message:ident(
+            kind: $number:literal, name: $name:literal,
+            key: $key:ident $(($argument:ident: $type:ty))? = $path:literal
+        ) $fields:tt
+        $(requires $relations:tt)?
+    )*) => {
+        /// The key of each message.
+        impl Room {
+            $(
+                #[doc = concat!("Key of [`", stringify!($message), "`](crate::", stringify!($message), ").")]
+                pub fn $key(&self $(, $argument: $type)?) -> String {
+                    self.key(format_args!($path))
+                }
+            )*
+        }
+    };
+}
+
+message_table!(message_keys);
+
 impl Room {
     /// Checks the name.
     ///
     /// # Errors
-    /// [`RoomError`] names what is wrong with it.
+    /// [`RoomError`] names the fault.
     pub fn new(name: &str) -> Result<Self, RoomError> {
         let allowed = |c: &char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
         if name.is_empty() {
@@ -106,93 +91,33 @@ impl Room {
         &self.name
     }
 
-    fn key(&self, rest: &str) -> String {
+    fn key(&self, rest: fmt::Arguments<'_>) -> String {
         format!("{PREFIX}/{}/{rest}", self.name)
     }
 
-    /// [`UserReport`](crate::UserReport)s.
-    pub fn users(&self) -> String {
-        self.key("users")
-    }
-
-    /// [`ChannelReport`](crate::ChannelReport)s.
-    pub fn channel(&self) -> String {
-        self.key("channel")
-    }
-
-    /// [`ObstacleReport`](crate::ObstacleReport)s.
-    pub fn obstacles(&self) -> String {
-        self.key("obstacles")
-    }
-
-    /// [`RoomTruth`](crate::RoomTruth), from simulated rooms only.
-    pub fn truth(&self) -> String {
-        self.key("truth")
-    }
-
-    /// [`MirrorCommand`](crate::MirrorCommand)s.
-    pub fn command(&self) -> String {
-        self.key("mirrors/command")
-    }
-
-    /// [`MirrorTelemetry`](crate::MirrorTelemetry).
-    pub fn telemetry(&self) -> String {
-        self.key("mirrors/telemetry")
-    }
-
-    /// [`Capabilities`](crate::Capabilities), published and queryable.
-    pub fn capabilities(&self) -> String {
-        self.key("mirrors/capabilities")
-    }
-
-    /// [`EmergencyStop`](crate::EmergencyStop).
-    pub fn stop(&self) -> String {
-        self.key("mirrors/stop")
-    }
-
-    /// [`Calibration`](crate::Calibration).
-    pub fn calibration(&self) -> String {
-        self.key("mirrors/calibration")
-    }
-
-    /// [`SimulatorControl`](crate::SimulatorControl), for simulated rooms only.
-    pub fn simulator_control(&self) -> String {
-        self.key("sim/control")
-    }
-
-    /// [`ControllerControl`](crate::ControllerControl).
-    pub fn controller_control(&self) -> String {
-        self.key("controller/control")
-    }
-
-    /// [`NodeStatus`](crate::NodeStatus) of one sort of process.
-    pub fn status(&self, node: NodeKind) -> String {
-        self.key(&format!("status/{node}"))
-    }
-
-    /// Pattern of every process's status.
+    /// Pattern for the status of every process.
     pub fn all_status(&self) -> String {
-        self.key("status/*")
+        self.key(format_args!("status/*"))
     }
 
-    /// Liveliness token of one instance; `source` is the id in its stamps.
+    /// Key of the liveliness token of one instance; `source` is the id in its stamps.
     pub fn alive(&self, node: NodeKind, source: u64) -> String {
-        self.key(&format!("alive/{node}/{source:016x}"))
+        self.key(format_args!("alive/{node}/{source:016x}"))
     }
 
-    /// Pattern of the liveliness tokens of one sort of process.
+    /// Pattern for the liveliness tokens of one kind of process.
     pub fn alive_of(&self, node: NodeKind) -> String {
-        self.key(&format!("alive/{node}/*"))
+        self.key(format_args!("alive/{node}/*"))
     }
 
-    /// Pattern of everything said in the room, for recorders; liveliness tokens are no part of it.
-    pub fn everything(&self) -> String {
-        self.key("**")
-    }
-
-    /// Pattern of every liveliness token of the room.
+    /// Pattern for every liveliness token of the room.
     pub fn all_alive(&self) -> String {
-        self.key("alive/*/*")
+        self.key(format_args!("alive/*/*"))
+    }
+
+    /// Pattern for every message of the room, for recorders; it does not include liveliness tokens.
+    pub fn everything(&self) -> String {
+        self.key(format_args!("**"))
     }
 }
 
@@ -210,7 +135,7 @@ impl FromStr for Room {
     }
 }
 
-/// The node and the source id in the key of a liveliness token; nothing where it is no such key.
+/// Node and source id in the key of a liveliness token; `None` for any other key.
 pub fn parse_alive(key: &str) -> Option<(NodeKind, u64)> {
     let mut parts = key.strip_prefix(PREFIX)?.strip_prefix('/')?.split('/');
     let (_room, alive, node, source) = (parts.next()?, parts.next()?, parts.next()?, parts.next()?);

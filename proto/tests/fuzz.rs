@@ -1,4 +1,4 @@
-//! Whatever arrives, decoding ends in a sound message or a named refusal.
+//! Decoding any bytes yields a valid message or a named refusal.
 
 mod common;
 
@@ -6,13 +6,13 @@ use common::*;
 use heliostat_proto::*;
 use proptest::prelude::*;
 
-/// Decodes as every kind; what is accepted must be sound enough to be written and read again.
-fn withstands(payload: &[u8]) -> Result<(), TestCaseError> {
+/// Decodes the payload as every kind; an accepted message must survive a round trip.
+fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     fn one<T: Message + PartialEq + std::fmt::Debug>(payload: &[u8]) -> Result<(), TestCaseError> {
         let Ok(message) = decode::<T>(payload) else { return Ok(()) };
         let mut again = Vec::new();
         prop_assert_eq!(encode(&message, &mut again), Ok(()));
-        prop_assert!(again.len() <= payload.len(), "numbers are written in their shortest form");
+        prop_assert!(again.len() <= payload.len(), "numbers are encoded in their shortest form");
         prop_assert_eq!(decode::<T>(&again), Ok(message));
         Ok(())
     }
@@ -65,17 +65,17 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn random_bytes(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..14) {
-        withstands(&payload)?;
+    fn random_bytes_are_decoded_or_refused(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..14) {
+        decodes_or_refuses(&payload)?;
         if payload.len() >= 2 {
             payload[0] = VERSION;
             payload[1] = kind;
-            withstands(&payload)?;
+            decodes_or_refuses(&payload)?;
         }
     }
 
     #[test]
-    fn altered_payloads(
+    fn altered_payloads_are_decoded_or_refused(
         which in 0usize..12,
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in any::<prop::sample::Index>(),
@@ -85,18 +85,18 @@ proptest! {
             let at = at.index(payload.len());
             payload[at] = byte;
         }
-        withstands(&payload)?;
+        decodes_or_refuses(&payload)?;
         payload.truncate(cut.index(payload.len()));
-        withstands(&payload)?;
+        decodes_or_refuses(&payload)?;
     }
 
     #[test]
-    fn commands_come_back(command in commands()) {
+    fn commands_survive_a_round_trip(command in commands()) {
         prop_assert_eq!(decode(&encoded(&command)), Ok(command));
     }
 
     #[test]
-    fn reports_come_back(report in reports()) {
+    fn reports_survive_a_round_trip(report in reports()) {
         prop_assert_eq!(decode(&encoded(&report)), Ok(report));
     }
 }

@@ -1,5 +1,5 @@
-//! The bytes of each message, pinned. A failure here is a change of the contract, not a test to update: the old bytes stay
-//! valid for version 1, and new ones need a new version or a new kind.
+//! The bytes of each message. A failure here is a change of the contract: correct the code, not the
+//! test. The bytes of version 1 stay valid; different ones need a new version or a new kind.
 
 mod common;
 
@@ -53,28 +53,28 @@ const ALL: [&str; 12] = [
     CONTROLLER_CONTROL,
 ];
 
-fn holds<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
+fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
     assert_eq!(hex(&encoded(message)), bytes, "bytes of a {}", T::KIND);
-    assert_eq!(&decode::<T>(&unhex(bytes)).expect("golden bytes are sound"), message, "a {} read back", T::KIND);
+    assert_eq!(&decode::<T>(&unhex(bytes)).expect("golden bytes are valid"), message, "a decoded {}", T::KIND);
 }
 
 #[test]
 fn each_message_has_the_bytes_of_version_1() {
-    holds(&user_report(), USER_REPORT);
-    holds(&channel_report(), CHANNEL_REPORT);
-    holds(&obstacle_report(), OBSTACLE_REPORT);
-    holds(&mirror_command(), MIRROR_COMMAND);
-    holds(&mirror_telemetry(), MIRROR_TELEMETRY);
-    holds(&node_status(), NODE_STATUS);
-    holds(&room_truth(), ROOM_TRUTH);
-    holds(&capabilities(), CAPABILITIES);
-    holds(&emergency_stop(), EMERGENCY_STOP);
-    holds(&calibration(), CALIBRATION);
-    holds(&simulator_control(), SIMULATOR_CONTROL);
-    holds(&controller_control(), CONTROLLER_CONTROL);
+    check_bytes(&user_report(), USER_REPORT);
+    check_bytes(&channel_report(), CHANNEL_REPORT);
+    check_bytes(&obstacle_report(), OBSTACLE_REPORT);
+    check_bytes(&mirror_command(), MIRROR_COMMAND);
+    check_bytes(&mirror_telemetry(), MIRROR_TELEMETRY);
+    check_bytes(&node_status(), NODE_STATUS);
+    check_bytes(&room_truth(), ROOM_TRUTH);
+    check_bytes(&capabilities(), CAPABILITIES);
+    check_bytes(&emergency_stop(), EMERGENCY_STOP);
+    check_bytes(&calibration(), CALIBRATION);
+    check_bytes(&simulator_control(), SIMULATOR_CONTROL);
+    check_bytes(&controller_control(), CONTROLLER_CONTROL);
 }
 
-/// Each enumeration on the wire is numbered in the order written in CONTRACT.md.
+/// The numbers of each enumeration are those in CONTRACT.md.
 #[test]
 fn enumerations_keep_their_numbers() {
     use heliostat_proto::{ArrayState, FaultKind, NodeKind};
@@ -82,7 +82,7 @@ fn enumerations_keep_their_numbers() {
         [ArrayState::Parked, ArrayState::Following, ArrayState::Holding, ArrayState::Stopped, ArrayState::Fault];
     for (number, state) in states.into_iter().enumerate() {
         let payload = encoded(&heliostat_proto::MirrorTelemetry { state, ..Default::default() });
-        assert_eq!(usize::from(payload[5]), number, "{state:?} follows header and an empty stamp");
+        assert_eq!(usize::from(payload[5]), number, "{state:?} follows the header and an empty stamp");
     }
     for (number, kind) in FaultKind::ALL.into_iter().enumerate() {
         let fault = heliostat_proto::MirrorFault { fault: kind, ..Default::default() };
@@ -90,7 +90,7 @@ fn enumerations_keep_their_numbers() {
         assert_eq!(
             usize::from(payload[9]),
             number,
-            "{kind:?} follows header, an empty stamp, three nones and a length"
+            "{kind:?} follows the header, an empty stamp, three absent values and a length"
         );
     }
     for (number, node) in NodeKind::ALL.into_iter().enumerate() {
@@ -100,7 +100,7 @@ fn enumerations_keep_their_numbers() {
 }
 
 #[test]
-fn the_document_shows_the_same_bytes() {
+fn the_contract_document_shows_the_same_bytes() {
     let document = include_str!("../../CONTRACT.md");
     let shown: Vec<String> = document.split("```").map(|part| part.split_whitespace().skip(1).collect()).collect();
     for (bytes, (name, _)) in ALL.into_iter().zip(payloads()) {

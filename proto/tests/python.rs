@@ -1,4 +1,4 @@
-//! The Python in CONTRACT.md, run as it stands there against the golden bytes.
+//! The Python codec of CONTRACT.md, run unchanged on the golden bytes.
 
 mod common;
 
@@ -8,8 +8,8 @@ use std::process::{Command, Stdio};
 
 use common::*;
 
-/// What the document's code has to do with each sample.
-const TRIAL: &str = r#"
+/// Checks of the document's codec on each sample.
+const CHECKS: &str = r#"
 def refused(payload, kind):
     try:
         decode(payload, kind)
@@ -43,18 +43,18 @@ for wrong in [dict(command, yaw=[0.0]), dict(command, roll=[math.nan, 0.0]), dic
         raise AssertionError(wrong)
     except Refused:
         pass
-print("sound")
+print("valid")
 "#;
 
 /// The first Python block of the document.
 fn code() -> &'static str {
     let document = include_str!("../../CONTRACT.md");
     let (_, rest) = document.split_once("```python\n").expect("CONTRACT.md has Python code");
-    rest.split_once("```").expect("the code ends").0
+    rest.split_once("```").expect("the code block has an end").0
 }
 
 #[test]
-fn the_code_in_the_document_reads_and_writes_the_golden_bytes() {
+fn the_codec_of_the_contract_document_decodes_and_encodes_the_golden_bytes() {
     let python = Command::new("python3").args(["-I", "-"]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let mut python = match python {
         Ok(python) => python,
@@ -70,11 +70,11 @@ fn the_code_in_the_document_reads_and_writes_the_golden_bytes() {
         writeln!(script, "    {}: \"{}\",", payload[1], hex(&payload)).expect("a string takes any text");
     }
     script.push_str("}\n");
-    script.push_str(TRIAL);
-    let mut input = python.stdin.take().expect("its input is piped");
+    script.push_str(CHECKS);
+    let mut input = python.stdin.take().expect("the input is piped");
     input.write_all(script.as_bytes()).expect("python3 reads the script");
     drop(input);
-    let output = python.wait_with_output().expect("python3 ends");
-    assert!(output.status.success(), "the code in CONTRACT.md fails, see above");
-    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "sound");
+    let output = python.wait_with_output().expect("python3 exits");
+    assert!(output.status.success(), "the code in CONTRACT.md fails; its error is printed above");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "valid");
 }

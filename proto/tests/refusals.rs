@@ -1,4 +1,4 @@
-//! What the codec refuses, and how it names it.
+//! Refusals of the codec and their names.
 
 mod common;
 
@@ -6,10 +6,10 @@ use common::*;
 use heliostat_proto::*;
 
 fn refusal<T: Message + std::fmt::Debug>(payload: &[u8]) -> CodecError {
-    decode::<T>(payload).expect_err("this payload is unsound")
+    decode::<T>(payload).expect_err("this payload is invalid")
 }
 
-/// The payload with four bytes replaced by those of a number.
+/// The payload with the four bytes at an offset replaced by those of a number.
 fn with_f32(mut payload: Vec<u8>, at: usize, value: f32) -> Vec<u8> {
     payload[at..at + 4].copy_from_slice(&value.to_le_bytes());
     payload
@@ -33,7 +33,7 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
 }
 
 #[test]
-fn the_version_is_refused_before_anything_else() {
+fn a_wrong_version_is_refused_before_any_other_fault() {
     for version in (0..=u8::MAX).filter(|version| *version != VERSION) {
         assert_eq!(refusal::<MirrorCommand>(&[version]), CodecError::WrongVersion { found: version });
         let mut payload = encoded(&mirror_command());
@@ -51,20 +51,20 @@ fn a_payload_without_header_is_refused() {
 }
 
 #[test]
-fn another_kind_is_refused_by_both_names() {
+fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
-    assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, wanted: Kind::MirrorCommand });
-    assert_eq!(error.to_string(), "payload holds a user report: wanted a mirror command");
+    assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
+    assert_eq!(error.to_string(), "payload holds a user report: expected a mirror command");
     for number in [0, 13, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }
 
 #[test]
-fn every_message_is_refused_at_every_shorter_length() {
+fn every_truncated_payload_is_refused() {
     for (name, payload) in payloads() {
-        let kind = codec::kind_of(&payload).expect("samples are sound");
-        assert_eq!(any_refusal(kind, &payload), None, "{name} whole");
+        let kind = codec::kind_of(&payload).expect("samples are valid");
+        assert_eq!(any_refusal(kind, &payload), None, "the complete {name}");
         for length in 2..payload.len() {
             let error = any_refusal(kind, &payload[..length]);
             let truncated = matches!(error, Some(CodecError::Truncated { kind: named, .. }) if named == kind);
@@ -87,16 +87,16 @@ fn the_field_in_which_a_payload_ends_is_named() {
 }
 
 #[test]
-fn bytes_after_the_last_field_are_counted() {
+fn bytes_after_the_last_field_are_refused_with_their_number() {
     for (name, mut payload) in payloads() {
-        let kind = codec::kind_of(&payload).expect("samples are sound");
+        let kind = codec::kind_of(&payload).expect("samples are valid");
         payload.extend_from_slice(&[0, 0, 0]);
         assert_eq!(any_refusal(kind, &payload), Some(CodecError::TrailingBytes { kind, extra: 3 }), "{name}");
     }
 }
 
 #[test]
-fn a_payload_over_the_limit_is_refused_whatever_it_holds() {
+fn an_oversized_payload_is_refused_before_its_header_is_read() {
     let payload = vec![0; MAX_PAYLOAD + 1];
     assert_eq!(refusal::<UserReport>(&payload), CodecError::Oversized { found: MAX_PAYLOAD + 1 });
 }
@@ -132,34 +132,34 @@ fn the_largest_messages_fit_into_a_payload() {
 }
 
 #[test]
-fn lists_over_their_limit_are_refused_by_their_length_alone() {
+fn lists_over_their_limit_are_refused_before_their_entries_are_read() {
     let mut payload = encoded(&UserReport { stamp: stamp(), tick: 1, users: vec![] });
     payload.pop();
     payload.extend_from_slice(&[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x01]);
-    let wanted = CodecError::TooMany { kind: Kind::UserReport, field: "users", found: u64::MAX, limit: MAX_USERS };
-    assert_eq!(refusal::<UserReport>(&payload), wanted);
+    let expected = CodecError::TooMany { kind: Kind::UserReport, field: "users", found: u64::MAX, limit: MAX_USERS };
+    assert_eq!(refusal::<UserReport>(&payload), expected);
     let crowd = UserReport { users: vec![UserState::default(); MAX_USERS + 1], ..user_report() };
-    let wanted = CodecError::TooMany { kind: Kind::UserReport, field: "users", found: 65, limit: 64 };
-    assert_eq!(encode(&crowd, &mut Vec::new()), Err(wanted));
+    let expected = CodecError::TooMany { kind: Kind::UserReport, field: "users", found: 65, limit: 64 };
+    assert_eq!(encode(&crowd, &mut Vec::new()), Err(expected));
     let wall = MirrorCommand { roll: vec![0.0; MAX_MIRRORS + 1], yaw: vec![], ..mirror_command() };
     assert!(matches!(encode(&wall, &mut Vec::new()), Err(CodecError::TooMany { field: "roll", .. })));
 }
 
 #[test]
-fn roll_and_yaw_go_together() {
+fn lists_that_belong_together_must_have_the_same_length() {
     let mut payload = encoded(&mirror_command());
     payload.truncate(payload.len() - 9);
     payload.push(1);
     payload.extend_from_slice(&0.5f32.to_le_bytes());
     let error = refusal::<MirrorCommand>(&payload);
-    let wanted =
-        CodecError::LengthMismatch { kind: Kind::MirrorCommand, field: "yaw", found: 1, like: "roll", wanted: 2 };
-    assert_eq!(error, wanted);
-    assert_eq!(error.to_string(), "mirror command: yaw has 1 entries: wanted 2, as many as roll");
+    let expected =
+        CodecError::LengthMismatch { kind: Kind::MirrorCommand, field: "yaw", found: 1, like: "roll", expected: 2 };
+    assert_eq!(error, expected);
+    assert_eq!(error.to_string(), "mirror command: yaw has 1 entries: expected 2, as many as roll");
     let half = MirrorTelemetry { roll_measured: vec![0.0], ..mirror_telemetry() };
     assert!(matches!(
         encode(&half, &mut Vec::new()),
-        Err(CodecError::LengthMismatch { field: "roll_measured", found: 1, wanted: 2, .. })
+        Err(CodecError::LengthMismatch { field: "roll_measured", found: 1, expected: 2, .. })
     ));
     let short = Calibration { yaw_gain: vec![1.0], ..calibration() };
     assert!(matches!(encode(&short, &mut Vec::new()), Err(CodecError::LengthMismatch { field: "yaw_gain", .. })));
@@ -181,27 +181,27 @@ fn numbers_that_are_not_finite_are_refused_with_field_and_index() {
         }
     }
     let error = refusal::<MirrorCommand>(&with_f32(payload, end - 4, f32::NAN));
-    assert_eq!(error.to_string(), "mirror command: yaw at index 1 is NaN: wanted a finite number");
+    assert_eq!(error.to_string(), "mirror command: yaw at index 1 is NaN: expected a finite number");
 }
 
-/// A field's name, and what makes it NaN.
+/// The name of a field, and a function that sets it to NaN.
 type Alteration<T> = (&'static str, fn(&mut T));
 
-/// Each alteration must be refused as not finite, under the field's name.
-fn poisoned<T: Message + Clone>(sample: &T, alterations: &[Alteration<T>]) {
-    for (wanted, alter) in alterations {
+/// Checks that each alteration is refused as not finite, with the name of the field.
+fn check_nan_is_refused<T: Message + Clone>(sample: &T, alterations: &[Alteration<T>]) {
+    for (expected, alter) in alterations {
         let mut message = sample.clone();
         alter(&mut message);
         match encode(&message, &mut Vec::new()) {
-            Err(CodecError::NotFinite { kind, field, .. }) => assert_eq!((kind, field), (T::KIND, *wanted)),
-            other => panic!("{} with a NaN in {wanted}: {other:?}", T::KIND),
+            Err(CodecError::NotFinite { kind, field, .. }) => assert_eq!((kind, field), (T::KIND, *expected)),
+            other => panic!("{} with a NaN in {expected}: {other:?}", T::KIND),
         }
     }
 }
 
 #[test]
-fn no_report_lets_a_nan_through() {
-    poisoned(
+fn reports_with_a_nan_are_refused() {
+    check_nan_is_refused(
         &user_report(),
         &[
             ("users.position_m", |report| report.users[0].position_m[2] = f32::NAN),
@@ -209,7 +209,7 @@ fn no_report_lets_a_nan_through() {
             ("users.min_rate_bps", |report| report.users[0].min_rate_bps = f32::NAN),
         ],
     );
-    poisoned(
+    check_nan_is_refused(
         &channel_report(),
         &[
             ("users.los_gain", |report| report.users[0].los_gain = f32::NAN),
@@ -217,7 +217,7 @@ fn no_report_lets_a_nan_through() {
             ("users.sinr", |report| report.users[0].sinr = f32::NAN),
         ],
     );
-    poisoned(
+    check_nan_is_refused(
         &obstacle_report(),
         &[
             ("obstacles.x_m", |report| report.obstacles[0].x_m = f32::NAN),
@@ -226,7 +226,7 @@ fn no_report_lets_a_nan_through() {
             ("obstacles.height_m", |report| report.obstacles[0].height_m = f32::NAN),
         ],
     );
-    poisoned(
+    check_nan_is_refused(
         &room_truth(),
         &[
             ("users.position_m", |truth| truth.users[0].position_m[0] = f32::NAN),
@@ -246,12 +246,12 @@ fn no_report_lets_a_nan_through() {
 }
 
 #[test]
-fn nothing_that_an_array_says_or_hears_lets_a_nan_through() {
-    poisoned(
+fn messages_to_and_from_an_array_with_a_nan_are_refused() {
+    check_nan_is_refused(
         &mirror_command(),
         &[("roll", |command| command.roll[1] = f32::NAN), ("yaw", |command| command.yaw[0] = f32::NAN)],
     );
-    poisoned(
+    check_nan_is_refused(
         &mirror_telemetry(),
         &[
             ("temperature_c", |telemetry| telemetry.temperature_c = Some(f32::NAN)),
@@ -261,7 +261,7 @@ fn nothing_that_an_array_says_or_hears_lets_a_nan_through() {
             ("yaw_measured", |telemetry| telemetry.yaw_measured = vec![0.0, f32::NAN]),
         ],
     );
-    poisoned(
+    check_nan_is_refused(
         &capabilities(),
         &[
             ("roll", |limits| limits.roll.min_rad = f32::NAN),
@@ -273,7 +273,7 @@ fn nothing_that_an_array_says_or_hears_lets_a_nan_through() {
             ("park_rad", |limits| limits.park_rad[1] = f32::NAN),
         ],
     );
-    poisoned(
+    check_nan_is_refused(
         &calibration(),
         &[
             ("roll_offset_rad", |values| values.roll_offset_rad[0] = f32::NAN),
@@ -282,7 +282,7 @@ fn nothing_that_an_array_says_or_hears_lets_a_nan_through() {
             ("yaw_gain", |values| values.yaw_gain[0] = f32::NAN),
         ],
     );
-    poisoned(
+    check_nan_is_refused(
         &node_status(),
         &[
             ("gauges", |status| status.gauges[0].1 = f64::NAN),
@@ -296,8 +296,8 @@ fn nothing_that_an_array_says_or_hears_lets_a_nan_through() {
 }
 
 #[test]
-fn no_order_lets_a_nan_through() {
-    poisoned(
+fn simulator_controls_with_a_nan_are_refused() {
+    check_nan_is_refused(
         &SimulatorControl { power_w: Some(2.0), ..simulator_control() },
         &[
             ("power_w", |control| control.power_w = Some(f32::NAN)),
@@ -309,14 +309,14 @@ fn no_order_lets_a_nan_through() {
 }
 
 #[test]
-fn orders_without_meaning_are_refused() {
+fn simulator_controls_outside_their_domain_are_refused() {
     let refused = |change: fn(&mut SimulatorControl)| {
         let mut control = simulator_control();
         change(&mut control);
-        encode(&control, &mut Vec::new()).expect_err("the order has no meaning")
+        encode(&control, &mut Vec::new()).expect_err("the control is outside its domain")
     };
     let share = refused(|control| control.faults[0].share = 1.5);
-    assert_eq!(share.to_string(), "simulator control: faults.share at index 0 is 1.5: wanted a share from 0 to 1");
+    assert_eq!(share.to_string(), "simulator control: faults.share at index 0 is 1.5: expected a share from 0 to 1");
     let power = refused(|control| control.power_w = Some(-1.0));
     assert!(matches!(power, CodecError::OutOfDomain { field: "power_w", .. }));
     let speed = refused(|control| control.speed_m_s = Some([-0.1, 1.0]));
@@ -329,13 +329,13 @@ fn orders_without_meaning_are_refused() {
     let fault = payload.len() - 15;
     assert_eq!(payload[fault], 3, "the number of the fault");
     payload[fault] = 9;
-    assert!(matches!(refusal::<SimulatorControl>(&payload), CodecError::Malformed { field: "faults", .. }));
+    assert!(matches!(refusal::<SimulatorControl>(&payload), CodecError::Malformed { field: "faults.fault", .. }));
     let policy = ControllerControl { policy: "x".repeat(MAX_TEXT + 1), ..controller_control() };
     assert!(matches!(encode(&policy, &mut Vec::new()), Err(CodecError::TooMany { field: "policy", .. })));
 }
 
 #[test]
-fn numbers_without_meaning_are_refused() {
+fn numbers_outside_their_domain_are_refused() {
     let mut obstacles = obstacle_report();
     obstacles.obstacles[0].radius_m = -0.1;
     let error = encode(&obstacles, &mut Vec::new()).expect_err("a radius is not negative");
@@ -354,7 +354,7 @@ fn numbers_without_meaning_are_refused() {
 }
 
 #[test]
-fn bytes_that_are_no_value_are_refused_with_the_field() {
+fn invalid_bytes_are_refused_with_the_field() {
     let command = encoded(&mirror_command());
     let mut endless = command.clone();
     endless.splice(2..3, [0xff; 11]);
@@ -369,10 +369,10 @@ fn bytes_that_are_no_value_are_refused_with_the_field() {
 }
 
 #[test]
-fn texts_are_limited_and_problems_are_cut_to_fit() {
+fn long_texts_are_refused_and_long_problems_are_cut_to_the_limit() {
     let long = NodeStatus { name: "x".repeat(MAX_TEXT + 1), ..node_status() };
-    let wanted = CodecError::TooMany { kind: Kind::NodeStatus, field: "name", found: 1025, limit: MAX_TEXT };
-    assert_eq!(encode(&long, &mut Vec::new()), Err(wanted));
+    let expected = CodecError::TooMany { kind: Kind::NodeStatus, field: "name", found: 1025, limit: MAX_TEXT };
+    assert_eq!(encode(&long, &mut Vec::new()), Err(expected));
     let mut status = node_status();
     status.set_problem(&"µ".repeat(MAX_TEXT));
     assert_eq!(status.last_problem.len(), MAX_TEXT);
@@ -382,7 +382,7 @@ fn texts_are_limited_and_problems_are_cut_to_fit() {
 }
 
 #[test]
-fn a_refused_message_leaves_no_bytes() {
+fn a_refused_message_leaves_the_buffer_empty() {
     let mut buffer = vec![1, 2, 3];
     let nan = MirrorCommand { roll: vec![f32::NAN], yaw: vec![0.0], ..mirror_command() };
     assert!(encode(&nan, &mut buffer).is_err());
@@ -390,34 +390,34 @@ fn a_refused_message_leaves_no_bytes() {
 }
 
 #[test]
-fn counts_are_held_against_the_receiver() {
+fn counts_are_compared_with_those_of_the_receiver() {
     assert_eq!(mirror_command().check_mirrors(2), Ok(()));
-    let error = mirror_command().check_mirrors(100).expect_err("the command is for two");
-    assert_eq!(error.to_string(), "mirror command for 2 mirrors: this array has 100");
+    let error = mirror_command().check_mirrors(100).expect_err("the command is for two mirrors");
+    assert_eq!(error.to_string(), "mirror command for 2 mirrors: expected 100, as many as the array has");
     assert!(mirror_telemetry().check_mirrors(3).is_err());
     assert!(capabilities().check_mirrors(3).is_err());
     assert!(calibration().check_mirrors(3).is_err());
     assert_eq!(user_report().check_users(1), Ok(()));
-    let error = channel_report().check_users(5).expect_err("the report is about one");
-    assert_eq!(error, CodecError::WrongUsers { kind: Kind::ChannelReport, found: 1, wanted: 5 });
+    let error = channel_report().check_users(5).expect_err("the report is about one user");
+    assert_eq!(error, CodecError::WrongUsers { kind: Kind::ChannelReport, found: 1, expected: 5 });
 }
 
 #[test]
-fn rooms_have_plain_names() {
+fn room_names_hold_only_letters_digits_dashes_and_underscores() {
     assert_eq!(Room::new(""), Err(RoomError::Empty));
     assert!(matches!(Room::new(&"a".repeat(65)), Err(RoomError::TooLong { found: 65 })));
     for bad in ["a/b", "*", "a b", "a$", "ä", "a?", "a#", "@x", "a.b", "\n"] {
         assert!(matches!(Room::new(bad), Err(RoomError::BadCharacter { .. })), "{bad:?}");
     }
-    let room = Room::new("Lab_2-b").expect("a plain name");
+    let room = Room::new("Lab_2-b").expect("a valid name");
     assert_eq!(room.command(), "heliostat/v1/Lab_2-b/mirrors/command");
     assert_eq!(room.status(NodeKind::SimNode), "heliostat/v1/Lab_2-b/status/sim-node");
     assert_eq!("Lab_2-b".parse(), Ok(room));
 }
 
 #[test]
-fn liveliness_keys_are_read_back() {
-    let room = Room::new("demo").expect("a plain name");
+fn liveliness_keys_survive_a_round_trip() {
+    let room = Room::new("demo").expect("a valid name");
     let key = room.alive(NodeKind::Driver, 0xabc);
     assert_eq!(key, "heliostat/v1/demo/alive/driver/0000000000000abc");
     assert_eq!(keys::parse_alive(&key), Some((NodeKind::Driver, 0xabc)));

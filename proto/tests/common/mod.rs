@@ -1,6 +1,6 @@
-//! One message of each kind, small enough to read byte by byte. CONTRACT.md shows the same ones.
+//! One short message of each kind; CONTRACT.md shows the same ones.
 
-#![allow(dead_code, reason = "each test file uses its part")]
+#![allow(dead_code, reason = "each test file uses some of the functions")]
 
 use heliostat_proto::*;
 
@@ -169,11 +169,11 @@ pub fn controller_control() -> ControllerControl {
 
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
-    encode(message, &mut payload).expect("the sample is sound");
+    encode(message, &mut payload).expect("the sample is valid");
     payload
 }
 
-/// Every sample with the name that CONTRACT.md gives it.
+/// The payload of every sample, with its name in CONTRACT.md.
 pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("user report", encoded(&user_report())),

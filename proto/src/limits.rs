@@ -1,0 +1,29 @@
+//! Version and limits of the contract.
+
+/// Version of the contract: part of each key and the first byte of each payload.
+pub const VERSION: u8 = 1;
+
+/// Longest payload in bytes, header included.
+pub const MAX_PAYLOAD: usize = 1 << 20;
+
+/// Largest number of users in one report.
+pub const MAX_USERS: usize = 64;
+
+/// Largest number of mirrors in one array.
+pub const MAX_MIRRORS: usize = 16_384;
+
+/// Largest number of obstacles in one report.
+pub const MAX_OBSTACLES: usize = 1024;
+
+/// Largest number of entries in each list of a [`NodeStatus`](crate::NodeStatus).
+pub const MAX_ENTRIES: usize = 256;
+
+/// Longest text in bytes of UTF-8.
+pub const MAX_TEXT: usize = 1024;
+
+/// Largest lead of a sender's clock in ns. A receiver refuses a message whose time is later than
+/// this.
+pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
+
+/// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
+pub type Nanos = u64;

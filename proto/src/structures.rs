@@ -1,0 +1,355 @@
+//! Structures and enumerations that the fields of messages consist of.
+//!
+//! Positions are in m in the room's frame: origin at the centre of the floor, z up. Angles are in
+//! rad and mechanical. `structure NAME in LIST` names the fields in refusals after the list that
+//! holds the structure, for example `users.position_m`. The order of the fields is the order of
+//! their bytes, so it never changes within a version.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::codec::{BufferFull, Reader, Unreadable, Writer};
+use crate::error::CodecError;
+use crate::fields::{Bounds, Place, Value, field_name, implement_value, ordered};
+use crate::limits::{MAX_MIRRORS, Nanos};
+
+/// Defines structures with public fields, and reads, writes and checks them.
+macro_rules! structures {
+    ($(
+        $(#[$meta:meta])*
+        structure $structure:ident $(in $list:ident)? {
+            $( $(#[$field_meta:meta])* $field:ident: $type:ty $(where $($rule:ident $(($limit:expr))?)and+)?, )*
+        }
+        $(requires { $($relation:ident($($of:ident),+)),+ $(,)? })?
+    )*) => { $(
+        $(#[$meta])*
+        #[derive(Clone, Debug, Default, PartialEq)]
+        pub struct $structure {
+            $( $(#[$field_meta])* pub $field: $type, )*
+        }
+
+        implement_value!(
+            $structure, [$(in $list)?],
+            { $( $field [$($($rule $(($limit))?)*)?] )* },
+            [$($( $relation($($of),+) )*)?]
+        );
+    )* };
+}
+
+structures! {
+    /// Origin, sequence number and time of a message.
+    #[derive(Copy, Eq)]
+    structure Stamp {
+        /// Random id of the publishing instance; it differs after a restart.
+        source: u64,
+        /// Sequence number of this source on this key, from 1; a gap is a lost message.
+        sequence: u64,
+        /// Time at which the content was sampled, not sent, in ns.
+        time_ns: Nanos,
+    }
+
+    /// Position, velocity and required rate of one user, as the tracker measured them.
+    #[derive(Copy)]
+    structure UserState in users {
+        /// Number of the user; it does not change while the user is in the room.
+        user: u32,
+        /// Position x, y, z of the detector in m.
+        position_m: [f32; 3],
+        /// Velocity along x and y in m/s; 0 where the tracker does not measure it.
+        velocity_m_s: [f32; 2],
+        /// Minimum rate that this user requires, in bit/s.
+        min_rate_bps: f32 where not_negative,
+    }
+
+    /// Measured channel gains and SINR of one user.
+    #[derive(Copy)]
+    structure UserChannel in users {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Channel gain of the direct path, dimensionless; 0 when blocked.
+        los_gain: f32,
+        /// Channel gain over all mirrors, dimensionless.
+        irs_gain: f32,
+        /// Signal to interference and noise ratio, linear.
+        sinr: f32,
+    }
+
+    /// An upright cylinder that stands on the floor and blocks light.
+    #[derive(Copy)]
+    structure Obstacle in obstacles {
+        /// Position of the axis along x in m.
+        x_m: f32,
+        /// Position of the axis along y in m.
+        y_m: f32,
+        /// Radius in m.
+        radius_m: f32 where not_negative,
+        /// Height above the floor in m.
+        height_m: f32 where not_negative,
+    }
+
+    /// Counters of the commands that a driver received since its start.
+    #[derive(Copy, Eq)]
+    structure Counters {
+        /// Commands applied.
+        accepted: u64,
+        /// Accepted commands with at least one angle outside its range, which the driver clamped.
+        clipped: u64,
+        /// Accepted commands that arrived after the end of validity of the previous one, while the
+        /// array held or was parked.
+        late: u64,
+        /// Commands refused as malformed: undecodable, not finite, or for another number of
+        /// mirrors.
+        rejected: u64,
+        /// Commands refused because a command of a higher epoch was applied before.
+        old_epoch: u64,
+        /// Commands refused because this sequence number or a later one of the epoch was applied
+        /// before.
+        old_sequence: u64,
+        /// Commands refused because their validity had ended on arrival, or because their time was
+        /// later than now by more than [`CLOCK_LEAD_MAX_NS`](crate::CLOCK_LEAD_MAX_NS).
+        expired: u64,
+        /// Commands refused because an emergency stop is latched.
+        stopped: u64,
+    }
+
+    /// Distribution of durations in us.
+    #[derive(Copy, Serialize, Deserialize)]
+    structure Quantiles {
+        /// Number of measurements.
+        count: u64,
+        /// Median in us.
+        p50: f64,
+        /// 90th percentile in us.
+        p90: f64,
+        /// 99th percentile in us.
+        p99: f64,
+        /// 99.9th percentile in us.
+        p999: f64,
+        /// Maximum in us.
+        max: f64,
+    }
+
+    /// True state of one user of a simulated room.
+    #[derive(Copy)]
+    structure TruthUser in users {
+        /// Number of the user.
+        user: u32,
+        /// Position x, y, z of the detector in m.
+        position_m: [f32; 3],
+        /// Heading of the user about z in rad, from +x towards +y.
+        heading_rad: f32,
+        /// Whether the direct path is blocked, for any reason.
+        los_blocked: bool,
+        /// Whether the scenario or an operator forces the direct path off.
+        forced: bool,
+        /// Channel gain of the direct path, dimensionless.
+        los_gain: f32,
+        /// Channel gain over all mirrors, dimensionless.
+        irs_gain: f32,
+        /// Signal to interference and noise ratio, linear.
+        sinr: f32,
+        /// Rate in bit/s.
+        rate_bps: f32,
+        /// Minimum rate that this user requires, in bit/s.
+        min_rate_bps: f32 where not_negative,
+    }
+
+    /// Sum rates in bit/s of the same moment for the policy and three baselines.
+    #[derive(Copy)]
+    structure SumRates {
+        /// Sum rate with the present mirror angles, in bit/s.
+        policy: f64,
+        /// Sum rate without mirrors, in bit/s.
+        no_irs: f64,
+        /// Sum rate with all mirrors flat, in bit/s.
+        flat: f64,
+        /// Sum rate in bit/s with the best angles of the solver, which satisfies minimum rates
+        /// first. A policy that leaves a minimum rate unsatisfied can exceed it.
+        oracle: f64,
+    }
+
+    /// Limits of one axis, the same for every mirror.
+    #[derive(Copy)]
+    structure AxisLimits {
+        /// Smallest mechanical angle in rad.
+        min_rad: f32,
+        /// Largest mechanical angle in rad.
+        max_rad: f32,
+        /// Highest angular speed in rad/s; 0 where unknown.
+        slew_rad_s: f32 where not_negative,
+        /// Settling time after a small step in s; 0 where unknown.
+        settling_s: f32 where not_negative,
+        /// Smallest step in rad; 0 where unknown.
+        resolution_rad: f32 where not_negative,
+    } requires { ordered(min_rad, max_rad) }
+
+    /// A fault, and the mirrors that have it.
+    structure MirrorFault in faults {
+        /// Kind of fault.
+        fault: FaultKind,
+        /// Duration of [`FaultKind::Offline`] and [`FaultKind::Reboot`], and delay of commands
+        /// under [`FaultKind::Late`], in s; ignored by the others.
+        seconds: f32 where not_negative,
+        /// Share of all mirrors, from 0 to 1, rounded to a number of mirrors; used where `mirrors`
+        /// is empty.
+        share: f32 where share,
+        /// Seed of the draw of that share; the same seed draws the same mirrors.
+        seed: u64,
+        /// Indices of the mirrors; empty where a share is drawn, or where the fault concerns the
+        /// array as a whole.
+        mirrors: Vec<u32> where at_most(MAX_MIRRORS),
+    }
+}
+
+impl Counters {
+    /// Number of commands refused, for all reasons.
+    pub fn refused(&self) -> u64 {
+        self.rejected + self.old_epoch + self.old_sequence + self.expired + self.stopped
+    }
+}
+
+/// Defines enumerations with their numbers on the wire and their names, and reads and writes them.
+macro_rules! enumerations {
+    ($(
+        $(#[$meta:meta])*
+        enumeration $enumeration:ident {
+            $( $(#[$variant_meta:meta])* $variant:ident = $number:literal $name:literal, )*
+        }
+    )*) => { $(
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+        pub enum $enumeration {
+            $( $(#[$variant_meta])* $variant = $number, )*
+        }
+
+        impl $enumeration {
+            /// All values, in the order of their numbers.
+            pub const ALL: [Self; [$($number),*].len()] = [$(Self::$variant),*];
+
+            /// Name in keys, in counters and on command lines.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)*
+                }
+            }
+
+            /// The value with this name.
+            pub fn from_name(name: &str) -> Option<Self> {
+                Self::ALL.into_iter().find(|value| value.name() == name)
+            }
+        }
+
+        impl Value for $enumeration {
+            fn read(&mut self, reader: &mut Reader<'_>, place: Place, _: Bounds) -> Result<(), CodecError> {
+                let mut number = 0u32;
+                number.read(reader, place, Bounds::NONE)?;
+                *self = Self::ALL
+                    .into_iter()
+                    .find(|value| *value as u32 == number)
+                    .ok_or_else(|| place.unreadable(Unreadable::Invalid(format!("no value has the number {number}"))))?;
+                Ok(())
+            }
+
+            fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+                (*self as u32).write(writer)
+            }
+
+            fn check(&self, _: Place, _: Bounds) -> Result<(), CodecError> {
+                Ok(())
+            }
+        }
+    )* };
+}
+
+enumerations! {
+    /// State of the array.
+    enumeration ArrayState {
+        /// At the park position: no command yet, or none for longer than the driver holds the last
+        /// one.
+        #[default]
+        Parked = 0 "parked",
+        /// Moving to, or at, the angles of a valid command.
+        Following = 1 "following",
+        /// The last command is no longer valid; the mirrors keep their angles until they park.
+        Holding = 2 "holding",
+        /// An emergency stop is latched; the driver refuses commands until it is re-armed.
+        Stopped = 3 "stopped",
+        /// The hardware cannot follow commands; the fault bits give the reason.
+        Fault = 4 "fault",
+    }
+
+    /// Whether the hardware measures the angles of its mirrors.
+    enumeration Feedback {
+        /// It does not: telemetry has no measured angles.
+        #[default]
+        OpenLoop = 0 "open-loop",
+        /// It measures each angle.
+        ClosedLoop = 1 "closed-loop",
+    }
+
+    /// Clock from which a driver counts the validity of a command.
+    enumeration ValidityClock {
+        /// From the time of the command; the driver's clock is synchronised to UTC.
+        #[default]
+        SourceTime = 0 "source-time",
+        /// From the arrival of the command; the driver has no such clock and cannot detect delayed
+        /// commands.
+        Arrival = 1 "arrival",
+    }
+
+    /// Action of an emergency stop message.
+    enumeration StopAction {
+        /// Stop at once, and refuse commands from now on.
+        #[default]
+        Stop = 0 "stop",
+        /// Accept commands again.
+        Rearm = 1 "re-arm",
+    }
+
+    /// Fault of simulated mirrors.
+    enumeration FaultKind {
+        /// No fault: ends all faults of the mirrors except late, offline and reboot, which concern
+        /// the array.
+        #[default]
+        Healed = 0 "healed",
+        /// Both axes keep their angles.
+        Stuck = 1 "stuck",
+        /// Roll loses its drive and returns to 0.
+        DeadRoll = 2 "dead-roll",
+        /// Yaw loses its drive and returns to 0.
+        DeadYaw = 3 "dead-yaw",
+        /// Roll turns in the opposite direction.
+        FlippedRoll = 4 "flipped-roll",
+        /// Yaw turns in the opposite direction.
+        FlippedYaw = 5 "flipped-yaw",
+        /// The array does not answer for a while; its mirrors keep their angles.
+        Offline = 6 "offline",
+        /// Each command reaches the mirrors after a delay; a delay of 0 s ends the fault.
+        Late = 7 "late",
+        /// The array restarts: its mirrors return to 0, and it does not answer for a while.
+        Reboot = 8 "reboot",
+    }
+
+    /// Kind of process that takes part in a room.
+    #[derive(Serialize, Deserialize)]
+    enumeration NodeKind {
+        /// Decides the mirror angles.
+        #[default]
+        Controller = 0 "controller",
+        /// Simulates a room: users, receivers and mirrors.
+        SimNode = 1 "sim-node",
+        /// Drives a real array.
+        Driver = 2 "driver",
+        /// Measures the positions of real users and obstacles.
+        Tracker = 3 "tracker",
+        /// Only receives: user interfaces, recorders, the command line.
+        Viewer = 4 "viewer",
+    }
+}
+
+impl fmt::Display for NodeKind {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}

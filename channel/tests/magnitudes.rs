@@ -1,4 +1,5 @@
-//! Magnitudes of the paper's room, each with the tolerance of a figure that was read from a finite sample elsewhere.
+//! Magnitudes of the paper's room, each with the tolerance of a figure that was read from a finite
+//! sample elsewhere.
 
 mod common;
 
@@ -53,7 +54,7 @@ fn specular_gain_of_an_aimed_mirror() {
 }
 
 #[test]
-fn paper_gain_of_the_whole_array_is_a_hundredth_of_the_direct_gain() {
+fn paper_gain_of_the_complete_array_is_a_hundredth_of_the_line_of_sight_gain() {
     let model = Room::paper().with_mode(PAPER).model();
     let mut random = Random::new(31);
     let share = |user: Vec3| {
@@ -87,7 +88,8 @@ fn spots_on_the_receiver_plane() {
     }
 }
 
-/// Normal jitter of each axis of each mirror; gain over all mirrors, panel of 0.1 m, users where they walk.
+/// Normal jitter of each axis of each mirror; gain over all mirrors, panel of 0.1 m, users where
+/// they walk.
 #[test]
 fn pointing_jitter() {
     let model = Room::paper().with_panel().model();
@@ -114,7 +116,7 @@ fn pointing_jitter() {
 
 /// Angles that aim each mirror at each point of a grid over the floor, 0.2 m apart.
 #[test]
-fn angles_that_are_needed() {
+fn required_angles() {
     let model = Room::paper().model();
     let mut angles = MirrorAngles::flat(100);
     let mut pairs = Vec::new();
@@ -135,7 +137,8 @@ fn angles_that_are_needed() {
     }
 }
 
-/// Angles that are best under eqs. (2) and (3) face the user; a mirror that faces the user sends the LED's light elsewhere.
+/// Angles that are best under eqs. (2) and (3) face the user; a mirror that faces the user sends
+/// the LED's light elsewhere.
 #[test]
 fn paper_angles_bring_nothing_on_a_real_mirror() {
     let (specular, paper) = (Room::paper().with_panel().model(), Room::paper().with_mode(PAPER).model());
@@ -160,7 +163,7 @@ fn paper_angles_bring_nothing_on_a_real_mirror() {
 
 /// Of 100 mirrors at random angles within 90 degrees, 0.04 hit a given user: random is no IRS.
 #[test]
-fn random_mirrors_hit_nobody() {
+fn random_mirrors_hit_almost_no_user() {
     let model = Room::paper().model();
     let mut random = Random::new(34);
     let mut hits = 0;

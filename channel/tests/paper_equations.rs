@@ -29,7 +29,8 @@ fn eq_3_as_printed_is_positive_for_flat_mirrors_on_one_wall_only() {
     }
 }
 
-/// Its left-hand side is called the incidence angle at the user, but it does not know which way the user's detector looks.
+/// Its left-hand side is called the incidence angle at the user, but it does not know which way the
+/// user's detector looks.
 #[test]
 fn eq_3_is_the_cosine_between_mirror_normal_and_direction_to_the_user() {
     let mirrors = Room::paper().mirrors();
@@ -51,7 +52,8 @@ fn the_papers_roll_is_a_yaw() {
     assert!(mirrors.normal(0.5, 0.0).x.abs() < 1e-15, "roll keeps it in its upright plane");
 }
 
-/// Each mirror's best normal under eqs. (2) and (3) faces the user, where the law of reflection wants the bisector.
+/// Each mirror's best normal under eqs. (2) and (3) faces the user, where the law of reflection
+/// wants the bisector.
 #[test]
 fn eq_2_is_largest_for_a_mirror_that_faces_the_user() {
     let room = Room::paper().with_mode(PAPER);
@@ -73,7 +75,8 @@ fn eq_2_is_largest_for_a_mirror_that_faces_the_user() {
     );
 }
 
-/// Eq. (2) falls with D1^2 D2^2, as light that is scattered twice; a mirror's light falls with (D1 + D2)^2.
+/// Eq. (2) falls with D1^2 D2^2, as light that is scattered twice; a mirror's light falls with (D1
+/// + D2)^2.
 #[test]
 fn eq_2_falls_like_scattered_light() {
     let (mut near, mut far) = (Room::paper(), Room::paper());
@@ -102,7 +105,8 @@ fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     let (mirrors, inward) = (room.mirrors(), room.mirrors().inward());
     let receiver = (&room.receiver, &room.receiver.branches[0]);
     let mirror = mirrors.positions()[45];
-    // Below the mirror and far to the side: steep on the detector, or at a grazing angle to the wall.
+    // Below the mirror and far to the side: steep on the detector, or at a grazing angle to the
+    // wall.
     let user = Vec3::new(-0.2, -2.0, 0.85);
     let gain = |reading, angles| diffuse::gain(reading, (&room.leds[0], &mirrors, 45), angles, receiver, &user);
     let incidence = (mirror - user).normalize().z.acos().to_degrees();
@@ -124,7 +128,8 @@ fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     assert!((gain(Reading::Literal, (0.1, 0.2)) / halves - 1.0).abs() < 1e-12);
 }
 
-/// Flat mirrors already bring most of what eqs. (2) and (3) allow: the cosine of a tilt is a flat function.
+/// Flat mirrors already bring most of what eqs. (2) and (3) allow: the cosine of a tilt is a flat
+/// function.
 #[test]
 fn flat_mirrors_bring_most_of_what_the_papers_equations_allow() {
     let model = Room::paper().with_mode(PAPER).model();

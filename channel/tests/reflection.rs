@@ -42,7 +42,7 @@ fn the_aimed_normal_sends_the_central_ray_to_the_detector() {
 }
 
 #[test]
-fn a_path_can_be_walked_both_ways() {
+fn the_reflected_path_is_reversible() {
     let model = Room::paper().model();
     let mut random = Random::new(8);
     let mut seen = 0;
@@ -187,7 +187,8 @@ fn no_light_behind_a_mirror() {
     assert!(flat.path(&Vec3::new(0.0, 3.0, 3.0), &Vec3::new(0.0, 0.0, 0.85)).is_none());
 }
 
-/// The light of one mirror, summed over a floor that is large enough, is what falls on the mirror times its reflectivity.
+/// The light of one mirror, summed over a floor that is large enough, is what falls on the mirror
+/// times its reflectivity.
 #[test]
 fn flux_of_one_mirror_over_the_floor() {
     for (room, mirror) in [(Room::paper(), 45), (Room::paper().with_panel(), 45), (Room::paper(), 3)] {
@@ -210,7 +211,8 @@ fn flux_of_one_mirror_over_the_floor() {
     }
 }
 
-/// Share of the LED's power that falls on a mirror: (n + 1) cos^n(irradiance) cos(incidence) / (2 pi D^2), summed over its surface.
+/// Share of the LED's power that falls on a mirror: (n + 1) cos^n(irradiance) cos(incidence) / (2
+/// pi D^2), summed over its surface.
 fn flux_on_mirror(room: &Room, plate: &Plate) -> f64 {
     let points = room.leds[0].points();
     let cells = 20;

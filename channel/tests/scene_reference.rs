@@ -11,7 +11,8 @@ use heliostat_channel::{ChannelModel, Combining, Cylinder, MirrorAngles, Mode, S
 
 const USERS: usize = 6;
 
-/// A scene with its blockers and half-random angles: every second mirror is aimed at somebody, so that light arrives.
+/// A scene with its blockers and half-random angles: every second mirror is aimed at somebody, so
+/// that light arrives.
 struct Case {
     model: ChannelModel,
     scene: Scene,
@@ -94,7 +95,7 @@ impl Case {
             for mirror in 0..mirrors {
                 let expected = self.reference(user, mirror);
                 close(each[user * mirrors + mirror], combine(&expected), "one mirror");
-                assert_eq!(self.scene.leg_visible()[user * mirrors + mirror], self.visible(user, mirror));
+                assert_eq!(self.scene.irs_path_clear()[user * mirrors + mirror], self.visible(user, mirror));
                 lit += usize::from(combine(&expected) > 0.0);
                 total.iter_mut().zip(expected).for_each(|(sum, gain)| *sum += gain);
             }
@@ -198,7 +199,8 @@ fn steering_gain_is_the_gain_of_an_aimed_mirror() {
     let mut adr = Room::paper().with_panel();
     adr.receiver.branches = angle_diversity();
     adr.receiver.combining = Combining::MaximalRatio;
-    // Mirrors of which one edge or the other cuts the panel's light, on its way to some places and not to others.
+    // Mirrors of which one edge or the other cuts the panel's light, on its way to some places and
+    // not to others.
     let (mut narrow, mut low) = (Room::paper().with_panel(), Room::paper().with_panel());
     narrow.array.mirror_width_m = 0.045;
     low.array.mirror_height_m = 0.03;
@@ -221,7 +223,7 @@ fn steering_gain_is_the_gain_of_an_aimed_mirror() {
 }
 
 #[test]
-fn places_without_light_have_none() {
+fn positions_without_light_have_zero_gain() {
     for room in [Room::paper(), Room::paper().with_panel(), Room::paper().with_mode(PAPER)] {
         let model = room.model();
         let users = [

@@ -3,7 +3,7 @@
 use heliostat_scenario::{BUILTIN_NAMES, ChannelMode, MinRate, Scenario, ScenarioArgs, ScenarioError};
 
 #[test]
-fn every_built_in_scenario_is_valid_and_bears_its_name() {
+fn every_built_in_scenario_is_valid_and_has_its_name() {
     for name in BUILTIN_NAMES {
         assert_eq!(Scenario::builtin(name).unwrap().name, name);
     }
@@ -61,7 +61,7 @@ fn each_refusal_names_its_line() {
 }
 
 #[test]
-fn nobody_need_move_but_a_leg_must_end() {
+fn both_speeds_may_be_zero_but_not_one_alone() {
     let with = |min: f64, max: f64| {
         Scenario::from_toml(&format!("[users]\nspeed_min_m_s = {min:?}\nspeed_max_m_s = {max:?}")).is_ok()
     };
@@ -70,7 +70,7 @@ fn nobody_need_move_but_a_leg_must_end() {
 }
 
 #[test]
-fn a_recording_lies_beside_the_file_that_names_it() {
+fn a_relative_trace_path_starts_at_the_folder_of_its_file() {
     let folder = std::env::temp_dir().join(format!("heliostat-scenario-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let file = folder.join("room.toml");
@@ -124,7 +124,7 @@ fn overrides_reach_any_key() {
 }
 
 #[test]
-fn overrides_that_mean_nothing_are_refused_by_name() {
+fn invalid_overrides_are_refused_by_name() {
     for (text, named) in [
         ("blockage.forced=2", "forced"),
         ("nonsense", "nonsense"),
@@ -138,7 +138,7 @@ fn overrides_that_mean_nothing_are_refused_by_name() {
 }
 
 #[test]
-fn the_geometry_hash_ignores_power_noise_and_people() {
+fn the_geometry_hash_ignores_power_noise_and_users() {
     let base = Scenario::default();
     let same = ["led.power_w=1", "noise.variance_a2=6.5e-15", "users.count=3", "seed=9"].map(String::from);
     assert_eq!(base.with_overrides(&same).unwrap().geometry_hash(), base.geometry_hash());

@@ -1,17 +1,18 @@
-//! The steering table: what each mirror can give each user.
+//! The table of steering gains: the gain of each mirror for each user when it is aimed at that
+//! user.
 
 use super::Scene;
 use super::aimed::Aimed;
 use super::kernel::add_reflected;
-use crate::Vec3;
 use crate::diffuse::Reading;
+use crate::geometry::Vec3;
 use crate::mirrors::MirrorArray;
 use crate::model::{ChannelModel, Detector, Panel};
 use crate::receiver::BRANCHES_MAX;
 use crate::specular::{Plate, bisector};
 use crate::trig::{BLOCK, Lanes};
 
-/// A block of mirrors as one user sees it: vectors from the detector to the mirrors, in m.
+/// Vectors from one detector to a block of mirrors, in m.
 struct Seen {
     x: Lanes,
     y: Lanes,
@@ -21,13 +22,13 @@ struct Seen {
 }
 
 impl Scene {
-    /// Writes one user's row of the steering table, with the light of one LED and the legs that are marked as visible.
+    /// Writes the steering gains of one user for one LED; mirrors with a blocked path get zero.
     #[inline(always)]
     pub(super) fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let row = user * self.mirrors..(user + 1) * self.mirrors;
         let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
         if !in_front {
-            self.leg_visible[row.clone()].fill(false);
+            self.irs_path_clear[row.clone()].fill(false);
         }
         let panel = &model.panels[led];
         match model.mode.reading() {
@@ -35,14 +36,16 @@ impl Scene {
             None => self.steer_panel(model, user, panel),
             Some(reading) => self.steer_paper(model, user, panel, reading),
         }
-        for (gain, visible) in self.steering_gain[row.clone()].iter_mut().zip(&self.leg_visible[row]) {
+        for (gain, visible) in self.steering_gain[row.clone()].iter_mut().zip(&self.irs_path_clear[row]) {
             *gain = if *visible { *gain } else { 0.0 };
         }
     }
 
-    /// Specular, point LED: the central ray of an aimed mirror arrives, so the gain needs no angle of the mirror.
+    /// Specular, point LED: the ray of an aimed mirror always reaches the user, so the gain does
+    /// not depend on the angles.
     ///
-    /// rho (n + 1) A_r T_s cos^n(irradiance) / (2 pi (D1 + D2)^2) times what the branches detect.
+    /// rho (n + 1) A_r T_s cos^n(irradiance_angle) / (2 pi (D1 + D2)^2) times the combined
+    /// incidence cosines.
     #[inline(always)]
     fn steer_point(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
@@ -65,26 +68,27 @@ impl Scene {
         }
     }
 
-    /// Specular, panel of finite size: the true evaluation at the aimed angles, together for mirrors all of whose light arrives.
+    /// Specular, panel of finite size: block by block for mirrors that reflect the complete panel,
+    /// else exactly one by one.
     #[inline(always)]
     fn steer_panel(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
         let few = panel.order == 1.0 && !panel.few_lanes.is_empty();
         for first in (0..self.mirrors).step_by(BLOCK) {
-            let (mut whole, mut combined) = ([false; BLOCK], [0.0; BLOCK]);
+            let (mut complete, mut combined) = ([false; BLOCK], [0.0; BLOCK]);
             if few {
                 let mut aimed = Aimed::new(model, panel, first, &position);
                 for branch in &model.detectors {
                     self.combining.add_each(&mut combined, &aimed.gains(model, panel, branch));
                 }
                 self.combining.finish_each(&mut combined, self.branches);
-                whole = aimed.whole;
+                complete = aimed.complete;
             }
             for lane in 0..BLOCK.min(self.mirrors - first) {
                 let pair = user * self.mirrors + first + lane;
-                self.steering_gain[pair] = if whole[lane] {
+                self.steering_gain[pair] = if complete[lane] {
                     combined[lane]
-                } else if self.leg_visible[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
+                } else if self.irs_path_clear[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
                     self.aimed_exactly(model, panel, first + lane, &position)
                 } else {
                     0.0
@@ -93,7 +97,7 @@ impl Scene {
         }
     }
 
-    /// Combined gain of one mirror that is aimed at a detector, whatever edge cuts the light.
+    /// Combined gain of one mirror that is aimed at a detector, by the exact evaluation.
     fn aimed_exactly(&self, model: &ChannelModel, panel: &Panel, mirror: usize, detector: &Vec3) -> f64 {
         let mut gains = [0.0; BRANCHES_MAX];
         let gains = &mut gains[..self.branches];
@@ -104,7 +108,8 @@ impl Scene {
         self.combining.combine(gains)
     }
 
-    /// Paper: illumination times collection; see [`diffuse`](crate::diffuse). Directions and distances are kept for the evaluation.
+    /// Paper: illumination times collection, see [`diffuse`](crate::diffuse); stores directions and
+    /// distances for the evaluation.
     #[inline(always)]
     fn steer_paper(&mut self, model: &ChannelModel, user: usize, panel: &Panel, reading: Reading) {
         let position = self.positions[user];
@@ -128,7 +133,7 @@ impl Scene {
                 self.combining.add_each(&mut combined, &gains);
                 if self.branches > 1 {
                     let start = (user * self.branches + index) * self.mirrors + first;
-                    let visible = &self.leg_visible[user * self.mirrors + first..][..lanes];
+                    let visible = &self.irs_path_clear[user * self.mirrors + first..][..lanes];
                     for (lane, visible) in visible.iter().enumerate() {
                         self.steering_branch[start + lane] = if *visible { gains[lane] } else { 0.0 };
                     }

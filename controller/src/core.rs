@@ -171,7 +171,7 @@ impl Controller {
                 }
             }
             if let Some(telemetry) = self.inbox.telemetry() {
-                self.observation.scene.leave_out(&telemetry.unusable);
+                self.observation.scene.exclude_mirrors(&telemetry.unusable);
             }
             if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
                 self.observation.scene.keep_in_reach(&self.model, &roll, &yaw);

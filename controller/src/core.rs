@@ -174,7 +174,7 @@ impl Controller {
                 self.observation.scene.exclude_mirrors(&telemetry.unusable);
             }
             if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
-                self.observation.scene.keep_in_reach(&self.model, &roll, &yaw);
+                self.observation.scene.restrict_to_range(&self.model, &roll, &yaw);
             }
             mark(Stage::Observed);
         }

@@ -1,5 +1,6 @@
-//! Scenario files: the built-in ones are valid, and each mistake is refused by name, with its line.
+//! Scenario files: the built-in files are valid, and each error states key and line.
 
+use heliostat_scenario::renames::{RENAMES, Rename};
 use heliostat_scenario::{BUILTIN_NAMES, ChannelMode, MinRate, Scenario, ScenarioArgs, ScenarioError};
 
 #[test]
@@ -163,4 +164,32 @@ fn every_built_in_scenario_makes_a_channel_model() {
 fn the_default_noise_is_the_sum_of_its_items() {
     let variance = Scenario::default().channel_model().unwrap().budget.noise_variance_a2();
     assert!((variance - 4.16e-15).abs() < 1e-18, "{variance}");
+}
+
+#[test]
+fn a_recorded_scenario_is_read_and_checked() {
+    let scenario = Scenario::builtin("hall").unwrap();
+    assert_eq!(Scenario::from_recorded_toml(&scenario.to_toml()).unwrap(), scenario);
+    let message = Scenario::from_recorded_toml("[mirrors]\nrows = 0\n").unwrap_err().to_string();
+    assert_eq!(message, "line 2: mirrors.rows = 0: expected an integer from 1 to 1024");
+    let message = Scenario::from_recorded_toml("[room]\nheigth_m = 3.0\n").unwrap_err().to_string();
+    assert!(message.starts_with("recorded scenario: ") && message.contains("heigth_m"), "{message}");
+}
+
+#[test]
+fn every_new_name_of_a_rename_exists() {
+    let effective: toml::Value = Scenario::default().to_toml().parse::<toml::Table>().unwrap().into();
+    let find = |path: &str| path.split('.').try_fold(&effective, |table, key| table.get(key));
+    for rename in RENAMES {
+        match rename {
+            Rename::Key { old, new } => {
+                assert!(find(new).is_some(), "{new}");
+                assert!(find(old).is_none(), "{old}");
+            }
+            Rename::Value { key, new, .. } => {
+                let set = [format!("{key}={new}")];
+                assert!(Scenario::default().with_overrides(&set).is_ok(), "{key} = {new}");
+            }
+        }
+    }
 }

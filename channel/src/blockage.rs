@@ -7,7 +7,7 @@
 //! ```
 //! use heliostat_channel::{Cylinder, blockage, geometry::Vec3};
 //!
-//! let obstacle = Cylinder::new(1.0, 0.0, 0.25, 1.75)?;
+//! let obstacle = Cylinder::new(0.5, 0.0, 0.25, 1.75)?;
 //! let (led, detector) = (Vec3::new(0.0, 0.0, 3.0), Vec3::new(2.0, 0.0, 0.85));
 //! assert!(!blockage::blocks(&obstacle, &led, &detector), "the path passes above the obstacle");
 //! assert!(blockage::blocks(&obstacle, &Vec3::new(0.0, 0.0, 1.0), &detector));

@@ -1,4 +1,4 @@
-//! Cylinders in the light: the segment test, what may be skipped, and the paper's shadow length.
+//! Blockage by cylinders: the segment test, the skipped tests, and the paper's shadow length.
 
 mod common;
 
@@ -27,7 +27,7 @@ fn through_over_and_beside() {
 
 #[test]
 fn slanted_and_upright_segments() {
-    // Falls from 3 m over the axis; passes the near side at 1.75 m or just above it.
+    // Descends from 3 m above the axis; passes the near side at 1.75 m or slightly above.
     let over = |x: f64| blocks(&PERSON, &at(0.0, 0.0, 3.0), &at(x, 0.0, 0.85));
     assert!(over(2.0), "2.19 m at the near side, 1.66 m at the far side");
     assert!(!over(2.2), "1.78 m at the far side");
@@ -60,8 +60,8 @@ fn agrees_with_points_along_the_segment() {
         };
         let found = blocks(&cylinder, &a, &b);
         assert_eq!(found, blocks(&cylinder, &b, &a), "the same both ways");
-        // The points are up to 4 mm apart, so a graze can be missed; shrunk and grown cylinders
-        // bracket it.
+        // Points up to 4 mm apart can miss a short chord, so smaller and larger cylinders bracket
+        // the result.
         assert!(!inside(-0.005) || found);
         assert!(inside(0.005) || !found);
         blocked += usize::from(found);
@@ -77,8 +77,8 @@ fn skipping_is_exact() {
     for round in 0..400 {
         let mut room = Room::paper();
         room.array.wall = [Wall::PlusY, Wall::PlusX, Wall::MinusY, Wall::MinusX][round % 4];
-        // Low arrays and tall cylinders, so that both legs are blocked at times; one column now and
-        // then.
+        // Low arrays and tall cylinders, so that both paths are sometimes blocked; sometimes one
+        // column.
         room.array.centre_height_m = random.uniform(0.9, 2.2);
         room.array.columns = if round % 5 == 0 { 1 } else { 10 };
         let model = room.model();
@@ -102,7 +102,7 @@ fn skipping_is_exact() {
             assert_eq!(scene.los_gain()[user] > 0.0, direct);
         }
     }
-    assert!(blocked > 10_000, "{blocked} blocked legs");
+    assert!(blocked > 10_000, "{blocked} blocked paths");
 }
 
 #[test]

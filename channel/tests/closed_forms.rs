@@ -1,4 +1,4 @@
-//! Values that can be written down: direct gain, fields of view, link budget, angles.
+//! Closed-form values: line-of-sight gain, fields of view, link budget, angles.
 
 mod common;
 
@@ -81,8 +81,7 @@ fn a_panel_is_the_mean_of_its_points() {
     assert_eq!(points.len(), 4);
     assert!((points[0] - Vec3::new(-0.05, -0.05, 3.0)).norm() < 1e-15);
     assert!((points[3] - Vec3::new(0.05, 0.05, 3.0)).norm() < 1e-15);
-    // The midpoint rule converges: 3 and 40 points a side differ by little, and both differ from a
-    // point.
+    // The midpoint rule converges: 3 and 40 points per side differ little; both differ from a point.
     let at = |points_per_side, side_m| {
         let mut room = Room::paper();
         room.leds[0] = Led { side_m, points_per_side, ..led.clone() };
@@ -121,11 +120,11 @@ fn sinr_rate_and_amplitude_scale() {
 fn noise_items_have_their_sources() {
     let bandwidth_hz = 20e6;
     let close_to = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 0.06, "{found} {expected}");
-    // 5.1 mA a cm2 in direct sunlight and 0.74 mA in indirect, on 0.2 cm2.
+    // 5.1 mA per cm2 in direct sunlight and 0.74 mA in indirect sunlight, on 0.2 cm2.
     close_to(background_shot_density(0.2 * 5.1e-3) * bandwidth_hz, 3.7e-15);
     close_to(background_shot_density(0.2 * 0.74e-3) * bandwidth_hz, 5.3e-16);
     close_to(ThermalNoise::default().density_over(bandwidth_hz) * bandwidth_hz, 6e-17);
-    // An input noise of 4.47 pA a root hertz.
+    // An input noise of 4.47 pA per root hertz.
     close_to(4.47e-12_f64.powi(2) * bandwidth_hz, 4e-16);
     let mut noise = Room::paper().budget.noise;
     close_to(noise.variance_over(bandwidth_hz), 4.1e-15);
@@ -137,10 +136,10 @@ fn noise_items_have_their_sources() {
 #[test]
 fn bit_error_rate_of_on_off_keying() {
     assert_eq!(ber_ook(0.0), 0.5);
-    // Q(1) and Q(3) of any table.
+    // Q(1) and Q(3), tabulated.
     assert!((ber_ook(1.0) - 0.158_655_253_931_457).abs() < 1e-15);
     assert!((ber_ook(9.0) / 0.001_349_898_031_630_095 - 1.0).abs() < 1e-12);
-    // The paper reads 1e-4 at 15 dB; the formula gives 9.4e-9.
+    // The paper states 1e-4 at 15 dB; the equation gives 9.4e-9.
     assert!((ber_ook(10.0_f64.powf(1.5)) / 9.4e-9 - 1.0).abs() < 0.02);
     let mut last = 0.5;
     for step in 1..400 {

@@ -1,5 +1,4 @@
-//! Magnitudes of the paper's room, each with the tolerance of a figure that was read from a finite
-//! sample elsewhere.
+//! Magnitudes of the paper's room, each with the tolerance of a reference from a finite sample.
 
 mod common;
 
@@ -39,7 +38,7 @@ fn direct_gain() {
     }
 }
 
-/// Mean over the array at the three places from near the wall to the far corner.
+/// Mean over the array at three positions, from near the wall to the far corner.
 #[test]
 fn specular_gain_of_an_aimed_mirror() {
     let (specular, paper) = (Room::paper().model(), Room::paper().with_mode(PAPER).model());
@@ -64,7 +63,7 @@ fn paper_gain_of_the_complete_array_is_a_hundredth_of_the_line_of_sight_gain() {
     near(median((0..2000).map(|_| share(random.walker())).collect()), 0.009, 0.12);
 }
 
-/// Length of the lit part of a line through the target, for one mirror in the middle of the array.
+/// Length of the spot along a line through the target, for one mirror in the middle of the array.
 #[test]
 fn spots_on_the_receiver_plane() {
     let model = Room::paper().model();
@@ -88,8 +87,8 @@ fn spots_on_the_receiver_plane() {
     }
 }
 
-/// Normal jitter of each axis of each mirror; gain over all mirrors, panel of 0.1 m, users where
-/// they walk.
+/// Gaussian jitter of each axis of each mirror; gain of all mirrors, panel of 0.1 m, users from the
+/// stationary distribution.
 #[test]
 fn pointing_jitter() {
     let model = Room::paper().with_panel().model();
@@ -161,7 +160,7 @@ fn paper_angles_bring_nothing_on_a_real_mirror() {
     assert!(aimed > 90_000 && lit < 400, "{lit} of {aimed} pairs see light");
 }
 
-/// Of 100 mirrors at random angles within 90 degrees, 0.04 hit a given user: random is no IRS.
+/// Of 100 mirrors at random angles within 90 degrees, 0.04 reach a given user: random equals no IRS.
 #[test]
 fn random_mirrors_hit_almost_no_user() {
     let model = Room::paper().model();

@@ -1,8 +1,7 @@
-//! Sum rates of the paper's room, and how near the policies come to the oracle: the figures that
-//! this project quotes.
+//! Sum rates of the paper's room, and ratios of the methods to the oracle: the quoted figures.
 //!
-//! Each is a mean over random states, which carries 1 to 3 %; the quoted figures carry 3 to 8 %
-//! themselves.
+//! Each is a mean over random states with an uncertainty of 1 to 3 %; that of the quoted figures is
+//! 3 to 8 %.
 
 mod common;
 
@@ -12,7 +11,7 @@ use heliostat_channel::{ChannelModel, Method, MinimumRates, MirrorAngles, Mode, 
 const USERS: usize = 5;
 const CALIBRATED: Mode = Mode::Paper { literal: false, gain_scale: 85.0 };
 
-/// What a row of the table is about.
+/// The parameters of one row of the table.
 struct Row {
     mode: Mode,
     noise_a2: f64,
@@ -72,8 +71,8 @@ impl Row {
     }
 }
 
-/// A moment of a random waypoint walk: a point of a leg between two uniform points, a long leg
-/// lasting longer.
+/// The position at a random time of a random waypoint walk: a point between two uniform waypoints,
+/// with a probability proportional to their distance.
 fn walking(random: &mut Random) -> Vec3 {
     loop {
         let (from, to) = (random.position(), random.position());
@@ -121,7 +120,7 @@ fn specular_sum_rates() {
         let what = format!("specular, noise {noise_a2:e} A2, {blocked} blocked");
         assert_near(means.no_irs, no_irs, 0.10, &format!("{what}, no IRS"));
         assert_near(means.oracle, oracle, 0.05, &format!("{what}, oracle"));
-        assert!((means.random - means.no_irs).abs() <= 0.3, "{what}: random mirrors hit hardly anybody: {means:?}");
+        assert!((means.random - means.no_irs).abs() <= 0.3, "{what}: random mirrors reach almost no user: {means:?}");
     }
 }
 

@@ -99,8 +99,8 @@ proptest! {
         }
     }
 
-    /// Energy: a mirror never gives more than the whole LED, and never more than a detector at its
-    /// own place would see directly (with every factor that is not geometry set to one).
+    /// A mirror gives at most the gain of an unobstructed path of the same length with all cosines 1,
+    /// times its reflectivity.
     #[test]
     fn a_mirror_adds_no_energy(users in users(), wall in walls()) {
         let mut room = Room::paper();
@@ -110,14 +110,14 @@ proptest! {
         scene.update(&model, &users, &[], &vec![false; users.len()]);
         for (user, position) in users.iter().enumerate() {
             for (mirror, centre) in model.mirrors.positions().iter().enumerate() {
-                let legs = (centre - room.leds[0].position).norm() + (centre - position).norm();
-                let bound = 0.95 * 20e-6 / (std::f64::consts::PI * legs * legs);
+                let length = (centre - room.leds[0].position).norm() + (centre - position).norm();
+                let bound = 0.95 * 20e-6 / (std::f64::consts::PI * length * length);
                 prop_assert!(scene.steering_gain()[user * 100 + mirror] <= bound * (1.0 + 1e-12));
             }
         }
     }
 
-    /// One more cylinder never helps.
+    /// Additional cylinders increase no gain.
     #[test]
     fn blockers_never_increase_a_gain(users in users(), blockers in blockers()) {
         let model = Room::paper().model();

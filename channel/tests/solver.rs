@@ -1,4 +1,4 @@
-//! The solver on assignments: against brute force, against the simple policies, and at the edges.
+//! The solver of assignments: exhaustive search, simple methods, and limiting cases.
 
 mod common;
 
@@ -8,7 +8,7 @@ use heliostat_channel::{
     ChannelModel, Method, MinimumRates, MirrorAngles, Problem, Scene, Solution, Solver, SolverError,
 };
 
-/// Noise levels that the rooms of these tests take in turn, in A2.
+/// Noise variances of the rooms of these tests, in A2.
 const NOISE_A2: [f64; 4] = [4e-15, 6.5e-15, 2e-14, 9e-14];
 
 /// A room with rows x columns mirrors and users from the stationary distribution; the first
@@ -273,7 +273,7 @@ fn the_oracle_depends_on_its_problem_only_and_results_are_finite() {
     }
 }
 
-/// A gain that is often zero, sometimes absurd.
+/// A gain that is often zero and sometimes not a valid gain.
 fn spoiled(random: &mut Random, size: f64) -> f64 {
     match random.next() % 20 {
         0..6 => 0.0,

@@ -1,5 +1,5 @@
-//! The solver on normals, the paper's eqs. (2) and (3): against random starts and against small
-//! turns of single mirrors.
+//! The solver of normals, the paper's eqs. (2) and (3): random starts and small rotations of
+//! single mirrors.
 
 mod common;
 

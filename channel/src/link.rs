@@ -144,7 +144,8 @@ const PERSONICK_I3: f64 = 0.0868;
 ///
 /// Source: Komine and Nakagawa, IEEE Trans. Consumer Electronics 50(1), 2004. They use 5.1 mA per
 /// cm2 of detector in direct sunlight and 0.74 mA in indirect sunlight: 1.02 mA and 0.148 mA for 20
-/// mm2. Units: current in A, density in A2/Hz.
+/// mm2.
+/// Units: current in A, density in A2/Hz.
 pub fn background_shot_density(background_current_a: f64) -> f64 {
     2.0 * ELEMENTARY_CHARGE_C * background_current_a * PERSONICK_I2
 }

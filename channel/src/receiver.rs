@@ -120,7 +120,8 @@ impl Receiver {
     /// reflected light.
     ///
     /// Source: the index is in the paper's Table I; the equation is that of an ideal non-imaging
-    /// concentrator (Kahn and Barry, Proc. IEEE 85(2), 1997, eq. 12). Units: dimensionless.
+    /// concentrator (Kahn and Barry, Proc. IEEE 85(2), 1997, eq. 12).
+    /// Units: dimensionless.
     pub fn concentrator_gain(&self, branch: &Branch) -> f64 {
         self.concentrator_index.map_or(1.0, |index| (index / branch.fov_semi_angle.sin()).powi(2))
     }

@@ -136,8 +136,8 @@ impl Plate {
 /// averaged over the points of the panel.
 ///
 /// Source: paper eq. (1) for the image of the LED. The paper calls its mirrors completely specular,
-/// but its equations are those of a diffuse reflector (see [`diffuse`](crate::diffuse)). Units:
-/// positions in m, areas in m2; the gain is dimensionless.
+/// but its equations are those of a diffuse reflector (see [`diffuse`](crate::diffuse)).
+/// Units: positions in m, areas in m2; the gain is dimensionless.
 ///
 /// # Errors
 /// [`GeometryError::NotFinite`] when a coordinate of the detector is not finite.

@@ -81,7 +81,8 @@ fn a_panel_is_the_mean_of_its_points() {
     assert_eq!(points.len(), 4);
     assert!((points[0] - Vec3::new(-0.05, -0.05, 3.0)).norm() < 1e-15);
     assert!((points[3] - Vec3::new(0.05, 0.05, 3.0)).norm() < 1e-15);
-    // The midpoint rule converges: 3 and 40 points per side differ little; both differ from a point.
+    // The midpoint rule converges: 3 and 40 points per side differ little; both differ from a
+    // point.
     let at = |points_per_side, side_m| {
         let mut room = Room::paper();
         room.leds[0] = Led { side_m, points_per_side, ..led.clone() };

@@ -160,7 +160,8 @@ fn paper_angles_bring_nothing_on_a_real_mirror() {
     assert!(aimed > 90_000 && lit < 400, "{lit} of {aimed} pairs see light");
 }
 
-/// Of 100 mirrors at random angles within 90 degrees, 0.04 reach a given user: random equals no IRS.
+/// Of 100 mirrors at random angles within 90 degrees, 0.04 reach a given user: random equals no
+/// IRS.
 #[test]
 fn random_mirrors_hit_almost_no_user() {
     let model = Room::paper().model();

@@ -104,7 +104,8 @@ fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     let (mirrors, inward) = (room.mirrors(), room.mirrors().inward());
     let receiver = (&room.receiver, &room.receiver.branches[0]);
     let mirror = mirrors.positions()[45];
-    // Below the mirror and far to the side: a small incidence angle, or a grazing angle at the wall.
+    // Below the mirror and far to the side: a small incidence angle, or a grazing angle at the
+    // wall.
     let user = Vec3::new(-0.2, -2.0, 0.85);
     let gain = |reading, angles| diffuse::gain(reading, (&room.leds[0], &mirrors, 45), angles, receiver, &user);
     let incidence = (mirror - user).normalize().z.acos().to_degrees();
@@ -126,7 +127,8 @@ fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     assert!((gain(Reading::Literal, (0.1, 0.2)) / halves - 1.0).abs() < 1e-12);
 }
 
-/// Flat mirrors give most of the gain under eqs. (2) and (3), since a cosine is flat near its maximum.
+/// Flat mirrors give most of the gain under eqs. (2) and (3), since a cosine is flat near its
+/// maximum.
 #[test]
 fn flat_mirrors_bring_most_of_what_the_papers_equations_allow() {
     let model = Room::paper().with_mode(PAPER).model();

@@ -99,8 +99,8 @@ proptest! {
         }
     }
 
-    /// A mirror gives at most the gain of an unobstructed path of the same length with all cosines 1,
-    /// times its reflectivity.
+    /// A mirror gives at most the gain of an unobstructed path of the same length with all cosines
+    /// 1, times its reflectivity.
     #[test]
     fn a_mirror_adds_no_energy(users in users(), wall in walls()) {
         let mut room = Room::paper();

@@ -1,10 +1,12 @@
 //! Search over assignments: damped fixed point, greedy fill, single moves, and the starts of the
 //! oracle.
 
+mod assign;
+mod fill;
+
 use super::assignment::{Assignment, Scratch};
 use super::starts::Starts;
 use super::table::{Table, Utility};
-use crate::simd::with_widest_simd;
 
 /// Largest number of steps of one damped fixed point.
 const FIXED_POINT_STEPS: usize = 20;
@@ -14,8 +16,6 @@ const PATIENCE: usize = 5;
 /// per step.
 const RAISING_STEPS: usize = 40;
 const RAISE: f64 = 1.07;
-/// Number of passes of single moves after a fill.
-const FILL_PASSES: usize = 2;
 /// Largest number of passes of single moves to a local optimum.
 const MOVE_PASSES_MAX: usize = 50;
 /// Largest number of rounds of swaps to a local optimum.
@@ -28,8 +28,6 @@ const PAIR_ROUNDS_MAX: usize = 3;
 const REFINED: std::ops::RangeInclusive<usize> = 4..=16;
 /// Approximate product of users, mirrors and refined assignments.
 const REFINED_WORK: usize = 2000;
-/// Number of mirrors that one loop assigns together.
-const OWNED_AT_ONCE: usize = 8;
 
 /// Buffers of the searches.
 #[derive(Clone, Debug)]
@@ -279,93 +277,12 @@ impl Search {
         }
     }
 
-    /// Assigns each mirror to the allowed user with the largest weighted gain, and sums the
-    /// amplitudes.
-    ///
-    /// Selections instead of branches, and few mirrors at a time, so that the compiler keeps them
-    /// in SIMD registers.
-    fn assign(&mut self, table: &Table) {
-        for (effective, (&weight, &allowed)) in self.effective.iter_mut().zip(self.weights.iter().zip(&self.allowed)) {
-            *effective = if allowed { weight } else { 0.0 };
-        }
-        with_widest_simd(
-            #[inline(always)]
-            || {
-                let (blocks, rest) = self.owners.as_chunks_mut::<OWNED_AT_ONCE>();
-                let done = blocks.len() * OWNED_AT_ONCE;
-                for (block, owners) in blocks.iter_mut().enumerate() {
-                    *owners = strongest(&self.effective, table, block * OWNED_AT_ONCE);
-                }
-                for (index, owner) in rest.iter_mut().enumerate() {
-                    [*owner] = strongest(&self.effective, table, done + index);
-                }
-                for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
-                    self.amplitude[k] = table.floor[k] + owned_sum(line, &self.owners, k as f64);
-                }
-            },
-        );
-    }
-
     /// w_k = 1 / sum_m a_km: weights that do not prefer users with large gains.
     fn neutral_weights(&mut self, table: &Table) {
         for (weight, line) in self.weights.iter_mut().zip(table.by_user.chunks_exact(table.mirrors)) {
             let sum: f64 = line.iter().sum();
             *weight = if sum > 0.0 { 1.0 / sum } else { 0.0 };
         }
-    }
-
-    /// Assigns the mirrors one after another, each to the allowed user with the largest increase,
-    /// then moves single mirrors among the allowed users. The result goes to `trial`.
-    ///
-    /// The increase is that of [`Utility::fill_utility`], so that every allowed user is served.
-    fn fill(&mut self, table: &Table, utility: &Utility) {
-        let first = self.allowed.iter().position(|&allowed| allowed).unwrap_or(0);
-        self.trial.served.fill(first);
-        self.amplitude.copy_from_slice(&table.floor);
-        for k in 0..table.users {
-            self.inverse_fill[k] = 1.0 / utility.fill_utility(k, self.amplitude[k]);
-        }
-        for &m in &table.useful {
-            let (user, _) = self.best_to_fill(m, None, table, utility);
-            self.trial.served[m] = user.unwrap_or(first);
-            self.shift(self.trial.served[m], table.line(m)[self.trial.served[m]], utility);
-        }
-        for _ in 0..FILL_PASSES {
-            for &m in &table.useful {
-                let from = self.trial.served[m];
-                let loss = table.line(m)[from];
-                let without = (self.amplitude[from] - loss).max(table.floor[from]);
-                let lost = utility.fill_utility(from, without) * self.inverse_fill[from];
-                let (user, gained) = self.best_to_fill(m, Some(from), table, utility);
-                if let Some(to) = user
-                    && lost * gained > 1.0 + 1e-9
-                {
-                    self.trial.served[m] = to;
-                    self.shift(from, without - self.amplitude[from], utility);
-                    self.shift(to, table.line(m)[to], utility);
-                }
-            }
-        }
-        self.trial.settle(table, utility);
-    }
-
-    /// The allowed user whose fill utility mirror m raises by the largest factor, and that factor.
-    fn best_to_fill(&self, m: usize, except: Option<usize>, table: &Table, utility: &Utility) -> (Option<usize>, f64) {
-        let mut best = (None, 0.0);
-        for (k, &gain) in table.line(m).iter().enumerate() {
-            if self.allowed[k] && gain > 0.0 && except != Some(k) {
-                let factor = utility.fill_utility(k, self.amplitude[k] + gain) * self.inverse_fill[k];
-                if factor > best.1 {
-                    best = (Some(k), factor);
-                }
-            }
-        }
-        best
-    }
-
-    fn shift(&mut self, user: usize, change: f64, utility: &Utility) {
-        self.amplitude[user] += change;
-        self.inverse_fill[user] = 1.0 / utility.fill_utility(user, self.amplitude[user]);
     }
 
     /// At most `passes` passes of single moves on `trial`, until no mirror moves.
@@ -442,37 +359,4 @@ impl Search {
             self.shortlist[place].copy_from(&self.trial);
         }
     }
-}
-
-/// The user with the largest weighted gain of each of `N` mirrors from an index on; user 0 where
-/// all gains are 0.
-#[inline(always)]
-fn strongest<const N: usize>(weights: &[f64], table: &Table, first: usize) -> [f64; N] {
-    let (mut most, mut owners) = ([0.0; N], [0.0; N]);
-    for (k, &weight) in weights.iter().enumerate() {
-        let start = k * table.mirrors + first;
-        let Some(gains) = table.by_user[start..].first_chunk::<N>() else { break };
-        for lane in 0..N {
-            let worth = weight * gains[lane];
-            let better = worth > most[lane];
-            most[lane] = if better { worth } else { most[lane] };
-            owners[lane] = if better { k as f64 } else { owners[lane] };
-        }
-    }
-    owners
-}
-
-/// Sum of the gains of a user's mirrors, in four independent sums so that the additions overlap.
-#[inline(always)]
-fn owned_sum(line: &[f64], owners: &[f64], user: f64) -> f64 {
-    let mut sums = [0.0; 4];
-    let (lines, rest) = line.as_chunks::<4>();
-    let (owner_lines, owner_rest) = owners.as_chunks::<4>();
-    for (gains, owners) in lines.iter().zip(owner_lines) {
-        for lane in 0..4 {
-            sums[lane] += if owners[lane] == user { gains[lane] } else { 0.0 };
-        }
-    }
-    let tail: f64 = rest.iter().zip(owner_rest).map(|(&gain, &owner)| if owner == user { gain } else { 0.0 }).sum();
-    (sums[0] + sums[1]) + (sums[2] + sums[3]) + tail
 }

@@ -103,13 +103,13 @@ impl Scenario {
         };
         if width > wall {
             let expected = format!(
-                "expected an array of at most {wall} m, the width of its wall, not {width:.2} m; use fewer or narrower mirrors"
+                "expected an array no wider than its wall of {wall} m, but it has {width:.2} m; use fewer or narrower mirrors"
             );
             return invalid("mirrors.columns", mirrors.columns, &expected);
         }
         if mirrors.centre_height_m - height / 2.0 < 0.0 || mirrors.centre_height_m + height / 2.0 > self.room.height_m {
             let expected = format!(
-                "expected an array between floor and ceiling, not one of {height:.2} m about {} m; use fewer or lower mirrors",
+                "expected an array between floor and ceiling, but it has {height:.2} m centred at {} m; use fewer or lower mirrors",
                 mirrors.centre_height_m
             );
             return invalid("mirrors.rows", mirrors.rows, &expected);
@@ -210,7 +210,10 @@ fn count(key: &str, value: usize, domain: RangeInclusive<usize>) -> Result<(), S
     if domain.contains(&value) {
         return Ok(());
     }
-    invalid(key, value, &format!("expected an integer from {} to {}", domain.start(), domain.end()))
+    let (least, most) = (domain.start(), domain.end());
+    let expected =
+        if least == most { format!("expected {least}") } else { format!("expected an integer from {least} to {most}") };
+    invalid(key, value, &expected)
 }
 
 pub(crate) fn invalid(key: &str, value: impl ToString, expected: &str) -> Result<(), ScenarioError> {

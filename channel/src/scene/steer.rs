@@ -13,7 +13,7 @@ use crate::specular::{Plate, bisector};
 use crate::trig::{BLOCK, Lanes};
 
 /// Vectors from one detector to a block of mirrors, in m.
-struct Seen {
+struct ToMirrors {
     x: Lanes,
     y: Lanes,
     z: Lanes,
@@ -51,18 +51,18 @@ impl Scene {
         let position = self.positions[user];
         let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
         for (index, out) in row.chunks_mut(BLOCK).enumerate() {
-            let seen = Seen::new(&model.mirrors, index, &position);
+            let to_mirrors = ToMirrors::new(&model.mirrors, index, &position);
             let mut combined = [0.0; BLOCK];
             for branch in &model.detectors {
-                let facing = seen.facing(branch).map(|facing| branch.concentrator_gain * facing);
+                let facing = to_mirrors.facing(branch).map(|facing| branch.concentrator_gain * facing);
                 self.combining.add_each(&mut combined, &facing);
             }
             self.combining.finish_each(&mut combined, self.branches);
             let (to_led, emitted) = (&panel.distance[index], &panel.towards_mirror[index]);
             let mut gains = [0.0; BLOCK];
             for lane in 0..BLOCK {
-                let length = to_led[lane] + seen.distance[lane];
-                gains[lane] = combined[lane] * emitted[lane] / (seen.distance[lane] * length * length);
+                let length = to_led[lane] + to_mirrors.distance[lane];
+                gains[lane] = combined[lane] * emitted[lane] / (to_mirrors.distance[lane] * length * length);
             }
             out.copy_from_slice(&gains[..out.len()]);
         }
@@ -116,18 +116,18 @@ impl Scene {
         let inward = model.mirrors.inward();
         let factor = model.receiver.detector_area_m2 * model.receiver.filter_gain;
         for first in (0..self.mirrors).step_by(BLOCK) {
-            let seen = Seen::new(&model.mirrors, first / BLOCK, &position);
+            let to_mirrors = ToMirrors::new(&model.mirrors, first / BLOCK, &position);
             let illumination = &panel.towards_mirror[first / BLOCK];
             let lanes = BLOCK.min(self.mirrors - first);
             let mut combined = [0.0; BLOCK];
             for (index, branch) in model.detectors.iter().enumerate() {
                 let facing = match reading {
-                    Reading::Sensible => seen.facing(branch),
-                    Reading::Literal => seen.against(&inward),
+                    Reading::Sensible => to_mirrors.facing(branch),
+                    Reading::Literal => to_mirrors.against(&inward),
                 };
                 let mut gains = [0.0; BLOCK];
                 for lane in 0..BLOCK {
-                    let volume = seen.squared[lane] * seen.distance[lane];
+                    let volume = to_mirrors.squared[lane] * to_mirrors.distance[lane];
                     gains[lane] = factor * branch.concentrator_gain * illumination[lane] * facing[lane] / volume;
                 }
                 self.combining.add_each(&mut combined, &gains);
@@ -143,28 +143,30 @@ impl Scene {
             for (lane, combined) in combined[..lanes].iter().enumerate() {
                 let pair = user * self.mirrors + first + lane;
                 self.steering_gain[pair] = *combined;
-                let inverse = 1.0 / seen.distance[lane];
+                let inverse = 1.0 / to_mirrors.distance[lane];
                 self.inverse_distance[pair] = inverse;
-                self.directions[pair] = -inverse * Vec3::new(seen.x[lane], seen.y[lane], seen.z[lane]);
+                self.directions[pair] =
+                    -inverse * Vec3::new(to_mirrors.x[lane], to_mirrors.y[lane], to_mirrors.z[lane]);
             }
         }
     }
 }
 
-impl Seen {
+impl ToMirrors {
     #[inline(always)]
     fn new(mirrors: &MirrorArray, block: usize, detector: &Vec3) -> Self {
         let [x, y, z] = mirrors.block(block).map(|lanes| *lanes);
-        let mut seen = Self { x, y, z, squared: [0.0; BLOCK], distance: [0.0; BLOCK] };
+        let mut to_mirrors = Self { x, y, z, squared: [0.0; BLOCK], distance: [0.0; BLOCK] };
         for lane in 0..BLOCK {
-            seen.x[lane] -= detector.x;
-            seen.y[lane] -= detector.y;
-            seen.z[lane] -= detector.z;
-            seen.squared[lane] =
-                seen.x[lane] * seen.x[lane] + seen.y[lane] * seen.y[lane] + seen.z[lane] * seen.z[lane];
-            seen.distance[lane] = seen.squared[lane].sqrt();
+            to_mirrors.x[lane] -= detector.x;
+            to_mirrors.y[lane] -= detector.y;
+            to_mirrors.z[lane] -= detector.z;
+            to_mirrors.squared[lane] = to_mirrors.x[lane] * to_mirrors.x[lane]
+                + to_mirrors.y[lane] * to_mirrors.y[lane]
+                + to_mirrors.z[lane] * to_mirrors.z[lane];
+            to_mirrors.distance[lane] = to_mirrors.squared[lane].sqrt();
         }
-        seen
+        to_mirrors
     }
 
     /// Distance times incidence cosine on a branch in m, zero outside its field of view.
@@ -176,8 +178,8 @@ impl Seen {
         for lane in 0..BLOCK {
             let along =
                 branch.normal.x * self.x[lane] + branch.normal.y * self.y[lane] + branch.normal.z * self.z[lane];
-            let seen = (along > 0.0) & (along * along >= least * self.squared[lane]);
-            facing[lane] = if seen { along } else { 0.0 };
+            let detected = (along > 0.0) & (along * along >= least * self.squared[lane]);
+            facing[lane] = if detected { along } else { 0.0 };
         }
         facing
     }

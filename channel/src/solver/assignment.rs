@@ -41,7 +41,7 @@ impl Assignment {
 
     /// Computes the amplitudes from `served`.
     pub(super) fn settle(&mut self, table: &Table, utility: &Utility) {
-        self.amplitude.copy_from_slice(&table.floor);
+        self.amplitude.copy_from_slice(&table.los_amplitude);
         for (m, &k) in self.served.iter().enumerate() {
             self.amplitude[k] += table.by_user[k * table.mirrors + m];
         }
@@ -86,7 +86,7 @@ impl Assignment {
     fn move_one(&mut self, m: usize, table: &Table, utility: &Utility) -> bool {
         let line = table.line(m);
         let from = self.served[m];
-        let without = (self.amplitude[from] - line[from]).max(table.floor[from]);
+        let without = (self.amplitude[from] - line[from]).max(table.los_amplitude[from]);
         let lost = self.factor(utility, from, without);
         let (mut to, mut gained) = (from, 0.0);
         for (k, &gain) in line.iter().enumerate() {
@@ -208,7 +208,7 @@ impl Assignment {
                 amplitude -= gain;
             }
         }
-        amplitude.max(table.floor[k])
+        amplitude.max(table.los_amplitude[k])
     }
 
     /// Derivative of the rate of user k by amplitude, times the steepness.

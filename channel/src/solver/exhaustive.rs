@@ -13,7 +13,7 @@ pub(super) fn search(table: &Table, utility: &Utility, best: &mut Assignment) ->
     }
     best.served.fill(0);
     best.settle(table, utility);
-    let mut walk = Walk { table, utility, best, served: vec![0; mirrors] };
+    let mut search = DepthFirst { table, utility, best, served: vec![0; mirrors] };
     // Sum of the amplitudes of the mirrors from m on, per user. Shape: (M + 1) * K.
     let mut ahead = vec![0.0; (mirrors + 1) * users];
     for m in (0..mirrors).rev() {
@@ -21,19 +21,19 @@ pub(super) fn search(table: &Table, utility: &Utility, best: &mut Assignment) ->
             ahead[m * users + k] = ahead[(m + 1) * users + k] + table.line(m)[k];
         }
     }
-    walk.descend(0, &table.floor, &ahead);
-    walk.best.settle(table, utility);
+    search.descend(0, &table.los_amplitude, &ahead);
+    search.best.settle(table, utility);
     Ok(())
 }
 
-struct Walk<'a> {
+struct DepthFirst<'a> {
     table: &'a Table,
     utility: &'a Utility,
     best: &'a mut Assignment,
     served: Vec<usize>,
 }
 
-impl Walk<'_> {
+impl DepthFirst<'_> {
     fn descend(&mut self, m: usize, amplitude: &[f64], ahead: &[f64]) {
         let users = self.table.users;
         // Upper bound: every user gets all remaining mirrors. Utilities do not decrease with

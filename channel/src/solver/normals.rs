@@ -21,7 +21,7 @@ const SPREAD_STARTS: usize = 12;
 #[derive(Clone, Debug)]
 pub(super) struct NormalSearch {
     /// c_km u_km times the amplitude scale: x, y and z. Shape of each: K * M.
-    pull: [Vec<f64>; 3],
+    gain_vector: [Vec<f64>; 3],
     /// Normals of the current step. Shape of each: M.
     normal: [Vec<f64>; 3],
     amplitude: Vec<f64>,
@@ -39,7 +39,7 @@ impl NormalSearch {
     pub(super) fn new(users: usize, mirrors: usize) -> Self {
         let pairs = || vec![0.0; users * mirrors];
         Self {
-            pull: [pairs(), pairs(), pairs()],
+            gain_vector: [pairs(), pairs(), pairs()],
             normal: [vec![0.0; mirrors], vec![0.0; mirrors], vec![0.0; mirrors]],
             amplitude: vec![0.0; users],
             weights: vec![0.0; users],
@@ -55,8 +55,8 @@ impl NormalSearch {
         assert_eq!(directions.len(), table.by_user.len(), "one direction a user and mirror");
         for (index, (&gain, direction)) in table.by_user.iter().zip(directions).enumerate() {
             let usable = direction.iter().all(|component| component.is_finite());
-            for (axis, pull) in self.pull.iter_mut().enumerate() {
-                pull[index] = if usable { gain * direction[axis] } else { 0.0 };
+            for (axis, gain_vector) in self.gain_vector.iter_mut().enumerate() {
+                gain_vector[index] = if usable { gain * direction[axis] } else { 0.0 };
             }
         }
     }
@@ -170,11 +170,11 @@ impl NormalSearch {
     /// Sets each normal to the direction of the weighted sum, and computes the amplitudes.
     fn turn(&mut self, table: &Table) {
         let mirrors = table.mirrors;
-        for (normal, pull) in self.normal.iter_mut().zip(&self.pull) {
+        for (normal, gain_vector) in self.normal.iter_mut().zip(&self.gain_vector) {
             normal.fill(0.0);
-            for (&weight, line) in self.weights.iter().zip(pull.chunks_exact(mirrors)) {
-                for (sum, &pull) in normal.iter_mut().zip(line) {
-                    *sum += weight * pull;
+            for (&weight, line) in self.weights.iter().zip(gain_vector.chunks_exact(mirrors)) {
+                for (sum, &gain_vector) in normal.iter_mut().zip(line) {
+                    *sum += weight * gain_vector;
                 }
             }
         }
@@ -201,7 +201,8 @@ impl NormalSearch {
         let [x, y, z] = &self.normal;
         let mut smallest = 0.0_f64;
         for (k, amplitude) in self.amplitude.iter_mut().enumerate() {
-            let [px, py, pz] = self.pull.each_ref().map(|pull| &pull[k * mirrors..(k + 1) * mirrors]);
+            let [px, py, pz] =
+                self.gain_vector.each_ref().map(|gain_vector| &gain_vector[k * mirrors..(k + 1) * mirrors]);
             let mut sums = [0.0; 4];
             let mut lowest = [0.0; 4];
             let mut m = 0;
@@ -215,7 +216,7 @@ impl NormalSearch {
                 }
                 m += lanes;
             }
-            *amplitude = table.floor[k] + (sums[0] + sums[1]) + (sums[2] + sums[3]);
+            *amplitude = table.los_amplitude[k] + (sums[0] + sums[1]) + (sums[2] + sums[3]);
             if self.weights[k] > 0.0 {
                 smallest = lowest.iter().fold(smallest, |a, &b| a.min(b));
             }
@@ -226,14 +227,18 @@ impl NormalSearch {
     /// Excludes from the sum for mirror m the users that the mirror faces away from, until it faces
     /// all remaining users.
     fn exclude_hidden_users(&mut self, m: usize, mirrors: usize) {
-        let pull = |k: usize| {
-            Vec3::new(self.pull[0][k * mirrors + m], self.pull[1][k * mirrors + m], self.pull[2][k * mirrors + m])
+        let gain_vector = |k: usize| {
+            Vec3::new(
+                self.gain_vector[0][k * mirrors + m],
+                self.gain_vector[1][k * mirrors + m],
+                self.gain_vector[2][k * mirrors + m],
+            )
         };
         let mut normal = Vec3::new(self.normal[0][m], self.normal[1][m], self.normal[2][m]);
         for _ in 0..self.weights.len() {
-            let facing = |k: &usize| normal.dot(&pull(*k)) > 0.0;
+            let facing = |k: &usize| normal.dot(&gain_vector(*k)) > 0.0;
             let users = 0..self.weights.len();
-            let sum: Vec3 = users.filter(facing).map(|k| self.weights[k] * pull(k)).sum();
+            let sum: Vec3 = users.filter(facing).map(|k| self.weights[k] * gain_vector(k)).sum();
             let length = sum.norm();
             if length <= 0.0 {
                 break;

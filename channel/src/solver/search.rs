@@ -39,7 +39,7 @@ pub(super) struct Search {
     shortlist: Vec<Assignment>,
     starts: Starts,
     /// Fingerprints of the assignments from which single moves have started.
-    climbed: Vec<u64>,
+    searched: Vec<u64>,
     /// Users that may be assigned mirrors.
     allowed: Vec<bool>,
     /// Weights of the current step, and of the best step so far.
@@ -64,7 +64,7 @@ impl Search {
                 Assignment::new(users, mirrors);
                 (REFINED_WORK / (users * mirrors)).clamp(*REFINED.start(), *REFINED.end())
             ],
-            climbed: Vec::with_capacity(2 * Starts::new(users).len()),
+            searched: Vec::with_capacity(2 * Starts::new(users).len()),
             starts: Starts::new(users),
             allowed: vec![true; users],
             weights: vec![0.0; users],
@@ -126,15 +126,15 @@ impl Search {
         for entry in &mut self.shortlist {
             entry.nats = f64::NEG_INFINITY;
         }
-        self.climbed.clear();
+        self.searched.clear();
         self.starts.order(table, utility);
         for index in 0..self.starts.len() {
             if self.starts.choose(index, &mut self.allowed) {
                 self.neutral_weights(table);
                 self.iterate(table, utility);
-                self.climb(table, utility);
+                self.search_locally(table, utility);
                 self.fill(table, utility);
-                self.climb(table, utility);
+                self.search_locally(table, utility);
             }
         }
         self.best.nats = f64::NEG_INFINITY;
@@ -168,10 +168,10 @@ impl Search {
 
     /// Single moves from `trial`, whose result may enter the shortlist; no effect for an assignment
     /// that was used before.
-    fn climb(&mut self, table: &Table, utility: &Utility) {
+    fn search_locally(&mut self, table: &Table, utility: &Utility) {
         let fingerprint = self.trial.fingerprint(table);
-        if !self.climbed.contains(&fingerprint) {
-            self.climbed.push(fingerprint);
+        if !self.searched.contains(&fingerprint) {
+            self.searched.push(fingerprint);
             self.move_passes(table, utility, MOVE_PASSES_MAX);
             self.shortlist_trial();
         }
@@ -196,9 +196,9 @@ impl Search {
             }
             since_better += 1;
             for (k, allowed) in self.allowed.iter_mut().enumerate() {
-                *allowed = k != user && self.best.amplitude[k] > table.floor[k];
+                *allowed = k != user && self.best.amplitude[k] > table.los_amplitude[k];
             }
-            if self.best.amplitude[user] > table.floor[user] && self.allowed.contains(&true) {
+            if self.best.amplitude[user] > table.los_amplitude[user] && self.allowed.contains(&true) {
                 trials += 1;
                 self.fill(table, utility);
                 self.move_passes(table, utility, passes);

@@ -48,7 +48,7 @@ impl Starts {
         for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
             let sum: f64 = line.iter().sum();
             self.reach[k] = sum;
-            self.rise[k] = utility.value(k, table.floor[k] + sum) - utility.value(k, table.floor[k]);
+            self.rise[k] = utility.value(k, table.los_amplitude[k] + sum) - utility.value(k, table.los_amplitude[k]);
         }
         let (reach, rise) = (&self.reach, &self.rise);
         // The index breaks ties, so that the order depends on the problem only.

@@ -147,7 +147,7 @@ pub(super) struct Table {
     pub(super) users: usize,
     pub(super) mirrors: usize,
     /// Line-of-sight amplitude of each user.
-    pub(super) floor: Vec<f64>,
+    pub(super) los_amplitude: Vec<f64>,
     /// `[m * users + k]`, for moves of one mirror.
     pub(super) by_mirror: Vec<f64>,
     /// `[k * mirrors + m]`, for the sums of a complete assignment.
@@ -163,7 +163,7 @@ impl Table {
         Self {
             users,
             mirrors,
-            floor: vec![0.0; users],
+            los_amplitude: vec![0.0; users],
             by_mirror: vec![0.0; users * mirrors],
             by_user: vec![0.0; users * mirrors],
             useful: Vec::with_capacity(mirrors),
@@ -174,8 +174,8 @@ impl Table {
     /// Loads the gains of the problem; a gain that is negative or not finite counts as 0.
     pub(super) fn load(&mut self, problem: &Problem) {
         let scale = problem.amplitude_scale;
-        for (floor, &gain) in self.floor.iter_mut().zip(problem.los_gain) {
-            *floor = amplitude(gain, scale);
+        for (los_amplitude, &gain) in self.los_amplitude.iter_mut().zip(problem.los_gain) {
+            *los_amplitude = amplitude(gain, scale);
         }
         for (k, (line, source)) in self
             .by_user

@@ -29,7 +29,7 @@ impl Search {
                     [*owner] = strongest(&self.effective, table, done + index);
                 }
                 for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
-                    self.amplitude[k] = table.floor[k] + owned_sum(line, &self.owners, k as f64);
+                    self.amplitude[k] = table.los_amplitude[k] + owned_sum(line, &self.owners, k as f64);
                 }
             },
         );

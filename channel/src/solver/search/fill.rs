@@ -14,7 +14,7 @@ impl Search {
     pub(super) fn fill(&mut self, table: &Table, utility: &Utility) {
         let first = self.allowed.iter().position(|&allowed| allowed).unwrap_or(0);
         self.trial.served.fill(first);
-        self.amplitude.copy_from_slice(&table.floor);
+        self.amplitude.copy_from_slice(&table.los_amplitude);
         for k in 0..table.users {
             self.inverse_fill[k] = 1.0 / utility.fill_utility(k, self.amplitude[k]);
         }
@@ -27,7 +27,7 @@ impl Search {
             for &m in &table.useful {
                 let from = self.trial.served[m];
                 let loss = table.line(m)[from];
-                let without = (self.amplitude[from] - loss).max(table.floor[from]);
+                let without = (self.amplitude[from] - loss).max(table.los_amplitude[from]);
                 let lost = utility.fill_utility(from, without) * self.inverse_fill[from];
                 let (user, gained) = self.best_to_fill(m, Some(from), table, utility);
                 if let Some(to) = user

@@ -1,19 +1,30 @@
-//! Angles whose kind matters: how far a mirror turns, and how far the light turns.
+//! Mechanical and optical angles as different types, and the conversion between degrees and
+//! radians.
 //!
-//! A mirror that turns by one degree turns the reflected ray by two. Data sheets quote either, so each has its type here
-//! and the factor is applied in one place. Everything in this crate that holds a plain `f64` angle of a mirror (a
-//! [`MirrorAngles`](crate::mirrors::MirrorAngles), for one) is mechanical, in radians.
+//! A mirror that turns by one degree turns the reflected ray by two degrees. Data sheets quote
+//! either angle, so each has its own type, and the factor is applied here only. A plain `f64` angle
+//! of a mirror elsewhere in this crate, for example in
+//! [`MirrorAngles`](crate::mirrors::MirrorAngles), is mechanical and in radians.
+//!
+//! ```
+//! use heliostat_channel::{Mechanical, Optical};
+//!
+//! let range = Optical::from_degrees(20.0);
+//! assert!((range.mechanical().degrees() - 10.0).abs() < 1e-12);
+//! assert_eq!(Mechanical(0.1).optical(), Optical(0.2));
+//! ```
 
-/// Angle by which a mirror is turned, in radians.
+/// Angle by which a mirror turns, in radians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Mechanical(pub f64);
 
-/// Angle by which a reflected ray is turned, in radians: twice the mechanical angle.
+/// Angle by which the reflected ray turns, in radians: optical = 2 mechanical, in the plane of
+/// incidence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Optical(pub f64);
 
 impl Mechanical {
-    /// A mechanical angle given in degrees.
+    /// Converts a mechanical angle from degrees.
     pub fn from_degrees(degrees: f64) -> Self {
         Self(degrees.to_radians())
     }
@@ -28,14 +39,14 @@ impl Mechanical {
         self.0.to_degrees()
     }
 
-    /// How far the reflected ray turns.
+    /// The angle by which the reflected ray turns: twice this angle.
     pub fn optical(self) -> Optical {
         Optical(2.0 * self.0)
     }
 }
 
 impl Optical {
-    /// An optical angle given in degrees.
+    /// Converts an optical angle from degrees.
     pub fn from_degrees(degrees: f64) -> Self {
         Self(degrees.to_radians())
     }
@@ -50,7 +61,7 @@ impl Optical {
         self.0.to_degrees()
     }
 
-    /// How far the mirror turns for it.
+    /// The angle by which the mirror turns: half of this angle.
     pub fn mechanical(self) -> Mechanical {
         Mechanical(0.5 * self.0)
     }

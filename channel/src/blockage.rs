@@ -1,11 +1,22 @@
-//! Cylinders that stand in the light: people, furniture, the users' own bodies.
+//! Blockage of paths by cylinders: obstacles and the users' own bodies.
 //!
-//! A path is a straight segment and an obstacle a solid upright cylinder that stands on the floor. The test is exact, in
-//! three dimensions. The shadow length of the paper's eq. (5) is kept as a cross-check only: it describes the shadow's
-//! axis and says nothing of its width.
+//! A path is a straight segment, and an obstacle is a solid upright cylinder on the floor. The test
+//! is exact in three dimensions. The shadow length of the paper's eq. (5) serves as a cross-check
+//! only: it describes the axis of the shadow, not its width.
+//!
+//! ```
+//! use heliostat_channel::{Cylinder, blockage, geometry::Vec3};
+//!
+//! let obstacle = Cylinder::new(0.5, 0.0, 0.25, 1.75)?;
+//! let (led, detector) = (Vec3::new(0.0, 0.0, 3.0), Vec3::new(2.0, 0.0, 0.85));
+//! assert!(!blockage::blocks(&obstacle, &led, &detector), "the path passes above the obstacle");
+//! assert!(blockage::blocks(&obstacle, &Vec3::new(0.0, 0.0, 1.0), &detector));
+//! # Ok::<(), heliostat_channel::ChannelError>(())
+//! ```
 
-use crate::Vec3;
-use crate::error::{ChannelError, finite, not_negative, positive};
+use crate::domain::{finite, not_negative, positive};
+use crate::error::ChannelError;
+use crate::geometry::Vec3;
 
 /// A solid upright cylinder that stands on the floor (z = 0).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,10 +32,11 @@ pub struct Cylinder {
 }
 
 impl Cylinder {
-    /// A cylinder whose numbers have been checked.
+    /// A cylinder with checked position and dimensions, all in m.
     ///
     /// # Errors
-    /// [`ChannelError::OutOfRange`] for a position that is not finite or a radius or height that is not positive.
+    /// [`ChannelError::OutOfRange`] for a position that is not finite or a radius or height that is
+    /// not positive.
     pub fn new(x_m: f64, y_m: f64, radius_m: f64, height_m: f64) -> Result<Self, ChannelError> {
         Ok(Self {
             x_m: finite("x of a cylinder in m", x_m)?,
@@ -35,18 +47,20 @@ impl Cylinder {
     }
 }
 
-/// Whether the cylinder interrupts the segment from `a` to `b` (both in m).
+/// Whether the cylinder blocks the segment from `a` to `b`.
 ///
-/// The segment is cut to the part that is above the cylinder's disc in plan; it is blocked when that part comes down to the
-/// cylinder's height (and is not below the floor). A segment that only touches the side passes. Symmetric in `a` and `b`.
+/// In plan view, the cylinder's disc cuts a chord from the segment. The segment is blocked if some
+/// point above the chord has a height within [0, cylinder height]. A segment that only touches the
+/// side is not blocked. The result is symmetric in `a` and `b`. Units: m.
 #[inline]
 pub fn blocks(cylinder: &Cylinder, a: &Vec3, b: &Vec3) -> bool {
     plan_chord(cylinder, (a.x, a.y), (b.x, b.y)).is_some_and(|chord| dips(cylinder, a.z, b.z, chord))
 }
 
-/// The part of a segment that runs inside the cylinder's disc in plan, as two shares of its length; `None` where it passes by.
+/// The chord that the cylinder's disc cuts from a segment in plan view, as two fractions of its
+/// length; `None` without one.
 ///
-/// Does not depend on heights, so one chord serves all mirrors of a column.
+/// The chord does not depend on heights, so all mirrors of a column share it.
 #[inline]
 pub(crate) fn plan_chord(cylinder: &Cylinder, from: (f64, f64), to: (f64, f64)) -> Option<(f64, f64)> {
     let (along_x, along_y) = (to.0 - from.0, to.1 - from.1);
@@ -67,24 +81,28 @@ pub(crate) fn plan_chord(cylinder: &Cylinder, from: (f64, f64), to: (f64, f64)) 
     (enter < leave).then_some((enter, leave))
 }
 
-/// Whether a segment between two heights is inside the cylinder's height somewhere along the chord.
+/// Whether a segment between two heights is within the cylinder's height at some point of the
+/// chord.
 #[inline]
 pub(crate) fn dips(cylinder: &Cylinder, from_z: f64, to_z: f64, (enter, leave): (f64, f64)) -> bool {
     let (first, last) = (from_z + enter * (to_z - from_z), from_z + leave * (to_z - from_z));
-    // Without a branch, and without the care for what is no number that a minimum takes: such a chord compares with nothing.
+    // Without branches, so that the loop over mirrors vectorises; a chord of NaN fails all
+    // comparisons.
     ((first <= cylinder.height_m) | (last <= cylinder.height_m)) & ((first >= 0.0) | (last >= 0.0))
 }
 
-/// Length of the shadow behind a blocker on the receiver plane, in m: d_B h_B / (h_l - h_B).
+/// Length of the shadow behind a blocker on the receiver plane.
 ///
-/// Infinite when the blocker is as tall as the LED. This is eq. (5) solved for the quantity it defines: as printed,
-/// d_L - d_B = h_B d_L / h_l, the unknown d_L stands on both sides.
+/// d_L - d_B = d_B h_B / (h_l - h_B), infinite when h_B >= h_l.
 ///
-/// `distance_m`: horizontal distance d_B from the LED to the blocker; `blocker_height_m` and `led_height_m`: h_B and h_l,
-/// both above the receiver plane and not above the floor.
+/// `distance_m`: horizontal distance d_B from the LED to the blocker. `blocker_height_m` and
+/// `led_height_m`: h_B and h_l above the receiver plane, not above the floor.
+///
+/// Source: paper eq. (5), d_L - d_B = h_B d_L / h_l, solved for the shadow length. Units: m.
 ///
 /// # Errors
-/// [`ChannelError::OutOfRange`] for a negative distance or blocker height or an LED that is not above the plane.
+/// [`ChannelError::OutOfRange`] for a negative distance, a negative blocker height, or an LED
+/// height that is not positive.
 pub fn shadow_length(distance_m: f64, blocker_height_m: f64, led_height_m: f64) -> Result<f64, ChannelError> {
     let distance = not_negative("distance of a blocker in m", distance_m)?;
     let blocker = not_negative("height of a blocker above the receivers in m", blocker_height_m)?;

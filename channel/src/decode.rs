@@ -1,33 +1,92 @@
-//! From a few numbers to the angles of all mirrors: the one decoder.
+//! The decoder: from one weight per user to the angles of all mirrors.
 //!
-//! The best angles have a simple structure. By the law of reflection a mirror serves one user, and serves it best at the
-//! bisector of the directions to that user and to the LED. Under the paper's eqs. (2) and (3) the best normal is a weighted sum of the directions to the users. Either way one weight a user
-//! is enough, and this module turns weights into angles.
+//! By the law of reflection a mirror serves one user, and its best normal bisects the directions to
+//! that user and to the LED. Under the paper's eqs. (2) and (3) the best normal is a weighted sum
+//! of the directions to the users. In both cases one weight per user determines all angles.
+//!
+//! ```
+//! use heliostat_channel::decode::decode;
+//! use heliostat_channel::{
+//!     ArraySpec, Branch, ChannelModel, Combining, Led, LinkBudget, MirrorAngles, MirrorArray, Mode, NoiseBudget,
+//!     PowerLaw, Receiver, Scene, Vec3, Wall,
+//! };
+//!
+//! let array = ArraySpec {
+//!     rows: 2,
+//!     columns: 2,
+//!     mirror_width_m: 0.25,
+//!     mirror_height_m: 0.10,
+//!     gap_m: 0.02,
+//!     centre_height_m: 2.0,
+//!     wall: Wall::PlusY,
+//!     wall_distance_m: 2.5,
+//!     reflectivity: 0.95,
+//! };
+//! let led = Led {
+//!     position: Vec3::new(0.0, 0.0, 3.0),
+//!     side_m: 0.0,
+//!     points_per_side: 1,
+//!     half_power_semi_angle: 60.0_f64.to_radians(),
+//! };
+//! let receiver = Receiver {
+//!     branches: vec![Branch { normal: Vec3::z(), fov_semi_angle: 90.0_f64.to_radians() }],
+//!     detector_area_m2: 20e-6,
+//!     filter_gain: 1.0,
+//!     concentrator_index: None,
+//!     combining: Combining::Best,
+//! };
+//! let noise = NoiseBudget {
+//!     background_shot_a2_per_hz: 1.85e-22,
+//!     thermal_a2_per_hz: 3e-24,
+//!     preamplifier_a2_per_hz: 2e-23,
+//!     variance_a2: None,
+//! };
+//! let budget = LinkBudget {
+//!     power_w: 2.0,
+//!     power_law: PowerLaw::Linear,
+//!     responsivity_a_per_w: 0.4,
+//!     noise,
+//!     bandwidth_hz: 20e6,
+//! };
+//! let model = ChannelModel::new(Mode::Specular, vec![led], MirrorArray::new(&array)?, receiver, budget)?;
+//!
+//! let mut scene = Scene::new(&model, 2);
+//! scene.update(&model, &[Vec3::new(1.0, 1.0, 0.85), Vec3::new(-1.0, 0.0, 0.85)], &[], &[false, false]);
+//! let mut angles = MirrorAngles::flat(4);
+//! decode(&model, &scene, &[0.0, 1.0], &mut angles);
+//!
+//! // Only user 1 has a weight, so all four mirrors reflect light to it.
+//! let mut irs_gain = [0.0; 2];
+//! scene.irs_gain(&model, &angles, &mut irs_gain);
+//! assert!(irs_gain[0] == 0.0 && irs_gain[1] > 1e-8);
+//! # Ok::<(), heliostat_channel::ChannelError>(())
+//! ```
 
 use std::ops::Range;
 
-use crate::Vec3;
-use crate::mirrors::{MirrorAngles, MirrorArray};
+use crate::aiming::bisect;
+use crate::geometry::Vec3;
+use crate::mirrors::MirrorAngles;
 use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
-use crate::trig::{BLOCK, Lanes, atan_of_quotient};
-use crate::wide::widest;
+use crate::simd::with_widest_simd;
+use crate::trig::BLOCK;
 
-/// Lengths below this, in m, have no direction.
-const TOO_NEAR_M: f64 = 1e-9;
-
-/// Turns one weight a user into the angles of all mirrors.
+/// Computes the angles of all mirrors from one weight per user.
 ///
-/// Specular: mirror m serves the user with the largest w_k a_km, the first of equals, where a_km is the steering gain; a mirror that
-/// can serve nobody is aimed at user 0. Paper: the normal of mirror m is the direction of sum_k w_k c_km u_km; flat where that sum is zero.
+/// Specular: mirror m serves user argmax_k w_k a_km with the steering gain a_km; the lowest index
+/// wins a tie. A mirror with no steering gain is aimed at user 0. Paper: the normal of mirror m has
+/// the direction of sum_k w_k c_km u_km; the mirror is flat if that sum is zero.
 ///
-/// `weights`: K, not negative, dimensionless. `out`: M angles, mechanical, in radians.
+/// `weights`: w_k, not negative, dimensionless. Shape: K. `out`: mechanical angles in radians.
+/// Shape: M.
 ///
 /// # Panics
-/// When `weights` has not one entry a user of the scene or `out` not one a mirror of the model.
+/// When `weights` does not have one entry per user of the scene, or `out` one per mirror of the
+/// model.
 pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut MirrorAngles) {
     let (users, mirrors) = (scene.users(), model.mirrors.len());
-    assert_eq!(weights.len(), users, "one weight a user");
+    assert_eq!(weights.len(), users, "one weight per user");
     check_angles(out, mirrors);
     if model.mode == Mode::Specular {
         aim_each(
@@ -48,14 +107,15 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
     }
 }
 
-/// Aims each mirror at one user by the law of reflection, for the LED that serves that user.
+/// Aims each mirror at one user by the law of reflection, with the light of the LED that serves
+/// that user.
 ///
-/// `served`: the user of each mirror. `out`: M angles, mechanical, in radians. Shape of both: M.
+/// `served`: the user of each mirror. `out`: mechanical angles in radians. Shape of both: M.
 ///
 /// # Panics
-/// When `served` or `out` has not one entry a mirror, or a user does not exist.
+/// When `served` or `out` does not have one entry per mirror, or a user does not exist.
 pub fn aim(model: &ChannelModel, scene: &Scene, served: &[usize], out: &mut MirrorAngles) {
-    assert_eq!(served.len(), model.mirrors.len(), "one user a mirror");
+    assert_eq!(served.len(), model.mirrors.len(), "one user per mirror");
     check_angles(out, model.mirrors.len());
     aim_each(
         model,
@@ -70,12 +130,13 @@ pub fn aim(model: &ChannelModel, scene: &Scene, served: &[usize], out: &mut Mirr
     );
 }
 
-/// Aims all mirrors at one point (in m) by the law of reflection, with the light of the LED that is nearest to it.
+/// Aims all mirrors at one point by the law of reflection, with the light of the LED nearest to
+/// that point.
 ///
-/// `out`: M angles, mechanical, in radians.
+/// `target`: in m. `out`: mechanical angles in radians. Shape: M.
 ///
 /// # Panics
-/// When `out` has not one entry a mirror.
+/// When `out` does not have one entry per mirror.
 pub fn aim_at_point(model: &ChannelModel, target: &Vec3, out: &mut MirrorAngles) {
     check_angles(out, model.mirrors.len());
     let distance = |led: usize| (model.leds[led].position - target).norm_squared();
@@ -83,7 +144,8 @@ pub fn aim_at_point(model: &ChannelModel, target: &Vec3, out: &mut MirrorAngles)
     aim_each(model, &Targets { points: &[*target], leds: &[nearest] }, out, |_, _| [0; BLOCK]);
 }
 
-/// For each of these mirrors, at most a block, the user with the largest weighted gain, the first of equals.
+/// The user with the largest weighted gain for each of at most a block of mirrors; the lowest index
+/// wins a tie.
 #[inline(always)]
 fn best_in_block(scene: &Scene, weights: &[f64], mirrors: Range<usize>) -> [usize; BLOCK] {
     let (mut best, mut largest) = ([0; BLOCK], [f64::NEG_INFINITY; BLOCK]);
@@ -93,7 +155,7 @@ fn best_in_block(scene: &Scene, weights: &[f64], mirrors: Range<usize>) -> [usiz
         gains[..mirrors.len()].copy_from_slice(&row[mirrors.clone()]);
         for lane in 0..BLOCK {
             let score = weight * gains[lane];
-            // Written so that no lane takes a branch.
+            // Selections instead of branches, so that the loop vectorises.
             let larger = score > largest[lane];
             largest[lane] = if larger { score } else { largest[lane] };
             best[lane] = if larger { user } else { best[lane] };
@@ -102,7 +164,7 @@ fn best_in_block(scene: &Scene, weights: &[f64], mirrors: Range<usize>) -> [usiz
     best
 }
 
-/// Where mirrors can be aimed, in m, and with the light of which LED.
+/// The points in m at which mirrors can be aimed, and the LED whose light each point receives.
 struct Targets<'a> {
     points: &'a [Vec3],
     leds: &'a [usize],
@@ -115,23 +177,24 @@ impl<'a> Targets<'a> {
     }
 }
 
-/// Roll and yaw that send the light of an LED's centre over each mirror's centre to a target; flat where no angle does.
+/// Roll and yaw that reflect light from an LED's centre at each mirror's centre to a target; 0
+/// where no such angles exist.
 ///
-/// `choose` gives the targets of a block, from the index of its first mirror and the number of its mirrors; what it says of lanes beyond these does
-/// not matter, but must be a target.
+/// `choose` returns the targets of a block from the index of its first mirror and the number of its
+/// mirrors. Lanes beyond that number may hold any valid target.
 fn aim_each(
     model: &ChannelModel,
     targets: &Targets<'_>,
     out: &mut MirrorAngles,
     choose: impl Fn(usize, usize) -> [usize; BLOCK],
 ) {
-    widest(
+    with_widest_simd(
         #[inline(always)]
         || {
             for (index, first) in (0..model.mirrors.len()).step_by(BLOCK).enumerate() {
                 let lanes = BLOCK.min(model.mirrors.len() - first);
                 let chosen = choose(first, lanes);
-                let mut towards_led = towards(model, 0, index).map(|lanes| *lanes);
+                let mut towards_led = model.directions_to_led(0, index).map(|lanes| *lanes);
                 let mut target = [[0.0; BLOCK]; 3];
                 for lane in 0..BLOCK {
                     let point = &targets.points[chosen[lane]];
@@ -139,7 +202,7 @@ fn aim_each(
                         lanes[lane] = *coordinate;
                     }
                     if model.leds.len() > 1 {
-                        let directions = towards(model, targets.leds[chosen[lane]], index);
+                        let directions = model.directions_to_led(targets.leds[chosen[lane]], index);
                         for (lanes, direction) in towards_led.iter_mut().zip(directions) {
                             lanes[lane] = direction[lane];
                         }
@@ -153,40 +216,7 @@ fn aim_each(
     );
 }
 
-/// Unit vectors from a block of mirrors to an LED.
-#[inline(always)]
-pub(crate) fn towards(model: &ChannelModel, led: usize, block: usize) -> [&Lanes; 3] {
-    model.panels[led].direction.each_ref().map(|axis| &axis[block])
-}
-
-/// Roll and yaw of a block of mirrors whose normals are to halve the angle between a direction and the way to a point.
-///
-/// With u the unit vector, t the way and b its length, the normal b u + t has the direction of the bisector; then, in the wall's frame,
-/// yaw = atan(x / y) and roll = atan(-z / sqrt(x^2 + y^2)), as in [`MirrorArray::angles_of`].
-#[inline(always)]
-pub(crate) fn bisect(mirrors: &MirrorArray, block: usize, towards: [&Lanes; 3], target: &[Lanes; 3]) -> (Lanes, Lanes) {
-    let centre = mirrors.block(block);
-    let (cos, sin) = mirrors.rotation();
-    let zero = [0.0; BLOCK];
-    let (mut down, mut level, mut along, mut inward) = (zero, zero, zero, zero);
-    for lane in 0..BLOCK {
-        let way = [0, 1, 2].map(|axis: usize| target[axis][lane] - centre[axis][lane]);
-        let squared = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
-        let distance = squared.sqrt();
-        let normal = [0, 1, 2].map(|axis: usize| distance * towards[axis][lane] + way[axis]);
-        let (x, y) = (cos * normal[0] + sin * normal[1], cos * normal[1] - sin * normal[0]);
-        let across = x * x + y * y;
-        // A point in the mirror, or one opposite to the direction, leaves no angle; nor does what is not a number.
-        let sound = (distance > TOO_NEAR_M) & (across + normal[2] * normal[2] > (TOO_NEAR_M * TOO_NEAR_M) * squared);
-        down[lane] = if sound { -normal[2] } else { 0.0 };
-        level[lane] = if sound { across.sqrt() } else { 1.0 };
-        along[lane] = if sound { x } else { 0.0 };
-        inward[lane] = if sound { y } else { 1.0 };
-    }
-    (atan_of_quotient(&down, &level), atan_of_quotient(&along, &inward))
-}
-
 fn check_angles(angles: &MirrorAngles, mirrors: usize) {
-    assert_eq!(angles.roll.len(), mirrors, "one roll a mirror");
-    assert_eq!(angles.yaw.len(), mirrors, "one yaw a mirror");
+    assert_eq!(angles.roll.len(), mirrors, "one roll per mirror");
+    assert_eq!(angles.yaw.len(), mirrors, "one yaw per mirror");
 }

@@ -1,35 +1,59 @@
-//! Mirrors as the paper computes them: eqs. (2) and (3).
+//! Mirror gain by the paper's eqs. (2) and (3), for comparison with the paper.
 //!
-//! The paper speaks of complete specular reflection, but its eq. (2) is the gain of a small *diffusing* plate: it falls with the product
-//! D1^2 D2^2, not with (D1 + D2)^2, and it changes with the cosine of the tilt, not with whether the ray arrives. It is here
-//! to compare with the paper. Angles that are best under it bring nothing on a real mirror.
+//! The paper assumes complete specular reflection, but its eq. (2) is the gain of a small *diffuse*
+//! reflector. The gain falls with D1^2 D2^2, not with (D1 + D2)^2, and varies with the cosine of
+//! the tilt. The best angles under eq. (2) give no gain on a specular mirror.
 //!
-//! How the symbols are read (the [`Reading`]s) is said in docs/physics.md.
+//! docs/physics.md compares the two interpretations of the symbols, see [`Reading`].
+//!
+//! ```
+//! use heliostat_channel::{ArraySpec, MirrorArray, Wall, diffuse, geometry::Vec3};
+//!
+//! let array = MirrorArray::new(&ArraySpec {
+//!     rows: 1,
+//!     columns: 1,
+//!     mirror_width_m: 0.25,
+//!     mirror_height_m: 0.10,
+//!     gap_m: 0.02,
+//!     centre_height_m: 2.0,
+//!     wall: Wall::PlusY,
+//!     wall_distance_m: 2.5,
+//!     reflectivity: 0.95,
+//! })?;
+//! // The cosine of eq. (3) is 1 for a user on the mirror's normal.
+//! let user = Vec3::new(0.0, 0.5, 2.0);
+//! assert_eq!(diffuse::tilt_cosine(&array, 0, (0.0, 0.0), &user), 1.0);
+//! # Ok::<(), heliostat_channel::ChannelError>(())
+//! ```
 
-use crate::Vec3;
 use crate::emitter::{Led, lambertian};
+use crate::geometry::Vec3;
 use crate::mirrors::MirrorArray;
 use crate::receiver::{Branch, Receiver};
 use crate::specular::detected;
 use std::f64::consts::PI;
 
-/// What the angles of eqs. (2) and (3) are taken to mean.
+/// How the angles of eqs. (2) and (3) are interpreted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
-    /// Eq. (3) is the cosine between mirror normal and direction to the user, so it stands for the irradiance cosine at the
-    /// mirror; the incidence at the receiver is that of the ray on the detector, with the field-of-view gate on it.
+    /// Eq. (3) is the irradiance cosine at the mirror, between its normal and the direction to the
+    /// user. The incidence angle at the detector follows from the geometry, and the field of view
+    /// limits it.
     Sensible,
-    /// Eq. (3) is cos(beta_km) as its left-hand side says, with the field-of-view gate on that angle; the irradiance angle at the mirror is
-    /// measured from the wall's normal, and the receiver's own orientation does not matter.
+    /// Eq. (3) is the incidence cosine cos(beta_km), as its left-hand side states, and the field of
+    /// view limits that angle. The irradiance angle at the mirror is measured from the wall's
+    /// normal. The detector's normal has no effect.
     Literal,
 }
 
-/// Cosine of eq. (3): between the mirror's normal and the direction from the mirror to the user.
+/// Cosine of the angle between the mirror's normal and the direction from the mirror to the user.
 ///
-/// ((x_m - x_k) sin yaw cos roll + (y_m - y_k) cos yaw cos roll + (z_m - z_k) sin roll) / D, in the wall frame. Dimensionless;
-/// negative when the mirror faces away.
+/// ((x_m - x_k) sin yaw cos roll + (y_m - y_k) cos yaw cos roll + (z_m - z_k) sin roll) / D2, in
+/// the wall frame; negative when the mirror faces away from the user, not a number when mirror and
+/// user share a point.
 ///
 /// Source: paper eq. (3).
+/// Units: roll and yaw mechanical, in radians, positions in m; the cosine is dimensionless.
 pub fn tilt_cosine(mirrors: &MirrorArray, mirror: usize, (roll, yaw): (f64, f64), user: &Vec3) -> f64 {
     let from_user = mirrors.wall_from_room(&(mirrors.positions()[mirror] - user));
     let weighted =
@@ -37,10 +61,13 @@ pub fn tilt_cosine(mirrors: &MirrorArray, mirror: usize, (roll, yaw): (f64, f64)
     weighted / from_user.norm()
 }
 
-/// Half of eq. (2) that is the same for every user: (n + 1) rho dA cos^n(irradiance at the LED) cos(incidence at the mirror) / (2 pi^2 D1^2).
+/// The factor of eq. (2) for the path from the LED to the mirror.
 ///
-/// The incidence at the mirror is measured from the wall's normal. Averaged over the points of the panel; zero above the LED's plane.
-/// Dimensionless.
+/// (n + 1) rho dA cos^n(irradiance angle at the LED) cos(incidence angle at the mirror) / (2 pi^2
+/// D1^2), with the incidence angle measured from the wall's normal; averaged over the points of the
+/// panel, zero above the LED's plane.
+///
+/// Source: paper eq. (2). Units: positions in m, area in m2; the factor is dimensionless.
 pub fn illumination(led: &Led, mirrors: &MirrorArray, mirror: usize) -> f64 {
     let order = led.lambertian_order();
     let inward = mirrors.inward();
@@ -60,10 +87,16 @@ pub fn illumination(led: &Led, mirrors: &MirrorArray, mirror: usize) -> f64 {
     front * sum / points.len() as f64
 }
 
-/// The other half of eq. (2) without the cosine of eq. (3): A_r T_s g cos(the angle that does not turn) / D2^2.
+/// The factor of eq. (2) for the path from the mirror to the user, without the cosine of eq. (3).
 ///
-/// That angle is the incidence at the receiver under [`Reading::Sensible`] and the irradiance from the wall's normal
-/// under [`Reading::Literal`]. `from_user`: vector from the detector to the mirror in m; `inward`: the wall's normal. Dimensionless.
+/// A_r T_s g cos(angle) / D2^2. The angle is the incidence angle at the detector under
+/// [`Reading::Sensible`]. Under [`Reading::Literal`] it is the irradiance angle at the mirror,
+/// measured from the wall's normal.
+///
+/// `from_user`: vector from the detector to the mirror in m; `inward`: the wall's unit normal into
+/// the room.
+///
+/// Source: paper eq. (2). Units: area in m2; the factor is dimensionless.
 pub fn collection(reading: Reading, (receiver, branch): (&Receiver, &Branch), from_user: &Vec3, inward: &Vec3) -> f64 {
     let squared = from_user.norm_squared();
     let towards_mirror = from_user / squared.sqrt();
@@ -78,11 +111,15 @@ pub fn collection(reading: Reading, (receiver, branch): (&Receiver, &Branch), fr
     }
 }
 
-/// Channel gain of one mirror by eqs. (2) and (3), with nothing in the way: illumination times collection times the tilt cosine.
+/// Channel gain of one unblocked path by way of one mirror: [`illumination`] times [`collection`]
+/// times [`tilt_cosine`].
 ///
-/// H = (n + 1) rho A_r dA cos^n cos(beta_ml) cos(irradiance at the mirror) cos(incidence) T_s g / (2 pi^2 D1^2 D2^2); zero when the mirror faces away.
+/// H = (n + 1) rho A_r dA cos^n(irradiance angle at the LED) cos(incidence angle at the mirror)
+/// cos(irradiance angle at the mirror) cos(incidence angle at the detector) T_s g / (2 pi^2 D1^2
+/// D2^2); zero when the mirror faces away.
 ///
-/// Source: paper eqs. (2) and (3). Units: positions in m; the gain is dimensionless.
+/// Source: paper eqs. (2) and (3).
+/// Units: angles mechanical, in radians, positions in m, areas in m2; the gain is dimensionless.
 pub fn gain(
     reading: Reading,
     (led, mirrors, mirror): (&Led, &MirrorArray, usize),
@@ -98,7 +135,8 @@ pub fn gain(
     illumination(led, mirrors, mirror) * collection(reading, (receiver, branch), &from_user, &mirrors.inward()) * cosine
 }
 
-/// Smallest tilt cosine that brings light, besides being positive: the field-of-view gate, where the literal reading puts it there.
+/// Smallest tilt cosine with a gain: the literal interpretation applies the field of view to this
+/// cosine.
 #[inline]
 pub(crate) fn tilt_least(reading: Reading, fov_cosine: f64) -> f64 {
     match reading {

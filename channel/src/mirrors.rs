@@ -1,15 +1,39 @@
-//! The mirror array: where the mirrors hang and how angles turn them.
+//! The mirror array: positions of the mirrors, and normals from roll and yaw.
 //!
-//! Everything about a mirror is said in the *wall frame*, the frame in which the array hangs on the wall y = +L/2 and its
-//! inward direction is -y. The three other walls rotate that frame about z; [`MirrorArray::room_from_wall`] does it.
-//! Angles are mechanical, in radians. Yaw phi turns about z and roll theta tilts; section II of the paper and its eq. (3) swap
-//! the two names. Zero angles face straight into the room, a positive roll looks down.
+//! Mirror quantities are defined in the *wall frame*: the array is on the wall y = +L/2, and its
+//! inward direction is -y. For the three other walls, [`MirrorArray::room_from_wall`] rotates that
+//! frame about z.
+//!
+//! Angles are mechanical and in radians. Yaw phi turns a mirror about z and roll theta tilts it;
+//! section II of the paper and its eq. (3) swap the two names. At zero angles a mirror faces
+//! straight into the room; at positive roll it faces down.
+//!
+//! ```
+//! use heliostat_channel::{ArraySpec, MirrorArray, Wall};
+//!
+//! let array = MirrorArray::new(&ArraySpec {
+//!     rows: 2,
+//!     columns: 3,
+//!     mirror_width_m: 0.25,
+//!     mirror_height_m: 0.10,
+//!     gap_m: 0.02,
+//!     centre_height_m: 2.0,
+//!     wall: Wall::PlusY,
+//!     wall_distance_m: 2.5,
+//!     reflectivity: 0.95,
+//! })?;
+//! assert_eq!(array.len(), 6);
+//! let (roll, yaw) = array.angles_of(&array.normal(0.1, -0.2));
+//! assert!((roll - 0.1).abs() < 1e-12 && (yaw + 0.2).abs() < 1e-12);
+//! # Ok::<(), heliostat_channel::ChannelError>(())
+//! ```
 
-use crate::Vec3;
-use crate::error::{ChannelError, check, finite, not_negative, positive};
+use crate::domain::{finite, not_negative, positive, require};
+use crate::error::ChannelError;
+use crate::geometry::Vec3;
 use crate::trig::{Lanes, in_blocks};
 
-/// Most mirrors of an array: the limit of the messages that carry their angles.
+/// Largest number of mirrors of an array: the limit of the messages that carry their angles.
 pub const MIRRORS_MAX: usize = 16_384;
 
 /// The wall that carries the array.
@@ -26,7 +50,7 @@ pub enum Wall {
 }
 
 impl Wall {
-    /// Cosine and sine of the rotation about z that takes the wall frame to the room's.
+    /// Cosine and sine of the rotation about z from the wall frame to the room's frame.
     fn rotation(self) -> (f64, f64) {
         match self {
             Self::PlusY => (1.0, 0.0),
@@ -37,12 +61,12 @@ impl Wall {
     }
 }
 
-/// What an array is made of.
+/// Dimensions, position and reflectivity of an array.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArraySpec {
-    /// Rows; row 0 is the lowest.
+    /// Number of rows; row 0 is the lowest.
     pub rows: usize,
-    /// Columns; column 0 is at the smallest x of the wall frame.
+    /// Number of columns; column 0 is at the smallest x of the wall frame.
     pub columns: usize,
     /// Width w_m of a mirror in m.
     pub mirror_width_m: f64,
@@ -52,11 +76,11 @@ pub struct ArraySpec {
     pub gap_m: f64,
     /// Height of the array's centre above the floor in m.
     pub centre_height_m: f64,
-    /// Which wall.
+    /// The wall that carries the array.
     pub wall: Wall,
     /// Distance of the wall from the room's centre in m.
     pub wall_distance_m: f64,
-    /// Reflection coefficient rho_m, from 0 to 1.
+    /// Reflection coefficient rho_m, dimensionless, within [0, 1].
     pub reflectivity: f64,
 }
 
@@ -64,14 +88,14 @@ impl ArraySpec {
     fn check(&self) -> Result<(), ChannelError> {
         let count = self.rows.saturating_mul(self.columns);
         if count == 0 || count > MIRRORS_MAX {
-            return Err(ChannelError::Count { things: "mirrors", count, wanted: "1 to 16384" });
+            return Err(ChannelError::Count { things: "mirrors", count, expected: "1 to 16384" });
         }
         positive("width of a mirror in m", self.mirror_width_m)?;
         positive("height of a mirror in m", self.mirror_height_m)?;
         not_negative("gap between mirrors in m", self.gap_m)?;
         finite("height of the array's centre in m", self.centre_height_m)?;
         positive("distance of the mirror wall from the room's centre in m", self.wall_distance_m)?;
-        check((0.0..=1.0).contains(&self.reflectivity), "reflectivity", self.reflectivity, "from 0 to 1")?;
+        require((0.0..=1.0).contains(&self.reflectivity), "reflectivity", self.reflectivity, "a number from 0 to 1")?;
         Ok(())
     }
 }
@@ -79,19 +103,19 @@ impl ArraySpec {
 /// Roll and yaw of each mirror: mechanical, in radians, in index order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MirrorAngles {
-    /// Tilt of each mirror; positive looks down. Shape: M.
+    /// Roll (tilt) of each mirror; at positive roll a mirror faces down. Shape: M.
     pub roll: Vec<f64>,
-    /// Turn of each mirror about the vertical. Shape: M.
+    /// Yaw of each mirror, about the vertical. Shape: M.
     pub yaw: Vec<f64>,
 }
 
 impl MirrorAngles {
-    /// All mirrors facing straight into the room.
+    /// Zero angles: every mirror faces straight into the room.
     pub fn flat(mirrors: usize) -> Self {
         Self { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] }
     }
 
-    /// How many mirrors.
+    /// Number of mirrors M.
     pub fn len(&self) -> usize {
         self.roll.len()
     }
@@ -102,23 +126,25 @@ impl MirrorAngles {
     }
 }
 
-/// A laid-out mirror array on one wall.
+/// A mirror array on one wall, with the position of each mirror.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MirrorArray {
     spec: ArraySpec,
     positions: Vec<Vec3>,
-    /// The same positions, x, y and z, in blocks for the pass over all mirrors.
+    /// The same positions, as x, y and z in blocks of mirrors.
     pub(crate) blocks: [Vec<Lanes>; 3],
 }
 
 impl MirrorArray {
-    /// Lays the array out: index = row * columns + column.
+    /// Computes the position of each mirror; index = row * columns + column.
     ///
-    /// Row 0 is the lowest. Column 0 is at the smallest x of the wall frame, which is at the room's smallest x on the +y wall,
-    /// largest y on +x, largest x on -y and smallest y on -x (always the leftmost for someone who faces the wall).
+    /// Row 0 is the lowest. Column 0 is at the smallest x of the wall frame. In the room's frame
+    /// that is the smallest x on the +y wall, the largest y on +x, the largest x on -y, and the
+    /// smallest y on -x.
     ///
     /// # Errors
-    /// [`ChannelError`] for no mirrors or more than [`MIRRORS_MAX`], or for a size that is no size.
+    /// [`ChannelError`] for no mirrors, for more than [`MIRRORS_MAX`], or for a value outside its
+    /// domain.
     pub fn new(spec: &ArraySpec) -> Result<Self, ChannelError> {
         spec.check()?;
         let (pitch_x, pitch_z) = (spec.mirror_width_m + spec.gap_m, spec.mirror_height_m + spec.gap_m);
@@ -139,7 +165,7 @@ impl MirrorArray {
         Ok(array)
     }
 
-    /// What the array was made from.
+    /// Dimensions, position and reflectivity.
     pub fn spec(&self) -> &ArraySpec {
         &self.spec
     }
@@ -149,7 +175,7 @@ impl MirrorArray {
         self.positions.len()
     }
 
-    /// Whether there are no mirrors; never true.
+    /// Always false, as an array has at least one mirror.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -179,32 +205,39 @@ impl MirrorArray {
         self.room_from_wall(&-Vec3::y())
     }
 
-    /// Rotates a vector (or a point: both frames share the origin at the centre of the floor) from the wall frame to the room's.
+    /// Rotates a vector or a point from the wall frame to the room's frame; both have the centre of
+    /// the floor as origin.
     pub fn room_from_wall(&self, v: &Vec3) -> Vec3 {
         let (cos, sin) = self.rotation();
         Vec3::new(cos * v.x - sin * v.y, sin * v.x + cos * v.y, v.z)
     }
 
-    /// Rotates a vector or a point from the room's frame to the wall frame.
+    /// Rotates a vector or a point from the room's frame to the wall frame: the inverse of
+    /// [`MirrorArray::room_from_wall`].
     pub fn wall_from_room(&self, v: &Vec3) -> Vec3 {
         let (cos, sin) = self.rotation();
         Vec3::new(cos * v.x + sin * v.y, cos * v.y - sin * v.x, v.z)
     }
 
-    /// Inward normal of a mirror at these angles, in the room's frame: in the wall frame
-    /// -(sin yaw cos roll, cos yaw cos roll, sin roll).
+    /// Inward unit normal of a mirror at these angles, in the room's frame.
     ///
-    /// Source: paper eq. (3), whose right-hand side is this vector times the direction from the mirror to the user.
+    /// n = -(sin yaw cos roll, cos yaw cos roll, sin roll) in the wall frame, for any angles in
+    /// radians.
+    ///
+    /// Source: paper eq. (3), whose right-hand side is the dot product of n and the direction from
+    /// the mirror to the user.
     pub fn normal(&self, roll: f64, yaw: f64) -> Vec3 {
         let (sin_roll, cos_roll) = roll.sin_cos();
         let (sin_yaw, cos_yaw) = yaw.sin_cos();
         self.room_from_wall(&-Vec3::new(sin_yaw * cos_roll, cos_yaw * cos_roll, sin_roll))
     }
 
-    /// Roll and yaw that give an inward normal: yaw = atan(n_x / n_y), roll = atan(-n_z / hypot(n_x, n_y)) in the wall frame.
+    /// Roll and yaw in radians that give an inward normal.
     ///
-    /// The inverse of [`MirrorArray::normal`] for every normal that points into the room (yaw strictly within 90 degrees);
-    /// the length of the normal does not matter. A vertical normal gives yaw 0.
+    /// yaw = atan(n_x / n_y), roll = atan(-n_z / hypot(n_x, n_y)) in the wall frame. This is the
+    /// inverse of [`MirrorArray::normal`] for a normal that points into the room, that is for a yaw
+    /// strictly within 90 degrees. The normal may have any length above 0. A vertical normal gives
+    /// yaw 0.
     pub fn angles_of(&self, normal: &Vec3) -> (f64, f64) {
         let n = self.wall_from_room(normal);
         let yaw = if n.x == 0.0 { 0.0 } else { (n.x / n.y).atan() };

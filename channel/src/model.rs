@@ -1,36 +1,37 @@
-//! A room's equipment as one checked value: what every computation of a link starts from.
+//! The optical equipment of a room as one checked value: LEDs, mirrors, receiver and link budget.
 
-use crate::Vec3;
 use crate::diffuse::{self, Reading};
+use crate::domain::positive;
 use crate::emitter::{Led, lambertian};
-use crate::error::{ChannelError, check};
+use crate::error::ChannelError;
+use crate::geometry::Vec3;
 use crate::link::LinkBudget;
 use crate::los::front_factor;
 use crate::mirrors::MirrorArray;
-use crate::quadrature::{FewPoints, smooth_from_squared};
+use crate::quadrature::{FewPoints, POINT_LANES, PointLanes, smooth_from_squared};
 use crate::receiver::Receiver;
-use crate::scene::kernel::POINT_LANES;
 use crate::trig::{Lanes, in_blocks};
 
-/// Most LEDs of a room.
+/// Largest number of LEDs of a room.
 pub const LEDS_MAX: usize = 64;
 
-/// How the light of a mirror is computed.
+/// The model of the mirror gain.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mode {
     /// The law of reflection (see [`specular`](crate::specular)): for real hardware.
     Specular,
-    /// Eqs. (2) and (3) of the paper (see [`diffuse`]): for comparison with it.
+    /// Eqs. (2) and (3) of the paper (see [`diffuse`]): for comparison with the paper.
     Paper {
-        /// Whether the symbols are read literally ([`Reading::Literal`]).
+        /// Whether the symbols are interpreted literally ([`Reading::Literal`]).
         literal: bool,
-        /// Factor on every mirror's gain; 1 is the paper as printed, anything else is unphysical.
+        /// Factor on the gain of every mirror, above 0; 1 is the paper as printed, any other value
+        /// is unphysical.
         gain_scale: f64,
     },
 }
 
 impl Mode {
-    /// How eqs. (2) and (3) are read, or `None` for the law of reflection.
+    /// The interpretation of eqs. (2) and (3); `None` for the law of reflection.
     pub(crate) fn reading(self) -> Option<Reading> {
         match self {
             Self::Specular => None,
@@ -42,35 +43,35 @@ impl Mode {
 
 /// LEDs, mirrors, receiver and link budget of a room, checked.
 ///
-/// The fields can be read. Changing `budget` takes effect at once; the others have been worked into tables by
-/// [`ChannelModel::new`], so a different geometry is a new model.
+/// A change of `budget` takes effect at once. [`ChannelModel::new`] computes tables from the other
+/// fields, so a different geometry needs a new model.
 #[derive(Clone, Debug)]
 pub struct ChannelModel {
-    /// Which mirror gain.
+    /// The model of the mirror gain.
     pub mode: Mode,
-    /// The access points, all with the power of `budget`.
+    /// The access points; each has the optical power of `budget`.
     pub leds: Vec<Led>,
     /// The mirror array.
     pub mirrors: MirrorArray,
     /// The receiver of every user.
     pub receiver: Receiver,
-    /// Power, responsivity, noise, bandwidth.
+    /// Power, responsivity, noise and bandwidth.
     pub budget: LinkBudget,
     pub(crate) panels: Vec<Panel>,
     pub(crate) detectors: Vec<Detector>,
 }
 
-/// What is known of one LED before any user is.
+/// Quantities of one LED that do not depend on the users.
 #[derive(Clone, Debug)]
 pub(crate) struct Panel {
     pub centre: Vec3,
-    /// The points that stand for the panel, in m.
+    /// The points that represent the panel, in m.
     pub points: Vec<Vec3>,
-    /// The same points in groups; the last group is filled up with weight 0.
+    /// The same points in groups; unused lanes of the last group have weight 0.
     pub lanes: Vec<PointLanes<POINT_LANES>>,
-    /// Fewer points with the same mean of what is smooth; empty where there are none.
+    /// The eight points for the mean of a smooth function; empty for a grid of few points.
     pub few_lanes: Vec<PointLanes<POINT_LANES>>,
-    /// Squared distance in m2 from which on the light of a point is smooth enough for them.
+    /// Square in m2 of the smallest distance at which the eight points may be used.
     pub few_from_squared: f64,
     /// Largest distance of a point from the panel's centre in m.
     pub radius: f64,
@@ -81,21 +82,14 @@ pub(crate) struct Panel {
     pub front: f64,
     /// Distance from the panel's centre to each mirror in m, in blocks.
     pub distance: Vec<Lanes>,
-    /// Unit vectors from each mirror to the panel's centre: x, y and z, in blocks.
+    /// Unit vectors from each mirror to the panel's centre: x, y and z in blocks.
     pub direction: [Vec<Lanes>; 3],
-    /// Specular: rho (n + 1) A_r T_s cos^n / (2 pi) towards each mirror's centre in m2; paper: illumination times gain scale; in blocks.
+    /// Specular: rho (n + 1) A_r T_s cos^n(irradiance_angle) / (2 pi) towards each mirror's centre
+    /// in m2. Paper: illumination times gain scale. In blocks.
     pub towards_mirror: Vec<Lanes>,
 }
 
-/// A few points of a panel: offsets from its centre in m, and weight.
-#[derive(Clone, Debug)]
-pub(crate) struct PointLanes<const N: usize> {
-    pub x: [f64; N],
-    pub y: [f64; N],
-    pub weight: [f64; N],
-}
-
-/// What is known of one branch.
+/// Quantities of one branch that do not depend on the users.
 #[derive(Clone, Debug)]
 pub(crate) struct Detector {
     pub normal: Vec3,
@@ -104,11 +98,12 @@ pub(crate) struct Detector {
 }
 
 impl ChannelModel {
-    /// Checks the parts and prepares what does not depend on the users.
+    /// Checks the parts and computes the tables that do not depend on the users.
     ///
     /// # Errors
-    /// [`ChannelError`] for an LED, receiver, budget or gain scale outside its domain, for no LED or more than [`LEDS_MAX`], and for an LED that is not in front of
-    /// the mirror wall.
+    /// [`ChannelError`] for a value of an LED, the receiver, the budget or the gain scale outside
+    /// its domain, for no LED or more than [`LEDS_MAX`], and for an LED that is not in front of the
+    /// mirror wall.
     pub fn new(
         mode: Mode,
         leds: Vec<Led>,
@@ -117,10 +112,10 @@ impl ChannelModel {
         budget: LinkBudget,
     ) -> Result<Self, ChannelError> {
         if leds.is_empty() || leds.len() > LEDS_MAX {
-            return Err(ChannelError::Count { things: "LEDs", count: leds.len(), wanted: "1 to 64" });
+            return Err(ChannelError::Count { things: "LEDs", count: leds.len(), expected: "1 to 64" });
         }
         if let Mode::Paper { gain_scale, .. } = mode {
-            check(gain_scale.is_finite() && gain_scale > 0.0, "gain scale", gain_scale, "finite and positive")?;
+            positive("gain scale", gain_scale)?;
         }
         receiver.check()?;
         budget.check()?;
@@ -146,6 +141,12 @@ impl ChannelModel {
 
     pub(crate) fn reflectivity(&self) -> f64 {
         self.mirrors.spec().reflectivity
+    }
+
+    /// Unit vectors from a block of mirrors to an LED: x, y and z.
+    #[inline(always)]
+    pub(crate) fn directions_to_led(&self, led: usize, block: usize) -> [&Lanes; 3] {
+        self.panels[led].direction.each_ref().map(|axis| &axis[block])
     }
 }
 
@@ -184,37 +185,6 @@ impl Panel {
             }),
             towards_mirror: in_blocks((0..mirrors.len()).map(towards_mirror)),
             distance: in_blocks(distance.iter().copied()),
-        }
-    }
-}
-
-impl PointLanes<1> {
-    /// All of a point LED.
-    pub const CENTRE: Self = Self { x: [0.0], y: [0.0], weight: [1.0] };
-}
-
-impl PointLanes<POINT_LANES> {
-    /// Eight points with the weight of all of a panel's.
-    fn of_few(few: &FewPoints, all: usize) -> Vec<Self> {
-        let lanes = |values: &[f64; 8], first: usize| std::array::from_fn(|lane| values[first + lane]);
-        (0..few.x.len())
-            .step_by(POINT_LANES)
-            .map(|first| Self {
-                x: lanes(&few.x, first),
-                y: lanes(&few.y, first),
-                weight: lanes(&few.weight, first).map(|weight: f64| weight * all as f64),
-            })
-            .collect()
-    }
-}
-
-impl<const N: usize> PointLanes<N> {
-    fn new(points: &[Vec3], centre: &Vec3) -> Self {
-        let offset = |index: usize| points.get(index).map_or(Vec3::zeros(), |point| point - centre);
-        Self {
-            x: std::array::from_fn(|index| offset(index).x),
-            y: std::array::from_fn(|index| offset(index).y),
-            weight: std::array::from_fn(|index| if index < points.len() { 1.0 } else { 0.0 }),
         }
     }
 }

@@ -1,31 +1,81 @@
-//! Fewer points for the mean over an LED panel, where what is averaged is smooth.
+//! A quadrature rule of eight points for the mean of a smooth function over an LED panel.
 //!
-//! A square grid of m x m points, a cell d apart, has the moments E[x^2] = (m^2 - 1) d^2 / 12, E[x^4] = (m^2 - 1)(3 m^2 - 7) d^4 / 240 and
-//! E[x^2 y^2] = E[x^2]^2, and no odd ones. Four points on the axes at (+-r, 0), (0, +-r) and four on the diagonals at (+-s, +-s) with the weights
-//! A and B have the same ones up to the fifth degree where, with a = E[x^2] and c^2 = (E[x^4] - a^2) / 2,
+//! A square grid of m x m points with spacing d has the moments E[x^2] = (m^2 - 1) d^2 / 12, E[x^4]
+//! = (m^2 - 1)(3 m^2 - 7) d^4 / 240 and E[x^2 y^2] = E[x^2]^2; its odd moments are zero. The rule
+//! has four points on the axes, (+-r, 0) and (0, +-r), with weight A, and four on the diagonals,
+//! (+-s, +-s), with weight B. Its moments equal those of the grid up to the fifth degree where,
+//! with a = E[x^2] and c^2 = (E[x^4] - a^2) / 2,
 //!
-//! r^2 = (a^2 + c^2) / a,  s^2 = a (a^2 + c^2) / (a^2 - c^2),  A = (a c / (a^2 + c^2))^2,  B = ((a^2 - c^2) / (a^2 + c^2))^2 / 4.
+//! r^2 = (a^2 + c^2) / a,  s^2 = a (a^2 + c^2) / (a^2 - c^2),  A = (a c / (a^2 + c^2))^2,  B =
+//! ((a^2 - c^2) / (a^2 + c^2))^2 / 4.
 //!
-//! So their mean of a function differs from the grid's in terms of the sixth degree only.
+//! The mean of a function by this rule therefore differs from the mean over the grid in terms of
+//! the sixth degree only.
 
-/// Relative difference from the mean over all points that is let pass: what rounding leaves of it is not much less.
+use crate::geometry::Vec3;
+
+/// Number of points of a panel that one pass of the inner loops evaluates together.
+pub(crate) const POINT_LANES: usize = 4;
+
+/// Accepted relative difference from the mean over the grid; rounding errors are not much smaller.
 const TOLERANCE: f64 = 1e-11;
 
-/// A grid of at least this many points a side has more than eight points, and by enough to matter.
+/// Smallest number of points per side for which the rule saves enough evaluations.
 const LEAST_SIDE: usize = 4;
 
-/// Eight points in place of a grid.
+/// A group of points of a panel: offsets from its centre in m, and weights.
+#[derive(Clone, Debug)]
+pub(crate) struct PointLanes<const N: usize> {
+    pub x: [f64; N],
+    pub y: [f64; N],
+    pub weight: [f64; N],
+}
+
+impl PointLanes<1> {
+    /// The only point of a point LED.
+    pub const CENTRE: Self = Self { x: [0.0], y: [0.0], weight: [1.0] };
+}
+
+impl PointLanes<POINT_LANES> {
+    /// The eight points, with the total weight of `all` points.
+    pub fn of_few(few: &FewPoints, all: usize) -> Vec<Self> {
+        let lanes = |values: &[f64; 8], first: usize| std::array::from_fn(|lane| values[first + lane]);
+        (0..few.x.len())
+            .step_by(POINT_LANES)
+            .map(|first| Self {
+                x: lanes(&few.x, first),
+                y: lanes(&few.y, first),
+                weight: lanes(&few.weight, first).map(|weight: f64| weight * all as f64),
+            })
+            .collect()
+    }
+}
+
+impl<const N: usize> PointLanes<N> {
+    /// At most `N` points of a panel with weight 1; the remaining lanes have weight 0.
+    pub fn new(points: &[Vec3], centre: &Vec3) -> Self {
+        let offset = |index: usize| points.get(index).map_or(Vec3::zeros(), |point| point - centre);
+        Self {
+            x: std::array::from_fn(|index| offset(index).x),
+            y: std::array::from_fn(|index| offset(index).y),
+            weight: std::array::from_fn(|index| if index < points.len() { 1.0 } else { 0.0 }),
+        }
+    }
+}
+
+/// The eight points that replace a grid.
 #[derive(Clone, Debug)]
 pub(crate) struct FewPoints {
-    /// Offsets from the grid's centre.
+    /// Offsets from the centre of the grid, in the unit of `cell`.
     pub x: [f64; 8],
     pub y: [f64; 8],
-    /// Their sum is 1.
+    /// Weights with the sum 1.
     pub weight: [f64; 8],
 }
 
 impl FewPoints {
-    /// The eight points for a grid of `side` x `side` points, `cell` apart; none where they would not be fewer.
+    /// The eight points for a grid of `side` x `side` points with spacing `cell`; `None` for a grid
+    /// of few points.
     pub fn of_grid(side: usize, cell: f64) -> Option<Self> {
         if side < LEAST_SIDE || cell == 0.0 {
             return None;
@@ -46,11 +96,13 @@ impl FewPoints {
     }
 }
 
-/// Square of the distance from which on the eight points give the mean of 1 / D^(n + 3) to within the tolerance, for a grid of this half side
-/// and a Lambertian order n.
+/// Square of the smallest distance D at which the rule gives the mean of 1 / D^(n + 3) within the
+/// tolerance.
 ///
-/// With t = (2 x . d + x^2) / D^2, at most about 2 h / D, the terms of the sixth degree of (1 + t)^-q, q = (n + 3) / 2, are at most
-/// 64 q (q + 1) ... (q + 5) / 6! (h / D)^6; the moments of sixth degree differ by less than a twentieth of h^6.
+/// `half_side`: half side h of the grid; `order`: Lambertian order n. With t = (2 x . d + x^2) /
+/// D^2, at most about 2 h / D, the terms of the sixth degree of (1 + t)^-q, q = (n + 3) / 2, are at
+/// most 64 q (q + 1) ... (q + 5) / 6! (h / D)^6. The moments of the sixth degree differ by less
+/// than h^6 / 20.
 pub(crate) fn smooth_from_squared(half_side: f64, order: f64) -> f64 {
     let q = (order + 3.0) / 2.0;
     let coefficient: f64 = (0..6).map(|k| (q + f64::from(k)) / f64::from(k + 1)).product();
@@ -85,13 +137,13 @@ mod tests {
                 );
             }
             let (found, expected) = means(side, 0.7, |x, _| x.powi(6));
-            assert!((found - expected).abs() > 1e-3 * expected, "no rule of eight points has them all");
+            assert!((found - expected).abs() > 1e-3 * expected, "the moments of the sixth degree differ");
         }
         assert!(FewPoints::of_grid(3, 0.7).is_none() && FewPoints::of_grid(5, 0.0).is_none());
     }
 
     #[test]
-    fn from_the_stated_distance_on_the_mean_is_the_grids() {
+    fn beyond_the_stated_distance_the_mean_is_that_of_the_grid() {
         for order in [1.0, 3.5, 12.0] {
             for side in [4, 5, 12] {
                 let half = 0.5 * (side - 1) as f64;

@@ -1,38 +1,51 @@
-//! The users' receivers: one detector or several, each with its direction and field of view.
+//! The users' receivers: one or several detectors, each with a direction and a field of view.
 //!
-//! An angle-diversity receiver is a list of branches. Each branch sees its own gain; [`Combining`] makes one figure of
-//! them. All three rules are norms of the vector of branch gains, which is why a combined gain can stand in the place of a
-//! single detector's gain in the SINR.
+//! An angle-diversity receiver is a list of branches. Each branch has its own gain, and
+//! [`Combining`] reduces the gains to one. All three rules are norms of the vector of branch gains.
+//! A combined gain can therefore replace the gain of a single detector in the SINR.
+//!
+//! ```
+//! use heliostat_channel::Combining;
+//!
+//! let gains = [3e-6, 4e-6];
+//! assert_eq!(Combining::Best.combine(&gains), 4e-6);
+//! assert!((Combining::MaximalRatio.combine(&gains) - 5e-6).abs() < 1e-18);
+//! ```
 
-use crate::Vec3;
-use crate::error::{ChannelError, check, positive};
+use crate::domain::{positive, require};
+use crate::error::ChannelError;
+use crate::geometry::Vec3;
 use crate::trig::Lanes;
 
-/// Most branches of a receiver.
+/// Largest number of branches of a receiver.
 pub const BRANCHES_MAX: usize = 16;
 
 /// One detector of a receiver.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Branch {
-    /// Unit vector that the detector faces, in the room's frame.
+    /// Unit normal of the detector's surface, in the room's frame.
     pub normal: Vec3,
-    /// Largest incidence angle that is detected, in radians; at most pi/2.
+    /// Largest incidence angle that is detected, in radians, within (0, pi/2].
     pub fov_semi_angle: f64,
 }
 
-/// How the branches of a receiver become one signal. Each branch has the same noise.
+/// How the branches of a receiver are combined; each branch has the same noise variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Combining {
-    /// The branch with the highest SINR is used: the largest gain.
+    /// Selection: H = max H_b, the branch with the highest SINR.
     Best,
-    /// The photocurrents are added, and so are the noise variances: (sum of gains) / sqrt(branches).
+    /// Equal gain: H = (sum H_b) / sqrt(branches), since photocurrents and noise variances add.
     EqualGain,
-    /// The photocurrents are weighted by their gains, so that the SINRs add: sqrt(sum of squared gains).
+    /// Maximal ratio: H = sqrt(sum H_b^2), since photocurrents are weighted by their gains and the
+    /// SINRs add.
     MaximalRatio,
 }
 
 impl Combining {
-    /// The gain of a single detector that would have the combined receiver's SINR. Shape: one gain a branch.
+    /// Gain of the single detector that has the same SINR as the combined receiver; see the
+    /// variants for the equations.
+    ///
+    /// Shape of `gains`: B, one per branch. Units: dimensionless.
     #[inline]
     pub fn combine(self, gains: &[f64]) -> f64 {
         if let [only] = gains {
@@ -41,7 +54,7 @@ impl Combining {
         self.finish(gains.iter().fold(0.0, |sum, gain| self.add(sum, *gain)), gains.len())
     }
 
-    /// Takes one more branch into a running value that starts at zero.
+    /// Adds one branch to a running value that starts at zero.
     #[inline]
     pub(crate) fn add(self, sum: f64, gain: f64) -> f64 {
         match self {
@@ -51,9 +64,9 @@ impl Combining {
         }
     }
 
-    /// Takes one more branch into the running values of a block of mirrors.
+    /// Adds one branch to the running values of a block of mirrors.
     ///
-    /// The choice stands outside the loop, where it keeps no compiler from vectorising.
+    /// The match is outside the loops, so that each loop can be vectorised.
     #[inline(always)]
     pub(crate) fn add_each(self, sums: &mut Lanes, gains: &Lanes) {
         let both = sums.iter_mut().zip(gains);
@@ -64,7 +77,7 @@ impl Combining {
         }
     }
 
-    /// Makes the combined gains of the running values of a block.
+    /// Converts the running values of a block to combined gains.
     #[inline(always)]
     pub(crate) fn finish_each(self, sums: &mut Lanes, branches: usize) {
         match self {
@@ -74,7 +87,7 @@ impl Combining {
         }
     }
 
-    /// Makes the combined gain of the running value.
+    /// Converts a running value to the combined gain.
     #[inline]
     pub(crate) fn finish(self, sum: f64, branches: usize) -> f64 {
         match self {
@@ -85,44 +98,46 @@ impl Combining {
     }
 }
 
-/// A receiver; every user has the same.
+/// A receiver; all users have the same one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Receiver {
-    /// The detectors.
+    /// The branches: at least 1, at most [`BRANCHES_MAX`].
     pub branches: Vec<Branch>,
-    /// Physical area A_r of one detector in m2.
+    /// Physical area A_r of one detector in m2, above 0.
     pub detector_area_m2: f64,
-    /// Gain T_s of the optical filter.
+    /// Gain T_s of the optical filter, dimensionless, above 0.
     pub filter_gain: f64,
-    /// Refractive index of the optical concentrator, where there is one.
+    /// Refractive index n_c of the optical concentrator, at least 1; `None` without a concentrator.
     pub concentrator_index: Option<f64>,
-    /// How the branches become one signal.
+    /// How the branches are combined.
     pub combining: Combining,
 }
 
 impl Receiver {
-    /// Gain g of a branch's concentrator within its field of view: n^2 / sin^2(psi_c), or 1 without a concentrator.
+    /// Gain of a branch's optical concentrator within the field of view.
     ///
-    /// It multiplies the direct and the reflected light alike.
+    /// g = n_c^2 / sin^2(fov_semi_angle), or 1 without a concentrator. It applies to direct and
+    /// reflected light.
     ///
-    /// Source: paper, Table I gives the index and the text names psi_c; the formula is that of an ideal non-imaging
+    /// Source: the index is in the paper's Table I; the equation is that of an ideal non-imaging
     /// concentrator (Kahn and Barry, Proc. IEEE 85(2), 1997, eq. 12).
+    /// Units: dimensionless.
     pub fn concentrator_gain(&self, branch: &Branch) -> f64 {
         self.concentrator_index.map_or(1.0, |index| (index / branch.fov_semi_angle.sin()).powi(2))
     }
 
-    /// Refuses a receiver that cannot be.
+    /// Refuses a value outside its domain.
     pub(crate) fn check(&self) -> Result<(), ChannelError> {
         positive("detector area in m2", self.detector_area_m2)?;
         positive("filter gain", self.filter_gain)?;
         if let Some(index) = self.concentrator_index {
-            check(index.is_finite() && index >= 1.0, "concentrator index", index, "finite and at least 1")?;
+            require(index.is_finite() && index >= 1.0, "concentrator index", index, "a finite number of at least 1")?;
         }
         if self.branches.is_empty() || self.branches.len() > BRANCHES_MAX {
             return Err(ChannelError::Count {
                 things: "branches of the receiver",
                 count: self.branches.len(),
-                wanted: "1 to 16",
+                expected: "1 to 16",
             });
         }
         self.branches.iter().try_for_each(Branch::check)
@@ -130,22 +145,23 @@ impl Receiver {
 }
 
 impl Branch {
-    /// Smallest cosine of an incidence angle that is detected.
+    /// Smallest incidence cosine that is detected.
     #[inline]
     pub(crate) fn fov_cosine(&self) -> f64 {
-        // The cosine of a rounded pi/2 is 6e-17 and not 0; the gain is the same to that much.
+        // The cosine of the rounded pi/2 is 6e-17 and not 0, which changes a gain by no more than
+        // that.
         self.fov_semi_angle.cos()
     }
 
     fn check(&self) -> Result<(), ChannelError> {
         let length = self.normal.norm();
-        check((length - 1.0).abs() < 1e-6, "length of a branch's normal", length, "1")?;
+        require((length - 1.0).abs() < 1e-6, "length of a branch's normal", length, "1")?;
         let fov = self.fov_semi_angle;
-        check(
+        require(
             fov > 0.0 && fov <= std::f64::consts::FRAC_PI_2,
             "field of view (semi-angle) in rad",
             fov,
-            "above 0 and at most pi/2",
+            "a number above 0 and at most pi/2",
         )?;
         Ok(())
     }

@@ -1,39 +1,55 @@
-//! What users get when each mirror is shared among them, and the weights that balance them: a smooth stand-in for decoder and solver.
+//! A smooth approximation of decoder and solver, in which the users share each mirror.
 //!
-//! [`decode`](crate::decode::decode) gives mirror m to the user with the largest w_k a_km. Here user k has the share (w_k a_km)^8 / sum_j (w_j a_jm)^8 of it, which
-//! is nearly the same and has no jumps: what a few such steps find says to a policy where an optimum lies, though not what it is.
+//! [`decode`](crate::decode::decode) assigns mirror m to user argmax_k w_k a_km. Here user k has
+//! the share (w_k a_km)^8 / sum_j (w_j a_jm)^8 of it, which is continuous in the weights. A few
+//! steps of [`balance`] give a policy the approximate weights of an optimum.
+//!
+//! ```
+//! use heliostat_channel::sharing;
+//!
+//! // One mirror with equal gain for both users: equal weights give each user half of it.
+//! let (steering, direct) = ([2.0, 2.0], [0.0, 1.0]);
+//! let mut amplitudes = [0.0; 2];
+//! sharing::amplitudes(&steering, &direct, &[1.0, 1.0], &mut amplitudes);
+//! assert!((amplitudes[0] - 1.0).abs() < 1e-6 && (amplitudes[1] - 2.0).abs() < 1e-6);
+//! ```
 
+use crate::simd::with_widest_simd;
 use crate::solver::slope;
 use crate::trig::BLOCK;
-use crate::wide::widest;
 
-/// The exponent of a claim.
+/// Exponent of the weighted gain in a share.
 pub const EXPONENT: u32 = 8;
 
-/// Steps of [`balance`]; each brings weights as much nearer to their aim as this says.
+/// Step sizes c of [`balance`].
 const STEPS: [f32; 4] = [0.4, 0.4 / 1.5, 0.2, 0.16];
 
-/// Lambda of the utility whose derivative weights are to be.
+/// Lambda of the utility whose derivatives are the target weights.
 const QOS_PENALTY: f64 = 10.0;
 
-/// A user with less amplitude pulls as if it were this much: at zero the rate has no slope, and nobody would leave the dark.
-const FAINT: f32 = 1e-3;
+/// Lower bound of an amplitude in the derivative, since at amplitude 0 the derivative of the rate
+/// is 0.
+const AMPLITUDE_MIN: f32 = 1e-3;
 
-/// Amplitude of each user: that of the direct path and the user's shares of all mirrors.
+/// Amplitude of each user: the line-of-sight amplitude plus the user's shares of all mirrors.
 ///
-/// `steering`: what each mirror gives each user when it is aimed there, a_km. Shape: K * M, index k * M + m. `weights`: w_k, positive. `direct`, `out`: K.
-/// All are dimensionless, amplitudes such that their square is an SNR. Nobody has a share of a mirror that reaches nobody.
+/// x_k = l_k + sum_m a_km (w_k a_km)^8 / sum_j (w_j a_jm)^8. A mirror with a_jm = 0 for all users
+/// adds nothing.
+///
+/// `steering`: a_km, the amplitude of user k when mirror m is aimed at it. Shape: K * M, index k *
+/// M + m. `direct`: l_k. `weights`: w_k, positive. `out`: x_k. Shape of these three: K. All are
+/// dimensionless; the square of an amplitude is an SINR times e/(2 pi).
 ///
 /// # Panics
 /// When the slices differ in their number of users.
 pub fn amplitudes(steering: &[f32], direct: &[f32], weights: &[f32], out: &mut [f32]) {
-    assert_eq!([weights.len(), out.len()], [direct.len(); 2], "one weight and one amplitude a user");
+    assert_eq!([weights.len(), out.len()], [direct.len(); 2], "one weight and one amplitude per user");
     out.copy_from_slice(direct);
     if direct.is_empty() {
         return;
     }
-    assert_eq!(steering.len() % direct.len(), 0, "one amplitude a user and mirror");
-    widest(
+    assert_eq!(steering.len() % direct.len(), 0, "one amplitude per user and mirror");
+    with_widest_simd(
         #[inline(always)]
         || {
             let mirrors = steering.len() / direct.len();
@@ -62,19 +78,19 @@ pub fn amplitudes(steering: &[f32], direct: &[f32], weights: &[f32], out: &mut [
     );
 }
 
-/// Adds the shares of a block of mirrors, of which `steering` gives what they can do for a user.
+/// Adds the shares of a block of mirrors; `steering` returns a user's amplitudes for the block.
 #[inline(always)]
 fn share_block(weights: &[f32], out: &mut [f32], steering: impl Fn(usize) -> [f32; BLOCK]) {
-    // So that no mirror divides by zero that reaches nobody.
+    // Avoids a division by zero for a mirror that reaches no user.
     let mut largest = [f32::MIN_POSITIVE; BLOCK];
     for (user, weight) in weights.iter().enumerate() {
         let block = steering(user);
         for lane in 0..BLOCK {
-            let claim = weight * block[lane];
-            largest[lane] = if claim > largest[lane] { claim } else { largest[lane] };
+            let weighted = weight * block[lane];
+            largest[lane] = if weighted > largest[lane] { weighted } else { largest[lane] };
         }
     }
-    // Claims relative to the largest, so that their powers neither vanish together nor overflow.
+    // Relative to the largest weighted gain, so that the powers neither underflow nor overflow.
     let scale = largest.map(|largest| 1.0 / largest);
     let mut all = [f32::MIN_POSITIVE; BLOCK];
     for (user, weight) in weights.iter().enumerate() {
@@ -95,29 +111,33 @@ fn share_block(weights: &[f32], out: &mut [f32], steering: impl Fn(usize) -> [f3
 }
 
 #[inline(always)]
-fn power(claim: f32) -> f32 {
-    let mut power = claim;
+fn power(base: f32) -> f32 {
+    let mut power = base;
     for _ in 0..EXPONENT.ilog2() {
         power *= power;
     }
     power
 }
 
-/// Brings weights nearer to the condition of an optimum, that each be the derivative of its user's utility by the user's amplitude:
-/// w <- w^(1 - c) u'(x)^c, four times, with c from 0.4 to 0.16.
+/// Moves weights towards the condition of an optimum: each weight equals the derivative of its
+/// user's utility.
 ///
-/// The utility is that of [`crate::solver`], with lambda 10; a larger one throws weights to and fro. `needs`: minimum rates in bit/s/Hz of a user's band. Shape: K, as of
-/// `amplitudes`, which are those of the weights, before and after. The rest: see [`amplitudes`].
+/// w <- w^(1 - c) u'(x)^c, four times, with c from 0.4 to 0.16 and the utility u of
+/// [`crate::solver`] with lambda = 10. With a larger lambda the weights oscillate.
+///
+/// `min_rates`: minimum rates in bit/s per Hz of a user's band. `amplitudes`: those of `weights`,
+/// on entry and on return. Shape of both: K. The other arguments are those of [`amplitudes`].
 ///
 /// # Panics
 /// When the slices differ in their number of users.
-pub fn balance(steering: &[f32], direct: &[f32], needs: &[f32], weights: &mut [f32], amplitudes: &mut [f32]) {
-    assert_eq!(needs.len(), direct.len(), "one need a user");
+pub fn balance(steering: &[f32], direct: &[f32], min_rates: &[f32], weights: &mut [f32], amplitudes: &mut [f32]) {
+    assert_eq!(min_rates.len(), direct.len(), "one minimum rate per user");
     for step in STEPS {
-        for ((weight, amplitude), need) in weights.iter_mut().zip(&*amplitudes).zip(needs) {
-            let need = f64::from(*need) * std::f64::consts::LN_2;
-            let aim = slope(need, need.exp_m1().sqrt(), QOS_PENALTY, f64::from(amplitude.max(FAINT)));
-            *weight = weight.powf(1.0 - step) * (aim as f32).powf(step);
+        for ((weight, amplitude), min_rate) in weights.iter_mut().zip(&*amplitudes).zip(min_rates) {
+            let min_nats = f64::from(*min_rate) * std::f64::consts::LN_2;
+            let target =
+                slope(min_nats, min_nats.exp_m1().sqrt(), QOS_PENALTY, f64::from(amplitude.max(AMPLITUDE_MIN)));
+            *weight = weight.powf(1.0 - step) * (target as f32).powf(step);
         }
         self::amplitudes(steering, direct, weights, amplitudes);
     }
@@ -128,20 +148,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mirror_is_shared_by_the_eighth_power_of_what_is_claimed() {
-        // Two users; the first mirror is worth as much to both, the second twice as much to the second, the third nothing to anybody.
+    fn a_mirror_is_shared_by_the_eighth_power_of_the_weighted_gains() {
+        // Two users: equal gains of the first mirror, twice the gain for the second user of the
+        // second, none of the third.
         let steering = [1.0, 1.0, 0.0, 1.0, 2.0, 0.0];
         let mut out = [0.0; 2];
         amplitudes(&steering, &[10.0, 20.0], &[3.0, 3.0], &mut out);
-        let wanted = [10.0 + 0.5 + 1.0 / 257.0, 20.0 + 0.5 + 2.0 * 256.0 / 257.0];
-        out.iter().zip(wanted).for_each(|(found, wanted)| assert!((found - wanted).abs() < 1e-5, "{found}, {wanted}"));
-        // Twice the weight claims as much as twice the light.
+        let expected = [10.0 + 0.5 + 1.0 / 257.0, 20.0 + 0.5 + 2.0 * 256.0 / 257.0];
+        for (found, expected) in out.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-5, "{found}, {expected}");
+        }
+        // Twice the weight has the effect of twice the gain.
         amplitudes(&steering[..1].repeat(2), &[0.0; 2], &[2.0, 1.0], &mut out);
         assert!((out[0] - 256.0 / 257.0).abs() < 1e-6, "{out:?}");
     }
 
     #[test]
-    fn claims_of_any_size_are_shared() {
+    fn weights_of_any_magnitude_are_shared() {
         for size in [1e-30, 1e-8, 1e8, 1e25] {
             let mut out = [0.0; 2];
             amplitudes(&[1.0; 40], &[0.0; 2], &[size, size], &mut out);
@@ -149,39 +172,44 @@ mod tests {
         }
     }
 
-    /// Two users at the ends of an array of 64 mirrors, the second of whom gets a thirtieth of what the first gets.
+    /// Two users at the ends of an array of 64 mirrors; the gains of the second are about one
+    /// thirtieth of the first's.
     fn steering() -> Vec<f32> {
         let near = |m: usize| 1.0 + 0.05 * m as f32;
         (0..64).map(near).chain((0..64).map(|m| 0.03 * near(63 - m))).collect()
     }
 
-    /// Weights of equal shares, what they give, and the same after balancing for these needs.
-    fn balanced(needs: [f32; 2]) -> [([f32; 2], [f32; 2]); 2] {
+    /// Weights of equal shares and their amplitudes, before and after balancing for these minimum
+    /// rates.
+    fn balanced(min_rates: [f32; 2]) -> [([f32; 2], [f32; 2]); 2] {
         let (steering, direct) = (steering(), [0.0; 2]);
         let (mut weights, mut found) = ([1.0, 1.0 / 0.03], [0.0; 2]);
         amplitudes(&steering, &direct, &weights, &mut found);
         let before = (weights, found);
-        balance(&steering, &direct, &needs, &mut weights, &mut found);
+        balance(&steering, &direct, &min_rates, &mut weights, &mut found);
         let mut again = [0.0; 2];
         amplitudes(&steering, &direct, &weights, &mut again);
-        assert_eq!(found, again, "they are the amplitudes of the weights");
+        assert_eq!(found, again, "the amplitudes are those of the weights");
         [before, (weights, found)]
     }
 
     #[test]
-    fn without_needs_balanced_weights_are_nearly_derivatives_of_the_rate() {
-        let unrest = |(weights, amplitudes): ([f32; 2], [f32; 2])| {
-            let aim = amplitudes.map(|amplitude| slope(0.0, 0.0, QOS_PENALTY, f64::from(amplitude)));
-            (f64::from(weights[0] / weights[1]).ln() - (aim[0] / aim[1]).ln()).abs()
+    fn without_minimum_rates_balanced_weights_are_nearly_derivatives_of_the_rate() {
+        let imbalance = |(weights, amplitudes): ([f32; 2], [f32; 2])| {
+            let target = amplitudes.map(|amplitude| slope(0.0, 0.0, QOS_PENALTY, f64::from(amplitude)));
+            (f64::from(weights[0] / weights[1]).ln() - (target[0] / target[1]).ln()).abs()
         };
-        let [before, after] = balanced([0.0; 2]).map(unrest);
+        let [before, after] = balanced([0.0; 2]).map(imbalance);
         assert!(after < 0.3 * before, "{after} for {before}");
     }
 
     #[test]
-    fn who_is_short_of_a_need_is_given_more() {
+    fn a_user_below_its_minimum_rate_gets_more() {
         let [(_, before), (_, after)] = balanced([0.0, 4.5]);
-        assert!((before[1] * before[1]).ln_1p() < 4.5 * std::f32::consts::LN_2, "short before: {before:?}");
+        assert!(
+            (before[1] * before[1]).ln_1p() < 4.5 * std::f32::consts::LN_2,
+            "below the minimum rate before: {before:?}"
+        );
         assert!(after[1] > 1.05 * before[1] && after[0] < before[0], "{after:?} for {before:?}");
     }
 }

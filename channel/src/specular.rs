@@ -1,27 +1,38 @@
-//! Mirrors by the law of reflection: the image of the LED in a tilted mirror.
+//! Mirror gain by the law of reflection: the image of the LED in a tilted mirror.
 //!
-//! A detector that looks into a mirror sees the LED's image behind it, at the distance that the light has travelled. It
-//! receives what eq. (1) gives for that image, times the reflectivity, as long as the straight line to the image passes
-//! through the mirror's rectangle; otherwise nothing. There is no scattering and no diffraction (a mirror is 1e5 wavelengths wide).
+//! The mirror forms an image of the LED behind its plane, at the length of the reflected path. The
+//! gain is that of eq. (1) for the image, times the reflectivity, if the line from the detector to
+//! the image passes through the mirror's rectangle. Otherwise the gain is zero. The model has no
+//! scattering and no diffraction: a mirror is about 1e5 wavelengths wide.
 //!
-//! The functions here treat one mirror and one path and are the reference; [`Scene`](crate::scene::Scene) computes the same for all
-//! users and mirrors in one pass.
+//! These functions treat one mirror and one path and are the reference;
+//! [`Scene`](crate::scene::Scene) computes the same gains for all users and mirrors in one pass.
+//!
+//! ```
+//! use heliostat_channel::{geometry::Vec3, specular};
+//!
+//! // The normal that reflects a vertical ray into a horizontal one bisects the two directions.
+//! let mirror = Vec3::new(0.0, 2.5, 2.0);
+//! let (led, detector) = (Vec3::new(0.0, 2.5, 3.0), Vec3::new(0.0, 1.5, 2.0));
+//! let normal = specular::bisector(&mirror, &led, &detector).expect("the points are not in line");
+//! assert!((normal - Vec3::new(0.0, -1.0, 1.0).normalize()).norm() < 1e-12);
+//! ```
 
-use crate::Vec3;
 use crate::emitter::{Led, lambertian};
-use crate::error::GeometryError;
+use crate::geometry::{GeometryError, Vec3, finite_point};
 use crate::los::front_factor;
 use crate::mirrors::MirrorArray;
 use crate::receiver::{Branch, Receiver};
 
-/// One mirror at one orientation: a rectangle with a reflecting front.
+/// One mirror at one orientation: a rectangle that reflects on one side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plate {
     /// Centre in m.
     pub centre: Vec3,
     /// Unit normal of the reflecting side.
     pub normal: Vec3,
-    /// Unit vector along the width: stays horizontal, since a mirror yaws first and rolls about its own width.
+    /// Unit vector along the width: horizontal, since a mirror yaws first and then rolls about its
+    /// own width.
     pub width_axis: Vec3,
     /// Unit vector along the height.
     pub height_axis: Vec3,
@@ -31,19 +42,19 @@ pub struct Plate {
     pub half_height_m: f64,
 }
 
-/// The path from a point source over a mirror to a detector.
+/// The reflected path from a point source by way of a mirror to a detector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
-    /// Whole length D1 + D2 in m.
+    /// Total length D1 + D2 in m.
     pub length_m: f64,
-    /// Cosine of the irradiance angle at the source, which faces down; negative above its plane.
+    /// Cosine of the irradiance angle at the source, which faces down; negative above the source.
     pub irradiance_cosine: f64,
-    /// Unit vector from the detector towards the mirror.
+    /// Unit vector from the detector to the image of the source, and so to the point of reflection.
     pub towards_mirror: Vec3,
 }
 
 impl Plate {
-    /// Mirror `index` of the array at these angles (mechanical, rad).
+    /// Mirror `index` of the array at these mechanical angles in radians.
     ///
     /// # Panics
     /// When the array has no such mirror.
@@ -60,13 +71,14 @@ impl Plate {
         }
     }
 
-    /// Mirror `index` of the array with a given unit normal.
+    /// Mirror `index` of the array with this unit normal.
     ///
     /// # Panics
     /// When the array has no such mirror.
     #[inline(always)]
     pub fn facing(mirrors: &MirrorArray, index: usize, normal: &Vec3) -> Self {
-        // Horizontal and across the normal; a mirror that lies flat keeps the wall's own direction.
+        // Horizontal and perpendicular to the normal; for a vertical normal, the direction of the
+        // wall.
         let width_axis = Vec3::new(-normal.y, normal.x, 0.0)
             .try_normalize(1e-12)
             .unwrap_or_else(|| mirrors.room_from_wall(&Vec3::x()));
@@ -80,15 +92,17 @@ impl Plate {
         }
     }
 
-    /// Image of a point in the mirror's plane, in m: S - 2 ((S - p) . n) n.
+    /// Mirror image of a point: S' = S - 2 ((S - p) . n) n, with the mirror's centre p and normal
+    /// n. Units: m.
     pub fn image(&self, point: &Vec3) -> Vec3 {
         point - 2.0 * (point - self.centre).dot(&self.normal) * self.normal
     }
 
-    /// The path from a point source to a detector, or `None` where the ray misses the mirror's rectangle or either end is behind it.
+    /// The reflected path from a point source S to a detector R.
     ///
-    /// With heights a = (S - p) . n and b = (R - p) . n above the mirror's plane, the ray meets the plane at the weighted mean
-    /// (a R + b S) / (a + b), seen in the plane's own axes.
+    /// With the heights a = (S - p) . n and b = (R - p) . n above the mirror's plane, the ray meets
+    /// the plane at (a R + b S) / (a + b), projected on the mirror's axes. `None` where that point
+    /// is outside the rectangle, or where a or b is not positive.
     pub fn path(&self, source: &Vec3, detector: &Vec3) -> Option<Path> {
         let to_source = source - self.centre;
         let to_detector = detector - self.centre;
@@ -107,23 +121,26 @@ impl Plate {
         let towards_image = self.image(source) - detector;
         let length = towards_image.norm();
         let towards_mirror = towards_image / length;
-        // Where the light comes from, seen from the mirror: the mirrored direction.
+        // The direction from the mirror to the source is the reflection of the direction of the
+        // outgoing ray.
         let towards_source = towards_mirror - 2.0 * towards_mirror.dot(&self.normal) * self.normal;
         Some(Path { length_m: length, irradiance_cosine: towards_source.z, towards_mirror })
     }
 }
 
-/// Channel gain of one mirror, from one LED to one branch of a receiver, with nothing in the way.
+/// Channel gain of one unblocked path from one LED by way of one mirror to one branch of a
+/// receiver.
 ///
-/// H = rho (n + 1) A_r cos^n(irradiance towards the image) cos(incidence) T_s g / (2 pi (D1 + D2)^2), where the ray hits the mirror
-/// and arrives within the field of view, zero elsewhere; averaged over the points of the panel.
+/// H = rho (n + 1) A_r cos^n(irradiance_angle) cos(incidence_angle) T_s g / (2 pi (D1 + D2)^2)
+/// where the ray meets the mirror's rectangle and arrives within the field of view, zero elsewhere;
+/// averaged over the points of the panel.
 ///
-/// Source: eq. (1) for the image of the LED; the paper calls its mirrors completely specular but computes them as diffuse
-/// (see [`diffuse`](crate::diffuse)).
+/// Source: paper eq. (1) for the image of the LED. The paper calls its mirrors completely specular,
+/// but its equations are those of a diffuse reflector (see [`diffuse`](crate::diffuse)).
 /// Units: positions in m, areas in m2; the gain is dimensionless.
 ///
 /// # Errors
-/// [`GeometryError::NotFinite`] when a coordinate of the detector is not a number.
+/// [`GeometryError::NotFinite`] when a coordinate of the detector is not finite.
 pub fn gain(
     led: &Led,
     plate: &Plate,
@@ -131,9 +148,7 @@ pub fn gain(
     (receiver, branch): (&Receiver, &Branch),
     detector: &Vec3,
 ) -> Result<f64, GeometryError> {
-    if !detector.iter().all(|coordinate| coordinate.is_finite()) {
-        return Err(GeometryError::NotFinite { what: "the position of a detector" });
-    }
+    finite_point("the position of a detector", detector)?;
     let order = led.lambertian_order();
     let points = led.points();
     let sum: f64 = points
@@ -145,7 +160,7 @@ pub fn gain(
     Ok(front * sum / points.len() as f64)
 }
 
-/// cos^n(irradiance) / D^2 in 1/m2; zero above the LED's plane.
+/// cos^n(irradiance_angle) / D^2 in 1/m2; zero above the LED's plane.
 #[inline]
 pub(crate) fn received(path: &Path, order: f64) -> f64 {
     if path.irradiance_cosine > 0.0 {
@@ -162,9 +177,13 @@ pub(crate) fn detected(towards_mirror: &Vec3, branch: &Branch) -> f64 {
     if incidence_cosine > 0.0 && incidence_cosine >= branch.fov_cosine() { incidence_cosine } else { 0.0 }
 }
 
-/// Unit normal that sends light from a source over a point to a detector: the bisector of the two directions.
+/// Unit normal of the mirror that reflects light from a source to a detector.
 ///
-/// `None` where the three points are in line (light cannot be turned back on itself) or two of them coincide.
+/// n = (u_source + u_detector) / |u_source + u_detector|, with the unit vectors from the mirror to
+/// the source and to the detector. `None` where two of the points coincide, or where the mirror is
+/// on the line between source and detector.
+///
+/// Source: law of reflection. Units: positions in m.
 #[inline(always)]
 pub fn bisector(mirror: &Vec3, source: &Vec3, detector: &Vec3) -> Option<Vec3> {
     let to_source = (source - mirror).try_normalize(1e-9)?;

@@ -1,12 +1,14 @@
-//! Sines and cosines of many angles at once, the same on every platform.
+//! Sines, cosines and arc tangents of a block of angles, identical on every platform.
 //!
-//! The sine of the standard library is one call an angle, which no compiler can vectorise, and its last bit differs between
-//! platforms. Here both are polynomials of half the angle, good to 4e-16 for angles within 90 degrees, which is all that a
-//! mirror can do. A block with any other angle falls back on the standard library.
+//! The standard library's sine takes one angle per call, which prevents vectorisation, and its last
+//! bit differs between platforms. Here sine and cosine are polynomials of half the angle, with an
+//! error of at most 4e-16 within +-90 degrees: the range of a mirror. A block with a larger angle
+//! uses the standard library.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
-/// How many mirrors are treated together. 100 mirrors waste 12 lanes of 112, and one array of this length fits a few registers.
+/// Number of mirrors per block: one array of this length fits a few vector registers, and 100
+/// mirrors leave 12 lanes unused.
 pub(crate) const BLOCK: usize = 16;
 
 /// One value for each mirror of a block.
@@ -17,7 +19,7 @@ const TAN_22_5: f64 = std::f64::consts::SQRT_2 - 1.0;
 /// sqrt(2) + 1
 const TAN_67_5: f64 = std::f64::consts::SQRT_2 + 1.0;
 
-/// A list in blocks; the last entry is repeated past the end, so that every block is full and all of its lanes lie side by side.
+/// Splits a list into blocks; the last entry is repeated, so that every block is full.
 pub(crate) fn in_blocks(values: impl Iterator<Item = f64>) -> Vec<Lanes> {
     let values: Vec<f64> = values.collect();
     values.chunks(BLOCK).map(|chunk| std::array::from_fn(|lane| chunk[lane.min(chunk.len() - 1)])).collect()
@@ -39,9 +41,10 @@ pub(crate) fn sin_cos(angles: &Lanes) -> (Lanes, Lanes) {
     (sines, cosines)
 }
 
-/// Sine and cosine of an angle within 90 degrees: Taylor series of half of it, then the double-angle formulas.
+/// Sine and cosine of an angle within +-90 degrees: Taylor series of half the angle, then the
+/// double-angle formulas.
 ///
-/// At 45 degrees the first terms left out are below 1e-17.
+/// At a half angle of 45 degrees the first omitted terms are below 1e-17.
 #[inline(always)]
 fn small_sin_cos(angle: f64) -> (f64, f64) {
     let half = 0.5 * angle;
@@ -51,22 +54,25 @@ fn small_sin_cos(angle: f64) -> (f64, f64) {
     (2.0 * sine * cosine, 1.0 - 2.0 * sine * sine)
 }
 
-/// 1 - x/a (1 - x/b (1 - x/c ...)): the alternating series whose terms have these successive ratios.
+/// 1 - x/a (1 - x/b (1 - x/c ...)): the alternating series whose terms have these successive
+/// ratios.
 #[inline(always)]
 fn series(x: f64, ratios: &[f64; 8]) -> f64 {
     let mut sum = 1.0;
     for index in (0..8).rev() {
-        // The reciprocal of a constant is folded; a division here would cost more than all the rest.
+        // The compiler folds the reciprocal of a constant; a division would cost more than the rest
+        // of the loop.
         sum = 1.0 - x * (1.0 / ratios[index]) * sum;
     }
     sum
 }
 
-/// Arcus tangents of the quotients of two blocks of numbers, in radians; zero where both are zero.
+/// Arc tangents of the quotients of two blocks of numbers, in radians; zero where both numbers are
+/// zero.
 ///
-/// Within 22.5 degrees the quotient itself, within 67.5 the 45 degrees and the tangent of the rest, and beyond the 90 degrees less the
-/// reciprocal: one division, and a tangent of at most 22.5 degrees for the Taylor series. Good to 1e-15; a quotient without bound gives the 90
-/// degrees that it stands for.
+/// The argument is reduced so that the Taylor series has a tangent of at most 22.5 degrees:
+/// relative to 0 degrees below 22.5 degrees, to 45 degrees below 67.5 degrees, and to 90 degrees
+/// above. The error is at most 1e-15; a denominator of zero gives +-90 degrees.
 #[inline(always)]
 pub(crate) fn atan_of_quotient(above: &Lanes, below: &Lanes) -> Lanes {
     let (mut bases, mut tangents, mut squares) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
@@ -82,7 +88,7 @@ pub(crate) fn atan_of_quotient(above: &Lanes, below: &Lanes) -> Lanes {
         tangents[lane] = above_rest / if below_rest == 0.0 { 1.0 } else { below_rest };
         squares[lane] = tangents[lane] * tangents[lane];
     }
-    // Term by term for all lanes: within a lane each step waits for the one before.
+    // Term by term for all lanes, since within a lane each term depends on the one before.
     let mut sums = [0.0; BLOCK];
     for index in (0..20).rev() {
         let sign = if index % 2 == 0 { 1.0 } else { -1.0 };

@@ -1,4 +1,4 @@
-//! After construction a step does not allocate, in any mode.
+//! After construction, a step does not allocate in any mode.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! Cylinders in the light: the segment test, what may be skipped, and the paper's shadow length.
+//! Blockage by cylinders: the segment test, the skipped tests, and the paper's shadow length.
 
 mod common;
 
@@ -27,7 +27,7 @@ fn through_over_and_beside() {
 
 #[test]
 fn slanted_and_upright_segments() {
-    // Falls from 3 m over the axis; passes the near side at 1.75 m or just above it.
+    // Descends from 3 m above the axis; passes the near side at 1.75 m or slightly above.
     let over = |x: f64| blocks(&PERSON, &at(0.0, 0.0, 3.0), &at(x, 0.0, 0.85));
     assert!(over(2.0), "2.19 m at the near side, 1.66 m at the far side");
     assert!(!over(2.2), "1.78 m at the far side");
@@ -60,7 +60,8 @@ fn agrees_with_points_along_the_segment() {
         };
         let found = blocks(&cylinder, &a, &b);
         assert_eq!(found, blocks(&cylinder, &b, &a), "the same both ways");
-        // The points are up to 4 mm apart, so a graze can be missed; shrunk and grown cylinders bracket it.
+        // Points up to 4 mm apart can miss a short chord, so smaller and larger cylinders bracket
+        // the result.
         assert!(!inside(-0.005) || found);
         assert!(inside(0.005) || !found);
         blocked += usize::from(found);
@@ -68,7 +69,7 @@ fn agrees_with_points_along_the_segment() {
     assert!((100..2900).contains(&blocked), "{blocked}");
 }
 
-/// What the scene skips changes nothing: every leg against every cylinder, one by one.
+/// The skipped tests change no result: the reference tests each path against each cylinder.
 #[test]
 fn skipping_is_exact() {
     let mut random = Random::new(22);
@@ -76,7 +77,8 @@ fn skipping_is_exact() {
     for round in 0..400 {
         let mut room = Room::paper();
         room.array.wall = [Wall::PlusY, Wall::PlusX, Wall::MinusY, Wall::MinusX][round % 4];
-        // Low arrays and tall cylinders, so that both legs are blocked at times; one column now and then.
+        // Low arrays and tall cylinders, so that both paths are sometimes blocked; sometimes one
+        // column.
         room.array.centre_height_m = random.uniform(0.9, 2.2);
         room.array.columns = if round % 5 == 0 { 1 } else { 10 };
         let model = room.model();
@@ -91,7 +93,7 @@ fn skipping_is_exact() {
         for (user, position) in users.iter().enumerate() {
             for (mirror, centre) in model.mirrors.positions().iter().enumerate() {
                 let clear = !blockers.iter().any(|c| blocks(c, led, centre) || blocks(c, position, centre));
-                let found = scene.leg_visible()[user * model.mirrors.len() + mirror];
+                let found = scene.irs_path_clear()[user * model.mirrors.len() + mirror];
                 assert_eq!(found, clear, "user {user} mirror {mirror} in round {round}");
                 blocked += usize::from(!clear);
             }
@@ -100,7 +102,7 @@ fn skipping_is_exact() {
             assert_eq!(scene.los_gain()[user] > 0.0, direct);
         }
     }
-    assert!(blocked > 10_000, "{blocked} blocked legs");
+    assert!(blocked > 10_000, "{blocked} blocked paths");
 }
 
 #[test]
@@ -111,12 +113,13 @@ fn forced_users_lose_the_direct_path_only() {
     scene.update(&model, &users, &[], &[false, true, false]);
     assert_eq!(scene.los_blocked(), [false, true, false]);
     assert_eq!(scene.los_gain()[1], 0.0);
-    assert!(scene.los_gain()[0] > 0.0 && scene.leg_visible().iter().all(|visible| *visible));
+    assert!(scene.los_gain()[0] > 0.0 && scene.irs_path_clear().iter().all(|visible| *visible));
     scene.update(&model, &users, &[], &[false; 3]);
     assert!(scene.los_gain()[1] > 0.0, "the flag is not kept");
 }
 
-/// Eq. (5) in explicit form: a thin blocker's shadow on the receiver plane begins and ends where the segment test says.
+/// Eq. (5) in explicit form: a thin blocker's shadow on the receiver plane begins and ends where
+/// the segment test says.
 #[test]
 fn shadow_length_of_a_thin_blocker() {
     let (plane, led_height) = (0.85, 3.0);
@@ -133,7 +136,8 @@ fn shadow_length_of_a_thin_blocker() {
     }
 }
 
-/// The rectangle of eq. (5) is as wide as the blocker; the shadow of a point of light widens with the distance.
+/// The rectangle of eq. (5) is as wide as the blocker; the shadow of a point of light widens with
+/// the distance.
 #[test]
 fn the_rectangle_of_eq_5_understates_the_shadow() {
     let led = at(0.0, 0.0, 3.0);
@@ -154,7 +158,7 @@ fn the_rectangle_of_eq_5_understates_the_shadow() {
 }
 
 #[test]
-fn what_is_no_cylinder_is_refused() {
+fn invalid_cylinders_are_refused() {
     assert!(Cylinder::new(0.0, 0.0, 0.2, 1.75).is_ok());
     assert!(Cylinder::new(f64::NAN, 0.0, 0.2, 1.75).is_err());
     assert!(Cylinder::new(0.0, 0.0, 0.0, 1.75).is_err());
@@ -165,51 +169,52 @@ fn what_is_no_cylinder_is_refused() {
 }
 
 #[test]
-fn mirrors_that_are_left_out_can_give_nobody_anything() {
+fn excluded_mirrors_have_no_steering_gain() {
     let model = Room::paper().model();
     let users = Random::new(23).positions(3);
     let mut scene = Scene::new(&model, 3);
     scene.update(&model, &users, &[], &[false; 3]);
     let mirrors = model.mirrors.len();
-    let whole = scene.steering_gain().to_vec();
-    scene.leave_out(&[0, 7, u32::MAX]);
-    for (pair, (gain, before)) in scene.steering_gain().iter().zip(&whole).enumerate() {
-        let left_out = [0, 7].contains(&(pair % mirrors));
-        assert_eq!(*gain, if left_out { 0.0 } else { *before });
-        assert_eq!(scene.leg_visible()[pair], !left_out);
+    let complete = scene.steering_gain().to_vec();
+    scene.exclude_mirrors(&[0, 7, u32::MAX]);
+    for (pair, (gain, before)) in scene.steering_gain().iter().zip(&complete).enumerate() {
+        let excluded = [0, 7].contains(&(pair % mirrors));
+        assert_eq!(*gain, if excluded { 0.0 } else { *before });
+        assert_eq!(scene.irs_path_clear()[pair], !excluded);
     }
     scene.update(&model, &users, &[], &[false; 3]);
-    assert_eq!(scene.steering_gain(), whole, "until the next update");
+    assert_eq!(scene.steering_gain(), complete, "until the next update");
 }
 
 #[test]
-fn a_mirror_gives_nothing_where_its_range_does_not_reach() {
+fn a_mirror_has_no_steering_gain_outside_its_range() {
     let model = Room::paper().model();
     let users = Random::new(23).positions(3);
     let mut scene = Scene::new(&model, 3);
     scene.update(&model, &users, &[], &[false; 3]);
-    let (mirrors, whole) = (model.mirrors.len(), scene.steering_gain().to_vec());
+    let (mirrors, complete) = (model.mirrors.len(), scene.steering_gain().to_vec());
     let (roll, yaw) = (-0.1..=0.15, -0.3..=0.05);
-    scene.keep_in_reach(&model, &roll, &yaw);
-    let (mut whole_aim, mut at_the_edge) = (0, 0);
-    for (pair, (gain, before)) in scene.steering_gain().iter().zip(&whole).enumerate() {
+    scene.restrict_to_range(&model, &roll, &yaw);
+    let (mut within_range, mut at_the_edge) = (0, 0);
+    for (pair, (gain, before)) in scene.steering_gain().iter().zip(&complete).enumerate() {
         let (mirror, user, led) = (pair % mirrors, &users[pair / mirrors], &model.leds[0].position);
         let towards = bisector(&model.mirrors.positions()[mirror], led, user).expect("an angle");
         let aim = model.mirrors.angles_of(&towards);
         let within = roll.contains(&aim.0) && yaw.contains(&aim.1);
         let off = (aim.0 - aim.0.clamp(-0.1, 0.15)).hypot(aim.1 - aim.1.clamp(-0.3, 0.05));
-        // A quarter of the side over the distance, twice, is what a mirror may be off: from 0.006 to 0.05 rad in this room.
+        // The ray still meets the mirror within twice a quarter of its side over the distance:
+        // 0.006 to 0.05 rad here.
         let lit = *gain > 0.0;
         assert!(lit || *gain == 0.0 && (!within || *before == 0.0), "{aim:?}");
         assert!(!lit || (*gain == *before && off < 0.06), "{aim:?}");
-        (whole_aim, at_the_edge) = (whole_aim + usize::from(within), at_the_edge + usize::from(lit && !within));
+        (within_range, at_the_edge) = (within_range + usize::from(within), at_the_edge + usize::from(lit && !within));
     }
-    assert!(whole_aim > 20 && whole_aim < 280 && at_the_edge > 0, "{whole_aim} and {at_the_edge} of 300");
-    assert!(scene.leg_visible().iter().all(|visible| *visible), "light may still stray there");
+    assert!(within_range > 20 && within_range < 280 && at_the_edge > 0, "{within_range} and {at_the_edge} of 300");
+    assert!(scene.irs_path_clear().iter().all(|visible| *visible), "paths stay clear");
     let paper = Room::paper().with_mode(PAPER).model();
     let mut scene = Scene::new(&paper, 3);
     scene.update(&paper, &users, &[], &[false; 3]);
-    let whole = scene.steering_gain().to_vec();
-    scene.keep_in_reach(&paper, &roll, &yaw);
-    assert_eq!(scene.steering_gain(), whole, "the paper's equations have no angle for a pair");
+    let complete = scene.steering_gain().to_vec();
+    scene.restrict_to_range(&paper, &roll, &yaw);
+    assert_eq!(scene.steering_gain(), complete, "the paper's equations have no angle for a pair");
 }

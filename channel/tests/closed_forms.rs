@@ -1,4 +1,4 @@
-//! Values that can be written down: direct gain, fields of view, link budget, angles.
+//! Closed-form values: line-of-sight gain, fields of view, link budget, angles.
 
 mod common;
 
@@ -35,7 +35,8 @@ fn direct_gain_falls_with_the_square_of_the_distance() {
 
 #[test]
 fn direct_gain_at_the_half_power_angle() {
-    // At the half-power semi-angle the intensity is one half and the detector is tilted by the same angle.
+    // At the half-power semi-angle the intensity is one half and the detector is tilted by the same
+    // angle.
     for half_power_deg in [20.0_f64, 45.0, 60.0, 75.0] {
         let mut room = Room::paper();
         let angle = half_power_deg.to_radians();
@@ -80,7 +81,8 @@ fn a_panel_is_the_mean_of_its_points() {
     assert_eq!(points.len(), 4);
     assert!((points[0] - Vec3::new(-0.05, -0.05, 3.0)).norm() < 1e-15);
     assert!((points[3] - Vec3::new(0.05, 0.05, 3.0)).norm() < 1e-15);
-    // The midpoint rule converges: 3 and 40 points a side differ by little, and both differ from a point.
+    // The midpoint rule converges: 3 and 40 points per side differ little; both differ from a
+    // point.
     let at = |points_per_side, side_m| {
         let mut room = Room::paper();
         room.leds[0] = Led { side_m, points_per_side, ..led.clone() };
@@ -119,11 +121,11 @@ fn sinr_rate_and_amplitude_scale() {
 fn noise_items_have_their_sources() {
     let bandwidth_hz = 20e6;
     let close_to = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 0.06, "{found} {expected}");
-    // 5.1 mA a cm2 in direct sunlight and 0.74 mA in indirect, on 0.2 cm2.
+    // 5.1 mA per cm2 in direct sunlight and 0.74 mA in indirect sunlight, on 0.2 cm2.
     close_to(background_shot_density(0.2 * 5.1e-3) * bandwidth_hz, 3.7e-15);
     close_to(background_shot_density(0.2 * 0.74e-3) * bandwidth_hz, 5.3e-16);
     close_to(ThermalNoise::default().density_over(bandwidth_hz) * bandwidth_hz, 6e-17);
-    // An input noise of 4.47 pA a root hertz.
+    // An input noise of 4.47 pA per root hertz.
     close_to(4.47e-12_f64.powi(2) * bandwidth_hz, 4e-16);
     let mut noise = Room::paper().budget.noise;
     close_to(noise.variance_over(bandwidth_hz), 4.1e-15);
@@ -135,10 +137,10 @@ fn noise_items_have_their_sources() {
 #[test]
 fn bit_error_rate_of_on_off_keying() {
     assert_eq!(ber_ook(0.0), 0.5);
-    // Q(1) and Q(3) of any table.
+    // Q(1) and Q(3), tabulated.
     assert!((ber_ook(1.0) - 0.158_655_253_931_457).abs() < 1e-15);
     assert!((ber_ook(9.0) / 0.001_349_898_031_630_095 - 1.0).abs() < 1e-12);
-    // The paper reads 1e-4 at 15 dB; the formula gives 9.4e-9.
+    // The paper states 1e-4 at 15 dB; the equation gives 9.4e-9.
     assert!((ber_ook(10.0_f64.powf(1.5)) / 9.4e-9 - 1.0).abs() < 0.02);
     let mut last = 0.5;
     for step in 1..400 {
@@ -157,7 +159,7 @@ fn fairness() {
 }
 
 #[test]
-fn light_turns_twice_as_far_as_the_mirror() {
+fn the_optical_angle_is_twice_the_mechanical_angle() {
     assert_eq!(Mechanical::from_degrees(10.0).optical().degrees(), 20.0);
     assert_eq!(Optical::from(Mechanical(0.3)), Optical(0.6));
     assert_eq!(Mechanical::from(Optical::from_degrees(90.0)).radians(), PI / 4.0);
@@ -166,7 +168,7 @@ fn light_turns_twice_as_far_as_the_mirror() {
 }
 
 #[test]
-fn ends_of_a_path_must_be_apart_and_numbers() {
+fn ends_of_a_path_must_be_distinct_and_finite() {
     let room = Room::paper();
     let branch = Branch { normal: Vec3::z(), fov_semi_angle: 1.0 };
     let gain = |user: Vec3| los::gain(&room.leds[0], &room.receiver, &branch, &user);
@@ -175,7 +177,7 @@ fn ends_of_a_path_must_be_apart_and_numbers() {
 }
 
 #[test]
-fn errors_say_what_was_found_and_what_is_wanted() {
+fn errors_state_the_value_found_and_the_values_expected() {
     let mut room = Room::paper();
     room.receiver = Receiver { detector_area_m2: -1.0, branches: angle_diversity(), ..room.receiver };
     let parts = room.clone();
@@ -183,5 +185,5 @@ fn errors_say_what_was_found_and_what_is_wanted() {
         heliostat_channel::ChannelModel::new(parts.mode, parts.leds, room.mirrors(), parts.receiver, parts.budget)
             .expect_err("an area is positive");
     assert!(matches!(error, ChannelError::OutOfRange { value: -1.0, .. }));
-    assert_eq!(error.to_string(), "detector area in m2 is -1, but must be finite and positive");
+    assert_eq!(error.to_string(), "detector area in m2 is -1: expected a finite number above 0");
 }

@@ -1,5 +1,6 @@
-//! Values computed by other code: vlcSim 0.8.1 from PyPI for direct light and for whole walls by eqs. (2) and (3), and a law-of-reflection
-//! computation by energy alone for mirrors. tests/reference/reference.py says how, and writes tests/reference/values.json.
+//! Comparison with independent implementations: vlcSim 0.8.1 from PyPI for line-of-sight gains and
+//! for walls by eqs. (2) and (3), and a computation from conservation of energy for mirrors.
+//! tests/reference/reference.py computes the values of tests/reference/values.json.
 
 mod common;
 
@@ -46,8 +47,8 @@ fn direct_gain_is_that_of_vlcsim() {
     assert!(dark > 0 && dark < cases.len() / 2, "{dark} of {} are outside the field of view", cases.len());
 }
 
-/// vlcSim divides a wall of 5 m x 3 m into 10 x 6 cells of 0.25 m2 whose centres are on a grid that reaches the corners; the gap between mirrors of that
-/// area makes the same grid.
+/// vlcSim divides a wall of 5 m x 3 m into 10 x 6 cells of 0.25 m2 whose centres are on a grid that
+/// reaches the corners; the gap between mirrors of that area makes the same grid.
 #[test]
 fn a_wall_of_flat_mirrors_by_the_papers_equations_is_a_wall_of_vlcsim() {
     let (pitch_x, pitch_z): (f64, f64) = (5.0 / 9.0, 3.0 / 5.0);
@@ -87,7 +88,7 @@ fn specular_gain_follows_from_the_law_of_reflection_and_energy() {
         let receiver = (&room.receiver, &room.receiver.branches[0]);
         let gain = specular::gain(&room.leds[0], &plate, 0.95, receiver, &vector(&case, "detector")).expect("finite");
         let expected = number(&case, "gain");
-        // The reference's Jacobian is a difference quotient, good to about 1e-8.
+        // The reference's Jacobian is a difference quotient with an error of about 1e-8.
         assert!((gain - expected).abs() <= 1e-6 * expected, "{gain} instead of {expected}: {case}");
         if expected > 0.0 { lit += 1 } else { dark += 1 }
     }

@@ -1,4 +1,4 @@
-//! Magnitudes of the paper's room, each with the tolerance of a figure that was read from a finite sample elsewhere.
+//! Magnitudes of the paper's room, each with the tolerance of a reference from a finite sample.
 
 mod common;
 
@@ -38,7 +38,7 @@ fn direct_gain() {
     }
 }
 
-/// Mean over the array at the three places from near the wall to the far corner.
+/// Mean over the array at three positions, from near the wall to the far corner.
 #[test]
 fn specular_gain_of_an_aimed_mirror() {
     let (specular, paper) = (Room::paper().model(), Room::paper().with_mode(PAPER).model());
@@ -53,7 +53,7 @@ fn specular_gain_of_an_aimed_mirror() {
 }
 
 #[test]
-fn paper_gain_of_the_whole_array_is_a_hundredth_of_the_direct_gain() {
+fn paper_gain_of_the_complete_array_is_a_hundredth_of_the_line_of_sight_gain() {
     let model = Room::paper().with_mode(PAPER).model();
     let mut random = Random::new(31);
     let share = |user: Vec3| {
@@ -63,7 +63,7 @@ fn paper_gain_of_the_whole_array_is_a_hundredth_of_the_direct_gain() {
     near(median((0..2000).map(|_| share(random.walker())).collect()), 0.009, 0.12);
 }
 
-/// Length of the lit part of a line through the target, for one mirror in the middle of the array.
+/// Length of the spot along a line through the target, for one mirror in the middle of the array.
 #[test]
 fn spots_on_the_receiver_plane() {
     let model = Room::paper().model();
@@ -87,7 +87,8 @@ fn spots_on_the_receiver_plane() {
     }
 }
 
-/// Normal jitter of each axis of each mirror; gain over all mirrors, panel of 0.1 m, users where they walk.
+/// Gaussian jitter of each axis of each mirror; gain of all mirrors, panel of 0.1 m, users from the
+/// stationary distribution.
 #[test]
 fn pointing_jitter() {
     let model = Room::paper().with_panel().model();
@@ -114,7 +115,7 @@ fn pointing_jitter() {
 
 /// Angles that aim each mirror at each point of a grid over the floor, 0.2 m apart.
 #[test]
-fn angles_that_are_needed() {
+fn required_angles() {
     let model = Room::paper().model();
     let mut angles = MirrorAngles::flat(100);
     let mut pairs = Vec::new();
@@ -135,7 +136,8 @@ fn angles_that_are_needed() {
     }
 }
 
-/// Angles that are best under eqs. (2) and (3) face the user; a mirror that faces the user sends the LED's light elsewhere.
+/// Angles that are best under eqs. (2) and (3) face the user; a mirror that faces the user sends
+/// the LED's light elsewhere.
 #[test]
 fn paper_angles_bring_nothing_on_a_real_mirror() {
     let (specular, paper) = (Room::paper().with_panel().model(), Room::paper().with_mode(PAPER).model());
@@ -158,9 +160,10 @@ fn paper_angles_bring_nothing_on_a_real_mirror() {
     assert!(aimed > 90_000 && lit < 400, "{lit} of {aimed} pairs see light");
 }
 
-/// Of 100 mirrors at random angles within 90 degrees, 0.04 hit a given user: random is no IRS.
+/// Of 100 mirrors at random angles within 90 degrees, 0.04 reach a given user: random equals no
+/// IRS.
 #[test]
-fn random_mirrors_hit_nobody() {
+fn random_mirrors_hit_almost_no_user() {
     let model = Room::paper().model();
     let mut random = Random::new(34);
     let mut hits = 0;

@@ -1,4 +1,4 @@
-//! What eqs. (2) and (3) of the paper say when they are taken at their word.
+//! Consequences of eqs. (2) and (3) of the paper as printed.
 
 mod common;
 
@@ -29,7 +29,8 @@ fn eq_3_as_printed_is_positive_for_flat_mirrors_on_one_wall_only() {
     }
 }
 
-/// Its left-hand side is called the incidence angle at the user, but it does not know which way the user's detector looks.
+/// The paper names it the incidence angle at the user, but it does not depend on the detector's
+/// normal.
 #[test]
 fn eq_3_is_the_cosine_between_mirror_normal_and_direction_to_the_user() {
     let mirrors = Room::paper().mirrors();
@@ -51,7 +52,8 @@ fn the_papers_roll_is_a_yaw() {
     assert!(mirrors.normal(0.5, 0.0).x.abs() < 1e-15, "roll keeps it in its upright plane");
 }
 
-/// Each mirror's best normal under eqs. (2) and (3) faces the user, where the law of reflection wants the bisector.
+/// Each mirror's best normal under eqs. (2) and (3) faces the user; by the law of reflection it is
+/// the bisector.
 #[test]
 fn eq_2_is_largest_for_a_mirror_that_faces_the_user() {
     let room = Room::paper().with_mode(PAPER);
@@ -73,12 +75,12 @@ fn eq_2_is_largest_for_a_mirror_that_faces_the_user() {
     );
 }
 
-/// Eq. (2) falls with D1^2 D2^2, as light that is scattered twice; a mirror's light falls with (D1 + D2)^2.
+/// Eq. (2) falls with D1^2 D2^2, like diffuse reflection; a specular gain falls with (D1 + D2)^2.
 #[test]
 fn eq_2_falls_like_scattered_light() {
     let (mut near, mut far) = (Room::paper(), Room::paper());
     for (room, scale) in [(&mut near, 1.0), (&mut far, 2.0)] {
-        // Everything twice as far away, the mirror as large as before.
+        // All distances doubled, the size of the mirror unchanged.
         (room.array.rows, room.array.columns) = (1, 1);
         room.array.wall_distance_m *= scale;
         room.array.centre_height_m *= scale;
@@ -102,7 +104,8 @@ fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     let (mirrors, inward) = (room.mirrors(), room.mirrors().inward());
     let receiver = (&room.receiver, &room.receiver.branches[0]);
     let mirror = mirrors.positions()[45];
-    // Below the mirror and far to the side: steep on the detector, or at a grazing angle to the wall.
+    // Below the mirror and far to the side: a small incidence angle, or a grazing angle at the
+    // wall.
     let user = Vec3::new(-0.2, -2.0, 0.85);
     let gain = |reading, angles| diffuse::gain(reading, (&room.leds[0], &mirrors, 45), angles, receiver, &user);
     let incidence = (mirror - user).normalize().z.acos().to_degrees();
@@ -111,20 +114,21 @@ fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     assert_eq!(gain(Reading::Sensible, facing), 0.0, "arrives outside the field of view");
     assert!(gain(Reading::Literal, facing) > 0.0, "the literal gate looks at the mirror's angle");
     let at_cosine = |cosine: f64| {
-        // A level turn by an angle a leaves sin^2 + cos^2 cos a of the roll.
+        // After a yaw by an angle a the cosine is sin^2 + cos^2 cos a of the roll.
         let (sin, cos) = facing.0.sin_cos();
         (facing.0, facing.1 + ((cosine - sin * sin) / (cos * cos)).acos())
     };
     assert!(gain(Reading::Literal, at_cosine(0.51)) > 0.0);
     assert_eq!(gain(Reading::Literal, at_cosine(0.49)), 0.0, "the mirror is turned by more than the field of view");
-    // The halves of eq. (2) multiply to the whole.
+    // The product of the factors of eq. (2) is the gain.
     let halves = illumination(&room.leds[0], &mirrors, 45)
         * collection(Reading::Literal, receiver, &(mirror - user), &inward)
         * tilt_cosine(&mirrors, 45, (0.1, 0.2), &user);
     assert!((gain(Reading::Literal, (0.1, 0.2)) / halves - 1.0).abs() < 1e-12);
 }
 
-/// Flat mirrors already bring most of what eqs. (2) and (3) allow: the cosine of a tilt is a flat function.
+/// Flat mirrors give most of the gain under eqs. (2) and (3), since a cosine is flat near its
+/// maximum.
 #[test]
 fn flat_mirrors_bring_most_of_what_the_papers_equations_allow() {
     let model = Room::paper().with_mode(PAPER).model();

@@ -99,10 +99,10 @@ proptest! {
         }
     }
 
-    /// Energy: a mirror never gives more than the whole LED, and never more than a detector at its own place would see directly
-    /// (with every factor that is not geometry set to one).
+    /// A mirror gives at most the gain of an unobstructed path of the same length with all cosines
+    /// 1, times its reflectivity.
     #[test]
-    fn a_mirror_adds_no_light(users in users(), wall in walls()) {
+    fn a_mirror_adds_no_energy(users in users(), wall in walls()) {
         let mut room = Room::paper();
         room.array.wall = wall;
         let model = room.model();
@@ -110,16 +110,16 @@ proptest! {
         scene.update(&model, &users, &[], &vec![false; users.len()]);
         for (user, position) in users.iter().enumerate() {
             for (mirror, centre) in model.mirrors.positions().iter().enumerate() {
-                let legs = (centre - room.leds[0].position).norm() + (centre - position).norm();
-                let bound = 0.95 * 20e-6 / (std::f64::consts::PI * legs * legs);
+                let length = (centre - room.leds[0].position).norm() + (centre - position).norm();
+                let bound = 0.95 * 20e-6 / (std::f64::consts::PI * length * length);
                 prop_assert!(scene.steering_gain()[user * 100 + mirror] <= bound * (1.0 + 1e-12));
             }
         }
     }
 
-    /// One more cylinder never helps.
+    /// Additional cylinders increase no gain.
     #[test]
-    fn blockers_only_take_light(users in users(), blockers in blockers()) {
+    fn blockers_never_increase_a_gain(users in users(), blockers in blockers()) {
         let model = Room::paper().model();
         let (mut with, mut without) = (Scene::new(&model, users.len()), Scene::new(&model, users.len()));
         with.update(&model, &users, &blockers, &vec![false; users.len()]);
@@ -131,7 +131,7 @@ proptest! {
 
     /// A measured direct gain replaces the computed one in the SINR, whatever the receiver.
     #[test]
-    fn measured_direct_gain_is_taken(room in rooms(), gain in 1e-9..1e-5_f64, blocked in any::<bool>()) {
+    fn a_measured_line_of_sight_gain_replaces_the_computed_gain(room in rooms(), gain in 1e-9..1e-5_f64, blocked in any::<bool>()) {
         let model = room.model();
         let mut scene = Scene::new(&model, 1);
         scene.update(&model, &[Vec3::new(0.3, 0.2, RECEIVER_HEIGHT_M)], &[], &[blocked]);

@@ -1,4 +1,4 @@
-//! The law of reflection, its angles, symmetry of the room, and where the light of a mirror goes.
+//! The law of reflection: angles, symmetry of the room, and the flux from a mirror.
 
 mod common;
 
@@ -28,21 +28,21 @@ fn the_aimed_normal_sends_the_central_ray_to_the_detector() {
             aim_at_point(&model, &user, &mut angles);
             for mirror in 0..100 {
                 let plate = Plate::of(&model.mirrors, mirror, angles.roll[mirror], angles.yaw[mirror]);
-                // Reflect the ray from the LED and see how near to the detector it passes.
+                // Distance of the reflected ray from the detector.
                 let ray = (plate.centre - led).normalize();
                 let reflected = ray - 2.0 * ray.dot(&plate.normal) * plate.normal;
                 let miss = (user - plate.centre).cross(&reflected).norm();
                 assert!(miss < 1e-12, "misses by {miss} m");
                 let path = plate.path(&led, &user).expect("the central ray hits the mirror");
-                let legs = (plate.centre - led).norm() + (user - plate.centre).norm();
-                assert!((path.length_m - legs).abs() < 1e-12);
+                let length = (plate.centre - led).norm() + (user - plate.centre).norm();
+                assert!((path.length_m - length).abs() < 1e-12);
             }
         }
     }
 }
 
 #[test]
-fn a_path_can_be_walked_both_ways() {
+fn the_reflected_path_is_reversible() {
     let model = Room::paper().model();
     let mut random = Random::new(8);
     let mut seen = 0;
@@ -112,7 +112,7 @@ fn the_array_hangs_where_it_should() {
     assert!((corner(Wall::MinusX) - Vec3::new(-2.5, -1.215, 1.46)).norm() < 1e-12);
 }
 
-/// What a room looks like in a mirror: x reversed, columns reversed, yaw reversed.
+/// The room reflected in the plane x = 0: x, columns and yaw change sign or order.
 #[test]
 fn the_room_is_symmetric_about_its_middle() {
     let mut random = Random::new(10);
@@ -172,7 +172,7 @@ fn a_room_turned_by_a_quarter_is_the_same_room() {
 fn no_light_behind_a_mirror() {
     let room = Room::paper();
     let (mirrors, receiver) = (room.mirrors(), (&room.receiver, &room.receiver.branches[0]));
-    // Turned past the LED: the source is behind the mirror, whatever the detector does.
+    // The LED is behind the mirror's plane, so the gain is zero for any detector.
     let plate = Plate::of(&mirrors, 45, -80.0_f64.to_radians(), 85.0_f64.to_radians());
     for user in Random::new(12).positions(100) {
         if (room.leds[0].position - plate.centre).dot(&plate.normal) <= 0.0
@@ -187,7 +187,7 @@ fn no_light_behind_a_mirror() {
     assert!(flat.path(&Vec3::new(0.0, 3.0, 3.0), &Vec3::new(0.0, 0.0, 0.85)).is_none());
 }
 
-/// The light of one mirror, summed over a floor that is large enough, is what falls on the mirror times its reflectivity.
+/// The flux from one mirror to a large floor is the flux on the mirror times its reflectivity.
 #[test]
 fn flux_of_one_mirror_over_the_floor() {
     for (room, mirror) in [(Room::paper(), 45), (Room::paper().with_panel(), 45), (Room::paper(), 3)] {
@@ -210,7 +210,8 @@ fn flux_of_one_mirror_over_the_floor() {
     }
 }
 
-/// Share of the LED's power that falls on a mirror: (n + 1) cos^n(irradiance) cos(incidence) / (2 pi D^2), summed over its surface.
+/// Fraction of the LED's power on a mirror: (n + 1) cos^n(irradiance) cos(incidence) / (2
+/// pi D^2), summed over its surface.
 fn flux_on_mirror(room: &Room, plate: &Plate) -> f64 {
     let points = room.leds[0].points();
     let cells = 20;

@@ -1,4 +1,4 @@
-//! The pass over all users and mirrors gives what the functions of one path give, pair by pair.
+//! The pass over all users and mirrors equals the functions of one path, pair by pair.
 
 mod common;
 
@@ -11,7 +11,7 @@ use heliostat_channel::{ChannelModel, Combining, Cylinder, MirrorAngles, Mode, S
 
 const USERS: usize = 6;
 
-/// A scene with its blockers and half-random angles: every second mirror is aimed at somebody, so that light arrives.
+/// A scene with blockers; every second mirror is aimed at a user, the others have random angles.
 struct Case {
     model: ChannelModel,
     scene: Scene,
@@ -78,7 +78,7 @@ impl Case {
         self.model.receiver.branches.iter().map(|branch| if blocked { 0.0 } else { gain(branch) }).collect()
     }
 
-    /// Compares everything; returns how many pairs had light.
+    /// Compares all results; returns the number of pairs with a gain above 0.
     fn check(&self) -> usize {
         let mirrors = self.model.mirrors.len();
         let combine = |gains: &[f64]| self.model.receiver.combining.combine(gains);
@@ -94,7 +94,7 @@ impl Case {
             for mirror in 0..mirrors {
                 let expected = self.reference(user, mirror);
                 close(each[user * mirrors + mirror], combine(&expected), "one mirror");
-                assert_eq!(self.scene.leg_visible()[user * mirrors + mirror], self.visible(user, mirror));
+                assert_eq!(self.scene.irs_path_clear()[user * mirrors + mirror], self.visible(user, mirror));
                 lit += usize::from(combine(&expected) > 0.0);
                 total.iter_mut().zip(expected).for_each(|(sum, gain)| *sum += gain);
             }
@@ -114,7 +114,7 @@ fn close(found: f64, expected: f64, what: &str) {
     assert!((found - expected).abs() <= 1e-10 * expected.abs(), "{what}: {found} instead of {expected}");
 }
 
-/// Runs random scenes of a room and asks that a good part of the pairs had light.
+/// Checks random scenes of a room, of whose pairs a large fraction must have a gain above 0.
 fn check_room(room: &Room) {
     let lit: usize = (0..20).map(|seed| Case::new(room, seed).check()).sum();
     assert!(lit > 100, "only {lit} pairs had light: the test would see nothing");
@@ -198,7 +198,7 @@ fn steering_gain_is_the_gain_of_an_aimed_mirror() {
     let mut adr = Room::paper().with_panel();
     adr.receiver.branches = angle_diversity();
     adr.receiver.combining = Combining::MaximalRatio;
-    // Mirrors of which one edge or the other cuts the panel's light, on its way to some places and not to others.
+    // Mirrors that reflect only a part of the panel to some positions.
     let (mut narrow, mut low) = (Room::paper().with_panel(), Room::paper().with_panel());
     narrow.array.mirror_width_m = 0.045;
     low.array.mirror_height_m = 0.03;
@@ -221,7 +221,7 @@ fn steering_gain_is_the_gain_of_an_aimed_mirror() {
 }
 
 #[test]
-fn places_without_light_have_none() {
+fn positions_without_light_have_zero_gain() {
     for room in [Room::paper(), Room::paper().with_panel(), Room::paper().with_mode(PAPER)] {
         let model = room.model();
         let users = [

@@ -1,11 +1,12 @@
-//! The solver on normals, the paper's eqs. (2) and (3): against random starts and against small turns of single mirrors.
+//! The solver of normals, the paper's eqs. (2) and (3): random starts and small rotations of
+//! single mirrors.
 
 mod common;
 
 use common::{PAPER, Random, Room};
-use heliostat_channel::{ChannelModel, Method, MirrorAngles, Mode, Need, Problem, Scene, Solver, Vec3};
+use heliostat_channel::{ChannelModel, Method, MinimumRates, MirrorAngles, Mode, Problem, Scene, Solver, Vec3};
 
-/// A room, 20 mirrors, and people of whom some stand without direct light.
+/// A room with 20 mirrors and users, of whom the first `blocked` have no line of sight.
 fn state(random: &mut Random, users: usize, blocked: usize, noise_a2: f64, mode: Mode) -> (ChannelModel, Scene) {
     let mut room = Room::paper().with_mode(mode);
     (room.array.rows, room.array.columns) = (4, 5);
@@ -18,21 +19,21 @@ fn state(random: &mut Random, users: usize, blocked: usize, noise_a2: f64, mode:
     (model, scene)
 }
 
-/// What normals are worth, computed from the definition.
+/// The objective of the normals in bit/s, by its definition.
 fn objective(problem: &Problem, normals: &[Vec3]) -> f64 {
     let directions = problem.directions.expect("a problem of normals");
     (0..problem.users)
         .map(|k| {
             let pairs = (0..problem.mirrors).map(|m| (k * problem.mirrors + m, normals[m]));
-            let reflected: f64 = pairs.map(|(i, n)| problem.steering[i] * n.dot(&directions[i]).max(0.0)).sum();
-            let amplitude = problem.amplitude_scale * (problem.los[k] + reflected);
+            let reflected: f64 = pairs.map(|(i, n)| problem.steering_gain[i] * n.dot(&directions[i]).max(0.0)).sum();
+            let amplitude = problem.amplitude_scale * (problem.los_gain[k] + reflected);
             let rate = problem.rate_scale_bps * (1.0 + amplitude * amplitude).log2();
             rate - problem.qos_penalty * (problem.min_rate_bps.get(k).copied().unwrap_or(0.0) - rate).max(0.0)
         })
         .sum()
 }
 
-/// Plain fixed point over the weights from given ones: written anew, as the test's own opinion.
+/// A fixed point over the weights from given ones: an independent implementation.
 fn climb(problem: &Problem, mut weights: Vec<f64>) -> f64 {
     let directions = problem.directions.expect("a problem of normals");
     let mut best = f64::NEG_INFINITY;
@@ -40,15 +41,16 @@ fn climb(problem: &Problem, mut weights: Vec<f64>) -> f64 {
         let normals: Vec<Vec3> = (0..problem.mirrors)
             .map(|m| {
                 let index = |k: usize| k * problem.mirrors + m;
-                let pulls = (0..problem.users).map(|k| weights[k] * problem.steering[index(k)] * directions[index(k)]);
+                let pulls =
+                    (0..problem.users).map(|k| weights[k] * problem.steering_gain[index(k)] * directions[index(k)]);
                 pulls.sum::<Vec3>().normalize()
             })
             .collect();
         best = best.max(objective(problem, &normals));
         for (k, weight) in weights.iter_mut().enumerate() {
             let pairs = (0..problem.mirrors).map(|m| (k * problem.mirrors + m, normals[m]));
-            let reflected: f64 = pairs.map(|(i, n)| problem.steering[i] * n.dot(&directions[i]).max(0.0)).sum();
-            let x = problem.amplitude_scale * (problem.los[k] + reflected);
+            let reflected: f64 = pairs.map(|(i, n)| problem.steering_gain[i] * n.dot(&directions[i]).max(0.0)).sum();
+            let x = problem.amplitude_scale * (problem.los_gain[k] + reflected);
             *weight = 2.0 * x / (1.0 + x * x);
         }
     }
@@ -67,7 +69,7 @@ fn oracle_equals_two_thousand_random_starts() {
     let mut random = Random::new(21);
     for (blocked, noise_a2, mode) in CASES {
         let (model, scene) = state(&mut random, 5, blocked, noise_a2, mode);
-        let problem = Problem::of_scene(&model, &scene, &Need::NONE);
+        let problem = Problem::of_scene(&model, &scene, &MinimumRates::NONE);
         let mut solver = Solver::new(5, 20);
         let oracle = solver.oracle(&problem).objective_bps;
         let defined = objective(&problem, solver.normals());
@@ -84,7 +86,7 @@ fn no_small_turn_of_a_mirror_improves_the_oracle() {
     let mut random = Random::new(22);
     for (blocked, noise_a2, mode) in CASES {
         let (model, scene) = state(&mut random, 5, blocked, noise_a2, mode);
-        let problem = Problem::of_scene(&model, &scene, &Need::NONE);
+        let problem = Problem::of_scene(&model, &scene, &MinimumRates::NONE);
         let mut solver = Solver::new(5, 20);
         let best = solver.oracle(&problem).objective_bps;
         let normals = solver.normals().to_vec();
@@ -102,15 +104,15 @@ fn no_small_turn_of_a_mirror_improves_the_oracle() {
 }
 
 #[test]
-fn oracle_never_loses_to_the_policies_or_to_flat_mirrors() {
+fn oracle_is_at_least_as_good_as_the_policies_and_flat_mirrors() {
     let mut random = Random::new(23);
     for case in 0..80 {
         let users = 1 + case % 7;
         let (_, noise_a2, mode) = CASES[case % 4];
         let (model, scene) = state(&mut random, users, case % (users + 1), noise_a2, mode);
         for qos_penalty in [0.0, 50.0] {
-            let need = Need { min_rate_bps: &vec![1e6; users], qos_penalty };
-            let problem = Problem::of_scene(&model, &scene, &need);
+            let min_rates = MinimumRates { min_rate_bps: &vec![1e6; users], qos_penalty };
+            let problem = Problem::of_scene(&model, &scene, &min_rates);
             let mut solver = Solver::new(users, 20);
             let cold = solver.fixed_point(&problem).objective_bps;
             let warm = solver.greedy(&problem, 3).objective_bps;
@@ -130,12 +132,12 @@ fn oracle_never_loses_to_the_policies_or_to_flat_mirrors() {
 }
 
 #[test]
-fn the_angles_give_what_the_solution_says() {
+fn the_angles_give_the_objective_of_the_solution() {
     let mut random = Random::new(24);
     for (blocked, noise_a2, mode) in CASES {
         let (model, scene) = state(&mut random, 5, blocked, noise_a2, mode);
         let mut angles = MirrorAngles { roll: vec![0.0; 20], yaw: vec![0.0; 20] };
-        let promised = Solver::new(5, 20).solve(&model, &scene, &Need::NONE, Method::Oracle, &mut angles);
+        let promised = Solver::new(5, 20).solve(&model, &scene, &MinimumRates::NONE, Method::Oracle, &mut angles);
         let mut rates = vec![0.0; 5];
         scene.rates_bps(&model, &angles, &mut rates);
         let given: f64 = rates.iter().sum();
@@ -144,11 +146,11 @@ fn the_angles_give_what_the_solution_says() {
 }
 
 #[test]
-fn nobody_in_reach_leaves_the_mirrors_flat_and_finite() {
+fn without_reachable_users_the_mirrors_are_flat() {
     let mut random = Random::new(25);
     let (model, scene) = state(&mut random, 3, 3, 8.9e-14, PAPER);
     let nothing = vec![0.0; 60];
-    let problem = Problem { steering: &nothing, ..Problem::of_scene(&model, &scene, &Need::NONE) };
+    let problem = Problem { steering_gain: &nothing, ..Problem::of_scene(&model, &scene, &MinimumRates::NONE) };
     let mut solver = Solver::new(3, 20);
     for _ in 0..3 {
         assert_eq!(solver.fixed_point(&problem).objective_bps, 0.0);

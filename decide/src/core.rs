@@ -171,10 +171,10 @@ impl Controller {
                 }
             }
             if let Some(telemetry) = self.inbox.telemetry() {
-                self.observation.scene.leave_out(&telemetry.unusable);
+                self.observation.scene.exclude_mirrors(&telemetry.unusable);
             }
             if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
-                self.observation.scene.keep_in_reach(&self.model, &roll, &yaw);
+                self.observation.scene.restrict_to_range(&self.model, &roll, &yaw);
             }
             mark(Stage::Observed);
         }

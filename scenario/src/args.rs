@@ -1,10 +1,12 @@
-//! The flags by which every command chooses its scenario.
+//! The command-line flags that select a scenario.
 
 use std::path::Path;
 
-use crate::{BUILTIN_NAMES, Scenario, ScenarioError};
+use crate::builtin::BUILTIN_NAMES;
+use crate::error::ScenarioError;
+use crate::scenario::Scenario;
 
-/// Which scenario, and what to change in it.
+/// A scenario and its overrides.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScenarioArgs {
     /// Scenario file (TOML), or the name of a built-in one: specular, paper, paper-calibrated, hall
@@ -19,10 +21,10 @@ pub struct ScenarioArgs {
 }
 
 impl ScenarioArgs {
-    /// Reads the scenario and lays the overrides over it.
+    /// Reads the scenario and applies the overrides.
     ///
     /// # Errors
-    /// [`ScenarioError`] where the file cannot be read, or something in it or in an override is wrong.
+    /// [`ScenarioError`] if the file cannot be read, or if the file or an override is invalid.
     pub fn load(&self) -> Result<Scenario, ScenarioError> {
         let mut overrides = self.overrides.clone();
         overrides.extend(self.seed.map(|seed| format!("seed={seed}")));
@@ -37,7 +39,8 @@ impl ScenarioArgs {
         Ok(scenario)
     }
 
-    /// A recording that the file names lies beside the file; one that a flag names lies where the shell is.
+    /// A relative path of a trace starts at the folder of the file; in an override it starts at the
+    /// working directory.
     fn find_trace(&self, scenario: &mut Scenario) {
         let by_flag = |text: &String| text.split_once('=').is_some_and(|(key, _)| key.trim() == "users.trace");
         if let Some(trace) = &mut scenario.users.trace

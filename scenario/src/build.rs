@@ -1,9 +1,10 @@
-//! From file units to the types of the channel.
+//! Conversion of a scenario to the types and units of `heliostat-channel`.
 
 use heliostat_channel as optics;
 use optics::{ArraySpec, ChannelError, ChannelModel, LinkBudget, Mode, NoiseBudget, Vec3};
 
-use crate::{Branch, ChannelMode, Combining, PowerLaw, ReceiverPreset, Scenario, Wall};
+use crate::scenario::Scenario;
+use crate::tables::{Branch, ChannelMode, Combining, PowerLaw, ReceiverPreset, Wall};
 
 /// Field of view of each branch of the angle-diversity preset, in degrees.
 const ANGLE_DIVERSITY_FOV_DEG: f64 = 35.0;
@@ -11,10 +12,11 @@ const ANGLE_DIVERSITY_FOV_DEG: f64 = 35.0;
 const ANGLE_DIVERSITY_TILT_DEG: f64 = 45.0;
 
 impl Scenario {
-    /// The room's optics, in the channel's types and units.
+    /// The channel model of the room: degrees become radians, mm2 become m2, and MHz become Hz.
     ///
     /// # Errors
-    /// [`ChannelError`] for a combination that the channel refuses, such as an LED behind the mirrors' wall.
+    /// [`ChannelError`] for a combination of values that the channel refuses, such as an LED behind
+    /// the mirror wall.
     pub fn channel_model(&self) -> Result<ChannelModel, ChannelError> {
         let mode = match self.channel.mode {
             ChannelMode::Specular => Mode::Specular,

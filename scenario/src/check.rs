@@ -1,12 +1,15 @@
-//! Every value of a scenario against its domain, and against the other values.
+//! Checks of a scenario: each value against its domain, and values against each other.
 
 use std::ops::RangeInclusive;
 
-use crate::{Answer, ChannelMode, MinRate, Scenario, ScenarioError, Wall};
+use crate::error::ScenarioError;
+use crate::runtime::Answer;
+use crate::scenario::Scenario;
+use crate::tables::{ChannelMode, MinRate, Wall};
 
-/// Most users that a room may hold; the contract's limit.
+/// Largest number of users of a room: the limit of the contract.
 pub const USERS_MAX: usize = 64;
-/// Most mirrors that an array may have; the contract's limit.
+/// Largest number of mirrors of an array: the limit of the contract.
 pub const MIRRORS_MAX: usize = 16_384;
 
 impl Scenario {
@@ -16,11 +19,11 @@ impl Scenario {
     /// [`ScenarioError::Invalid`] for the first value outside its domain.
     pub(crate) fn check(&self) -> Result<(), ScenarioError> {
         if self.name.is_empty() || self.name.len() > 64 {
-            return invalid("name", &self.name, "wanted 1 to 64 characters");
+            return invalid("name", &self.name, "expected 1 to 64 characters");
         }
         self.check_room()?;
         self.check_optics()?;
-        self.check_people()?;
+        self.check_users()?;
         self.check_runtime()
     }
 
@@ -35,7 +38,7 @@ impl Scenario {
             return invalid(
                 "channel.gain_scale",
                 channel.gain_scale,
-                "only channel.mode = \"paper-calibrated\" scales the gain; wanted 1",
+                "expected 1, unless channel.mode is \"paper-calibrated\"",
             );
         }
         within("led.power_w", self.led.power_w, 1e-6..=1e4)?;
@@ -51,7 +54,7 @@ impl Scenario {
                 return invalid(
                     "led.positions_m",
                     format!("{position:?}"),
-                    "wanted a place inside the room, above the receivers",
+                    "expected a position inside the room, above the receivers",
                 );
             }
         }
@@ -99,24 +102,26 @@ impl Scenario {
             Wall::PlusX | Wall::MinusX => self.room.length_y_m,
         };
         if width > wall {
-            let wanted =
-                format!("{width:.2} m of mirrors do not fit on {wall} m of wall; wanted fewer or narrower ones");
-            return invalid("mirrors.columns", mirrors.columns, &wanted);
+            let expected = format!(
+                "expected an array no wider than its wall of {wall} m, but it has {width:.2} m; use fewer or narrower mirrors"
+            );
+            return invalid("mirrors.columns", mirrors.columns, &expected);
         }
         if mirrors.centre_height_m - height / 2.0 < 0.0 || mirrors.centre_height_m + height / 2.0 > self.room.height_m {
-            let wanted = format!(
-                "{height:.2} m of mirrors about {} m do not fit between floor and ceiling; wanted fewer or lower ones",
+            let expected = format!(
+                "expected an array between floor and ceiling, but it has {height:.2} m centred at {} m; use fewer or lower mirrors",
                 mirrors.centre_height_m
             );
-            return invalid("mirrors.rows", mirrors.rows, &wanted);
+            return invalid("mirrors.rows", mirrors.rows, &expected);
         }
         Ok(())
     }
 
-    fn check_people(&self) -> Result<(), ScenarioError> {
+    fn check_users(&self) -> Result<(), ScenarioError> {
         let users = &self.users;
         count("users.count", users.count, 1..=USERS_MAX)?;
-        // Both 0 is a room in which everybody stands; 0 below a positive fastest speed would be legs that never end.
+        // Both 0: all users stand still. With a minimum of 0 alone, a user could walk at speed 0
+        // and never arrive.
         if (users.speed_min_m_s, users.speed_max_m_s) != (0.0, 0.0) {
             within("users.speed_min_m_s", users.speed_min_m_s, 0.01..=50.0)?;
             within("users.speed_max_m_s", users.speed_max_m_s, users.speed_min_m_s..=50.0)?;
@@ -136,7 +141,7 @@ impl Scenario {
         within("blockage.obstacle_radius_m", blockage.obstacle_radius_m, 0.01..=5.0)?;
         within("blockage.obstacle_height_m", blockage.obstacle_height_m, 0.0..=self.room.height_m)?;
         within("blockage.obstacle_min_distance_m", blockage.obstacle_min_distance_m, 0.0..=10.0)?;
-        // A type II hard-core process retains at most 1 / (pi d^2) points a square metre.
+        // A type II Matern hard-core process retains at most 1 / (pi d^2) points per square metre.
         let densest = 1.0 / (std::f64::consts::PI * blockage.obstacle_min_distance_m.max(0.05).powi(2));
         within("blockage.obstacles_per_m2", blockage.obstacles_per_m2, 0.0..=0.99 * densest)
     }
@@ -174,22 +179,22 @@ impl Scenario {
         within("control.range_deg", control.range_deg, 0.01..=90.0)?;
         within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)?;
         within("control.deadline_ms", control.deadline_ms, 0.0..=60_000.0)?;
-        let no_positions = "there are no positions to decide by";
-        undecided("control.when_stale", control.when_stale, no_positions)?;
-        undecided("control.when_silent", control.when_silent, no_positions)?;
-        undecided("control.when_unanswered", control.when_unanswered, "the one who decides does not answer")?;
+        let no_positions = "the policy has no positions";
+        without_decision("control.when_stale", control.when_stale, no_positions)?;
+        without_decision("control.when_silent", control.when_silent, no_positions)?;
+        without_decision("control.when_unanswered", control.when_unanswered, "the policy does not return")?;
         count("control.search_evaluations", control.search_evaluations as usize, 1..=100_000_000)?;
         within("control.search_time_us", control.search_time_us, 0.0..=60e6)
     }
 }
 
-/// The answer where nobody can decide.
-fn undecided(key: &str, answer: Answer, why: &str) -> Result<(), ScenarioError> {
+/// Accepts an answer that requires no decision of a policy.
+fn without_decision(key: &str, answer: Answer, why: &str) -> Result<(), ScenarioError> {
     match answer {
         Answer::LastGood | Answer::Hold | Answer::Park => Ok(()),
         Answer::Policy | Answer::Fallback => {
             let name = if answer == Answer::Policy { "policy" } else { "fallback" };
-            invalid(key, name, &format!("wanted last-good, hold or park: {why}"))
+            invalid(key, name, &format!("expected last-good, hold or park, since {why}"))
         }
     }
 }
@@ -198,16 +203,19 @@ fn within(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), Scen
     if domain.contains(&value) {
         return Ok(());
     }
-    invalid(key, value, &format!("wanted a number from {} to {}", domain.start(), domain.end()))
+    invalid(key, value, &format!("expected a number from {} to {}", domain.start(), domain.end()))
 }
 
 fn count(key: &str, value: usize, domain: RangeInclusive<usize>) -> Result<(), ScenarioError> {
     if domain.contains(&value) {
         return Ok(());
     }
-    invalid(key, value, &format!("wanted a whole number from {} to {}", domain.start(), domain.end()))
+    let (least, most) = (domain.start(), domain.end());
+    let expected =
+        if least == most { format!("expected {least}") } else { format!("expected an integer from {least} to {most}") };
+    invalid(key, value, &expected)
 }
 
-pub(crate) fn invalid(key: &str, value: impl ToString, wanted: &str) -> Result<(), ScenarioError> {
-    Err(ScenarioError::Invalid { key: key.into(), value: value.to_string(), wanted: wanted.into(), line: None })
+pub(crate) fn invalid(key: &str, value: impl ToString, expected: &str) -> Result<(), ScenarioError> {
+    Err(ScenarioError::Invalid { key: key.into(), value: value.to_string(), expected: expected.into(), line: None })
 }

@@ -1,16 +1,19 @@
-//! What can be wrong with a scenario.
+//! Why a scenario cannot be used: what was wrong, where, and what was expected.
 
 use thiserror::Error;
 
-/// Why a scenario cannot be used; each message says what was wrong, where, and what was wanted.
+use crate::builtin::BUILTIN_NAMES;
+
+/// Why a scenario cannot be used; each message states what was wrong, where, and what was expected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ScenarioError {
-    /// The text is not TOML, names a key that does not exist, or gives a key a value of another type.
+    /// The text is not TOML, names a key that does not exist, or gives a key a value of another
+    /// type.
     #[error("{origin}: {message}")]
     Parse {
         /// The file's name, or the override.
         origin: String,
-        /// The parser's account, with the line.
+        /// The message of the parser, with the line.
         message: String,
     },
     /// The file cannot be read.
@@ -18,31 +21,48 @@ pub enum ScenarioError {
     Read {
         /// The file.
         path: String,
-        /// The operating system's account.
+        /// The message of the operating system.
         message: String,
     },
-    /// A value is outside its domain, or does not go with another.
-    #[error("{}{key} = {value}: {wanted}", line.map(|line| format!("line {line}: ")).unwrap_or_default())]
+    /// A value is outside its domain, or contradicts another value.
+    #[error("{}{key} = {value}: {expected}", place(line))]
     Invalid {
         /// `table.key`.
         key: String,
         /// The value found.
         value: String,
-        /// What would be right.
-        wanted: String,
-        /// The line of the file, where the key stands in one.
+        /// The expected values.
+        expected: String,
+        /// The line of the file that sets the key, if any.
+        line: Option<usize>,
+    },
+    /// A key or value has another name now.
+    #[error("{}{found} was renamed: expected {expected}", place(line))]
+    Renamed {
+        /// The old `table.key`, or `table.key = "value"`.
+        found: String,
+        /// The same by the new name.
+        expected: String,
+        /// The line of the file that sets the key, if any.
         line: Option<usize>,
     },
     /// An override is not of the form `table.key=value`.
-    #[error("override \"{text}\": wanted table.key=value, for example blockage.forced_users=2")]
+    #[error("override \"{text}\": expected table.key=value, for example blockage.forced_users=2")]
     Override {
         /// The override as given.
         text: String,
     },
     /// There is no built-in scenario of this name.
-    #[error("no built-in scenario \"{name}\"; there are {}", crate::BUILTIN_NAMES.join(", "))]
+    #[error(
+        "no file and no built-in scenario \"{name}\": expected the path of a TOML file, or one of {}",
+        BUILTIN_NAMES.join(", ")
+    )]
     UnknownBuiltin {
-        /// The name asked for.
+        /// The name given.
         name: String,
     },
+}
+
+fn place(line: &Option<usize>) -> String {
+    line.map(|line| format!("line {line}: ")).unwrap_or_default()
 }

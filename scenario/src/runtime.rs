@@ -1,8 +1,9 @@
-//! The tables that describe time: actuators, report streams, and the controller's limits.
+//! The tables of a running room: actuators, report streams, and the limits of the controller.
 
+use heliostat_channel::Mechanical;
 use serde::{Deserialize, Serialize};
 
-/// A ready-made actuator.
+/// A predefined actuator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActuatorProfile {
@@ -14,11 +15,11 @@ pub enum ActuatorProfile {
     Servo,
 }
 
-/// How a mirror follows its command; a key that is left out takes the profile's value.
+/// The dynamics of a mirror; a missing key has the value of the profile.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Actuator {
-    /// Where the values come from that are not given here.
+    /// The source of the values that are not given here.
     pub profile: ActuatorProfile,
     /// Natural frequency of an axis in Hz.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -29,34 +30,34 @@ pub struct Actuator {
     /// Cut-off of the drive's low-pass in Hz.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub low_pass_hz: Option<f64>,
-    /// Fastest mechanical turn in degrees a second.
+    /// Maximum slew rate, mechanical, in degrees per second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slew_deg_per_s: Option<f64>,
     /// Mechanical range of each axis, plus and minus, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_deg: Option<f64>,
-    /// Bits of the digital-to-analogue converter over the whole range; 0 is no quantisation.
+    /// Bits of the digital-to-analogue converter over the full range; 0 is no quantisation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution_bits: Option<u32>,
-    /// Time from command to the start of the turn in ms.
+    /// Time from command to the start of the movement in ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay_ms: Option<f64>,
     /// Standard deviation of the pointing jitter in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jitter_deg: Option<f64>,
-    /// Standard deviation of each axis' fixed offset in degrees.
+    /// Standard deviation of the fixed offset of each axis in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub offset_deg: Option<f64>,
     /// Random-walk drift of each axis in degrees after one hour.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_deg_per_sqrt_hour: Option<f64>,
-    /// Standard deviation of each axis' fixed scale error, relative to the angle.
+    /// Standard deviation of the fixed scale error of each axis, relative to the angle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale_error_relative: Option<f64>,
-    /// Between where an axis comes to rest from below and from above, in degrees.
+    /// Distance between the final angles of an axis from below and from above, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hysteresis_deg: Option<f64>,
-    /// Share of the mirrors that are stuck in their position of rest from the start.
+    /// Fraction of the mirrors that do not move from their position of rest.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stuck_share: Option<f64>,
 }
@@ -82,38 +83,41 @@ impl Default for Actuator {
     }
 }
 
-/// An actuator with every value filled in, in radians and seconds; `None` is "not limited" or "instant".
+/// An actuator with all values, in radians and seconds; `None` is "not limited" or "instant".
+///
+/// All angles are mechanical.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActuatorParameters {
     /// Natural frequency in rad/s and damping ratio.
     pub second_order: Option<(f64, f64)>,
     /// Cut-off of the low-pass in rad/s.
     pub low_pass_rad_per_s: Option<f64>,
-    /// Fastest mechanical turn in rad/s.
+    /// Maximum slew rate, mechanical, in rad/s.
     pub slew_rad_per_s: Option<f64>,
     /// Mechanical range of each axis, plus and minus, in rad.
     pub range_rad: f64,
-    /// Bits over the whole range.
+    /// Bits over the full range.
     pub resolution_bits: Option<u32>,
-    /// Time from command to the start of the turn in s.
+    /// Time from command to the start of the movement in s.
     pub delay_s: f64,
     /// Standard deviation of the pointing jitter in rad.
     pub jitter_rad: f64,
-    /// Standard deviation of each axis' fixed offset in rad.
+    /// Standard deviation of the fixed offset of each axis in rad.
     pub offset_rad: f64,
-    /// Random-walk drift in rad a square root of a second.
+    /// Random-walk drift in rad per square root of a second.
     pub drift_rad_per_sqrt_s: f64,
-    /// Standard deviation of each axis' fixed scale error, relative to the angle.
+    /// Standard deviation of the fixed scale error of each axis, relative to the angle.
     pub scale_error_relative: f64,
-    /// Width of the hysteresis loop in rad: between where an axis comes to rest from below and from above.
+    /// Width of the hysteresis loop in rad: the distance between the final angles from below and
+    /// from above.
     pub hysteresis_rad: f64,
 }
 
 impl Actuator {
-    /// The profile's values with this table's keys laid over them.
+    /// The values of the profile, replaced by the keys of this table.
     pub fn parameters(&self) -> ActuatorParameters {
-        // natural frequency, damping, low-pass, slew, range, bits, delay, jitter: values of a gimbal-less two-axis MEMS
-        // mirror of a few millimetres, and of a digital hobby servo (0.1 s for 60 degrees).
+        // Typical values of a gimbal-less two-axis MEMS mirror of a few millimetres, and of a
+        // digital hobby servo (0.1 s for 60 degrees).
         let profile = match self.profile {
             ActuatorProfile::Ideal => Profile { range_deg: 90.0, ..Profile::default() },
             ActuatorProfile::Mems => Profile {
@@ -141,25 +145,26 @@ impl Actuator {
         let low_pass_hz = self.low_pass_hz.unwrap_or(profile.low_pass_hz);
         let slew = self.slew_deg_per_s.unwrap_or(profile.slew_deg_per_s);
         let bits = self.resolution_bits.unwrap_or(profile.resolution_bits);
+        let radians = |degrees: f64| Mechanical::from_degrees(degrees).radians();
         let positive = |value: f64| (value > 0.0).then_some(value);
         ActuatorParameters {
             second_order: positive(natural_frequency_hz)
                 .map(|hz| (hz * std::f64::consts::TAU, self.damping_ratio.unwrap_or(profile.damping_ratio))),
             low_pass_rad_per_s: positive(low_pass_hz).map(|hz| hz * std::f64::consts::TAU),
-            slew_rad_per_s: positive(slew).map(f64::to_radians),
-            range_rad: self.range_deg.unwrap_or(profile.range_deg).to_radians(),
+            slew_rad_per_s: positive(slew).map(radians),
+            range_rad: radians(self.range_deg.unwrap_or(profile.range_deg)),
             resolution_bits: (bits > 0).then_some(bits),
             delay_s: self.delay_ms.unwrap_or(profile.delay_ms) * 1e-3,
-            jitter_rad: self.jitter_deg.unwrap_or(profile.jitter_deg).to_radians(),
-            offset_rad: self.offset_deg.unwrap_or(0.0).to_radians(),
-            drift_rad_per_sqrt_s: self.drift_deg_per_sqrt_hour.unwrap_or(0.0).to_radians() / 60.0,
+            jitter_rad: radians(self.jitter_deg.unwrap_or(profile.jitter_deg)),
+            offset_rad: radians(self.offset_deg.unwrap_or(0.0)),
+            drift_rad_per_sqrt_s: radians(self.drift_deg_per_sqrt_hour.unwrap_or(0.0)) / 60.0,
             scale_error_relative: self.scale_error_relative.unwrap_or(0.0),
-            hysteresis_rad: self.hysteresis_deg.unwrap_or(0.0).to_radians(),
+            hysteresis_rad: radians(self.hysteresis_deg.unwrap_or(0.0)),
         }
     }
 }
 
-/// A profile's values; 0 is "none".
+/// The values of a profile; 0 is "none".
 #[derive(Default)]
 struct Profile {
     natural_frequency_hz: f64,
@@ -172,7 +177,7 @@ struct Profile {
     jitter_deg: f64,
 }
 
-/// Where the users are, as a tracker reports it.
+/// Position reports of a tracker.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PositionStream {
@@ -192,7 +197,7 @@ impl Default for PositionStream {
     }
 }
 
-/// The gains that the users measure.
+/// Channel reports: the gains that the users measure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ChannelStream {
@@ -210,27 +215,27 @@ impl Default for ChannelStream {
     }
 }
 
-/// A stream that has only a rate.
+/// A report stream with a rate only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlainStream {
-    /// Reports a second; 0 switches the stream off where that is allowed.
+    /// Reports per second; 0 switches the stream off if that is allowed.
     pub rate_hz: f64,
 }
 
-/// What the room publishes, and how well.
+/// Rates, latencies and noise of the reports of a room.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Streams {
-    /// The users' positions; a report completes a tick.
+    /// The positions of the users; each report starts a decision.
     pub positions: PositionStream,
-    /// The users' channel gains.
+    /// The channel gains of the users.
     pub channel: ChannelStream,
-    /// What the mirrors do.
+    /// Telemetry: the angles and states of the mirrors.
     pub telemetry: PlainStream,
-    /// The obstacles, as a survey of the room; 0 leaves the controller to find out.
+    /// The positions of the obstacles; at 0 no report contains them.
     pub obstacles: PlainStream,
-    /// The truth beside its yardsticks, for viewers; simulator only.
+    /// The true state with its baselines, for viewers; simulator only.
     pub truth: PlainStream,
 }
 
@@ -246,81 +251,86 @@ impl Default for Streams {
     }
 }
 
-/// What the controller does when its policy fails or its reports are too old.
+/// The degraded mode when the policy fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fallback {
     /// The model-based fixed point decides.
     FixedPoint,
-    /// Each mirror serves the user it can give most.
+    /// Each mirror serves the user with its largest steering gain.
     Nearest,
     /// All mirrors face straight into the room.
     Flat,
-    /// The last command again, valid anew.
+    /// The last command is sent again, with a new validity.
     LastGood,
-    /// No command is sent: the array holds, then parks.
+    /// No command is sent: the array holds its angles, then parks.
     Hold,
 }
 
-/// What the controller answers where the plain way is closed.
+/// The controller's answer in a degraded mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Answer {
-    /// The policy decides all the same.
+    /// The policy decides, as in normal operation.
     Policy,
-    /// What `control.fallback` names decides.
+    /// `control.fallback` decides.
     Fallback,
-    /// The last command again, valid anew.
+    /// The last command is sent again, with a new validity.
     LastGood,
-    /// No command: the array holds the last one, then parks.
+    /// No command is sent: the array holds its angles, then parks.
     Hold,
     /// Every mirror faces straight into the room.
     Park,
 }
 
-/// What the controller makes of the age of a position report.
+/// The compensation of the age of a position report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prediction {
-    /// Users are taken to be where they were reported.
+    /// Users are assumed to be at their reported positions.
     None,
-    /// Users are taken to have walked on at their reported velocity, up to the middle of the time that the command will stand.
+    /// Users are assumed to move at their reported velocity, until the middle of the validity of
+    /// the command.
     ConstantVelocity,
 }
 
-/// The controller's limits.
+/// Limits and degraded modes of the controller.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Control {
-    /// A command is valid for this long, in ms; the array then parks.
+    /// Validity of a command in ms; after it the array parks.
     pub validity_ms: f64,
-    /// An older report is not acted on, in ms.
+    /// Maximum age of a report in ms; an older one causes no decision.
     pub report_age_max_ms: f64,
-    /// A room source that is silent for this long loses its hold on the room, in ms.
+    /// Time without reports in ms after which another source may publish the reports of the room.
     pub source_timeout_ms: f64,
-    /// Largest commanded angle of each axis, plus and minus, in degrees.
+    /// Largest commanded mechanical angle of each axis, plus and minus, in degrees.
     pub range_deg: f64,
-    /// Fastest commanded turn in degrees a second; 0 is no limit.
+    /// Maximum commanded slew rate in degrees per second; 0 is no limit.
     pub slew_deg_per_s: f64,
-    /// What decides when the policy fails.
+    /// The degraded mode when the policy fails.
     pub fallback: Fallback,
-    /// A decision that would take longer than this from the arrival of its report is late, in ms; 0 is the time between two position reports.
+    /// Deadline of a decision after the arrival of its report, in ms; 0 is the time between two
+    /// position reports.
     pub deadline_ms: f64,
-    /// The answer where a decision would be late. Never given twice in a row, so that a policy that is always late still decides.
+    /// The answer if a decision would miss its deadline.
+    ///
+    /// It is not given twice in a row, so that a policy that is always late still decides.
     pub when_late: Answer,
     /// The answer to a position report older than `report_age_max_ms`.
     pub when_stale: Answer,
-    /// The answer while no channel report of acceptable age is there; the policy would act on modelled gains.
+    /// The answer without a channel report of acceptable age; with `policy`, modelled gains replace
+    /// the reported ones.
     pub when_channel_missing: Answer,
-    /// The answer once no position report came for `report_age_max_ms`.
+    /// The answer after `report_age_max_ms` without a position report.
     pub when_silent: Answer,
-    /// The answer once the policy gives none for a tenth of a second.
+    /// The answer if the policy does not return for 0.1 s.
     pub when_unanswered: Answer,
-    /// Where users are taken to be.
+    /// The compensation of the age of a position report.
     pub prediction: Prediction,
-    /// Most trials that a metaheuristic policy makes for one decision.
+    /// Maximum number of evaluations of a metaheuristic policy per decision.
     pub search_evaluations: u32,
-    /// Longest time that a metaheuristic policy searches for one decision, in us; 0 is no limit.
+    /// Maximum search time of a metaheuristic policy per decision, in us; 0 is no limit.
     pub search_time_us: f64,
 }
 

@@ -1,10 +1,11 @@
-//! The tables of a scenario file, as they stand in the file: degrees, milliseconds and megabits, with the unit in each key.
+//! The tables of a scenario file that do not change while a room runs, with the unit in each key.
 //!
-//! Every table refuses keys it does not know. A key that is left out takes the value of the built-in `specular` scenario.
+//! Every table refuses unknown keys. A missing key has the value of the built-in `specular`
+//! scenario.
 
 use serde::{Deserialize, Serialize};
 
-/// The room: a box, its origin at the centre of the floor.
+/// Dimensions of the room; the origin is the centre of the floor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Room {
@@ -22,7 +23,7 @@ impl Default for Room {
     }
 }
 
-/// How the light of a mirror is computed.
+/// The model of the mirror gain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ChannelMode {
@@ -45,23 +46,24 @@ impl ChannelMode {
     }
 }
 
-/// How transmitted power enters equation (6).
+/// The dependence of equation (6) on the transmitted power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PowerLaw {
     /// P, as printed.
     Linear,
-    /// P squared, as squared photocurrent gives.
+    /// P squared, by the squared photocurrent.
     Squared,
 }
 
-/// The channel mode and how its equations are read.
+/// The channel mode and the interpretation of its equations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Channel {
-    /// Which mirror gain.
+    /// The model of the mirror gain.
     pub mode: ChannelMode,
-    /// Read the symbols of equations (2) and (3) literally; no effect in `specular`.
+    /// Whether the symbols of equations (2) and (3) are interpreted literally; no effect in
+    /// `specular`.
     pub literal: bool,
     /// Factor on the mirror gain in `paper-calibrated`; must be 1 elsewhere.
     pub gain_scale: f64,
@@ -85,7 +87,7 @@ pub struct Led {
     pub half_power_semi_angle_deg: f64,
     /// Side of the square panel in m; 0 is a point.
     pub side_m: f64,
-    /// The panel is averaged over this many points along each side.
+    /// Number of points along each side over which the panel is averaged.
     pub points_per_side: usize,
     /// Position of each panel's centre in m.
     pub positions_m: Vec<[f64; 3]>,
@@ -124,9 +126,9 @@ pub enum Wall {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Mirrors {
-    /// Rows; row 0 is the lowest.
+    /// Number of rows; row 0 is the lowest.
     pub rows: usize,
-    /// Columns; column 0 is at the smallest x on the +y wall.
+    /// Number of columns; column 0 is at the smallest x on the +y wall.
     pub columns: usize,
     /// Width of a mirror in m.
     pub width_m: f64,
@@ -136,9 +138,9 @@ pub struct Mirrors {
     pub gap_m: f64,
     /// Height of the array's centre above the floor in m.
     pub centre_height_m: f64,
-    /// Which wall.
+    /// The wall that carries the array.
     pub wall: Wall,
-    /// Share of the light that a mirror returns.
+    /// Reflection coefficient, from 0 to 1.
     pub reflectivity: f64,
 }
 
@@ -163,7 +165,7 @@ impl Default for Mirrors {
 pub enum Combining {
     /// The branch with the highest SINR.
     Best,
-    /// The photocurrents are added, and so is the noise.
+    /// The photocurrents are added, and so are the noise variances.
     EqualGain,
     /// The SINRs are added.
     MaximalRatio,
@@ -181,7 +183,7 @@ pub struct Branch {
     pub fov_deg: f64,
 }
 
-/// A ready-made list of branches.
+/// A predefined list of branches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReceiverPreset {
@@ -209,9 +211,9 @@ pub struct Receiver {
     pub concentrator: bool,
     /// Refractive index of the concentrator.
     pub concentrator_index: f64,
-    /// The branches by name, where `branches` is empty.
+    /// The predefined branches, if `branches` is empty.
     pub preset: ReceiverPreset,
-    /// The branches one by one; replaces the preset.
+    /// The branches one by one; they replace the preset.
     pub branches: Vec<Branch>,
     /// How branches are combined.
     pub combining: Combining,
@@ -234,7 +236,7 @@ impl Default for Receiver {
     }
 }
 
-/// Noise of one detector, item by item, as spectral densities over the bandwidth.
+/// Noise of one detector: the terms as spectral densities.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Noise {
@@ -244,7 +246,7 @@ pub struct Noise {
     pub thermal_a2_per_hz: f64,
     /// Preamplifier noise in A2/Hz.
     pub preamplifier_a2_per_hz: f64,
-    /// The whole variance in A2; replaces the sum of the items.
+    /// Noise variance in A2; replaces the sum of the terms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub variance_a2: Option<f64>,
 }
@@ -260,7 +262,7 @@ impl Default for Noise {
     }
 }
 
-/// The band that the users share.
+/// The bandwidth that the users share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Link {
@@ -280,24 +282,24 @@ impl Default for Link {
 pub enum MinRate {
     /// The same for all users, in Mbit/s.
     All(f64),
-    /// One a user, in Mbit/s.
+    /// One per user, in Mbit/s.
     Each(Vec<f64>),
 }
 
-/// The people.
+/// The users: number, speed, minimum rates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Users {
-    /// How many.
+    /// Number of users.
     pub count: usize,
-    /// Slowest speed of a leg in m/s; 0 only where the fastest is 0 too, and nobody moves.
+    /// Minimum speed in m/s; 0 only if the maximum is 0 too, so that all users stand still.
     pub speed_min_m_s: f64,
-    /// Fastest speed of a leg in m/s.
+    /// Maximum speed in m/s.
     pub speed_max_m_s: f64,
     /// Minimum rate R_min in Mbit/s.
     pub min_rate_mbps: MinRate,
-    /// A CSV file of recorded movement (`time,user,x,y`) in place of the random walk. In a scenario file a relative path counts from that
-    /// file's folder, in `--set` from the working directory.
+    /// A CSV file of recorded movement (`time,user,x,y`) that replaces the random walk. A relative
+    /// path starts at the folder of the scenario file, in `--set` at the working directory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
 }
@@ -308,11 +310,11 @@ impl Default for Users {
     }
 }
 
-/// What stands in the light.
+/// Obstacles and users' bodies that block light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Blockage {
-    /// The direct path of this many users is off, whatever stands there.
+    /// Number of users whose line-of-sight path is blocked regardless of obstacles.
     pub forced_users: usize,
     /// Whether the users' own bodies block light.
     pub bodies: bool,
@@ -322,9 +324,10 @@ pub struct Blockage {
     pub body_height_m: f64,
     /// Distance of the body's axis behind the device in m.
     pub body_offset_m: f64,
-    /// Mean number of obstacles a square metre (Matern hard-core process, after thinning); 0 is none.
+    /// Mean number of obstacles per square metre (Matern hard-core process, after thinning); 0 is
+    /// none.
     pub obstacles_per_m2: f64,
-    /// Least distance between two obstacles' axes in m.
+    /// Minimum distance between the axes of two obstacles in m.
     pub obstacle_min_distance_m: f64,
     /// Radius of an obstacle in m.
     pub obstacle_radius_m: f64,

@@ -1,9 +1,10 @@
-//! Scenario files: the built-in ones are valid, and each mistake is refused by name, with its line.
+//! Scenario files: the built-in files are valid, and each error states key and line.
 
+use heliostat_scenario::renames::{RENAMES, Rename};
 use heliostat_scenario::{BUILTIN_NAMES, ChannelMode, MinRate, Scenario, ScenarioArgs, ScenarioError};
 
 #[test]
-fn every_built_in_scenario_is_valid_and_bears_its_name() {
+fn every_built_in_scenario_is_valid_and_has_its_name() {
     for name in BUILTIN_NAMES {
         assert_eq!(Scenario::builtin(name).unwrap().name, name);
     }
@@ -61,7 +62,7 @@ fn each_refusal_names_its_line() {
 }
 
 #[test]
-fn nobody_need_move_but_a_leg_must_end() {
+fn both_speeds_may_be_zero_but_not_one_alone() {
     let with = |min: f64, max: f64| {
         Scenario::from_toml(&format!("[users]\nspeed_min_m_s = {min:?}\nspeed_max_m_s = {max:?}")).is_ok()
     };
@@ -70,7 +71,7 @@ fn nobody_need_move_but_a_leg_must_end() {
 }
 
 #[test]
-fn a_recording_lies_beside_the_file_that_names_it() {
+fn a_relative_trace_path_starts_at_the_folder_of_its_file() {
     let folder = std::env::temp_dir().join(format!("heliostat-scenario-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let file = folder.join("room.toml");
@@ -124,7 +125,7 @@ fn overrides_reach_any_key() {
 }
 
 #[test]
-fn overrides_that_mean_nothing_are_refused_by_name() {
+fn invalid_overrides_are_refused_by_name() {
     for (text, named) in [
         ("blockage.forced=2", "forced"),
         ("nonsense", "nonsense"),
@@ -138,7 +139,7 @@ fn overrides_that_mean_nothing_are_refused_by_name() {
 }
 
 #[test]
-fn the_geometry_hash_ignores_power_noise_and_people() {
+fn the_geometry_hash_ignores_power_noise_and_users() {
     let base = Scenario::default();
     let same = ["led.power_w=1", "noise.variance_a2=6.5e-15", "users.count=3", "seed=9"].map(String::from);
     assert_eq!(base.with_overrides(&same).unwrap().geometry_hash(), base.geometry_hash());
@@ -163,4 +164,32 @@ fn every_built_in_scenario_makes_a_channel_model() {
 fn the_default_noise_is_the_sum_of_its_items() {
     let variance = Scenario::default().channel_model().unwrap().budget.noise_variance_a2();
     assert!((variance - 4.16e-15).abs() < 1e-18, "{variance}");
+}
+
+#[test]
+fn a_recorded_scenario_is_read_and_checked() {
+    let scenario = Scenario::builtin("hall").unwrap();
+    assert_eq!(Scenario::from_recorded_toml(&scenario.to_toml()).unwrap(), scenario);
+    let message = Scenario::from_recorded_toml("[mirrors]\nrows = 0\n").unwrap_err().to_string();
+    assert_eq!(message, "line 2: mirrors.rows = 0: expected an integer from 1 to 1024");
+    let message = Scenario::from_recorded_toml("[room]\nheigth_m = 3.0\n").unwrap_err().to_string();
+    assert!(message.starts_with("recorded scenario: ") && message.contains("heigth_m"), "{message}");
+}
+
+#[test]
+fn every_new_name_of_a_rename_exists() {
+    let effective: toml::Value = Scenario::default().to_toml().parse::<toml::Table>().unwrap().into();
+    let find = |path: &str| path.split('.').try_fold(&effective, |table, key| table.get(key));
+    for rename in RENAMES {
+        match rename {
+            Rename::Key { old, new } => {
+                assert!(find(new).is_some(), "{new}");
+                assert!(find(old).is_none(), "{old}");
+            }
+            Rename::Value { key, new, .. } => {
+                let set = [format!("{key}={new}")];
+                assert!(Scenario::default().with_overrides(&set).is_ok(), "{key} = {new}");
+            }
+        }
+    }
 }

@@ -3,7 +3,7 @@
 //! All four are computed for the same instant with the same people and obstacles, and summed over the same instants, so that their
 //! ratios compare like with like. The best is the oracle with minimum rates, [`QOS_PENALTY`] bit/s for each bit/s that is missing.
 
-use heliostat_channel::solver::{Method, Need, QOS_PENALTY, Solver};
+use heliostat_channel::solver::{Method, MinimumRates, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, LinkBudget, MirrorAngles, Scene, Vec3};
 use heliostat_proto::SumRates;
 
@@ -133,7 +133,7 @@ impl Yardstick {
         scene.rates_bps(model, flat, rates);
         measured.sum_rates_bps.flat = rates.iter().sum();
 
-        let need = Need { min_rate_bps: &at.min_rate_bps, qos_penalty: QOS_PENALTY };
+        let need = MinimumRates { min_rate_bps: &at.min_rate_bps, qos_penalty: QOS_PENALTY };
         solver.solve(model, scene, &need, Method::Oracle, best);
         scene.rates_bps(model, best, rates);
         measured.sum_rates_bps.oracle = rates.iter().sum();

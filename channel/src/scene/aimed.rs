@@ -1,18 +1,26 @@
-//! A block of mirrors, each aimed at one detector: the light of a panel that no edge cuts.
+//! Gains of a block of mirrors, each aimed at one detector, where neither the mirror nor the field
+//! of view truncates the panel.
 //!
-//! What [`add_reflected`](super::kernel::add_reflected) computes for any plate is simpler for a mirror that is aimed. With unit vectors p and d from the mirror to the
-//! panel's centre and to the detector, and distances P and D, the normal is n = (p + d) / |p + d| and n . p = n . d = |p + d| / 2; the image of the detector
-//! lies on the line through mirror and panel, at P + D from the panel; the central ray meets the mirror in its centre; and what a branch of normal b sees of
-//! the panel's centre has the cosine -d . b. Only mirrors all of whose light arrives are treated here: the others are told apart, for the exact evaluation.
+//! The evaluation of [`add_reflected`](super::kernel::add_reflected) simplifies for an aimed
+//! mirror. With the unit vectors p and d from the mirror to the panel's centre and to the detector,
+//! and the distances P and D:
+//! - the normal is n = (p + d) / |p + d|, and n . p = n . d = |p + d| / 2;
+//! - the image of the detector is on the line through mirror and panel, at P + D from the panel;
+//! - the central ray meets the mirror at its centre;
+//! - the incidence cosine of the panel's centre on a branch of normal b is -d . b.
+//!
+//! [`Aimed::complete`] marks the mirrors that reflect the complete panel. The caller evaluates the
+//! others exactly.
 
-use crate::Vec3;
+use crate::geometry::Vec3;
 use crate::model::{ChannelModel, Detector, Panel};
 use crate::trig::{BLOCK, Lanes};
 
 /// The mirrors, aimed.
 pub(super) struct Aimed {
-    /// Lanes in which no edge of the mirror cuts the light, and which are far enough for the panel's few points.
-    pub whole: [bool; BLOCK],
+    /// Lanes in which the complete panel is reflected to the detector, at a distance at which the
+    /// eight points may be used.
+    pub complete: [bool; BLOCK],
     normal: [Lanes; 3],
     /// Unit vector from mirror to detector.
     to_detector: [Lanes; 3],
@@ -20,7 +28,7 @@ pub(super) struct Aimed {
     towards_panel: [Lanes; 3],
     /// Its length.
     length: Lanes,
-    /// The most that its square can be to any point of the panel.
+    /// Upper bound of its square, for any point of the panel.
     farthest_squared: Lanes,
 }
 
@@ -36,7 +44,7 @@ impl Aimed {
         let half = panel.half_side;
         let zero = [0.0; BLOCK];
         let mut aimed = Self {
-            whole: [false; BLOCK],
+            complete: [false; BLOCK],
             normal: [zero; 3],
             to_detector: [zero; 3],
             towards_panel: [zero; 3],
@@ -44,22 +52,24 @@ impl Aimed {
             farthest_squared: zero,
         };
         for lane in 0..BLOCK {
-            let way = [0, 1, 2].map(|axis: usize| detector[axis] - centre[axis][lane]);
-            let distance = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt();
-            let to_detector = way.map(|part| part / distance);
+            let to_target = [0, 1, 2].map(|axis: usize| detector[axis] - centre[axis][lane]);
+            let distance =
+                (to_target[0] * to_target[0] + to_target[1] * to_target[1] + to_target[2] * to_target[2]).sqrt();
+            let to_detector = to_target.map(|part| part / distance);
             let sum = [0, 1, 2].map(|axis: usize| to_panel[axis][lane] + to_detector[axis]);
             let sum_length = (sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]).sqrt();
             let normal = sum.map(|part| part / sum_length);
             let cosine = 0.5 * sum_length;
             let (panel_above, detector_above) = (panel_distance[lane] * cosine, distance * cosine);
 
-            // The mirror's own axes, the first of them level.
+            // The mirror's axes; the first is horizontal.
             let level = 1.0 / (normal[0] * normal[0] + normal[1] * normal[1]).sqrt();
             let width = [-normal[1] * level, normal[0] * level];
             let height = [-width[1] * normal[2], width[0] * normal[2], width[1] * normal[0] - width[0] * normal[1]];
-            let across = way[0] * width[0] + way[1] * width[1];
-            let up = way[0] * height[0] + way[1] * height[1] + way[2] * height[2];
-            // How much the heights-weighted place where a ray meets the mirror changes with its point on the panel; it is zero for the centre.
+            let across = to_target[0] * width[0] + to_target[1] * width[1];
+            let up = to_target[0] * height[0] + to_target[1] * height[1] + to_target[2] * height[2];
+            // Largest change of the weighted point of reflection over the panel; it is zero for the
+            // panel's centre.
             let spread = |along: f64, axis: [f64; 2]| {
                 let [x, y] = [0, 1].map(|part: usize| along * normal[part] + detector_above * axis[part]);
                 half * (x.abs() + y.abs())
@@ -70,8 +80,8 @@ impl Aimed {
             let towards_panel = [0, 1, 2].map(|axis: usize| length * to_panel[axis][lane]);
             let (far_x, far_y) = (towards_panel[0].abs() + half, towards_panel[1].abs() + half);
 
-            // Written so that what is not a number fails.
-            aimed.whole[lane] = (least_height > 0.0)
+            // A NaN fails every comparison.
+            aimed.complete[lane] = (least_height > 0.0)
                 & (towards_panel[2] > 0.0)
                 & (spread(across, width) <= half_width * room)
                 & (spread(up, [height[0], height[1]]) <= half_height * room)
@@ -87,9 +97,11 @@ impl Aimed {
         aimed
     }
 
-    /// Gain of each mirror on a branch, for a Lambertian order of 1; lanes of which the branch does not see all of the panel are no longer whole.
+    /// Gain of each mirror on a branch, for Lambertian order 1; clears `complete` where the field
+    /// of view truncates the panel.
     ///
-    /// rho (n + 1) A_r T_s g / (2 pi) times the panel's mean of cos(irradiance) cos(incidence) / (D1 + D2)^2.
+    /// rho (n + 1) A_r T_s g / (2 pi) times the mean of cos(irradiance_angle) cos(incidence_angle)
+    /// / (D1 + D2)^2 over the panel.
     #[inline(always)]
     pub fn gains(&mut self, model: &ChannelModel, panel: &Panel, branch: &Detector) -> Lanes {
         let least_squared = branch.fov_cosine * branch.fov_cosine;
@@ -103,7 +115,7 @@ impl Aimed {
             slope_y[lane] = branch.normal.y - twice * self.normal[1][lane];
             seen[lane] = -self.length[lane] * dot(&self.to_detector);
             let least = seen[lane] - panel.half_side * (slope_x[lane].abs() + slope_y[lane].abs());
-            self.whole[lane] &= (least > 0.0) & (least * least >= least_squared * self.farthest_squared[lane]);
+            self.complete[lane] &= (least > 0.0) & (least * least >= least_squared * self.farthest_squared[lane]);
         }
         let [x, y, z] = &self.towards_panel;
         let mut sum = [0.0; BLOCK];

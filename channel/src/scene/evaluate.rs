@@ -1,4 +1,4 @@
-//! What the users receive at given angles of the mirrors.
+//! Evaluation of gains, SINR and rates at given angles of the mirrors.
 
 use super::Scene;
 use super::kernel::{Source, Turned, add_reflected, interleaved_sum, lanes};
@@ -6,30 +6,36 @@ use crate::diffuse::{Reading, tilt_least};
 use crate::mirrors::MirrorAngles;
 use crate::model::ChannelModel;
 use crate::receiver::BRANCHES_MAX;
+use crate::simd::with_widest_simd;
 use crate::specular::Plate;
 use crate::trig::{BLOCK, Lanes};
-use crate::wide::widest;
 use std::ops::Range;
 
-/// Users that share one pass over the mirrors: the mirrors are turned once for all of them.
+/// Number of users per pass over the mirrors; a pass computes the normals once for all of them.
 const GROUP: usize = 16;
 
 /// Gains of a group of users, branch by branch.
 type Gains = [[f64; BRANCHES_MAX]; GROUP];
 
 impl Scene {
-    /// Gain that each user receives over all mirrors at these angles. Dimensionless. `out`: shape K.
+    /// Gain of the reflected paths by way of all mirrors at these angles, H_IRS,k = sum_m H_km,
+    /// combined over the branches.
     ///
-    /// The true evaluation: light that falls on a user whom the mirror was not meant for counts, the panel is averaged over its points,
-    /// blocked legs bring nothing. With several branches this is the combined gain of the reflected light alone.
+    /// The sum includes light that reaches a user by way of a mirror aimed at another user. The
+    /// panel is averaged over its points, and a blocked path has gain zero.
+    ///
+    /// `angles`: mechanical, in radians. Shape: M. `out`: dimensionless. Shape: K.
     ///
     /// # Panics
-    /// When `angles` has not one entry a mirror or `out` not one a user.
+    /// When `angles` does not have one entry per mirror, or `out` one per user.
     pub fn irs_gain(&self, model: &ChannelModel, angles: &MirrorAngles, out: &mut [f64]) {
         self.evaluate(model, angles, out, |_, reflected| self.combining.combine(reflected));
     }
 
-    /// SINR of each user at these angles, linear: direct and reflected light together, branches combined. `out`: shape K.
+    /// SINR of each user at these angles, from H_LoS + H_IRS of each branch; see
+    /// [`LinkBudget::sinr`](crate::LinkBudget::sinr).
+    ///
+    /// Source: paper eq. (6). `out`: linear, dimensionless. Shape: K.
     ///
     /// # Panics
     /// As [`Scene::irs_gain`].
@@ -41,7 +47,10 @@ impl Scene {
         });
     }
 
-    /// Rate of each user at these angles in bit/s. `out`: shape K.
+    /// Rate of each user at these angles; see
+    /// [`LinkBudget::rate_bps`](crate::LinkBudget::rate_bps).
+    ///
+    /// Source: paper eq. (7). `out`: in bit/s. Shape: K.
     ///
     /// # Panics
     /// As [`Scene::irs_gain`].
@@ -50,14 +59,16 @@ impl Scene {
         out.iter_mut().for_each(|value| *value = model.budget.rate_bps(*value, self.users));
     }
 
-    /// Gain over each mirror at these angles, combined over the branches. Dimensionless. `out`: shape K * M.
+    /// Gain of each reflected path at these angles, combined over the branches.
+    ///
+    /// `out`: dimensionless. Shape: K * M.
     ///
     /// # Panics
-    /// When `angles` has not one entry a mirror or `out` not one a pair.
+    /// When `angles` does not have one entry per mirror, or `out` one per pair of user and mirror.
     pub fn irs_gain_each(&self, model: &ChannelModel, angles: &MirrorAngles, out: &mut [f64]) {
-        assert_eq!(out.len(), self.users * self.mirrors, "one gain a pair");
+        assert_eq!(out.len(), self.users * self.mirrors, "one gain per pair of user and mirror");
         out.fill(0.0);
-        widest(
+        with_widest_simd(
             #[inline(always)]
             || {
                 for first in (0..self.mirrors).step_by(BLOCK) {
@@ -71,7 +82,7 @@ impl Scene {
         );
     }
 
-    /// Calls `finish` with each user's gain on each branch and writes what it returns.
+    /// Calls `finish` with each user's gains per branch and writes the returned values.
     #[inline(always)]
     fn evaluate(
         &self,
@@ -80,12 +91,12 @@ impl Scene {
         out: &mut [f64],
         finish: impl Fn(usize, &mut [f64]) -> f64,
     ) {
-        assert_eq!(out.len(), self.users, "one value a user");
+        assert_eq!(out.len(), self.users, "one value per user");
         for (index, out) in out.chunks_mut(GROUP).enumerate() {
             let first_user = index * GROUP;
             let mut gains: Gains = [[0.0; BRANCHES_MAX]; GROUP];
             let users = first_user..first_user + out.len();
-            widest(
+            with_widest_simd(
                 #[inline(always)]
                 || self.gather(model, angles, users, &mut gains),
             );
@@ -95,7 +106,7 @@ impl Scene {
         }
     }
 
-    /// Sums the reflected light of a group of users over all mirrors.
+    /// Sums the reflected gains of a group of users over all mirrors.
     #[inline(always)]
     fn gather(&self, model: &ChannelModel, angles: &MirrorAngles, users: Range<usize>, gains: &mut Gains) {
         for first in (0..self.mirrors).step_by(BLOCK) {
@@ -136,7 +147,7 @@ impl Scene {
         row.iter_mut().for_each(|sum| *sum = self.combining.finish(*sum, self.branches));
     }
 
-    /// Calls `hit` for each visible mirror of a block whose light may reach the user.
+    /// Calls `hit` for each visible mirror of a block from which light may reach the user.
     #[inline(always)]
     fn each_hit(&self, model: &ChannelModel, block: &Block, user: usize, mut hit: impl FnMut(usize, &Plate)) {
         let led = self.serving[user];
@@ -148,7 +159,7 @@ impl Scene {
             &other
         };
         let candidates = block.turned.candidates(source, &self.positions[user]);
-        let visible = &self.leg_visible[user * self.mirrors + block.first..][..block.lanes];
+        let visible = &self.irs_path_clear[user * self.mirrors + block.first..][..block.lanes];
         for (lane, visible) in visible.iter().enumerate() {
             if candidates[lane] >= 0.0 && *visible {
                 hit(lane, &block.turned.plate(lane));
@@ -156,7 +167,8 @@ impl Scene {
         }
     }
 
-    /// Gains of a block of mirrors by eqs. (2) and (3) on one branch of one user: coefficient times tilt cosine.
+    /// Gains of a block of mirrors by eqs. (2) and (3) on one branch of one user: coefficient times
+    /// tilt cosine.
     #[inline(always)]
     fn diffused(&self, model: &ChannelModel, block: &Block, (user, branch): (usize, usize), reading: Reading) -> Lanes {
         let pair = user * self.mirrors + block.first;
@@ -177,24 +189,24 @@ impl Scene {
         gains
     }
 
-    /// Turns the block of mirrors that starts at index `first`.
+    /// Computes normals and axes of the block of mirrors that starts at index `first`.
     #[inline(always)]
     fn turn(&self, model: &ChannelModel, angles: &MirrorAngles, first: usize) -> Block {
-        assert_eq!(angles.roll.len(), self.mirrors, "one roll a mirror");
-        assert_eq!(angles.yaw.len(), self.mirrors, "one yaw a mirror");
+        assert_eq!(angles.roll.len(), self.mirrors, "one roll per mirror");
+        assert_eq!(angles.yaw.len(), self.mirrors, "one yaw per mirror");
         let turned = Turned::new(&model.mirrors, angles, first);
         let source = turned.source(&model.panels[0]);
         Block { first, lanes: BLOCK.min(self.mirrors - first), turned, source }
     }
 }
 
-/// Some mirrors at their angles.
+/// A block of mirrors at their angles.
 struct Block {
     /// Index of the first mirror.
     first: usize,
-    /// How many lanes are mirrors; the others repeat the last one.
+    /// Number of lanes that are mirrors; the other lanes repeat the last mirror.
     lanes: usize,
     turned: Turned,
-    /// The first LED, which serves everybody in most rooms.
+    /// The first LED, which serves all users in most rooms.
     source: Source,
 }

@@ -1,23 +1,23 @@
-//! The inner loops of a scene: blocks of mirrors, and one mirror's light on one user.
+//! The inner loops of a scene: blocks of mirrors, and the gain of one mirror for one user.
 //!
-//! Layout: one array a component, a fixed number of mirrors a block, no branch on data inside a loop over lanes. rustc
-//! vectorises these loops on its own: two mirrors at a time on the x86-64 baseline, four where [`widest`](crate::wide::widest) finds AVX2.
-//! To look at it: `cargo rustc --release -p heliostat-channel -- --emit asm`.
+//! Layout: one array per component, a fixed number of mirrors per block, no data-dependent branch
+//! in a loop over lanes. rustc vectorises these loops: two mirrors at a time on the x86-64
+//! baseline, four with AVX2 (see [`with_widest_simd`](crate::simd::with_widest_simd)). To inspect
+//! the code: `cargo rustc --release -p heliostat-channel -- --emit asm`.
 
-use crate::Vec3;
 use crate::emitter::lambertian;
+use crate::geometry::Vec3;
 use crate::mirrors::{MirrorAngles, MirrorArray};
-use crate::model::{ChannelModel, Detector, Panel, PointLanes};
+use crate::model::{ChannelModel, Detector, Panel};
+use crate::quadrature::PointLanes;
 use crate::specular::Plate;
 use crate::trig::{BLOCK, Lanes, sin_cos};
 
-/// Points of a panel that are treated together.
-pub(crate) const POINT_LANES: usize = 4;
-
-/// Room for rounding, in m2, in a test that may pass too much but never too little: products of lengths of a room are known to about 1e-14.
+/// Margin for rounding in m2, in a test that must never reject a valid path; products of lengths
+/// have errors of about 1e-14.
 const ROUNDING_M2: f64 = 1e-9;
 
-/// A block of mirrors turned to their angles, in the room's frame.
+/// A block of mirrors at their angles, in the room's frame.
 pub(crate) struct Turned {
     /// Centre in m; lanes past the last mirror repeat it.
     centre: [Lanes; 3],
@@ -31,24 +31,26 @@ pub(crate) struct Turned {
     half_height: f64,
 }
 
-/// An LED panel as a block of mirrors sees it: what tells whether its light can reach a point over them.
+/// An LED panel relative to a block of mirrors, for the test whether its light can reach a point.
 ///
-/// Where the ray from the panel's centre S to a point R meets the mirror's plane, weighted with both heights above it, is linear in R:
-/// (S . n) (R . u) + (R . n) (S . u) along an axis u, all from the mirror's centre. So each of these is a constant and a slope.
+/// The point where the ray from the panel's centre S to a point R meets the mirror's plane,
+/// multiplied by the sum of both heights above the plane, is (S . n) (R . u) + (R . n) (S . u)
+/// along an axis u, relative to the mirror's centre. This is linear in R, so a constant and a slope
+/// represent it.
 pub(crate) struct Source {
     /// Height of the panel's centre above each mirror's plane in m.
     above: Lanes,
     /// Height of a point above each mirror's plane in m.
     height: Form,
-    /// Weighted place along the width in m2.
+    /// Weighted coordinate along the width in m2.
     across: Form,
-    /// Weighted place along the height in m2.
+    /// Weighted coordinate along the height in m2.
     up: Form,
     /// Largest distance of a point of the panel from its centre.
     radius: f64,
 }
 
-/// For each mirror of a block a number that is linear in a point: a constant and a slope.
+/// A linear function of a point for each mirror of a block: a constant and a slope.
 struct Form {
     constant: Lanes,
     slope: [Lanes; 3],
@@ -80,7 +82,7 @@ impl Turned {
             half_height: 0.5 * mirrors.spec().mirror_height_m,
         };
         for lane in 0..BLOCK {
-            // The yaw seen from the room: the wall's own rotation comes on top.
+            // Yaw in the room's frame: the mirror's yaw plus the rotation of the wall.
             let sin = sin_yaw[lane] * cos_wall - cos_yaw[lane] * sin_wall;
             let cos = sin_yaw[lane] * sin_wall + cos_yaw[lane] * cos_wall;
             turned.normal[0][lane] = -sin * cos_roll[lane];
@@ -95,7 +97,7 @@ impl Turned {
         turned
     }
 
-    /// How the mirrors see an LED panel.
+    /// The LED panel relative to these mirrors.
     #[inline(always)]
     pub fn source(&self, panel: &Panel) -> Source {
         let width = [self.width[0], self.width[1], [0.0; BLOCK]];
@@ -109,10 +111,12 @@ impl Turned {
         }
     }
 
-    /// For each lane a number that is negative when no light of the panel can reach the point over that mirror.
+    /// A number per lane that is negative if no light of the panel can reach the point by way of
+    /// that mirror.
     ///
-    /// A point of the panel is at most `radius` from its centre, so each of its coordinates in the mirror's axes differs by no more: what
-    /// this bound rules out, no point of the panel can reach. What it lets through is then computed exactly.
+    /// A point of the panel is at most `radius` from the panel's centre, so each coordinate in the
+    /// mirror's axes differs by at most `radius`. The bound is conservative; the caller computes
+    /// the remaining mirrors exactly.
     #[inline(always)]
     #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
     pub fn candidates(&self, source: &Source, point: &Vec3) -> Lanes {
@@ -122,7 +126,7 @@ impl Turned {
             let heights = source.above[lane] + height + source.radius;
             let across = self.half_width * heights + ROUNDING_M2 - source.across.at(point, lane).abs();
             let up = self.half_height * heights + ROUNDING_M2 - source.up.at(point, lane).abs();
-            // min keeps a number when the other is none, so the height goes through the comparison of all three.
+            // f64::min ignores a NaN, so a comparison handles the height.
             slack[lane] = if across < up { across } else { up };
             slack[lane] = if height > 0.0 { slack[lane] } else { -1.0 };
         }
@@ -137,7 +141,8 @@ impl Turned {
         slack
     }
 
-    /// Cosine between each mirror's normal and the direction to a point, whose distances' reciprocals are given.
+    /// Cosine between each mirror's normal and the direction to a point, from the reciprocals of
+    /// the distances.
     #[inline(always)]
     pub fn tilt_cosines(&self, point: &Vec3, inverse_distance: &Lanes) -> Lanes {
         let mut cosines = [0.0; BLOCK];
@@ -176,7 +181,7 @@ impl Turned {
         along
     }
 
-    /// a (R - p) . u + b (R - p) . v as a form in R.
+    /// a (R - p) . u + b (R - p) . v as a linear function of R.
     #[inline(always)]
     fn form(&self, a: &Lanes, u: &[Lanes; 3], (b, v): (&Lanes, &[Lanes; 3])) -> Form {
         let mut form = Form { constant: [0.0; BLOCK], slope: [[0.0; BLOCK]; 3] };
@@ -191,7 +196,7 @@ impl Turned {
     }
 }
 
-/// The first entries of a list; the last one is repeated past the end.
+/// The first entries of a list; the last entry is repeated.
 #[inline(always)]
 pub(crate) fn lanes(values: &[f64]) -> Lanes {
     match values.first_chunk() {
@@ -200,17 +205,19 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
     }
 }
 
-/// Adds the light of a panel over one mirror to the gains of a detector's branches: the exact evaluation.
+/// Adds the gain of a panel by way of one mirror to the gains of a detector's branches: the exact
+/// evaluation.
 ///
-/// The same as [`specular::gain`](crate::specular::gain), with the detector mirrored in place of the source: D = |S - R'|, where R' is the
-/// image of the detector, serves all points of the panel. The irradiance cosine is then (S_z - R'_z) / D and the incidence cosine on a
-/// branch (S' - R) . n_b / D, with S' = S - 2 a n at height a above the mirror. As the panel is level, every one of these numerators is
-/// linear in a point's offset from the panel's centre.
+/// Equal to [`specular::gain`](crate::specular::gain), but with the image R' of the detector
+/// instead of the image of the source, which all points S of the panel share: D = |S - R'|. The
+/// irradiance cosine is (S_z - R'_z) / D, and the incidence cosine on a branch is (S' - R) . n_b /
+/// D with S' = S - 2 a n at height a above the mirror. As the panel is horizontal, each numerator
+/// is linear in a point's offset from the panel's centre.
 ///
-/// `gains`: one a branch, dimensionless.
+/// `gains`: one per branch, dimensionless.
 #[inline(always)]
 pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, detector: &Vec3, gains: &mut [f64]) {
-    // A point LED has no use for the other lanes.
+    // One lane is enough for a point LED.
     if panel.points.len() == 1 {
         add_points(model, (panel, &[PointLanes::CENTRE], &[]), plate, detector, gains);
     } else {
@@ -232,19 +239,21 @@ fn add_points<const N: usize>(
     let detector_above = to_detector.dot(&plate.normal);
     let image = detector - 2.0 * detector_above * plate.normal;
     let towards_panel = panel.centre - image;
-    // Written so that a coordinate that is not a number fails the test.
+    // A NaN fails both comparisons.
     if !(detector_above > 0.0 && towards_panel.z > 0.0) {
         return;
     }
     let above = Linear::new(to_panel.dot(&plate.normal), &plate.normal);
-    // Heights-weighted place where the ray meets the mirror's plane, along one of its axes; see `Plate::path`.
+    // Point where the ray meets the mirror's plane along one axis, times the sum of heights; see
+    // `Plate::path`.
     let hit = |axis: &Vec3| {
         let along = to_detector.dot(axis);
         let slope = along * plate.normal + detector_above * axis;
         Linear::new(above.centre * along + detector_above * to_panel.dot(axis), &slope)
     };
     let (across, up) = (hit(&plate.width_axis), hit(&plate.height_axis));
-    // An aimed mirror mostly sends all of the panel's light to the detector; bounds over the panel then spare the test of each point.
+    // An aimed mirror mostly reflects all points of the panel to the detector; a bound then
+    // replaces the test per point.
     let half = panel.half_side;
     let least_height = above.centre - above.spread(half);
     let room = least_height + detector_above;
@@ -260,7 +269,8 @@ fn add_points<const N: usize>(
         let all_seen = (least > 0.0) & (least * least >= branch.fov_cosine * branch.fov_cosine * most_squared);
         (facing, all_seen)
     };
-    // Without an edge, of the mirror or of a field of view, the light is a smooth function of the point, and fewer points have its mean.
+    // Inside the mirror's rectangle and the field of view, the gain is smooth in the point: the
+    // eight points give its mean.
     let smooth = all_inside
         && !few.is_empty()
         && towards_panel.norm_squared() >= panel.few_from_squared
@@ -324,14 +334,15 @@ impl Linear {
         self.centre + self.x * x + self.y * y
     }
 
-    /// The most by which it differs from its value at the centre, on a panel of this half side.
+    /// Largest difference from the value at the centre, on a panel of this half side.
     #[inline(always)]
     fn spread(&self, half_side: f64) -> f64 {
         half_side * (self.x.abs() + self.y.abs())
     }
 }
 
-/// Multiplies each share by cos^n(irradiance) / D^3: the incidence cosine's own 1 / D is in it.
+/// Multiplies each weight by cos^n(irradiance_angle) / D^3; the third 1 / D belongs to the
+/// incidence cosine.
 #[inline(always)]
 fn fade<const N: usize>(share: &mut [f64; N], squared: &[f64; N], rise: f64, order: f64) {
     if order == 1.0 {
@@ -348,7 +359,7 @@ fn fade<const N: usize>(share: &mut [f64; N], squared: &[f64; N], rise: f64, ord
     }
 }
 
-/// Sum of a list in eight interleaved parts: an order that the compiler can vectorise and that never changes.
+/// Sum of a list in eight interleaved parts: a fixed order that the compiler can vectorise.
 #[inline(always)]
 pub(crate) fn interleaved_sum(values: &[f64]) -> f64 {
     let (full, rest) = values.as_chunks::<8>();

@@ -1,18 +1,19 @@
-//! The steering table: what each mirror can give each user.
+//! The table of steering gains: the gain of each mirror for each user when it is aimed at that
+//! user.
 
 use super::Scene;
 use super::aimed::Aimed;
 use super::kernel::add_reflected;
-use crate::Vec3;
 use crate::diffuse::Reading;
+use crate::geometry::Vec3;
 use crate::mirrors::MirrorArray;
 use crate::model::{ChannelModel, Detector, Panel};
 use crate::receiver::BRANCHES_MAX;
 use crate::specular::{Plate, bisector};
 use crate::trig::{BLOCK, Lanes};
 
-/// A block of mirrors as one user sees it: vectors from the detector to the mirrors, in m.
-struct Seen {
+/// Vectors from one detector to a block of mirrors, in m.
+struct ToMirrors {
     x: Lanes,
     y: Lanes,
     z: Lanes,
@@ -21,13 +22,13 @@ struct Seen {
 }
 
 impl Scene {
-    /// Writes one user's row of the steering table, with the light of one LED and the legs that are marked as visible.
+    /// Writes the steering gains of one user for one LED; mirrors with a blocked path get zero.
     #[inline(always)]
     pub(super) fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let row = user * self.mirrors..(user + 1) * self.mirrors;
         let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
         if !in_front {
-            self.leg_visible[row.clone()].fill(false);
+            self.irs_path_clear[row.clone()].fill(false);
         }
         let panel = &model.panels[led];
         match model.mode.reading() {
@@ -35,56 +36,59 @@ impl Scene {
             None => self.steer_panel(model, user, panel),
             Some(reading) => self.steer_paper(model, user, panel, reading),
         }
-        for (gain, visible) in self.steering_gain[row.clone()].iter_mut().zip(&self.leg_visible[row]) {
+        for (gain, visible) in self.steering_gain[row.clone()].iter_mut().zip(&self.irs_path_clear[row]) {
             *gain = if *visible { *gain } else { 0.0 };
         }
     }
 
-    /// Specular, point LED: the central ray of an aimed mirror arrives, so the gain needs no angle of the mirror.
+    /// Specular, point LED: the ray of an aimed mirror always reaches the user, so the gain does
+    /// not depend on the angles.
     ///
-    /// rho (n + 1) A_r T_s cos^n(irradiance) / (2 pi (D1 + D2)^2) times what the branches detect.
+    /// rho (n + 1) A_r T_s cos^n(irradiance_angle) / (2 pi (D1 + D2)^2) times the combined
+    /// incidence cosines.
     #[inline(always)]
     fn steer_point(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
         let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
         for (index, out) in row.chunks_mut(BLOCK).enumerate() {
-            let seen = Seen::new(&model.mirrors, index, &position);
+            let to_mirrors = ToMirrors::new(&model.mirrors, index, &position);
             let mut combined = [0.0; BLOCK];
             for branch in &model.detectors {
-                let facing = seen.facing(branch).map(|facing| branch.concentrator_gain * facing);
+                let facing = to_mirrors.facing(branch).map(|facing| branch.concentrator_gain * facing);
                 self.combining.add_each(&mut combined, &facing);
             }
             self.combining.finish_each(&mut combined, self.branches);
             let (to_led, emitted) = (&panel.distance[index], &panel.towards_mirror[index]);
             let mut gains = [0.0; BLOCK];
             for lane in 0..BLOCK {
-                let length = to_led[lane] + seen.distance[lane];
-                gains[lane] = combined[lane] * emitted[lane] / (seen.distance[lane] * length * length);
+                let length = to_led[lane] + to_mirrors.distance[lane];
+                gains[lane] = combined[lane] * emitted[lane] / (to_mirrors.distance[lane] * length * length);
             }
             out.copy_from_slice(&gains[..out.len()]);
         }
     }
 
-    /// Specular, panel of finite size: the true evaluation at the aimed angles, together for mirrors all of whose light arrives.
+    /// Specular, panel of finite size: block by block for mirrors that reflect the complete panel,
+    /// else exactly one by one.
     #[inline(always)]
     fn steer_panel(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
         let few = panel.order == 1.0 && !panel.few_lanes.is_empty();
         for first in (0..self.mirrors).step_by(BLOCK) {
-            let (mut whole, mut combined) = ([false; BLOCK], [0.0; BLOCK]);
+            let (mut complete, mut combined) = ([false; BLOCK], [0.0; BLOCK]);
             if few {
                 let mut aimed = Aimed::new(model, panel, first, &position);
                 for branch in &model.detectors {
                     self.combining.add_each(&mut combined, &aimed.gains(model, panel, branch));
                 }
                 self.combining.finish_each(&mut combined, self.branches);
-                whole = aimed.whole;
+                complete = aimed.complete;
             }
             for lane in 0..BLOCK.min(self.mirrors - first) {
                 let pair = user * self.mirrors + first + lane;
-                self.steering_gain[pair] = if whole[lane] {
+                self.steering_gain[pair] = if complete[lane] {
                     combined[lane]
-                } else if self.leg_visible[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
+                } else if self.irs_path_clear[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
                     self.aimed_exactly(model, panel, first + lane, &position)
                 } else {
                     0.0
@@ -93,7 +97,7 @@ impl Scene {
         }
     }
 
-    /// Combined gain of one mirror that is aimed at a detector, whatever edge cuts the light.
+    /// Combined gain of one mirror that is aimed at a detector, by the exact evaluation.
     fn aimed_exactly(&self, model: &ChannelModel, panel: &Panel, mirror: usize, detector: &Vec3) -> f64 {
         let mut gains = [0.0; BRANCHES_MAX];
         let gains = &mut gains[..self.branches];
@@ -104,31 +108,32 @@ impl Scene {
         self.combining.combine(gains)
     }
 
-    /// Paper: illumination times collection; see [`diffuse`](crate::diffuse). Directions and distances are kept for the evaluation.
+    /// Paper: illumination times collection, see [`diffuse`](crate::diffuse); stores directions and
+    /// distances for the evaluation.
     #[inline(always)]
     fn steer_paper(&mut self, model: &ChannelModel, user: usize, panel: &Panel, reading: Reading) {
         let position = self.positions[user];
         let inward = model.mirrors.inward();
         let factor = model.receiver.detector_area_m2 * model.receiver.filter_gain;
         for first in (0..self.mirrors).step_by(BLOCK) {
-            let seen = Seen::new(&model.mirrors, first / BLOCK, &position);
+            let to_mirrors = ToMirrors::new(&model.mirrors, first / BLOCK, &position);
             let illumination = &panel.towards_mirror[first / BLOCK];
             let lanes = BLOCK.min(self.mirrors - first);
             let mut combined = [0.0; BLOCK];
             for (index, branch) in model.detectors.iter().enumerate() {
                 let facing = match reading {
-                    Reading::Sensible => seen.facing(branch),
-                    Reading::Literal => seen.against(&inward),
+                    Reading::Sensible => to_mirrors.facing(branch),
+                    Reading::Literal => to_mirrors.against(&inward),
                 };
                 let mut gains = [0.0; BLOCK];
                 for lane in 0..BLOCK {
-                    let volume = seen.squared[lane] * seen.distance[lane];
+                    let volume = to_mirrors.squared[lane] * to_mirrors.distance[lane];
                     gains[lane] = factor * branch.concentrator_gain * illumination[lane] * facing[lane] / volume;
                 }
                 self.combining.add_each(&mut combined, &gains);
                 if self.branches > 1 {
                     let start = (user * self.branches + index) * self.mirrors + first;
-                    let visible = &self.leg_visible[user * self.mirrors + first..][..lanes];
+                    let visible = &self.irs_path_clear[user * self.mirrors + first..][..lanes];
                     for (lane, visible) in visible.iter().enumerate() {
                         self.steering_branch[start + lane] = if *visible { gains[lane] } else { 0.0 };
                     }
@@ -138,28 +143,30 @@ impl Scene {
             for (lane, combined) in combined[..lanes].iter().enumerate() {
                 let pair = user * self.mirrors + first + lane;
                 self.steering_gain[pair] = *combined;
-                let inverse = 1.0 / seen.distance[lane];
+                let inverse = 1.0 / to_mirrors.distance[lane];
                 self.inverse_distance[pair] = inverse;
-                self.directions[pair] = -inverse * Vec3::new(seen.x[lane], seen.y[lane], seen.z[lane]);
+                self.directions[pair] =
+                    -inverse * Vec3::new(to_mirrors.x[lane], to_mirrors.y[lane], to_mirrors.z[lane]);
             }
         }
     }
 }
 
-impl Seen {
+impl ToMirrors {
     #[inline(always)]
     fn new(mirrors: &MirrorArray, block: usize, detector: &Vec3) -> Self {
         let [x, y, z] = mirrors.block(block).map(|lanes| *lanes);
-        let mut seen = Self { x, y, z, squared: [0.0; BLOCK], distance: [0.0; BLOCK] };
+        let mut to_mirrors = Self { x, y, z, squared: [0.0; BLOCK], distance: [0.0; BLOCK] };
         for lane in 0..BLOCK {
-            seen.x[lane] -= detector.x;
-            seen.y[lane] -= detector.y;
-            seen.z[lane] -= detector.z;
-            seen.squared[lane] =
-                seen.x[lane] * seen.x[lane] + seen.y[lane] * seen.y[lane] + seen.z[lane] * seen.z[lane];
-            seen.distance[lane] = seen.squared[lane].sqrt();
+            to_mirrors.x[lane] -= detector.x;
+            to_mirrors.y[lane] -= detector.y;
+            to_mirrors.z[lane] -= detector.z;
+            to_mirrors.squared[lane] = to_mirrors.x[lane] * to_mirrors.x[lane]
+                + to_mirrors.y[lane] * to_mirrors.y[lane]
+                + to_mirrors.z[lane] * to_mirrors.z[lane];
+            to_mirrors.distance[lane] = to_mirrors.squared[lane].sqrt();
         }
-        seen
+        to_mirrors
     }
 
     /// Distance times incidence cosine on a branch in m, zero outside its field of view.
@@ -171,8 +178,8 @@ impl Seen {
         for lane in 0..BLOCK {
             let along =
                 branch.normal.x * self.x[lane] + branch.normal.y * self.y[lane] + branch.normal.z * self.z[lane];
-            let seen = (along > 0.0) & (along * along >= least * self.squared[lane]);
-            facing[lane] = if seen { along } else { 0.0 };
+            let detected = (along > 0.0) & (along * along >= least * self.squared[lane]);
+            facing[lane] = if detected { along } else { 0.0 };
         }
         facing
     }

@@ -1,33 +1,35 @@
-//! Filling the tables of a scene: who serves whom, what is blocked, what each mirror can give.
+//! Computation of a scene's tables: serving LED, blockage, line-of-sight and steering gains.
 
 use super::Scene;
-use super::legs::mark_visible;
-use crate::Vec3;
+use super::visibility::mark_visible;
 use crate::blockage::{Cylinder, blocks};
+use crate::geometry::Vec3;
 use crate::los::unit_gain;
 use crate::model::ChannelModel;
-use crate::wide::widest;
+use crate::simd::with_widest_simd;
 
 impl Scene {
-    /// Recomputes blockage of each leg, direct gains and the steering table for these positions.
+    /// Computes blockage, line-of-sight gains and steering gains for these positions.
     ///
-    /// `users`: positions of the receivers in m, shape K. `blockers`: every cylinder in the room, the users' own bodies among them.
-    /// `forced`: whether the direct path of each user is off whatever stands there, shape K. A leg runs from the centre of the panel over the centre of the
-    /// mirror to the detector.
+    /// `users`: positions of the receivers in m. `forced`: whether the line-of-sight path of each
+    /// user is blocked regardless of the cylinders. Shape of both: K. `blockers`: all cylinders in
+    /// the room, including the users' own bodies. Paths run from the centre of a panel, directly or
+    /// by way of the centre of a mirror, to the detector.
     ///
     /// # Panics
-    /// When `users` or `forced` has not one entry a user, or the model is not the one (or the like) that the scene was made for.
+    /// When `users` or `forced` does not have one entry per user, or the model has another size
+    /// than that of [`Scene::new`].
     pub fn update(&mut self, model: &ChannelModel, users: &[Vec3], blockers: &[Cylinder], forced: &[bool]) {
-        assert_eq!(forced.len(), self.users, "one flag a user");
+        assert_eq!(forced.len(), self.users, "one flag per user");
         assert_eq!(model.mirrors.len(), self.mirrors, "the scene was made for another array");
         assert_eq!(model.receiver.branches.len(), self.branches, "the scene was made for another receiver");
-        assert_eq!(model.leds.len() * self.mirrors, self.led_leg.len(), "the scene was made for other LEDs");
+        assert_eq!(model.leds.len() * self.mirrors, self.led_path_clear.len(), "the scene was made for other LEDs");
         self.positions.copy_from_slice(users);
-        widest(
+        with_widest_simd(
             #[inline(always)]
             || {
-                for (led, legs) in self.led_leg.chunks_exact_mut(self.mirrors).enumerate() {
-                    mark_visible(legs, &model.mirrors, &model.leds[led].position, blockers);
+                for (led, clear) in self.led_path_clear.chunks_exact_mut(self.mirrors).enumerate() {
+                    mark_visible(clear, &model.mirrors, &model.leds[led].position, blockers);
                 }
                 for (user, forced) in forced.iter().enumerate() {
                     self.update_user(model, blockers, user, *forced);
@@ -40,7 +42,7 @@ impl Scene {
     fn update_user(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) {
         let position = self.positions[user];
         let pairs = user * self.mirrors..(user + 1) * self.mirrors;
-        mark_visible(&mut self.leg_visible[pairs.clone()], &model.mirrors, &position, blockers);
+        mark_visible(&mut self.irs_path_clear[pairs.clone()], &model.mirrors, &position, blockers);
         let led = self.choose_led(model, blockers, user, forced);
         self.serving[user] = led;
         self.direct(model, user, led);
@@ -53,12 +55,13 @@ impl Scene {
             self.los_branch[branches.clone()].copy_from_slice(&self.los_clear[branches.clone()]);
         }
         self.los_gain[user] = self.combining.combine(&self.los_branch[branches]);
-        let legs = &self.led_leg[led * self.mirrors..(led + 1) * self.mirrors];
-        self.leg_visible[pairs].iter_mut().zip(legs).for_each(|(both, leg)| *both &= leg);
+        let led_path = &self.led_path_clear[led * self.mirrors..(led + 1) * self.mirrors];
+        self.irs_path_clear[pairs].iter_mut().zip(led_path).for_each(|(both, clear)| *both &= clear);
         self.steer(model, user, led);
     }
 
-    /// The LED with the largest clear direct gain, or the one whose light the array can bring most of.
+    /// The LED with the largest unblocked line-of-sight gain, or else with the largest sum of
+    /// steering gains.
     fn choose_led(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) -> usize {
         if model.leds.len() == 1 {
             return 0;
@@ -70,9 +73,9 @@ impl Scene {
             let clear = !forced && !is_blocked(model, blockers, led, &self.positions[user]);
             let direct = if clear { self.combining.combine(&self.los_clear[branches.clone()]) } else { 0.0 };
             self.steer(model, user, led);
-            let legs = &self.led_leg[led * self.mirrors..(led + 1) * self.mirrors];
+            let led_path = &self.led_path_clear[led * self.mirrors..(led + 1) * self.mirrors];
             let row = &self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
-            let steered: f64 = row.iter().zip(legs).filter(|(_, leg)| **leg).map(|(gain, _)| gain).sum();
+            let steered: f64 = row.iter().zip(led_path).filter(|(_, clear)| **clear).map(|(gain, _)| gain).sum();
             if (direct, steered) > (best.1, best.2) {
                 best = (led, direct, steered);
             }
@@ -80,7 +83,7 @@ impl Scene {
         best.0
     }
 
-    /// Writes the direct gain of each branch with nothing in the way.
+    /// Writes the line-of-sight gain of each branch without blockage.
     #[inline(always)]
     fn direct(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let panel = &model.panels[led];

@@ -2,15 +2,16 @@
 
 use super::table::{Table, Utility};
 
-/// A move must raise the product of (1 + x^2) by more than this share, so that rounding cannot make a search cycle.
-const WORTHWHILE: f64 = 1.0 + 1e-12;
+/// Factor by which a move must raise the product of (1 + x^2), so that rounding cannot cause a
+/// cycle.
+const MIN_FACTOR: f64 = 1.0 + 1e-12;
 
-/// Most pairs that move between the same users in one round.
+/// Largest number of pairs that move between the same users in one round.
 const PAIRS_MAX: usize = 200;
-/// Any two moves are combined among at most this many users: the combinations grow with the fourth power.
+/// Largest number of users for pairs of moves, whose number grows with the fourth power.
 const PAIRS_USERS_MAX: usize = 6;
 
-/// Which user each mirror serves, and the amplitudes that follow.
+/// The user that each mirror serves, and the resulting amplitudes.
 #[derive(Clone, Debug)]
 pub(super) struct Assignment {
     pub(super) served: Vec<usize>,
@@ -38,17 +39,17 @@ impl Assignment {
         self.nats = other.nats;
     }
 
-    /// Sums the amplitudes anew from `served`.
+    /// Computes the amplitudes from `served`.
     pub(super) fn settle(&mut self, table: &Table, utility: &Utility) {
-        self.amplitude.copy_from_slice(&table.floor);
+        self.amplitude.copy_from_slice(&table.los_amplitude);
         for (m, &k) in self.served.iter().enumerate() {
             self.amplitude[k] += table.by_user[k * table.mirrors + m];
         }
-        self.note(utility);
+        self.derive(utility);
     }
 
-    /// Brings what is derived from the amplitudes up to date.
-    fn note(&mut self, utility: &Utility) {
+    /// Computes the values derived from the amplitudes.
+    fn derive(&mut self, utility: &Utility) {
         for (inverse, &x) in self.inverse.iter_mut().zip(&self.amplitude) {
             *inverse = 1.0 / (1.0 + x * x);
         }
@@ -66,7 +67,8 @@ impl Assignment {
         utility.factor(k, self.amplitude[k], self.inverse[k], to)
     }
 
-    /// Gives each mirror in turn to the user for whom that is worth most, at most `passes` times, until none has moved since its last turn.
+    /// Assigns each mirror in turn to the user with the largest increase, until no mirror moves or
+    /// after `passes` passes.
     pub(super) fn move_each(&mut self, table: &Table, utility: &Utility, passes: usize) {
         let mut unmoved = 0;
         for _ in 0..passes {
@@ -79,12 +81,12 @@ impl Assignment {
         }
     }
 
-    /// Gives mirror m to the user for whom that is worth most. Whether it moved.
+    /// Assigns mirror m to the user with the largest increase; returns whether it moved.
     #[inline]
     fn move_one(&mut self, m: usize, table: &Table, utility: &Utility) -> bool {
         let line = table.line(m);
         let from = self.served[m];
-        let without = (self.amplitude[from] - line[from]).max(table.floor[from]);
+        let without = (self.amplitude[from] - line[from]).max(table.los_amplitude[from]);
         let lost = self.factor(utility, from, without);
         let (mut to, mut gained) = (from, 0.0);
         for (k, &gain) in line.iter().enumerate() {
@@ -95,7 +97,7 @@ impl Assignment {
                 }
             }
         }
-        let moved = lost * gained > WORTHWHILE;
+        let moved = lost * gained > MIN_FACTOR;
         if moved {
             self.served[m] = to;
             self.set(from, without);
@@ -104,27 +106,28 @@ impl Assignment {
         moved
     }
 
-    /// A 64-bit hash (FNV-1a, a user a step) of who is served by the mirrors that matter.
+    /// A 64-bit FNV-1a hash of the users that the useful mirrors serve.
     pub(super) fn fingerprint(&self, table: &Table) -> u64 {
         let step = |hash: u64, &m: &usize| (hash ^ self.served[m] as u64).wrapping_mul(0x0100_0000_01b3);
         table.useful.iter().fold(0xcbf2_9ce4_8422_2325, step)
     }
 
-    /// Exchanges the users of two mirrors wherever that is worthwhile. Whether any changed.
+    /// Swaps the users of two mirrors where that raises the objective; returns whether a mirror
+    /// moved.
     pub(super) fn swap_pairs(&mut self, table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
         let mut changed = false;
         for i in 0..table.users {
             for j in i + 1..table.users {
-                changed |= self.pair_all([(i, j), (j, i)], table, utility, scratch);
+                changed |= self.improve_pairs([(i, j), (j, i)], table, utility, scratch);
             }
         }
         changed
     }
 
-    /// Moves any two mirrors at once wherever that is worthwhile. Whether any changed.
+    /// Moves two mirrors at once where that raises the objective; returns whether a mirror moved.
     ///
-    /// At the kink of a minimum rate neither move may help alone: a user can spare nothing until given something, and may need two
-    /// mirrors to get there. Does nothing for more than [`PAIRS_USERS_MAX`] users.
+    /// At the kink of a minimum rate, a single move may lower the objective although two moves
+    /// raise it. Has no effect for more than [`PAIRS_USERS_MAX`] users.
     pub(super) fn move_pairs(&mut self, table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
         let users = table.users;
         if users > PAIRS_USERS_MAX {
@@ -135,13 +138,13 @@ impl Assignment {
         let mut changed = false;
         for first in (0..moves).filter(|&code| ends(code).0 != ends(code).1) {
             for second in (first..moves).filter(|&code| ends(code).0 != ends(code).1) {
-                changed |= self.pair_all([ends(first), ends(second)], table, utility, scratch);
+                changed |= self.improve_pairs([ends(first), ends(second)], table, utility, scratch);
             }
         }
         changed
     }
 
-    fn pair_all(&mut self, moves: [Ends; 2], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
+    fn improve_pairs(&mut self, moves: [Ends; 2], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
         let mut changed = false;
         for _ in 0..PAIRS_MAX {
             if !self.pair(moves, table, utility, scratch) {
@@ -152,24 +155,24 @@ impl Assignment {
         changed
     }
 
-    /// Two moves at once: a mirror m between the users of the first, a mirror n between those of the second. Whether
-    /// any such pair was worthwhile, and was moved.
+    /// Two moves at once: mirror m between the users of the first, mirror n between those of the
+    /// second. Returns whether a pair raised the objective and was moved.
     ///
-    /// ln(1 + u) <= u bounds what they can bring by r_m + r_n + slack, with r_m = w_j a_jm - w_i a_im the first-order worth
-    /// of moving m from i to j, and the slack for the squares of the changes. Pairs whose
-    /// bound is not positive are skipped; the bound is exact, so nothing is missed.
+    /// By ln(1 + u) <= u, the increase is at most r_m + r_n + slack. Here r_m = w_j a_jm - w_i a_im
+    /// is the first-order increase of moving m from i to j, and the slack bounds the squares of the
+    /// changes. Pairs with a bound of at most 0 are skipped, which loses no improvement.
     fn pair(&mut self, moves: [Ends; 2], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
         let touched = Touched::by(moves);
         let slack: f64 = touched.users().iter().map(|&k| self.slack(k, moves, table, utility)).sum();
         scratch.gather(self, moves, table, utility);
-        for &(m, worth_m) in &scratch.first {
-            if worth_m + scratch.best_second + slack <= 0.0 {
+        for &(m, increase_m) in &scratch.first {
+            if increase_m + scratch.best_second + slack <= 0.0 {
                 continue;
             }
-            let mut best = WORTHWHILE;
+            let mut best = MIN_FACTOR;
             let mut partner = None;
-            for &(n, worth_n) in &scratch.second {
-                if worth_m + worth_n + slack <= 0.0 || m == n {
+            for &(n, increase_n) in &scratch.second {
+                if increase_m + increase_n + slack <= 0.0 || m == n {
                     continue;
                 }
                 let factor: f64 = touched
@@ -205,7 +208,7 @@ impl Assignment {
                 amplitude -= gain;
             }
         }
-        amplitude.max(table.floor[k])
+        amplitude.max(table.los_amplitude[k])
     }
 
     /// Derivative of the rate of user k by amplitude, times the steepness.
@@ -213,9 +216,9 @@ impl Assignment {
         2.0 * self.amplitude[k] * self.inverse[k] * utility.steepness(k, self.amplitude[k])
     }
 
-    /// The most that the square of a change by two moves can add to the rate of user k, times the steepness.
+    /// Bound of the second-order increase of the rate of user k by two moves, times the steepness.
     fn slack(&self, k: usize, [first, second]: [Ends; 2], table: &Table, utility: &Utility) -> f64 {
-        // One mirror given and one taken change less than either; two given or two taken add up.
+        // A gained and a lost mirror partly cancel; two gained or two lost mirrors add.
         let mirrors =
             if first.0 == second.0 && k == first.0 || first.1 == second.1 && k == first.1 { 2.0 } else { 1.0 };
         let largest = mirrors * table.largest[k];
@@ -223,10 +226,10 @@ impl Assignment {
     }
 }
 
-/// The user from whom and the user to whom a mirror moves.
+/// The users before and after a move of one mirror.
 type Ends = (usize, usize);
 
-/// The two to four users whose amplitudes a pair of moves changes.
+/// The two to four users whose amplitudes change in a pair of moves.
 #[derive(Clone, Copy)]
 struct Touched {
     users: [usize; 4],
@@ -250,7 +253,8 @@ impl Touched {
     }
 }
 
-/// The mirrors of two users with the worth of moving each, kept to avoid allocation.
+/// The mirrors of two users with the first-order increase of moving each; reused to avoid
+/// allocation.
 #[derive(Clone, Debug)]
 pub(super) struct Scratch {
     first: Vec<(usize, f64)>,
@@ -269,16 +273,17 @@ impl Scratch {
         self.best_second = f64::NEG_INFINITY;
         let [(from, to), (from_second, to_second)] = moves;
         let weight = |k: usize| assignment.weight(k, utility);
-        let [paid, bought, paid_second, bought_second] = [from, to, from_second, to_second].map(weight);
+        let [weight_from, weight_to, weight_from_second, weight_to_second] =
+            [from, to, from_second, to_second].map(weight);
         for &m in &table.useful {
             let line = table.line(m);
             if assignment.served[m] == from {
-                self.first.push((m, bought * line[to] - paid * line[from]));
+                self.first.push((m, weight_to * line[to] - weight_from * line[from]));
             }
             if assignment.served[m] == from_second {
-                let worth = bought_second * line[to_second] - paid_second * line[from_second];
-                self.best_second = self.best_second.max(worth);
-                self.second.push((m, worth));
+                let increase = weight_to_second * line[to_second] - weight_from_second * line[from_second];
+                self.best_second = self.best_second.max(increase);
+                self.second.push((m, increase));
             }
         }
     }

@@ -1,64 +1,54 @@
 //! From a scene to a problem, and from a solution to the angles of the mirrors.
 
-use super::{Problem, Solver};
+use super::problem::{MinimumRates, Problem};
+use super::solve::Solver;
 use crate::decode::aim;
 use crate::mirrors::MirrorAngles;
 use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
 
-/// How a policy searches.
+/// The search method of a policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
     /// [`Solver::fixed_point`].
     FixedPoint,
     /// [`Solver::greedy`].
     Greedy {
-        /// Passes of single moves.
+        /// Number of passes of single moves.
         passes: usize,
     },
     /// [`Solver::oracle`].
     Oracle,
 }
 
-/// What the users need, and what it costs not to give it.
-#[derive(Clone, Copy, Debug)]
-pub struct Need<'a> {
-    /// Minimum rate of each user in bit/s; missing entries are 0. Shape: K.
-    pub min_rate_bps: &'a [f64],
-    /// Lambda of the objective: 0 is the plain sum rate, 50 meets a need wherever it can be met.
-    pub qos_penalty: f64,
-}
-
-impl Need<'_> {
-    /// Nobody needs anything: the plain sum rate.
-    pub const NONE: Need<'static> = Need { min_rate_bps: &[], qos_penalty: 0.0 };
-}
-
 impl<'a> Problem<'a> {
-    /// The problem that a scene poses.
-    pub fn of_scene(model: &ChannelModel, scene: &'a Scene, need: &Need<'a>) -> Self {
+    /// The problem of a scene: its gains, the link budget and the minimum rates.
+    pub fn of_scene(model: &ChannelModel, scene: &'a Scene, min_rates: &MinimumRates<'a>) -> Self {
         let users = scene.users();
         Self {
             users,
             mirrors: model.mirrors.len(),
-            los: scene.los_gain(),
-            steering: scene.steering_gain(),
+            los_gain: scene.los_gain(),
+            steering_gain: scene.steering_gain(),
             directions: match model.mode {
                 Mode::Specular => None,
                 Mode::Paper { .. } => Some(scene.directions()),
             },
             amplitude_scale: model.budget.amplitude_scale(),
             rate_scale_bps: model.budget.bandwidth_hz / users as f64,
-            min_rate_bps: need.min_rate_bps,
-            qos_penalty: need.qos_penalty,
+            min_rate_bps: min_rates.min_rate_bps,
+            qos_penalty: min_rates.qos_penalty,
         }
     }
 }
 
 impl Solver {
-    /// Solves the problem that a scene poses and writes the angles of the mirrors, mechanical, in radians. Shape of `out`: M.
+    /// Solves the problem of a scene and writes the angles of the mirrors.
     ///
-    /// Returns the objective in bit/s that the table of gains promises; the angles may give a little more, from spill.
+    /// Returns the objective in bit/s by the table of gains. The angles can give slightly more, by
+    /// light that reaches other users.
+    ///
+    /// `out`: mechanical angles in radians. Shape: M.
     ///
     /// # Panics
     /// When solver, scene, model and `out` differ in the number of users or mirrors.
@@ -66,11 +56,11 @@ impl Solver {
         &mut self,
         model: &ChannelModel,
         scene: &Scene,
-        need: &Need,
+        min_rates: &MinimumRates,
         method: Method,
         out: &mut MirrorAngles,
     ) -> f64 {
-        let problem = Problem::of_scene(model, scene, need);
+        let problem = Problem::of_scene(model, scene, min_rates);
         let solution = match method {
             Method::FixedPoint => self.fixed_point(&problem),
             Method::Greedy { passes } => self.greedy(&problem, passes),

@@ -1,31 +1,32 @@
-//! Search over normals: the fixed point over shared weights, and the oracle's starts.
+//! Search over normals: the fixed point over the shared weights, and the starts of the oracle.
 
 use super::table::{Table, Utility};
-use crate::Vec3;
+use crate::geometry::Vec3;
 
-/// Steps of each of the oracle's starts before the best of them continue.
+/// Steps of each start of the oracle before the best starts continue.
 const SCREENING_STEPS: usize = 6;
-/// Most steps to convergence.
+/// Largest number of steps to convergence.
 const STEPS_MAX: usize = 200;
-/// Converged when the objective changes by less than this share from step to step.
+/// Relative change of the objective per step at which the search has converged.
 const CONVERGED: f64 = 1e-14;
-/// How many of the oracle's starts are followed to convergence.
+/// Number of starts of the oracle that continue to convergence.
 const FOLLOWED: usize = 4;
-/// The oracle starts from single users and pairs among at most this many.
+/// Number of users from which the oracle forms starts with one or two users.
 const PAIRED_USERS_MAX: usize = 8;
-/// Starts with weights spread over several orders of magnitude.
+/// Number of starts with weights spread over several orders of magnitude.
 const SPREAD_STARTS: usize = 12;
 
-/// Workspace of the search. Components lie in separate lines so that the loops over mirrors become SIMD.
+/// Buffers of the search; components have separate arrays, so that the loops over mirrors
+/// vectorise.
 #[derive(Clone, Debug)]
 pub(super) struct NormalSearch {
-    /// c_km u_km times the amplitude scale, x, y and z. Shape of each: K * M.
-    pull: [Vec<f64>; 3],
-    /// Normals of the present step. Shape of each: M.
+    /// c_km u_km times the amplitude scale: x, y and z. Shape of each: K * M.
+    gain_vector: [Vec<f64>; 3],
+    /// Normals of the current step. Shape of each: M.
     normal: [Vec<f64>; 3],
     amplitude: Vec<f64>,
     weights: Vec<f64>,
-    /// The followed starts: objective in nats and weights.
+    /// The starts that continue: objective in nats and weights.
     followed: Vec<(f64, Vec<f64>)>,
     /// Normals of the last solution.
     pub(super) best: Vec<Vec3>,
@@ -38,7 +39,7 @@ impl NormalSearch {
     pub(super) fn new(users: usize, mirrors: usize) -> Self {
         let pairs = || vec![0.0; users * mirrors];
         Self {
-            pull: [pairs(), pairs(), pairs()],
+            gain_vector: [pairs(), pairs(), pairs()],
             normal: [vec![0.0; mirrors], vec![0.0; mirrors], vec![0.0; mirrors]],
             amplitude: vec![0.0; users],
             weights: vec![0.0; users],
@@ -49,18 +50,19 @@ impl NormalSearch {
         }
     }
 
-    /// Multiplies gains and directions. A direction that is not finite counts as no gain.
+    /// Multiplies gains and directions; a direction that is not finite counts as gain 0.
     pub(super) fn load(&mut self, table: &Table, directions: &[Vec3]) {
         assert_eq!(directions.len(), table.by_user.len(), "one direction a user and mirror");
         for (index, (&gain, direction)) in table.by_user.iter().zip(directions).enumerate() {
             let usable = direction.iter().all(|component| component.is_finite());
-            for (axis, pull) in self.pull.iter_mut().enumerate() {
-                pull[index] = if usable { gain * direction[axis] } else { 0.0 };
+            for (axis, gain_vector) in self.gain_vector.iter_mut().enumerate() {
+                gain_vector[index] = if usable { gain * direction[axis] } else { 0.0 };
             }
         }
     }
 
-    /// Fixed point from the given weights and from neutral ones; the weights of the better are written back.
+    /// Fixed point from the given weights and from neutral ones; writes the weights of the better
+    /// one.
     pub(super) fn fixed_point(&mut self, table: &Table, utility: &Utility, weights: &mut [f64]) {
         self.best_nats = f64::NEG_INFINITY;
         self.neutral_weights(table);
@@ -72,7 +74,8 @@ impl NormalSearch {
         self.finish(utility, weights);
     }
 
-    /// Many starts, the best few to convergence; see [`Solver::oracle`](super::Solver::oracle).
+    /// Search from many starts, of which the best few continue; see
+    /// [`Solver::oracle`](super::Solver::oracle).
     pub(super) fn oracle(&mut self, table: &Table, utility: &Utility, weights: &mut [f64]) {
         let users = table.users;
         self.best_nats = f64::NEG_INFINITY;
@@ -107,7 +110,8 @@ impl NormalSearch {
         self.finish(utility, weights);
     }
 
-    /// A few steps from the present weights, then a place among the followed if they are good and new.
+    /// A few steps from the current weights; keeps the result if it is among the best and not yet
+    /// in the list.
     fn screen(&mut self, table: &Table, utility: &Utility) {
         let nats = self.iterate(table, utility, SCREENING_STEPS);
         let close = 1e-6 * nats.abs();
@@ -119,7 +123,8 @@ impl NormalSearch {
         }
     }
 
-    /// Fixed point from the present weights; keeps the best step. The objective of the last step in nats.
+    /// Fixed point from the current weights; keeps the best step and returns the objective of the
+    /// last step in nats.
     fn iterate(&mut self, table: &Table, utility: &Utility, steps: usize) -> f64 {
         let mut before = f64::NEG_INFINITY;
         for step in 0..steps {
@@ -132,7 +137,7 @@ impl NormalSearch {
                 break;
             }
             before = nats;
-            // The scale of a start says nothing, so the first step is not damped.
+            // The scale of the start weights is arbitrary, so the first step has no damping.
             let share = if step == 0 { 1.0 } else { 0.6 };
             for (k, weight) in self.weights.iter_mut().enumerate() {
                 *weight += share * (utility.slope(k, self.amplitude[k]) - *weight);
@@ -162,14 +167,14 @@ impl NormalSearch {
         }
     }
 
-    /// Turns each mirror to the weighted sum of its pulls and computes the amplitudes.
+    /// Sets each normal to the direction of the weighted sum, and computes the amplitudes.
     fn turn(&mut self, table: &Table) {
         let mirrors = table.mirrors;
-        for (normal, pull) in self.normal.iter_mut().zip(&self.pull) {
+        for (normal, gain_vector) in self.normal.iter_mut().zip(&self.gain_vector) {
             normal.fill(0.0);
-            for (&weight, line) in self.weights.iter().zip(pull.chunks_exact(mirrors)) {
-                for (sum, &pull) in normal.iter_mut().zip(line) {
-                    *sum += weight * pull;
+            for (&weight, line) in self.weights.iter().zip(gain_vector.chunks_exact(mirrors)) {
+                for (sum, &gain_vector) in normal.iter_mut().zip(line) {
+                    *sum += weight * gain_vector;
                 }
             }
         }
@@ -181,20 +186,23 @@ impl NormalSearch {
         }
         if self.receive(table) < 0.0 {
             for m in 0..mirrors {
-                self.turn_from_hidden(m, mirrors);
+                self.exclude_hidden_users(m, mirrors);
             }
             self.receive(table);
         }
     }
 
-    /// Sums the amplitudes; returns the smallest product of a normal and a pull that has weight, negative when a mirror faces
-    /// away from somebody who pulls at it.
+    /// Computes the amplitudes; returns the smallest dot product n_m . c_km u_km among users with a
+    /// weight.
+    ///
+    /// The result is negative if a mirror faces away from such a user.
     fn receive(&mut self, table: &Table) -> f64 {
         let mirrors = table.mirrors;
         let [x, y, z] = &self.normal;
         let mut smallest = 0.0_f64;
         for (k, amplitude) in self.amplitude.iter_mut().enumerate() {
-            let [px, py, pz] = self.pull.each_ref().map(|pull| &pull[k * mirrors..(k + 1) * mirrors]);
+            let [px, py, pz] =
+                self.gain_vector.each_ref().map(|gain_vector| &gain_vector[k * mirrors..(k + 1) * mirrors]);
             let mut sums = [0.0; 4];
             let mut lowest = [0.0; 4];
             let mut m = 0;
@@ -208,7 +216,7 @@ impl NormalSearch {
                 }
                 m += lanes;
             }
-            *amplitude = table.floor[k] + (sums[0] + sums[1]) + (sums[2] + sums[3]);
+            *amplitude = table.los_amplitude[k] + (sums[0] + sums[1]) + (sums[2] + sums[3]);
             if self.weights[k] > 0.0 {
                 smallest = lowest.iter().fold(smallest, |a, &b| a.min(b));
             }
@@ -216,16 +224,21 @@ impl NormalSearch {
         smallest
     }
 
-    /// Leaves out of the sum for mirror m whoever the mirror faces away from, until it faces all that are left.
-    fn turn_from_hidden(&mut self, m: usize, mirrors: usize) {
-        let pull = |k: usize| {
-            Vec3::new(self.pull[0][k * mirrors + m], self.pull[1][k * mirrors + m], self.pull[2][k * mirrors + m])
+    /// Excludes from the sum for mirror m the users that the mirror faces away from, until it faces
+    /// all remaining users.
+    fn exclude_hidden_users(&mut self, m: usize, mirrors: usize) {
+        let gain_vector = |k: usize| {
+            Vec3::new(
+                self.gain_vector[0][k * mirrors + m],
+                self.gain_vector[1][k * mirrors + m],
+                self.gain_vector[2][k * mirrors + m],
+            )
         };
         let mut normal = Vec3::new(self.normal[0][m], self.normal[1][m], self.normal[2][m]);
         for _ in 0..self.weights.len() {
-            let facing = |k: &usize| normal.dot(&pull(*k)) > 0.0;
+            let facing = |k: &usize| normal.dot(&gain_vector(*k)) > 0.0;
             let users = 0..self.weights.len();
-            let sum: Vec3 = users.filter(facing).map(|k| self.weights[k] * pull(k)).sum();
+            let sum: Vec3 = users.filter(facing).map(|k| self.weights[k] * gain_vector(k)).sum();
             let length = sum.norm();
             if length <= 0.0 {
                 break;
@@ -242,9 +255,10 @@ impl NormalSearch {
     }
 }
 
-/// Factors from 1/30 to 30 that fill their range evenly over starts and users, without a random generator.
+/// Factors from 1/30 to 30 with an even logarithmic distribution over starts and users, without a
+/// random generator.
 fn spread(start: usize, user: usize) -> f64 {
-    // Multiples of the golden ratio and of the square root of two, the least regular of numbers.
+    // Fractional parts of multiples of an irrational number are evenly distributed (Weyl).
     let place =
         (start as f64 + 1.0) * 0.618_033_988_749_895 + (user as f64 * (start as f64 + 1.0)) * std::f64::consts::SQRT_2;
     (6.8 * (place.fract() - 0.5)).exp()

@@ -4,19 +4,20 @@ use super::table::{Table, Utility};
 
 /// All subsets are tried up to this many users.
 const COMPLETE_USERS_MAX: usize = 6;
-/// Most nested subsets of one order, above that.
+/// Largest number of nested subsets of one order, above that.
 const NESTED_MAX: usize = 16;
 
-/// A list of subsets: all of them for few users; nested ones for many.
+/// A list of subsets: all subsets for few users, nested subsets for many.
 ///
-/// Nested means the first n of the users, for up to [`NESTED_MAX`] values of n, in two orders: by the light that the whole array
-/// can bring, and by how much that would raise the user's utility.
+/// A nested subset has the first n users of an order, for up to [`NESTED_MAX`] values of n. There
+/// are two orders: by the amplitude that the complete array can add, and by the increase of the
+/// user's utility.
 #[derive(Clone, Debug)]
 pub(super) struct Starts {
     users: usize,
-    /// Users, the one with most reachable light first.
+    /// Users, by decreasing amplitude of the complete array.
     by_reach: Vec<usize>,
-    /// Users, the one who would gain most first.
+    /// Users, by decreasing increase of the utility.
     by_rise: Vec<usize>,
     reach: Vec<f64>,
     rise: Vec<f64>,
@@ -47,17 +48,18 @@ impl Starts {
         for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
             let sum: f64 = line.iter().sum();
             self.reach[k] = sum;
-            self.rise[k] = utility.value(k, table.floor[k] + sum) - utility.value(k, table.floor[k]);
+            self.rise[k] = utility.value(k, table.los_amplitude[k] + sum) - utility.value(k, table.los_amplitude[k]);
         }
         let (reach, rise) = (&self.reach, &self.rise);
-        // Ties by index, so that the order depends on nothing but the problem.
+        // The index breaks ties, so that the order depends on the problem only.
         self.by_reach.sort_unstable_by(|&a, &b| reach[b].total_cmp(&reach[a]).then(a.cmp(&b)));
         self.by_rise.sort_unstable_by(|&a, &b| rise[b].total_cmp(&rise[a]).then(a.cmp(&b)));
     }
 
-    /// Marks the users of one subset; false when another subset stands for it.
+    /// Marks the users of one subset; returns false if another subset is equivalent.
     ///
-    /// A user whom no mirror reaches makes no difference: of the complete list, only the subset of all users may have such.
+    /// A user that no mirror reaches has no effect. In the complete list, only the subset of all
+    /// users may include one.
     pub(super) fn choose(&self, index: usize, allowed: &mut [bool]) -> bool {
         if self.complete() {
             for (k, allowed) in allowed.iter_mut().enumerate() {

@@ -1,51 +1,54 @@
-//! The numbers of a problem as the searches read them: dimensionless amplitudes in two layouts, and each user's utility.
+//! The data of a problem for the searches: dimensionless amplitudes in two layouts, and the utility
+//! of each user.
 
-use super::Problem;
+use super::problem::Problem;
 
-/// Amplitudes are cut off here, so that no sum of squares overflows.
+/// Upper limit of an amplitude, so that no sum of squares overflows.
 const AMPLITUDE_MAX: f64 = 1e60;
 
-/// One user's utility of an amplitude x = s H, in nats: v(x) = ln(1 + x^2), less the penalty of a rate below the minimum.
+/// Utility of each user as a function of the amplitude x = s H, in nats.
 ///
-/// u(x) = v - penalty max(0, need - v); the sum over users times B/K / ln 2 is the objective in bit/s. It is convex below x = 1
-/// and concave above, with a kink at `threshold`.
+/// u(x) = v - penalty max(0, v_min - v) with v(x) = ln(1 + x^2). The sum over users times B/K / ln
+/// 2 is the objective in bit/s. u is convex below x = 1 and concave above, with a kink at
+/// `threshold`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Utility {
     /// Minimum rate of each user in nats.
-    need: Vec<f64>,
-    /// Amplitude at which each user's minimum rate is met; 0 when nothing is penalised.
+    min_nats: Vec<f64>,
+    /// Amplitude at which each user's minimum rate is met; 0 without a penalty.
     threshold: Vec<f64>,
     penalty: f64,
-    /// Turns nats into bit/s.
+    /// Factor from nats to bit/s.
     bps_per_nat: f64,
 }
 
-/// Derivative of a utility by amplitude; below the minimum rate (in nats, met at `threshold`), the slope of the line to it.
+/// Derivative of a utility by amplitude; below the minimum rate, the slope of the line to the
+/// utility at `threshold`.
 ///
-/// The derivative is 0 at amplitude 0, where the penalty would pull nobody out of the dark; the line does.
+/// The derivative itself is 0 at amplitude 0, where the penalty would have no effect.
 #[inline]
-pub(crate) fn slope(need: f64, threshold: f64, penalty: f64, amplitude: f64) -> f64 {
+pub(crate) fn slope(min_nats: f64, threshold: f64, penalty: f64, amplitude: f64) -> f64 {
     let short = threshold - amplitude;
     if short > 1e-9 {
-        return (1.0 + penalty) * (need - Utility::nats(amplitude)) / short;
+        return (1.0 + penalty) * (min_nats - Utility::nats(amplitude)) / short;
     }
     2.0 * amplitude / (1.0 + amplitude * amplitude)
 }
 
 impl Utility {
     pub(super) fn new(users: usize) -> Self {
-        Self { need: vec![0.0; users], threshold: vec![0.0; users], penalty: 0.0, bps_per_nat: 0.0 }
+        Self { min_nats: vec![0.0; users], threshold: vec![0.0; users], penalty: 0.0, bps_per_nat: 0.0 }
     }
 
-    /// Reads scales and needs.
+    /// Loads scales and minimum rates.
     pub(super) fn load(&mut self, problem: &Problem) {
         self.bps_per_nat = problem.rate_scale_bps * std::f64::consts::LOG2_E;
         self.penalty = if problem.qos_penalty > 0.0 { problem.qos_penalty } else { 0.0 };
-        for (k, (need, threshold)) in self.need.iter_mut().zip(&mut self.threshold).enumerate() {
-            let wanted = problem.min_rate_bps.get(k).copied().unwrap_or(0.0);
-            let binds = self.penalty > 0.0 && wanted > 0.0;
-            *need = if binds { wanted / self.bps_per_nat } else { 0.0 };
-            *threshold = need.exp_m1().sqrt();
+        for (k, (min_nats, threshold)) in self.min_nats.iter_mut().zip(&mut self.threshold).enumerate() {
+            let min_rate_bps = problem.min_rate_bps.get(k).copied().unwrap_or(0.0);
+            let penalised = self.penalty > 0.0 && min_rate_bps > 0.0;
+            *min_nats = if penalised { min_rate_bps / self.bps_per_nat } else { 0.0 };
+            *threshold = min_nats.exp_m1().sqrt();
         }
     }
 
@@ -57,10 +60,10 @@ impl Utility {
     /// Utility of user k in nats.
     pub(super) fn value(&self, k: usize, amplitude: f64) -> f64 {
         let nats = Self::nats(amplitude);
-        nats - self.penalty * (self.need[k] - nats).max(0.0)
+        nats - self.penalty * (self.min_nats[k] - nats).max(0.0)
     }
 
-    /// How much steeper the utility of user k is than the rate.
+    /// Ratio of the slopes of utility and rate of user k.
     #[inline]
     pub(super) fn steepness(&self, k: usize, amplitude: f64) -> f64 {
         if amplitude < self.threshold[k] { 1.0 + self.penalty } else { 1.0 }
@@ -69,12 +72,13 @@ impl Utility {
     /// Derivative of the utility of user k by amplitude: see [`slope`].
     #[inline]
     pub(super) fn slope(&self, k: usize, amplitude: f64) -> f64 {
-        slope(self.need[k], self.threshold[k], self.penalty, amplitude)
+        slope(self.min_nats[k], self.threshold[k], self.penalty, amplitude)
     }
 
-    /// exp of the change in the utility of user k from one amplitude to another, given 1 / (1 + from^2).
+    /// exp of the change in the utility of user k from one amplitude to another, given 1 / (1 +
+    /// from^2).
     ///
-    /// While the minimum rate is met this is a quotient, which saves the logarithms.
+    /// While the minimum rate is met, this is a quotient without logarithms.
     #[inline]
     pub(super) fn factor(&self, k: usize, from: f64, inverse: f64, to: f64) -> f64 {
         if from.min(to) >= self.threshold[k] {
@@ -91,20 +95,21 @@ impl Utility {
         power(below, 1.0 + self.penalty) * above
     }
 
-    /// exp of a concave stand-in for the utility of a user who shall be served.
+    /// exp of a concave substitute for the utility, for the greedy fill.
     ///
-    /// 1 + x^2 from x = 2 on, where the rate is worth its price, and below it 5 x^2 / 4, whose logarithm rises without bound
-    /// from zero: so a fill does not leave out a user because the first mirrors bring so little.
+    /// 1 + x^2 from x = 2 on, and 5 x^2 / 4 below, with a logarithm of unbounded slope at 0. The
+    /// true utility is flat at 0, so a greedy fill by it would never serve a user without a
+    /// line-of-sight path.
     #[inline]
-    pub(super) fn invitation(&self, k: usize, amplitude: f64) -> f64 {
+    pub(super) fn fill_utility(&self, k: usize, amplitude: f64) -> f64 {
         let squared = amplitude * amplitude;
-        let inviting = if amplitude < 2.0 { 1.25 * squared.max(0.0025) } else { 1.0 + squared };
-        if amplitude < self.threshold[k] { inviting * self.shortfall(k, amplitude) } else { inviting }
+        let value = if amplitude < 2.0 { 1.25 * squared.max(0.0025) } else { 1.0 + squared };
+        if amplitude < self.threshold[k] { value * self.shortfall(k, amplitude) } else { value }
     }
 
     fn shortfall(&self, k: usize, amplitude: f64) -> f64 {
         // At most 200 nats, so that the power stays far from underflow.
-        let penalty = self.penalty.min((200.0 / self.need[k]).floor());
+        let penalty = self.penalty.min((200.0 / self.min_nats[k]).floor());
         power((1.0 + amplitude * amplitude) / (1.0 + self.threshold[k] * self.threshold[k]), penalty)
     }
 
@@ -113,7 +118,7 @@ impl Utility {
         amplitude.iter().enumerate().map(|(k, &x)| self.value(k, x)).sum()
     }
 
-    /// The same in bit/s.
+    /// Sum of utilities in bit/s.
     pub(super) fn objective_bps(&self, amplitude: &[f64]) -> f64 {
         self.total(amplitude) * self.bps_per_nat
     }
@@ -129,11 +134,11 @@ impl Utility {
     }
 }
 
-/// base^exponent, by multiplications where the exponent is a small whole number, as a penalty usually is.
+/// base^exponent, by multiplications for a small integer exponent, which a penalty usually is.
 #[inline]
 fn power(base: f64, exponent: f64) -> f64 {
-    let whole = exponent as i32;
-    if f64::from(whole) == exponent && whole <= 64 { base.powi(whole) } else { base.powf(exponent) }
+    let integer = exponent as i32;
+    if f64::from(integer) == exponent && integer <= 64 { base.powi(integer) } else { base.powf(exponent) }
 }
 
 /// Gains times the amplitude scale, by mirror and by user.
@@ -141,13 +146,13 @@ fn power(base: f64, exponent: f64) -> f64 {
 pub(super) struct Table {
     pub(super) users: usize,
     pub(super) mirrors: usize,
-    /// Direct amplitude of each user.
-    pub(super) floor: Vec<f64>,
-    /// `[m * users + k]`: moves of one mirror read one line.
+    /// Line-of-sight amplitude of each user.
+    pub(super) los_amplitude: Vec<f64>,
+    /// `[m * users + k]`, for moves of one mirror.
     pub(super) by_mirror: Vec<f64>,
-    /// `[k * mirrors + m]`: a whole assignment is `users` passes over contiguous numbers.
+    /// `[k * mirrors + m]`, for the sums of a complete assignment.
     pub(super) by_user: Vec<f64>,
-    /// Mirrors that reach anybody; the others cannot change a rate.
+    /// Mirrors that reach at least one user; the others cannot change a rate.
     pub(super) useful: Vec<usize>,
     /// Largest gain to each user.
     pub(super) largest: Vec<f64>,
@@ -158,7 +163,7 @@ impl Table {
         Self {
             users,
             mirrors,
-            floor: vec![0.0; users],
+            los_amplitude: vec![0.0; users],
             by_mirror: vec![0.0; users * mirrors],
             by_user: vec![0.0; users * mirrors],
             useful: Vec::with_capacity(mirrors),
@@ -166,14 +171,17 @@ impl Table {
         }
     }
 
-    /// Copies the problem's gains. A gain that is negative or not finite counts as no gain.
+    /// Loads the gains of the problem; a gain that is negative or not finite counts as 0.
     pub(super) fn load(&mut self, problem: &Problem) {
         let scale = problem.amplitude_scale;
-        for (floor, &gain) in self.floor.iter_mut().zip(problem.los) {
-            *floor = amplitude(gain, scale);
+        for (los_amplitude, &gain) in self.los_amplitude.iter_mut().zip(problem.los_gain) {
+            *los_amplitude = amplitude(gain, scale);
         }
-        for (k, (line, source)) in
-            self.by_user.chunks_exact_mut(self.mirrors).zip(problem.steering.chunks_exact(self.mirrors)).enumerate()
+        for (k, (line, source)) in self
+            .by_user
+            .chunks_exact_mut(self.mirrors)
+            .zip(problem.steering_gain.chunks_exact(self.mirrors))
+            .enumerate()
         {
             let mut largest = 0.0_f64;
             for (m, (cell, &gain)) in line.iter_mut().zip(source).enumerate() {
@@ -188,7 +196,7 @@ impl Table {
         self.useful.extend(lines.filter(|(_, line)| line.iter().any(|&gain| gain > 0.0)).map(|(m, _)| m));
     }
 
-    /// Amplitudes that mirror m can give, one a user.
+    /// Amplitudes of mirror m, one per user.
     #[inline]
     pub(super) fn line(&self, m: usize) -> &[f64] {
         &self.by_mirror[m * self.users..(m + 1) * self.users]

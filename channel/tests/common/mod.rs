@@ -23,7 +23,8 @@ pub struct Room {
 }
 
 impl Room {
-    /// 5 m x 5 m x 3 m, one LED in the middle of the ceiling as a point, 10 x 10 mirrors on the +y wall, one upward detector.
+    /// 5 m x 5 m x 3 m, one LED in the middle of the ceiling as a point, 10 x 10 mirrors on the +y
+    /// wall, one upward detector.
     pub fn paper() -> Self {
         Self {
             mode: Mode::Specular,
@@ -131,8 +132,8 @@ impl Random {
         Vec3::new(self.uniform(-2.5, 2.5), self.uniform(-2.5, 2.5), RECEIVER_HEIGHT_M)
     }
 
-    /// A position on the receiver plane by the stationary distribution of a random waypoint walk, eq. (4): each coordinate is the
-    /// median of three uniform ones.
+    /// A position on the receiver plane by the stationary distribution of a random waypoint walk,
+    /// eq. (4): each coordinate is the median of three uniform ones.
     pub fn walker(&mut self) -> Vec3 {
         let mut coordinate = || {
             let mut draws = [self.uniform(-2.5, 2.5), self.uniform(-2.5, 2.5), self.uniform(-2.5, 2.5)];
@@ -146,7 +147,8 @@ impl Random {
         (0..count).map(|_| self.position()).collect()
     }
 
-    /// The obstacles and bodies of a room: two cylinders of 0.25 m, and a body 0.3 m behind each device.
+    /// The obstacles and bodies of a room: two cylinders of 0.25 m, and a body 0.3 m behind each
+    /// device.
     pub fn blockers(&mut self, users: &[Vec3]) -> Vec<Cylinder> {
         let mut blockers: Vec<Cylinder> = (0..2)
             .map(|_| Cylinder {

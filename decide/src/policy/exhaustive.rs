@@ -1,6 +1,6 @@
 //! Every assignment of mirrors to users: the best there is by the table of gains, where it can be found at all.
 
-use heliostat_channel::solver::{ASSIGNMENTS_MAX, Need, Problem, QOS_PENALTY, Solver, SolverError};
+use heliostat_channel::solver::{ASSIGNMENTS_MAX, MinimumRates, Problem, QOS_PENALTY, Solver, SolverError};
 use heliostat_channel::{ChannelModel, MirrorAngles, decode};
 use heliostat_scenario::{ChannelMode, Scenario};
 
@@ -41,7 +41,7 @@ impl Policy for Exhaustive {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        let need = Need { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
+        let need = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
         self.solver.exhaustive(&Problem::of_scene(model, &observation.scene, &need))?;
         decode::aim(model, &observation.scene, self.solver.served(), out);
         Ok(())

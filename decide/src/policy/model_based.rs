@@ -3,7 +3,7 @@
 use heliostat_channel::{
     ChannelModel,
     mirrors::MirrorAngles,
-    solver::{Method, Need, QOS_PENALTY, Solver},
+    solver::{Method, MinimumRates, QOS_PENALTY, Solver},
 };
 
 use super::{Policy, PolicyError};
@@ -54,7 +54,7 @@ impl Policy for ModelBased {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        let need = Need { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
+        let need = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
         self.solver.solve(model, &observation.scene, &need, self.method, out);
         Ok(())
     }

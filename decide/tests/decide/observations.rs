@@ -115,7 +115,7 @@ fn whoever_sees_no_mirror_gets_nothing_of_them() {
     let encoder = ObservationEncoder::new(3, 9);
     let mut vector = vec![f32::NAN; encoder.len()];
     for unseen in [vec![4], (0..9).collect()] {
-        observation.scene.leave_out(&unseen);
+        observation.scene.exclude_mirrors(&unseen);
         encoder.encode(&model, &observation, &mut vector).unwrap();
         assert!(vector.iter().all(|value| value.is_finite()), "without {unseen:?}");
     }

@@ -218,7 +218,7 @@ impl LinkBudgetReport {
             rates.iter().sum::<f64>() * 1e-6
         };
         let links = (0..users).map(|user| {
-            let legs = &scene.leg_visible()[user * mirrors..][..mirrors];
+            let legs = &scene.irs_path_clear()[user * mirrors..][..mirrors];
             let position = scene.positions()[user];
             UserLink {
                 position_m: [position.x, position.y, position.z],

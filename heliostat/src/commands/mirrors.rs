@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
-use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::solver::{Method, MinimumRates, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Vec3, decode};
 use heliostat_decide::observation::{Observation, RoomState};
 use heliostat_decide::policy::PolicyKind;
@@ -85,7 +85,7 @@ impl<'a> Instant<'a> {
     /// The best angles; `qos_penalty` is what a missing bit/s of a minimum rate costs, in bit/s.
     pub fn oracle(&self, qos_penalty: f64) -> MirrorAngles {
         let mut angles = MirrorAngles::flat(self.model.mirrors.len());
-        let need = Need { min_rate_bps: &self.seen.min_rate_bps, qos_penalty };
+        let need = MinimumRates { min_rate_bps: &self.seen.min_rate_bps, qos_penalty };
         let mut solver = Solver::new(self.seen.users(), self.model.mirrors.len());
         solver.solve(self.model, &self.seen.scene, &need, Method::Oracle, &mut angles);
         angles

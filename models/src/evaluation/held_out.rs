@@ -5,7 +5,7 @@
 
 use anyhow::Context;
 use heliostat_channel::mirrors::MirrorAngles;
-use heliostat_channel::solver::{Method, Need, QOS_PENALTY, Solver};
+use heliostat_channel::solver::{Method, MinimumRates, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Scene};
 use heliostat_scenario::Scenario;
 use heliostat_sim::World;
@@ -40,7 +40,7 @@ pub(crate) fn best_angles(
     min_rate_bps: &[f64],
 ) -> MirrorAngles {
     let mut angles = MirrorAngles::flat(model.mirrors.len());
-    solver.solve(model, scene, &Need { min_rate_bps, qos_penalty: QOS_PENALTY }, Method::Oracle, &mut angles);
+    solver.solve(model, scene, &MinimumRates { min_rate_bps, qos_penalty: QOS_PENALTY }, Method::Oracle, &mut angles);
     angles
 }
 

@@ -109,7 +109,7 @@ impl Plan {
             header.scenario_hash
         );
         let mut plan = Self {
-            scenario: Scenario::from_toml(&header.scenario).context("its scenario")?,
+            scenario: Scenario::from_recorded_toml(&header.scenario).context("its scenario")?,
             room: Room::new(&header.room)?,
             clock: Clock::Live,
             answers: HashMap::new(),

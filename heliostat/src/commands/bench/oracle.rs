@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use heliostat_channel::solver::QOS_PENALTY;
-use heliostat_channel::solver::{Method, Need, Solver};
+use heliostat_channel::solver::{Method, MinimumRates, Solver};
 use heliostat_channel::{MirrorAngles, Scene};
 use heliostat_scenario::Scenario;
 use heliostat_sim::World;
@@ -113,7 +113,7 @@ fn measure(mode: &str, (users, side): (usize, usize), qos: bool, time: Duration)
         .map(|seed| Ok(World::new(&scenario, scenario.read_trace()?.as_deref(), seed)?.scene().clone()))
         .collect::<Result<Vec<_>>>()?;
     let min_rate_bps = scenario.min_rate_bps();
-    let need = Need { min_rate_bps: &min_rate_bps, qos_penalty: if qos { QOS_PENALTY } else { 0.0 } };
+    let need = MinimumRates { min_rate_bps: &min_rate_bps, qos_penalty: if qos { QOS_PENALTY } else { 0.0 } };
     let mut solver = Solver::new(users, model.mirrors.len());
     let mut angles = MirrorAngles::flat(model.mirrors.len());
     let methods = [Method::Oracle, Method::FixedPoint, Method::Greedy { passes: 3 }];

@@ -1,46 +1,47 @@
-//! One snapshot of the room: every gain of every user, computed in one pass over contiguous arrays.
+//! One snapshot of the room: the gains of all users, computed in one pass over contiguous arrays.
 //!
-//! [`Scene::update`] takes the positions of users and blockers and fills the tables; [`Scene::irs_gain`] and its
-//! companions then evaluate any angles of the mirrors. Tables of users and mirrors are user-major: index k * M + m. No function allocates after
-//! [`Scene::new`].
+//! [`Scene::update`] computes tables from the positions of users and blockers. [`Scene::irs_gain`],
+//! [`Scene::sinr`] and [`Scene::rates_bps`] then evaluate any angles of the mirrors. Tables over
+//! users and mirrors are user-major: index k * M + m. No function allocates after [`Scene::new`].
 //!
-//! A position from which no light can arrive (behind the mirror wall, at or above the LED, not a number) has gain zero; it is no error here.
+//! A position that no light can reach (behind the mirror wall, at or above the LED, not a number)
+//! has gain zero and is not an error. [`decode`](crate::decode) has an example.
 
 mod aimed;
 mod evaluate;
-pub(crate) mod kernel;
-mod legs;
+mod kernel;
 mod reach;
 mod steer;
 mod update;
+mod visibility;
 
-use crate::Vec3;
+use crate::geometry::Vec3;
 use crate::model::ChannelModel;
 use crate::receiver::Combining;
 
-/// One snapshot: K users, M mirrors. Buffers are reused.
+/// Gains of K users and M mirrors at one moment; the buffers are reused.
 #[derive(Clone, Debug)]
 pub struct Scene {
     users: usize,
     mirrors: usize,
     branches: usize,
-    /// [`Combining::Best`] for a single branch, where there is nothing to combine.
+    /// [`Combining::Best`] for a single branch, since all rules are then equal.
     combining: Combining,
     positions: Vec<Vec3>,
     /// Index of the LED that serves each user. Shape: K.
     serving: Vec<usize>,
-    /// Combined gain of the direct path, zero when blocked. Shape: K.
+    /// Combined line-of-sight gain, zero when blocked. Shape: K.
     los_gain: Vec<f64>,
     los_blocked: Vec<bool>,
-    /// Gain of each branch, zero when blocked. Shape: K * B.
+    /// Line-of-sight gain of each branch, zero when blocked. Shape: K * B.
     los_branch: Vec<f64>,
-    /// The same with nothing in the way. Shape: K * B.
+    /// The same without blockage. Shape: K * B.
     los_clear: Vec<f64>,
     /// Whether the path from an LED to a mirror is clear. Shape: L * M.
-    led_leg: Vec<bool>,
-    /// Whether both legs are clear. Shape: K * M.
-    leg_visible: Vec<bool>,
-    /// Shape: K * M.
+    led_path_clear: Vec<bool>,
+    /// Whether the paths LED-mirror and mirror-user are both clear. Shape: K * M.
+    irs_path_clear: Vec<bool>,
+    /// See [`Scene::steering_gain`]. Shape: K * M.
     steering_gain: Vec<f64>,
     /// Paper mode with several branches: coefficient of each branch. Shape: K * B * M, else empty.
     steering_branch: Vec<f64>,
@@ -51,7 +52,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// An empty scene for this many users: every gain zero until the first [`Scene::update`].
+    /// A scene for this many users; every gain is zero until the first [`Scene::update`].
     pub fn new(model: &ChannelModel, users: usize) -> Self {
         let (mirrors, branches) = (model.mirrors.len(), model.receiver.branches.len());
         let paper = model.mode.reading().is_some();
@@ -67,8 +68,8 @@ impl Scene {
             los_blocked: vec![false; users],
             los_branch: vec![0.0; users * branches],
             los_clear: vec![0.0; users * branches],
-            led_leg: vec![true; model.leds.len() * mirrors],
-            leg_visible: vec![false; users * mirrors],
+            led_path_clear: vec![true; model.leds.len() * mirrors],
+            irs_path_clear: vec![false; users * mirrors],
             steering_gain: vec![0.0; users * mirrors],
             steering_branch: vec![0.0; if branches > 1 { paper_pairs * branches } else { 0 }],
             directions: vec![Vec3::zeros(); paper_pairs],
@@ -93,28 +94,32 @@ impl Scene {
 
     /// Index of the LED that serves each user. Shape: K.
     ///
-    /// The LED with the largest direct gain; where every direct path is blocked, the one whose light the array can bring most of.
+    /// This is the LED with the largest unblocked line-of-sight gain. If every line-of-sight path
+    /// is blocked, it is the LED with the largest sum of steering gains.
     pub fn serving(&self) -> &[usize] {
         &self.serving
     }
 
-    /// Gain of each user's direct path, combined over the branches; zero when blocked. Dimensionless. Shape: K.
+    /// Line-of-sight gain of each user, combined over the branches; zero when blocked. Shape: K.
+    /// Units: dimensionless.
     pub fn los_gain(&self) -> &[f64] {
         &self.los_gain
     }
 
-    /// Whether each user's direct path to the serving LED is off, by force or by a cylinder. Shape: K.
+    /// Whether the line-of-sight path from the serving LED to each user is blocked, by a cylinder
+    /// or by force. Shape: K.
     pub fn los_blocked(&self) -> &[bool] {
         &self.los_blocked
     }
 
-    /// Replaces the direct gains by measured ones, until the next update. Dimensionless. Shape: K.
+    /// Replaces the line-of-sight gains by measured ones until the next update. Shape: K. Units:
+    /// dimensionless.
     ///
-    /// With several branches the measured gain is shared among them as the clear direct path would be, and equally where
-    /// that path is outside every field of view.
+    /// A measured gain is divided among several branches in proportion to the unblocked
+    /// line-of-sight gains. It is divided equally if the LED is outside every field of view.
     ///
     /// # Panics
-    /// When there is not one gain a user.
+    /// When `gains` does not have one entry per user.
     pub fn set_los_gain(&mut self, gains: &[f64]) {
         self.los_gain.copy_from_slice(gains);
         for (user, gain) in gains.iter().enumerate() {
@@ -129,13 +134,15 @@ impl Scene {
         }
     }
 
-    /// Takes mirrors out of what can be decided, as if their legs were blocked, until the next update. An index beyond the array
-    /// changes nothing.
-    pub fn leave_out(&mut self, mirrors: &[u32]) {
+    /// Sets the steering gains of these mirrors to zero until the next update, as if their paths
+    /// were blocked.
+    ///
+    /// An index beyond the array has no effect.
+    pub fn exclude_mirrors(&mut self, mirrors: &[u32]) {
         for mirror in mirrors.iter().map(|mirror| *mirror as usize).filter(|mirror| *mirror < self.mirrors) {
             for user in 0..self.users {
                 let pair = user * self.mirrors + mirror;
-                self.leg_visible[pair] = false;
+                self.irs_path_clear[pair] = false;
                 self.steering_gain[pair] = 0.0;
             }
             for gain in self.steering_branch.iter_mut().skip(mirror).step_by(self.mirrors) {
@@ -144,20 +151,23 @@ impl Scene {
         }
     }
 
-    /// Whether both legs over each mirror, LED to mirror and mirror to user, are clear; false behind the mirror wall. Shape: K * M.
-    pub fn leg_visible(&self) -> &[bool] {
-        &self.leg_visible
+    /// Whether the paths LED-mirror and mirror-user are both clear; false for a user behind the
+    /// mirror wall. Shape: K * M.
+    pub fn irs_path_clear(&self) -> &[bool] {
+        &self.irs_path_clear
     }
 
-    /// What each mirror can give each user. Dimensionless. Shape: K * M.
+    /// Steering gain of each user and mirror, combined over the branches. Shape: K * M. Units:
+    /// dimensionless.
     ///
-    /// Specular: the gain of mirror m to user k when it is aimed at k. Paper: the coefficient c_km of max(0, n_m . u_km).
-    /// Zero where a leg is blocked or the light arrives outside the field of view. Combined over the branches.
+    /// Specular: the gain of mirror m for user k when the mirror is aimed at the user. Paper: the
+    /// coefficient c_km of max(0, n_m . u_km). Zero where a path is blocked or the light arrives
+    /// outside the field of view.
     pub fn steering_gain(&self) -> &[f64] {
         &self.steering_gain
     }
 
-    /// Paper mode: unit vectors u_km from mirror to user. Shape: K * M; empty in specular mode.
+    /// Unit vectors u_km from mirror to user in paper mode. Shape: K * M; empty in specular mode.
     pub fn directions(&self) -> &[Vec3] {
         &self.directions
     }

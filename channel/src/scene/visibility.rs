@@ -1,24 +1,28 @@
-//! Which mirrors a point can see past the cylinders: exact, and cheap because of what need not be looked at.
+//! Visibility of all mirrors from one point, past all cylinders.
 //!
-//! Three facts save almost all of the K * M * C segment tests. A cylinder that is lower than both ends of every leg blocks none of them. In plan, the legs from one
-//! point to the array fill a triangle, and a cylinder whose disc misses the triangle blocks none. And the mirrors of a column share their leg in
-//! plan, so the chord that the disc cuts from it is found once a column and only the heights differ by row. What is left is the
-//! very arithmetic of [`blocks`](crate::blockage::blocks), so the outcome is the same to the last bit.
+//! Three facts avoid most of the K * M * C segment tests:
+//! - A cylinder that is lower than both ends of every path blocks none.
+//! - In plan view, the paths from one point to the array fill a triangle. A cylinder whose disc
+//!   misses the triangle blocks none.
+//! - The mirrors of a column share their path in plan view, so the chord is computed once per
+//!   column.
+//!
+//! The remaining tests use the arithmetic of [`blocks`](crate::blockage::blocks), so the results
+//! are identical to the last bit.
 
-use crate::Vec3;
 use crate::blockage::{Cylinder, dips, plan_chord};
+use crate::geometry::Vec3;
 use crate::mirrors::MirrorArray;
 use crate::trig::BLOCK;
 
-/// Room for rounding in m: far more than the rounding of a room's coordinates, far less than a radius.
+/// Margin for rounding in m: far above the rounding errors of coordinates, far below a radius.
 const ROUNDING_M: f64 = 1e-9;
 
-/// Marks the mirrors that a point can see: `legs[m]` becomes whether no cylinder stands between the point and the centre of mirror m.
-///
-/// `legs`: shape M.
+/// Writes to `clear[m]` whether no cylinder blocks the path from a point to the centre of mirror m.
+/// Shape: M.
 #[inline(always)]
-pub(super) fn mark_visible(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blockers: &[Cylinder]) {
-    legs.fill(true);
+pub(super) fn mark_visible(clear: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blockers: &[Cylinder]) {
+    clear.fill(true);
     let columns = mirrors.columns();
     let positions = mirrors.positions();
     let lowest = from.z.min(positions[0].z);
@@ -28,17 +32,17 @@ pub(super) fn mark_visible(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3
             continue;
         }
         for first in (0..columns).step_by(BLOCK) {
-            shade(legs, mirrors, from, blocker, first);
+            shade(clear, mirrors, from, blocker, first);
         }
     }
 }
 
-/// Unmarks the mirrors that a cylinder hides, in a block of columns from `first` on: first the chords, then row by row.
+/// Clears the flag of each mirror that a cylinder hides, in the block of columns from `first` on.
 #[inline(always)]
-fn shade(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blocker: &Cylinder, first: usize) {
+fn shade(clear: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blocker: &Cylinder, first: usize) {
     let (columns, positions) = (mirrors.columns(), mirrors.positions());
     let lanes = BLOCK.min(columns - first);
-    // What is no chord is no number, and compares with no height.
+    // A column without a chord has NaN, which fails all comparisons with heights.
     let (mut enter, mut leave, mut any) = ([f64::NAN; BLOCK], [f64::NAN; BLOCK], false);
     for (lane, mirror) in positions[first..first + lanes].iter().enumerate() {
         if let Some(chord) = plan_chord(blocker, (from.x, from.y), (mirror.x, mirror.y)) {
@@ -49,20 +53,20 @@ fn shade(legs: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blocker: &Cylind
     if !any {
         return;
     }
-    for (row, legs) in legs.chunks_exact_mut(columns).enumerate() {
+    for (row, clear) in clear.chunks_exact_mut(columns).enumerate() {
         let height = positions[row * columns].z;
-        for (lane, leg) in legs[first..first + lanes].iter_mut().enumerate() {
-            *leg &= !dips(blocker, from.z, height, (enter[lane], leave[lane]));
+        for (lane, clear) in clear[first..first + lanes].iter_mut().enumerate() {
+            *clear &= !dips(blocker, from.z, height, (enter[lane], leave[lane]));
         }
     }
 }
 
-/// What a point sees of the array, in plan.
+/// The paths from one point to the array, in plan view.
 struct Triangle {
     axes: [Axis; 3],
 }
 
-/// A direction across an edge, and how far the triangle extends along it.
+/// A direction perpendicular to an edge, and the extent of the triangle along it.
 struct Axis {
     x: f64,
     y: f64,
@@ -84,7 +88,8 @@ impl Triangle {
         Self { axes: [across(apex, left), across(apex, right), across(left, right)] }
     }
 
-    /// Whether the cylinder's disc is surely outside: beyond the triangle along one of its three axes.
+    /// Whether the cylinder's disc is outside the triangle, by the separating-axis test on its
+    /// three edges.
     fn misses(&self, cylinder: &Cylinder) -> bool {
         self.axes.iter().any(|axis| {
             let centre = axis.x * cylinder.x_m + axis.y * cylinder.y_m;

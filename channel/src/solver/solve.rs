@@ -1,0 +1,168 @@
+//! The solver of problems of one size: it loads a problem, runs a method and keeps the solution.
+
+use super::exhaustive;
+use super::normals::NormalSearch;
+use super::problem::{Problem, Solution, SolverError};
+use super::search::Search;
+use super::table::{Table, Utility};
+use crate::geometry::Vec3;
+
+/// A solver of problems of one size, with the last solution.
+#[derive(Clone, Debug)]
+pub struct Solver {
+    users: usize,
+    mirrors: usize,
+    table: Table,
+    utility: Utility,
+    search: Search,
+    normals: NormalSearch,
+    /// Weights of the last solution.
+    weights: Vec<f64>,
+}
+
+impl Solver {
+    /// A solver for this many users and mirrors; allocates all memory.
+    ///
+    /// # Panics
+    /// When the number of users or of mirrors is 0.
+    pub fn new(users: usize, mirrors: usize) -> Self {
+        assert!(users > 0 && mirrors > 0, "{users} users and {mirrors} mirrors: expected at least one of each");
+        Self {
+            users,
+            mirrors,
+            table: Table::new(users, mirrors),
+            utility: Utility::new(users),
+            search: Search::new(users, mirrors),
+            normals: NormalSearch::new(users, mirrors),
+            weights: vec![0.0; users],
+        }
+    }
+
+    /// Damped fixed point over the weights, from the weights of the last solution and from neutral
+    /// ones.
+    ///
+    /// Neutral weights are w_k = 1 / sum_m a_km. The better of the two results is the solution.
+    ///
+    /// # Panics
+    /// When the problem has another size than the solver.
+    pub fn fixed_point(&mut self, problem: &Problem) -> Solution {
+        if self.load(problem) {
+            self.normals.fixed_point(&self.table, &self.utility, &mut self.weights);
+        } else {
+            self.search.fixed_point(&self.table, &self.utility, &mut self.weights);
+        }
+        self.solution(problem)
+    }
+
+    /// Fixed point and greedy fill, then `passes` of single moves, then the same with single users
+    /// excluded.
+    ///
+    /// For a problem of normals this is the fixed point, which is near the optimum.
+    ///
+    /// # Panics
+    /// When the problem has another size than the solver.
+    pub fn greedy(&mut self, problem: &Problem, passes: usize) -> Solution {
+        if self.load(problem) {
+            self.normals.fixed_point(&self.table, &self.utility, &mut self.weights);
+        } else {
+            self.search.greedy(&self.table, &self.utility, &mut self.weights, passes);
+        }
+        self.solution(problem)
+    }
+
+    /// The baseline of all policies: a search from many starts, each to a local optimum.
+    ///
+    /// Assignment: for each subset of users (all 2^K - 1 up to K = 6, a few dozen nested ones
+    /// above), a damped fixed point and a greedy fill among its users, then single moves among all
+    /// users. The best few continue with pair swaps to a local optimum, and with pairs of moves if
+    /// a minimum rate is penalised. Normals: the fixed point from single users, pairs of users,
+    /// uniform and spread weights.
+    ///
+    /// The result does not depend on earlier calls. It is not proven to be optimal. With 9 mirrors
+    /// and 3 users it equals [`Solver::exhaustive`]; with minimum rates there are rare exceptions.
+    ///
+    /// # Panics
+    /// When the problem has another size than the solver.
+    pub fn oracle(&mut self, problem: &Problem) -> Solution {
+        if self.load(problem) {
+            self.normals.oracle(&self.table, &self.utility, &mut self.weights);
+        } else {
+            self.search.oracle(&self.table, &self.utility, &mut self.weights);
+        }
+        self.solution(problem)
+    }
+
+    /// The best of all assignments, for few mirrors and users.
+    ///
+    /// # Errors
+    /// [`SolverError`] for more than [`ASSIGNMENTS_MAX`](super::ASSIGNMENTS_MAX) assignments, or
+    /// for a problem of normals.
+    ///
+    /// # Panics
+    /// When the problem has another size than the solver.
+    pub fn exhaustive(&mut self, problem: &Problem) -> Result<Solution, SolverError> {
+        if self.load(problem) {
+            return Err(SolverError::Continuous);
+        }
+        exhaustive::search(&self.table, &self.utility, &mut self.search.best)?;
+        self.search.slopes(&self.utility, &mut self.weights);
+        Ok(self.solution(problem))
+    }
+
+    /// The user that each mirror serves in the last assignment; 0 for a mirror that reaches no
+    /// user. Shape: M.
+    pub fn served(&self) -> &[usize] {
+        &self.search.best.served
+    }
+
+    /// One weight per user of the last solution: not negative, dimensionless. Shape: K.
+    ///
+    /// After [`Solver::fixed_point`], mirror m serves user argmax_k w_k a_km. After the other
+    /// methods the weights are the derivatives of the objective, and [`Solver::served`] is a
+    /// refined assignment that no weights may reproduce.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// Replaces the weights of the last solution, from which the next fixed point starts. Shape: K.
+    ///
+    /// # Panics
+    /// When `weights` does not have one entry per user.
+    pub fn set_weights(&mut self, weights: &[f64]) {
+        self.weights.copy_from_slice(weights);
+    }
+
+    /// The unit normal of each mirror in the last solution of a problem of normals; zero where no
+    /// user is reached. Shape: M.
+    pub fn normals(&self) -> &[Vec3] {
+        &self.normals.best
+    }
+
+    /// Loads the problem; returns whether it is one of normals.
+    fn load(&mut self, problem: &Problem) -> bool {
+        let size = (problem.users, problem.mirrors);
+        assert_eq!(size, (self.users, self.mirrors), "users and mirrors of the problem and of the solver");
+        assert_eq!(problem.los_gain.len(), self.users, "one line-of-sight gain per user");
+        assert_eq!(problem.steering_gain.len(), self.users * self.mirrors, "one steering gain per user and mirror");
+        self.table.load(problem);
+        self.utility.load(problem);
+        for weight in &mut self.weights {
+            if !(weight.is_finite() && *weight >= 0.0) {
+                *weight = 0.0;
+            }
+        }
+        if let Some(directions) = problem.directions {
+            self.normals.load(&self.table, directions);
+        }
+        problem.directions.is_some()
+    }
+
+    fn solution(&self, problem: &Problem) -> Solution {
+        let amplitude =
+            if problem.directions.is_some() { &self.normals.best_amplitude } else { &self.search.best.amplitude };
+        Solution {
+            objective_bps: self.utility.objective_bps(amplitude),
+            sum_rate_bps: self.utility.sum_rate_bps(amplitude),
+        }
+    }
+}

@@ -1,0 +1,31 @@
+//! Overrides of the form `table.key=value`, as `--set` takes them.
+
+use crate::error::ScenarioError;
+
+/// Sets one `table.key=value` in a table; a value that is not TOML is a string.
+///
+/// # Errors
+/// [`ScenarioError::Override`] for another form, or for a key below a value that is no table.
+pub(crate) fn apply(table: &mut toml::Table, text: &str) -> Result<(), ScenarioError> {
+    let refused = || ScenarioError::Override { text: text.into() };
+    let (path, value) = text.split_once('=').ok_or_else(refused)?;
+    let value = value.trim();
+    let value = toml::from_str::<toml::Table>(&format!("value = {value}"))
+        .ok()
+        .and_then(|mut parsed| parsed.remove("value"))
+        .unwrap_or_else(|| toml::Value::String(value.into()));
+    let mut keys: Vec<&str> = path.trim().split('.').collect();
+    let last = keys.pop().filter(|key| !key.is_empty()).ok_or_else(refused)?;
+    let mut table = table;
+    for key in keys {
+        let entry = table.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        table = entry.as_table_mut().ok_or_else(refused)?;
+    }
+    // An integer is accepted for a key that holds a floating-point number.
+    let value = match (table.get(last), value) {
+        (Some(toml::Value::Float(_)), toml::Value::Integer(whole)) => toml::Value::Float(whole as f64),
+        (_, value) => value,
+    };
+    table.insert(last.into(), value);
+    Ok(())
+}

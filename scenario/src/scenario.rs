@@ -1,0 +1,220 @@
+//! The scenario: one checked value for all tables, read from TOML.
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::builtin;
+use crate::error::ScenarioError;
+use crate::lines::line_of;
+use crate::overrides;
+use crate::renames::{RENAMES, Renames};
+use crate::runtime::{Actuator, Control, Streams};
+use crate::tables::{Blockage, Channel, Led, Link, MinRate, Mirrors, Noise, PowerLaw, Receiver, Room, Users};
+
+/// The description of one room; the files in deploy/scenarios explain every key.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Scenario {
+    /// Name in reports and summaries.
+    pub name: String,
+    /// Seed of every random choice in the room.
+    pub seed: u64,
+    /// Dimensions of the room.
+    pub room: Room,
+    /// Channel mode and interpretation of the equations.
+    pub channel: Channel,
+    /// The access points on the ceiling.
+    pub led: Led,
+    /// The mirror array.
+    pub mirrors: Mirrors,
+    /// The users' receiver.
+    pub receiver: Receiver,
+    /// Noise of one detector.
+    pub noise: Noise,
+    /// The shared bandwidth.
+    pub link: Link,
+    /// The users: number, speed, minimum rates.
+    pub users: Users,
+    /// Obstacles and bodies that block light.
+    pub blockage: Blockage,
+    /// The dynamics of the mirrors.
+    pub actuator: Actuator,
+    /// Rates, latencies and noise of the reports.
+    pub streams: Streams,
+    /// Limits and degraded modes of the controller.
+    pub control: Control,
+}
+
+impl Default for Scenario {
+    fn default() -> Self {
+        Self {
+            name: "specular".into(),
+            seed: 1,
+            room: Room::default(),
+            channel: Channel::default(),
+            led: Led::default(),
+            mirrors: Mirrors::default(),
+            receiver: Receiver::default(),
+            noise: Noise::default(),
+            link: Link::default(),
+            users: Users::default(),
+            blockage: Blockage::default(),
+            actuator: Actuator::default(),
+            streams: Streams::default(),
+            control: Control::default(),
+        }
+    }
+}
+
+impl Scenario {
+    /// Reads a scenario from the text of a file.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for text that is not TOML, for an unknown or renamed key, and for a value
+    /// outside its domain. The message states line, key, value and the expected values.
+    pub fn from_toml(text: &str) -> Result<Self, ScenarioError> {
+        Self::from_toml_with(text, &[])
+    }
+
+    /// Reads a scenario and applies overrides of the form `table.key=value`, as `--set` does.
+    ///
+    /// # Errors
+    /// As [`Scenario::from_toml`]; for an override the message states the override instead of the
+    /// line.
+    pub fn from_toml_with(text: &str, overrides: &[String]) -> Result<Self, ScenarioError> {
+        let in_file = |error: toml::de::Error| parse_error("scenario", &error);
+        let mut table: toml::Table = toml::from_str(text).map_err(in_file)?;
+        Renames(RENAMES).refuse(&table).map_err(|error| with_line(error, text))?;
+        // Parsed without the overrides, so that an error in the file states its line.
+        let parsed: Self = toml::from_str(text).map_err(in_file)?;
+        if overrides.is_empty() {
+            parsed.check().map_err(|error| with_line(error, text))?;
+            return Ok(parsed);
+        }
+        for text in overrides {
+            overrides::apply(&mut table, text)?;
+        }
+        Renames(RENAMES).refuse(&table)?;
+        let scenario: Self = table
+            .try_into()
+            .map_err(|error: toml::de::Error| parse_error(&format!("--set {}", overrides.join(" --set ")), &error))?;
+        scenario.check()?;
+        Ok(scenario)
+    }
+
+    /// Reads the scenario of a recording, in which [`RENAMES`] replaces old keys and values by new
+    /// ones.
+    ///
+    /// # Errors
+    /// As [`Scenario::from_toml`], except that old names are accepted.
+    pub fn from_recorded_toml(text: &str) -> Result<Self, ScenarioError> {
+        let recorded = |error: toml::de::Error| parse_error("recorded scenario", &error);
+        let mut table: toml::Table = toml::from_str(text).map_err(recorded)?;
+        Renames(RENAMES).apply(&mut table);
+        let scenario: Self = table.try_into().map_err(recorded)?;
+        scenario.check().map_err(|error| with_line(error, text))?;
+        Ok(scenario)
+    }
+
+    /// The text of a built-in scenario, with a comment on every key.
+    ///
+    /// # Errors
+    /// [`ScenarioError::UnknownBuiltin`] for any other name.
+    pub fn builtin_text(name: &str) -> Result<&'static str, ScenarioError> {
+        builtin::text(name).ok_or_else(|| ScenarioError::UnknownBuiltin { name: name.into() })
+    }
+
+    /// A built-in scenario by name.
+    ///
+    /// # Errors
+    /// [`ScenarioError::UnknownBuiltin`] for a name that is not in
+    /// [`BUILTIN_NAMES`](crate::BUILTIN_NAMES).
+    pub fn builtin(name: &str) -> Result<Self, ScenarioError> {
+        Self::from_toml(Self::builtin_text(name)?)
+    }
+
+    /// This scenario with overrides of the form `table.key=value`.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] that states the override or the key.
+    pub fn with_overrides(&self, overrides: &[String]) -> Result<Self, ScenarioError> {
+        Self::from_toml_with(&self.to_toml(), overrides)
+    }
+
+    /// The effective configuration as TOML, with every key.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("every table of a scenario has a TOML form")
+    }
+
+    /// The first 16 hexadecimal digits of the SHA-256 of the effective configuration.
+    pub fn hash(&self) -> String {
+        Self::hash_of(&self.to_toml())
+    }
+
+    /// The hash of an effective configuration from its text, such as that of a recording.
+    ///
+    /// Keys and defaults that were added later do not change it.
+    pub fn hash_of(effective: &str) -> String {
+        short_hash(effective)
+    }
+
+    /// A hash of the optical geometry, which determines the effect of mirror angles.
+    ///
+    /// It includes room, access points, array, receiver and channel mode, but not power, noise,
+    /// bandwidth and users. Trained actors contain this hash, so the keys of these tables must keep
+    /// their names.
+    pub fn geometry_hash(&self) -> String {
+        #[derive(Serialize)]
+        struct Geometry<'a> {
+            room: &'a Room,
+            channel: Channel,
+            led: Led,
+            mirrors: &'a Mirrors,
+            receiver: &'a Receiver,
+        }
+        let geometry = Geometry {
+            room: &self.room,
+            channel: Channel { power_law: PowerLaw::Linear, ..self.channel.clone() },
+            led: Led { power_w: 1.0, ..self.led.clone() },
+            mirrors: &self.mirrors,
+            receiver: &self.receiver,
+        };
+        short_hash(&toml::to_string(&geometry).expect("every table of a scenario has a TOML form"))
+    }
+
+    /// Number of mirrors of the array.
+    pub fn mirror_count(&self) -> usize {
+        self.mirrors.rows * self.mirrors.columns
+    }
+
+    /// Minimum rate of each user in bit/s. Shape: K.
+    pub fn min_rate_bps(&self) -> Vec<f64> {
+        match &self.users.min_rate_mbps {
+            MinRate::All(rate) => vec![rate * 1e6; self.users.count],
+            MinRate::Each(rates) => rates.iter().map(|rate| rate * 1e6).collect(),
+        }
+    }
+}
+
+fn short_hash(text: &str) -> String {
+    Sha256::digest(text).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioError {
+    ScenarioError::Parse { origin: origin.into(), message: error.to_string().trim_end().into() }
+}
+
+/// Adds the line of the refused key, if the file sets it.
+fn with_line(error: ScenarioError, text: &str) -> ScenarioError {
+    match error {
+        ScenarioError::Invalid { key, value, expected, line: None } => {
+            let line = line_of(text, &key);
+            ScenarioError::Invalid { key, value, expected, line }
+        }
+        ScenarioError::Renamed { found, expected, line: None } => {
+            let line = line_of(text, &found);
+            ScenarioError::Renamed { found, expected, line }
+        }
+        other => other,
+    }
+}

@@ -8,7 +8,8 @@ use heliostat_scenario::ScenarioArgs;
 
 use crate::command;
 use crate::effort::Effort;
-use crate::figures::{Kind, Plan, Room};
+use crate::figures::Kind;
+use crate::plan::{Plan, Room};
 use crate::report::LeftOut;
 use crate::training;
 
@@ -142,7 +143,7 @@ impl ReproduceArgs {
         let flag = if self.scenario.is_some() { "scenario" } else { "mode" };
         let mut rooms: Vec<Room> = Vec::new();
         for given in names {
-            let flags = command::flags(self, Some((flag, &given)));
+            let flags = flags(self, Some((flag, &given)));
             let arguments = ScenarioArgs { scenario: given, overrides: self.overrides.clone(), seed: Some(self.seed) };
             let scenario = arguments.load()?;
             let name = scenario.name.clone();
@@ -179,6 +180,37 @@ impl ReproduceArgs {
     }
 }
 
+/// The command that makes the same report.
+pub fn command_of_report(args: &ReproduceArgs) -> String {
+    let what = args.what.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned());
+    let rooms = match &args.scenario {
+        Some(file) => Some(("scenario", file.clone())),
+        None => (!args.mode.is_empty()).then(|| ("mode", args.mode.join(","))),
+    };
+    let finished = if args.finished { " --finished" } else { "" };
+    command::begun(&what) + &flags(args, rooms.as_ref().map(|(flag, value)| (*flag, value.as_str()))) + finished
+}
+
+/// The flags on which a figure depends, with the one that names its room or all rooms.
+fn flags(args: &ReproduceArgs, rooms: Option<(&str, &str)>) -> String {
+    let mut flags = String::new();
+    let mut add = |flag: &str, value: &str| flags.push_str(&format!(" --{flag} {}", command::quoted(value)));
+    rooms.into_iter().for_each(|(flag, value)| add(flag, value));
+    args.overrides.iter().for_each(|text| add("set", text));
+    let mut number = |flag: &str, value: Option<u64>| value.into_iter().for_each(|value| add(flag, &value.to_string()));
+    number("seeds", args.seeds);
+    number("training-seeds", args.training_seeds);
+    number("episodes", args.episodes.map(u64::from));
+    number("seed", (args.seed != 1).then_some(args.seed));
+    if args.blocked != BLOCKED {
+        add("blocked", &args.blocked.iter().map(usize::to_string).collect::<Vec<_>>().join(","));
+    }
+    for (given, flag) in [(args.quick, " --quick"), (args.train_missing, " --train-missing")] {
+        flags.push_str(if given { flag } else { "" });
+    }
+    flags
+}
+
 #[cfg(test)]
 impl ReproduceArgs {
     /// The flags of a command line without quotes, from "heliostat" on.
@@ -186,5 +218,48 @@ impl ReproduceArgs {
         use clap::{Args, Command, FromArgMatches};
         let matches = Self::augment_args(Command::new("reproduce")).get_matches_from(command.split(' ').skip(1));
         Self::from_arg_matches(&matches).expect("a command line of a test")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::of_figure;
+
+    const CHANGED: &str = "--set users.count=6 --set mirrors.rows=8 --seeds 4 --training-seeds 2 --episodes 7 --seed 3 --blocked 0,6 --quick";
+
+    #[test]
+    fn a_report_s_command_is_the_one_that_was_given() {
+        for given in ["--mode paper,specular", "--scenario hall.toml", "--finished", "--train-missing"] {
+            let args = ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR {given} {CHANGED}"));
+            assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command_of_report(&args))), format!("{args:?}"));
+        }
+        assert_eq!(
+            command_of_report(&ReproduceArgs::of_command("heliostat reproduce map --out /tmp --json")),
+            "heliostat reproduce map --out DIR"
+        );
+    }
+
+    #[test]
+    fn a_figure_s_command_names_its_room_and_keeps_every_other_flag() {
+        let all = ReproduceArgs::of_command(&format!(
+            "heliostat reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"
+        ));
+        let one = ReproduceArgs::of_command(&format!(
+            "heliostat reproduce map --out DIR --mode specular --train-missing {CHANGED}"
+        ));
+        let command = of_figure("map", &all.rooms().unwrap()[1]);
+        assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command)), format!("{one:?}"));
+    }
+
+    #[test]
+    fn a_scenario_file_is_named_as_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("hall.toml").display().to_string();
+        std::fs::write(&file, heliostat_scenario::Scenario::builtin_text("specular").unwrap()).unwrap();
+        let args =
+            ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR --scenario {file} --finished"));
+        let command = of_figure("inference", &args.rooms().unwrap()[0]);
+        assert_eq!(command, format!("heliostat reproduce inference --out DIR --scenario {file}"));
     }
 }

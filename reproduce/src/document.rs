@@ -6,8 +6,7 @@ use anyhow::Result;
 
 use crate::figure::{Figure, Panel, Point, Series};
 use crate::figures::{inference, sum_rate_iterations};
-use crate::report::Report;
-use crate::run::span;
+use crate::report::{Report, duration_text};
 
 /// Places of the horizontal axis that a table shows of a long curve.
 const ROWS: usize = 7;
@@ -91,7 +90,7 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
         meta.seeds, meta.first_seed, meta.training_seeds, meta.episodes
     )?;
     writeln!(text, "| machine | {} |", meta.machine)?;
-    writeln!(text, "| computing time | {} of one core, over all parts |\n", span(meta.cpu_s))?;
+    writeln!(text, "| computing time | {} of one core, over all parts |\n", duration_text(meta.cpu_s))?;
     write_claims(report, text)?;
     let mut last: Option<&Figure> = None;
     for figure in &report.figures {
@@ -210,7 +209,7 @@ fn write_sources(report: &Report, text: &mut String) -> std::fmt::Result {
             source.commits.join(", "),
             source.first,
             source.last,
-            span(source.cpu_s)
+            duration_text(source.cpu_s)
         )?;
     }
     Ok(())

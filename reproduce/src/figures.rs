@@ -3,58 +3,21 @@
 //! A figure's file holds all that is particular to it. [`Kind`] is the list.
 
 pub mod ber_snr;
+pub mod finished_parts;
 pub mod inference;
 pub mod map;
 pub mod sum_rate_iterations;
 pub mod sum_rate_power;
 
-use anyhow::Result;
-use heliostat_controller::policy::ActorSource;
-use heliostat_scenario::{ChannelMode, Scenario};
+use anyhow::{Context, Result};
+use heliostat_scenario::ChannelMode;
 
 use crate::command;
-use crate::effort::Effort;
-use crate::figure::{Figure, Series};
-use crate::part::{Curve, Part};
-use crate::statistics::over_seeds;
-use crate::store::Finished;
-
-/// A room in which figures are made.
-#[derive(Clone, Debug)]
-pub struct Room {
-    /// Its name in the report: that of its scenario.
-    pub name: String,
-    /// The room.
-    pub scenario: Scenario,
-    /// Where the policy ddpg comes from there.
-    pub actor: ActorSource,
-    /// The flags of the command line on which figures in it depend.
-    pub flags: String,
-}
-
-/// What all figures are made with.
-#[derive(Clone, Debug)]
-pub struct Plan {
-    /// The sizes.
-    pub effort: Effort,
-    /// The first seed.
-    pub first_seed: u64,
-    /// Numbers of users whose direct path is off, for the power figure.
-    pub blocked: Vec<usize>,
-}
-
-impl Plan {
-    fn seeds(&self) -> std::ops::Range<u64> {
-        self.first_seed..self.first_seed + self.effort.seeds
-    }
-
-    fn training_seeds(&self) -> std::ops::Range<u64> {
-        self.first_seed..self.first_seed + self.effort.training_seeds
-    }
-}
-
-/// A part with what it found.
-pub type Done = (Part, Finished);
+use crate::figure::Figure;
+use crate::job::Job;
+use crate::part::{Measured, Part};
+use crate::plan::{Plan, Room};
+use finished_parts::Done;
 
 /// A figure, by the word on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,42 +85,19 @@ impl Kind {
     }
 }
 
-/// Groups in the order in which they first appear.
-fn groups(done: &[Done]) -> Vec<&str> {
-    let mut groups: Vec<&str> = Vec::new();
-    for curve in curves(done) {
-        if !groups.contains(&curve.group.as_str()) {
-            groups.push(&curve.group);
-        }
-    }
-    groups
-}
-
-/// The mean series over seeds of each name of a group, in the order of `names`.
-fn series(done: &[Done], group: &str, names: &[&str]) -> Vec<Series> {
-    let of_name = |name: &&str| {
-        let same: Vec<&Curve> = curves(done).filter(|curve| curve.group == group && curve.name == *name).collect();
-        over_seeds(name, &same)
+/// Computes a part.
+///
+/// # Errors
+/// The error of the computation, with the label of the part.
+pub fn compute(part: &Part) -> Result<Measured> {
+    let scenario = part.scenario();
+    let measured = match &part.job {
+        Job::Learning(job) => job.run(&scenario),
+        Job::Baselines(job) => job.run(&scenario),
+        Job::Power(job) => job.run(&scenario, &part.actor),
+        Job::Aim(job) => job.run(&scenario, &part.actor),
+        Job::Timing(job) => job.run(&scenario, &part.actor),
+        Job::Map(job) => job.run(&scenario, &part.actor),
     };
-    names.iter().filter_map(of_name).collect()
-}
-
-fn curves(done: &[Done]) -> impl Iterator<Item = &Curve> {
-    done.iter().flat_map(|(_, finished)| &finished.measured.curves)
-}
-
-/// How many different seeds there are.
-fn seeds(done: &[Done]) -> usize {
-    let mut seeds: Vec<u64> = done.iter().map(|(part, _)| part.seed).collect();
-    seeds.sort_unstable();
-    seeds.dedup();
-    seeds.len()
-}
-
-/// How an interval came about, for captions.
-fn intervals(done: &[Done]) -> String {
-    match seeds(done) {
-        1 => "One seed, so no intervals.".into(),
-        seeds => format!("Means over {seeds} seeds; bands are 95 % intervals of the mean over seeds (Student's t)."),
-    }
+    measured.with_context(|| part.label())
 }

@@ -22,10 +22,13 @@ pub mod draw;
 pub mod effort;
 pub mod figure;
 pub mod figures;
+pub mod files;
+pub mod job;
 pub mod machine;
 pub mod over_floor;
 pub mod page;
 pub mod part;
+pub mod plan;
 pub mod report;
 pub mod run;
 #[cfg(test)]

@@ -6,8 +6,7 @@ use crate::claims::{Claim, Verdict};
 use crate::draw::interactive;
 use crate::figure::Figure;
 use crate::figures::Kind;
-use crate::report::Report;
-use crate::run::span;
+use crate::report::{Report, duration_text};
 
 /// What each figure is called in the page.
 fn heading(id: &str) -> &'static str {
@@ -77,7 +76,7 @@ fn write_head(report: &Report, page: &mut String) -> std::fmt::Result {
             ),
         ),
         ("machine", meta.machine.clone()),
-        ("computing time", format!("{} of one core, over all parts", span(meta.cpu_s))),
+        ("computing time", format!("{} of one core, over all parts", duration_text(meta.cpu_s))),
     ];
     for (name, value) in rows {
         writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value))?;

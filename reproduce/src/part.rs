@@ -7,25 +7,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::figure::{Floor, Series};
-use crate::figures::{ber_snr, inference, map, sum_rate_iterations, sum_rate_power};
-
-/// What is to be computed, with every number that it takes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Job {
-    /// One training run, watched.
-    Learning(sum_rate_iterations::Learning),
-    /// What stands beside the training runs.
-    Yardsticks(sum_rate_iterations::Yardsticks),
-    /// Sum rates at several powers.
-    Power(sum_rate_power::Power),
-    /// Light kept under stale aim.
-    Aim(ber_snr::Aim),
-    /// Decision times.
-    Timing(inference::Timing),
-    /// Rates over the floor.
-    Map(map::Map),
-}
+use crate::job::Job;
 
 /// One part of a figure.
 #[derive(Clone, Debug)]
@@ -102,47 +84,24 @@ impl Part {
     pub fn label(&self) -> String {
         format!("{} {}: {}, seed {}", self.figure, self.room, self.name, self.seed)
     }
-
-    /// Computes it.
-    ///
-    /// # Errors
-    /// Those of the computation, with the part's name.
-    pub fn compute(&self) -> Result<Measured> {
-        use anyhow::Context;
-        let scenario = self.scenario();
-        let measured = match &self.job {
-            Job::Learning(job) => job.run(&scenario),
-            Job::Yardsticks(job) => job.run(&scenario),
-            Job::Power(job) => job.run(&scenario, &self.actor),
-            Job::Aim(job) => job.run(&scenario, &self.actor),
-            Job::Timing(job) => job.run(&scenario, &self.actor),
-            Job::Map(job) => job.run(&scenario, &self.actor),
-        };
-        measured.with_context(|| self.label())
-    }
-}
-
-impl Job {
-    fn needs_actor(&self) -> bool {
-        !matches!(self, Self::Learning(_) | Self::Yardsticks(_))
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::job::Map;
 
     #[test]
     fn a_part_has_another_key_under_other_code_and_the_same_under_the_same() {
         let part = |code: &'static str| Part {
-            figure: map::ID,
+            figure: "map",
             code,
             room: "paper".into(),
             name: "floor".into(),
             seed: 1,
             scenario: Scenario::builtin("paper").unwrap(),
             actor: ActorSource::Shipped,
-            job: Job::Map(map::Map { step_cm: 50.0 }),
+            job: Job::Map(Map { step_cm: 50.0 }),
             cost_s: 1.0,
         };
         assert_eq!(part("one").key().unwrap(), part("one").key().unwrap());

@@ -10,15 +10,17 @@ use anyhow::{Context, Result, ensure};
 use heliostat_models::networks::on_one_thread;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::args::ReproduceArgs;
+use crate::args::{ReproduceArgs, command_of_report};
 use crate::claims::claims;
 use crate::document;
 use crate::effort::Effort;
-use crate::figures::{Done, Kind, Room};
+use crate::figures::finished_parts::Done;
+use crate::figures::{self, Kind};
 use crate::part::Part;
-use crate::report::{LeftOut, Meta, Report, Source};
+use crate::plan::Room;
+use crate::report::{LeftOut, Meta, Report, Source, duration_text};
 use crate::store::{Origin, Store};
-use crate::{command, machine, report, training};
+use crate::{files, machine, training};
 
 /// Runs the command.
 ///
@@ -101,7 +103,7 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
         sources: Source::of(&parts),
         parts,
     };
-    report::write(&report, &args.out)?;
+    files::write(&report, &args.out)?;
     if let Some(folder) = &args.write_docs {
         write_docs(&report, folder)?;
     }
@@ -122,7 +124,7 @@ fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<Progr
         std::io::stderr(),
         "{count} parts, {} of them finished before; the rest takes about {} of one core",
         count - missing,
-        span(cost_s)
+        duration_text(cost_s)
     ));
     let bar = ProgressBar::new((1e3 * cost_s) as u64);
     bar.set_style(ProgressStyle::with_template("{bar:32} {percent} %, {eta} left  {msg}")?);
@@ -140,7 +142,7 @@ fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
         return Ok((part, finished));
     }
     bar.set_message(part.label());
-    let finished = on_one_thread(|| store.compute(&part))??;
+    let finished = on_one_thread(|| store.compute(&part, figures::compute))??;
     if !std::io::stderr().is_terminal() {
         drop(writeln!(std::io::stderr(), "{}: {:.1} s", part.label(), finished.origin.cpu_s));
     }
@@ -155,7 +157,7 @@ fn meta(args: &ReproduceArgs, parts: &[Origin]) -> Meta {
         commits: commits(parts),
         made: machine::now(),
         machine: machine::hardware(),
-        command: command::of_report(args),
+        command: command_of_report(args),
         effort: match args.quick {
             true => "quick",
             false if effort == Effort::full() => "full",
@@ -176,11 +178,6 @@ fn commits(parts: &[Origin]) -> Vec<String> {
     commits.sort_unstable();
     commits.dedup();
     commits
-}
-
-/// A time in words.
-pub fn span(seconds: f64) -> String {
-    if seconds < 90.0 { format!("{seconds:.0} s") } else { format!("{:.0} min", seconds / 60.0) }
 }
 
 fn write_docs(report: &Report, folder: &Path) -> Result<()> {

@@ -86,13 +86,13 @@ impl Store {
         Ok(finished.map(|finished| Finished { origin: Origin { kept: true, ..finished.origin }, ..finished }))
     }
 
-    /// Computes a part and keeps it.
+    /// Computes a part with `compute` and stores the result.
     ///
     /// # Errors
-    /// Those of the part, and a file that cannot be written.
-    pub fn compute(&self, part: &Part) -> Result<Finished> {
+    /// The error of `compute`, and a file that cannot be written.
+    pub fn compute(&self, part: &Part, compute: impl FnOnce(&Part) -> Result<Measured>) -> Result<Finished> {
         let (before_s, before) = (machine::cpu_s(), machine::load());
-        let measured = part.compute()?;
+        let measured = compute(part)?;
         let origin = Origin {
             figure: part.figure.into(),
             room: part.room.clone(),

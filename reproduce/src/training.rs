@@ -11,7 +11,7 @@ use heliostat_models::comparison::Entrant;
 use heliostat_models::{TrainArgs, run_train};
 use heliostat_scenario::Scenario;
 
-use crate::figures::Room;
+use crate::plan::Room;
 
 /// `heliostat train` by its own flags.
 #[derive(Parser)]

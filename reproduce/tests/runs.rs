@@ -6,7 +6,7 @@ use std::path::Path;
 use clap::Parser;
 use heliostat_reproduce::ReproduceArgs;
 use heliostat_reproduce::claims::Verdict;
-use heliostat_reproduce::figures::Kind;
+use heliostat_reproduce::figures::{self, Kind};
 use heliostat_reproduce::report::Report;
 use heliostat_reproduce::run::reproduce;
 use heliostat_reproduce::store::Store;
@@ -39,7 +39,7 @@ fn a_run_that_was_cut_off_goes_on_and_another_seed_begins_anew() {
     // Cut off after one part.
     let (plan, rooms) = (first.plan(first.effort()), first.rooms().unwrap());
     let parts = Kind::SumRatePower.parts(&rooms[0], &plan).unwrap();
-    let done = Store::open(folder.path()).unwrap().compute(&parts[0]).unwrap();
+    let done = Store::open(folder.path()).unwrap().compute(&parts[0], figures::compute).unwrap();
     let so_far = reproduce(&args("sum-rate-power", folder.path(), &[&TINY[..], &["--finished"]].concat())).unwrap();
     assert_eq!((so_far.parts.len(), so_far.left_out.len()), (1, 1));
     assert!(so_far.left_out[0].why.contains("1 of its 2 parts"), "{}", so_far.left_out[0].why);

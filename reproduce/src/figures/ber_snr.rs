@@ -9,11 +9,12 @@ use heliostat_channel::link::ber_ook;
 use heliostat_controller::policy::ActorSource;
 use heliostat_models::comparison::{Entrant, kept_sinr};
 use heliostat_scenario::{Actuator, ActuatorProfile, MinRate, Prediction, Scenario};
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, intervals, series};
+use super::finished_parts::{Done, groups, intervals, series};
 use crate::figure::{Axis, Figure, Panel, Quoted};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Aim, Job};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 
 /// The word on the command line.
 pub const ID: &str = "ber-snr";
@@ -38,19 +39,6 @@ pub const NEAREST_DELAY: &str = "100 + 100 ms";
 
 /// The largest SNR shown, in dB.
 pub const SNR_MAX_DB: f64 = 30.0;
-
-/// One seed of one delay, all speeds.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Aim {
-    /// Time between two reports in ms.
-    pub interval_ms: f64,
-    /// Age of a report when it arrives, in ms.
-    pub latency_ms: f64,
-    /// Constant-velocity prediction of the user.
-    pub prediction: bool,
-    /// Instants at each speed.
-    pub instants: usize,
-}
 
 /// The group of a delay's curves.
 fn group((interval_ms, latency_ms, prediction): (f64, f64, bool)) -> String {

@@ -5,11 +5,12 @@ use heliostat_controller::policy::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Row, Settings, compare_under};
 use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, seeds};
+use super::finished_parts::{Done, curves, groups, seeds};
 use crate::figure::{Axis, Figure, Panel, Point, Quoted, Series};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Job, Timing};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 use crate::statistics::mean;
 
 /// The word on the command line.
@@ -30,19 +31,6 @@ const SMALL_USERS: usize = 3;
 
 /// A policy whose median is shorter, in us, can decide often enough for a 99th percentile.
 const FAST_US: f64 = 1000.0;
-
-/// One seed of one array.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Timing {
-    /// Nine mirrors and three users, with the exhaustive search.
-    pub small: bool,
-    /// Decisions of each policy whose median is under `FAST_US`.
-    pub decisions: usize,
-    /// Decisions of each other policy.
-    pub slow_decisions: usize,
-    /// Trials of the metaheuristics for one decision, however long they take.
-    pub trials: u32,
-}
 
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     ensure!(
@@ -107,7 +95,7 @@ impl Timing {
 pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     let panel = |group: &str| {
         let mut names: Vec<&str> = Vec::new();
-        for curve in super::curves(done).filter(|curve| curve.group == group) {
+        for curve in curves(done).filter(|curve| curve.group == group) {
             if !names.contains(&curve.name.as_str()) {
                 names.push(&curve.name);
             }
@@ -165,7 +153,7 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
 /// Two points: median and 99th percentile, at the height of the ratio, each a mean over seeds. The 99th percentile has no interval: it is far from
 /// normal over few seeds, and would reach below zero.
 fn times(done: &[Done], group: &str, name: &str) -> Series {
-    let same: Vec<&Curve> = super::curves(done).filter(|curve| curve.group == group && curve.name == name).collect();
+    let same: Vec<&Curve> = curves(done).filter(|curve| curve.group == group && curve.name == name).collect();
     let points = (0..2).map(|end| {
         let of = |part: usize| same.iter().map(|curve| curve.points[end][part]).collect::<Vec<_>>();
         let ((x, x_ci95), (y, ci95)) = (mean(&of(0)), mean(&of(1)));

@@ -8,12 +8,13 @@ use heliostat_controller::policy::ActorSource;
 use heliostat_models::comparison::Entrant;
 use heliostat_scenario::Scenario;
 use heliostat_sim_node::World;
-use serde::Serialize;
 
-use super::{Done, Plan, Room};
+use super::finished_parts::Done;
 use crate::figure::{Axis, Figure, Panel, Point, Series};
 use crate::over_floor::over_floor;
-use crate::part::{Job, Measured, Part};
+use crate::job::{Job, Map};
+use crate::part::{Measured, Part};
+use crate::plan::{Plan, Room};
 
 /// The word on the command line.
 pub const ID: &str = "map";
@@ -23,13 +24,6 @@ const POLICIES: [&str; 2] = ["no-irs", "ddpg"];
 
 /// How long people walk before the picture is taken, in s.
 const SETTLE_S: f64 = 20.0;
-
-/// One room at one instant.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Map {
-    /// Distance between points in cm.
-    pub step_cm: f64,
-}
 
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     ensure!(room.scenario.users.count > 0, "{ID} needs a user in room {}", room.name);

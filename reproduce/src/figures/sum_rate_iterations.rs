@@ -11,11 +11,12 @@ use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
 use heliostat_models::evaluate::HeldOut;
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, intervals, series};
+use super::finished_parts::{Done, groups, intervals, series};
 use crate::figure::{Axis, Figure, Panel};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Baselines, Job, Learning};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 
 /// The word on the command line.
 pub const ID: &str = "sum-rate-iterations";
@@ -31,36 +32,6 @@ const SIDES: [usize; 2] = [7, 10];
 
 /// Users whose direct path is off, as in the paper's other figures.
 const BLOCKED: usize = 2;
-
-/// One training run.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Learning {
-    /// Who learns.
-    pub learner: String,
-    /// Rows and columns.
-    pub side: usize,
-    /// Users whose direct path is off in the states on which it is judged.
-    pub blocked: usize,
-    /// Episodes.
-    pub episodes: usize,
-    /// Times it is judged after its beginning.
-    pub judgements: usize,
-    /// States on which it is judged.
-    pub states: usize,
-}
-
-/// The lines that do not learn, on the same states: those of other seeds would be other rooms than the learners are judged in, and no yardstick.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Yardsticks {
-    /// Rows and columns.
-    pub side: usize,
-    /// As in [`Learning`].
-    pub blocked: usize,
-    /// As in [`Learning`].
-    pub states: usize,
-    /// Where the lines end.
-    pub episodes: usize,
-}
 
 /// The group of the curves of an array.
 pub fn group(side: usize) -> String {
@@ -90,11 +61,11 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
             cost_s,
         };
         sized(&room.scenario, side, blocked)?;
-        let yardsticks = Yardsticks { side, blocked, states, episodes: effort.episodes };
+        let baselines = Baselines { side, blocked, states, episodes: effort.episodes };
         parts.push(part(
-            format!("yardsticks {side}x{side}"),
+            format!("baselines {side}x{side}"),
             plan.first_seed,
-            Job::Yardsticks(yardsticks),
+            Job::Baselines(baselines),
             4e-3 * states as f64,
         ));
         for (learner, episode_s) in LEARNERS {
@@ -149,7 +120,7 @@ impl Learning {
     }
 }
 
-impl Yardsticks {
+impl Baselines {
     /// Compares on the states on which learners are judged: those of set 0, whatever the seed.
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = Scenario { seed: 0, ..sized(scenario, self.side, self.blocked)? };
@@ -207,9 +178,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn yardsticks_do_not_depend_on_the_seed_and_so_have_no_interval() {
-        let yardsticks = Yardsticks { side: 7, blocked: 2, states: 2, episodes: 5 };
-        let of_seed = |seed: u64| yardsticks.run(&Scenario { seed, ..Scenario::builtin("specular").unwrap() }).unwrap();
+    fn baselines_do_not_depend_on_the_seed_and_so_have_no_interval() {
+        let baselines = Baselines { side: 7, blocked: 2, states: 2, episodes: 5 };
+        let of_seed = |seed: u64| baselines.run(&Scenario { seed, ..Scenario::builtin("specular").unwrap() }).unwrap();
         assert_eq!(of_seed(1), of_seed(2));
     }
 }

@@ -5,12 +5,13 @@ use heliostat_controller::policy::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, intervals, series};
+use super::finished_parts::{Done, groups, intervals, series};
 use crate::draw::interactive::PANELS_MAX;
 use crate::figure::{Axis, Figure, Panel, Quoted, Series};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Job, Power};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 use crate::statistics::over_seeds;
 
 /// The word on the command line.
@@ -18,17 +19,6 @@ pub const ID: &str = "sum-rate-power";
 
 /// Those compared; the oracle comes with every comparison.
 const POLICIES: [&str; 4] = ["ddpg", "flat", "random", "no-irs"];
-
-/// One seed of one number of blocked users.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Power {
-    /// Users whose direct path is off.
-    pub blocked: usize,
-    /// Optical powers in W.
-    pub powers_w: Vec<f64>,
-    /// States at each power.
-    pub states: usize,
-}
 
 /// The group of the curves of a number of blocked users.
 pub fn group(blocked: usize) -> String {

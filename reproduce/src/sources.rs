@@ -20,7 +20,8 @@ pub const CRATES: [&str; 6] = ["channel", "scenario", "sim-node", "driver", "con
 pub fn of_figure(root: &Path, file: &str) -> io::Result<String> {
     let mut places = CRATES.map(|name| format!("{name}/src")).to_vec();
     places.extend(
-        ["figures.rs", "figures/finished_parts.rs", "job.rs", "over_floor.rs", "plan.rs", &format!("figures/{file}")].map(|name| format!("reproduce/src/{name}")),
+        ["figures.rs", "figures/finished_parts.rs", "job.rs", "over_floor.rs", "plan.rs", &format!("figures/{file}")]
+            .map(|name| format!("reproduce/src/{name}")),
     );
     hash(root, &places)
 }

@@ -50,9 +50,10 @@ impl ModuleGraph {
         let sources: BTreeMap<String, String> = sources.into_iter().collect();
         let has_library = sources.contains_key("lib.rs");
         let is_part = |file: &str| !file.starts_with("bin/") && !(has_library && file == "main.rs");
-        let modules = sources.iter().filter(|(file, _)| is_part(file)).map(|(file, text)| {
-            (module_path(file), Module { file: file.clone(), source: RustSource::parse(text) })
-        });
+        let modules = sources
+            .iter()
+            .filter(|(file, _)| is_part(file))
+            .map(|(file, text)| (module_path(file), Module { file: file.clone(), source: RustSource::parse(text) }));
         let mut graph = Self { modules: modules.collect() };
         graph.drop_test_modules();
         graph

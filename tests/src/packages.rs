@@ -218,7 +218,9 @@ mod tests {
         ] {
             assert!(is_licence_allowed(good, &allowed), "{good}");
         }
-        for bad in ["", "GPL-3.0", "MIT AND GPL-3.0", "(MIT OR GPL-3.0) AND GPL-3.0", "MIT WITH Other", "(MIT", "MIT MIT"] {
+        for bad in
+            ["", "GPL-3.0", "MIT AND GPL-3.0", "(MIT OR GPL-3.0) AND GPL-3.0", "MIT WITH Other", "(MIT", "MIT MIT"]
+        {
             assert!(!is_licence_allowed(bad, &allowed), "{bad}");
         }
     }

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use heliostat_bus::{BusConfig, free_loopback_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Room, Stamp, UserReport, UserState, encode};
-use heliostat_tests::{Process, Witness, wait_until};
+use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
 
 /// A Python interpreter that has the package `eclipse-zenoh`; none where it is missing and not required.
@@ -111,12 +111,12 @@ fn a_driver_in_python_is_led_by_the_controller() {
     let flags = ["controller", "--room", "led", "--listen", &of_controller, "--policy", "fixed-point"];
     let _controller = Process::heliostat(&[&flags[..], &set, &["--exit-with-parent"]].concat());
     let room = BusConfig::new(Room::new("led").unwrap());
-    let tracker = Witness::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
+    let tracker = RoomObserver::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
     let _driver = PythonDriver::start(&python, "led", &format!("{of_controller},{of_tracker}"));
     let (mut tick, mut acknowledged) = (0, 0);
     wait_until("ten commands that the driver acknowledges by number, tick and angles", || {
         tick += 1;
-        tracker.say(&tracker.room().users(), &report(tick));
+        tracker.publish(&tracker.room().users(), &report(tick));
         // Longer than from one telemetry to the next.
         std::thread::sleep(Duration::from_millis(120));
         if let (Some(told), Some(command)) = (tracker.telemetry(), tracker.command().1)

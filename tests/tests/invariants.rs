@@ -55,7 +55,11 @@ const TODAY: Layout = Layout {
         ("mcap", "record/src/file"),
         ("foxglove", "record/src/scene"),
     ],
-    bans: &[("controller", &["sim-node"]), ("sim-node", &["controller"]), ("ui", &["controller", "sim-node", "models"])],
+    bans: &[
+        ("controller", &["sim-node"]),
+        ("sim-node", &["controller"]),
+        ("ui", &["controller", "sim-node", "models"]),
+    ],
     with_circles: &["channel", "controller", "models", "proto", "sim-node"],
 };
 
@@ -229,7 +233,8 @@ fn full_paths(source: &RustSource) -> Vec<String> {
 fn named<'a>(source: &RustSource, names: &[&'a str]) -> Vec<&'a str> {
     let paths = full_paths(source);
     let is_named = |name: &&&str| {
-        let begins = |path: &String| path.strip_prefix(**name).is_some_and(|rest| rest.is_empty() || rest.starts_with("::"));
+        let begins =
+            |path: &String| path.strip_prefix(**name).is_some_and(|rest| rest.is_empty() || rest.starts_with("::"));
         let is_in_glob = |path: &String| {
             path.strip_suffix('*').is_some_and(|start| start.starts_with("std::") && name.starts_with(start))
         };
@@ -242,7 +247,8 @@ fn named<'a>(source: &RustSource, names: &[&'a str]) -> Vec<&'a str> {
 
 /// Uses of what a pure crate may not use.
 fn impurities(sources: &[(String, RustSource)], allowed: &[(&str, &str, &str)]) -> Vec<String> {
-    let uses = sources.iter().flat_map(|(file, source)| named(source, &IMPURE).into_iter().map(move |name| (file, name)));
+    let uses =
+        sources.iter().flat_map(|(file, source)| named(source, &IMPURE).into_iter().map(move |name| (file, name)));
     let is_allowed = |file: &str, name: &str| allowed.iter().any(|entry| (entry.0, entry.1) == (file, name));
     uses.filter(|(file, name)| !is_allowed(file, name)).map(|(file, name)| format!("{file} names {name}")).collect()
 }
@@ -295,7 +301,8 @@ fn second_versions(several: &BTreeMap<&str, BTreeSet<&str>>, reasons: &[(&str, &
 /// Dependencies under another licence or from another source than allowed.
 fn unlicensed(packages: &Packages) -> Vec<String> {
     let foreign = packages.all().filter_map(|package| package.source.as_ref().map(|source| (package, source)));
-    let bad = foreign.filter(|(package, source)| *source != CRATES_IO || !is_licence_allowed(&package.licence, &LICENCES));
+    let bad =
+        foreign.filter(|(package, source)| *source != CRATES_IO || !is_licence_allowed(&package.licence, &LICENCES));
     bad.map(|(package, source)| format!("{} {}: {:?} from {source}", package.name, package.version, package.licence))
         .collect()
 }
@@ -343,7 +350,10 @@ fn pure_crates_read_no_clock_open_nothing_and_start_no_thread() {
 fn every_exception_of_a_pure_crate_is_still_needed() {
     for (file, name, _) in IMPURE_ALLOWED {
         let text = fs::read_to_string(root().join(file)).expect("an excepted file exists");
-        assert!(named(&RustSource::parse(&text), &[name]).contains(&name), "{file} does not name {name}: remove the entry");
+        assert!(
+            named(&RustSource::parse(&text), &[name]).contains(&name),
+            "{file} does not name {name}: remove the entry"
+        );
     }
 }
 

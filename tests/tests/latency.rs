@@ -10,19 +10,19 @@ use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_models::onnx::{Ends, Graph};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;
-use heliostat_tests::{Process, Witness, wait_until};
+use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
 
 /// Everything that was said, in the order in which it was heard.
 #[derive(Default)]
-struct Heard {
+struct Received {
     reports: Vec<u64>,
     commands: Vec<MirrorCommand>,
 }
 
 /// Hears every report and command of a room.
 struct Listener {
-    heard: Arc<Mutex<Heard>>,
+    heard: Arc<Mutex<Received>>,
     _bus: Bus,
     _subscriptions: [heliostat_bus::Subscription; 2],
 }
@@ -32,7 +32,7 @@ impl Listener {
         let room = Room::new(room).unwrap();
         let config = endpoints.iter().fold(BusConfig::new(room.clone()), |config, at| config.connect_to(at));
         let bus = Bus::open(&config).unwrap();
-        let heard: Arc<Mutex<Heard>> = Arc::default();
+        let heard: Arc<Mutex<Received>> = Arc::default();
         let (on_report, on_command) = (Arc::clone(&heard), Arc::clone(&heard));
         let reports = bus.subscribe(&room.users(), move |payload| {
             let report: UserReport = codec::decode(payload).unwrap();
@@ -76,8 +76,8 @@ impl Pair {
         [&self.endpoints[0], &self.endpoints[1]]
     }
 
-    fn witness(&self) -> Witness {
-        Witness::connect("demo", &self.endpoints())
+    fn observer(&self) -> RoomObserver {
+        RoomObserver::connect("demo", &self.endpoints())
     }
 
     /// Ends both; the room's and the controller's summary.
@@ -209,14 +209,14 @@ fn one_process_serves_rooms_that_do_not_mix() {
         ])
     };
     let mut sims: Vec<Process> = rooms.iter().enumerate().map(start).collect();
-    let witnesses = rooms.map(|room| Witness::connect(room, &[&endpoint]));
-    witnesses.iter().for_each(Witness::wait_for_commands);
+    let observers = rooms.map(|room| RoomObserver::connect(room, &[&endpoint]));
+    observers.iter().for_each(RoomObserver::wait_for_commands);
 
     // One room falls silent; the others go on.
     sims.remove(0).kill();
-    wait_until("a silence that is counted", || witnesses[0].counter(NodeKind::Controller, "fallback:silence") == 1);
-    witnesses[1..].iter().for_each(Witness::wait_for_commands);
-    assert_eq!(witnesses[1].counter(NodeKind::Controller, "fallback:silence"), 0);
+    wait_until("a silence that is counted", || observers[0].counter(NodeKind::Controller, "fallback:silence") == 1);
+    observers[1..].iter().for_each(RoomObserver::wait_for_commands);
+    assert_eq!(observers[1].counter(NodeKind::Controller, "fallback:silence"), 0);
 
     let answered: Vec<f64> = sims.into_iter().map(|sim| number(&sim.end().json(), "/commands")).collect();
     let summary = controller.end().json();
@@ -235,13 +235,13 @@ fn a_missing_channel_stream_is_answered_as_configured() {
     for (answer, moves) in [("fallback", true), ("hold", false)] {
         let set = format!("control.when_channel_missing={answer}");
         let pair = Pair::start(&rare, &["--set", &set, "--policy", "nearest"]);
-        let witness = pair.witness();
+        let observer = pair.observer();
         wait_until("missing channel reports", || {
-            witness.counter(NodeKind::Controller, "fallback:channel-missing") > 50
+            observer.counter(NodeKind::Controller, "fallback:channel-missing") > 50
         });
-        let before = witness.counter(NodeKind::Controller, "commands");
-        wait_until("more of them", || witness.counter(NodeKind::Controller, "fallback:channel-missing") > 150);
-        let after = witness.counter(NodeKind::Controller, "commands");
+        let before = observer.counter(NodeKind::Controller, "commands");
+        wait_until("more of them", || observer.counter(NodeKind::Controller, "fallback:channel-missing") > 150);
+        let after = observer.counter(NodeKind::Controller, "commands");
         assert_eq!(after > before, moves, "{answer}: {before} then {after} commands");
         pair.end();
     }
@@ -254,10 +254,10 @@ fn stale_reports_are_answered_as_configured() {
         let set = format!("control.when_stale={answer}");
         let flags: Vec<&str> = old[2..].iter().copied().chain(["--set", &set, "--policy", "nearest"]).collect();
         let pair = Pair::start(&old, &flags);
-        let witness = pair.witness();
-        wait_until("stale reports", || witness.counter(NodeKind::Controller, "fallback:stale-report") > 50);
-        assert_eq!(witness.counter(NodeKind::Controller, "commands") > 0, commands, "{answer}");
-        if let (_, Some(command)) = witness.command() {
+        let observer = pair.observer();
+        wait_until("stale reports", || observer.counter(NodeKind::Controller, "fallback:stale-report") > 50);
+        assert_eq!(observer.counter(NodeKind::Controller, "commands") > 0, commands, "{answer}");
+        if let (_, Some(command)) = observer.command() {
             assert!(command.roll.iter().chain(&command.yaw).all(|angle| *angle == 0.0), "parked is flat");
         }
         pair.end();
@@ -267,17 +267,17 @@ fn stale_reports_are_answered_as_configured() {
 #[test]
 fn when_the_room_falls_silent_the_last_good_is_repeated_if_so_configured() {
     let mut pair = Pair::start(&[], &["--set", "control.when_silent=last-good", "--policy", "nearest"]);
-    let witness = pair.witness();
-    witness.wait_for_commands();
+    let observer = pair.observer();
+    observer.wait_for_commands();
     pair.room.kill();
-    let last = witness.users().unwrap().tick;
+    let last = observer.users().unwrap().tick;
     let mut repeated = None;
     wait_until("a repeated command", || {
-        repeated = witness.command().1.filter(|command| command.answers == 0);
+        repeated = observer.command().1.filter(|command| command.answers == 0);
         repeated.is_some()
     });
     assert!(repeated.unwrap().yaw.iter().any(|angle| *angle != 0.0), "the mirrors stay where they were at tick {last}");
-    wait_until("a silence that is counted", || witness.counter(NodeKind::Controller, "fallback:silence") == 1);
+    wait_until("a silence that is counted", || observer.counter(NodeKind::Controller, "fallback:silence") == 1);
     let summary = pair.controller.end().json();
     assert!(summary["commands"].as_u64() > summary["decisions"].as_u64(), "{summary}");
 }
@@ -333,10 +333,10 @@ fn an_actor_that_gives_no_numbers_is_answered_as_configured() {
     for (answer, cause, moves) in [("fixed-point", "policy-failed", true), ("hold", "held", false)] {
         let set = format!("control.fallback={answer}");
         let pair = Pair::start(&[], &["--set", &set, "--model", file.to_str().unwrap()]);
-        let witness = pair.witness();
-        wait_until("failures", || witness.counter(NodeKind::Controller, &format!("fallback:{cause}")) > 50);
-        assert_eq!(witness.counter(NodeKind::Controller, "commands") > 0, moves, "{answer}");
-        if let (_, Some(command)) = witness.command() {
+        let observer = pair.observer();
+        wait_until("failures", || observer.counter(NodeKind::Controller, &format!("fallback:{cause}")) > 50);
+        assert_eq!(observer.counter(NodeKind::Controller, "commands") > 0, moves, "{answer}");
+        if let (_, Some(command)) = observer.command() {
             assert!(command.roll.iter().chain(&command.yaw).all(|angle| angle.is_finite()), "{answer}");
         }
         let (_, controller) = pair.end();
@@ -362,8 +362,8 @@ fn a_policy_that_is_too_slow_is_late_and_what_piles_up_is_shed() {
         "control.deadline_ms=0.5",
     ];
     let pair = Pair::start(&["--set", "streams.positions.rate_hz=1000"], &slow);
-    let witness = pair.witness();
-    let counter = |name: &str| witness.counter(NodeKind::Controller, name);
+    let observer = pair.observer();
+    let counter = |name: &str| observer.counter(NodeKind::Controller, name);
     wait_until("late decisions and shed reports", || counter("fallback:late") > 20 && counter("shed") > 20);
     let (_, controller) = pair.end();
     let (commands, decisions) = (number(&controller, "/commands"), number(&controller, "/decisions"));
@@ -383,17 +383,17 @@ fn where_the_policy_does_not_answer_the_last_command_is_repeated_or_the_array_pa
     for (answer, flat) in [("last-good", false), ("park", true)] {
         let set = format!("control.when_unanswered={answer}");
         let pair = Pair::start(&[], &["--model", file.to_str().unwrap(), "--set", &set]);
-        let witness = pair.witness();
+        let observer = pair.observer();
         let is_flat = |command: &MirrorCommand| command.roll.iter().chain(&command.yaw).all(|angle| *angle == 0.0);
         wait_until(&format!("a command in the policy's stead: {answer}"), || {
-            witness.command().1.is_some_and(|command| command.answers == 0 && is_flat(&command) == flat)
+            observer.command().1.is_some_and(|command| command.answers == 0 && is_flat(&command) == flat)
         });
         // The policy comes back, and its later commands are numbered on.
-        let first = witness.command().1.unwrap().sequence;
+        let first = observer.command().1.unwrap().sequence;
         wait_until("an answer of the policy", || {
-            witness.command().1.is_some_and(|command| command.answers > 0 && command.sequence > first)
+            observer.command().1.is_some_and(|command| command.answers > 0 && command.sequence > first)
         });
-        assert_eq!(witness.counter(NodeKind::SimNode, "refused:command:old-sequence"), 0, "{answer}");
+        assert_eq!(observer.counter(NodeKind::SimNode, "refused:command:old-sequence"), 0, "{answer}");
         pair.end();
     }
 }
@@ -404,15 +404,15 @@ fn a_policy_that_does_not_answer_is_seen_and_the_array_holds_meanwhile() {
     let file = folder.path().join("ponderous.onnx");
     std::fs::write(&file, actor(ponderous)).unwrap();
     let pair = Pair::start(&[], &["--model", file.to_str().unwrap(), "--decide-in", "thread"]);
-    let witness = pair.witness();
-    wait_until("looks in vain", || witness.counter(NodeKind::Controller, "unanswered") > 0);
-    let problem = witness.status(NodeKind::Controller).unwrap().last_problem;
+    let observer = pair.observer();
+    wait_until("looks in vain", || observer.counter(NodeKind::Controller, "unanswered") > 0);
+    let problem = observer.status(NodeKind::Controller).unwrap().last_problem;
     assert!(problem.contains("no answer"), "{problem}");
-    wait_until("a command", || witness.command().0 > 0);
+    wait_until("a command", || observer.command().0 > 0);
     // What it commanded expires before anything comes in its place.
     wait_until("mirrors that hold", || {
-        witness.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Holding)
+        observer.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Holding)
     });
-    wait_until("shed reports", || witness.counter(NodeKind::Controller, "shed") > 0);
+    wait_until("shed reports", || observer.counter(NodeKind::Controller, "shed") > 0);
     pair.end();
 }

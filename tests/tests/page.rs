@@ -7,12 +7,12 @@ use std::net::TcpStream;
 use std::path::Path;
 
 use heliostat_proto::{ArrayState, NodeKind};
-use heliostat_tests::{Browser, Process, Witness, wait_until};
+use heliostat_tests::{Browser, Process, RoomObserver, wait_until};
 
-/// A demo with a page, and a witness of its topics.
+/// A demo with a page, and a observer of its topics.
 struct Setting {
     demo: Process,
-    witness: Witness,
+    observer: RoomObserver,
     /// Host and port of the page.
     host: String,
 }
@@ -32,8 +32,8 @@ impl Setting {
             let found = said.match_indices("tcp/").nth(number).map(|(at, _)| &said[at..]);
             found.and_then(|rest| rest.split([',', ';', ' ']).next()).expect("two endpoints are said").to_owned()
         };
-        let witness = Witness::connect("demo", &[&endpoint(0), &endpoint(1)]);
-        Self { host: word_after("the page is at http://"), demo, witness }
+        let observer = RoomObserver::connect("demo", &[&endpoint(0), &endpoint(1)]);
+        Self { host: word_after("the page is at http://"), demo, observer }
     }
 
     fn url(&self) -> String {
@@ -80,9 +80,9 @@ fn the_page_answers_to_itself_alone() {
     let form = ("Content-Type", "text/plain");
     let answer = setting.ask("POST", "/order", &[host, form, ("Origin", &own)], order);
     assert!(answer.starts_with("HTTP/1.1 415"), "{answer}");
-    assert!(setting.witness.telemetry().is_none_or(|array| array.state != ArrayState::Stopped));
+    assert!(setting.observer.telemetry().is_none_or(|array| array.state != ArrayState::Stopped));
 
-    let controller = || setting.witness.status(NodeKind::Controller).unwrap_or_default();
+    let controller = || setting.observer.status(NodeKind::Controller).unwrap_or_default();
     // Until page and controller have met nobody hears an order, and the page says so.
     wait_until("somebody who hears", || {
         let answer = answer_to(r#"{"order":"policy","name":"clairvoyant"}"#);
@@ -95,7 +95,7 @@ fn the_page_answers_to_itself_alone() {
     });
     wait_until("a refusal by name", || controller().last_problem.contains("there is no policy \"clairvoyant\""));
     assert_eq!(controller().policy, "flat");
-    assert!(setting.witness.counter(NodeKind::Controller, "policies_refused") >= 1);
+    assert!(setting.observer.counter(NodeKind::Controller, "policies_refused") >= 1);
 }
 
 #[test]
@@ -113,9 +113,9 @@ fn a_taken_port_is_replaced_and_said() {
 fn every_button_acts_on_the_running_system() {
     let setting = Setting::new(&["--policy", "greedy", "--set", "blockage.forced_users=2"]);
     let Some(browser) = Browser::open(&setting.url()) else { return };
-    let witness = &setting.witness;
-    let policy = || witness.status(NodeKind::Controller).map(|status| status.policy).unwrap_or_default();
-    let array = || witness.telemetry().expect("heard before");
+    let observer = &setting.observer;
+    let policy = || observer.status(NodeKind::Controller).map(|status| status.policy).unwrap_or_default();
+    let array = || observer.telemetry().expect("received before");
     wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
     wait_until("a room that is drawn", || browser.run("return !!document.querySelector('#room canvas')") == true);
     let foreign =
@@ -129,25 +129,25 @@ fn every_button_acts_on_the_running_system() {
     wait_until("its name on the page", || browser.text("#chip-policy") == "fixed-point");
 
     browser.click("#blocked [data-value='4']");
-    let forced = || witness.truth().map_or(0, |truth| truth.users.iter().filter(|user| user.forced).count());
+    let forced = || observer.truth().map_or(0, |truth| truth.users.iter().filter(|user| user.forced).count());
     wait_until("four users whose direct path is off", || forced() == 4);
     browser.click("#blocked [data-value='0']");
     wait_until("nobody whose direct path is off by order", || forced() == 0);
 
     browser.click("#power [data-value='4']");
-    wait_until("a brighter lamp", || gauge(witness, "power_w") == Some(4.0));
+    wait_until("a brighter lamp", || gauge(observer, "power_w") == Some(4.0));
     browser.click("#speed [data-value='0']");
     let standing =
-        || witness.users().is_some_and(|report| report.users.iter().all(|user| user.velocity_m_s == [0.0; 2]));
+        || observer.users().is_some_and(|report| report.users.iter().all(|user| user.velocity_m_s == [0.0; 2]));
     wait_until("people who stand", standing);
     browser.click("#speed [data-value='2']");
     wait_until("people who walk", || !standing());
 
     browser.click("#stick");
-    wait_until("mirrors that stick", || gauge(witness, "faulty_mirrors") == Some(25.0));
+    wait_until("mirrors that stick", || gauge(observer, "faulty_mirrors") == Some(25.0));
     wait_until("a page that counts them", || browser.text("#chip-array").contains("25 of 100 do not follow"));
     browser.click("#release");
-    wait_until("mirrors that follow", || gauge(witness, "faulty_mirrors") == Some(0.0));
+    wait_until("mirrors that follow", || gauge(observer, "faulty_mirrors") == Some(0.0));
 
     browser.click("#kill");
     wait_until("a parked array", || array().state == ArrayState::Parked);
@@ -173,8 +173,8 @@ fn every_button_acts_on_the_running_system() {
     drop(setting.demo);
 }
 
-fn gauge(witness: &Witness, name: &str) -> Option<f64> {
-    let status = witness.status(NodeKind::SimNode)?;
+fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
+    let status = observer.status(NodeKind::SimNode)?;
     status.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
 }
 

@@ -9,7 +9,7 @@ use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{MirrorCommand, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
-use heliostat_tests::{Process, Witness, programs, wait_until};
+use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -38,13 +38,13 @@ impl Setting {
     }
 
     fn room(&self, arguments: &[&str]) -> Process {
-        Process::heliostat_that_waits(&[&["sim-node", "--listen", &self.room_at, "--json"], arguments].concat())
+        Process::heliostat_without_loss(&[&["sim-node", "--listen", &self.room_at, "--json"], arguments].concat())
     }
 
     fn controller(&self, arguments: &[&str]) -> Process {
         let fixed = ["controller", "--connect", &self.room_at, "--connect", &self.recorder_at];
         let ended = ["--exit-with-parent", "--json", "--policy", "fixed-point"];
-        Process::heliostat_that_waits(&[&fixed[..], &ended, arguments].concat())
+        Process::heliostat_without_loss(&[&fixed[..], &ended, arguments].concat())
     }
 
     fn recorder_arguments(&self) -> Vec<String> {
@@ -244,13 +244,13 @@ fn gaps_are_counted_by_sequence_number() {
         &text(&setting.file()),
     ]);
     wait_until("a recorder", || recorder.errors().contains("room demo into"));
-    let tracker = Witness::connect("demo", &[&setting.recorder_at]);
+    let tracker = RoomObserver::connect("demo", &[&setting.recorder_at]);
     let key = tracker.room().users();
     let say = |sequence| {
         let stamp = Stamp { source: 7, sequence, time_ns: 1 };
         let mut payload = Vec::new();
         codec::encode(&UserReport { stamp, tick: sequence, ..UserReport::default() }, &mut payload).unwrap();
-        tracker.say(&key, &payload);
+        tracker.publish(&key, &payload);
     };
     let size = || fs::metadata(setting.file()).map_or(0, |file| file.len());
     let say_until_written = |sequence| {

@@ -10,14 +10,14 @@ use heliostat_proto::MirrorTelemetry;
 use serde::Serialize;
 
 use crate::View;
-use crate::shadow::shadow;
-use crate::view::Heard;
+use crate::blocked_area::blocked_area;
+use crate::view::Received;
 
 /// A user who walks slower than this, in m/s, is taken to face where they faced before.
 const WALKING_M_S: f64 = 0.05;
 
 /// A mirror that stands this far from its command, in rad, is drawn as one that does not follow: far more than jitter.
-const ASTRAY_RAD: f32 = 0.1;
+const UNUSABLE_RAD: f32 = 0.1;
 
 /// What stands still.
 #[derive(Clone, Debug, Serialize)]
@@ -32,13 +32,13 @@ pub struct Plan {
     pub leds_m: Vec<[f64; 3]>,
     /// Centres of the mirrors in m, in index order.
     pub mirrors_m: Vec<[f64; 3]>,
-    /// Height of the detectors above the floor in m: shadows are drawn there.
+    /// Height of the detectors above the floor in m: blocked_areas are drawn there.
     pub detector_height_m: f64,
 }
 
-/// A person as the page draws them.
+/// A user as the page draws them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Person {
+pub struct SceneUser {
     /// Where the detector is in m.
     pub at_m: [f64; 3],
     /// The body: x, y, radius and height in m; absent where bodies do not count.
@@ -54,32 +54,32 @@ pub struct Person {
 pub struct Frame {
     /// Corners of each mirror: four times x, y, z in m.
     pub mirrors_m: Vec<[f64; 12]>,
-    /// Index among the people of whom each mirror serves; -1 for nobody.
+    /// Index among the users of whom each mirror serves; -1 for nobody.
     pub serves: Vec<i32>,
     /// Indices of the mirrors that do not follow.
     pub unusable: Vec<u32>,
-    /// The people.
-    pub people: Vec<Person>,
+    /// The users.
+    pub users: Vec<SceneUser>,
     /// The obstacles: x, y, radius and height in m.
     pub obstacles_m: Vec<[f64; 4]>,
-    /// Corners of each shadow at the detectors' height, in m.
-    pub shadows_m: Vec<Vec<[f64; 2]>>,
+    /// Corners of each blocked_area at the detectors' height, in m.
+    pub blocked_areas_m: Vec<Vec<[f64; 2]>>,
 }
 
-/// Draws frames of a view, and remembers which way people faced.
+/// Draws frames of a view, and remembers which way users faced.
 pub struct Painter {
     view: Arc<View>,
-    memory: Mutex<Memory>,
+    state: Mutex<PainterState>,
 }
 
-struct Memory {
+struct PainterState {
     scene: Scene,
     headings: Vec<Vec3>,
     gains: Vec<f64>,
 }
 
-/// A person and what blocks their light, as far as the topics say.
-struct Seen {
+/// A user and what blocks their light, as far as the topics say.
+struct UserState {
     position: Vec3,
     /// Unit vector, or zero where unknown.
     heading: Vec3,
@@ -104,40 +104,40 @@ impl View {
 impl Painter {
     /// A painter that has not seen anybody yet.
     pub fn new(view: Arc<View>) -> Self {
-        let memory = Memory { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
-        Self { view, memory: Mutex::new(memory) }
+        let state = PainterState { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
+        Self { view, state: Mutex::new(state) }
     }
 
     /// The room at this moment.
     pub fn frame(&self) -> Frame {
-        let mut memory = self.memory.lock().unwrap_or_else(PoisonError::into_inner);
-        let (people, obstacles, telemetry) = self.look(&mut memory.headings);
-        let bodies: Vec<Option<Cylinder>> = people.iter().map(|person| self.body(person)).collect();
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let (users, obstacles, telemetry) = self.look(&mut state.headings);
+        let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| self.body(user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let angles = self.angles(telemetry.as_ref());
-        let serves = memory.serve(&self.view, &people, &blockers, &angles);
-        let serving = memory.scene.serving();
+        let serves = state.serve(&self.view, &users, &blockers, &angles);
+        let serving = state.scene.serving();
         Frame {
             mirrors_m: (0..angles.len()).map(|index| self.corners(index, &angles)).collect(),
             serves,
             unusable: telemetry.map(unusable).unwrap_or_default(),
-            people: (people.iter().zip(&bodies).enumerate())
-                .map(|(index, (person, body))| Person {
-                    at_m: rounded(&person.position),
+            users: (users.iter().zip(&bodies).enumerate())
+                .map(|(index, (user, body))| SceneUser {
+                    at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
                     led: serving[index],
-                    blocked: person.blocked,
+                    blocked: user.blocked,
                 })
                 .collect(),
             obstacles_m: obstacles.iter().map(outline).collect(),
-            shadows_m: self.shadows(&blockers),
+            blocked_areas_m: self.blocked_areas(&blockers),
         }
     }
 
-    /// The latest of people, obstacles and mirrors.
-    fn look(&self, headings: &mut Vec<Vec3>) -> (Vec<Seen>, Vec<Cylinder>, Option<MirrorTelemetry>) {
-        let heard = self.view.heard();
-        let telemetry = Heard::fresh(&heard.telemetry).cloned();
+    /// The latest of users, obstacles and mirrors.
+    fn look(&self, headings: &mut Vec<Vec3>) -> (Vec<UserState>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+        let received = self.view.received();
+        let telemetry = Received::fresh(&received.telemetry).cloned();
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
             x_m: f64::from(obstacle.x_m),
             y_m: f64::from(obstacle.y_m),
@@ -145,33 +145,33 @@ impl Painter {
             height_m: f64::from(obstacle.height_m),
         };
         let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
-        if let Some(truth) = Heard::fresh(&heard.truth) {
+        if let Some(truth) = Received::fresh(&received.truth) {
             let seen = |user: &heliostat_proto::TruthUser| {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
-                Seen { position: point(user.position_m), heading: Vec3::new(cos, sin, 0.0), blocked: user.los_blocked }
+                UserState { position: point(user.position_m), heading: Vec3::new(cos, sin, 0.0), blocked: user.los_blocked }
             };
-            let people = truth.users.iter().map(seen).collect();
-            return (people, truth.obstacles.iter().map(cylinder).collect(), telemetry);
+            let users = truth.users.iter().map(seen).collect();
+            return (users, truth.obstacles.iter().map(cylinder).collect(), telemetry);
         }
-        let obstacles = Heard::fresh(&heard.obstacles).map_or(&[][..], |report| &report.obstacles);
+        let obstacles = Received::fresh(&received.obstacles).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(cylinder).collect();
-        let Some(report) = Heard::fresh(&heard.users) else { return (Vec::new(), obstacles, telemetry) };
+        let Some(report) = Received::fresh(&received.users) else { return (Vec::new(), obstacles, telemetry) };
         headings.resize(report.users.len(), Vec3::zeros());
-        let light = Heard::fresh(&heard.channel).map_or(&[][..], |report| &report.users);
-        let people = report.users.iter().zip(headings).map(|(user, heading)| {
+        let light = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
+        let users = report.users.iter().zip(headings).map(|(user, heading)| {
             let [x, y] = user.velocity_m_s.map(f64::from);
             if x.hypot(y) > WALKING_M_S {
                 *heading = Vec3::new(x, y, 0.0).normalize();
             }
             let dark = light.iter().any(|light| light.user == user.user && light.los_gain == 0.0);
-            Seen { position: point(user.position_m), heading: *heading, blocked: dark }
+            UserState { position: point(user.position_m), heading: *heading, blocked: dark }
         });
-        (people.collect(), obstacles, telemetry)
+        (users.collect(), obstacles, telemetry)
     }
 
-    fn body(&self, person: &Seen) -> Option<Cylinder> {
+    fn body(&self, user: &UserState) -> Option<Cylinder> {
         let blockage = &self.view.scenario.blockage;
-        let axis = person.position - blockage.body_offset_m * person.heading;
+        let axis = user.position - blockage.body_offset_m * user.heading;
         blockage.bodies.then_some(Cylinder {
             x_m: axis.x,
             y_m: axis.y,
@@ -213,26 +213,26 @@ impl Painter {
         corners
     }
 
-    fn shadows(&self, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>> {
+    fn blocked_areas(&self, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>> {
         let room = &self.view.scenario.room;
         let (extents, height) = ((room.length_x_m / 2.0, room.length_y_m / 2.0), self.view.scenario.receiver.height_m);
         let pairs = self.view.model.leds.iter().flat_map(|led| blockers.iter().map(move |blocker| (led, blocker)));
-        let thrown = pairs.map(|(led, blocker)| shadow(blocker, &led.position, height, extents));
+        let thrown = pairs.map(|(led, blocker)| blocked_area(blocker, &led.position, height, extents));
         let drawable = thrown.filter(|corners| corners.len() > 2);
         drawable.map(|corners| corners.into_iter().map(|corner| corner.map(millimetres)).collect()).collect()
     }
 }
 
-impl Memory {
-    /// Index of the person whom each mirror serves, or -1.
-    fn serve(&mut self, view: &View, people: &[Seen], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
-        let (users, mirrors) = (people.len(), angles.len());
+impl PainterState {
+    /// Index of the user whom each mirror serves, or -1.
+    fn serve(&mut self, view: &View, users: &[UserState], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
+        let (users, mirrors) = (users.len(), angles.len());
         if self.scene.users() != users {
             self.scene = Scene::new(&view.model, users);
             self.gains = vec![0.0; users * mirrors];
         }
-        let positions: Vec<Vec3> = people.iter().map(|person| person.position).collect();
-        let blocked: Vec<bool> = people.iter().map(|person| person.blocked).collect();
+        let positions: Vec<Vec3> = users.iter().map(|user| user.position).collect();
+        let blocked: Vec<bool> = users.iter().map(|user| user.blocked).collect();
         self.scene.update(&view.model, &positions, blockers, &blocked);
         self.scene.irs_gain_each(&view.model, angles, &mut self.gains);
         let best = |mirror: usize| {
@@ -249,13 +249,13 @@ fn unusable(telemetry: MirrorTelemetry) -> Vec<u32> {
     if !telemetry.unusable.is_empty() {
         return telemetry.unusable;
     }
-    let astray = |measured: &[f32], commanded: &[f32], index: usize| {
-        measured.get(index).zip(commanded.get(index)).is_some_and(|(is, told)| (is - told).abs() > ASTRAY_RAD)
+    let is_off = |measured: &[f32], commanded: &[f32], index: usize| {
+        measured.get(index).zip(commanded.get(index)).is_some_and(|(is, told)| (is - told).abs() > UNUSABLE_RAD)
     };
     let all = 0..telemetry.roll_commanded.len();
     let far = all.filter(|index| {
-        astray(&telemetry.roll_measured, &telemetry.roll_commanded, *index)
-            || astray(&telemetry.yaw_measured, &telemetry.yaw_commanded, *index)
+        is_off(&telemetry.roll_measured, &telemetry.roll_commanded, *index)
+            || is_off(&telemetry.yaw_measured, &telemetry.yaw_commanded, *index)
     });
     far.map(|index| index as u32).collect()
 }

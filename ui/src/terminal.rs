@@ -176,7 +176,7 @@ fn draw_users(frame: &mut Frame, area: Rect, figures: &Figures) {
             Line::from(format!("{x:>5.2}, {y:>5.2}")),
             Line::from(direct),
             Line::from(format!("{:>7.2}", user.rate_mbps)),
-            Line::from(format!("{:>5.1}", user.need_mbps)),
+            Line::from(format!("{:>5.1}", user.min_rate_mbps)),
             Line::from(met).fg(colour),
             Line::from("█".repeat((user.rate_mbps / largest * BAR as f32).round() as usize)).fg(colour),
         ])
@@ -275,7 +275,7 @@ mod tests {
             user,
             rate_mbps,
             blocked,
-            need_mbps: 1.0,
+            min_rate_mbps: 1.0,
             ..UserFigures::default()
         };
         let us = |p99| Some(Quantiles { count: 9, p50: p99 / 2.0, p99, max: p99 * 2.0, ..Quantiles::default() });

@@ -1,6 +1,6 @@
 //! Listens to a room's public topics and keeps the latest of each.
 //!
-//! Callbacks decode and store; whatever is computed is computed by whoever draws. What was not renewed for [`PATIENCE`] counts as gone.
+//! Callbacks decode and store; whatever is computed is computed by whoever draws. What was not renewed for [`EXPIRY`] counts as gone.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,8 +18,8 @@ use heliostat_scenario::Scenario;
 use crate::UiError;
 use crate::latency::Window;
 
-/// What was last heard longer ago than this is not shown as the present.
-pub const PATIENCE: Duration = Duration::from_secs(3);
+/// What was last received longer ago than this is not shown as the present.
+pub const EXPIRY: Duration = Duration::from_secs(3);
 /// How much of the past the chart of sum rates shows.
 const HISTORY: Duration = Duration::from_secs(90);
 /// Between two points of that chart.
@@ -37,7 +37,7 @@ pub(crate) struct Sample {
 
 /// The latest of what a room says.
 #[derive(Default)]
-pub(crate) struct Heard {
+pub(crate) struct Received {
     pub truth: Dated<RoomTruth>,
     pub users: Dated<UserReport>,
     pub channel: Dated<ChannelReport>,
@@ -57,7 +57,7 @@ pub struct View {
     pub(crate) opened: Instant,
     pub(crate) scenario: Scenario,
     pub(crate) model: ChannelModel,
-    heard: Arc<Mutex<Heard>>,
+    received: Arc<Mutex<Received>>,
     _subscriptions: Vec<Subscription>,
 }
 
@@ -68,31 +68,31 @@ impl View {
     /// [`UiError::Optics`] for a scenario that the optics refuse, [`UiError::Bus`] where the session is closed.
     pub fn open(bus: &Bus, scenario: &Scenario) -> Result<Self, UiError> {
         let model = scenario.channel_model()?;
-        let heard: Arc<Mutex<Heard>> = Arc::default();
-        let subscriptions = subscribe(bus, &heard)?;
-        Ok(Self { opened: Instant::now(), scenario: scenario.clone(), model, heard, _subscriptions: subscriptions })
+        let received: Arc<Mutex<Received>> = Arc::default();
+        let subscriptions = subscribe(bus, &received)?;
+        Ok(Self { opened: Instant::now(), scenario: scenario.clone(), model, received, _subscriptions: subscriptions })
     }
 
     /// Whether both sides have spoken: the room, be it simulated or real, and a controller.
     pub fn is_complete(&self) -> bool {
-        let heard = self.heard();
-        (heard.truth.is_some() || heard.users.is_some()) && heard.statuses.contains_key(NodeKind::Controller.name())
+        let received = self.received();
+        (received.truth.is_some() || received.users.is_some()) && received.statuses.contains_key(NodeKind::Controller.name())
     }
 
     /// The policy that a controller last said it uses, be it there or not.
     pub fn policy(&self) -> Option<String> {
-        self.heard().statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.policy.clone())
+        self.received().statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.policy.clone())
     }
 
-    pub(crate) fn heard(&self) -> MutexGuard<'_, Heard> {
-        lock(&self.heard)
+    pub(crate) fn received(&self) -> MutexGuard<'_, Received> {
+        lock(&self.received)
     }
 }
 
-impl Heard {
+impl Received {
     /// The message, unless it is old.
     pub fn fresh<T>(message: &Dated<T>) -> Option<&T> {
-        message.as_ref().filter(|(at, _)| at.elapsed() < PATIENCE).map(|(_, message)| message)
+        message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
     }
 
     fn take_truth(&mut self, truth: RoomTruth) {
@@ -114,29 +114,29 @@ impl Heard {
     }
 }
 
-fn lock(heard: &Mutex<Heard>) -> MutexGuard<'_, Heard> {
+fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
     // Each message replaces a whole slot: a panic elsewhere leaves nothing half-made.
-    heard.lock().unwrap_or_else(PoisonError::into_inner)
+    received.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn subscribe(bus: &Bus, heard: &Arc<Mutex<Heard>>) -> Result<Vec<Subscription>, UiError> {
+fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscription>, UiError> {
     let room: &Room = bus.room();
-    let on_alive = Arc::clone(heard);
+    let on_alive = Arc::clone(received);
     let alive = bus.watch(&room.all_alive(), move |key, presence| {
         let Some((node, source)) = parse_alive(key) else { return };
-        let mut heard = lock(&on_alive);
+        let mut received = lock(&on_alive);
         match presence {
-            Presence::Alive => heard.alive.insert((node.name(), source)),
-            Presence::Gone => heard.alive.remove(&(node.name(), source)),
+            Presence::Alive => received.alive.insert((node.name(), source)),
+            Presence::Gone => received.alive.remove(&(node.name(), source)),
         };
     })?;
     Ok(vec![
-        listen(bus, &room.truth(), heard, Heard::take_truth)?,
-        listen(bus, &room.users(), heard, |heard, users| heard.users = Some((Instant::now(), users)))?,
-        listen(bus, &room.channel(), heard, |heard, channel| heard.channel = Some((Instant::now(), channel)))?,
-        listen(bus, &room.obstacles(), heard, |heard, obstacles| heard.obstacles = Some((Instant::now(), obstacles)))?,
-        listen(bus, &room.telemetry(), heard, |heard, telemetry| heard.telemetry = Some((Instant::now(), telemetry)))?,
-        listen(bus, &room.all_status(), heard, Heard::take_status)?,
+        listen(bus, &room.truth(), received, Received::take_truth)?,
+        listen(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
+        listen(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
+        listen(bus, &room.obstacles(), received, |received, obstacles| received.obstacles = Some((Instant::now(), obstacles)))?,
+        listen(bus, &room.telemetry(), received, |received, telemetry| received.telemetry = Some((Instant::now(), telemetry)))?,
+        listen(bus, &room.all_status(), received, Received::take_status)?,
         alive,
     ])
 }
@@ -144,16 +144,16 @@ fn subscribe(bus: &Bus, heard: &Arc<Mutex<Heard>>) -> Result<Vec<Subscription>, 
 fn listen<M: Message + 'static>(
     bus: &Bus,
     key: &str,
-    heard: &Arc<Mutex<Heard>>,
-    take: fn(&mut Heard, M),
+    received: &Arc<Mutex<Received>>,
+    take: fn(&mut Received, M),
 ) -> Result<Subscription, UiError> {
-    let heard = Arc::clone(heard);
+    let received = Arc::clone(received);
     Ok(bus.subscribe(key, move |payload| {
         let decoded = codec::decode::<M>(payload);
-        let mut heard = lock(&heard);
+        let mut received = lock(&received);
         match decoded {
-            Ok(message) => take(&mut heard, message),
-            Err(_) => heard.unreadable += 1,
+            Ok(message) => take(&mut received, message),
+            Err(_) => received.unreadable += 1,
         }
     })?)
 }

@@ -11,8 +11,8 @@ use heliostat_sim_node::World;
 
 use super::finished_parts::Done;
 use crate::figure::{Axis, Figure, Panel, Point, Series};
-use crate::over_floor::over_floor;
 use crate::job::{Job, Map};
+use crate::over_floor::over_floor;
 use crate::part::{Measured, Part};
 use crate::plan::{Plan, Room};
 

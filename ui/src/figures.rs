@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::View;
 use crate::latency::Histogram;
-use crate::view::{Received, EXPIRY};
+use crate::view::{EXPIRY, Received};
 
 /// Where the figures come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

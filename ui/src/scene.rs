@@ -1,7 +1,7 @@
-//! What the page draws in three dimensions: a plan of what stands still, and frames of what moves.
+//! The data of the page's 3-D view: a plan of the static objects, and frames of the moving ones.
 //!
-//! A mirror *serves* the user to whom it brings most light at its present angles, by the same channel that measures rates.
-//! Lengths are in m, rounded to millimetres.
+//! A mirror *serves* the user to whom it has the largest gain at its present angles, by the same channel model that gives
+//! the rates. Lengths are in m, rounded to millimetres.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -13,13 +13,13 @@ use crate::View;
 use crate::blocked_area::blocked_area;
 use crate::view::Received;
 
-/// A user who walks slower than this, in m/s, is taken to face where they faced before.
+/// Below this speed in m/s a user keeps the previous heading.
 const WALKING_M_S: f64 = 0.05;
 
-/// A mirror that stands this far from its command, in rad, is drawn as one that does not follow: far more than jitter.
+/// A mirror whose measured angle differs by more than this from its command, in rad, counts as unusable.
 const UNUSABLE_RAD: f32 = 0.1;
 
-/// What stands still.
+/// The static objects.
 #[derive(Clone, Debug, Serialize)]
 pub struct Plan {
     /// Name of the room in the keys.
@@ -32,41 +32,41 @@ pub struct Plan {
     pub leds_m: Vec<[f64; 3]>,
     /// Centres of the mirrors in m, in index order.
     pub mirrors_m: Vec<[f64; 3]>,
-    /// Height of the detectors above the floor in m: blocked_areas are drawn there.
+    /// Height of the detectors above the floor in m; blocked areas are drawn at this height.
     pub detector_height_m: f64,
 }
 
-/// A user as the page draws them.
+/// A user as drawn.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneUser {
-    /// Where the detector is in m.
+    /// Position of the detector in m.
     pub at_m: [f64; 3],
-    /// The body: x, y, radius and height in m; absent where bodies do not count.
+    /// The body: x, y, radius and height in m; absent if bodies do not block.
     pub body_m: Option<[f64; 4]>,
-    /// The access point that serves them.
+    /// The access point that serves the user.
     pub led: usize,
-    /// Whether the direct path is off.
+    /// Whether the direct path is blocked.
     pub blocked: bool,
 }
 
-/// What moves.
+/// The moving objects.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Frame {
     /// Corners of each mirror: four times x, y, z in m.
     pub mirrors_m: Vec<[f64; 12]>,
-    /// Index among the users of whom each mirror serves; -1 for nobody.
+    /// For each mirror the index of the user that it serves; -1 for none.
     pub serves: Vec<i32>,
-    /// Indices of the mirrors that do not follow.
+    /// Indices of the mirrors that do not follow commands.
     pub unusable: Vec<u32>,
     /// The users.
     pub users: Vec<SceneUser>,
     /// The obstacles: x, y, radius and height in m.
     pub obstacles_m: Vec<[f64; 4]>,
-    /// Corners of each blocked_area at the detectors' height, in m.
+    /// Corners of each area without direct light at the detectors' height, in m.
     pub blocked_areas_m: Vec<Vec<[f64; 2]>>,
 }
 
-/// Draws frames of a view, and remembers which way users faced.
+/// Computes the frames of a view, and keeps the heading of each user.
 pub struct Painter {
     view: Arc<View>,
     state: Mutex<PainterState>,
@@ -78,16 +78,16 @@ struct PainterState {
     gains: Vec<f64>,
 }
 
-/// A user and what blocks their light, as far as the topics say.
-struct UserState {
+/// A user as published.
+struct ObservedUser {
     position: Vec3,
-    /// Unit vector, or zero where unknown.
+    /// Unit vector, or zero if unknown.
     heading: Vec3,
     blocked: bool,
 }
 
 impl View {
-    /// What stands still in the room.
+    /// The static objects of the room.
     pub fn plan(&self, room: &str) -> Plan {
         let size = &self.scenario.room;
         Plan {
@@ -102,16 +102,16 @@ impl View {
 }
 
 impl Painter {
-    /// A painter that has not seen anybody yet.
+    /// A painter without users.
     pub fn new(view: Arc<View>) -> Self {
         let state = PainterState { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
         Self { view, state: Mutex::new(state) }
     }
 
-    /// The room at this moment.
+    /// The current frame.
     pub fn frame(&self) -> Frame {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let (users, obstacles, telemetry) = self.look(&mut state.headings);
+        let (users, obstacles, telemetry) = self.latest(&mut state.headings);
         let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| self.body(user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let angles = self.angles(telemetry.as_ref());
@@ -134,8 +134,8 @@ impl Painter {
         }
     }
 
-    /// The latest of users, obstacles and mirrors.
-    fn look(&self, headings: &mut Vec<Vec3>) -> (Vec<UserState>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+    /// The latest users, obstacles and telemetry.
+    fn latest(&self, headings: &mut Vec<Vec3>) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
         let received = self.view.received();
         let telemetry = Received::fresh(&received.telemetry).cloned();
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
@@ -146,30 +146,34 @@ impl Painter {
         };
         let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
         if let Some(truth) = Received::fresh(&received.truth) {
-            let seen = |user: &heliostat_proto::TruthUser| {
+            let observed = |user: &heliostat_proto::TruthUser| {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
-                UserState { position: point(user.position_m), heading: Vec3::new(cos, sin, 0.0), blocked: user.los_blocked }
+                ObservedUser {
+                    position: point(user.position_m),
+                    heading: Vec3::new(cos, sin, 0.0),
+                    blocked: user.los_blocked,
+                }
             };
-            let users = truth.users.iter().map(seen).collect();
+            let users = truth.users.iter().map(observed).collect();
             return (users, truth.obstacles.iter().map(cylinder).collect(), telemetry);
         }
         let obstacles = Received::fresh(&received.obstacles).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(cylinder).collect();
         let Some(report) = Received::fresh(&received.users) else { return (Vec::new(), obstacles, telemetry) };
         headings.resize(report.users.len(), Vec3::zeros());
-        let light = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
+        let gains = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
         let users = report.users.iter().zip(headings).map(|(user, heading)| {
             let [x, y] = user.velocity_m_s.map(f64::from);
             if x.hypot(y) > WALKING_M_S {
                 *heading = Vec3::new(x, y, 0.0).normalize();
             }
-            let dark = light.iter().any(|light| light.user == user.user && light.los_gain == 0.0);
-            UserState { position: point(user.position_m), heading: *heading, blocked: dark }
+            let blocked = gains.iter().any(|gains| gains.user == user.user && gains.los_gain == 0.0);
+            ObservedUser { position: point(user.position_m), heading: *heading, blocked }
         });
         (users.collect(), obstacles, telemetry)
     }
 
-    fn body(&self, user: &UserState) -> Option<Cylinder> {
+    fn body(&self, user: &ObservedUser) -> Option<Cylinder> {
         let blockage = &self.view.scenario.blockage;
         let axis = user.position - blockage.body_offset_m * user.heading;
         blockage.bodies.then_some(Cylinder {
@@ -180,7 +184,7 @@ impl Painter {
         })
     }
 
-    /// Where the mirrors are: as measured, or else as commanded, or else flat.
+    /// The angles of the mirrors: measured, else commanded, else flat.
     fn angles(&self, telemetry: Option<&MirrorTelemetry>) -> MirrorAngles {
         let mirrors = self.view.model.mirrors.len();
         let Some(telemetry) = telemetry.filter(|telemetry| telemetry.check_mirrors(mirrors).is_ok()) else {
@@ -196,7 +200,7 @@ impl Painter {
         }
     }
 
-    /// Corners of a turned mirror, one after the other round its edge.
+    /// Corners of a mirror, in order along its edge.
     fn corners(&self, index: usize, angles: &MirrorAngles) -> [f64; 12] {
         let array = &self.view.model.mirrors;
         let normal = array.normal(angles.roll[index], angles.yaw[index]);
@@ -217,19 +221,19 @@ impl Painter {
         let room = &self.view.scenario.room;
         let (extents, height) = ((room.length_x_m / 2.0, room.length_y_m / 2.0), self.view.scenario.receiver.height_m);
         let pairs = self.view.model.leds.iter().flat_map(|led| blockers.iter().map(move |blocker| (led, blocker)));
-        let thrown = pairs.map(|(led, blocker)| blocked_area(blocker, &led.position, height, extents));
-        let drawable = thrown.filter(|corners| corners.len() > 2);
+        let areas = pairs.map(|(led, blocker)| blocked_area(blocker, &led.position, height, extents));
+        let drawable = areas.filter(|corners| corners.len() > 2);
         drawable.map(|corners| corners.into_iter().map(|corner| corner.map(millimetres)).collect()).collect()
     }
 }
 
 impl PainterState {
-    /// Index of the user whom each mirror serves, or -1.
-    fn serve(&mut self, view: &View, users: &[UserState], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
-        let (users, mirrors) = (users.len(), angles.len());
-        if self.scene.users() != users {
-            self.scene = Scene::new(&view.model, users);
-            self.gains = vec![0.0; users * mirrors];
+    /// Index of the user that each mirror serves, or -1.
+    fn serve(&mut self, view: &View, users: &[ObservedUser], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
+        let (count, mirrors) = (users.len(), angles.len());
+        if self.scene.users() != count {
+            self.scene = Scene::new(&view.model, count);
+            self.gains = vec![0.0; count * mirrors];
         }
         let positions: Vec<Vec3> = users.iter().map(|user| user.position).collect();
         let blocked: Vec<bool> = users.iter().map(|user| user.blocked).collect();
@@ -237,20 +241,23 @@ impl PainterState {
         self.scene.irs_gain_each(&view.model, angles, &mut self.gains);
         let best = |mirror: usize| {
             let gain = |user: usize| self.gains[user * mirrors + mirror];
-            let best = (0..users).max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
+            let best = (0..count).max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
             best.filter(|user| gain(*user) > 0.0).map_or(-1, |user| user as i32)
         };
         (0..mirrors).map(best).collect()
     }
 }
 
-/// The mirrors that do not follow: as the driver says, or else those that stand far from where they were told to be.
+/// The unusable mirrors: those that the driver reports, else those far from their command.
 fn unusable(telemetry: MirrorTelemetry) -> Vec<u32> {
     if !telemetry.unusable.is_empty() {
         return telemetry.unusable;
     }
     let is_off = |measured: &[f32], commanded: &[f32], index: usize| {
-        measured.get(index).zip(commanded.get(index)).is_some_and(|(is, told)| (is - told).abs() > UNUSABLE_RAD)
+        measured
+            .get(index)
+            .zip(commanded.get(index))
+            .is_some_and(|(measured, commanded)| (measured - commanded).abs() > UNUSABLE_RAD)
     };
     let all = 0..telemetry.roll_commanded.len();
     let far = all.filter(|index| {

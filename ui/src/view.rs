@@ -1,6 +1,6 @@
-//! Listens to a room's public topics and keeps the latest of each.
+//! Subscribes to a room's public topics and keeps the latest message of each.
 //!
-//! Callbacks decode and store; whatever is computed is computed by whoever draws. What was not renewed for [`EXPIRY`] counts as gone.
+//! Callbacks decode and store; the readers compute. A message older than [`EXPIRY`] counts as absent.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,14 +18,14 @@ use heliostat_scenario::Scenario;
 use crate::UiError;
 use crate::latency::Window;
 
-/// What was last received longer ago than this is not shown as the present.
+/// A message older than this is not displayed as current.
 pub const EXPIRY: Duration = Duration::from_secs(3);
-/// How much of the past the chart of sum rates shows.
+/// Time span of the chart of sum rates.
 const HISTORY: Duration = Duration::from_secs(90);
-/// Between two points of that chart.
+/// Time between two points of that chart.
 const HISTORY_STEP: Duration = Duration::from_millis(200);
 
-/// A message and when it came.
+/// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
 
 /// Sum rates at an instant, for the chart.
@@ -35,7 +35,7 @@ pub(crate) struct Sample {
     pub sum: SumRates,
 }
 
-/// The latest of what a room says.
+/// The latest messages of a room.
 #[derive(Default)]
 pub(crate) struct Received {
     pub truth: Dated<RoomTruth>,
@@ -43,9 +43,9 @@ pub(crate) struct Received {
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
     pub telemetry: Dated<MirrorTelemetry>,
-    /// By name of the sort of process.
+    /// By the name of the kind of process.
     pub statuses: BTreeMap<&'static str, (Instant, NodeStatus)>,
-    /// Sort and source of the processes that are there.
+    /// Kind and source of the processes in the room.
     pub alive: BTreeSet<(&'static str, u64)>,
     pub history: VecDeque<Sample>,
     pub latency: Window,
@@ -62,10 +62,10 @@ pub struct View {
 }
 
 impl View {
-    /// Listens to the room of a session; the scenario says what the room looks like.
+    /// Subscribes to the room of a session; the scenario describes the room.
     ///
     /// # Errors
-    /// [`UiError::Optics`] for a scenario that the optics refuse, [`UiError::Bus`] where the session is closed.
+    /// [`UiError::Optics`] for a scenario that the channel model refuses, [`UiError::Bus`] if the session is closed.
     pub fn open(bus: &Bus, scenario: &Scenario) -> Result<Self, UiError> {
         let model = scenario.channel_model()?;
         let received: Arc<Mutex<Received>> = Arc::default();
@@ -73,13 +73,14 @@ impl View {
         Ok(Self { opened: Instant::now(), scenario: scenario.clone(), model, received, _subscriptions: subscriptions })
     }
 
-    /// Whether both sides have spoken: the room, be it simulated or real, and a controller.
+    /// Whether messages of the room and of a controller have arrived.
     pub fn is_complete(&self) -> bool {
         let received = self.received();
-        (received.truth.is_some() || received.users.is_some()) && received.statuses.contains_key(NodeKind::Controller.name())
+        (received.truth.is_some() || received.users.is_some())
+            && received.statuses.contains_key(NodeKind::Controller.name())
     }
 
-    /// The policy that a controller last said it uses, be it there or not.
+    /// The policy in the latest status of a controller, even if it has left.
     pub fn policy(&self) -> Option<String> {
         self.received().statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.policy.clone())
     }
@@ -115,7 +116,7 @@ impl Received {
 }
 
 fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
-    // Each message replaces a whole slot: a panic elsewhere leaves nothing half-made.
+    // Each message replaces a complete slot, so a poisoned lock protects consistent data.
     received.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -131,17 +132,21 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         };
     })?;
     Ok(vec![
-        listen(bus, &room.truth(), received, Received::take_truth)?,
-        listen(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
-        listen(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
-        listen(bus, &room.obstacles(), received, |received, obstacles| received.obstacles = Some((Instant::now(), obstacles)))?,
-        listen(bus, &room.telemetry(), received, |received, telemetry| received.telemetry = Some((Instant::now(), telemetry)))?,
-        listen(bus, &room.all_status(), received, Received::take_status)?,
+        store(bus, &room.truth(), received, Received::take_truth)?,
+        store(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
+        store(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
+        store(bus, &room.obstacles(), received, |received, obstacles| {
+            received.obstacles = Some((Instant::now(), obstacles))
+        })?,
+        store(bus, &room.telemetry(), received, |received, telemetry| {
+            received.telemetry = Some((Instant::now(), telemetry))
+        })?,
+        store(bus, &room.all_status(), received, Received::take_status)?,
         alive,
     ])
 }
 
-fn listen<M: Message + 'static>(
+fn store<M: Message + 'static>(
     bus: &Bus,
     key: &str,
     received: &Arc<Mutex<Received>>,

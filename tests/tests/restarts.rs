@@ -1,10 +1,10 @@
-//! Processes that die, come back, or find their place taken.
+//! Processes that are killed, restarted, or find another process in their role.
 
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{ArrayState, NodeKind};
 use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 
-/// A room, a controller and a observer of both.
+/// The endpoints of a room and a controller.
 struct Setting {
     room_endpoint: String,
     controller_endpoint: String,
@@ -49,7 +49,7 @@ fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
     let observer = setting.observer();
     observer.wait_for_commands();
     let turned = || observer.telemetry().is_some_and(|array| array.yaw_commanded.iter().any(|yaw| *yaw != 0.0));
-    wait_until("mirrors that turn", turned);
+    wait_until("moving mirrors", turned);
     let first_epoch = observer.telemetry().expect("received").epoch;
 
     controller.kill();
@@ -67,12 +67,12 @@ fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
     assert!(summary["commands"].as_u64() > Some(0), "{summary}");
     assert!(
         room_summary["lost_ticks"].as_u64() > Some(0),
-        "ticks went unanswered while nobody was there: {room_summary}"
+        "ticks without a controller are not answered: {room_summary}"
     );
 }
 
 #[test]
-fn a_controller_that_is_deposed_ends_and_says_by_whom() {
+fn a_superseded_controller_ends_and_names_its_successor() {
     let setting = Setting::new();
     let _room = setting.room();
     let first = setting.controller();
@@ -126,7 +126,7 @@ fn a_second_simulator_in_the_room_is_refused() {
 }
 
 #[test]
-fn two_simulators_that_cannot_see_each_other_are_never_mixed() {
+fn reports_of_two_unconnected_simulators_are_not_mixed() {
     let setting = Setting::new();
     let _room = setting.room();
     let controller = setting.controller();
@@ -134,7 +134,7 @@ fn two_simulators_that_cannot_see_each_other_are_never_mixed() {
     observer.wait_for_commands();
     let owner = observer.users().expect("received").stamp.source;
 
-    // The second one knows the controller only: peers do not pass on what others say.
+    // The second one is connected to the controller only: peers do not forward messages.
     let second =
         Process::heliostat(&["sim-node", "--connect", &setting.controller_endpoint, "--exit-with-parent", "--json"]);
     wait_until("foreign reports that are counted and named", || {
@@ -151,7 +151,7 @@ fn two_simulators_that_cannot_see_each_other_are_never_mixed() {
 }
 
 #[test]
-fn the_demo_tells_of_a_part_that_dies() {
+fn the_demo_reports_a_killed_process() {
     let demo = Process::heliostat(&["demo", "--seconds", "60", "--json", "--policy", "flat"]);
     let part = |demo: &Process| {
         let errors = demo.errors();
@@ -168,8 +168,8 @@ fn the_demo_tells_of_a_part_that_dies() {
 }
 
 #[test]
-fn nobody_need_read_what_is_said_on_standard_error() {
-    let full = std::fs::File::options().write(true).open("/dev/full").expect("a device that takes nothing");
+fn a_full_standard_error_does_not_stop_the_demo() {
+    let full = std::fs::File::options().write(true).open("/dev/full").expect("a device without space");
     let mut demo = std::process::Command::new(programs().join("heliostat"));
     demo.args(["demo", "--seconds", "0.5", "--json", "--no-ui", "--policy", "flat"]).stderr(full);
     let ended = demo.output().expect("the program starts");

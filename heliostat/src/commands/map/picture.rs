@@ -1,4 +1,4 @@
-//! The heat map as an SVG file: the floor, what stands on it, a colour bar and a legend.
+//! The heat map as an SVG file: floor, obstacles, users, colour bar and legend.
 
 use std::f64::consts::TAU;
 
@@ -14,11 +14,11 @@ use super::{Args, Quantity};
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Width and height of the part with the map, and what is beside and under it, in pixels.
+/// Width and height of the map, of the colour bar and of the legend, in pixels.
 const MAP: u32 = 640;
 const BAR_WIDTH: u32 = 120;
 const LEGEND_HEIGHT: u32 = 40;
-/// Space that caption and axis take above and below the floor; the colour bar keeps in line with it.
+/// Height of the caption above and the axis below the floor; the colour bar is aligned with the floor.
 const ABOVE: u32 = 44;
 const BELOW: u32 = 50;
 
@@ -56,7 +56,7 @@ impl Scale {
         Self { low, high: if high > low { high } else { low + 1.0 } }
     }
 
-    /// Viridis: even steps to the eye, readable without colour vision.
+    /// The Viridis scale: perceptually uniform, and readable with colour-vision deficiency.
     fn colour(&self, value: f64) -> RGBColor {
         ViridisRGB::get_color(((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0))
     }
@@ -77,7 +77,7 @@ fn draw_floor(area: &Area, scenario: &Scenario, world: &World, map: &Floor, scal
         let [x, y] = map.centre(index % map.columns, index / map.columns);
         Rectangle::new([(x - half[0], y - half[1]), (x + half[0], y + half[1])], scale.colour(*value).filled())
     }))?;
-    // White on black, to be seen on every colour of the scale.
+    // White on black, visible on every colour of the scale.
     for style in [BLACK.stroke_width(4), WHITE.stroke_width(2)] {
         chart.draw_series(world.blockers().iter().map(|cylinder| PathElement::new(outline(cylinder), style)))?;
     }
@@ -116,7 +116,7 @@ fn draw_bar(area: &Area, label: &str, scale: &Scale) -> Result<()> {
     Ok(())
 }
 
-/// Signs as they are drawn over the map, each with its name.
+/// The symbols of the map, each with its name.
 fn draw_legend(area: &Area, args: &Args) -> Result<()> {
     let middle = LEGEND_HEIGHT as i32 / 2;
     let ground =

@@ -282,8 +282,8 @@ fn upward(order: &[&str], depends_on: impl Fn(&str) -> Vec<String>) -> Vec<Strin
     found
 }
 
-/// Packages that are needed and may not be.
-fn unwanted(needed: &BTreeSet<&str>, patterns: &[&str]) -> Vec<String> {
+/// Needed packages that match a forbidden pattern.
+fn forbidden(needed: &BTreeSet<&str>, patterns: &[&str]) -> Vec<String> {
     let found = needed.iter().filter(|name| patterns.iter().any(|pattern| matches(pattern, name)));
     found.map(|name| (*name).to_owned()).collect()
 }
@@ -327,7 +327,7 @@ fn no_dependency_points_up() {
     for (folder, banned) in LAYOUT.bans {
         let banned: Vec<String> = banned.iter().map(|folder| package(folder)).collect();
         let banned: Vec<&str> = banned.iter().map(String::as_str).collect();
-        assert_eq!(unwanted(&packages.needed_by(&package(folder)), &banned), NONE, "{folder}");
+        assert_eq!(forbidden(&packages.needed_by(&package(folder)), &banned), NONE, "{folder}");
     }
 }
 
@@ -335,7 +335,7 @@ fn no_dependency_points_up() {
 fn pure_crates_need_no_transport_no_server_and_no_engine() {
     let packages = Packages::read(&root());
     for folder in LAYOUT.pure {
-        assert_eq!(unwanted(&packages.needed_by(&package(folder)), &NOT_IN_PURE), NONE, "{folder}");
+        assert_eq!(forbidden(&packages.needed_by(&package(folder)), &NOT_IN_PURE), NONE, "{folder}");
     }
 }
 
@@ -384,7 +384,7 @@ fn the_files_of_a_crate_form_no_import_circles() {
 fn deployed_processes_carry_no_training_and_no_plots() {
     let packages = Packages::read(&root());
     for folder in DEPLOYED {
-        assert_eq!(unwanted(&packages.needed_by(&package(folder)), &NOT_DEPLOYED), NONE, "{folder}");
+        assert_eq!(forbidden(&packages.needed_by(&package(folder)), &NOT_DEPLOYED), NONE, "{folder}");
     }
 }
 
@@ -462,7 +462,7 @@ mod each_rule_can_fail {
     #[test]
     fn an_engine_below_a_pure_crate_is_found() {
         let needed = BTreeSet::from(["zenoh-codec", "nalgebra", "ort", "portable"]);
-        assert_eq!(unwanted(&needed, &NOT_IN_PURE), ["ort", "zenoh-codec"]);
+        assert_eq!(forbidden(&needed, &NOT_IN_PURE), ["ort", "zenoh-codec"]);
     }
 
     #[test]

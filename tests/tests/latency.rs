@@ -22,7 +22,7 @@ struct Received {
 
 /// Receives every report and command of a room.
 struct Listener {
-    heard: Arc<Mutex<Received>>,
+    received: Arc<Mutex<Received>>,
     _bus: Bus,
     _subscriptions: [heliostat_bus::Subscription; 2],
 }
@@ -32,8 +32,8 @@ impl Listener {
         let room = Room::new(room).unwrap();
         let config = endpoints.iter().fold(BusConfig::new(room.clone()), |config, at| config.connect_to(at));
         let bus = Bus::open(&config).unwrap();
-        let heard: Arc<Mutex<Received>> = Arc::default();
-        let (on_report, on_command) = (Arc::clone(&heard), Arc::clone(&heard));
+        let received: Arc<Mutex<Received>> = Arc::default();
+        let (on_report, on_command) = (Arc::clone(&received), Arc::clone(&received));
         let reports = bus.subscribe(&room.users(), move |payload| {
             let report: UserReport = codec::decode(payload).unwrap();
             on_report.lock().unwrap().reports.push(report.tick);
@@ -41,11 +41,11 @@ impl Listener {
         let commands = bus.subscribe(&room.command(), move |payload| {
             on_command.lock().unwrap().commands.push(codec::decode(payload).unwrap());
         });
-        Self { heard, _subscriptions: [reports.unwrap(), commands.unwrap()], _bus: bus }
+        Self { received, _subscriptions: [reports.unwrap(), commands.unwrap()], _bus: bus }
     }
 
     fn commands(&self) -> usize {
-        self.heard.lock().unwrap().commands.len()
+        self.received.lock().unwrap().commands.len()
     }
 }
 
@@ -103,26 +103,26 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
     let listener = Listener::connect("demo", &pair.endpoints());
     wait_until("300 commands", || listener.commands() >= 300);
     let (room, controller) = pair.end();
-    let heard = listener.heard.lock().unwrap();
+    let received = listener.received.lock().unwrap();
 
     // Order: sequence numbers and ticks only rise, in one epoch.
-    assert!(heard.commands.windows(2).all(|pair| pair[0].sequence < pair[1].sequence), "commands out of order");
-    assert!(heard.commands.windows(2).all(|pair| pair[0].answers < pair[1].answers), "answers out of order");
-    assert!(heard.commands.windows(2).all(|pair| pair[0].epoch == pair[1].epoch), "two epochs");
-    assert!(heard.reports.windows(2).all(|pair| pair[0] < pair[1]), "reports out of order");
+    assert!(received.commands.windows(2).all(|pair| pair[0].sequence < pair[1].sequence), "commands out of order");
+    assert!(received.commands.windows(2).all(|pair| pair[0].answers < pair[1].answers), "answers out of order");
+    assert!(received.commands.windows(2).all(|pair| pair[0].epoch == pair[1].epoch), "two epochs");
+    assert!(received.reports.windows(2).all(|pair| pair[0] < pair[1]), "reports out of order");
 
     // Matching: a command answers a report that went out, and no report is answered twice.
-    let first = heard.reports[0];
-    let answered = heard.commands.iter().map(|command| command.answers).filter(|tick| *tick >= first);
-    let known = answered.filter(|tick| heard.reports.binary_search(tick).is_ok()).count();
-    let all = heard.commands.iter().filter(|command| command.answers >= first).count();
-    assert!(known + 2 >= all, "{all} commands, but only {known} answer a report that was heard");
+    let first = received.reports[0];
+    let answered = received.commands.iter().map(|command| command.answers).filter(|tick| *tick >= first);
+    let known = answered.filter(|tick| received.reports.binary_search(tick).is_ok()).count();
+    let all = received.commands.iter().filter(|command| command.answers >= first).count();
+    assert!(known + 2 >= all, "{all} commands, but only {known} answer a report that was received");
 
-    // Counts: what was heard is part of what both sides say was sent and taken, and nothing was lost.
+    // The received messages are a part of those that both processes count, and none is lost.
     let commands = number(&controller, "/commands");
-    assert!(heard.commands.len() as f64 <= commands, "{controller}");
+    assert!(received.commands.len() as f64 <= commands, "{controller}");
     assert!(number(&room, "/loop_us/count") <= commands, "{room} {controller}");
-    assert!(number(&room, "/loop_us/count") >= heard.commands.len() as f64 - 2.0, "{room}");
+    assert!(number(&room, "/loop_us/count") >= received.commands.len() as f64 - 2.0, "{room}");
     // A report that was overtaken on a busy machine is shed, and one that a stalled link cannot take is dropped: no command answers these.
     let dropped = 0.1 * number(&room, "/ticks");
     assert!(number(&room, "/lost_ticks") <= number(&controller, "/shed") + dropped, "{room} {controller}");

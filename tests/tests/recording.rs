@@ -285,7 +285,7 @@ fn a_failed_recording_or_replay_is_reported_with_the_cause() {
     assert_eq!(fs::read_to_string(&taken).unwrap(), "something");
 
     let unused = free_loopback_endpoint().unwrap();
-    let empty = folder.path().join("nobody.mcap");
+    let empty = folder.path().join("empty-room.mcap");
     let alone = Process::heliostat(&["record", "--seconds", "1", "--connect", &unused, "--out", &text(&empty)]).wait();
     assert!(alone.refusal().contains("nothing was received"), "{}", alone.errors);
 

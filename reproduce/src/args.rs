@@ -1,4 +1,4 @@
-//! The command line, and what can be refused before any long work.
+//! The command line, and the checks before long computations.
 
 use std::path::PathBuf;
 
@@ -13,34 +13,34 @@ use crate::plan::{Plan, Room};
 use crate::report::LeftOut;
 use crate::training;
 
-/// Make the paper's figures as this project finds them, beside what the paper says.
+/// Reproduce the figures of the paper, with a verdict for each of its statements.
 ///
-/// Writes a report (report.html, one file with everything in it), and for each figure SVG, CSV and JSON. Finished parts are kept in DIR/parts: a run
-/// that was cut off goes on where it was, and only what changed is computed again.
+/// Writes a self-contained report.html, and SVG, CSV and JSON files for each figure. Finished parts are stored in DIR/parts: an
+/// interrupted run continues, and only parts with changed inputs are computed again.
 #[derive(Debug, clap::Args)]
 pub struct ReproduceArgs {
-    /// Which figure
+    /// The figure
     #[arg(value_enum)]
     pub what: What,
-    /// The folder to write into; finished parts in it are used again
+    /// The output folder; finished parts in it are reused
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Rooms by the name of a built-in scenario, with commas between them [default: specular, paper, paper-calibrated]
+    /// Built-in scenarios, separated by commas [default: specular, paper, paper-calibrated]
     #[arg(long, value_name = "MODE,..", value_delimiter = ',')]
     pub mode: Vec<String>,
-    /// A scenario file (TOML) in place of the built-in rooms
+    /// A scenario file (TOML) instead of the built-in scenarios
     #[arg(long, value_name = "FILE", conflicts_with = "mode")]
     pub scenario: Option<String>,
-    /// Override a key of every room, for example --set users.count=3 (repeatable)
+    /// Override a key of every scenario, for example --set users.count=3 (repeatable)
     #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// A smoke run of a few minutes: fewer seeds, states and episodes
+    /// A short run of a few minutes: fewer seeds, states and episodes
     #[arg(long)]
     pub quick: bool,
-    /// Seeds of what does not train [default: 10, quick 2]
+    /// Number of seeds of computations without training [default: 10, quick 2]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
     pub seeds: Option<u64>,
-    /// Seeds of what trains, and of what is timed [default: 3, quick 1]
+    /// Number of seeds of training runs and timings [default: 3, quick 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
     pub training_seeds: Option<u64>,
     /// Episodes of each training run [default: 300, quick 25; the paper: 1000]
@@ -49,13 +49,13 @@ pub struct ReproduceArgs {
     /// The first seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Numbers of users whose direct path is off, in sum-rate-power
+    /// Numbers of blocked users in sum-rate-power
     #[arg(long, value_name = "B,..", value_delimiter = ',', default_values_t = BLOCKED)]
     pub blocked: Vec<usize>,
-    /// Train the policy ddpg for rooms without a built-in actor, instead of refusing them
+    /// Train the policy ddpg for rooms without a built-in actor
     #[arg(long)]
     pub train_missing: bool,
-    /// Compute nothing more: report what is finished, and name what is not
+    /// Report the finished parts only, and list the missing ones
     #[arg(long, conflicts_with = "train_missing")]
     pub finished: bool,
     /// Also write reproduction.json and reproduction.md into this folder
@@ -66,27 +66,27 @@ pub struct ReproduceArgs {
     pub json: bool,
 }
 
-/// What to make.
+/// The selection of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum What {
-    /// Sum rate against iterations of training (Fig4)
+    /// Sum rate against iterations of training (Fig. 4)
     SumRateIterations,
-    /// Sum rate against optical power, by blocked users (Fig5)
+    /// Sum rate against optical power, by number of blocked users (Fig. 5)
     SumRatePower,
-    /// Bit error rate against SNR, by walking speed (Fig6)
+    /// Bit error rate against SNR, by walking speed (Fig. 6)
     BerSnr,
-    /// Time for a decision, beside methods that search
+    /// Decision time, compared with methods that search
     Inference,
     /// Rate over the floor without and with the array
     Map,
-    /// Every figure that the paper states in words, and a verdict: takes what all but the map take
+    /// The statements of the paper with verdicts: computes all figures except the map
     Table,
-    /// Everything
+    /// All figures
     All,
 }
 
 impl What {
-    /// The figures that it takes.
+    /// The required figures.
     pub fn kinds(self) -> Vec<Kind> {
         match self {
             Self::SumRateIterations => vec![Kind::SumRateIterations],
@@ -100,13 +100,13 @@ impl What {
     }
 }
 
-/// The figures to make, each in a room, and those that are left out.
+/// The selected figures, each with its room, and the omitted ones.
 pub type Choice<'a> = (Vec<(Kind, &'a Room)>, Vec<LeftOut>);
 
 /// The numbers of blocked users when none are given.
 pub(crate) const BLOCKED: [usize; 4] = [0, 2, 3, 5];
 
-/// The rooms that are made when none are named.
+/// The default rooms.
 const ROOMS: [&str; 3] = ["specular", "paper", "paper-calibrated"];
 
 impl ReproduceArgs {
@@ -122,7 +122,7 @@ impl ReproduceArgs {
         }
     }
 
-    /// What all figures are made with.
+    /// The parameters of all figures.
     pub fn plan(&self, effort: Effort) -> Plan {
         let mut blocked = self.blocked.clone();
         blocked.sort_unstable();
@@ -130,10 +130,10 @@ impl ReproduceArgs {
         Plan { effort, first_seed: self.seed, blocked }
     }
 
-    /// The rooms, each with the place of its actor.
+    /// The rooms, each with the source of its actor.
     ///
     /// # Errors
-    /// A scenario that cannot be read or is wrong, or rooms of one name.
+    /// An unreadable or invalid scenario, or two rooms with the same name.
     pub fn rooms(&self) -> Result<Vec<Room>> {
         let names: Vec<String> = match (&self.scenario, self.mode.is_empty()) {
             (Some(file), _) => vec![file.clone()],
@@ -154,22 +154,22 @@ impl ReproduceArgs {
         Ok(rooms)
     }
 
-    /// Whether any figure takes the policy ddpg ready-made.
+    /// Whether any figure needs a trained actor of ddpg.
     pub fn needs_actor(&self) -> bool {
         self.what != What::SumRateIterations
     }
 
-    /// The figures to make in each room, and those that are left out because they make no sense there.
+    /// The figures for each room, and those that do not apply to a room.
     ///
     /// # Errors
-    /// A figure that was asked for by name in a room that was named, and makes no sense there.
+    /// A figure and a room that were both given explicitly, and do not match.
     pub fn choose<'a>(&self, rooms: &'a [Room]) -> Result<Choice<'a>> {
         let kinds = self.what.kinds();
         let named = kinds.len() == 1 && (self.scenario.is_some() || !self.mode.is_empty());
         let (mut chosen, mut left_out) = (Vec::new(), Vec::new());
         for kind in kinds {
             for room in rooms {
-                match kind.pointless(room) {
+                match kind.not_applicable(room) {
                     None => chosen.push((kind, room)),
                     Some(why) if named => bail!("no {} in room {}: {why}", kind.id(), room.name),
                     Some(why) => left_out.push(LeftOut { figure: kind.id().into(), room: room.name.clone(), why }),
@@ -180,7 +180,7 @@ impl ReproduceArgs {
     }
 }
 
-/// The command that makes the same report.
+/// The command that reproduces a report.
 pub fn command_of_report(args: &ReproduceArgs) -> String {
     let what = args.what.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned());
     let rooms = match &args.scenario {
@@ -191,7 +191,7 @@ pub fn command_of_report(args: &ReproduceArgs) -> String {
     command::begun(&what) + &flags(args, rooms.as_ref().map(|(flag, value)| (*flag, value.as_str()))) + finished
 }
 
-/// The flags on which a figure depends, with the one that names its room or all rooms.
+/// The flags that a figure depends on, with the one for its room or for all rooms.
 fn flags(args: &ReproduceArgs, rooms: Option<(&str, &str)>) -> String {
     let mut flags = String::new();
     let mut add = |flag: &str, value: &str| flags.push_str(&format!(" --{flag} {}", command::quoted(value)));
@@ -229,7 +229,7 @@ mod tests {
     const CHANGED: &str = "--set users.count=6 --set mirrors.rows=8 --seeds 4 --training-seeds 2 --episodes 7 --seed 3 --blocked 0,6 --quick";
 
     #[test]
-    fn a_report_s_command_is_the_one_that_was_given() {
+    fn the_command_of_a_report_is_the_given_one() {
         for given in ["--mode paper,specular", "--scenario hall.toml", "--finished", "--train-missing"] {
             let args = ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR {given} {CHANGED}"));
             assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command_of_report(&args))), format!("{args:?}"));
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_figure_s_command_names_its_room_and_keeps_every_other_flag() {
+    fn the_command_of_a_figure_names_its_room_and_keeps_the_other_flags() {
         let all = ReproduceArgs::of_command(&format!(
             "heliostat reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"
         ));

@@ -1,28 +1,28 @@
-//! Every figure that the paper states in words, what is found here in each room, and what that comes to.
+//! The statements of the paper, the finding for each room, and a verdict.
 //!
-//! A verdict follows from the figures by a rule that stands beside it; nothing is tuned to match.
+//! Each verdict follows from the figures by the rule in this file.
 
 use serde::{Deserialize, Serialize};
 
 use crate::figure::{Figure, Point, Series};
 use crate::figures::{ber_snr, inference, sum_rate_iterations, sum_rate_power};
 
-/// What became of a statement.
+/// The verdict on a statement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// Found again, with nothing set to get there.
+    /// Reproduced without calibration to it.
     Reproduced,
-    /// Agrees, but something was chosen or calibrated with this statement in view.
+    /// Agrees, but a parameter was chosen or calibrated for this statement.
     ConsistentWith,
-    /// Some of it holds.
+    /// Holds in part.
     InPart,
     /// Does not hold.
     NotReproduced,
 }
 
 impl Verdict {
-    /// In words.
+    /// The verdict as text.
     pub fn words(self) -> &'static str {
         match self {
             Self::Reproduced => "reproduced",
@@ -33,31 +33,31 @@ impl Verdict {
     }
 }
 
-/// One statement of the paper and what was found.
+/// One statement of the paper and the findings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Claim {
     /// The figure to which it belongs.
     pub figure: String,
-    /// What is stated.
+    /// The statement.
     pub statement: String,
     /// The paper's value.
     pub paper: String,
-    /// What was found in each room.
+    /// The findings for each room.
     pub findings: Vec<Finding>,
 }
 
-/// What was found in one room.
+/// The finding for one room.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
     /// The room.
     pub room: String,
-    /// Our value with its 95 % interval.
+    /// The value here with its 95 % interval.
     pub ours: String,
-    /// What it comes to.
+    /// The verdict.
     pub verdict: Verdict,
-    /// Why.
+    /// The reason.
     pub why: String,
-    /// What was set to get there.
+    /// The calibrated parameters.
     pub calibrated: String,
 }
 
@@ -109,7 +109,7 @@ impl Judged {
     }
 }
 
-/// What was set in a room with the paper's figures in view.
+/// The parameters that were calibrated to the paper in a room.
 fn calibrated(id: &str, room: &str) -> &'static str {
     match (id, room) {
         (ber_snr::ID, _) => "delay picked among five; interval and latency are not in the paper",
@@ -142,12 +142,12 @@ fn quoted_point<'a>(figure: &'a Figure, policy: &str) -> Option<&'a Point> {
     figure.series(&panel, policy)?.at(sum_rate_power::QUOTED_POWER_W)
 }
 
-/// An error rate in two digits; no link is held to less than 1e-12.
+/// An error rate with two digits; smaller ones than 1e-12 are not distinguished.
 fn error_rate(rate: f64) -> String {
     if rate < 1e-12 { "under 1e-12".into() } else { format!("{rate:.1e}") }
 }
 
-/// Within a tenth of the paper's value is agreement: the paper's own is read to two or three digits.
+/// Whether a value is within 10 % of the paper's, which has two or three digits.
 fn agrees(value: f64, paper: f64) -> bool {
     (value / paper - 1.0).abs() <= 0.1
 }
@@ -156,7 +156,7 @@ fn drl_rate(figure: &Figure) -> Option<Judged> {
     let (ddpg, oracle) = (quoted_point(figure, "ddpg")?, quoted_point(figure, "oracle")?);
     let ours = format!("ddpg {}, oracle {} Mbit/s", with_interval(ddpg, 2), with_interval(oracle, 2));
     Some(match (agrees(ddpg.y, 19.2), is_calibrated(figure)) {
-        (true, true) => Judged(ours, Verdict::ConsistentWith, "two numbers were set to land here, so the match proves nothing".into()),
+        (true, true) => Judged(ours, Verdict::ConsistentWith, "two parameters were calibrated to this value, so the match is no evidence".into()),
         (true, false) => Judged(ours, Verdict::Reproduced, "within a tenth".into()),
         (false, _) if figure.room == "paper" => Judged(
             ours,
@@ -246,22 +246,22 @@ fn beats_dql(figure: &Figure) -> Option<Judged> {
     })
 }
 
-/// Whether one mean lies above another with intervals that do not meet.
+/// Whether one mean is above another with disjoint intervals.
 fn above(one: &Point, other: &Point) -> bool {
     clear_of((one.y, one.ci95), (other.y, other.ci95))
 }
 
-/// Whether one time, along x, is longer than another, likewise.
+/// Whether one time, along x, is longer than another with disjoint intervals.
 fn longer(one: &Point, other: &Point) -> bool {
     clear_of((one.x, one.x_ci95), (other.x, other.x_ci95))
 }
 
-/// Whether a mean with half of its interval lies above another, and the intervals do not meet.
+/// Whether one mean is above another and their intervals, given by half widths, are disjoint.
 fn clear_of((one, half): (f64, Option<f64>), (other, other_half): (f64, Option<f64>)) -> bool {
     one - half.unwrap_or(0.0) > other + other_half.unwrap_or(0.0)
 }
 
-/// The verdict on one mean above another: from a single seed there is no interval, and so no more than a part.
+/// The verdict on one mean above another; a single seed has no interval, so the verdict is `InPart`.
 fn clearly(text: String, points: [&Point; 2]) -> Judged {
     if points.iter().all(|point| point.ci95.is_some()) {
         Judged(text, Verdict::Reproduced, "the intervals do not meet".into())
@@ -276,9 +276,7 @@ fn near_optimal(figure: &Figure) -> Option<Judged> {
     let (raw, ours, flat) = (ratio("ddpg-raw")?, ratio("ddpg")?, ratio("flat")?);
     let text = format!("10 x 10, of the oracle's rate: ddpg-raw {raw:.2}, ddpg {ours:.2}, flat {flat:.2}");
     Some(match (raw >= 0.95, ours >= 0.95) {
-        (true, _) if flat >= 0.95 => {
-            Judged(text, Verdict::InPart, "true, and as true of mirrors that nobody turns".into())
-        }
+        (true, _) if flat >= 0.95 => Judged(text, Verdict::InPart, "true, but also for flat mirrors".into()),
         (true, _) => Judged(text, Verdict::Reproduced, "0.95 or more with the paper's algorithm".into()),
         (false, true) => Judged(
             text,
@@ -316,7 +314,7 @@ fn error_rates(figure: &Figure) -> Option<Judged> {
     // Half a decade at either end.
     let near = |rate: f64, paper: f64| (rate / paper).log10().abs() <= 0.5;
     Some(if near(slow, 1e-4) && near(fast, 1e-1) {
-        let why = "the rise is there, at a delay picked among five; at shorter ones there is next to none, so the paper's values speak of old reports";
+        let why = "error rates rise as stated for one of five delays; shorter delays give almost no rise, so the paper's values imply old reports";
         Judged(text, Verdict::ConsistentWith, why.into())
     } else if fast > 10.0 * slow {
         Judged(text, Verdict::InPart, "error rates rise with speed, with other values at the ends".into())
@@ -342,7 +340,7 @@ fn error_floor(figure: &Figure) -> Option<Judged> {
         (true, false) => Judged(
             text,
             Verdict::InPart,
-            "for slow users; when the light is lost altogether no SNR helps, so fast ones keep a floor".into(),
+            "for slow users; for fast users the light misses the detector for part of the time, which no SNR compensates".into(),
         ),
         _ => Judged(text, Verdict::NotReproduced, "the floor stays above 1e-3".into()),
     })
@@ -366,7 +364,7 @@ fn decision_time(figure: &Figure) -> Option<Judged> {
         (true, true) => Judged(
             text,
             Verdict::Reproduced,
-            "in a hot loop; see docs/latency.md for the whole way from report to mirror".into(),
+            "in a hot loop; see docs/latency.md for the loop from report to mirror".into(),
         ),
         (true, false) => {
             let circumstance = if figure.overloaded { ", on a machine with other work" } else { "" };
@@ -388,7 +386,7 @@ fn faster(figure: &Figure) -> Option<Judged> {
     Some(if slower == medians.len() {
         Judged(text, Verdict::Reproduced, "faster than each search".into())
     } else if slower > 0 {
-        let why = "faster than searches that know nothing of the problem; a solver that uses its structure takes a similar time and comes as near";
+        let why = "faster than general search methods; a solver that uses the structure of the problem takes a similar time and has a similar sum rate";
         Judged(text, Verdict::InPart, why.into())
     } else {
         Judged(text, Verdict::NotReproduced, "slower than each search".into())
@@ -400,7 +398,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_is_longer_where_the_intervals_do_not_meet() {
+    fn a_time_is_longer_if_the_intervals_are_disjoint() {
         let point = |x, half| Point { x, y: 0.5, ci95: None, x_ci95: Some(half) };
         let ours = point(32.0, 2.0);
         assert!(longer(&point(104.0, 18.0), &ours));

@@ -1,10 +1,8 @@
-//! The command line that makes a report, or one of its figures, again.
-//!
-//! What says where on this machine (`--out`, `--write-docs`) and how to print it is left out: a command is for whoever reads the report.
+//! The command line that reproduces a figure. Local paths (`--out`, `--write-docs`) and output options are omitted.
 
 use crate::plan::Room;
 
-/// The command that makes one figure in one room, and computes what is missing of it.
+/// The command that reproduces one figure in one room.
 pub fn of_figure(id: &str, room: &Room) -> String {
     begun(id) + &room.flags
 }
@@ -14,7 +12,7 @@ pub(crate) fn begun(what: &str) -> String {
     format!("heliostat reproduce {what} --out DIR")
 }
 
-/// A word as a shell takes it back unchanged.
+/// A word quoted for a shell.
 pub(crate) fn quoted(word: &str) -> String {
     let plain = |letter: char| letter.is_alphanumeric() || "-_./,=:+".contains(letter);
     if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
@@ -25,7 +23,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shell_takes_words_back_unchanged() {
+    fn words_are_quoted_for_a_shell() {
         assert_eq!(["users.count=3", "a b=[1]", "it's"].map(quoted), ["users.count=3", "'a b=[1]'", r"'it'\''s'"]);
     }
 }

@@ -1,6 +1,6 @@
-//! The figures: for each its parts, what makes no sense, and how finished parts become a picture.
+//! The figures: the parts of each, the rooms where it does not apply, and the figure from finished parts.
 //!
-//! A figure's file holds all that is particular to it. [`Kind`] is the list.
+//! The file of a figure holds all its specifics. [`Kind`] lists the figures.
 
 pub mod ber_snr;
 pub mod finished_parts;
@@ -19,7 +19,7 @@ use crate::part::{Measured, Part};
 use crate::plan::{Plan, Room};
 use finished_parts::Done;
 
-/// A figure, by the word on the command line.
+/// A figure by its id on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Fig4.
@@ -28,9 +28,9 @@ pub enum Kind {
     SumRatePower,
     /// Fig6.
     BerSnr,
-    /// Section V.B.
+    /// Section V.B of the paper.
     Inference,
-    /// Our own.
+    /// Not in the paper.
     Map,
 }
 
@@ -38,7 +38,7 @@ impl Kind {
     /// All figures, in the order of the report.
     pub const ALL: [Self; 5] = [Self::SumRateIterations, Self::SumRatePower, Self::BerSnr, Self::Inference, Self::Map];
 
-    /// The word on the command line.
+    /// The id on the command line.
     pub fn id(self) -> &'static str {
         match self {
             Self::SumRateIterations => sum_rate_iterations::ID,
@@ -52,7 +52,7 @@ impl Kind {
     /// Its parts in a room.
     ///
     /// # Errors
-    /// What is wrong with the room or the plan, and what to do about it: told before any part is computed.
+    /// An invalid room or plan, reported before any part is computed.
     pub fn parts(self, room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         match self {
             Self::SumRateIterations => sum_rate_iterations::parts(room, plan),
@@ -63,10 +63,10 @@ impl Kind {
         }
     }
 
-    /// Why the figure makes no sense under a room's equations, if so.
-    pub fn pointless(self, room: &Room) -> Option<String> {
+    /// The reason why the figure does not apply to a room, if so.
+    pub fn not_applicable(self, room: &Room) -> Option<String> {
         match self {
-            Self::BerSnr if room.scenario.channel.mode != ChannelMode::Specular => Some(ber_snr::POINTLESS.into()),
+            Self::BerSnr if room.scenario.channel.mode != ChannelMode::Specular => Some(ber_snr::NOT_APPLICABLE.into()),
             _ => None,
         }
     }

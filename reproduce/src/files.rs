@@ -24,7 +24,7 @@ pub fn write(report: &Report, out: &Path) -> Result<()> {
     store::write(&out.join("report.html"), page::html(report).as_bytes())
 }
 
-/// One line a point; for a floor one a cell.
+/// One line for each point; for a floor one for each cell.
 fn csv(figure: &Figure) -> Result<Vec<u8>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(["panel", "series", &figure.x.label, &figure.y.label, "ci95", "ci95 of x"])?;
@@ -44,5 +44,5 @@ fn csv(figure: &Figure) -> Result<Vec<u8>> {
             writer.write_record([&panel.title, &name, &x.to_string(), &y.to_string(), "", ""])?;
         }
     }
-    writer.into_inner().context("the table cannot be finished")
+    writer.into_inner().context("the table cannot be written")
 }

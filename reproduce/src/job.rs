@@ -4,17 +4,17 @@
 
 use serde::Serialize;
 
-/// What is to be computed, with every number that it takes.
+/// A computation, with all its parameters.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Job {
-    /// One training run, watched.
+    /// One training run with evaluations.
     Learning(Learning),
     /// Policies without training, for comparison with the training runs.
     Baselines(Baselines),
     /// Sum rates at several powers.
     Power(Power),
-    /// Light kept under stale aim.
+    /// SINR kept with delayed reports.
     Aim(Aim),
     /// Decision times.
     Timing(Timing),
@@ -32,17 +32,17 @@ impl Job {
 /// One training run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Learning {
-    /// Who learns.
+    /// The learner.
     pub learner: String,
     /// Rows and columns.
     pub side: usize,
-    /// Users whose direct path is off in the states on which it is judged.
+    /// Users whose direct path is blocked in the evaluation states.
     pub blocked: usize,
     /// Episodes.
     pub episodes: usize,
-    /// Times it is judged after its beginning.
+    /// Evaluations after the start.
     pub judgements: usize,
-    /// States on which it is judged.
+    /// Evaluation states.
     pub states: usize,
 }
 
@@ -55,14 +55,14 @@ pub struct Baselines {
     pub blocked: usize,
     /// As in [`Learning`].
     pub states: usize,
-    /// Where the lines end.
+    /// Episode at which the lines end.
     pub episodes: usize,
 }
 
 /// One seed of one number of blocked users.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Power {
-    /// Users whose direct path is off.
+    /// Users whose direct path is blocked.
     pub blocked: usize,
     /// Optical powers in W.
     pub powers_w: Vec<f64>,
@@ -70,14 +70,14 @@ pub struct Power {
     pub states: usize,
 }
 
-/// One seed of one delay, all speeds.
+/// One seed of one delay, for all speeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Aim {
     /// Time between two reports in ms.
     pub interval_ms: f64,
-    /// Age of a report when it arrives, in ms.
+    /// Age of a report at its arrival in ms.
     pub latency_ms: f64,
-    /// Constant-velocity prediction of the user.
+    /// Whether the controller predicts with constant velocity.
     pub prediction: bool,
     /// Instants at each speed.
     pub instants: usize,
@@ -86,13 +86,13 @@ pub struct Aim {
 /// One seed of one array.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Timing {
-    /// Nine mirrors and three users, with the exhaustive search.
+    /// Whether the array has nine mirrors and the room three users, for the exhaustive search.
     pub small: bool,
-    /// Decisions of each policy whose median is under `FAST_US`.
+    /// Decisions of each fast policy.
     pub decisions: usize,
     /// Decisions of each other policy.
     pub slow_decisions: usize,
-    /// Trials of the metaheuristics for one decision, however long they take.
+    /// Evaluations of the metaheuristics for one decision, without a time limit.
     pub trials: u32,
 }
 

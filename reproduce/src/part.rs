@@ -1,4 +1,4 @@
-//! The parts of which figures are made: each can be computed alone, and is named by all that it depends on.
+//! The parts of figures: each is computed alone, and has a key of all its inputs.
 
 use anyhow::Result;
 use heliostat_controller::policy::{ActorSource, PolicyKind};
@@ -12,13 +12,13 @@ use crate::job::Job;
 /// One part of a figure.
 #[derive(Clone, Debug)]
 pub struct Part {
-    /// Which figure it belongs to.
+    /// The id of its figure.
     pub figure: &'static str,
     /// A hash of the code that computes it.
     pub code: &'static str,
     /// The room's name.
     pub room: String,
-    /// What sets it apart from the other parts of the same figure and seed.
+    /// Its name, unique among the parts of the same figure and seed.
     pub name: String,
     /// Seed of every random choice.
     pub seed: u64,
@@ -26,19 +26,19 @@ pub struct Part {
     pub scenario: Scenario,
     /// Where the policy ddpg comes from.
     pub actor: ActorSource,
-    /// What is to be done.
+    /// The computation.
     pub job: Job,
-    /// About how long it takes on one core of the machine on which this was measured, in s.
+    /// Estimated processor time in s.
     pub cost_s: f64,
 }
 
-/// What a part found.
+/// The results of a part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// Values along an axis.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub curves: Vec<Curve>,
-    /// Values over the floor, each with what stands on it.
+    /// Values over the floor, each with the objects in the room.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub floors: Vec<(Floor, Vec<Series>)>,
 }
@@ -46,19 +46,19 @@ pub struct Measured {
 /// Values of one seed along an axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
-    /// Which panel or quantity.
+    /// The panel or quantity.
     pub group: String,
-    /// Which policy or condition.
+    /// The policy or condition.
     pub name: String,
-    /// x and y; values that do not exist are left out.
+    /// x and y; missing values are omitted.
     pub points: Vec<[f64; 2]>,
 }
 
 impl Part {
-    /// A hash of all that the result depends on: code, room, seed, settings, and the built-in or given actor.
+    /// A hash of all inputs: code, room, seed, settings, and the actor.
     ///
     /// # Errors
-    /// An actor that cannot be fetched, where the part needs one.
+    /// An actor that cannot be loaded, if the part needs one.
     pub fn key(&self) -> Result<String> {
         let mut hash = Sha256::new();
         let mut add = |text: &str| {
@@ -92,7 +92,7 @@ mod tests {
     use crate::job::Map;
 
     #[test]
-    fn a_part_has_another_key_under_other_code_and_the_same_under_the_same() {
+    fn the_key_of_a_part_depends_on_the_code() {
         let part = |code: &'static str| Part {
             figure: "map",
             code,

@@ -1,31 +1,31 @@
-//! What figures are made with: rooms, seeds and sizes.
+//! The parameters of figures: rooms, seeds and sizes.
 
 use heliostat_controller::policy::ActorSource;
 use heliostat_scenario::Scenario;
 
 use crate::effort::Effort;
 
-/// A room in which figures are made.
+/// A room for figures.
 #[derive(Clone, Debug)]
 pub struct Room {
     /// Its name in the report: that of its scenario.
     pub name: String,
     /// The room.
     pub scenario: Scenario,
-    /// Where the policy ddpg comes from there.
+    /// The source of the policy ddpg in this room.
     pub actor: ActorSource,
-    /// The flags of the command line on which figures in it depend.
+    /// The command-line flags that the figures of this room depend on.
     pub flags: String,
 }
 
-/// What all figures are made with.
+/// The parameters of all figures.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// The sizes.
     pub effort: Effort,
     /// The first seed.
     pub first_seed: u64,
-    /// Numbers of users whose direct path is off, for the power figure.
+    /// Numbers of blocked users in the power figure.
     pub blocked: Vec<usize>,
 }
 

@@ -1,4 +1,4 @@
-//! One run of `heliostat reproduce`: what can be refused is refused, then the parts are computed one by one, then the report is written.
+//! One run of `heliostat reproduce`: checks, computation of the parts, report.
 
 use std::fs;
 use std::io::IsTerminal;
@@ -25,8 +25,8 @@ use crate::{files, machine, training};
 /// Runs the command.
 ///
 /// # Errors
-/// A folder that cannot be written, a scenario or figure that makes no sense, a missing actor, all before any part is computed; then those
-/// of the parts, which stay finished on disk up to the one that failed.
+/// An unwritable folder, an invalid scenario or figure, or a missing actor, before any part is computed; then an error of
+/// a part. Parts finished before remain stored.
 pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
     let report = reproduce(&args)?;
     let kept = report.parts.iter().filter(|part| part.kept).count();
@@ -47,11 +47,11 @@ pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
     for left_out in &report.left_out {
         println!("{} in room {}: {}", left_out.figure, left_out.room, left_out.why);
     }
-    println!("{}: {} parts, {kept} of them kept from before", page.display(), report.parts.len());
+    println!("{}: {} parts, {kept} of them from an earlier run", page.display(), report.parts.len());
     Ok(())
 }
 
-/// Computes what is missing and writes the report.
+/// Computes the missing parts and writes the report.
 ///
 /// # Errors
 /// As [`run_reproduce`].
@@ -66,7 +66,7 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     }
     let store = Store::open(&args.out)?;
     if let Some(folder) = &args.write_docs {
-        ensure!(folder.is_dir(), "--write-docs {}: wanted a folder that is there", folder.display());
+        ensure!(folder.is_dir(), "--write-docs {}: expected an existing folder", folder.display());
     }
     if args.needs_actor() {
         rooms.iter().try_for_each(|room| training::provide(room, &args.out, args.train_missing))?;
@@ -110,7 +110,7 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     Ok(report)
 }
 
-/// Says what is to be done, and how long it takes about; the bar counts seconds of that.
+/// Prints the number of parts and the estimated time; the progress bar counts the estimated time.
 fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<ProgressBar> {
     let (mut count, mut missing, mut cost_s) = (0, 0, 0.0);
     for part in figures.iter().flat_map(|(_, _, parts)| parts) {
@@ -122,7 +122,7 @@ fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<Progr
     }
     drop(writeln!(
         std::io::stderr(),
-        "{count} parts, {} of them finished before; the rest takes about {} of one core",
+        "{count} parts, {} of them finished; the others take about {} of one core",
         count - missing,
         duration_text(cost_s)
     ));
@@ -184,7 +184,7 @@ fn write_docs(report: &Report, folder: &Path) -> Result<()> {
     let report = document::reduced(report);
     let json = folder.join("reproduction.json");
     crate::store::write(&json, document::json(&report)?.as_bytes())?;
-    // What is written is what the file says, so that the document can be made again from it.
+    // The document is rendered from the file, so that it can be rendered again.
     let text = fs::read_to_string(&json).with_context(|| format!("cannot read {}", json.display()))?;
     let report = serde_json::from_str(&text)?;
     crate::store::write(&folder.join("reproduction.md"), document::markdown(&report).as_bytes())

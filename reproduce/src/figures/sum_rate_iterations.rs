@@ -1,7 +1,7 @@
-//! Fig4: sum rate against iterations (episodes of training), for two sizes of the array.
+//! Fig. 4: sum rate against iterations (episodes of training), for two sizes of the array.
 //!
-//! A learner is judged on the same held-out states, without exploration, before its first episode and then at even steps. `ddpg-raw` is the
-//! paper's algorithm to the letter; `ddpg` is ours, with one weight a user as its action.
+//! Each learner is evaluated on the same held-out states, without exploration, before its first episode and then at even
+//! steps. `ddpg-raw` is the paper's algorithm; `ddpg` is this project's, with one weight for each user as its action.
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
@@ -18,19 +18,19 @@ use crate::job::{Baselines, Job, Learning};
 use crate::part::{Curve, Measured, Part};
 use crate::plan::{Plan, Room};
 
-/// The word on the command line.
+/// The id on the command line.
 pub const ID: &str = "sum-rate-iterations";
 
-/// Who learns: the paper's DDPG, ours, and the paper's rival. With the time of one episode on 7 x 7 and on 10 x 10 mirrors in s.
+/// The learners, with the estimated time of one episode on 7 x 7 and on 10 x 10 mirrors in s.
 const LEARNERS: [(&str, [f64; 2]); 3] = [("ddpg-raw", [0.6, 0.8]), ("ddpg", [1.0, 1.1]), ("dql", [0.3, 0.4])];
 
-/// What stands beside them; the oracle comes with every comparison.
+/// Policies for comparison; every comparison includes the oracle.
 const POLICIES: [&str; 3] = ["flat", "random", "no-irs"];
 
 /// Rows and columns of the paper's arrays.
 const SIDES: [usize; 2] = [7, 10];
 
-/// Users whose direct path is off, as in the paper's other figures.
+/// Blocked users, as in the paper's other figures.
 const BLOCKED: usize = 2;
 
 /// The group of the curves of an array.
@@ -41,7 +41,7 @@ pub fn group(side: usize) -> String {
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     ensure!(
         room.scenario.users.trace.is_none(),
-        "{ID} draws rooms from the random walk, but room {} follows a recording: leave users.trace out",
+        "{ID} draws rooms from the random walk, but room {} uses a recording; remove users.trace",
         room.name
     );
     let effort = &plan.effort;
@@ -97,7 +97,7 @@ fn sized(scenario: &Scenario, side: usize, blocked: usize) -> Result<Scenario> {
 }
 
 impl Learning {
-    /// Trains and judges.
+    /// Trains and evaluates.
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = sized(scenario, self.side, self.blocked)?;
         let mut learner = algorithm(&self.learner)?.begin(
@@ -121,7 +121,7 @@ impl Learning {
 }
 
 impl Baselines {
-    /// Compares on the states on which learners are judged: those of set 0, whatever the seed.
+    /// Evaluates on the states of the learners: those of set 0, independent of the seed.
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = Scenario { seed: 0, ..sized(scenario, self.side, self.blocked)? };
         let source = ActorSource::Shipped;
@@ -154,16 +154,16 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         title: "Sum rate against iterations".into(),
         caption: vec![
             format!(
-                "Each learner is judged on the same {states} held-out states with {blocked} users blocked, without exploration; iterations are episodes of 40 steps, \
+                "Each learner is evaluated on the same {states} held-out states with {blocked} users blocked, without exploration; iterations are episodes of 40 steps, \
                  {episodes} in all (the paper: 1000, of unstated length). {}",
                 intervals(done)
             ),
-            "The lines that do not learn stand on those same states, `random` as the mean of 30 draws. Nothing in them depends on a seed of training, so that they \
-             have no band."
+            "The policies without training are evaluated on the same states, `random` as the mean of 30 draws. They do not depend on a training seed, so they \
+             have no interval."
                 .into(),
-            "`ddpg-raw` is the paper's algorithm to the letter: all angles are outputs of the actor, rates, networks and buffer are the paper's. `ddpg` is ours: one weight \
-             a user, decoded by geometry. `dql` chooses among quantised angles. The oracle stands for the exhaustive search, which 2 M continuous angles rule out; it \
-             keeps minimum rates where it can, so that a policy that gives a user up can pass it."
+            "`ddpg-raw` is the paper's algorithm: all angles are outputs of the actor; rates, networks and buffer are the paper's. `ddpg` is this project's: one weight \
+             for each user, decoded by geometry. `dql` chooses among quantised angles. The oracle replaces the exhaustive search, which is impossible for 2 M continuous angles. It \
+             meets minimum rates where possible, so a policy that drops a user can exceed it."
                 .into(),
         ],
         x: Axis::linear("iterations (episodes)"),
@@ -178,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn baselines_do_not_depend_on_the_seed_and_so_have_no_interval() {
+    fn baselines_do_not_depend_on_the_seed() {
         let baselines = Baselines { side: 7, blocked: 2, states: 2, episodes: 5 };
         let of_seed = |seed: u64| baselines.run(&Scenario { seed, ..Scenario::builtin("specular").unwrap() }).unwrap();
         assert_eq!(of_seed(1), of_seed(2));

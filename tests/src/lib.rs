@@ -3,10 +3,11 @@
 //! - [`Process`]: a built program as a process.
 //! - [`RoomObserver`]: a session that receives the messages of a room.
 //! - [`Browser`]: a browser with one page.
-//! - [`module_graph`], [`packages`], [`rust_source`]: import graph, dependencies and names of the workspace's crates.
+//! - [`architecture`]: checks of the architecture rules, based on [`module_graph`], [`packages`] and [`rust_source`].
 //!
 //! Tests see what a driver, a viewer or a user at the terminal sees; nothing here reaches into a process.
 
+pub mod architecture;
 mod browser;
 pub mod module_graph;
 mod observer;

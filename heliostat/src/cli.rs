@@ -7,8 +7,8 @@ use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval,
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
 ///
-/// A ceiling LED transmits to moving users. Bodies and furniture block the direct path. The mirrors on a wall provide a second path.
-/// Start with `heliostat demo`.
+/// A ceiling LED transmits to moving users. Bodies and furniture block the direct path. The mirrors
+/// on a wall provide a second path. Start with `heliostat demo`.
 #[derive(Debug, Parser)]
 #[command(name = "heliostat", version, arg_required_else_help = true)]
 pub struct Cli {

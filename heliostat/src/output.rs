@@ -1,4 +1,5 @@
-//! Standard output. A reader such as `head` may close it at any time: this ends the command without an error.
+//! Standard output. A reader such as `head` may close it at any time: this ends the command without
+//! an error.
 
 use std::fmt::Arguments;
 use std::io::{self, Write};

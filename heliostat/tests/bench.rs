@@ -1,4 +1,5 @@
-//! The benchmarks of latency: what they print, and that their counts are right. No time is asserted.
+//! The benchmarks of latency: what they print, and that their counts are right. No time is
+//! asserted.
 
 use std::process::Command;
 

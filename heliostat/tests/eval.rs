@@ -72,7 +72,8 @@ fn the_same_seed_gives_the_same_figures_in_both_loops() {
     }
 }
 
-/// Exact reports and instant mirrors lose little; late and noisy reports lose more, and prediction recovers a part.
+/// Exact reports and instant mirrors lose little; late and noisy reports lose more, and prediction
+/// recovers a part.
 #[test]
 fn a_closed_loop_loses_rate_with_late_reports() {
     let flags = ["--policies", "greedy", "--closed-loop", "--predicted", "--states", "60", "--seeds", "1"];

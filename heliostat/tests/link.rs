@@ -50,7 +50,8 @@ fn direct_gain_is_the_closed_form() {
     let users = ["--user", "0,0", "--user", "2,-2", "--obstacles", "none"];
     for (angles, side) in [("flat", "0"), ("oracle", "0"), ("flat", "0.1")] {
         let budget = link(&[&users[..], &["--angles", angles, "--set", &format!("led.side_m={side}")]].concat());
-        // (n + 1) A_r cos cos / (2 pi D^2) with n = 1, 20 mm2 and the LED 2.15 m above: a panel differs in the fourth digit.
+        // (n + 1) A_r cos cos / (2 pi D^2) with n = 1, 20 mm2 and the LED 2.15 m above: a panel
+        // differs in the fourth digit.
         for (user, expected) in [(0, 1.376e-6), (1, 1.847e-7)] {
             assert_near(number(&budget["users"][user]["los_gain"]), expected, 1e-3, "direct gain");
             assert_eq!(budget["users"][user]["los_blocked"], false);
@@ -113,7 +114,8 @@ fn mirrors_aimed_by_hand_give_the_gain_of_the_unfolded_path() {
     let (led, user) = ([0.0, 0.0, 3.0], [1.2, -0.7, 0.85]);
     let (mut angles, mut expected) = (String::from("roll_deg,yaw_deg\n"), Vec::new());
     for index in 0..100 {
-        // 10 x 10 mirrors of 0.25 m x 0.10 m with gaps of 0.02 m about (0, 2.5, 2), row by row from the lowest.
+        // 10 x 10 mirrors of 0.25 m x 0.10 m with gaps of 0.02 m about (0, 2.5, 2), row by row from
+        // the lowest.
         let (row, column) = (f64::from(index / 10), f64::from(index % 10));
         let mirror = [(column - 4.5) * 0.27, 2.5, 2.0 + (row - 4.5) * 0.12];
         let (to_led, to_user) = (sub(led, mirror), sub(user, mirror));
@@ -142,7 +144,8 @@ fn mirrors_aimed_by_hand_give_the_gain_of_the_unfolded_path() {
 #[test]
 fn an_obstacle_on_the_direct_path_is_named() {
     let folder = folder();
-    // Half way to the user at (2, -2) the ray is 1.9 m above the floor; the other obstacle is beside it.
+    // Half way to the user at (2, -2) the ray is 1.9 m above the floor; the other obstacle is
+    // beside it.
     let obstacles = file(&folder, "obstacles.csv", "x,y,radius,height\n-2,2,0.2,1.5\n1.6,-1.6,0.2,1.75\n");
     let budget = link(&["--user", "0,0", "--user", "2,-2", "--angles", "flat", "--obstacles", &obstacles]);
     let [clear, blocked] = [0, 1].map(|user| &budget["users"][user]);

@@ -1,4 +1,5 @@
-//! `heliostat map` on the command line: a well-formed SVG with units, and values that follow from the physics.
+//! `heliostat map` on the command line: a well-formed SVG with units, and values that follow from
+//! the physics.
 
 use std::process::{Command, Output};
 

@@ -1,5 +1,5 @@
-//! Counts of the received messages by key, and of the missing ones: each source numbers its messages, so a gap
-//! is visible.
+//! Counts of the received messages by key, and of the missing ones: each source numbers its
+//! messages, so a gap is visible.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -30,8 +30,8 @@ pub struct StreamAccount {
 pub struct Account {
     /// By key.
     pub streams: BTreeMap<String, StreamAccount>,
-    /// Payloads that were received and dropped, because the queue to the disk was full. They count as missing
-    /// when a later message of their stream arrives.
+    /// Payloads that were received and dropped, because the queue to the disk was full. They count
+    /// as missing when a later message of their stream arrives.
     pub dropped: u64,
     #[serde(skip)]
     last: BTreeMap<String, Origin>,
@@ -106,7 +106,8 @@ mod tests {
     #[test]
     fn gaps_are_counted_by_source() {
         let mut account = Account::default();
-        // Joined at 5; 7 and 8 are lost; 9 comes twice; then another source starts at 1, and its 2 to 4 are lost.
+        // Joined at 5; 7 and 8 are lost; 9 comes twice; then another source starts at 1, and its 2
+        // to 4 are lost.
         for (source, sequence) in [(1, 5), (1, 6), (1, 9), (1, 9), (1, 8), (2, 1), (2, 5)] {
             account.count("users", 10, Some(Origin { source, sequence, time_ns: 0 }));
         }

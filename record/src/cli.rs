@@ -16,9 +16,10 @@ use crate::{play, recorder, replay};
 
 /// Record all messages of a room into an MCAP file.
 ///
-/// The file opens in Foxglove, and `heliostat replay` plays it back. Peers exchange messages over direct links only: connect to the
-/// room's process and to the controller, or let the controller connect to this process (--listen). Missing messages are counted by
-/// sequence number and reported at the end.
+/// The file opens in Foxglove, and `heliostat replay` plays it back. Peers exchange messages over
+/// direct links only: connect to the room's process and to the controller, or let the controller
+/// connect to this process (--listen). Missing messages are counted by sequence number and reported
+/// at the end.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RecordArgs {
     #[command(flatten)]
@@ -44,9 +45,10 @@ pub struct RecordArgs {
 
 /// Play a recording into a controller, or verify its commands.
 ///
-/// Without --verify, --policy and --model this process replaces the room: it publishes the recorded reports for a controller that runs
-/// elsewhere, at the recorded speed. With one of them a controller inside this process decides again, and every command is compared
-/// with the recorded one. The exit status is 1 if --verify finds a difference, and 2 if the file cannot be replayed.
+/// Without --verify, --policy and --model this process replaces the room: it publishes the recorded
+/// reports for a controller that runs elsewhere, at the recorded speed. With one of them a
+/// controller inside this process decides again, and every command is compared with the recorded
+/// one. The exit status is 1 if --verify finds a difference, and 2 if the file cannot be replayed.
 #[derive(Clone, Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("decide_again").multiple(true))]
 pub struct ReplayArgs {
@@ -61,10 +63,12 @@ pub struct ReplayArgs {
     /// Decide again with this ONNX file of a learned policy instead of the built-in one
     #[arg(long, visible_alias = "actor", value_name = "FILE", group = "decide_again")]
     model: Option<PathBuf>,
-    /// Decisions at the start of each epoch that are not compared [default: 0 for a lockstep run recorded from its start, else 200]
+    /// Decisions at the start of each epoch that are not compared [default: 0 for a lockstep run
+    /// recorded from its start, else 200]
     #[arg(long, value_name = "N", requires = "decide_again")]
     settle: Option<u64>,
-    /// Endpoint at which to listen for a controller (repeatable); without any endpoint tcp/127.0.0.1:7447
+    /// Endpoint at which to listen for a controller (repeatable); without any endpoint
+    /// tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT", conflicts_with = "decide_again")]
     listen: Vec<String>,
     /// Endpoint of a controller or of a router (repeatable)
@@ -87,7 +91,8 @@ pub struct ReplayArgs {
 /// Records until Ctrl-C, the end of its time or of the room, and prints the message counts.
 ///
 /// # Errors
-/// Any error that prevents the start; a file that could not be written completely, after the counts were printed.
+/// Any error that prevents the start; a file that could not be written completely, after the counts
+/// were printed.
 pub fn record(args: RecordArgs) -> Result<()> {
     let (stop, stopped) = stop_channel();
     stop_on_signal(stop.clone())?;
@@ -115,7 +120,8 @@ pub fn record(args: RecordArgs) -> Result<()> {
 /// Replays, and prints the result.
 ///
 /// # Errors
-/// [`Unusable`](replay::Unusable) if the recording cannot be replayed; with `--verify`, a difference.
+/// [`Unusable`](replay::Unusable) if the recording cannot be replayed; with `--verify`, a
+/// difference.
 pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);

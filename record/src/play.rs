@@ -1,8 +1,8 @@
 //! Publishes a recording on a bus, in place of the room, for a controller in a process of its own.
 //!
-//! A lockstep recording is played in lockstep: each report waits for its command, and the commands are compared. A live
-//! recording is played at the recorded speed or a multiple of it, with its stamps shifted to the present, so that no
-//! report is too old.
+//! A lockstep recording is played in lockstep: each report waits for its command, and the commands
+//! are compared. A live recording is played at the recorded speed or a multiple of it, with its
+//! stamps shifted to the present, so that no report is too old.
 
 use std::collections::{BTreeMap, HashMap, btree_map};
 use std::fmt;
@@ -25,7 +25,8 @@ use crate::replay::{Beginning, Clock, Unusable, difference};
 
 /// Longest time to wait for a controller.
 const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
-/// Longest time to wait for the answer to a lockstep report, and for the last answers in live operation.
+/// Longest time to wait for the answer to a lockstep report, and for the last answers in live
+/// operation.
 const ANSWER_WAIT: Duration = Duration::from_secs(5);
 /// Time between two checks whether every report is answered.
 const WAIT: Duration = Duration::from_millis(20);
@@ -67,8 +68,8 @@ pub struct Playback {
 /// Plays a recording into a room, until its end or until stopped.
 ///
 /// # Errors
-/// [`Unusable`] if the recording cannot be read; a bus that cannot be opened, a controller that does not join, a
-/// lockstep report that is not answered.
+/// [`Unusable`] if the recording cannot be read; a bus that cannot be opened, a controller that
+/// does not join, a lockstep report that is not answered.
 pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
     let unusable = || Unusable(settings.file.clone());
     let Beginning { room: recorded_room, clock, capabilities } =

@@ -1,7 +1,7 @@
 //! Records the messages of a room from the bus into a file.
 //!
-//! Callbacks copy each payload into a queue, and one thread writes. Payloads are dropped and counted while the queue is
-//! full: the room never waits for its recorder.
+//! Callbacks copy each payload into a queue, and one thread writes. Payloads are dropped and
+//! counted while the queue is full: the room never waits for its recorder.
 
 use std::fs::OpenOptions;
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -64,7 +64,8 @@ pub struct Outcome {
     pub account: Account,
     /// What restricts the use of the recording.
     pub problems: Vec<String>,
-    /// The error that ended the writing, so that the file holds no counts and no index; or that nothing was received.
+    /// The error that ended the writing, so that the file holds no counts and no index; or that
+    /// nothing was received.
     pub failure: Option<String>,
 }
 
@@ -239,7 +240,8 @@ impl<S: Storage> RoomWriter<S> {
         Ok(())
     }
 
-    /// Reports a process whose scenario differs from the recorded one: such a recording cannot be replayed.
+    /// Reports a process whose scenario differs from the recorded one: such a recording cannot be
+    /// replayed.
     fn check_scenario(&mut self, received: &Received) {
         let Received::Status(status) = received else { return };
         if status.scenario.is_empty() || status.scenario == self.scenario_hash {

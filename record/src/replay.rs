@@ -1,16 +1,18 @@
 //! Replays a recording into the controller core of this process, and compares every command.
 //!
-//! The core is a function of `(now, message)`. A recording holds the messages; the source of `now` depends on the run:
+//! The core is a function of `(now, message)`. A recording holds the messages; the source of `now`
+//! depends on the run:
 //!
 //! - **lockstep**: the stamps of the messages. Every command must be equal bit for bit.
-//! - **live**: for an answered position report, the time in the command that answers it, which is exact. For any other
-//!   message, the time at which the recorder received it; this only matters for a message close to its maximum age.
-//!   A report without a command is skipped: the controller may not have received it, or may have dropped it for a newer
-//!   one. A command that repeats the one before it is replayed as a missed deadline, if the controller counted any.
+//! - **live**: for an answered position report, the time in the command that answers it, which is
+//!   exact. For any other message, the time at which the recorder received it; this only matters
+//!   for a message close to its maximum age. A report without a command is skipped: the controller
+//!   may not have received it, or may have dropped it for a newer one. A command that repeats the
+//!   one before it is replayed as a missed deadline, if the controller counted any.
 //!
-//! A recording cannot hold messages that the controller received before the recording started. The first [`SETTLE`]
-//! decisions of an epoch are therefore replayed but not compared, except in a lockstep epoch recorded from its first
-//! command.
+//! A recording cannot hold messages that the controller received before the recording started. The
+//! first [`SETTLE`] decisions of an epoch are therefore replayed but not compared, except in a
+//! lockstep epoch recorded from its first command.
 
 mod plan;
 mod verdict;
@@ -40,7 +42,8 @@ pub(crate) use verdict::difference;
 use crate::file::{Entry, PRESENCE_TOPIC, Presence, Reading, open};
 use plan::{Answer, Plan};
 
-/// Decisions that are not compared when earlier inputs of the controller are unknown: two seconds of reports at 100 Hz.
+/// Decisions that are not compared when earlier inputs of the controller are unknown: two seconds
+/// of reports at 100 Hz.
 pub const SETTLE: u64 = 200;
 
 /// A command later than this after a report answers another report with the same number.
@@ -70,7 +73,8 @@ pub struct Unusable(
 /// Replays a recording into a controller of this process.
 ///
 /// # Errors
-/// [`Unusable`] if the recording cannot be read or lacks a required stream; a policy that cannot be built.
+/// [`Unusable`] if the recording cannot be read or lacks a required stream; a policy that cannot be
+/// built.
 pub fn run(settings: &Settings) -> Result<Verdict> {
     let plan = Plan::read(&settings.file).with_context(|| Unusable(settings.file.clone()))?;
     let mut reading = open(&settings.file)?;
@@ -251,7 +255,8 @@ impl<'a> Player<'a> {
     fn presence(&mut self, data: &[u8]) -> Result<()> {
         let presence: Presence = serde_json::from_slice(data).context("a presence entry is damaged")?;
         if presence.node == NodeKind::Controller && presence.alive {
-            // In lockstep the room waits for its controller: the controller received every recorded message.
+            // In lockstep the room waits for its controller: the controller received every recorded
+            // message.
             if self.plan.clock == Clock::Live {
                 let current = self
                     .epoch_replay
@@ -315,7 +320,8 @@ impl<'a> Player<'a> {
         Ok(())
     }
 
-    /// The recorded answer to a report. Tick numbers restart with each source, so the time selects the answer.
+    /// The recorded answer to a report. Tick numbers restart with each source, so the time selects
+    /// the answer.
     fn answer_to(&mut self, report: &UserReport) -> Option<Answer> {
         let answers = self.plan.answers.get_mut(&report.tick)?;
         let time_ns = report.stamp.time_ns;

@@ -1,7 +1,8 @@
-//! The room for Foxglove's 3D panel: walls, access points, mirrors, reflected rays, users, obstacles.
+//! The room for Foxglove's 3D panel: walls, access points, mirrors, reflected rays, users,
+//! obstacles.
 //!
-//! Positions are in m in the room's frame, under the frame id [`FRAME`]. A scene shows the truth of a simulated room, or
-//! the reports of a real one.
+//! Positions are in m in the room's frame, under the frame id [`FRAME`]. A scene shows the truth of
+//! a simulated room, or the reports of a real one.
 
 use foxglove::messages::{
     Color, CubePrimitive, CylinderPrimitive, Duration, LinePrimitive, Point3, Pose, Quaternion, SceneEntity,
@@ -182,8 +183,8 @@ impl Scene {
         }
     }
 
-    /// The reflected ray of the nearest access point at each mirror's centre, down to the detectors, and the direct
-    /// paths.
+    /// The reflected ray of the nearest access point at each mirror's centre, down to the
+    /// detectors, and the direct paths.
     fn light(&self) -> SceneEntity {
         let height = self.users.first().map_or(0.0, |user| user.position.z);
         let (mut rays, mut clear, mut blocked) = (Vec::new(), Vec::new(), Vec::new());

@@ -195,7 +195,8 @@ mod tests {
         let command = |answers| Received::Command(MirrorCommand { answers, ..MirrorCommand::default() });
         let mut series = Series::default();
         let mut messages = Vec::new();
-        // The second tick's command arrives first; the third has none, and a command without a tick answers no report.
+        // The second tick's command arrives first; the third has none, and a command without a tick
+        // answers no report.
         let inputs = [report(1), command(1), command(2), report(2), report(3), command(0), command(0)];
         for (index, received) in inputs.iter().enumerate() {
             let put = |_: &Topic<'_>, message: &[u8]| {

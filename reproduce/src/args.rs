@@ -15,8 +15,9 @@ use crate::training;
 
 /// Reproduce the figures of the paper, with a verdict for each of its statements.
 ///
-/// Writes a self-contained report.html, and SVG, CSV and JSON files for each figure. Finished parts are stored in DIR/parts: an
-/// interrupted run continues, and only parts with changed inputs are computed again.
+/// Writes a self-contained report.html, and SVG, CSV and JSON files for each figure. Finished parts
+/// are stored in DIR/parts: an interrupted run continues, and only parts with changed inputs are
+/// computed again.
 #[derive(Debug, clap::Args)]
 pub struct ReproduceArgs {
     /// The figure

@@ -261,7 +261,8 @@ fn clear_of((one, half): (f64, Option<f64>), (other, other_half): (f64, Option<f
     one - half.unwrap_or(0.0) > other + other_half.unwrap_or(0.0)
 }
 
-/// The verdict on one mean above another; a single seed has no interval, so the verdict is `InPart`.
+/// The verdict on one mean above another; a single seed has no interval, so the verdict is
+/// `InPart`.
 fn clearly(text: String, points: [&Point; 2]) -> Judged {
     if points.iter().all(|point| point.ci95.is_some()) {
         Judged(text, Verdict::Reproduced, "the intervals do not meet".into())

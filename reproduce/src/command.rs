@@ -1,4 +1,5 @@
-//! The command line that reproduces a figure. Local paths (`--out`, `--write-docs`) and output options are omitted.
+//! The command line that reproduces a figure. Local paths (`--out`, `--write-docs`) and output
+//! options are omitted.
 
 use crate::plan::Room;
 

@@ -1,4 +1,5 @@
-//! docs/reproduction.md: the last documented run as text and tables, rendered from docs/reproduction.json only.
+//! docs/reproduction.md: the last documented run as text and tables, rendered from
+//! docs/reproduction.json only.
 
 use std::fmt::Write;
 
@@ -11,8 +12,8 @@ use crate::report::{Report, duration_text};
 /// Rows of a table for a long curve.
 const ROWS: usize = 7;
 
-/// A report without the data that the document omits: floors, parts, commands of figures, most points of long curves, and
-/// digits after the fourth.
+/// A report without the data that the document omits: floors, parts, commands of figures, most
+/// points of long curves, and digits after the fourth.
 pub fn reduced(report: &Report) -> Report {
     let mut report = Report { parts: Vec::new(), ..report.clone() };
     report.meta.cpu_s = rounded(report.meta.cpu_s);

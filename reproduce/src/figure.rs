@@ -1,4 +1,5 @@
-//! The data of a figure, independent of its drawing: panels of series with units, intervals and the paper's values.
+//! The data of a figure, independent of its drawing: panels of series with units, intervals and the
+//! paper's values.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +17,8 @@ pub struct Figure {
     /// The command that reproduces it.
     #[serde(skip_serializing_if = "String::is_empty", default)]
     pub command: String,
-    /// Whether the load of the machine exceeded its cores during a part, so that times may be too long.
+    /// Whether the load of the machine exceeded its cores during a part, so that times may be too
+    /// long.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub overloaded: bool,
     /// The horizontal axis.

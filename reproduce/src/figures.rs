@@ -1,4 +1,5 @@
-//! The figures: the parts of each, the rooms where it does not apply, and the figure from finished parts.
+//! The figures: the parts of each, the rooms where it does not apply, and the figure from finished
+//! parts.
 //!
 //! The file of a figure holds all its specifics. [`Kind`] lists the figures.
 

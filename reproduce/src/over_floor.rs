@@ -6,8 +6,8 @@ use heliostat_sim_node::World;
 
 use crate::figure::Floor;
 
-/// Evaluates `value` at each point of a grid, for the scene of one additional detector. Obstacles and the bodies of the
-/// users block its light; it has no body of its own.
+/// Evaluates `value` at each point of a grid, for the scene of one additional detector. Obstacles
+/// and the bodies of the users block its light; it has no body of its own.
 ///
 /// `step_m`: approximate distance between points; each side has at least one point.
 pub fn over_floor(scenario: &Scenario, world: &World, step_m: f64, value: &mut dyn FnMut(&Scene) -> f64) -> Floor {

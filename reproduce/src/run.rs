@@ -25,8 +25,8 @@ use crate::{files, machine, training};
 /// Runs the command.
 ///
 /// # Errors
-/// An unwritable folder, an invalid scenario or figure, or a missing actor, before any part is computed; then an error of
-/// a part. Parts finished before remain stored.
+/// An unwritable folder, an invalid scenario or figure, or a missing actor, before any part is
+/// computed; then an error of a part. Parts finished before remain stored.
 pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
     let report = reproduce(&args)?;
     let kept = report.parts.iter().filter(|part| part.kept).count();

@@ -1,7 +1,7 @@
 //! A hash of the code that a figure depends on: a part is computed again when the code changes.
 //!
-//! The build script includes this file as a module; it must not name the crate. The hash covers the workspace only; each
-//! part also records its commit.
+//! The build script includes this file as a module; it must not name the crate. The hash covers the
+//! workspace only; each part also records its commit.
 
 use std::fs;
 use std::io;
@@ -12,8 +12,8 @@ use sha2::{Digest, Sha256};
 /// The crates whose code computes parts.
 pub const CRATES: [&str; 6] = ["channel", "scenario", "sim-node", "driver", "controller", "models"];
 
-/// The hash for a figure by the name of its file: the crates above, the shared files of this crate, and its own file.
-/// Actors enter the key of the part that uses them.
+/// The hash for a figure by the name of its file: the crates above, the shared files of this crate,
+/// and its own file. Actors enter the key of the part that uses them.
 ///
 /// # Errors
 /// A file that cannot be read.
@@ -26,7 +26,8 @@ pub fn of_figure(root: &Path, file: &str) -> io::Result<String> {
     hash(root, &places)
 }
 
-/// Hash of files, and of all files below folders, by their names from the root in order and by their contents.
+/// Hash of files, and of all files below folders, by their names from the root in order and by
+/// their contents.
 ///
 /// # Errors
 /// A file or folder that cannot be read.

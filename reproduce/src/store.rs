@@ -1,4 +1,5 @@
-//! Finished parts on disk: one JSON file each, named by the key of the part, written to a temporary file and renamed.
+//! Finished parts on disk: one JSON file each, named by the key of the part, written to a temporary
+//! file and renamed.
 
 use std::fs;
 use std::path::{Path, PathBuf};

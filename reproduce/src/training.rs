@@ -20,7 +20,8 @@ struct Train {
     args: TrainArgs,
 }
 
-/// The built-in actor if one fits, else the path of an actor in the output folder, which may not exist yet.
+/// The built-in actor if one fits, else the path of an actor in the output folder, which may not
+/// exist yet.
 pub fn source(scenario: &Scenario, out: &Path) -> ActorSource {
     if fits(scenario, &ActorSource::Shipped) {
         ActorSource::Shipped

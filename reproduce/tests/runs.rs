@@ -77,7 +77,8 @@ fn a_report_is_self_contained_and_its_files_agree() {
     let ddpg = panel.series.iter().find(|series| series.name == "ddpg").unwrap();
     let line = format!("{},ddpg,{},{},", panel.title, ddpg.points[0].x, ddpg.points[0].y);
     assert!(read("sum-rate-power-specular.csv").contains(&line));
-    // The trained policy exceeds the room without mirrors, and exceeds the oracle by the light on other users at most.
+    // The trained policy exceeds the room without mirrors, and exceeds the oracle by the light on
+    // other users at most.
     let at = |name: &str| report.figures[0].series("2 blocked", name).unwrap().at(2.0).unwrap().y;
     assert!(at("ddpg") > 1.3 * at("no-irs") && at("ddpg") < 1.05 * at("oracle"));
     assert!(report.claims.iter().any(|claim| claim.findings[0].verdict == Verdict::NotReproduced));

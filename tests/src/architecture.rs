@@ -1,4 +1,5 @@
-//! Checks of the architecture rules: each returns what breaks its rule. The rules themselves are in `tests/invariants.rs`.
+//! Checks of the architecture rules: each returns what breaks its rule. The rules themselves are in
+//! `tests/invariants.rs`.
 
 use std::collections::{BTreeMap, BTreeSet};
 

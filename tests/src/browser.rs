@@ -35,7 +35,8 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Opens a page in a browser with an empty profile; `None`, with a message, if no browser is installed.
+    /// Opens a page in a browser with an empty profile; `None`, with a message, if no browser is
+    /// installed.
     ///
     /// # Panics
     /// When a browser is required and missing, or does not start.
@@ -119,7 +120,8 @@ impl Browser {
         self.command("goog/cdp/execute", &json!({ "cmd": command, "params": parameters }))
     }
 
-    /// Applies an action to the element of a selector; `None` if it does not exist or the action fails.
+    /// Applies an action to the element of a selector; `None` if it does not exist or the action
+    /// fails.
     fn element(&self, selector: &str, action: &str, body: &Value) -> Option<Value> {
         let found = self.command("elements", &json!({ "using": "css selector", "value": selector }));
         let id = found.as_array()?.first()?.as_object()?.values().next()?.as_str()?;

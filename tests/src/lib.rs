@@ -1,11 +1,14 @@
-//! Shared parts of the tests across processes, and the readers of sources and manifests for the rules of ARCHITECTURE.md.
+//! Shared parts of the tests across processes, and the readers of sources and manifests for the
+//! rules of ARCHITECTURE.md.
 //!
 //! - [`Process`]: a built program as a process.
 //! - [`RoomObserver`]: a session that receives the messages of a room.
 //! - [`Browser`]: a browser with one page.
-//! - [`architecture`]: checks of the architecture rules, based on [`module_graph`], [`packages`] and [`rust_source`].
+//! - [`architecture`]: checks of the architecture rules, based on [`module_graph`], [`packages`]
+//!   and [`rust_source`].
 //!
-//! Tests see what a driver, a viewer or a user at the terminal sees; nothing here reaches into a process.
+//! Tests see what a driver, a viewer or a user at the terminal sees; nothing here reaches into a
+//! process.
 
 pub mod architecture;
 mod browser;

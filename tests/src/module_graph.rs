@@ -1,11 +1,12 @@
 //! Which file of a crate uses which: the graph behind the rule that files form no import circles.
 //!
-//! A node is a module with a file of its own. An edge goes from a file that uses an item to the file
-//! that defines it, through any re-exports in between. A re-export (`pub use`) by itself is no use.
+//! A node is a module with a file of its own. An edge goes from a file that uses an item to the
+//! file that defines it, through any re-exports in between. A re-export (`pub use`) by itself is no
+//! use.
 //!
-//! Limits: see [`crate::rust_source`]. Calls of methods make no edge, since a method call does not name
-//! its file; `super` inside an inline `mod x { }` is taken as if it stood in the file itself. Binaries
-//! (`src/main.rs` beside a `src/lib.rs`, and `src/bin`) are not looked at.
+//! Limits: see [`crate::rust_source`]. Calls of methods make no edge, since a method call does not
+//! name its file; `super` inside an inline `mod x { }` is taken as if it stood in the file itself.
+//! Binaries (`src/main.rs` beside a `src/lib.rs`, and `src/bin`) are not looked at.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -45,7 +46,8 @@ impl ModuleGraph {
         Self::from_sources(sources)
     }
 
-    /// Builds the graph of the files of a `src` folder, each given by its path in there and its text.
+    /// Builds the graph of the files of a `src` folder, each given by its path in there and its
+    /// text.
     pub fn from_sources(sources: impl IntoIterator<Item = (String, String)>) -> Self {
         let sources: BTreeMap<String, String> = sources.into_iter().collect();
         let has_library = sources.contains_key("lib.rs");
@@ -59,7 +61,8 @@ impl ModuleGraph {
         graph
     }
 
-    /// The circles: for each set of files that use one another, one way round, first file repeated at the end.
+    /// The circles: for each set of files that use one another, one way round, first file repeated
+    /// at the end.
     pub fn circles(&self) -> Vec<Vec<String>> {
         let edges: BTreeMap<&ModulePath, BTreeSet<&ModulePath>> =
             self.modules.iter().map(|(path, module)| (path, self.used_by(path, module))).collect();
@@ -111,7 +114,8 @@ impl ModuleGraph {
         used
     }
 
-    /// A path as it stands in a module, from the crate root; nothing where it leads out of the crate.
+    /// A path as it stands in a module, from the crate root; nothing where it leads out of the
+    /// crate.
     fn absolute(&self, path: &[String], module: &ModulePath, depth: usize) -> Option<Vec<String>> {
         let (first, rest) = path.split_first()?;
         match first.as_str() {
@@ -132,7 +136,8 @@ impl ModuleGraph {
         self.modules.contains_key(&child).then(|| [child.as_slice(), rest].concat())
     }
 
-    /// The module that defines what an absolute path names; nothing for a module itself, and outside the crate.
+    /// The module that defines what an absolute path names; nothing for a module itself, and
+    /// outside the crate.
     fn definer(&self, path: &[String], depth: usize) -> Option<&ModulePath> {
         let length = (0..=path.len()).rev().find(|length| self.modules.contains_key(&path[..*length]))?;
         let (module, module_data) = self.modules.get_key_value(&path[..length])?;

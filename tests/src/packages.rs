@@ -1,4 +1,5 @@
-//! The packages of a build as `cargo metadata` reports them: names, versions, licences, sources and dependencies.
+//! The packages of a build as `cargo metadata` reports them: names, versions, licences, sources and
+//! dependencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -31,7 +32,8 @@ pub struct Packages {
 }
 
 impl Packages {
-    /// Asks cargo about the workspace in a folder, without a download and without a change to the lock file.
+    /// Asks cargo about the workspace in a folder, without a download and without a change to the
+    /// lock file.
     ///
     /// # Panics
     /// When cargo does not answer.
@@ -112,7 +114,8 @@ impl Packages {
     }
 }
 
-/// Whether a licence expression can be met with these licences alone: `OR` gives a choice, `AND` demands both.
+/// Whether a licence expression can be met with these licences alone: `OR` gives a choice, `AND`
+/// demands both.
 ///
 /// `/` is the older spelling of `OR`. `WITH` and its exception belong to the licence before it.
 pub fn is_licence_allowed(expression: &str, allowed: &[&str]) -> bool {

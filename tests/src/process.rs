@@ -27,8 +27,8 @@ impl Process {
         Self::program("heliostat", arguments)
     }
 
-    /// The same, for tests that may lose no message: on a busy machine Zenoh waits up to a second before it drops one,
-    /// instead of 50 us.
+    /// The same, for tests that may lose no message: on a busy machine Zenoh waits up to a second
+    /// before it drops one, instead of 50 us.
     ///
     /// # Panics
     /// When the program is not built or does not start.
@@ -84,7 +84,8 @@ impl Process {
         self.errors.lock().expect("no reader panics").clone()
     }
 
-    /// Closes its standard input, which ends a process started with `--exit-with-parent`, and waits for it.
+    /// Closes its standard input, which ends a process started with `--exit-with-parent`, and waits
+    /// for it.
     pub fn end(mut self) -> Ended {
         drop(self.child.stdin.take());
         self.wait()
@@ -176,7 +177,8 @@ pub fn programs() -> PathBuf {
     folder.to_path_buf()
 }
 
-/// A program built beside this test: tests run from `target/PROFILE/deps`, programs are in `target/PROFILE`.
+/// A program built beside this test: tests run from `target/PROFILE/deps`, programs are in
+/// `target/PROFILE`.
 fn built(name: &str) -> PathBuf {
     let path = programs().join(name).with_extension(std::env::consts::EXE_EXTENSION);
     assert!(path.exists(), "{} is not built: run the tests with `cargo test --release --workspace`", path.display());

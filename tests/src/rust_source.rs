@@ -12,7 +12,8 @@ use std::collections::BTreeSet;
 pub struct RustSource {
     /// Every name that a `use` brings in.
     pub imports: Vec<Import>,
-    /// Paths of two or more segments outside `use`, and macro calls as one segment such as `println!`.
+    /// Paths of two or more segments outside `use`, and macro calls as one segment such as
+    /// `println!`.
     pub paths: Vec<Vec<String>>,
     /// Every other name in the code, methods and fields included.
     pub words: BTreeSet<String>,

@@ -20,7 +20,8 @@ fn assert_complete(summary: &Value) {
     for name in ["ticks", "commands", "lost_ticks", "over_budget", "ratio_to_oracle", "qos_met"] {
         number(summary, &format!("/{name}"));
     }
-    // Three seconds at 100 reports/s, each answered; a machine that stalls for tens of milliseconds drops some of them.
+    // Three seconds at 100 reports/s, each answered; a machine that stalls for tens of milliseconds
+    // drops some of them.
     assert!(number(summary, "/commands") > 200.0, "{summary}");
     assert!(number(summary, "/lost_ticks") <= 0.1 * number(summary, "/ticks"), "{summary}");
     let refused = summary["refused_by_room"].as_object().expect("an object");

@@ -1,4 +1,5 @@
-//! Drivers across processes: the simulated array and one in Python keep the contract, and the controller drives both.
+//! Drivers across processes: the simulated array and one in Python keep the contract, and the
+//! controller drives both.
 
 use std::path::Path;
 use std::process::Child;

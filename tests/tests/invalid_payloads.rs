@@ -1,4 +1,5 @@
-//! Invalid payloads on every subscribed key: no process crashes, and each payload is counted by its cause.
+//! Invalid payloads on every subscribed key: no process crashes, and each payload is counted by its
+//! cause.
 
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{

@@ -1,7 +1,7 @@
 //! The rules of ARCHITECTURE.md that manifests, sources and `cargo metadata` show.
 //!
-//! The tables at the top are the rules. The checks are in `heliostat_tests::architecture`, whose unit tests
-//! show on small inputs that each check can fail.
+//! The tables at the top are the rules. The checks are in `heliostat_tests::architecture`, whose
+//! unit tests show on small inputs that each check can fail.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -16,7 +16,8 @@ use heliostat_tests::rust_source::RustSource;
 
 /// How the workspace is arranged.
 struct Layout {
-    /// Folders of all crates from the lowest to the highest: a crate may depend only on crates before it.
+    /// Folders of all crates from the lowest to the highest: a crate may depend only on crates
+    /// before it.
     order: &'static [&'static str],
     /// Crates without I/O, clock and threads.
     pure: &'static [&'static str],
@@ -28,7 +29,8 @@ struct Layout {
     with_circles: &'static [&'static str],
 }
 
-/// TEMPORARY: the arrangement that is checked. It becomes `TARGET` when the pure crates exist, and `TODAY` goes away.
+/// TEMPORARY: the arrangement that is checked. It becomes `TARGET` when the pure crates exist, and
+/// `TODAY` goes away.
 const LAYOUT: &Layout = &TODAY;
 
 /// TEMPORARY: the arrangement before the pure crates are split off.
@@ -111,7 +113,8 @@ const TARGET: Layout = Layout {
     with_circles: &[],
 };
 
-/// Packages that a pure crate may not need: transports, signals, HTTP, inference and tensor engines. `*` ends a prefix.
+/// Packages that a pure crate may not need: transports, signals, HTTP, inference and tensor
+/// engines. `*` ends a prefix.
 const NOT_IN_PURE: [&str; 12] =
     ["zenoh*", "ctrlc", "axum*", "hyper*", "tiny_http", "ureq*", "tokio", "tract*", "ort", "ort-*", "onnx*", "candle*"];
 
@@ -157,7 +160,8 @@ const LICENCES: [&str; 10] = [
     "MPL-2.0",
 ];
 
-/// Packages that take long to build: a second version of one needs a reason in `SECOND_VERSIONS`. `*` ends a prefix.
+/// Packages that take long to build: a second version of one needs a reason in `SECOND_VERSIONS`.
+/// `*` ends a prefix.
 const LARGE: [&str; 29] = [
     "axum",
     "candle*",

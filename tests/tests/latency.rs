@@ -1,6 +1,7 @@
 //! Timing across processes: the statistics of a controller cover every message that was observed.
 //!
-//! Times are printed, and compared with each other with wide margins only: the machine may run other work.
+//! Times are printed, and compared with each other with wide margins only: the machine may run
+//! other work.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -123,7 +124,8 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
     assert!(received.commands.len() as f64 <= commands, "{controller}");
     assert!(number(&room, "/loop_us/count") <= commands, "{room} {controller}");
     assert!(number(&room, "/loop_us/count") >= received.commands.len() as f64 - 2.0, "{room}");
-    // A report that was overtaken on a busy machine is shed, and one that a stalled link cannot take is dropped: no command answers these.
+    // A report that was overtaken on a busy machine is shed, and one that a stalled link cannot
+    // take is dropped: no command answers these.
     let dropped = 0.1 * number(&room, "/ticks");
     assert!(number(&room, "/lost_ticks") <= number(&controller, "/shed") + dropped, "{room} {controller}");
     assert_eq!(number(&controller, "/unsent"), 0.0, "{controller}");
@@ -180,7 +182,8 @@ fn a_slow_policy_is_warmed_up_for_each_report_and_every_decision_is_counted() {
 fn one_process_serves_rooms_that_do_not_mix() {
     let endpoint = free_loopback_endpoint().unwrap();
     let rooms = ["north", "south", "west"];
-    // The controller listens, since three rooms come to it; the rooms have different users by their seeds.
+    // The controller listens, since three rooms come to it; the rooms have different users by their
+    // seeds.
     let controller = Process::heliostat(&[
         "controller",
         "--listen",
@@ -282,7 +285,8 @@ fn the_last_command_is_repeated_for_a_silent_room_if_so_configured() {
     assert!(summary["commands"].as_u64() > summary["decisions"].as_u64(), "{summary}");
 }
 
-/// An actor for the default room; `layers` map the current angles, of shape (1, 2 M), to the output, whose node comes last.
+/// An actor for the default room; `layers` map the current angles, of shape (1, 2 M), to the
+/// output, whose node comes last.
 fn actor(layers: impl FnOnce(&mut Graph, &str, usize)) -> Vec<u8> {
     let scenario = Scenario::builtin("specular").unwrap();
     let encoder = ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count());
@@ -307,7 +311,8 @@ fn nan_output(graph: &mut Graph, angles: &str, _: usize) {
     graph.node("Log", &[&below]);
 }
 
-/// Outputs small angles after some tenths of a second: a few products of large matrices that depend on the input.
+/// Outputs small angles after some tenths of a second: a few products of large matrices that depend
+/// on the input.
 fn slow(graph: &mut Graph, angles: &str, outputs: usize) {
     const SIZE: usize = 1000;
     let column = graph.constant("column", &[SIZE, 1], &vec![0.01; SIZE]);

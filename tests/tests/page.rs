@@ -1,6 +1,8 @@
-//! The live page: what it serves and refuses, and in a browser, that each button acts on the running system.
+//! The live page: what it serves and refuses, and in a browser, that each button acts on the
+//! running system.
 //!
-//! Effects are read from the topics, not from the page. HELIOSTAT_SCREENSHOTS=1 replaces the screenshots in docs/images.
+//! Effects are read from the topics, not from the page. HELIOSTAT_SCREENSHOTS=1 replaces the
+//! screenshots in docs/images.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -83,7 +85,8 @@ fn requests_of_other_pages_are_refused() {
     assert!(setting.observer.telemetry().is_none_or(|array| array.state != ArrayState::Stopped));
 
     let controller = || setting.observer.status(NodeKind::Controller).unwrap_or_default();
-    // Before the page and the controller are connected, an order has no receiver, and the page reports it.
+    // Before the page and the controller are connected, an order has no receiver, and the page
+    // reports it.
     wait_until("a receiver of the order", || {
         let answer = answer_to(r#"{"order":"policy","name":"clairvoyant"}"#);
         let is_received = answer.starts_with("HTTP/1.1 202");

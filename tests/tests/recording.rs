@@ -70,7 +70,8 @@ impl Setting {
         room.wait().json();
         // The controller detects the missing reports.
         std::thread::sleep(Duration::from_millis(1500));
-        // The controller publishes its status at its end at the latest; the status names the policy.
+        // The controller publishes its status at its end at the latest; the status names the
+        // policy.
         controller.end().json();
         recorder.wait().json()
     }

@@ -1,21 +1,22 @@
 //! The area without direct light behind a cylinder, at the height of the detectors.
 //!
-//! A cylinder between an LED and a horizontal plane blocks the convex hull of two discs: its own, and the projection of
-//! its top from the LED onto the plane. The hull is clipped to the room.
+//! A cylinder between an LED and a horizontal plane blocks the convex hull of two discs: its own,
+//! and the projection of its top from the LED onto the plane. The hull is clipped to the room.
 
 use heliostat_channel::Vec3;
 use heliostat_channel::blockage::Cylinder;
 
 /// Corners of the polygon for a disc.
 const CORNERS: usize = 16;
-/// A top at or above the LED blocks an infinite area; the projection is limited to this multiple of the LED's height.
+/// A top at or above the LED blocks an infinite area; the projection is limited to this multiple of
+/// the LED's height.
 const FARTHEST: f64 = 20.0;
 
 /// Half the room's extents along x and y in m.
 pub type HalfExtents = (f64, f64);
 
-/// Corners of the blocked area in the plane `height_m` above the floor, counter-clockwise; empty if there is none in the
-/// room.
+/// Corners of the blocked area in the plane `height_m` above the floor, counter-clockwise; empty if
+/// there is none in the room.
 pub fn blocked_area(cylinder: &Cylinder, led: &Vec3, height_m: f64, room: HalfExtents) -> Vec<[f64; 2]> {
     if cylinder.height_m <= height_m || led.z <= height_m {
         return Vec::new();

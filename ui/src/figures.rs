@@ -1,7 +1,8 @@
-//! The figures that the page and the terminal show, computed from the latest message of every topic.
+//! The figures that the page and the terminal show, computed from the latest message of every
+//! topic.
 //!
-//! A simulated room publishes its true state and the baselines. A real room publishes positions and measured gains: rates
-//! are then computed from the measured SINR, and there are no baselines.
+//! A simulated room publishes its true state and the baselines. A real room publishes positions and
+//! measured gains: rates are then computed from the measured SINR, and there are no baselines.
 
 use std::time::Instant;
 
@@ -169,7 +170,8 @@ impl View {
         }
     }
 
-    /// Sum rates of the last 90 s: time since the view opened in s, then Mbit/s as in [`SumFigures`].
+    /// Sum rates of the last 90 s: time since the view opened in s, then Mbit/s as in
+    /// [`SumFigures`].
     pub fn history(&self) -> Vec<(f64, SumFigures)> {
         let since = |at: Instant| at.saturating_duration_since(self.opened).as_secs_f64();
         self.received().history.iter().map(|sample| (since(sample.at), sum_of(&sample.sum))).collect()

@@ -1,7 +1,7 @@
 //! The histogram of decision times over the last 30 s.
 //!
-//! A controller publishes a cumulative histogram since its start, as counters named [`BUCKET`] and an upper edge in us.
-//! The difference of two statuses is the histogram between them.
+//! A controller publishes a cumulative histogram since its start, as counters named [`BUCKET`] and
+//! an upper edge in us. The difference of two statuses is the histogram between them.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -19,7 +19,8 @@ const WINDOW: Duration = Duration::from_secs(30);
 /// A histogram of decision times.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Histogram {
-    /// Upper edge of each bucket in us, ascending; one more bucket above the last has no upper edge.
+    /// Upper edge of each bucket in us, ascending; one more bucket above the last has no upper
+    /// edge.
     pub edges_us: Vec<u64>,
     /// Decisions in each bucket, one entry more than edges.
     pub counts: Vec<u64>,

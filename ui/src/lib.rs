@@ -1,8 +1,8 @@
 //! The live page and the terminal view of a running room, and the buttons of the page.
 //!
-//! All displayed data comes from the public topics of the contract, and all orders are published on public topics. A
-//! real room is therefore displayed like a simulated one. This crate depends on neither the controller nor the
-//! simulator.
+//! All displayed data comes from the public topics of the contract, and all orders are published on
+//! public topics. A real room is therefore displayed like a simulated one. This crate depends on
+//! neither the controller nor the simulator.
 //!
 //! - [`view`]: subscribes to every topic, and keeps the latest message of each.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.

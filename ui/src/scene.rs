@@ -1,7 +1,7 @@
 //! The data of the page's 3-D view: a plan of the static objects, and frames of the moving ones.
 //!
-//! A mirror *serves* the user to whom it has the largest gain at its present angles, by the same channel model that gives
-//! the rates. Lengths are in m, rounded to millimetres.
+//! A mirror *serves* the user to whom it has the largest gain at its present angles, by the same
+//! channel model that gives the rates. Lengths are in m, rounded to millimetres.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -16,7 +16,8 @@ use crate::view::Received;
 /// Below this speed in m/s a user keeps the previous heading.
 const WALKING_M_S: f64 = 0.05;
 
-/// A mirror whose measured angle differs by more than this from its command, in rad, counts as unusable.
+/// A mirror whose measured angle differs by more than this from its command, in rad, counts as
+/// unusable.
 const UNUSABLE_RAD: f32 = 0.1;
 
 /// The static objects.
@@ -204,7 +205,8 @@ impl Painter {
     fn corners(&self, index: usize, angles: &MirrorAngles) -> [f64; 12] {
         let array = &self.view.model.mirrors;
         let normal = array.normal(angles.roll[index], angles.yaw[index]);
-        // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays horizontal.
+        // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays
+        // horizontal.
         let flat_width = array.room_from_wall(&Vec3::x());
         let width = Vec3::z().cross(&normal).try_normalize(1e-9).unwrap_or(flat_width);
         let height = normal.cross(&width);

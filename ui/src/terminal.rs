@@ -1,4 +1,5 @@
-//! The figures on a terminal: a full-screen view, or one line at a time if output is not a terminal.
+//! The figures on a terminal: a full-screen view, or one line at a time if output is not a
+//! terminal.
 
 use std::io::{self, IsTerminal, Stdout, Write};
 use std::time::Duration;
@@ -99,7 +100,8 @@ impl Display {
 
 impl Drop for Screen {
     fn drop(&mut self) {
-        // The drop of the inner types restores mode and screen; an error of a closed terminal has no remedy.
+        // The drop of the inner types restores mode and screen; an error of a closed terminal has
+        // no remedy.
         let _ = self.terminal.show_cursor();
     }
 }

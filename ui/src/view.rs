@@ -1,6 +1,7 @@
 //! Subscribes to a room's public topics and keeps the latest message of each.
 //!
-//! Callbacks decode and store; the readers compute. A message older than [`EXPIRY`] counts as absent.
+//! Callbacks decode and store; the readers compute. A message older than [`EXPIRY`] counts as
+//! absent.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -65,7 +66,8 @@ impl View {
     /// Subscribes to the room of a session; the scenario describes the room.
     ///
     /// # Errors
-    /// [`UiError::Optics`] for a scenario that the channel model refuses, [`UiError::Bus`] if the session is closed.
+    /// [`UiError::Optics`] for a scenario that the channel model refuses, [`UiError::Bus`] if the
+    /// session is closed.
     pub fn open(bus: &Bus, scenario: &Scenario) -> Result<Self, UiError> {
         let model = scenario.channel_model()?;
         let received: Arc<Mutex<Received>> = Arc::default();

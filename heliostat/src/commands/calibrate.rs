@@ -1,4 +1,5 @@
-//! `heliostat calibrate`: estimates the mounting error of each mirror from commanded angles and measured gains.
+//! `heliostat calibrate`: estimates the mounting error of each mirror from commanded angles and
+//! measured gains.
 
 use std::path::{Path, PathBuf};
 
@@ -13,9 +14,10 @@ use crate::output::outln;
 
 /// Estimate the mounting error of each mirror from measured gains.
 ///
-/// The array is simulated: its axes have random mounting errors. Detectors at five known positions measure one mirror after the other.
-/// The output compares the sum rate without mounting error, with it, and after calibration. Settling time, slew rate, jitter,
-/// hysteresis and quantisation come from the scenario's actuator; the noise comes from its receiver and from
+/// The array is simulated: its axes have random mounting errors. Detectors at five known positions
+/// measure one mirror after the other. The output compares the sum rate without mounting error,
+/// with it, and after calibration. Settling time, slew rate, jitter, hysteresis and quantisation
+/// come from the scenario's actuator; the noise comes from its receiver and from
 /// streams.channel.noise_relative.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -39,7 +41,8 @@ pub struct Args {
     /// Search range on each axis in degrees
     #[arg(long, value_name = "DEG", default_value_t = 8.0)]
     search_deg: f64,
-    /// Write the calibration of the first array of the first mounting error, for --calibration of sim-node and driver run
+    /// Write the calibration of the first array of the first mounting error, for --calibration of
+    /// sim-node and driver run
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print one JSON object

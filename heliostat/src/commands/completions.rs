@@ -1,4 +1,5 @@
-//! `heliostat completions` and `heliostat manual`: generated from the definitions of the command line.
+//! `heliostat completions` and `heliostat manual`: generated from the definitions of the command
+//! line.
 
 use std::io;
 use std::path::PathBuf;

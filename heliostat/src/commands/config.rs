@@ -12,7 +12,8 @@ use serde_json::{Map, Value, json};
 use super::demo;
 use crate::output::outln;
 
-/// Print the effective configuration of a process: its scenario with every key, its room and its endpoints.
+/// Print the effective configuration of a process: its scenario with every key, its room and its
+/// endpoints.
 ///
 /// Give the same flags as to the process; no process is started.
 #[derive(Debug, clap::Args)]
@@ -32,7 +33,8 @@ enum Process {
     SimNode(Box<heliostat_sim_node::cli::Args>),
     /// The configuration of `heliostat demo` with these flags
     Demo(Box<demo::Args>),
-    /// The requirements for an ONNX actor in a scenario: inputs and outputs, shapes, layout and metadata
+    /// The requirements for an ONNX actor in a scenario: inputs and outputs, shapes, layout and
+    /// metadata
     Actor {
         #[command(flatten)]
         scenario: ScenarioArgs,

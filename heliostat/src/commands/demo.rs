@@ -31,9 +31,10 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 
 /// Run a simulated room and a controller as two processes, and display them.
 ///
-/// The processes connect over Zenoh on free loopback ports. A web page on loopback shows the room, and its buttons act on it; the
-/// address is printed. The terminal shows the same figures in full-screen mode (q quits), or as lines if output is not a terminal.
-/// Ctrl-C or --seconds ends the demo with a summary. Figures go to standard error, the summary to standard output.
+/// The processes connect over Zenoh on free loopback ports. A web page on loopback shows the room,
+/// and its buttons act on it; the address is printed. The terminal shows the same figures in
+/// full-screen mode (q quits), or as lines if output is not a terminal. Ctrl-C or --seconds ends
+/// the demo with a summary. Figures go to standard error, the summary to standard output.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -159,7 +160,8 @@ fn watch(args: &Args, watched: &Watched, parts: &mut Processes) -> Result<()> {
 }
 
 impl Args {
-    /// Builds the policy once here, so that an unsuitable actor is refused before any process starts.
+    /// Builds the policy once here, so that an unsuitable actor is refused before any process
+    /// starts.
     fn check_policy(&self, scenario: &Scenario) -> Result<()> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         policy::build(self.policy, scenario, &source)

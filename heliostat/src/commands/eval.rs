@@ -19,16 +19,18 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 
 /// Compare policies with the oracle on the same states.
 ///
-/// The oracle maximises the sum rate under the minimum rates. A learned policy stands for all its built-in actors, one for each
-/// training seed; its interval includes their spread. By default each policy observes exact held-out states, and its mirrors move
-/// instantly. With --closed-loop, reports and mirrors have the rate, delay, noise and dynamics of the scenario; the oracle still
-/// knows the true state and moves its mirrors instantly. The decision time is that of the policy alone.
+/// The oracle maximises the sum rate under the minimum rates. A learned policy stands for all its
+/// built-in actors, one for each training seed; its interval includes their spread. By default each
+/// policy observes exact held-out states, and its mirrors move instantly. With --closed-loop,
+/// reports and mirrors have the rate, delay, noise and dynamics of the scenario; the oracle still
+/// knows the true state and moves its mirrors instantly. The decision time is that of the policy
+/// alone.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Policies by name, or paths of ONNX actors (FILE.onnx), separated by commas [default: ddpg if an actor fits, greedy,
-    /// fixed-point, nearest, random, flat, no-irs]
+    /// Policies by name, or paths of ONNX actors (FILE.onnx), separated by commas [default: ddpg if
+    /// an actor fits, greedy, fixed-point, nearest, random, flat, no-irs]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     policies: Vec<String>,
     /// ONNX file of the policy ddpg, instead of the built-in ones
@@ -55,7 +57,8 @@ pub struct Args {
     /// Add a row for each policy that ignores which mirrors are unusable
     #[arg(long, requires = "closed_loop")]
     unaware: bool,
-    /// Repeat the comparison for each value of a scenario key: table.key=FIRST..LAST or table.key=A,B,C
+    /// Repeat the comparison for each value of a scenario key: table.key=FIRST..LAST or
+    /// table.key=A,B,C
     #[arg(long, value_name = "KEY=VALUES")]
     sweep: Option<Sweep>,
     /// Also write the figures to a CSV file, one line for each policy
@@ -115,7 +118,8 @@ pub fn run(args: Args) -> Result<()> {
         Some(sweep) => sweep.overrides().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
     };
     if let Some(file) = &args.csv {
-        // An unwritable file is refused before the work starts; existing content stays until the end.
+        // An unwritable file is refused before the work starts; existing content stays until the
+        // end.
         let opened = File::options().create(true).append(true).open(file);
         opened.with_context(|| format!("cannot write {}: expected a file in a folder that exists", file.display()))?;
     }

@@ -21,16 +21,20 @@ use crate::output::outln;
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// CSV of users with the header x,y,z in m; z is optional, and heading_deg (0 is +x, 90 is +y) places the user's body behind the detector
+    /// CSV of users with the header x,y,z in m; z is optional, and heading_deg (0 is +x, 90 is +y)
+    /// places the user's body behind the detector
     #[arg(long, value_name = "FILE", required_unless_present = "user")]
     users: Option<String>,
     /// A user at X,Y or X,Y,Z in m; Z defaults to the scenario's receiver height (repeatable)
     #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, conflicts_with = "users")]
     user: Vec<String>,
-    /// Mirror angles: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the header roll_deg,yaw_deg and one line for each mirror in index order
+    /// Mirror angles: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or
+    /// aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the
+    /// header roll_deg,yaw_deg and one line for each mirror in index order
     #[arg(long, value_name = "HOW|FILE", default_value = "oracle", allow_hyphen_values = true)]
     angles: String,
-    /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header x,y,radius,height in m
+    /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header
+    /// x,y,radius,height in m
     #[arg(long, value_name = "HOW|FILE", default_value = "none")]
     obstacles: String,
     /// List the gain of each mirror to each user
@@ -203,7 +207,8 @@ fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<C
 }
 
 impl LinkBudgetReport {
-    /// The links for the requested angles, and the oracle's sum rates; `los_blocked_by` is still empty.
+    /// The links for the requested angles, and the oracle's sum rates; `los_blocked_by` is still
+    /// empty.
     fn new(scenario: &Scenario, instant: &Instant, args: &Args) -> Result<Self> {
         let (model, scene) = (instant.model, &instant.observation.scene);
         let (users, mirrors) = (scene.users(), model.mirrors.len());

@@ -20,8 +20,9 @@ use quantity::Quantity;
 
 /// Draw the rate, SINR or coverage over the floor as an SVG heat map.
 ///
-/// The map shows the value for one additional detector at each point. Obstacles and the bodies of the users block its light; it has no
-/// body of its own. A legend under the map explains the symbols.
+/// The map shows the value for one additional detector at each point. Obstacles and the bodies of
+/// the users block its light; it has no body of its own. A legend under the map explains the
+/// symbols.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -29,7 +30,9 @@ pub struct Args {
     /// The quantity to draw
     #[arg(long, value_enum, default_value = "rate")]
     what: Quantity,
-    /// Mirror angles: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle or a policy (flat, nearest, fixed-point, greedy, actor, random) for the users of the scenario, or a CSV with the header roll_deg,yaw_deg
+    /// Mirror angles: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle or a
+    /// policy (flat, nearest, fixed-point, greedy, actor, random) for the users of the scenario, or
+    /// a CSV with the header roll_deg,yaw_deg
     #[arg(
         long,
         value_name = "HOW|FILE",

@@ -17,9 +17,9 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 
 /// Display a running room, simulated or real, in a browser and on the terminal.
 ///
-/// Connect to the room's process and to the controller, since peers do not forward messages, or to the router of both. The scenario
-/// describes the room: use the same as for the other processes. The page has the buttons of `heliostat demo`, except those that kill
-/// or restart the controller.
+/// Connect to the room's process and to the controller, since peers do not forward messages, or to
+/// the router of both. The scenario describes the room: use the same as for the other processes.
+/// The page has the buttons of `heliostat demo`, except those that kill or restart the controller.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]

@@ -68,8 +68,8 @@ impl<R: Read> Reading<R> {
         &self.header
     }
 
-    /// The counts that the recorder wrote at the end, as JSON; `None` before the end was read, and if the
-    /// recording was cut.
+    /// The counts that the recorder wrote at the end, as JSON; `None` before the end was read, and
+    /// if the recording was cut.
     pub fn account(&self) -> Option<&str> {
         self.account.as_deref()
     }

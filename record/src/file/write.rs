@@ -129,8 +129,8 @@ impl<S: Storage> Recording<S> {
     /// Closes the chunk: a later truncation of the file loses nothing written before.
     ///
     /// # Errors
-    /// [`RecordingError::Full`] or [`RecordingError::Write`]; the file then ends properly after its last complete
-    /// chunk, and accepts no more.
+    /// [`RecordingError::Full`] or [`RecordingError::Write`]; the file then ends properly after its
+    /// last complete chunk, and accepts no more.
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.with_writer(Writer::flush)?;
         self.complete_bytes = self.length.load(Ordering::Relaxed);
@@ -194,7 +194,8 @@ impl<S: Storage> Recording<S> {
     }
 }
 
-/// Ends a file after its last complete chunk. If that fails too, the file reads like one that was cut there.
+/// Ends a file after its last complete chunk. If that fails too, the file reads like one that was
+/// cut there.
 fn end_at<S: Storage>(mut storage: S, complete_bytes: u64) {
     let mut ending = vec![op::DATA_END];
     ending.extend(4_u64.to_le_bytes());

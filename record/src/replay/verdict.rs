@@ -55,8 +55,8 @@ impl Verdict {
     }
 }
 
-/// The first difference of two commands. In live operation the sequence is ignored: it counts commands that the
-/// recording may not hold.
+/// The first difference of two commands. In live operation the sequence is ignored: it counts
+/// commands that the recording may not hold.
 pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Clock) -> Option<String> {
     let numbers = [
         ("epoch", ours.epoch, theirs.epoch),

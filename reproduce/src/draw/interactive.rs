@@ -176,7 +176,8 @@ fn add_panel(plot: &mut Plot, figure: &Figure, panel: &Panel, index: usize, name
     }
 }
 
-/// The ends of a quoted value: itself, or a line across the panel where one coordinate is not given.
+/// The ends of a quoted value: itself, or a line across the panel where one coordinate is not
+/// given.
 fn ends(figure: &Figure, panel: &Panel, x: Option<f64>, y: Option<f64>) -> (Vec<f64>, Vec<f64>) {
     let across = |axis: &Axis, value: fn(&Point) -> f64| {
         let values = panel.series.iter().flat_map(|series| &series.points).map(value);

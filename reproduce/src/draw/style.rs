@@ -1,5 +1,5 @@
-//! One style for each name in every figure, with the Okabe-Ito palette, which is distinguishable with colour-vision
-//! deficiency.
+//! One style for each name in every figure, with the Okabe-Ito palette, which is distinguishable
+//! with colour-vision deficiency.
 
 /// Colour and stroke of a series.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -123,7 +123,8 @@ mod tests {
                 for sight in sights {
                     let [one, other] = [one, other].map(|name| seen(style(name).rgb, sight));
                     let apart = one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt();
-                    // A difference of 2 or 3 is seen side by side; thin lines of a legend and of a plot are not.
+                    // A difference of 2 or 3 is seen side by side; thin lines of a legend and of a
+                    // plot are not.
                     assert!(apart > 20.0, "{one:?} and {other:?}");
                 }
             }

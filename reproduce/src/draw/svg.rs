@@ -90,7 +90,8 @@ fn high(point: &Point) -> f64 {
     point.y + point.ci95.unwrap_or(0.0)
 }
 
-/// The axis' own range, or that of the values with a margin; a linear axis of positive values begins at 0.
+/// The axis' own range, or that of the values with a margin; a linear axis of positive values
+/// begins at 0.
 fn range(axis: &Axis, values: impl Iterator<Item = f64>, margin: f64) -> [f64; 2] {
     if let Some(range) = axis.range {
         return range.map(|value| place(axis, value));

@@ -1,8 +1,10 @@
-//! Fig. 6: bit error rate against SNR for several walking speeds, with mirrors aimed at delayed user positions.
+//! Fig. 6: bit error rate against SNR for several walking speeds, with mirrors aimed at delayed
+//! user positions.
 //!
-//! One user without direct path walks. Position reports have an interval and a latency; the controller aims all mirrors,
-//! which have slew, settling, quantisation and jitter. The reference SNR is that of perfect aim. The error rate is the
-//! mean over time of Q(sqrt(SNR_ref SINR / SINR at perfect aim)), where the quotient is (H / H_ref)^2.
+//! One user without direct path walks. Position reports have an interval and a latency; the
+//! controller aims all mirrors, which have slew, settling, quantisation and jitter. The reference
+//! SNR is that of perfect aim. The error rate is the mean over time of Q(sqrt(SNR_ref SINR / SINR
+//! at perfect aim)), where the quotient is (H / H_ref)^2.
 
 use anyhow::Result;
 use heliostat_channel::link::ber_ook;
@@ -66,7 +68,8 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Vec<Part> {
 }
 
 impl Aim {
-    /// The room with one user without direct path, reports of this interval and latency, and MEMS actuators.
+    /// The room with one user without direct path, reports of this interval and latency, and MEMS
+    /// actuators.
     fn room(&self, scenario: &Scenario, speed_m_s: f64) -> Scenario {
         let mut room = scenario.clone();
         room.users.count = 1;

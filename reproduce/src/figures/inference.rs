@@ -150,8 +150,9 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     }
 }
 
-/// Median and 99th percentile at the height of the ratio, each a mean over seeds. The 99th percentile has no interval:
-/// its distribution over few seeds is far from normal, and the interval would include negative times.
+/// Median and 99th percentile at the height of the ratio, each a mean over seeds. The 99th
+/// percentile has no interval: its distribution over few seeds is far from normal, and the interval
+/// would include negative times.
 fn times(done: &[Done], group: &str, name: &str) -> Series {
     let same: Vec<&Curve> = curves(done).filter(|curve| curve.group == group && curve.name == name).collect();
     let points = (0..2).map(|end| {
@@ -170,7 +171,8 @@ mod tests {
     use crate::figures::Kind;
     use crate::store::{Finished, Origin};
 
-    /// The figure for given medians and 99th percentiles of `ddpg`, one pair for each seed, with a load on 2 cores.
+    /// The figure for given medians and 99th percentiles of `ddpg`, one pair for each seed, with a
+    /// load on 2 cores.
     fn figure_of(times_us: &[[f64; 2]], load: f64) -> Figure {
         let seeds = times_us.len();
         let args = ReproduceArgs::of_command(&format!(

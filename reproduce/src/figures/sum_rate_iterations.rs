@@ -1,7 +1,8 @@
 //! Fig. 4: sum rate against iterations (episodes of training), for two sizes of the array.
 //!
-//! Each learner is evaluated on the same held-out states, without exploration, before its first episode and then at even
-//! steps. `ddpg-raw` is the paper's algorithm; `ddpg` is this project's, with one weight for each user as its action.
+//! Each learner is evaluated on the same held-out states, without exploration, before its first
+//! episode and then at even steps. `ddpg-raw` is the paper's algorithm; `ddpg` is this project's,
+//! with one weight for each user as its action.
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;

@@ -141,7 +141,8 @@ pub fn gain_name(policy: &str) -> String {
     format!("ddpg over {policy}, {}", group(QUOTED_BLOCKED))
 }
 
-/// The quotient of `ddpg` and another policy at each power, seed by seed, where the paper states it.
+/// The quotient of `ddpg` and another policy at each power, seed by seed, where the paper states
+/// it.
 fn gain(done: &[Done], policy: &str) -> Option<Series> {
     let of_seed = |(_, finished): &Done| {
         let curve = |name: &str| {

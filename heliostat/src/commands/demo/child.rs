@@ -32,7 +32,8 @@ impl ChildProcess {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        // A process group of its own: Ctrl-C reaches this process only, which then ends its children in order.
+        // A process group of its own: Ctrl-C reaches this process only, which then ends its
+        // children in order.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut process = command.spawn().with_context(|| format!("cannot start the {name} process"))?;

@@ -69,7 +69,8 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     Ok(())
 }
 
-/// Prints ratio and QoS met of every policy, then their sum rates, one line for each value of the key.
+/// Prints ratio and QoS met of every policy, then their sum rates, one line for each value of the
+/// key.
 pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
     outln!(
@@ -84,7 +85,8 @@ pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
     print_columns(sweep, reports, |row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))
 }
 
-/// Prints a column for the oracle and one for each policy; `cell` returns the text for each of the two.
+/// Prints a column for the oracle and one for each policy; `cell` returns the text for each of the
+/// two.
 fn print_columns(sweep: &Sweep, reports: &[Report], cell: impl Fn(&Row) -> (String, String)) -> io::Result<()> {
     let width = |name: &str| name.len().max(18);
     let header = reports.iter().take(1).flat_map(|report| &report.policies);

@@ -19,7 +19,8 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 const MAP: u32 = 640;
 const BAR_WIDTH: u32 = 120;
 const LEGEND_HEIGHT: u32 = 40;
-/// Height of the caption above and the axis below the floor; the colour bar is aligned with the floor.
+/// Height of the caption above and the axis below the floor; the colour bar is aligned with the
+/// floor.
 const ABOVE: u32 = 44;
 const BELOW: u32 = 50;
 

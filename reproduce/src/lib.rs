@@ -41,6 +41,7 @@ mod sources;
 pub mod statistics;
 pub mod store;
 mod training;
+pub mod verdict;
 
 pub use args::ReproduceArgs;
 pub use run::run_reproduce;

@@ -2,11 +2,11 @@
 
 use std::fmt::Write;
 
-use crate::claims::{Claim, Verdict};
 use crate::draw::interactive;
 use crate::figure::Figure;
 use crate::figures::Kind;
 use crate::report::{Report, duration_text};
+use crate::verdict::{Claim, Verdict};
 
 /// The heading of a figure in the page.
 fn heading(id: &str) -> &'static str {

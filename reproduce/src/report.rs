@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::claims::Claim;
 use crate::figure::Figure;
 use crate::store::Origin;
+use crate::verdict::Claim;
 
 /// A report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

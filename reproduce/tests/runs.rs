@@ -5,11 +5,11 @@ use std::path::Path;
 
 use clap::Parser;
 use heliostat_reproduce::ReproduceArgs;
-use heliostat_reproduce::claims::Verdict;
 use heliostat_reproduce::figures::{self, Kind};
 use heliostat_reproduce::report::Report;
 use heliostat_reproduce::run::reproduce;
 use heliostat_reproduce::store::Store;
+use heliostat_reproduce::verdict::Verdict;
 
 #[derive(Parser)]
 struct Command {

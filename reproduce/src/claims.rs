@@ -7,10 +7,10 @@ mod rules;
 use crate::figure::Figure;
 use crate::figures::{ber_snr, inference, sum_rate_iterations, sum_rate_power};
 use crate::verdict::{Claim, Finding};
-use rules::Judged;
+use rules::RuleResult;
 
 /// A statement: its figure, its text, the value of the paper, and the rule of its verdict.
-type Rule = (&'static str, &'static str, &'static str, fn(&Figure) -> Option<Judged>);
+type Rule = (&'static str, &'static str, &'static str, fn(&Figure) -> Option<RuleResult>);
 
 /// Every statement, in the order of the table.
 const RULES: [Rule; 10] = [
@@ -47,7 +47,7 @@ pub fn claims(figures: &[Figure]) -> Vec<Claim> {
     RULES.into_iter().filter_map(claim).collect()
 }
 
-impl Judged {
+impl RuleResult {
     fn finding(self, id: &str, room: &str) -> Finding {
         let Self(ours, verdict, why) = self;
         Finding { room: room.into(), ours, verdict, why, calibrated: calibrated(id, room).into() }

@@ -62,7 +62,7 @@ pub fn named_elsewhere(sources: &[Source], library: &str, place: &str) -> Vec<St
     found.map(|(file, _)| format!("{file} names {library}; expected only {place} to")).collect()
 }
 
-/// Dependencies that lead from a crate to one that stands beside or above it.
+/// Dependencies of a crate on one that is not below it.
 pub fn upward(order: &[String], depends_on: impl Fn(&str) -> Vec<String>) -> Vec<String> {
     let place = |name: &str| order.iter().position(|package| package == name);
     let mut found = Vec::new();

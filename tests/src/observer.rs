@@ -36,7 +36,7 @@ impl RoomObserver {
         Self::join(&endpoints.iter().fold(BusConfig::new(room), |config, endpoint| config.connect_to(endpoint)))
     }
 
-    /// Joins a room, listening or connecting as the configuration says.
+    /// Joins a room with a configuration.
     ///
     /// # Panics
     /// When the bus does not open.

@@ -86,7 +86,7 @@ impl RustSource {
         start + length
     }
 
-    /// Reads a name or a path; returns where the code goes on.
+    /// Reads a name or a path; returns the position after it.
     fn take_path(&mut self, tokens: &[String], start: usize) -> usize {
         let mut path = vec![tokens[start].clone()];
         let mut at = start + 1;

@@ -112,7 +112,7 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
     assert!(received.commands.windows(2).all(|pair| pair[0].epoch == pair[1].epoch), "two epochs");
     assert!(received.reports.windows(2).all(|pair| pair[0] < pair[1]), "reports out of order");
 
-    // Matching: a command answers a report that went out, and no report is answered twice.
+    // Matching: a command answers a published report, and no report is answered twice.
     let first = received.reports[0];
     let answered = received.commands.iter().map(|command| command.answers).filter(|tick| *tick >= first);
     let known = answered.filter(|tick| received.reports.binary_search(tick).is_ok()).count();
@@ -124,8 +124,8 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
     assert!(received.commands.len() as f64 <= commands, "{controller}");
     assert!(number(&room, "/loop_us/count") <= commands, "{room} {controller}");
     assert!(number(&room, "/loop_us/count") >= received.commands.len() as f64 - 2.0, "{room}");
-    // A report that was overtaken on a busy machine is shed, and one that a stalled link cannot
-    // take is dropped: no command answers these.
+    // A busy machine drops superseded reports, and a stalled link drops reports: these have no
+    // command.
     let dropped = 0.1 * number(&room, "/ticks");
     assert!(number(&room, "/lost_ticks") <= number(&controller, "/shed") + dropped, "{room} {controller}");
     assert_eq!(number(&controller, "/unsent"), 0.0, "{controller}");
@@ -182,7 +182,7 @@ fn a_slow_policy_is_warmed_up_for_each_report_and_every_decision_is_counted() {
 fn one_process_serves_rooms_that_do_not_mix() {
     let endpoint = free_loopback_endpoint().unwrap();
     let rooms = ["north", "south", "west"];
-    // The controller listens, since three rooms come to it; the rooms have different users by their
+    // The controller listens, since three rooms connect to it; the rooms have different users by their
     // seeds.
     let controller = Process::heliostat(&[
         "controller",

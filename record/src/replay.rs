@@ -14,6 +14,7 @@
 //! first [`SETTLE`] decisions of an epoch are therefore replayed but not compared, except in a
 //! lockstep epoch recorded from its first command.
 
+mod epoch;
 mod plan;
 mod verdict;
 
@@ -27,10 +28,8 @@ use heliostat_controller::capabilities::{Examiner, Force};
 use heliostat_controller::core::{Accepted, Controller, Decision, Haste, WARM_UP_RUNS};
 use heliostat_controller::inbox::Message;
 use heliostat_controller::policy::{self, ActorSource, PolicyKind};
-use heliostat_controller::refused::{Refusal, Stream};
-use heliostat_proto::{
-    Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, UserReport, decode,
-};
+use heliostat_controller::refused::Stream;
+use heliostat_proto::{Capabilities, MirrorCommand, NodeKind, UserReport, decode};
 use heliostat_scenario::Answer as WhenLate;
 use thiserror::Error;
 
@@ -40,6 +39,7 @@ pub use verdict::Verdict;
 pub(crate) use verdict::difference;
 
 use crate::file::{Entry, PRESENCE_TOPIC, Presence, Reading, open};
+use epoch::EpochReplay;
 use plan::{Answer, Plan};
 
 /// Decisions that are not compared when earlier inputs of the controller are unknown: two seconds
@@ -85,16 +85,6 @@ pub fn run(settings: &Settings) -> Result<Verdict> {
     Ok(player.finish(&settings.file, &reading))
 }
 
-/// A controller of one epoch.
-struct EpochReplay {
-    controller: Controller,
-    newest_ns: Nanos,
-    /// Decisions so far.
-    decided: u64,
-    /// Decisions at the start that are not compared.
-    settle: u64,
-}
-
 /// Passes messages to controllers, and compares their commands.
 struct Player<'a> {
     settings: &'a Settings,
@@ -102,7 +92,7 @@ struct Player<'a> {
     examiner: Examiner,
     /// The latest capabilities of the array.
     array: Option<Capabilities>,
-    epoch_replay: Option<EpochReplay>,
+    current: Option<EpochReplay>,
     /// A controller that joined the room and has not published a command yet.
     next: Option<EpochReplay>,
     /// Commands of this process by tick, each with whether it counts.
@@ -134,14 +124,14 @@ impl<'a> Player<'a> {
             examiner: Examiner::new(&plan.scenario, &plan.scenario.channel_model()?, force),
             array: None,
             plan,
-            epoch_replay: None,
+            current: None,
             next: None,
             ours: BTreeMap::new(),
             theirs: BTreeMap::new(),
             policies: BTreeMap::new(),
             verdict: Tally::default(),
         };
-        player.epoch_replay = player.start_from(0)?;
+        player.current = player.start_from(0)?;
         Ok(player)
     }
 
@@ -206,7 +196,7 @@ impl<'a> Player<'a> {
 
     /// The controllers that receive messages.
     fn epochs_running(&mut self) -> impl Iterator<Item = &mut EpochReplay> {
-        self.epoch_replay.iter_mut().chain(&mut self.next)
+        self.current.iter_mut().chain(&mut self.next)
     }
 
     /// Applies capabilities of the array; repetitions are ignored.
@@ -234,7 +224,7 @@ impl<'a> Player<'a> {
     /// A command that answers no report: it follows silence, or a report that was too old.
     fn unprompted(&mut self, theirs: &MirrorCommand) {
         let Some(epoch_replay) =
-            self.epoch_replay.as_mut().filter(|epoch_replay| epoch_replay.controller.epoch() == theirs.epoch)
+            self.current.as_mut().filter(|epoch_replay| epoch_replay.controller.epoch() == theirs.epoch)
         else {
             return;
         };
@@ -263,7 +253,7 @@ impl<'a> Player<'a> {
                     .as_ref()
                     .map_or((0, 0), |epoch_replay| (epoch_replay.controller.epoch(), epoch_replay.decided));
                 match current {
-                    (epoch, 0) => self.epoch_replay = self.start_from(epoch)?,
+                    (epoch, 0) => self.current = self.start_from(epoch)?,
                     (epoch, _) => self.next = self.start_from(epoch + 1)?,
                 }
             }
@@ -283,15 +273,15 @@ impl<'a> Player<'a> {
             self.verdict.unanswered += 1;
         }
         if let Some(answer) = answer
-            && self.epoch_replay.as_ref().is_some_and(|epoch_replay| epoch_replay.controller.epoch() < answer.epoch)
+            && self.current.as_ref().is_some_and(|epoch_replay| epoch_replay.controller.epoch() < answer.epoch)
         {
-            let epoch = self.epoch_replay.as_ref().map_or(0, |epoch_replay| epoch_replay.controller.epoch());
-            self.epoch_replay = match self.next.take() {
+            let epoch = self.current.as_ref().map_or(0, |epoch_replay| epoch_replay.controller.epoch());
+            self.current = match self.next.take() {
                 Some(next) => Some(next),
                 None => self.start_from(epoch + 1)?,
             };
         }
-        let Some(epoch_replay) = &mut self.epoch_replay else { return Ok(()) };
+        let Some(epoch_replay) = &mut self.current else { return Ok(()) };
         let now = match (self.plan.clock, answer) {
             (Clock::Lockstep, _) => epoch_replay.at(report.stamp.time_ns),
             (Clock::Live, Some(answer)) => answer.time_ns,
@@ -368,38 +358,6 @@ impl<'a> Player<'a> {
             without_report: self.theirs.len() as u64,
             largest_difference_rad: tally.largest_difference_rad,
             first_difference: tally.first_difference,
-        }
-    }
-}
-
-impl EpochReplay {
-    /// Room time in lockstep: the time of the newest message.
-    fn at(&mut self, time_ns: Nanos) -> Nanos {
-        self.newest_ns = self.newest_ns.max(time_ns);
-        self.newest_ns
-    }
-
-    fn receive(&mut self, stream: Stream, data: &[u8], clock: Clock, arrived_ns: Nanos) {
-        let now = |epoch_replay: &mut Self, time_ns: Nanos| {
-            if clock == Clock::Lockstep { epoch_replay.at(time_ns) } else { arrived_ns }
-        };
-        let read = match stream {
-            Stream::Channel => decode::<ChannelReport>(data).map(|mut report| {
-                let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Channel(&mut report), &mut |_| {});
-            }),
-            Stream::Obstacles => decode::<ObstacleReport>(data).map(|mut report| {
-                let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Obstacles(&mut report), &mut |_| {});
-            }),
-            Stream::Telemetry => decode::<MirrorTelemetry>(data).map(|mut telemetry| {
-                let now = now(self, telemetry.stamp.time_ns);
-                self.controller.receive(now, Message::Telemetry(&mut telemetry), &mut |_| {});
-            }),
-            Stream::Users => return,
-        };
-        if let Err(error) = read {
-            self.controller.count_malformed(stream, Refusal::from(&error));
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Names the commit that is built, so that every figure can say what computed it, and the code of each figure, so that a part can say whether it is
-//! still that.
+//! Names the commit that is built, so that every figure can say what computed it, and the code of
+//! each figure, so that a part can say whether it is still that.
 
 use std::{env, error::Error, fs, path::Path, process::Command};
 

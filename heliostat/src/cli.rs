@@ -1,14 +1,14 @@
 //! The commands and their help.
 
 use anyhow::Result;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval, link, map, scenario, ui};
 
-/// Real-time control of a wall of MEMS mirrors that steers light to people.
+/// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
 ///
-/// A ceiling LED serves moving users; people and furniture block the direct path; a wall of mirrors brings the light round
-/// the obstacle. Start with `heliostat demo`.
+/// A ceiling LED transmits to moving users. Bodies and furniture block the direct path. The mirrors
+/// on a wall provide a second path. Start with `heliostat demo`.
 #[derive(Debug, Parser)]
 #[command(name = "heliostat", version, arg_required_else_help = true)]
 pub struct Cli {
@@ -18,41 +18,41 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run a simulated room and a controller as two processes and watch them
+    /// Run a simulated room and a controller as two processes, and display them
     Demo(demo::Args),
-    /// Watch a running room, simulated or real, in a browser and on the terminal
+    /// Display a running room, simulated or real, in a browser and on the terminal
     Ui(ui::Args),
-    /// Run the central unit: reports in, mirror commands out
+    /// Run the controller: it receives reports and publishes mirror commands
     Controller(heliostat_controller::cli::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
     SimNode(heliostat_sim_node::cli::Args),
-    /// Drive real mirrors, or check a driver against the contract
+    /// Drive real mirrors, or check a driver against the wire contract
     Driver(heliostat_driver::cli::Args),
-    /// Estimate the mounting of each mirror from measured gains, and show what that wins back
+    /// Estimate the mounting error of each mirror from measured gains
     Calibrate(calibrate::Args),
     /// Train a policy and export it as an ONNX file
     Train(heliostat_models::TrainArgs),
-    /// Compare policies on the same states, beside the oracle
+    /// Compare policies with the oracle on the same states
     Eval(eval::Args),
-    /// Make the paper's figures as they come out here, with verdicts
+    /// Reproduce the figures of the paper, with a verdict for each statement
     Reproduce(heliostat_reproduce::ReproduceArgs),
     /// Compute the link budget of users under given mirror angles
     Link(link::Args),
     /// Draw rate, SINR or coverage over the floor as a heat map
     Map(map::Args),
-    /// Measure speed, each figure beside a reference measured in the same run
+    /// Measure speed relative to a reference in the same run
     Bench(bench::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
-    /// Check what matters before a run, and say what to do about it
+    /// Check the machine before a run, and recommend changes
     Doctor(doctor::Args),
     /// Print the effective configuration of a process
     Config(config::Args),
-    /// Record everything that a room says into an MCAP file
+    /// Record all messages of a room into an MCAP file
     Record(heliostat_record::cli::RecordArgs),
-    /// Play a recording into a controller, and see whether it decides as it did
+    /// Play a recording into a controller, or verify its commands
     Replay(heliostat_record::cli::ReplayArgs),
-    /// Print completions for a shell
+    /// Print the completion script for a shell
     Completions(completions::CompletionArgs),
     /// Write manual pages
     Manual(completions::ManualArgs),
@@ -78,7 +78,7 @@ pub fn run() -> Result<()> {
         Command::Config(args) => config::run(args),
         Command::Record(args) => heliostat_record::cli::record(args),
         Command::Replay(args) => heliostat_record::cli::replay(args),
-        Command::Completions(args) => completions::completions(args),
-        Command::Manual(args) => completions::manual(args),
+        Command::Completions(args) => completions::completions(args, Cli::command()),
+        Command::Manual(args) => completions::manual(args, Cli::command()),
     }
 }

@@ -1,4 +1,4 @@
-//! One module a command, and what several of them share.
+//! One module for each command, and functions that several of them share.
 
 use anyhow::{Context, Result, ensure};
 use serde::de::DeserializeOwned;
@@ -16,7 +16,7 @@ mod mirrors;
 pub mod scenario;
 pub mod ui;
 
-/// Reads a CSV file whose header names all `required` columns, maybe `optional` ones, and no others.
+/// Reads a CSV file whose header names all `required` columns, any `optional` ones, and no others.
 fn read_csv<T: DeserializeOwned>(file: &str, required: &[&str], optional: &[&str]) -> Result<Vec<T>> {
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
@@ -28,7 +28,7 @@ fn read_csv<T: DeserializeOwned>(file: &str, required: &[&str], optional: &[&str
     let complete = required.iter().all(|name| header.iter().any(|found| found == *name));
     ensure!(
         known && complete,
-        "in {file}: the header is \"{}\"; wanted {}{}",
+        "in {file}: the header is \"{}\"; expected {}{}",
         header.iter().collect::<Vec<_>>().join(","),
         required.join(","),
         optional.iter().map(|name| format!("[,{name}]")).collect::<String>()

@@ -13,7 +13,7 @@ fn main() -> ExitCode {
         Err(error) if output::closed(&error) => ExitCode::SUCCESS,
         Err(error) => {
             drop(writeln!(std::io::stderr(), "heliostat: {error:#}"));
-            // A recording that cannot be replayed is another matter than one that comes out otherwise.
+            // A recording that cannot be replayed has another status than one with differences.
             if error.is::<heliostat_record::replay::Unusable>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }

@@ -1,4 +1,5 @@
-//! Standard output, which a reader such as `head` may close at any time: that ends the command, and is no failure.
+//! Standard output. A reader such as `head` may close it at any time: this ends the command without
+//! an error.
 
 use std::fmt::Arguments;
 use std::io::{self, Write};
@@ -10,14 +11,14 @@ pub fn line(text: Arguments) -> io::Result<()> {
     out.write_all(b"\n")
 }
 
-/// `println!` that returns an error where that would panic.
+/// `println!` that returns an error instead of a panic.
 macro_rules! outln {
     () => { $crate::output::line(format_args!("")) };
     ($($argument:tt)*) => { $crate::output::line(format_args!($($argument)*)) };
 }
 pub(crate) use outln;
 
-/// Whether a command ended because nobody reads what it prints.
+/// Whether a command ended because the reader has closed its output.
 pub fn closed(error: &anyhow::Error) -> bool {
     error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }

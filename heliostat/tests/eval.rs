@@ -1,4 +1,4 @@
-//! The comparison of policies, as its users meet it.
+//! `heliostat eval` on the command line.
 
 use std::process::{Command, Output};
 
@@ -25,7 +25,7 @@ fn mean(report: &Value, policy: &str, figure: &str) -> f64 {
     report["policies"][policy][figure]["mean"].as_f64().unwrap_or_else(|| panic!("{policy} {figure} in {report}"))
 }
 
-/// What must come out the same again: everything but times.
+/// The reproducible part of a report: everything except times.
 fn without_times(mut report: Value) -> Value {
     for row in report["policies"].as_object_mut().expect("an object").values_mut() {
         row.as_object_mut().expect("an object").remove("decision_us");
@@ -36,7 +36,7 @@ fn without_times(mut report: Value) -> Value {
 const NOISY: [&str; 2] = ["--set", "noise.variance_a2=6.5e-15"];
 
 #[test]
-fn policies_keep_their_order_beside_an_oracle_of_ratio_one() {
+fn policies_keep_their_order_below_the_oracle() {
     let flags = ["--policies", "oracle,greedy,fixed-point,random,flat,no-irs", "--states", "20", "--seeds", "2"];
     let report = report(&[&flags[..], &NOISY, &["--blocked", "2", "--seed", "7"]].concat());
     assert_eq!(
@@ -55,7 +55,7 @@ fn policies_keep_their_order_beside_an_oracle_of_ratio_one() {
     assert_eq!(report["oracle"]["ratio_to_oracle"]["mean"], 1.0);
     assert!(ratio("greedy") > 0.96 && ratio("fixed-point") > 0.9, "{} {}", ratio("greedy"), ratio("fixed-point"));
     assert!(ratio("flat") + 0.1 < ratio("fixed-point") && ratio("no-irs") <= ratio("flat"));
-    // Of a hundred random mirrors almost none hits anybody.
+    // Of a hundred random mirrors almost none serves a user.
     assert!((ratio("random") - ratio("no-irs")).abs() < 0.02, "{} {}", ratio("random"), ratio("no-irs"));
     let times = &report["policies"]["greedy"]["decision_us"];
     assert!(times["p50"].as_f64() > Some(0.0) && times["p50"].as_f64() <= times["p99"].as_f64());
@@ -72,10 +72,10 @@ fn the_same_seed_gives_the_same_figures_in_both_loops() {
     }
 }
 
-/// With undelayed, exact reports and instant mirrors the loop costs little; late and noisy ones cost something, and prediction brings
-/// some of it back.
+/// Exact reports and instant mirrors lose little; late and noisy reports lose more, and prediction
+/// recovers a part.
 #[test]
-fn a_closed_loop_costs_what_its_reports_lack() {
+fn a_closed_loop_loses_rate_with_late_reports() {
     let flags = ["--policies", "greedy", "--closed-loop", "--predicted", "--states", "60", "--seeds", "1"];
     let exact = report(&flags);
     let exact = mean(&exact, "greedy", "ratio_to_oracle");
@@ -89,7 +89,7 @@ fn a_closed_loop_costs_what_its_reports_lack() {
 }
 
 #[test]
-fn the_exhaustive_search_is_beside_the_oracle_where_it_can_run() {
+fn the_exhaustive_search_agrees_with_the_oracle_in_a_small_room() {
     let small = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];
     let flags = ["--policies", "exhaustive", "--states", "10", "--seeds", "1"];
     let report = report(&[&flags[..], &small].concat());
@@ -115,7 +115,7 @@ fn a_csv_has_a_line_for_each_policy() {
 }
 
 #[test]
-fn without_names_all_that_fit_are_compared() {
+fn the_default_policies_are_those_that_fit() {
     let of = |array: &[&str]| {
         let report = report(&[&["--states", "2", "--seeds", "1"], array].concat());
         report["policies"].as_object().expect("an object").len()
@@ -125,7 +125,7 @@ fn without_names_all_that_fit_are_compared() {
 }
 
 #[test]
-fn what_cannot_be_compared_is_refused_with_what_can() {
+fn an_unknown_policy_is_refused_with_the_known_ones() {
     let message = refusal(&["--policies", "greedy,gredy"]);
     assert!(message.contains("\"gredy\"") && message.contains("fixed-point"), "{message}");
     let message = refusal(&["--policies", "nowhere.onnx"]);
@@ -163,7 +163,7 @@ fn built_in(policy: &str) -> usize {
 }
 
 #[test]
-fn a_learned_policy_is_all_of_its_training_seeds_unless_one_is_chosen() {
+fn a_learned_policy_uses_all_training_seeds_unless_one_is_chosen() {
     let flags = ["--policies", "analytic,flat", "--states", "10", "--seeds", "1"];
     let of = |extra: &[&str]| report(&[&flags[..], extra].concat());
     let (all, first) = (of(&[]), of(&["--training-seed", "1"]));
@@ -177,7 +177,7 @@ fn a_learned_policy_is_all_of_its_training_seeds_unless_one_is_chosen() {
 }
 
 #[test]
-fn stuck_mirrors_cost_light_and_who_is_not_told_of_them_leaves_people_unserved() {
+fn stuck_mirrors_lower_the_rate_and_an_unaware_policy_meets_fewer_minimum_rates() {
     let flags = ["--closed-loop", "--policies", "fixed-point", "--states", "20", "--seeds", "1", "--unaware"];
     let room = ["--set", "actuator.profile=mems", "--set", "blockage.forced_users=5"];
     let flags = [&flags[..], &room, &["--sweep", "actuator.stuck_share=0,0.5"]].concat();
@@ -187,11 +187,11 @@ fn stuck_mirrors_cost_light_and_who_is_not_told_of_them_leaves_people_unserved()
         assert_eq!(
             of(0, "fixed-point", figure),
             of(0, "fixed-point-unaware", figure),
-            "nothing is wrong, nothing to tell"
+            "without stuck mirrors both are equal"
         );
     }
     assert!(of(1, "fixed-point", "sum_rate_mbps") < 0.8 * of(0, "fixed-point", "sum_rate_mbps"), "{all}");
     assert!(of(1, "fixed-point", "qos_met") > of(1, "fixed-point-unaware", "qos_met") + 0.05, "{all}");
     let table = String::from_utf8(eval(&flags).stdout).expect("text");
-    assert!(table.contains("sum rate in Mb/s") && table.contains("fixed-point-unaware"), "{table}");
+    assert!(table.contains("sum rate in Mbit/s") && table.contains("fixed-point-unaware"), "{table}");
 }

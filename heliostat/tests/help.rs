@@ -1,4 +1,4 @@
-//! What a stranger meets first.
+//! Help texts and scenario files on the command line.
 
 use std::process::{Command, Output};
 
@@ -7,7 +7,7 @@ fn heliostat(arguments: &[&str]) -> Output {
 }
 
 #[test]
-fn every_command_explains_itself() {
+fn every_command_has_a_help_text() {
     let commands = ["demo", "controller", "sim-node", "train", "eval", "link", "map", "bench", "scenario", "calibrate"];
     let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");
     for command in commands {
@@ -45,7 +45,7 @@ fn scenario_check_reads_the_recording_beside_the_file_and_names_lines() {
     };
     let recorded = "[users]\ncount = 1\ntrace = \"walk.csv\"\n";
     assert_eq!(check(recorded, "time,user,x,y\n0,0,-1,0\n2,0,1,0\n"), (true, String::new()));
-    for (room, walk, wanted) in [
+    for (room, walk, expected) in [
         (recorded, "time,user,x,y\n0,0,-1,0\n2,0,9,0\n", "walk.csv: line 3"),
         (recorded, "time,user,x\n0,0,-1\n", "walk.csv: line 1"),
         ("[users]\ncount = 1\ntrace = \"other.csv\"\n", "", "other.csv"),
@@ -53,6 +53,6 @@ fn scenario_check_reads_the_recording_beside_the_file_and_names_lines() {
         ("[mirrors]\nrows = ten\n", "", "line 2"),
     ] {
         let (valid, errors) = check(room, walk);
-        assert!(!valid && errors.contains(wanted), "{wanted} is missing in: {errors}");
+        assert!(!valid && errors.contains(expected), "{expected} is missing in: {errors}");
     }
 }

@@ -1,4 +1,4 @@
-//! `heliostat link` as a user runs it: closed forms, files, and what it says about mistakes.
+//! `heliostat link` on the command line: closed forms, files, and errors.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -17,7 +17,7 @@ fn link(arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).expect("one JSON object")
 }
 
-/// What `heliostat link` says when it refuses these arguments.
+/// The error of `heliostat link` for these arguments.
 fn refusal(arguments: &[&str]) -> String {
     let output = heliostat(&[&["link"], arguments].concat());
     assert!(!output.status.success(), "{arguments:?} should have been refused");
@@ -27,11 +27,11 @@ fn refusal(arguments: &[&str]) -> String {
 }
 
 fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+    value.as_f64().unwrap_or_else(|| panic!("{value} is not a number"))
 }
 
-fn assert_near(found: f64, wanted: f64, relative: f64, what: &str) {
-    assert!((found - wanted).abs() <= relative * wanted.abs(), "{what}: {found} instead of {wanted}");
+fn assert_near(found: f64, expected: f64, relative: f64, what: &str) {
+    assert!((found - expected).abs() <= relative * expected.abs(), "{what}: {found} instead of {expected}");
 }
 
 /// A file in a folder that lasts as long as the test.
@@ -50,16 +50,17 @@ fn direct_gain_is_the_closed_form() {
     let users = ["--user", "0,0", "--user", "2,-2", "--obstacles", "none"];
     for (angles, side) in [("flat", "0"), ("oracle", "0"), ("flat", "0.1")] {
         let budget = link(&[&users[..], &["--angles", angles, "--set", &format!("led.side_m={side}")]].concat());
-        // (n + 1) A_r cos cos / (2 pi D^2) with n = 1, 20 mm2 and the LED 2.15 m above: a panel differs in the fourth digit.
-        for (user, wanted) in [(0, 1.376e-6), (1, 1.847e-7)] {
-            assert_near(number(&budget["users"][user]["los_gain"]), wanted, 1e-3, "direct gain");
+        // (n + 1) A_r cos cos / (2 pi D^2) with n = 1, 20 mm2 and the LED 2.15 m above: a panel
+        // differs in the fourth digit.
+        for (user, expected) in [(0, 1.376e-6), (1, 1.847e-7)] {
+            assert_near(number(&budget["users"][user]["los_gain"]), expected, 1e-3, "direct gain");
             assert_eq!(budget["users"][user]["los_blocked"], false);
         }
     }
 }
 
 #[test]
-fn every_promised_field_is_there_and_they_agree() {
+fn every_field_is_present_and_consistent() {
     let budget = link(&["--user", "0,0", "--user", "2,-2", "--user", "-1,1.5,0.5", "--angles", "nearest"]);
     let users = budget["users"].as_array().expect("a list");
     assert_eq!(users.len(), 3);
@@ -82,7 +83,7 @@ fn every_promised_field_is_there_and_they_agree() {
 }
 
 #[test]
-fn the_oracle_is_worth_more_than_flat_mirrors() {
+fn the_oracle_has_a_larger_sum_rate_than_flat_mirrors() {
     let users = ["--user", "2,-2", "--user", "0.5,1", "--set", "blockage.forced_users=1"];
     let [flat, oracle] = ["flat", "oracle"].map(|how| link(&[&users[..], &["--angles", how]].concat()));
     let sum = |budget: &Value| number(&budget["sum_rate_mbps"]);
@@ -111,9 +112,10 @@ fn unit(a: Vector) -> Vector {
 #[test]
 fn mirrors_aimed_by_hand_give_the_gain_of_the_unfolded_path() {
     let (led, user) = ([0.0, 0.0, 3.0], [1.2, -0.7, 0.85]);
-    let (mut angles, mut wanted) = (String::from("roll_deg,yaw_deg\n"), Vec::new());
+    let (mut angles, mut expected) = (String::from("roll_deg,yaw_deg\n"), Vec::new());
     for index in 0..100 {
-        // 10 x 10 mirrors of 0.25 m x 0.10 m with gaps of 0.02 m about (0, 2.5, 2), row by row from the lowest.
+        // 10 x 10 mirrors of 0.25 m x 0.10 m with gaps of 0.02 m about (0, 2.5, 2), row by row from
+        // the lowest.
         let (row, column) = (f64::from(index / 10), f64::from(index % 10));
         let mirror = [(column - 4.5) * 0.27, 2.5, 2.0 + (row - 4.5) * 0.12];
         let (to_led, to_user) = (sub(led, mirror), sub(user, mirror));
@@ -126,35 +128,36 @@ fn mirrors_aimed_by_hand_give_the_gain_of_the_unfolded_path() {
         // Lambertian order 1: rho 2 A_r cos(irradiance) cos(incidence) / (2 pi (D1 + D2)^2)
         let path = length(to_led) + length(to_user);
         let (irradiance, incidence) = (towards_led[2], -towards_user[2]);
-        wanted.push(0.95 * 2.0 * 20e-6 * irradiance * incidence / (std::f64::consts::TAU * path * path));
+        expected.push(0.95 * 2.0 * 20e-6 * irradiance * incidence / (std::f64::consts::TAU * path * path));
     }
     let folder = folder();
     let file = file(&folder, "angles.csv", &angles);
     let place = format!("{},{}", user[0], user[1]);
     let budget = link(&["--user", &place, "--angles", &file, "--set", "led.side_m=0", "--per-mirror"]);
     let link = &budget["users"][0];
-    assert_near(number(&link["irs_gain"]), wanted.iter().sum(), 1e-9, "gain of the array");
-    for (mirror, wanted) in wanted.iter().enumerate() {
-        assert_near(number(&link["mirror_gain"][mirror]), *wanted, 1e-9, &format!("mirror {mirror}"));
+    assert_near(number(&link["irs_gain"]), expected.iter().sum(), 1e-9, "gain of the array");
+    for (mirror, expected) in expected.iter().enumerate() {
+        assert_near(number(&link["mirror_gain"][mirror]), *expected, 1e-9, &format!("mirror {mirror}"));
     }
 }
 
 #[test]
-fn an_obstacle_in_the_light_is_named() {
+fn an_obstacle_on_the_direct_path_is_named() {
     let folder = folder();
-    // Half way to the user at (2, -2) the ray is 1.9 m above the floor; the other stands aside.
+    // Half way to the user at (2, -2) the ray is 1.9 m above the floor; the other obstacle is
+    // beside it.
     let obstacles = file(&folder, "obstacles.csv", "x,y,radius,height\n-2,2,0.2,1.5\n1.6,-1.6,0.2,1.75\n");
     let budget = link(&["--user", "0,0", "--user", "2,-2", "--angles", "flat", "--obstacles", &obstacles]);
-    let [clear, shaded] = [0, 1].map(|user| &budget["users"][user]);
+    let [clear, blocked] = [0, 1].map(|user| &budget["users"][user]);
     assert_eq!((&clear["los_blocked"], number(&clear["los_gain"]) > 0.0), (&Value::Bool(false), true));
-    assert_eq!((&shaded["los_blocked"], number(&shaded["los_gain"])), (&Value::Bool(true), 0.0));
-    assert_eq!(shaded["los_blocked_by"], serde_json::json!(["obstacle 1"]));
+    assert_eq!((&blocked["los_blocked"], number(&blocked["los_gain"])), (&Value::Bool(true), 0.0));
+    assert_eq!(blocked["los_blocked_by"], serde_json::json!(["obstacle 1"]));
     let table = heliostat(&["link", "--user", "2,-2", "--obstacles", &obstacles]);
     assert!(String::from_utf8(table.stdout).expect("text").contains("obstacle 1"));
 }
 
 #[test]
-fn a_body_stands_behind_its_owner() {
+fn a_body_is_behind_its_user() {
     let folder = folder();
     let facing = |heading: f64| {
         let users = file(&folder, "users.csv", &format!("x,y,z,heading_deg\n2,-2,0.85,{heading}\n"));
@@ -166,7 +169,7 @@ fn a_body_stands_behind_its_owner() {
 }
 
 #[test]
-fn users_come_from_a_file_and_z_may_be_left_out() {
+fn users_are_read_from_a_file_with_optional_z() {
     let folder = folder();
     let with_z = file(&folder, "a.csv", "x,y,z\n0,0,0.85\n2,-2,0.85\n");
     let without = file(&folder, "b.csv", "# measured on a Monday\nx, y\n0, 0\n2, -2\n");
@@ -176,7 +179,7 @@ fn users_come_from_a_file_and_z_may_be_left_out() {
 }
 
 #[test]
-fn mistakes_are_named() {
+fn errors_name_the_cause() {
     let folder = folder();
     let user = ["--user", "1,1"];
     let angles = |name: &str, text: &str| refusal(&[&user[..], &["--angles", &file(&folder, name, text)]].concat());
@@ -206,14 +209,14 @@ fn mistakes_are_named() {
         (refusal(&[&user[..], &["--set", "led.power=1"]].concat()), vec!["power"]),
         (refusal(&[]), vec!["--user"]),
     ];
-    for (said, wanted) in cases {
-        for word in wanted {
-            assert!(said.contains(word), "\"{word}\" is missing in: {said}");
+    for (message, expected) in cases {
+        for word in expected {
+            assert!(message.contains(word), "\"{word}\" is missing in: {message}");
         }
     }
 }
 
-/// Runs the program for a reader who closes the pipe at once.
+/// Runs the program with a reader that closes the pipe immediately.
 fn with_closed_output(arguments: &[&str]) -> (bool, String) {
     let mut child = Command::new(env!("CARGO_BIN_EXE_heliostat"))
         .args(arguments)
@@ -227,7 +230,7 @@ fn with_closed_output(arguments: &[&str]) -> (bool, String) {
 }
 
 #[test]
-fn a_reader_who_has_enough_is_no_failure() {
+fn a_closed_output_is_not_an_error() {
     let folder = folder();
     let map = folder.path().join("map.svg");
     let map = map.to_str().expect("a plain path");

@@ -1,4 +1,5 @@
-//! `heliostat map` as a user runs it: a well-formed picture with units, and figures that follow from the physics.
+//! `heliostat map` on the command line: a well-formed SVG with units, and values that follow from
+//! the physics.
 
 use std::process::{Command, Output};
 
@@ -48,7 +49,7 @@ fn elements(svg: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_picture_is_well_formed_and_says_what_it_shows() {
+fn the_svg_is_well_formed_and_labelled() {
     for (what, unit) in [("rate", "rate (Mbit/s)"), ("sinr", "SINR (dB)"), ("coverage", "minimum rate met")] {
         let (_, svg) = map(&["--what", what]);
         let count = |name: &str| elements(&svg).iter().filter(|element| *element == name).count();
@@ -66,7 +67,7 @@ fn the_picture_is_well_formed_and_says_what_it_shows() {
 }
 
 #[test]
-fn a_map_without_mirrors_is_the_direct_light() {
+fn a_map_without_mirrors_has_the_direct_path_only() {
     let clear = ["--set", "blockage.bodies=false", "--set", "blockage.obstacles_per_m2=0", "--set", "led.side_m=0"];
     let (none, _) = map(&[&clear[..], &["--array", "none"]].concat());
     assert_eq!(figure(&none, "points"), 625.0);
@@ -79,19 +80,19 @@ fn a_map_without_mirrors_is_the_direct_light() {
 }
 
 #[test]
-fn aimed_mirrors_light_the_point_they_are_aimed_at() {
+fn aimed_mirrors_raise_the_rate_at_their_target() {
     let clear = ["--set", "blockage.bodies=false", "--set", "blockage.obstacles_per_m2=0"];
     let of = |array: &str| map(&[&clear[..], &["--array", array]].concat()).0;
     let (none, flat, aimed, oracle) = (of("none"), of("flat"), of("aim:-1,-1"), of("oracle"));
     for lit in [&flat, &aimed, &oracle] {
         assert!(figure(lit, "mean") > figure(&none, "mean") && figure(lit, "min") >= figure(&none, "min"));
     }
-    // All mirrors on one spot: brighter than the middle of the room by the LED alone.
+    // All mirrors at one point exceed the rate under the LED alone.
     assert!(figure(&aimed, "max") > 1.1 * figure(&none, "max"), "{aimed} beside {none}");
 }
 
 #[test]
-fn shadow_gets_nothing_and_coverage_is_a_share() {
+fn a_blocked_point_has_no_rate_and_coverage_is_a_share() {
     let (rate, _) = map(&["--array", "none"]);
     assert_eq!(figure(&rate, "min"), 0.0);
     let (covered, _) = map(&["--array", "none", "--what", "coverage"]);
@@ -118,8 +119,8 @@ fn every_policy_and_a_file_of_angles_can_be_drawn() {
 }
 
 #[test]
-fn mistakes_are_named() {
-    for (arguments, wanted) in [
+fn errors_name_the_cause() {
+    for (arguments, expected) in [
         (&["--array", "aim:here"][..], "aim:X,Y"),
         (&["--array", "user:5"], "from 0 to 4"),
         (&["--array", "best"], "fixed-point"),
@@ -132,6 +133,6 @@ fn mistakes_are_named() {
     ] {
         let output = heliostat(&[&["map"], arguments].concat());
         let errors = String::from_utf8(output.stderr).expect("text");
-        assert!(!output.status.success() && errors.contains(wanted), "{arguments:?}: {errors}");
+        assert!(!output.status.success() && errors.contains(expected), "{arguments:?}: {errors}");
     }
 }

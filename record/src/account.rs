@@ -1,43 +1,44 @@
-//! What came on each key, and what is known to be missing: each source counts its messages, so a gap shows.
+//! Counts of the received messages by key, and of the missing ones: each source numbers its
+//! messages, so a gap is visible.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
 
-use crate::heard::Origin;
+use crate::received::Origin;
 
-/// What came on one key.
+/// Counts for one key.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct StreamAccount {
     /// Payloads written.
     pub messages: u64,
-    /// Their bytes.
+    /// Size of the written payloads in bytes.
     pub bytes: u64,
-    /// Sources, one after the other; for commands, epochs.
+    /// Sources that published on the key, one after the other; for commands, epochs.
     pub sources: u64,
-    /// Messages that a source counted and that did not come.
+    /// Messages that a source numbered and that did not arrive.
     pub missing: u64,
-    /// Messages that came after a later one of their source, or twice.
+    /// Messages that arrived after a later one of their source, or twice.
     pub out_of_order: u64,
-    /// Payloads that are no message of the contract; they are written all the same.
+    /// Payloads that are not a message of the contract; they are written too.
     pub unreadable: u64,
 }
 
-/// What came on all keys.
+/// Counts for all keys.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Account {
     /// By key.
     pub streams: BTreeMap<String, StreamAccount>,
-    /// Payloads that were heard and not written, because the disk was slower than the room for too long. They are among the missing
-    /// as soon as a later message of their stream comes.
-    pub shed: u64,
+    /// Payloads that were received and dropped, because the queue to the disk was full. They count
+    /// as missing when a later message of their stream arrives.
+    pub dropped: u64,
     #[serde(skip)]
     last: BTreeMap<String, Origin>,
 }
 
 impl Account {
-    /// Counts a payload on a key; `origin` is nothing where it could not be read.
+    /// Counts a payload on a key; `origin` is `None` if the payload could not be decoded.
     pub fn count(&mut self, key: &str, bytes: usize, origin: Option<Origin>) {
         let stream = entry(&mut self.streams, key);
         stream.messages += 1;
@@ -73,7 +74,7 @@ fn entry<'a, T: Default>(map: &'a mut BTreeMap<String, T>, key: &str) -> &'a mut
     if !map.contains_key(key) {
         map.insert(key.to_owned(), T::default());
     }
-    map.get_mut(key).expect("it was just put there")
+    map.get_mut(key).expect("inserted above")
 }
 
 impl fmt::Display for Account {
@@ -91,8 +92,8 @@ impl fmt::Display for Account {
                 "\n{key:<width$}{messages:>10}{bytes:>12}{sources:>9}{missing:>9}{out_of_order:>14}{unreadable:>12}"
             )?;
         }
-        if self.shed > 0 {
-            write!(formatter, "\n{} messages were heard and not written: the disk was too slow", self.shed)?;
+        if self.dropped > 0 {
+            write!(formatter, "\n{} messages were received and dropped: the disk was too slow", self.dropped)?;
         }
         Ok(())
     }
@@ -105,15 +106,16 @@ mod tests {
     #[test]
     fn gaps_are_counted_by_source() {
         let mut account = Account::default();
-        // Joined at 5; 7 and 8 are lost; 9 comes twice; then another source begins anew, and 2 to 4 of it are lost.
+        // Joined at 5; 7 and 8 are lost; 9 comes twice; then another source starts at 1, and its 2
+        // to 4 are lost.
         for (source, sequence) in [(1, 5), (1, 6), (1, 9), (1, 9), (1, 8), (2, 1), (2, 5)] {
             account.count("users", 10, Some(Origin { source, sequence, time_ns: 0 }));
         }
         account.count("users", 3, None);
         account.count("truth", 1, Some(Origin { source: 1, sequence: 100, time_ns: 0 }));
         let users = account.streams["users"];
-        let wanted = StreamAccount { messages: 8, bytes: 73, sources: 2, missing: 5, out_of_order: 2, unreadable: 1 };
-        assert_eq!(users, wanted);
+        let expected = StreamAccount { messages: 8, bytes: 73, sources: 2, missing: 5, out_of_order: 2, unreadable: 1 };
+        assert_eq!(users, expected);
         assert_eq!((account.messages(), account.missing()), (9, 5));
     }
 }

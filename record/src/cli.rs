@@ -14,79 +14,85 @@ use serde::Serialize;
 
 use crate::{play, recorder, replay};
 
-/// Record everything that a room says into an MCAP file.
+/// Record all messages of a room into an MCAP file.
 ///
-/// The file opens in Foxglove, and `heliostat replay` plays it back. Two peers hear each other only over a direct link: connect to the room's
-/// process and to the controller, or let the controller connect here (--listen). Gaps are counted by sequence number and told at the end.
+/// The file opens in Foxglove, and `heliostat replay` plays it back. Peers exchange messages over
+/// direct links only: connect to the room's process and to the controller, or let the controller
+/// connect to this process (--listen). Missing messages are counted by sequence number and reported
+/// at the end.
 #[derive(Clone, Debug, clap::Args)]
 pub struct RecordArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
     #[command(flatten)]
     bus: BusArgs,
-    /// The file to make; nothing is overwritten
+    /// The file to create; an existing file is not overwritten
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
-    /// End after this long
+    /// End after this many seconds
     #[arg(long, value_name = "N", value_parser = seconds)]
     seconds: Option<Duration>,
-    /// End when everybody who came into the room has left it
+    /// End when every process that was seen in the room has left it
     #[arg(long)]
     until_empty: bool,
     /// End when standard input closes
     #[arg(long)]
     exit_with_parent: bool,
-    /// Print the account as one JSON object on the last line
+    /// Print the message counts as one JSON object on the last line
     #[arg(long)]
     json: bool,
 }
 
-/// Play a recording into a controller, and see whether it decides as it did.
+/// Play a recording into a controller, or verify its commands.
 ///
-/// By itself it takes the room's place for a controller that runs elsewhere: it listens where that controller connects, and plays at the recorded
-/// pace. With --verify, --policy or --model it decides anew inside this process and compares every command with the recorded one. The exit status is 1
-/// where --verify finds a difference, 2 where the file cannot be replayed.
+/// Without --verify, --policy and --model this process replaces the room: it publishes the recorded
+/// reports for a controller that runs elsewhere, at the recorded speed. With one of them a
+/// controller inside this process decides again, and every command is compared with the recorded
+/// one. The exit status is 1 if --verify finds a difference, and 2 if the file cannot be replayed.
 #[derive(Clone, Debug, clap::Args)]
-#[command(group = clap::ArgGroup::new("anew").multiple(true))]
+#[command(group = clap::ArgGroup::new("decide_again").multiple(true))]
 pub struct ReplayArgs {
-    /// The recording
+    /// The recording (MCAP)
     file: PathBuf,
-    /// Decide anew, and fail unless every command that can be judged comes out bit for bit as recorded
-    #[arg(long, group = "anew")]
+    /// Decide again, and fail unless every compared command equals the recorded one bit for bit
+    #[arg(long, group = "decide_again")]
     verify: bool,
-    /// Decide anew by this policy in place of the recorded one
-    #[arg(long, value_enum, group = "anew")]
+    /// Decide again with this policy instead of the recorded one
+    #[arg(long, value_enum, group = "decide_again")]
     policy: Option<PolicyKind>,
-    /// Decide anew by this ONNX file of a learned policy in place of the built-in one
-    #[arg(long, visible_alias = "actor", value_name = "FILE", group = "anew")]
+    /// Decide again with this ONNX file of a learned policy instead of the built-in one
+    #[arg(long, visible_alias = "actor", value_name = "FILE", group = "decide_again")]
     model: Option<PathBuf>,
-    /// Decisions of each epoch that are not judged: by default none of a lockstep run that is recorded from its beginning, else 200
-    #[arg(long, value_name = "N", requires = "anew")]
+    /// Decisions at the start of each epoch that are not compared [default: 0 for a lockstep run
+    /// recorded from its start, else 200]
+    #[arg(long, value_name = "N", requires = "decide_again")]
     settle: Option<u64>,
-    /// Endpoint at which to listen for a controller (repeatable); without any endpoint tcp/127.0.0.1:7447
-    #[arg(long, value_name = "ENDPOINT", conflicts_with = "anew")]
+    /// Endpoint at which to listen for a controller (repeatable); without any endpoint
+    /// tcp/127.0.0.1:7447
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "decide_again")]
     listen: Vec<String>,
     /// Endpoint of a controller or of a router (repeatable)
-    #[arg(long, value_name = "ENDPOINT", conflicts_with = "anew")]
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "decide_again")]
     connect: Vec<String>,
-    /// Talk through a Zenoh router only, the one given by --connect
-    #[arg(long, conflicts_with = "anew")]
+    /// Communicate through the Zenoh router given by --connect only
+    #[arg(long, conflicts_with = "decide_again")]
     client: bool,
-    /// Name of the room to play in, in place of the recorded one
-    #[arg(long, value_name = "NAME", conflicts_with = "anew")]
+    /// Name of the room to publish in, instead of the recorded one
+    #[arg(long, value_name = "NAME", conflicts_with = "decide_again")]
     room: Option<Room>,
-    /// Play at so many times the recorded pace, 0.01 to 100
-    #[arg(long, value_name = "N", default_value_t = 1.0, value_parser = rate, conflicts_with = "anew")]
+    /// Playback speed relative to the recorded one, 0.01 to 100
+    #[arg(long, value_name = "N", default_value_t = 1.0, value_parser = rate, conflicts_with = "decide_again")]
     rate: f64,
-    /// Print what came out as one JSON object on the last line
+    /// Print the result as one JSON object on the last line
     #[arg(long)]
     json: bool,
 }
 
-/// Records until Ctrl-C, the end of its time or of the room, and prints the account.
+/// Records until Ctrl-C, the end of its time or of the room, and prints the message counts.
 ///
 /// # Errors
-/// Whatever keeps it from starting; a file that cannot be written to its end, after the account was printed.
+/// Any error that prevents the start; a file that could not be written completely, after the counts
+/// were printed.
 pub fn record(args: RecordArgs) -> Result<()> {
     let (stop, stopped) = stop_channel();
     stop_on_signal(stop.clone())?;
@@ -106,19 +112,16 @@ pub fn record(args: RecordArgs) -> Result<()> {
         bail!("{}: {failure}", outcome.file.display());
     }
     if outcome.account.missing() > 0 {
-        drop(writeln!(
-            std::io::stderr(),
-            "record: {} messages are missing, see the account",
-            outcome.account.missing()
-        ));
+        drop(writeln!(std::io::stderr(), "record: {} messages are missing, see the table", outcome.account.missing()));
     }
     Ok(())
 }
 
-/// Replays, and prints what came out.
+/// Replays, and prints the result.
 ///
 /// # Errors
-/// [`Unusable`](replay::Unusable) where the recording cannot be replayed; with `--verify`, one that came out otherwise.
+/// [`Unusable`](replay::Unusable) if the recording cannot be replayed; with `--verify`, a
+/// difference.
 pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);
@@ -130,7 +133,7 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
         bail!(
             "{} does not replay as recorded: {}",
             settings.file.display(),
-            verdict.first_difference.as_deref().unwrap_or("nothing in it could be judged")
+            verdict.first_difference.as_deref().unwrap_or("no command could be compared")
         );
     }
     Ok(())
@@ -146,7 +149,7 @@ fn play(args: ReplayArgs) -> Result<()> {
 }
 
 fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> Result<()> {
-    // Not println!, which panics when the reader is gone.
+    // println! would panic when the reader has closed the pipe.
     let mut out = std::io::stdout();
     if json {
         writeln!(out, "{}", serde_json::to_string(value)?)?;
@@ -158,11 +161,11 @@ fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> R
 
 fn seconds(text: &str) -> Result<Duration, String> {
     let value = text.parse().ok().filter(|value| (0.1..=1e7).contains(value));
-    value.map(Duration::from_secs_f64).ok_or_else(|| "wanted 0.1 to 10000000".into())
+    value.map(Duration::from_secs_f64).ok_or_else(|| "expected seconds from 0.1 to 10000000, for example 2.5".into())
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|rate| (0.01..=100.0).contains(rate)).ok_or_else(|| "wanted 0.01 to 100".into())
+    text.parse().ok().filter(|rate| (0.01..=100.0).contains(rate)).ok_or_else(|| "expected 0.01 to 100".into())
 }
 
 fn stop_on_signal(stop: Stop) -> Result<()> {

@@ -1,7 +1,8 @@
-//! From a recording onto a bus, in place of the room, for a controller that runs by itself.
+//! Publishes a recording on a bus, in place of the room, for a controller in a process of its own.
 //!
-//! A recording of lockstep is played in lockstep, each report waiting for its answer, and the answers are compared. One of live operation is
-//! played at the pace at which it came or a multiple of it, its stamps moved to the present, so that nothing in it is too old.
+//! A lockstep recording is played in lockstep: each report waits for its command, and the commands
+//! are compared. A live recording is played at the recorded speed or a multiple of it, with its
+//! stamps shifted to the present, so that no report is too old.
 
 use std::collections::{BTreeMap, HashMap, btree_map};
 use std::fmt;
@@ -18,44 +19,45 @@ use heliostat_proto::{
 };
 use serde::Serialize;
 
-use crate::file::Entry;
-use crate::heard::Heard;
-use crate::replay::{self, Beginning, Clock, Unusable, difference};
+use crate::file::{self, Entry};
+use crate::received::Received;
+use crate::replay::{Beginning, Clock, Unusable, difference};
 
-/// How long a controller is waited for.
+/// Longest time to wait for a controller.
 const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
-/// How long the answer to a report of lockstep is waited for, and the last answers of live operation.
+/// Longest time to wait for the answer to a lockstep report, and for the last answers in live
+/// operation.
 const ANSWER_WAIT: Duration = Duration::from_secs(5);
-/// Between two looks whether all is answered.
+/// Time between two checks whether every report is answered.
 const WAIT: Duration = Duration::from_millis(20);
-/// Time for one round of questions who is there.
+/// Longest time for one query of the processes in the room.
 const ALIVE_LIMIT: Duration = Duration::from_millis(500);
 
-/// What to play, and how.
+/// What to play, and how to play it.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// The recording.
     pub file: PathBuf,
-    /// The room to play in, in place of the recorded one.
+    /// The room to publish in, instead of the recorded one.
     pub room: Option<Room>,
-    /// Where to meet the controller.
+    /// The endpoints.
     pub bus: BusArgs,
-    /// Times the recorded pace.
+    /// Speed relative to the recorded one.
     pub rate: f64,
 }
 
-/// What a playback came to.
+/// The result of a playback.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Playback {
     /// The recording.
     pub file: PathBuf,
-    /// In which time it was played.
+    /// The clock of the recording.
     pub clock: Clock,
     /// Position reports published.
     pub reports: u64,
-    /// Of those: answered.
+    /// Reports among them that were answered.
     pub answered: u64,
-    /// Lockstep: answers that are the recorded ones, bit for bit.
+    /// Lockstep: answers that equal the recorded ones bit for bit.
     pub same: u64,
     /// Lockstep: answers that differ.
     pub different: u64,
@@ -63,20 +65,21 @@ pub struct Playback {
     pub first_difference: Option<String>,
 }
 
-/// Plays a recording to whoever is in the room, until its end or until stopped.
+/// Plays a recording into a room, until its end or until stopped.
 ///
 /// # Errors
-/// [`Unusable`] where the recording cannot be read; a bus that cannot be opened, a controller that does not come, a report of lockstep that is
-/// not answered.
+/// [`Unusable`] if the recording cannot be read; a bus that cannot be opened, a controller that
+/// does not join, a lockstep report that is not answered.
 pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
     let unusable = || Unusable(settings.file.clone());
     let Beginning { room: recorded_room, clock, capabilities } =
         Beginning::read(&settings.file).with_context(unusable)?;
     ensure!(
         clock == Clock::Live || settings.rate == 1.0,
-        "--rate is for recordings of live operation: this one is of lockstep, where each report waits for its answer"
+        "--rate {}: this is a lockstep recording, where each report waits for its answer; expected no --rate",
+        settings.rate
     );
-    let mut reading = replay::open(&settings.file).with_context(unusable)?;
+    let mut reading = file::open(&settings.file).with_context(unusable)?;
     let room = settings.room.clone().unwrap_or_else(|| recorded_room.clone());
     let flags = BusArgs { room: room.name().to_owned(), ..settings.bus.clone() };
     let bus = Bus::open(&flags.config_or_listen()?).context("cannot join the room")?;
@@ -102,19 +105,19 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
         playback: Playback { file: settings.file.clone(), clock, ..Playback::default() },
     };
     let begun = Instant::now();
-    let mut told = false;
+    let mut reported = false;
     while bus.alive(&room.alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty() {
         if stopped.try_recv().is_ok() {
             bus.close()?;
             return Ok(player.playback);
         }
-        if !told {
+        if !reported {
             drop(writeln!(std::io::stderr(), "replay: waiting for a controller in room {room}"));
-            told = true;
+            reported = true;
         }
         ensure!(
             begun.elapsed() < CONTROLLER_WAIT,
-            "no controller came into room \"{room}\" within {} s: start one with the same --room and a matching endpoint",
+            "no controller joined room \"{room}\" within {} s; start one with the same --room and a matching endpoint",
             CONTROLLER_WAIT.as_secs()
         );
     }
@@ -133,7 +136,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
     Ok(player.playback)
 }
 
-/// Where what was recorded under a key goes; the room may be played under another name.
+/// The publisher for each recorded key; the room may have another name than the recorded one.
 fn outlets(bus: &Bus, recorded: &Room, clock: Clock) -> Result<HashMap<String, (Publisher, Outlet)>> {
     let class = if clock == Clock::Live { Class::Control } else { Class::Order };
     let room = bus.room();
@@ -157,7 +160,7 @@ enum Outlet {
     Capabilities,
 }
 
-/// The beginning of a live playback.
+/// The start of a live playback.
 #[derive(Clone, Copy, Debug)]
 struct Start {
     at: Instant,
@@ -167,7 +170,7 @@ struct Start {
 }
 
 impl Start {
-    /// The time at which something is played that was recorded at `time_ns`.
+    /// The playback time of the recorded time `time_ns`.
     fn played_ns(&self, time_ns: Nanos) -> Nanos {
         let since_ns = time_ns.wrapping_sub(self.recorded_ns) as i64;
         self.at_ns.saturating_add_signed((since_ns as f64 / self.rate) as i64)
@@ -179,16 +182,17 @@ impl Start {
 }
 
 struct Player {
-    /// By the key under which it was recorded.
+    /// By the recorded key.
     outlets: HashMap<String, (Publisher, Outlet)>,
-    /// The sources that were played: a controller frees the room as soon as they are gone, for the next playback.
+    /// Liveliness tokens of the played sources: a controller releases the room when they are gone.
     present: BTreeMap<u64, Token>,
     recorded_commands: String,
     answers: Receiver<MirrorCommand>,
     rate: f64,
     start: Option<Start>,
-    /// Answers of lockstep that wait for the recorded ones, by tick, and recorded ones that came before their report.
+    /// Lockstep answers that wait for the recorded ones, by tick.
     decided: HashMap<u64, MirrorCommand>,
+    /// Recorded commands that came before their report, by tick.
     recorded: HashMap<u64, MirrorCommand>,
     playback: Playback,
 }
@@ -207,9 +211,9 @@ impl Player {
         if !self.outlets.contains_key(&entry.topic) {
             return Ok(());
         }
-        let heard = Heard::read(&entry.data).ok();
-        if let Some(heard) = &heard {
-            let source = heard.origin().source;
+        let received = Received::read(&entry.data).ok();
+        if let Some(received) = &received {
+            let source = received.origin().source;
             if let btree_map::Entry::Vacant(place) = self.present.entry(source) {
                 place.insert(bus.announce(&bus.room().alive(NodeKind::Tracker, source))?);
             }
@@ -217,9 +221,9 @@ impl Player {
         let start = (self.playback.clock == Clock::Live).then(|| self.wait_for(entry));
         let (publisher, outlet) = &self.outlets[&entry.topic];
         let payload = start.and_then(|start| outlet.moved(&entry.data, &start));
-        // What nobody could read then, nobody can read now: it is played as it came.
+        // An unreadable payload is played as recorded.
         publisher.put(payload.as_deref().unwrap_or(&entry.data))?;
-        if let Some(Heard::Users(report)) = heard {
+        if let Some(Received::Users(report)) = received {
             self.playback.reports += 1;
             if start.is_none() {
                 self.await_answer(report.tick)?;
@@ -238,7 +242,7 @@ impl Player {
         }
     }
 
-    /// Waits until it is time for an entry.
+    /// Waits until an entry is due.
     fn wait_for(&mut self, entry: &Entry) -> Start {
         let rate = self.rate;
         let start = *self.start.get_or_insert_with(|| {
@@ -249,7 +253,7 @@ impl Player {
         start
     }
 
-    /// Counts answers for so long.
+    /// Counts answers until the time limit.
     fn collect(&mut self, limit: Duration) {
         let deadline = Instant::now() + limit;
         loop {
@@ -260,7 +264,7 @@ impl Player {
         }
     }
 
-    /// Waits until every report is answered, or no longer.
+    /// Waits until every report is answered, or the time limit is reached.
     fn await_last_answers(&mut self) {
         let deadline = Instant::now() + ANSWER_WAIT;
         while self.playback.answered < self.playback.reports && Instant::now() < deadline {
@@ -274,7 +278,7 @@ impl Player {
             let left = deadline.saturating_duration_since(Instant::now());
             let command = self.answers.recv_timeout(left).ok().with_context(|| {
                 format!(
-                    "tick {tick} was not answered within {} s: the controller needs --lockstep to take its time from the recording, and the scenario of the recording",
+                    "tick {tick} was not answered within {} s; start the controller with --lockstep and the scenario of the recording",
                     ANSWER_WAIT.as_secs()
                 )
             })?;
@@ -291,7 +295,7 @@ impl Player {
 }
 
 impl Outlet {
-    /// A payload with its stamp moved to when it is played; nothing where it cannot be read.
+    /// A payload with its stamp shifted to the playback time; `None` if it cannot be decoded.
     fn moved(self, payload: &[u8], start: &Start) -> Option<Vec<u8>> {
         fn moved<T: Message>(payload: &[u8], start: &Start, stamp: fn(&mut T) -> &mut Stamp) -> Option<Vec<u8>> {
             let mut message: T = decode(payload).ok()?;

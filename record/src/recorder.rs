@@ -1,7 +1,7 @@
-//! From the bus into a file.
+//! Records the messages of a room from the bus into a file.
 //!
-//! Callbacks only copy a payload into a queue; one thread writes. When the queue is full, because the disk was slower than the room for too
-//! long, payloads are shed and counted: the room never waits for its recorder.
+//! Callbacks copy each payload into a queue, and one thread writes. Payloads are dropped and
+//! counted while the queue is full: the room never waits for its recorder.
 
 use std::fs::OpenOptions;
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -20,15 +20,15 @@ use serde::Serialize;
 
 use crate::account::Account;
 use crate::file::{Header, PRESENCE_TOPIC, Presence, Recording, RecordingError, Storage, Topic};
-use crate::heard::Heard;
+use crate::received::Received;
 use crate::scene::Scene;
 use crate::series::Series;
 
-/// Messages that may wait for the disk.
+/// Length of the queue to the disk, in messages.
 const QUEUE: usize = 16_384;
-/// A chunk is closed at least this often: so much a power cut may cost.
+/// Longest time between two flushes: the most that a power failure can lose.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
-/// A stop is noticed after this long at the latest.
+/// Longest delay between a stop request and its effect.
 const WAIT: Duration = Duration::from_millis(50);
 
 const PRESENCE: Topic<'static> = Topic {
@@ -39,36 +39,37 @@ const PRESENCE: Topic<'static> = Topic {
     schema_data: br#"{"type":"object","properties":{"node":{"type":"string"},"source":{"type":"number"},"alive":{"type":"boolean"}}}"#,
 };
 
-/// Everything that a recorder needs.
+/// Settings of a recorder.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The room's scenario; it goes into the file.
+    /// The room's scenario; it is stored in the file.
     pub scenario: Scenario,
-    /// Where to hear the room.
+    /// The endpoints of the room.
     pub bus: BusConfig,
-    /// The file to make.
+    /// The file to create.
     pub out: PathBuf,
-    /// When to end without being asked.
+    /// When to end without a stop request.
     pub run_for: Option<Duration>,
-    /// Whether to end when everybody who was heard of has left the room.
+    /// Whether to end when every process that was seen in the room has left it.
     pub until_empty: bool,
 }
 
-/// What a recording came to.
+/// The result of a recording.
 #[derive(Clone, Debug, Serialize)]
 pub struct Outcome {
     /// The file.
     pub file: PathBuf,
-    /// What came and what is missing.
+    /// Counts of received and missing messages.
     #[serde(flatten)]
     pub account: Account,
-    /// What makes the recording worth less than it could be.
+    /// What restricts the use of the recording.
     pub problems: Vec<String>,
-    /// Why it could not be written to its end, so that the file holds no account and no index; or that there was nothing to write.
+    /// The error that ended the writing, so that the file holds no counts and no index; or that
+    /// nothing was received.
     pub failure: Option<String>,
 }
 
-/// What the callbacks hand over.
+/// An entry of the queue between the callbacks and the writer.
 enum Item {
     Payload { key: String, arrived_ns: Nanos, payload: Vec<u8> },
     Presence { arrived_ns: Nanos, presence: Presence },
@@ -77,30 +78,30 @@ enum Item {
 /// Records a room until it is stopped.
 ///
 /// # Errors
-/// Where the bus or the file cannot be opened. A file that can be written no further is no error here: the [`Outcome`] tells.
+/// A bus or a file that cannot be opened. A later write error is reported in the [`Outcome`].
 pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
     let out = &settings.out;
     let file = OpenOptions::new().write(true).create_new(true).open(out).with_context(|| {
-        format!("cannot make {}: wanted a file that does not exist yet, in a folder that does", out.display())
+        format!("cannot create {}: expected a file that does not exist yet, in a folder that exists", out.display())
     })?;
     let started = Instant::now();
     let mut writer = RoomWriter::create(file, settings)?;
     let (sender, queue) = sync_channel(QUEUE);
-    let shed = Arc::new(AtomicU64::new(0));
+    let dropped = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
     let room = bus.room().clone();
     let source = RandomState::new().build_hasher().finish();
     let own_token = room.alive(NodeKind::Viewer, source);
-    let (payloads, payloads_shed) = (sender.clone(), Arc::clone(&shed));
-    let heard = bus.subscribe_keyed(&room.everything(), move |key, payload| {
+    let (payloads, payloads_dropped) = (sender.clone(), Arc::clone(&dropped));
+    let received = bus.subscribe_keyed(&room.everything(), move |key, payload| {
         let item = Item::Payload { key: key.to_owned(), arrived_ns: utc_ns(), payload: payload.to_vec() };
-        hand_over(&payloads, item, &payloads_shed);
+        enqueue(&payloads, item, &payloads_dropped);
     })?;
-    let (tokens, tokens_shed) = (sender, Arc::clone(&shed));
+    let (tokens, tokens_dropped) = (sender, Arc::clone(&dropped));
     let seen = bus.watch(&room.all_alive(), move |key, liveliness| {
         let Some((node, source)) = parse_alive(key).filter(|_| key != own_token) else { return };
         let presence = Presence { node, source, alive: liveliness == Liveliness::Alive };
-        hand_over(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_shed);
+        enqueue(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_dropped);
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
     drop(writeln!(std::io::stderr(), "record: room {room} into {}", out.display()));
@@ -112,7 +113,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
         }
         match stopped.try_recv() {
             Ok(()) => break,
-            // Nobody is left who could stop us but the deadline.
+            // After a disconnect only the deadline ends the recording.
             Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
         }
         match queue.recv_timeout(WAIT) {
@@ -121,18 +122,18 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
         }
         writer.flush_if_due();
     }
-    drop((heard, seen, token));
+    drop((received, seen, token));
     while let Ok(item) = queue.try_recv() {
         writer.take(item);
     }
     bus.close()?;
-    Ok(writer.finish(shed.load(Ordering::Relaxed)))
+    Ok(writer.finish(dropped.load(Ordering::Relaxed)))
 }
 
-fn hand_over(queue: &SyncSender<Item>, item: Item, shed: &AtomicU64) {
+fn enqueue(queue: &SyncSender<Item>, item: Item, dropped: &AtomicU64) {
     match queue.try_send(item) {
         Ok(()) => {}
-        Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => drop(shed.fetch_add(1, Ordering::Relaxed)),
+        Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => drop(dropped.fetch_add(1, Ordering::Relaxed)),
     }
 }
 
@@ -141,9 +142,9 @@ fn utc_ns() -> Nanos {
     Nanos::try_from(since.as_nanos()).unwrap_or(Nanos::MAX)
 }
 
-/// Writes what a room says, and what is derived from it.
+/// Writes the messages of a room, and the data derived from them.
 struct RoomWriter<S: Storage> {
-    /// Nothing once writing failed.
+    /// `None` after writing failed.
     recording: Option<Recording<S>>,
     scene: Scene,
     series: Series,
@@ -190,7 +191,7 @@ impl<S: Storage> RoomWriter<S> {
         self.recording.is_none()
     }
 
-    /// Whether somebody was there, and nobody is any more.
+    /// Whether processes were in the room and all have left.
     fn is_empty_again(&self) -> bool {
         self.was_present && self.present.is_empty()
     }
@@ -204,14 +205,14 @@ impl<S: Storage> RoomWriter<S> {
                     std::io::stderr(),
                     "record: {} is {}",
                     presence.node,
-                    if presence.alive { "here" } else { "gone" }
+                    if presence.alive { "alive" } else { "gone" }
                 ));
                 self.present.retain(|source| *source != presence.source);
                 if presence.alive && presence.node != NodeKind::Viewer {
                     self.present.push(presence.source);
                     self.was_present = true;
                 }
-                let json = serde_json::to_vec(&presence).expect("a presence has a JSON form");
+                let json = serde_json::to_vec(&presence).expect("a presence serialises to JSON");
                 recording.derived(&PRESENCE, arrived_ns, &json)
             }
         };
@@ -225,50 +226,51 @@ impl<S: Storage> RoomWriter<S> {
         arrived_ns: Nanos,
         payload: &[u8],
     ) -> Result<(), RecordingError> {
-        let heard = Heard::read(payload).ok();
-        let origin = heard.as_ref().map(Heard::origin);
+        let received = Received::read(payload).ok();
+        let origin = received.as_ref().map(Received::origin);
         recording.payload(key, arrived_ns, origin.map_or(arrived_ns, |origin| origin.time_ns), payload)?;
         self.account.count(key, payload.len(), origin);
-        let Some(heard) = heard else { return Ok(()) };
-        self.check_scenario(&heard);
-        self.series.hear(&heard, arrived_ns, |topic, data| recording.derived(topic, arrived_ns, data))?;
-        if self.scene.hear(&heard, arrived_ns) {
+        let Some(received) = received else { return Ok(()) };
+        self.check_scenario(&received);
+        self.series.update(&received, arrived_ns, |topic, data| recording.derived(topic, arrived_ns, data))?;
+        if self.scene.update(&received, arrived_ns) {
             let data = self.scene.draw(arrived_ns).to_vec();
             recording.derived(&self.scene.topic(), arrived_ns, &data)?;
         }
         Ok(())
     }
 
-    /// A recording with another scenario than the room's could not be replayed.
-    fn check_scenario(&mut self, heard: &Heard) {
-        let Heard::Status(status) = heard else { return };
+    /// Reports a process whose scenario differs from the recorded one: such a recording cannot be
+    /// replayed.
+    fn check_scenario(&mut self, received: &Received) {
+        let Received::Status(status) = received else { return };
         if status.scenario.is_empty() || status.scenario == self.scenario_hash {
             return;
         }
         let problem = format!(
-            "{} works on scenario {}, the recording says {}: give record the --scenario, --set and --seed that the room has",
+            "{} uses scenario {}, the recording holds {}; give record the --scenario, --set and --seed of the room",
             status.node, status.scenario, self.scenario_hash
         );
         if !self.problems.contains(&problem) {
-            self.tell(problem);
+            self.report(problem);
         }
     }
 
-    fn tell(&mut self, problem: String) {
+    fn report(&mut self, problem: String) {
         drop(writeln!(std::io::stderr(), "record: {problem}"));
         self.problems.push(problem);
     }
 
-    /// Who was not heard, where a replay needs them.
-    fn silence(&self) -> Option<&'static str> {
-        let heard = |key: String| self.account.streams.contains_key(&key);
-        if !heard(self.room.command()) {
+    /// The stream that a replay needs and that was not received.
+    fn missing_stream(&self) -> Option<&'static str> {
+        let received = |key: String| self.account.streams.contains_key(&key);
+        if !received(self.room.command()) {
             Some(
-                "no command was heard: two peers hear each other over a direct link only; connect to the controller as well, or let it connect here",
+                "no command was received: peers exchange messages over direct links only; connect to the controller as well, or let it connect here (--listen)",
             )
-        } else if !heard(self.room.users()) {
+        } else if !received(self.room.users()) {
             Some(
-                "no position report was heard: two peers hear each other over a direct link only; connect to the room's process as well",
+                "no position report was received: peers exchange messages over direct links only; connect to the room's process as well",
             )
         } else {
             None
@@ -285,7 +287,7 @@ impl<S: Storage> RoomWriter<S> {
         self.keep(recording, flushed);
     }
 
-    /// Goes on with the recording unless it failed.
+    /// Keeps the recording unless writing failed.
     fn keep(&mut self, recording: Recording<S>, outcome: Result<(), RecordingError>) {
         match outcome {
             Ok(()) => self.recording = Some(recording),
@@ -293,21 +295,20 @@ impl<S: Storage> RoomWriter<S> {
         }
     }
 
-    fn finish(mut self, shed: u64) -> Outcome {
-        self.account.shed = shed;
+    fn finish(mut self, dropped: u64) -> Outcome {
+        self.account.dropped = dropped;
         if self.account.messages() == 0 {
-            let nothing =
-                "nothing was heard: does the room's process run, with the same --room and a matching endpoint?";
+            let nothing = "nothing was received; check that the room's process runs, with the same --room and a matching endpoint";
             self.failure.get_or_insert(nothing.to_owned());
-        } else if let Some(problem) = self.silence() {
-            self.tell(problem.to_owned());
+        } else if let Some(problem) = self.missing_stream() {
+            self.report(problem.to_owned());
         }
         if let Some(recording) = self.recording.take() {
             let finished = recording.finish(&self.account);
             self.failure = finished.err().map(|error| error.to_string()).or(self.failure);
         }
         if self.account.messages() == 0 {
-            // A file without content would only stand in the way of the next attempt.
+            // An empty file would block the next attempt, since files are not overwritten.
             let _ = std::fs::remove_file(&self.out);
         }
         Outcome { file: self.out, account: self.account, problems: self.problems, failure: self.failure }

@@ -1,16 +1,20 @@
-//! From a recording into the deciding core of a controller: does it decide as it did?
+//! Replays a recording into the controller core of this process, and compares every command.
 //!
-//! The core is a function of `(now, message)`. A recording holds the messages; where `now` comes from depends on the run:
+//! The core is a function of `(now, message)`. A recording holds the messages; the source of `now`
+//! depends on the run:
 //!
-//! - **lockstep**: from the messages themselves. Every command must come out the same, bit for bit.
-//! - **live**: of an answered position report `now` is the time in the command that answers it, exactly. Of all other messages it is the
-//!   time at which the recorder got them, which decides only whether a message on the edge of being too old is taken. A report that nothing
-//!   answered is left out, since the controller may not have got it, or may have shed it for a newer one. An answer that repeats the command
-//!   before it is replayed as one for which there was no time, if the controller counted such.
+//! - **lockstep**: the stamps of the messages. Every command must be equal bit for bit.
+//! - **live**: for an answered position report, the time in the command that answers it, which is
+//!   exact. For any other message, the time at which the recorder received it; this only matters
+//!   for a message close to its maximum age. A report without a command is skipped: the controller
+//!   may not have received it, or may have dropped it for a newer one. A command that repeats the
+//!   one before it is replayed as a missed deadline, if the controller counted any.
 //!
-//! What a recording cannot hold is what a controller knew before the recording began, or heard in the instant before the recorder knew of it.
-//! So the first [`SETTLE`] decisions of an epoch are replayed but not judged, unless it is one of lockstep whose first command is there.
+//! A recording cannot hold messages that the controller received before the recording started. The
+//! first [`SETTLE`] decisions of an epoch are therefore replayed but not compared, except in a
+//! lockstep epoch recorded from its first command.
 
+mod epoch;
 mod plan;
 mod verdict;
 
@@ -24,11 +28,9 @@ use heliostat_decide::capabilities::{Examiner, Force};
 use heliostat_decide::core::{Accepted, Controller, Decision, Haste, WARM_UP_RUNS};
 use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::PolicyKind;
-use heliostat_decide::refusal::{Refusal, Stream};
+use heliostat_decide::refusal::Stream;
 use heliostat_engine::ActorSource;
-use heliostat_proto::{
-    Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, UserReport, decode,
-};
+use heliostat_proto::{Capabilities, MirrorCommand, NodeKind, UserReport, decode};
 use heliostat_scenario::Answer as WhenLate;
 use thiserror::Error;
 
@@ -37,29 +39,31 @@ pub use plan::Clock;
 pub use verdict::Verdict;
 pub(crate) use verdict::difference;
 
-use crate::file::{Entry, PRESENCE_TOPIC, Presence, Reading};
+use crate::file::{Entry, PRESENCE_TOPIC, Presence, Reading, open};
+use epoch::EpochReplay;
 use plan::{Answer, Plan};
 
-/// Decisions that are not judged where it is not known what the controller knew before; a second of reports and more.
+/// Decisions that are not compared when earlier inputs of the controller are unknown: two seconds
+/// of reports at 100 Hz.
 pub const SETTLE: u64 = 200;
 
-/// An answer later than this after its report is one to another report with the same number.
+/// A command later than this after a report answers another report with the same number.
 const ANSWER_MAX_NS: u64 = 10_000_000_000;
 
-/// What to replay, and how.
+/// What to replay, and how to replay it.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// The recording.
     pub file: PathBuf,
-    /// The policy, in place of the recorded one.
+    /// The policy, instead of the recorded one.
     pub policy: Option<PolicyKind>,
-    /// The actor's file, in place of the built-in one.
+    /// The actor's file, instead of the built-in one.
     pub model: Option<PathBuf>,
-    /// How many decisions of each epoch are not judged, in place of none or [`SETTLE`].
+    /// Decisions at the start of each epoch that are not compared, instead of none or [`SETTLE`].
     pub settle: Option<u64>,
 }
 
-/// A file that cannot be replayed, which is not the same as one that comes out otherwise.
+/// A file that cannot be replayed, as opposed to one whose commands differ.
 #[derive(Debug, Error)]
 #[error("{} cannot be replayed", .0.display())]
 pub struct Unusable(
@@ -67,15 +71,11 @@ pub struct Unusable(
     pub PathBuf,
 );
 
-/// Opens a recording.
-pub(crate) fn open(file: &Path) -> Result<Reading<BufReader<File>>> {
-    Ok(Reading::open(BufReader::new(File::open(file)?))?)
-}
-
 /// Replays a recording into a controller of this process.
 ///
 /// # Errors
-/// [`Unusable`] where the recording cannot be read, or says too little to decide by; a policy that cannot be built.
+/// [`Unusable`] if the recording cannot be read or lacks a required stream; a policy that cannot be
+/// built.
 pub fn run(settings: &Settings) -> Result<Verdict> {
     let plan = Plan::read(&settings.file).with_context(|| Unusable(settings.file.clone()))?;
     let mut reading = open(&settings.file)?;
@@ -86,27 +86,19 @@ pub fn run(settings: &Settings) -> Result<Verdict> {
     Ok(player.finish(&settings.file, &reading))
 }
 
-/// A controller as it was in one epoch.
-struct Reign {
-    controller: Controller,
-    newest_ns: Nanos,
-    /// Decisions so far.
-    decided: u64,
-    /// Decisions that are not judged.
-    settle: u64,
-}
-
-/// Plays messages into controllers, and compares.
+/// Passes messages to controllers, and compares their commands.
 struct Player<'a> {
     settings: &'a Settings,
     plan: Plan,
     examiner: Examiner,
-    /// What the array said last that it can do.
+    /// The latest capabilities of the array.
     array: Option<Capabilities>,
-    reign: Option<Reign>,
-    /// A controller that came into the room and has not answered yet.
-    next: Option<Reign>,
+    current: Option<EpochReplay>,
+    /// A controller that joined the room and has not published a command yet.
+    next: Option<EpochReplay>,
+    /// Commands of this process by tick, each with whether it counts.
     ours: BTreeMap<u64, (MirrorCommand, bool)>,
+    /// Recorded commands by tick that still wait for ours.
     theirs: BTreeMap<u64, MirrorCommand>,
     policies: BTreeMap<u64, String>,
     verdict: Tally,
@@ -117,7 +109,7 @@ struct Tally {
     reports: u64,
     unanswered: u64,
     compared: u64,
-    not_judged: u64,
+    not_counted: u64,
     same: u64,
     held: u64,
     largest_difference_rad: f64,
@@ -126,26 +118,26 @@ struct Tally {
 
 impl<'a> Player<'a> {
     fn new(settings: &'a Settings, plan: Plan) -> Result<Self> {
-        // Commands stand in the recording, so whatever the array lacks was accepted.
+        // The recording holds commands, so the controller had accepted the array.
         let force = Force { small_range: true, paper_angles: true };
         let mut player = Self {
             settings,
             examiner: Examiner::new(&plan.scenario, &plan.scenario.channel_model()?, force),
             array: None,
             plan,
-            reign: None,
+            current: None,
             next: None,
             ours: BTreeMap::new(),
             theirs: BTreeMap::new(),
             policies: BTreeMap::new(),
             verdict: Tally::default(),
         };
-        player.reign = player.begin_from(0)?;
+        player.current = player.start_from(0)?;
         Ok(player)
     }
 
-    /// The controller of the first epoch from this one on.
-    fn begin_from(&mut self, epoch: u64) -> Result<Option<Reign>> {
+    /// The controller of the first epoch not before this one.
+    fn start_from(&mut self, epoch: u64) -> Result<Option<EpochReplay>> {
         let Some((&epoch, &first)) = self.plan.epochs.range(epoch..).next() else { return Ok(None) };
         let kind = match self.settings.policy {
             Some(kind) => kind,
@@ -160,9 +152,9 @@ impl<'a> Player<'a> {
             controller.meet_array(array, self.examiner.examine(array));
         }
         self.policies.insert(epoch, controller.policy_name().to_owned());
-        let known_from_the_start = first == 1 && self.plan.clock == Clock::Lockstep;
-        let settle = self.settings.settle.unwrap_or(if known_from_the_start { 0 } else { SETTLE });
-        Ok(Some(Reign { controller, newest_ns: 0, decided: 0, settle }))
+        let recorded_from_start = first == 1 && self.plan.clock == Clock::Lockstep;
+        let settle = self.settings.settle.unwrap_or(if recorded_from_start { 0 } else { SETTLE });
+        Ok(Some(EpochReplay { controller, newest_ns: 0, decided: 0, settle }))
     }
 
     fn take(&mut self, entry: &Entry) -> Result<()> {
@@ -187,7 +179,7 @@ impl<'a> Player<'a> {
         }
         if *topic == room.stop() {
             if let Ok(order) = decode(&entry.data) {
-                self.reigns().for_each(|reign| reign.controller.guard_mut().heed(&order));
+                self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.guard_mut().heed(&order));
             }
             return Ok(());
         }
@@ -198,23 +190,24 @@ impl<'a> Player<'a> {
             _ => return Ok(()),
         };
         let clock = self.plan.clock;
-        self.reigns().for_each(|reign| reign.hear(stream, &entry.data, clock, entry.arrived_ns));
+        self.epochs_running()
+            .for_each(|epoch_replay| epoch_replay.receive(stream, &entry.data, clock, entry.arrived_ns));
         Ok(())
     }
 
-    /// The controllers that hear the room.
-    fn reigns(&mut self) -> impl Iterator<Item = &mut Reign> {
-        self.reign.iter_mut().chain(&mut self.next)
+    /// The controllers that receive messages.
+    fn epochs_running(&mut self) -> impl Iterator<Item = &mut EpochReplay> {
+        self.current.iter_mut().chain(&mut self.next)
     }
 
-    /// What the array can do; it says so again and again.
+    /// Applies capabilities of the array; repetitions are ignored.
     fn meet_array(&mut self, array: Capabilities) {
         let known = self.array.as_ref();
         if known.is_some_and(|known| *known == Capabilities { stamp: known.stamp, ..array.clone() }) {
             return;
         }
         let verdict = self.examiner.examine(&array);
-        self.reigns().for_each(|reign| reign.controller.meet_array(&array, verdict.clone()));
+        self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.meet_array(&array, verdict.clone()));
         self.array = Some(array);
     }
 
@@ -224,41 +217,49 @@ impl<'a> Player<'a> {
             return;
         }
         match self.ours.remove(&theirs.answers) {
-            Some((ours, judged)) => self.compare(&ours, &theirs, judged),
+            Some((ours, counts)) => self.compare(&ours, &theirs, counts),
             None => drop(self.theirs.insert(theirs.answers, theirs)),
         }
     }
 
-    /// A command that answers no report: it answers silence, or a report that was too old.
+    /// A command that answers no report: it follows silence, or a report that was too old.
     fn unprompted(&mut self, theirs: &MirrorCommand) {
-        let Some(reign) = self.reign.as_mut().filter(|reign| reign.controller.epoch() == theirs.epoch) else { return };
-        let judged = reign.decided >= reign.settle;
-        let decision = match reign.controller.elapse(theirs.time_ns) {
+        let Some(epoch_replay) =
+            self.current.as_mut().filter(|epoch_replay| epoch_replay.controller.epoch() == theirs.epoch)
+        else {
+            return;
+        };
+        let counts = epoch_replay.decided >= epoch_replay.settle;
+        let decision = match epoch_replay.controller.elapse(theirs.time_ns) {
             Some(decision) => decision,
-            None => reign.controller.answer_stale(theirs.time_ns),
+            None => epoch_replay.controller.answer_stale(theirs.time_ns),
         };
         match decision {
             Decision::Move { command, .. } => {
                 let ours = command.clone();
-                self.compare(&ours, theirs, judged);
+                self.compare(&ours, theirs, counts);
             }
             Decision::Hold(_) => self.verdict.held += 1,
         }
     }
 
     fn presence(&mut self, data: &[u8]) -> Result<()> {
-        let presence: Presence = serde_json::from_slice(data).context("an entry about presence is damaged")?;
+        let presence: Presence = serde_json::from_slice(data).context("a presence entry is damaged")?;
         if presence.node == NodeKind::Controller && presence.alive {
-            // In lockstep the room waits for its controller: whatever was recorded, it heard.
+            // In lockstep the room waits for its controller: the controller received every recorded
+            // message.
             if self.plan.clock == Clock::Live {
-                let current = self.reign.as_ref().map_or((0, 0), |reign| (reign.controller.epoch(), reign.decided));
+                let current = self
+                    .epoch_replay
+                    .as_ref()
+                    .map_or((0, 0), |epoch_replay| (epoch_replay.controller.epoch(), epoch_replay.decided));
                 match current {
-                    (epoch, 0) => self.reign = self.begin_from(epoch)?,
-                    (epoch, _) => self.next = self.begin_from(epoch + 1)?,
+                    (epoch, 0) => self.current = self.start_from(epoch)?,
+                    (epoch, _) => self.next = self.start_from(epoch + 1)?,
                 }
             }
         } else if !presence.alive {
-            self.reigns().for_each(|reign| reign.controller.source_gone(presence.source));
+            self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.source_gone(presence.source));
         }
         Ok(())
     }
@@ -273,17 +274,17 @@ impl<'a> Player<'a> {
             self.verdict.unanswered += 1;
         }
         if let Some(answer) = answer
-            && self.reign.as_ref().is_some_and(|reign| reign.controller.epoch() < answer.epoch)
+            && self.current.as_ref().is_some_and(|epoch_replay| epoch_replay.controller.epoch() < answer.epoch)
         {
-            let epoch = self.reign.as_ref().map_or(0, |reign| reign.controller.epoch());
-            self.reign = match self.next.take() {
+            let epoch = self.current.as_ref().map_or(0, |epoch_replay| epoch_replay.controller.epoch());
+            self.current = match self.next.take() {
                 Some(next) => Some(next),
-                None => self.begin_from(epoch + 1)?,
+                None => self.start_from(epoch + 1)?,
             };
         }
-        let Some(reign) = &mut self.reign else { return Ok(()) };
+        let Some(epoch_replay) = &mut self.current else { return Ok(()) };
         let now = match (self.plan.clock, answer) {
-            (Clock::Lockstep, _) => reign.at(report.stamp.time_ns),
+            (Clock::Lockstep, _) => epoch_replay.at(report.stamp.time_ns),
             (Clock::Live, Some(answer)) => answer.time_ns,
             (Clock::Live, None) => return Ok(()),
         };
@@ -291,9 +292,9 @@ impl<'a> Player<'a> {
         let repeats = self.plan.scenario.control.when_late == WhenLate::LastGood;
         let late = answer.is_some_and(|answer| answer.is_repeat && self.plan.was_late(answer.epoch));
         let haste = if late && repeats { Haste::Late } else { Haste::InTime };
-        let decided = match reign.controller.accept(now, Message::Users(&mut report)) {
-            Accepted::Tick => Some(reign.controller.decide(now, haste, &mut |_| {})),
-            Accepted::TooOld => Some(reign.controller.answer_stale(now)),
+        let decided = match epoch_replay.controller.accept(now, Message::Users(&mut report)) {
+            Accepted::Tick => Some(epoch_replay.controller.decide(now, haste, &mut |_| {})),
+            Accepted::TooOld => Some(epoch_replay.controller.answer_stale(now)),
             Accepted::Other => None,
         };
         let Some(Decision::Move { command, .. }) = decided else {
@@ -301,28 +302,29 @@ impl<'a> Player<'a> {
             return Ok(());
         };
         let command = command.clone();
-        let judged = reign.decided >= reign.settle;
-        reign.decided += 1;
+        let counts = epoch_replay.decided >= epoch_replay.settle;
+        epoch_replay.decided += 1;
         match self.theirs.remove(&tick) {
-            Some(theirs) => self.compare(&command, &theirs, judged),
-            None => drop(self.ours.insert(tick, (command, judged))),
+            Some(theirs) => self.compare(&command, &theirs, counts),
+            None => drop(self.ours.insert(tick, (command, counts))),
         }
         Ok(())
     }
 
-    /// The recorded answer to a report. Numbers of ticks begin anew with each source of reports, so the time tells which answer is meant.
+    /// The recorded answer to a report. Tick numbers restart with each source, so the time selects
+    /// the answer.
     fn answer_to(&mut self, report: &UserReport) -> Option<Answer> {
         let answers = self.plan.answers.get_mut(&report.tick)?;
         let time_ns = report.stamp.time_ns;
-        let meant = answers.iter().position(|answer| answer.time_ns.abs_diff(time_ns) < ANSWER_MAX_NS)?;
-        answers.drain(..=meant).next_back()
+        let index = answers.iter().position(|answer| answer.time_ns.abs_diff(time_ns) < ANSWER_MAX_NS)?;
+        answers.drain(..=index).next_back()
     }
 
-    fn compare(&mut self, ours: &MirrorCommand, theirs: &MirrorCommand, judged: bool) {
+    fn compare(&mut self, ours: &MirrorCommand, theirs: &MirrorCommand, counts: bool) {
         let verdict = &mut self.verdict;
         verdict.compared += 1;
-        if !judged {
-            verdict.not_judged += 1;
+        if !counts {
+            verdict.not_counted += 1;
             return;
         }
         match difference(ours, theirs, self.plan.clock) {
@@ -350,44 +352,13 @@ impl<'a> Player<'a> {
             reports: tally.reports,
             unanswered: tally.unanswered,
             compared: tally.compared,
-            not_judged: tally.not_judged,
+            not_counted: tally.not_counted,
             same: tally.same,
-            different: tally.compared - tally.not_judged - tally.same,
+            different: tally.compared - tally.not_counted - tally.same,
             held: tally.held,
             without_report: self.theirs.len() as u64,
             largest_difference_rad: tally.largest_difference_rad,
             first_difference: tally.first_difference,
-        }
-    }
-}
-
-impl Reign {
-    /// Room time in lockstep: that of the newest message.
-    fn at(&mut self, time_ns: Nanos) -> Nanos {
-        self.newest_ns = self.newest_ns.max(time_ns);
-        self.newest_ns
-    }
-
-    fn hear(&mut self, stream: Stream, data: &[u8], clock: Clock, arrived_ns: Nanos) {
-        let now =
-            |reign: &mut Self, time_ns: Nanos| if clock == Clock::Lockstep { reign.at(time_ns) } else { arrived_ns };
-        let read = match stream {
-            Stream::Channel => decode::<ChannelReport>(data).map(|mut report| {
-                let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Channel(&mut report), &mut |_| {});
-            }),
-            Stream::Obstacles => decode::<ObstacleReport>(data).map(|mut report| {
-                let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Obstacles(&mut report), &mut |_| {});
-            }),
-            Stream::Telemetry => decode::<MirrorTelemetry>(data).map(|mut telemetry| {
-                let now = now(self, telemetry.stamp.time_ns);
-                self.controller.receive(now, Message::Telemetry(&mut telemetry), &mut |_| {});
-            }),
-            Stream::Users => return,
-        };
-        if let Err(error) = read {
-            self.controller.count_malformed(stream, Refusal::from(&error));
         }
     }
 }

@@ -1,7 +1,8 @@
-//! The room as Foxglove's 3D panel draws it: walls, access points, mirrors and the light that they send, people, obstacles.
+//! The room for Foxglove's 3D panel: walls, access points, mirrors, reflected rays, users,
+//! obstacles.
 //!
-//! Positions are in m in the room's frame, under the frame id [`FRAME`]. A scene is drawn from what the room says: the truth of a simulated
-//! room, or the reports of a real one.
+//! Positions are in m in the room's frame, under the frame id [`FRAME`]. A scene shows the truth of
+//! a simulated room, or the reports of a real one.
 
 use foxglove::messages::{
     Color, CubePrimitive, CylinderPrimitive, Duration, LinePrimitive, Point3, Pose, Quaternion, SceneEntity,
@@ -13,7 +14,7 @@ use heliostat_proto::{Nanos, Obstacle};
 use heliostat_scenario::Scenario;
 
 use crate::file::Topic;
-use crate::heard::Heard;
+use crate::received::Received;
 
 /// The frame of all positions.
 pub const FRAME: &str = "room";
@@ -22,14 +23,14 @@ pub const SCENE_TOPIC: &str = "/scene";
 
 /// Least time between two scenes.
 const INTERVAL_NS: Nanos = 100_000_000;
-/// What does not move is told again after this long, for viewers that begin in the middle.
+/// Time between two messages about static objects, for viewers that start later.
 const STILL_INTERVAL_NS: Nanos = 5_000_000_000;
 
-// Okabe and Ito's colours, which the colour-blind can tell apart.
+// The Okabe-Ito palette, which is distinguishable with colour-vision deficiency.
 const MET: Color = rgba(0.0, 0.62, 0.45, 1.0);
 const MISSED: Color = rgba(0.84, 0.37, 0.0, 1.0);
-const LIGHT: Color = rgba(0.94, 0.89, 0.26, 0.35);
-const LAMP: Color = rgba(0.94, 0.89, 0.26, 1.0);
+const REFLECTED_LIGHT: Color = rgba(0.94, 0.89, 0.26, 0.35);
+const LED: Color = rgba(0.94, 0.89, 0.26, 1.0);
 const MIRROR: Color = rgba(0.34, 0.71, 0.91, 1.0);
 const OBSTACLE: Color = rgba(0.5, 0.5, 0.5, 0.6);
 const WALL: Color = rgba(0.6, 0.6, 0.6, 1.0);
@@ -40,21 +41,21 @@ const fn rgba(r: f64, g: f64, b: f64, a: f64) -> Color {
     Color { r, g, b, a }
 }
 
-/// Somebody, as far as the room says.
+/// A user as drawn.
 #[derive(Clone, Debug, Default)]
-struct Person {
+struct DrawnUser {
     position: Vec3,
     label: String,
     met: bool,
     los_blocked: Option<bool>,
 }
 
-/// Draws scenes from what a room says.
+/// Draws scenes from the messages of a room.
 pub struct Scene {
     schema: Schema,
     model: ChannelModel,
     size_m: [f64; 3],
-    people: Vec<Person>,
+    users: Vec<DrawnUser>,
     obstacles: Vec<Obstacle>,
     /// Roll and yaw of each mirror in rad.
     angles: (Vec<f32>, Vec<f32>),
@@ -65,19 +66,19 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// The scene of a scenario's room, as yet without people.
+    /// The scene of a scenario's room, without users.
     ///
     /// # Errors
-    /// Where the scenario describes no channel.
+    /// A scenario that the channel model refuses.
     pub fn new(scenario: &Scenario) -> Result<Self, ChannelError> {
         let model = scenario.channel_model()?;
         let flat = vec![0.0; model.mirrors.len()];
         let room = &scenario.room;
         Ok(Self {
-            schema: SceneUpdate::get_schema().expect("a message of Foxglove has a schema"),
+            schema: SceneUpdate::get_schema().expect("a Foxglove message has a schema"),
             model,
             size_m: [room.length_x_m, room.length_y_m, room.height_m],
-            people: Vec::new(),
+            users: Vec::new(),
             obstacles: Vec::new(),
             angles: (flat.clone(), flat),
             has_truth: false,
@@ -87,7 +88,7 @@ impl Scene {
         })
     }
 
-    /// The channel that scenes go to.
+    /// The channel of the scenes.
     pub fn topic(&self) -> Topic<'_> {
         Topic {
             name: SCENE_TOPIC,
@@ -98,16 +99,16 @@ impl Scene {
         }
     }
 
-    /// Takes what the room said; true when a new scene is due.
-    pub fn hear(&mut self, heard: &Heard, arrived_ns: Nanos) -> bool {
-        match heard {
-            Heard::Truth(truth) => {
+    /// Applies a message; true if a new scene is due.
+    pub fn update(&mut self, received: &Received, arrived_ns: Nanos) -> bool {
+        match received {
+            Received::Truth(truth) => {
                 self.has_truth = true;
                 self.obstacles.clone_from(&truth.obstacles);
-                self.people = truth
+                self.users = truth
                     .users
                     .iter()
-                    .map(|user| Person {
+                    .map(|user| DrawnUser {
                         position: Vec3::from_iterator(user.position_m.map(f64::from)),
                         label: format!("{}: {:.1} Mbit/s", user.user, user.rate_bps * 1e-6),
                         met: user.rate_bps >= user.min_rate_bps,
@@ -115,20 +116,20 @@ impl Scene {
                     })
                     .collect();
             }
-            Heard::Users(report) if !self.has_truth => {
-                let person = |user: &heliostat_proto::UserState| Person {
+            Received::Users(report) if !self.has_truth => {
+                let user = |user: &heliostat_proto::UserState| DrawnUser {
                     position: Vec3::from_iterator(user.position_m.map(f64::from)),
                     label: user.user.to_string(),
                     met: true,
                     los_blocked: None,
                 };
-                self.people = report.users.iter().map(person).collect();
+                self.users = report.users.iter().map(user).collect();
             }
-            Heard::Obstacles(report) if !self.has_truth => {
+            Received::Obstacles(report) if !self.has_truth => {
                 self.obstacles.clone_from(&report.obstacles);
                 return false;
             }
-            Heard::Telemetry(telemetry) => {
+            Received::Telemetry(telemetry) => {
                 let mirrors = self.model.mirrors.len();
                 if telemetry.roll_commanded.len() == mirrors && telemetry.yaw_commanded.len() == mirrors {
                     self.angles = (telemetry.roll_commanded.clone(), telemetry.yaw_commanded.clone());
@@ -140,10 +141,10 @@ impl Scene {
         arrived_ns.saturating_sub(self.drawn_ns) >= INTERVAL_NS
     }
 
-    /// The scene as bytes of its channel.
+    /// The encoded scene.
     pub fn draw(&mut self, at_ns: Nanos) -> &[u8] {
         self.drawn_ns = at_ns;
-        let mut entities = vec![self.light(), self.people(), self.obstacles()];
+        let mut entities = vec![self.light(), self.users(), self.obstacles()];
         if at_ns.saturating_sub(self.still_drawn_ns) >= STILL_INTERVAL_NS {
             self.still_drawn_ns = at_ns;
             entities.push(self.room());
@@ -153,7 +154,7 @@ impl Scene {
         }
         self.buffer.clear();
         let update = SceneUpdate { deletions: Vec::new(), entities };
-        update.encode(&mut self.buffer).expect("a vector takes whatever it is given");
+        update.encode(&mut self.buffer).expect("writing to a vector does not fail");
         &self.buffer
     }
 
@@ -162,7 +163,7 @@ impl Scene {
         let [x, y, z] = self.size_m;
         let spec = self.model.mirrors.spec();
         let across = self.model.mirrors.room_from_wall(&Vec3::x());
-        let lamp = |position: &Vec3| cube(position, Vec3::new(0.3, 0.3, 0.03), LAMP);
+        let panel = |position: &Vec3| cube(position, Vec3::new(0.3, 0.3, 0.03), LED);
         let mirror = |position: &Vec3| {
             let half = across * (spec.mirror_width_m / 2.0) + Vec3::z() * (spec.mirror_height_m / 2.0);
             let size = 2.0 * half.map(f64::abs) + self.model.mirrors.inward().map(f64::abs) * 0.01;
@@ -174,7 +175,7 @@ impl Scene {
                 .model
                 .leds
                 .iter()
-                .map(|led| lamp(&led.position))
+                .map(|led| panel(&led.position))
                 .chain(self.model.mirrors.positions().iter().map(mirror))
                 .collect(),
             lines: vec![segments(outline.points(), 0.01, WALL)],
@@ -182,9 +183,10 @@ impl Scene {
         }
     }
 
-    /// The ray of the nearest access point over each mirror's centre, down to the height of the devices, and the direct paths.
+    /// The reflected ray of the nearest access point at each mirror's centre, down to the
+    /// detectors, and the direct paths.
     fn light(&self) -> SceneEntity {
-        let height = self.people.first().map_or(0.0, |person| person.position.z);
+        let height = self.users.first().map_or(0.0, |user| user.position.z);
         let (mut rays, mut clear, mut blocked) = (Vec::new(), Vec::new(), Vec::new());
         for (index, mirror) in self.model.mirrors.positions().iter().enumerate() {
             let normal = self.model.mirrors.normal(f64::from(self.angles.0[index]), f64::from(self.angles.1[index]));
@@ -195,15 +197,15 @@ impl Scene {
                 rays.push(mirror + outgoing * ((height - mirror.z) / outgoing.z));
             }
         }
-        for person in &self.people {
-            let Some(led) = self.nearest_led(&person.position) else { continue };
-            match person.los_blocked {
-                Some(true) => blocked.extend([led, person.position]),
-                Some(false) => clear.extend([led, person.position]),
+        for user in &self.users {
+            let Some(led) = self.nearest_led(&user.position) else { continue };
+            match user.los_blocked {
+                Some(true) => blocked.extend([led, user.position]),
+                Some(false) => clear.extend([led, user.position]),
                 None => {}
             }
         }
-        let lines = [(rays, 0.004, LIGHT), (clear, 0.01, CLEAR), (blocked, 0.01, BLOCKED)];
+        let lines = [(rays, 0.004, REFLECTED_LIGHT), (clear, 0.01, CLEAR), (blocked, 0.01, BLOCKED)];
         let lines = lines.into_iter().filter(|(points, ..)| !points.is_empty());
         SceneEntity {
             lines: lines.map(|(points, width, colour)| segments(points, width, colour)).collect(),
@@ -211,25 +213,25 @@ impl Scene {
         }
     }
 
-    fn people(&self) -> SceneEntity {
-        let colour = |person: &Person| if person.met { MET } else { MISSED };
-        let sphere = |person: &Person| SpherePrimitive {
-            pose: Some(pose(&person.position)),
+    fn users(&self) -> SceneEntity {
+        let colour = |user: &DrawnUser| if user.met { MET } else { MISSED };
+        let sphere = |user: &DrawnUser| SpherePrimitive {
+            pose: Some(pose(&user.position)),
             size: Some(vector(&Vec3::repeat(0.25))),
-            color: Some(colour(person)),
+            color: Some(colour(user)),
         };
-        let text = |person: &Person| TextPrimitive {
-            pose: Some(pose(&(person.position + Vec3::z() * 0.3))),
+        let text = |user: &DrawnUser| TextPrimitive {
+            pose: Some(pose(&(user.position + Vec3::z() * 0.3))),
             billboard: true,
             font_size: 0.15,
             scale_invariant: false,
-            color: Some(colour(person)),
-            text: person.label.clone(),
+            color: Some(colour(user)),
+            text: user.label.clone(),
         };
         SceneEntity {
-            spheres: self.people.iter().map(sphere).collect(),
-            texts: self.people.iter().map(text).collect(),
-            ..entity("people")
+            spheres: self.users.iter().map(sphere).collect(),
+            texts: self.users.iter().map(text).collect(),
+            ..entity("users")
         }
     }
 
@@ -262,7 +264,7 @@ struct CubeEdges {
 }
 
 impl CubeEdges {
-    /// Two points an edge: corners whose numbers differ in one bit.
+    /// Two points for each edge: corners whose numbers differ in one bit.
     fn points(&self) -> Vec<Vec3> {
         let sign = |corner: usize, axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
         let place = |corner| {
@@ -273,7 +275,7 @@ impl CubeEdges {
     }
 }
 
-/// An entity that replaces the one of the same name before it, and stays.
+/// A permanent entity that replaces an earlier one of the same name.
 fn entity(id: &str) -> SceneEntity {
     SceneEntity {
         frame_id: FRAME.to_owned(),
@@ -326,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_of_aimed_mirrors_meet_in_the_person_they_are_aimed_at() {
+    fn rays_of_aimed_mirrors_meet_at_the_target_user() {
         let (scenario, mut scene) = scene();
         let model = scenario.channel_model().expect("it describes a channel");
         let target = Vec3::new(0.7, -0.4, 0.85);
@@ -341,30 +343,30 @@ mod tests {
         let user =
             TruthUser { position_m: [0.7, -0.4, 0.85], rate_bps: 2e6, los_blocked: true, ..TruthUser::default() };
         let truth = RoomTruth { users: vec![user], ..RoomTruth::default() };
-        assert!(!scene.hear(&Heard::Telemetry(telemetry), 1));
-        assert!(scene.hear(&Heard::Truth(truth), 10_000_000_000));
-        let update = SceneUpdate::decode(scene.draw(10_000_000_000)).expect("it is what its schema says");
+        assert!(!scene.update(&Received::Telemetry(telemetry), 1));
+        assert!(scene.update(&Received::Truth(truth), 10_000_000_000));
+        let update = SceneUpdate::decode(scene.draw(10_000_000_000)).expect("it matches its schema");
         let rays = &entity_of(&update, "light").lines[0];
         assert_eq!(rays.points.len(), 2 * model.mirrors.len());
         for end in rays.points.iter().skip(1).step_by(2) {
             let apart = (Vec3::new(end.x, end.y, end.z) - target).norm();
             assert!(apart < 1e-3, "a ray ends {apart} m from its target");
         }
-        let person = &entity_of(&update, "people").spheres[0];
-        assert_eq!(person.color, Some(MET));
+        let user = &entity_of(&update, "users").spheres[0];
+        assert_eq!(user.color, Some(MET));
         let room = entity_of(&update, "room");
         assert_eq!((room.cubes.len(), room.lines[0].points.len()), (model.mirrors.len() + 1, 24));
     }
 
     #[test]
-    fn scenes_are_spaced_and_still_things_told_again() {
+    fn scenes_keep_their_interval_and_static_objects_are_repeated() {
         let (_, mut scene) = scene();
-        let truth = Heard::Truth(RoomTruth::default());
+        let truth = Received::Truth(RoomTruth::default());
         let start = 1_000_000_000_000;
-        assert!(scene.hear(&truth, start));
+        assert!(scene.update(&truth, start));
         scene.draw(start);
-        assert!(!scene.hear(&truth, start + INTERVAL_NS - 1));
-        assert!(scene.hear(&truth, start + INTERVAL_NS));
+        assert!(!scene.update(&truth, start + INTERVAL_NS - 1));
+        assert!(scene.update(&truth, start + INTERVAL_NS));
         let entities = |bytes: &[u8]| SceneUpdate::decode(bytes).expect("a scene").entities.len();
         assert_eq!(entities(scene.draw(start + INTERVAL_NS)), 3);
         assert_eq!(entities(scene.draw(start + STILL_INTERVAL_NS)), 4);

@@ -1,9 +1,9 @@
-//! Numbers over time for Foxglove's plots, as JSON with a schema.
+//! Time series for Foxglove's plots, as JSON with a schema.
 //!
-//! | topic | a message for each | holds |
+//! | topic | one message for each | content |
 //! | --- | --- | --- |
-//! | `/rates` | truth of a simulated room | sum rates, each user's rate and need |
-//! | `/answers` | answered report | time from the arrival of the report to that of the command, both at the recorder; below 0 where the command took the shorter way |
+//! | `/rates` | truth of a simulated room | sum rates, rate and minimum rate of each user |
+//! | `/answers` | answered report | time from the arrival of the report to that of the command, both at the recorder; negative if the command arrived first |
 //! | `/status/NODE` | status | times by quantile, counts, gauges |
 
 use std::collections::BTreeMap;
@@ -13,16 +13,16 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::file::Topic;
-use crate::heard::Heard;
+use crate::received::Received;
 
-/// Ticks whose report or command has come without the other; older ones are forgotten.
+/// Most ticks of which only the report or only the command has arrived; older ones are discarded.
 const WAITING_MAX: usize = 1024;
 
-/// Makes series of what a room says.
+/// Derives time series from the messages of a room.
 #[derive(Debug)]
 pub struct Series {
     schemas: Schemas,
-    /// When the report of a tick, or the command that answers it, arrived, whichever came first.
+    /// Arrival of the report of a tick or of its command, whichever was first.
     first: BTreeMap<u64, Nanos>,
 }
 
@@ -40,27 +40,29 @@ impl Default for Series {
 }
 
 impl Series {
-    /// Takes what the room said, and gives topic and message to `put` where there is one to plot.
+    /// Applies a message, and passes topic and derived message to `put` if there is one.
     ///
     /// # Errors
-    /// Those of `put`.
-    pub fn hear<E>(
+    /// The error of `put`.
+    pub fn update<E>(
         &mut self,
-        heard: &Heard,
+        received: &Received,
         arrived_ns: Nanos,
         put: impl FnOnce(&Topic<'_>, &[u8]) -> Result<(), E>,
     ) -> Result<(), E> {
-        match heard {
-            Heard::Truth(truth) => put(&topic("/rates", "heliostat.Rates", &self.schemas.rates), &bytes(&rates(truth))),
-            Heard::Status(status) => {
+        match received {
+            Received::Truth(truth) => {
+                put(&topic("/rates", "heliostat.Rates", &self.schemas.rates), &bytes(&rates(truth)))
+            }
+            Received::Status(status) => {
                 let name = format!("/status/{}", status.node);
                 put(&topic(&name, "heliostat.Status", &self.schemas.status), &bytes(&status_of(status)))
             }
-            Heard::Users(report) => match self.pair(report.tick, arrived_ns) {
+            Received::Users(report) => match self.pair(report.tick, arrived_ns) {
                 Some(apart_us) => self.answer(report.tick, -apart_us, put),
                 None => Ok(()),
             },
-            Heard::Command(command) if command.answers > 0 => match self.pair(command.answers, arrived_ns) {
+            Received::Command(command) if command.answers > 0 => match self.pair(command.answers, arrived_ns) {
                 Some(apart_us) => self.answer(command.answers, apart_us, put),
                 None => Ok(()),
             },
@@ -68,7 +70,7 @@ impl Series {
         }
     }
 
-    /// The time in us since the other half of a tick came; nothing where it is still to come.
+    /// The time in us since the other message of a tick arrived; `None` if it has not arrived yet.
     fn pair(&mut self, tick: u64, arrived_ns: Nanos) -> Option<f64> {
         let Some(first_ns) = self.first.remove(&tick) else {
             self.first.insert(tick, arrived_ns);
@@ -96,7 +98,7 @@ fn topic<'a>(name: &'a str, schema: &'a str, schema_data: &'a [u8]) -> Topic<'a>
 }
 
 fn bytes(message: &impl Serialize) -> Vec<u8> {
-    serde_json::to_vec(message).expect("numbers and text have a JSON form")
+    serde_json::to_vec(message).expect("numbers and text serialise to JSON")
 }
 
 fn rates(truth: &RoomTruth) -> Value {
@@ -104,7 +106,7 @@ fn rates(truth: &RoomTruth) -> Value {
         json!({
             "user": user.user,
             "rate_mbps": user.rate_bps * 1e-6,
-            "need_mbps": user.min_rate_bps * 1e-6,
+            "min_rate_mbps": user.min_rate_bps * 1e-6,
             "sinr": user.sinr,
             "los_blocked": user.los_blocked,
         })
@@ -116,7 +118,7 @@ fn rates(truth: &RoomTruth) -> Value {
         "no_irs_mbps": truth.sum_rate_bps.no_irs * 1e-6,
         "flat_mbps": truth.sum_rate_bps.flat * 1e-6,
         "oracle_mbps": truth.sum_rate_bps.oracle * 1e-6,
-        "needs_met": met,
+        "min_rates_met": met,
         "users_blocked": truth.users.iter().filter(|user| user.los_blocked).count(),
         "users": users.collect::<Vec<_>>(),
     })
@@ -144,10 +146,17 @@ fn status_of(status: &NodeStatus) -> Value {
 impl Schemas {
     fn new() -> Self {
         let numbers = |names: &[&str]| fields(names, "number");
-        let mut user = numbers(&["user", "rate_mbps", "need_mbps", "sinr"]);
+        let mut user = numbers(&["user", "rate_mbps", "min_rate_mbps", "sinr"]);
         user.extend(fields(&["los_blocked"], "boolean"));
-        let mut rates =
-            numbers(&["tick", "policy_mbps", "no_irs_mbps", "flat_mbps", "oracle_mbps", "needs_met", "users_blocked"]);
+        let mut rates = numbers(&[
+            "tick",
+            "policy_mbps",
+            "no_irs_mbps",
+            "flat_mbps",
+            "oracle_mbps",
+            "min_rates_met",
+            "users_blocked",
+        ]);
         rates.insert("users".into(), list(user));
         let named = |numbers: serde_json::Map<String, Value>| {
             let mut entry = fields(&["name"], "string");
@@ -181,20 +190,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tick_has_its_time_whichever_of_report_and_command_came_first() {
-        let report = |tick| Heard::Users(UserReport { tick, ..UserReport::default() });
-        let command = |answers| Heard::Command(MirrorCommand { answers, ..MirrorCommand::default() });
+    fn a_tick_is_timed_whether_report_or_command_arrives_first() {
+        let report = |tick| Received::Users(UserReport { tick, ..UserReport::default() });
+        let command = |answers| Received::Command(MirrorCommand { answers, ..MirrorCommand::default() });
         let mut series = Series::default();
-        let mut told = Vec::new();
-        // The second tick's command comes first; nothing answers the third, and a command without a tick answers nothing.
-        let said = [report(1), command(1), command(2), report(2), report(3), command(0), command(0)];
-        for (index, heard) in said.iter().enumerate() {
+        let mut messages = Vec::new();
+        // The second tick's command arrives first; the third has none, and a command without a tick
+        // answers no report.
+        let inputs = [report(1), command(1), command(2), report(2), report(3), command(0), command(0)];
+        for (index, received) in inputs.iter().enumerate() {
             let put = |_: &Topic<'_>, message: &[u8]| {
-                told.push(serde_json::from_slice::<Value>(message).expect("JSON"));
+                messages.push(serde_json::from_slice::<Value>(message).expect("JSON"));
                 Ok::<(), ()>(())
             };
-            series.hear(heard, 1000 * index as Nanos, put).expect("it is taken");
+            series.update(received, 1000 * index as Nanos, put).expect("it is taken");
         }
-        assert_eq!(told, [json!({ "tick": 1, "answer_us": 1.0 }), json!({ "tick": 2, "answer_us": -1.0 })]);
+        assert_eq!(messages, [json!({ "tick": 1, "answer_us": 1.0 }), json!({ "tick": 2, "answer_us": -1.0 })]);
     }
 }

@@ -43,7 +43,7 @@ impl Write for Disk {
 
 impl Seek for Disk {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        assert_eq!(to, SeekFrom::Current(0), "a recording is written from its beginning to its end");
+        assert_eq!(to, SeekFrom::Current(0), "a recording is written sequentially");
         Ok(self.bytes.lock().unwrap().len() as u64)
     }
 }
@@ -80,13 +80,13 @@ fn assert_first(entries: &[Entry], count: usize) {
     assert_eq!(entries.len(), count);
     for (index, entry) in entries.iter().enumerate() {
         let index = index as u64;
-        let wanted = Entry { topic: KEY.into(), arrived_ns: 100 + index, data: payload(index) };
-        assert_eq!(*entry, wanted);
+        let expected = Entry { topic: KEY.into(), arrived_ns: 100 + index, data: payload(index) };
+        assert_eq!(*entry, expected);
     }
 }
 
 #[test]
-fn what_was_written_is_read_with_header_and_account() {
+fn a_recording_is_read_with_header_messages_and_account() {
     let disk = Disk::new(usize::MAX);
     let mut recording = Recording::create(disk.clone(), &header()).unwrap();
     for index in 0..50 {
@@ -103,32 +103,32 @@ fn what_was_written_is_read_with_header_and_account() {
         count += 1;
     }
     assert_eq!(count, 50);
-    let told: serde_json::Value = serde_json::from_str(reading.account().unwrap()).unwrap();
-    assert_eq!(told["streams"][KEY]["unreadable"], 1);
+    let counts: serde_json::Value = serde_json::from_str(reading.account().unwrap()).unwrap();
+    assert_eq!(counts["streams"][KEY]["unreadable"], 1);
     // The index that viewers jump by, as another reader sees it.
     let summary = mcap::Summary::read(&bytes).unwrap().expect("a finished file has a summary");
     assert_eq!(summary.stats.unwrap().message_count, 50);
 }
 
 #[test]
-fn a_file_cut_at_any_byte_holds_every_whole_chunk_before_the_cut() {
+fn a_file_cut_at_any_byte_holds_every_complete_chunk_before_the_cut() {
     let disk = Disk::new(usize::MAX);
     let mut recording = Recording::create(disk.clone(), &header()).unwrap();
-    let mut whole = vec![(disk.bytes().len(), 0)];
+    let mut complete = vec![(disk.bytes().len(), 0)];
     for index in 0..40 {
         recording.payload(KEY, 100 + index, index, &payload(index)).unwrap();
         if index % 8 == 7 {
             recording.flush().unwrap();
-            whole.push((disk.bytes().len(), index as usize + 1));
+            complete.push((disk.bytes().len(), index as usize + 1));
         }
     }
     recording.finish(&Account::default()).unwrap();
     let bytes = disk.bytes();
     for cut in 0..=bytes.len() {
-        let kept = whole.iter().rev().find(|(length, _)| *length <= cut);
+        let kept = complete.iter().rev().find(|(length, _)| *length <= cut);
         match (read(&bytes[..cut]), kept) {
             (Ok(entries), Some((_, count))) => {
-                // A chunk is whole before the index that follows it is.
+                // A chunk is complete before the index that follows it.
                 assert!(entries.len() == *count || entries.len() == count + 8, "cut at {cut}: {}", entries.len());
                 assert_first(&entries, entries.len());
             }
@@ -139,7 +139,7 @@ fn a_file_cut_at_any_byte_holds_every_whole_chunk_before_the_cut() {
 }
 
 #[test]
-fn a_full_disk_is_told_and_leaves_a_whole_file() {
+fn a_full_disk_is_reported_and_leaves_a_complete_file() {
     let mut ended = 0;
     for size in (600..6000).step_by(97) {
         let disk = Disk::new(size);
@@ -163,9 +163,9 @@ fn a_full_disk_is_told_and_leaves_a_whole_file() {
         let bytes = disk.bytes();
         assert!(bytes.len() <= size);
         assert_first(&read(bytes.as_slice()).unwrap(), written as usize);
-        // Another reader, which wants an end in good order; there is room for one unless the disk was full to its last bytes.
+        // Another reader needs a proper end; it fits unless the disk was full to its last bytes.
         if bytes.ends_with(mcap::MAGIC) {
-            let others = mcap::MessageStream::new(&bytes).unwrap().map(|message| message.expect("whole"));
+            let others = mcap::MessageStream::new(&bytes).unwrap().map(|message| message.expect("complete"));
             assert_eq!(others.count() as u64, written);
             ended += 1;
         } else {
@@ -176,14 +176,14 @@ fn a_full_disk_is_told_and_leaves_a_whole_file() {
 }
 
 #[test]
-fn what_is_no_recording_is_refused_by_name() {
-    let told = |bytes: &[u8]| read(Cursor::new(bytes.to_vec())).expect_err("no recording").to_string();
-    assert!(told(b"some text that is long enough to be looked at").contains("cannot be read"), "a text file");
+fn a_file_that_is_not_a_recording_is_refused_with_the_reason() {
+    let refusal = |bytes: &[u8]| read(Cursor::new(bytes.to_vec())).expect_err("no recording").to_string();
+    assert!(refusal(b"some text that is long enough to be looked at").contains("cannot be read"), "a text file");
     let mut foreign = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
     foreign.finish().unwrap();
-    assert!(told(foreign.into_inner().get_ref()).contains("no recording of a room"));
+    assert!(refusal(foreign.into_inner().get_ref()).contains("not a recording of a room"));
     let disk = Disk::new(usize::MAX);
     let later = Header { contract: "2".into(), ..header() };
     Recording::create(disk.clone(), &later).unwrap().finish(&Account::default()).unwrap();
-    assert!(told(&disk.bytes()).contains("version 2 of the contract"), "a recording from the future");
+    assert!(refusal(&disk.bytes()).contains("version 2 of the contract"), "a recording from the future");
 }

@@ -1,4 +1,4 @@
-//! The command line, and what can be refused before any long work.
+//! The command line, and the checks before long computations.
 
 use std::path::PathBuf;
 
@@ -8,38 +8,40 @@ use heliostat_scenario::ScenarioArgs;
 
 use crate::command;
 use crate::effort::Effort;
-use crate::figures::{Kind, Plan, Room};
+use crate::figures::Kind;
+use crate::plan::{Plan, Room};
 use crate::report::LeftOut;
 use crate::training;
 
-/// Make the paper's figures as this project finds them, beside what the paper says.
+/// Reproduce the figures of the paper, with a verdict for each of its statements.
 ///
-/// Writes a report (report.html, one file with everything in it), and for each figure SVG, CSV and JSON. Finished parts are kept in DIR/parts: a run
-/// that was cut off goes on where it was, and only what changed is computed again.
+/// Writes a self-contained report.html, and SVG, CSV and JSON files for each figure. Finished parts
+/// are stored in DIR/parts: an interrupted run continues, and only parts with changed inputs are
+/// computed again.
 #[derive(Debug, clap::Args)]
 pub struct ReproduceArgs {
-    /// Which figure
+    /// The figure
     #[arg(value_enum)]
     pub what: What,
-    /// The folder to write into; finished parts in it are used again
+    /// The output folder; finished parts in it are reused
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Rooms by the name of a built-in scenario, with commas between them [default: specular, paper, paper-calibrated]
+    /// Built-in scenarios, separated by commas [default: specular, paper, paper-calibrated]
     #[arg(long, value_name = "MODE,..", value_delimiter = ',')]
     pub mode: Vec<String>,
-    /// A scenario file (TOML) in place of the built-in rooms
+    /// A scenario file (TOML) instead of the built-in scenarios
     #[arg(long, value_name = "FILE", conflicts_with = "mode")]
     pub scenario: Option<String>,
-    /// Override a key of every room, for example --set users.count=3 (repeatable)
+    /// Override a key of every scenario, for example --set users.count=3 (repeatable)
     #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// A smoke run of a few minutes: fewer seeds, states and episodes
+    /// A short run of a few minutes: fewer seeds, states and episodes
     #[arg(long)]
     pub quick: bool,
-    /// Seeds of what does not train [default: 10, quick 2]
+    /// Number of seeds of computations without training [default: 10, quick 2]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
     pub seeds: Option<u64>,
-    /// Seeds of what trains, and of what is timed [default: 3, quick 1]
+    /// Number of seeds of training runs and timings [default: 3, quick 1]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100))]
     pub training_seeds: Option<u64>,
     /// Episodes of each training run [default: 300, quick 25; the paper: 1000]
@@ -48,13 +50,13 @@ pub struct ReproduceArgs {
     /// The first seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Numbers of users whose direct path is off, in sum-rate-power
+    /// Numbers of blocked users in sum-rate-power
     #[arg(long, value_name = "B,..", value_delimiter = ',', default_values_t = BLOCKED)]
     pub blocked: Vec<usize>,
-    /// Train the policy ddpg for rooms without a built-in actor, instead of refusing them
+    /// Train the policy ddpg for rooms without a built-in actor
     #[arg(long)]
     pub train_missing: bool,
-    /// Compute nothing more: report what is finished, and name what is not
+    /// Report the finished parts only, and list the missing ones
     #[arg(long, conflicts_with = "train_missing")]
     pub finished: bool,
     /// Also write reproduction.json and reproduction.md into this folder
@@ -65,27 +67,27 @@ pub struct ReproduceArgs {
     pub json: bool,
 }
 
-/// What to make.
+/// The selection of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum What {
-    /// Sum rate against iterations of training (Fig4)
+    /// Sum rate against iterations of training (Fig. 4)
     SumRateIterations,
-    /// Sum rate against optical power, by blocked users (Fig5)
+    /// Sum rate against optical power, by number of blocked users (Fig. 5)
     SumRatePower,
-    /// Bit error rate against SNR, by walking speed (Fig6)
+    /// Bit error rate against SNR, by walking speed (Fig. 6)
     BerSnr,
-    /// Time for a decision, beside methods that search
+    /// Decision time, compared with methods that search
     Inference,
     /// Rate over the floor without and with the array
     Map,
-    /// Every figure that the paper states in words, and a verdict: takes what all but the map take
+    /// The statements of the paper with verdicts: computes all figures except the map
     Table,
-    /// Everything
+    /// All figures
     All,
 }
 
 impl What {
-    /// The figures that it takes.
+    /// The required figures.
     pub fn kinds(self) -> Vec<Kind> {
         match self {
             Self::SumRateIterations => vec![Kind::SumRateIterations],
@@ -99,13 +101,13 @@ impl What {
     }
 }
 
-/// The figures to make, each in a room, and those that are left out.
+/// The selected figures, each with its room, and the omitted ones.
 pub type Choice<'a> = (Vec<(Kind, &'a Room)>, Vec<LeftOut>);
 
 /// The numbers of blocked users when none are given.
 pub(crate) const BLOCKED: [usize; 4] = [0, 2, 3, 5];
 
-/// The rooms that are made when none are named.
+/// The default rooms.
 const ROOMS: [&str; 3] = ["specular", "paper", "paper-calibrated"];
 
 impl ReproduceArgs {
@@ -121,7 +123,7 @@ impl ReproduceArgs {
         }
     }
 
-    /// What all figures are made with.
+    /// The parameters of all figures.
     pub fn plan(&self, effort: Effort) -> Plan {
         let mut blocked = self.blocked.clone();
         blocked.sort_unstable();
@@ -129,10 +131,10 @@ impl ReproduceArgs {
         Plan { effort, first_seed: self.seed, blocked }
     }
 
-    /// The rooms, each with the place of its actor.
+    /// The rooms, each with the source of its actor.
     ///
     /// # Errors
-    /// A scenario that cannot be read or is wrong, or rooms of one name.
+    /// An unreadable or invalid scenario, or two rooms with the same name.
     pub fn rooms(&self) -> Result<Vec<Room>> {
         let names: Vec<String> = match (&self.scenario, self.mode.is_empty()) {
             (Some(file), _) => vec![file.clone()],
@@ -142,7 +144,7 @@ impl ReproduceArgs {
         let flag = if self.scenario.is_some() { "scenario" } else { "mode" };
         let mut rooms: Vec<Room> = Vec::new();
         for given in names {
-            let flags = command::flags(self, Some((flag, &given)));
+            let flags = flags(self, Some((flag, &given)));
             let arguments = ScenarioArgs { scenario: given, overrides: self.overrides.clone(), seed: Some(self.seed) };
             let scenario = arguments.load()?;
             let name = scenario.name.clone();
@@ -153,22 +155,22 @@ impl ReproduceArgs {
         Ok(rooms)
     }
 
-    /// Whether any figure takes the policy ddpg ready-made.
+    /// Whether any figure needs a trained actor of ddpg.
     pub fn needs_actor(&self) -> bool {
         self.what != What::SumRateIterations
     }
 
-    /// The figures to make in each room, and those that are left out because they make no sense there.
+    /// The figures for each room, and those that do not apply to a room.
     ///
     /// # Errors
-    /// A figure that was asked for by name in a room that was named, and makes no sense there.
+    /// A figure and a room that were both given explicitly, and do not match.
     pub fn choose<'a>(&self, rooms: &'a [Room]) -> Result<Choice<'a>> {
         let kinds = self.what.kinds();
         let named = kinds.len() == 1 && (self.scenario.is_some() || !self.mode.is_empty());
         let (mut chosen, mut left_out) = (Vec::new(), Vec::new());
         for kind in kinds {
             for room in rooms {
-                match kind.pointless(room) {
+                match kind.not_applicable(room) {
                     None => chosen.push((kind, room)),
                     Some(why) if named => bail!("no {} in room {}: {why}", kind.id(), room.name),
                     Some(why) => left_out.push(LeftOut { figure: kind.id().into(), room: room.name.clone(), why }),
@@ -179,6 +181,37 @@ impl ReproduceArgs {
     }
 }
 
+/// The command that reproduces a report.
+pub fn command_of_report(args: &ReproduceArgs) -> String {
+    let what = args.what.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned());
+    let rooms = match &args.scenario {
+        Some(file) => Some(("scenario", file.clone())),
+        None => (!args.mode.is_empty()).then(|| ("mode", args.mode.join(","))),
+    };
+    let finished = if args.finished { " --finished" } else { "" };
+    command::begun(&what) + &flags(args, rooms.as_ref().map(|(flag, value)| (*flag, value.as_str()))) + finished
+}
+
+/// The flags that a figure depends on, with the one for its room or for all rooms.
+fn flags(args: &ReproduceArgs, rooms: Option<(&str, &str)>) -> String {
+    let mut flags = String::new();
+    let mut add = |flag: &str, value: &str| flags.push_str(&format!(" --{flag} {}", command::quoted(value)));
+    rooms.into_iter().for_each(|(flag, value)| add(flag, value));
+    args.overrides.iter().for_each(|text| add("set", text));
+    let mut number = |flag: &str, value: Option<u64>| value.into_iter().for_each(|value| add(flag, &value.to_string()));
+    number("seeds", args.seeds);
+    number("training-seeds", args.training_seeds);
+    number("episodes", args.episodes.map(u64::from));
+    number("seed", (args.seed != 1).then_some(args.seed));
+    if args.blocked != BLOCKED {
+        add("blocked", &args.blocked.iter().map(usize::to_string).collect::<Vec<_>>().join(","));
+    }
+    for (given, flag) in [(args.quick, " --quick"), (args.train_missing, " --train-missing")] {
+        flags.push_str(if given { flag } else { "" });
+    }
+    flags
+}
+
 #[cfg(test)]
 impl ReproduceArgs {
     /// The flags of a command line without quotes, from "heliostat" on.
@@ -186,5 +219,48 @@ impl ReproduceArgs {
         use clap::{Args, Command, FromArgMatches};
         let matches = Self::augment_args(Command::new("reproduce")).get_matches_from(command.split(' ').skip(1));
         Self::from_arg_matches(&matches).expect("a command line of a test")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::of_figure;
+
+    const CHANGED: &str = "--set users.count=6 --set mirrors.rows=8 --seeds 4 --training-seeds 2 --episodes 7 --seed 3 --blocked 0,6 --quick";
+
+    #[test]
+    fn the_command_of_a_report_is_the_given_one() {
+        for given in ["--mode paper,specular", "--scenario hall.toml", "--finished", "--train-missing"] {
+            let args = ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR {given} {CHANGED}"));
+            assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command_of_report(&args))), format!("{args:?}"));
+        }
+        assert_eq!(
+            command_of_report(&ReproduceArgs::of_command("heliostat reproduce map --out /tmp --json")),
+            "heliostat reproduce map --out DIR"
+        );
+    }
+
+    #[test]
+    fn the_command_of_a_figure_names_its_room_and_keeps_the_other_flags() {
+        let all = ReproduceArgs::of_command(&format!(
+            "heliostat reproduce all --out DIR --mode paper,specular --train-missing {CHANGED}"
+        ));
+        let one = ReproduceArgs::of_command(&format!(
+            "heliostat reproduce map --out DIR --mode specular --train-missing {CHANGED}"
+        ));
+        let command = of_figure("map", &all.rooms().unwrap()[1]);
+        assert_eq!(format!("{:?}", ReproduceArgs::of_command(&command)), format!("{one:?}"));
+    }
+
+    #[test]
+    fn a_scenario_file_is_named_as_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("hall.toml").display().to_string();
+        std::fs::write(&file, heliostat_scenario::Scenario::builtin_text("specular").unwrap()).unwrap();
+        let args =
+            ReproduceArgs::of_command(&format!("heliostat reproduce all --out DIR --scenario {file} --finished"));
+        let command = of_figure("inference", &args.rooms().unwrap()[0]);
+        assert_eq!(command, format!("heliostat reproduce inference --out DIR --scenario {file}"));
     }
 }

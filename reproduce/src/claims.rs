@@ -1,91 +1,39 @@
-//! Every figure that the paper states in words, what is found here in each room, and what that comes to.
+//! The statements of the paper, the finding for each room, and a verdict.
 //!
-//! A verdict follows from the figures by a rule that stands beside it; nothing is tuned to match.
+//! Each verdict follows from the figures by a rule of [`rules`].
 
-use serde::{Deserialize, Serialize};
+mod rules;
 
-use crate::figure::{Figure, Point, Series};
+use crate::figure::Figure;
 use crate::figures::{ber_snr, inference, sum_rate_iterations, sum_rate_power};
+use crate::verdict::{Claim, Finding};
+use rules::RuleResult;
 
-/// What became of a statement.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Verdict {
-    /// Found again, with nothing set to get there.
-    Reproduced,
-    /// Agrees, but something was chosen or calibrated with this statement in view.
-    ConsistentWith,
-    /// Some of it holds.
-    InPart,
-    /// Does not hold.
-    NotReproduced,
-}
-
-impl Verdict {
-    /// In words.
-    pub fn words(self) -> &'static str {
-        match self {
-            Self::Reproduced => "reproduced",
-            Self::ConsistentWith => "consistent with",
-            Self::InPart => "reproduced in part",
-            Self::NotReproduced => "not reproduced",
-        }
-    }
-}
-
-/// One statement of the paper and what was found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Claim {
-    /// The figure to which it belongs.
-    pub figure: String,
-    /// What is stated.
-    pub statement: String,
-    /// The paper's value.
-    pub paper: String,
-    /// What was found in each room.
-    pub findings: Vec<Finding>,
-}
-
-/// What was found in one room.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Finding {
-    /// The room.
-    pub room: String,
-    /// Our value with its 95 % interval.
-    pub ours: String,
-    /// What it comes to.
-    pub verdict: Verdict,
-    /// Why.
-    pub why: String,
-    /// What was set to get there.
-    pub calibrated: String,
-}
-
-/// A statement: its figure, what it says, the paper's value, and how it is judged in one room.
-type Rule = (&'static str, &'static str, &'static str, fn(&Figure) -> Option<Judged>);
+/// A statement: its figure, its text, the value of the paper, and the rule of its verdict.
+type Rule = (&'static str, &'static str, &'static str, fn(&Figure) -> Option<RuleResult>);
 
 /// Every statement, in the order of the table.
 const RULES: [Rule; 10] = [
-    (sum_rate_power::ID, "sum rate of the proposed DRL at 2 W, two users blocked", "19.2 Mbit/s", drl_rate),
+    (sum_rate_power::ID, "sum rate of the proposed DRL at 2 W, two users blocked", "19.2 Mbit/s", rules::drl_rate),
     (
         sum_rate_power::ID,
         "sum rate of the benchmark (random, fixed) at 2 W, two users blocked",
         "10 Mbit/s",
-        benchmark_rate,
+        rules::benchmark_rate,
     ),
-    (sum_rate_power::ID, "gain of DRL over the benchmark", "\"48 %\"; 19.2 against 10 is +92 %", gain),
-    (sum_rate_iterations::ID, "DRL outperforms DQL", "in words and Fig4", beats_dql),
-    (sum_rate_iterations::ID, "performance near the optimum", "\"near-optimal\"", near_optimal),
+    (sum_rate_power::ID, "gain of DRL over the benchmark", "\"48 %\"; 19.2 against 10 is +92 %", rules::gain),
+    (sum_rate_iterations::ID, "DRL outperforms DQL", "in words and Fig4", rules::beats_dql),
+    (sum_rate_iterations::ID, "performance near the optimum", "\"near-optimal\"", rules::near_optimal),
     (
         sum_rate_iterations::ID,
         "the sum rate grows with the number of mirrors (7 x 7 to 10 x 10)",
         "in words and Fig4",
-        grows,
+        rules::grows,
     ),
-    (ber_snr::ID, "error rate at 15 dB as speed grows", "1e-4 to 1e-1", error_rates),
-    (ber_snr::ID, "error rate as the SNR grows", "below 1e-3", error_floor),
-    (inference::ID, "time for a decision", "0.5 ms", decision_time),
-    (inference::ID, "faster than traditional optimisation", "in words", faster),
+    (ber_snr::ID, "error rate at 15 dB as speed grows", "1e-4 to 1e-1", rules::error_rates),
+    (ber_snr::ID, "error rate as the SNR grows", "below 1e-3", rules::error_floor),
+    (inference::ID, "time for a decision", "0.5 ms", rules::decision_time),
+    (inference::ID, "faster than traditional optimisation", "in words", rules::faster),
 ];
 
 /// All claims for which there are figures.
@@ -99,17 +47,14 @@ pub fn claims(figures: &[Figure]) -> Vec<Claim> {
     RULES.into_iter().filter_map(claim).collect()
 }
 
-/// Value, verdict and reason.
-struct Judged(String, Verdict, String);
-
-impl Judged {
+impl RuleResult {
     fn finding(self, id: &str, room: &str) -> Finding {
         let Self(ours, verdict, why) = self;
         Finding { room: room.into(), ours, verdict, why, calibrated: calibrated(id, room).into() }
     }
 }
 
-/// What was set in a room with the paper's figures in view.
+/// The parameters that were calibrated to the paper in a room.
 fn calibrated(id: &str, room: &str) -> &'static str {
     match (id, room) {
         (ber_snr::ID, _) => "delay picked among five; interval and latency are not in the paper",
@@ -120,291 +65,5 @@ fn calibrated(id: &str, room: &str) -> &'static str {
             "noise (2.9e-13 A2) and a factor of 85 on every mirror's gain, for 10 and 19.2 Mbit/s"
         }
         _ => "see its scenario file",
-    }
-}
-
-fn is_calibrated(figure: &Figure) -> bool {
-    figure.room == "paper-calibrated"
-}
-
-fn with_interval(point: &Point, digits: usize) -> String {
-    interval(point.y, point.ci95, digits)
-}
-
-fn interval(mean: f64, ci95: Option<f64>, digits: usize) -> String {
-    let mean = format!("{mean:.digits$}");
-    ci95.map_or(mean.clone(), |ci95| format!("{mean} ± {ci95:.digits$}"))
-}
-
-/// At 2 W with two users blocked.
-fn quoted_point<'a>(figure: &'a Figure, policy: &str) -> Option<&'a Point> {
-    let panel = sum_rate_power::group(sum_rate_power::QUOTED_BLOCKED);
-    figure.series(&panel, policy)?.at(sum_rate_power::QUOTED_POWER_W)
-}
-
-/// An error rate in two digits; no link is held to less than 1e-12.
-fn error_rate(rate: f64) -> String {
-    if rate < 1e-12 { "under 1e-12".into() } else { format!("{rate:.1e}") }
-}
-
-/// Within a tenth of the paper's value is agreement: the paper's own is read to two or three digits.
-fn agrees(value: f64, paper: f64) -> bool {
-    (value / paper - 1.0).abs() <= 0.1
-}
-
-fn drl_rate(figure: &Figure) -> Option<Judged> {
-    let (ddpg, oracle) = (quoted_point(figure, "ddpg")?, quoted_point(figure, "oracle")?);
-    let ours = format!("ddpg {}, oracle {} Mbit/s", with_interval(ddpg, 2), with_interval(oracle, 2));
-    Some(match (agrees(ddpg.y, 19.2), is_calibrated(figure)) {
-        (true, true) => Judged(ours, Verdict::ConsistentWith, "two numbers were set to land here, so the match proves nothing".into()),
-        (true, false) => Judged(ours, Verdict::Reproduced, "within a tenth".into()),
-        (false, _) if figure.room == "paper" => Judged(
-            ours,
-            Verdict::NotReproduced,
-            "under eqs. (2) and (3) as printed the whole array brings about a hundredth of a direct path; not even the oracle comes near".into(),
-        ),
-        (false, _) => Judged(ours, Verdict::NotReproduced, "another rate: noise and physics differ from the paper's".into()),
-    })
-}
-
-fn benchmark_rate(figure: &Figure) -> Option<Judged> {
-    let (random, flat, none) =
-        (quoted_point(figure, "random")?, quoted_point(figure, "flat")?, quoted_point(figure, "no-irs")?);
-    let ours = format!(
-        "random {}, flat {}, no IRS {} Mbit/s",
-        with_interval(random, 2),
-        with_interval(flat, 2),
-        with_interval(none, 2)
-    );
-    Some(match (agrees(random.y, 10.0), figure.room.as_str()) {
-        (true, "paper" | "paper-calibrated") => {
-            Judged(ours, Verdict::ConsistentWith, "the noise, which the paper does not give, was set for it".into())
-        }
-        (true, _) => Judged(ours, Verdict::Reproduced, "within a tenth".into()),
-        (false, "specular") => Judged(
-            ours,
-            Verdict::NotReproduced,
-            "the paper gives no noise; with the itemised one a direct path alone brings more".into(),
-        ),
-        (false, _) => Judged(ours, Verdict::NotReproduced, "not within a tenth on these states".into()),
-    })
-}
-
-fn gain(figure: &Figure) -> Option<Judged> {
-    let over = |policy: &str| {
-        let name = sum_rate_power::gain_name(policy);
-        let series = figure.ratios.iter().find(|series| series.name == name)?;
-        series.at(sum_rate_power::QUOTED_POWER_W)
-    };
-    let (random, flat) = (over("random")?, over("flat")?);
-    let percent = |point: &Point| {
-        let gain = 100.0 * (point.y - 1.0);
-        point.ci95.map_or(format!("{gain:+.1} %"), |ci95| format!("{gain:+.1} ± {:.1} %", 100.0 * ci95))
-    };
-    let share = 100.0 * (1.0 - 1.0 / random.y);
-    let ours =
-        format!("{} over random ({share:.1} % of ddpg's own rate), {} over flat", percent(random), percent(flat));
-    let matches = agrees(random.y, 1.92) || agrees(random.y, 1.48);
-    Some(match (matches, is_calibrated(figure)) {
-        (true, true) => Judged(
-            ours,
-            Verdict::ConsistentWith,
-            "both rates were calibrated; over flat mirrors, which cost nothing either, the gain is far smaller than over random ones".into(),
-        ),
-        (true, false) => Judged(ours, Verdict::Reproduced, "within a tenth of one of the paper's two readings".into()),
-        (false, _) if random.y > 2.0 => {
-            Judged(ours, Verdict::NotReproduced, "larger than stated: real mirrors concentrate light".into())
-        }
-        (false, _) if figure.room == "paper" => {
-            Judged(ours, Verdict::NotReproduced, "no angles reach it with two blocked users under eqs. (2) and (3)".into())
-        }
-        (false, _) => Judged(ours, Verdict::NotReproduced, "another gain than either reading".into()),
-    })
-}
-
-/// The last point of a learner's curve on 10 x 10 mirrors or the side given.
-fn last<'a>(figure: &'a Figure, name: &str, side: usize) -> Option<&'a Point> {
-    figure.series(&sum_rate_iterations::group(side), name).and_then(|series: &Series| series.points.last())
-}
-
-fn beats_dql(figure: &Figure) -> Option<Judged> {
-    let (raw, ours, dql) = (last(figure, "ddpg-raw", 10)?, last(figure, "ddpg", 10)?, last(figure, "dql", 10)?);
-    let text = format!(
-        "10 x 10: ddpg-raw {}, ddpg {}, dql {} Mbit/s",
-        with_interval(raw, 1),
-        with_interval(ours, 1),
-        with_interval(dql, 1)
-    );
-    Some(match (above(raw, dql), above(ours, dql)) {
-        (true, _) => clearly(text, [raw, dql]),
-        (false, true) => Judged(
-            text,
-            Verdict::InPart,
-            "holds for DDPG with one weight a user; the paper's own, with all angles as outputs, does not come out above DQL".into(),
-        ),
-        (false, false) => Judged(text, Verdict::NotReproduced, "no DDPG comes out clearly above DQL".into()),
-    })
-}
-
-/// Whether one mean lies above another with intervals that do not meet.
-fn above(one: &Point, other: &Point) -> bool {
-    clear_of((one.y, one.ci95), (other.y, other.ci95))
-}
-
-/// Whether one time, along x, is longer than another, likewise.
-fn longer(one: &Point, other: &Point) -> bool {
-    clear_of((one.x, one.x_ci95), (other.x, other.x_ci95))
-}
-
-/// Whether a mean with half of its interval lies above another, and the intervals do not meet.
-fn clear_of((one, half): (f64, Option<f64>), (other, other_half): (f64, Option<f64>)) -> bool {
-    one - half.unwrap_or(0.0) > other + other_half.unwrap_or(0.0)
-}
-
-/// The verdict on one mean above another: from a single seed there is no interval, and so no more than a part.
-fn clearly(text: String, points: [&Point; 2]) -> Judged {
-    if points.iter().all(|point| point.ci95.is_some()) {
-        Judged(text, Verdict::Reproduced, "the intervals do not meet".into())
-    } else {
-        Judged(text, Verdict::InPart, "by one training seed, without an interval".into())
-    }
-}
-
-fn near_optimal(figure: &Figure) -> Option<Judged> {
-    let oracle = last(figure, "oracle", 10)?.y;
-    let ratio = |name: &str| Some(last(figure, name, 10)?.y / oracle);
-    let (raw, ours, flat) = (ratio("ddpg-raw")?, ratio("ddpg")?, ratio("flat")?);
-    let text = format!("10 x 10, of the oracle's rate: ddpg-raw {raw:.2}, ddpg {ours:.2}, flat {flat:.2}");
-    Some(match (raw >= 0.95, ours >= 0.95) {
-        (true, _) if flat >= 0.95 => {
-            Judged(text, Verdict::InPart, "true, and as true of mirrors that nobody turns".into())
-        }
-        (true, _) => Judged(text, Verdict::Reproduced, "0.95 or more with the paper's algorithm".into()),
-        (false, true) => Judged(
-            text,
-            Verdict::InPart,
-            "0.95 or more with one weight a user, not with the algorithm as printed".into(),
-        ),
-        (false, false) => Judged(text, Verdict::NotReproduced, "no learner reaches 0.95 in so many episodes".into()),
-    })
-}
-
-fn grows(figure: &Figure) -> Option<Judged> {
-    let (small, large) = (last(figure, "ddpg", 7)?, last(figure, "ddpg", 10)?);
-    let none = last(figure, "no-irs", 10)?;
-    let text = format!(
-        "ddpg: {} with 49, {} Mbit/s with 100; no IRS {}",
-        with_interval(small, 2),
-        with_interval(large, 2),
-        with_interval(none, 2)
-    );
-    Some(if above(large, small) {
-        clearly(text, [large, small])
-    } else {
-        Judged(text, Verdict::NotReproduced, "the intervals meet".into())
-    })
-}
-
-fn error_rates(figure: &Figure) -> Option<Judged> {
-    let at = |panel: &str, speed: f64| {
-        Some(figure.series(panel, &ber_snr::speed_name(speed))?.at(ber_snr::QUOTED_SNR_DB)?.y)
-    };
-    let all: Vec<f64> = ber_snr::SPEEDS_M_S.iter().filter_map(|speed| at(ber_snr::NEAREST_DELAY, *speed)).collect();
-    let (slow, fast) = (at(ber_snr::NEAREST_DELAY, 0.5)?, at(ber_snr::NEAREST_DELAY, 2.0)?);
-    let list: Vec<String> = all.iter().map(|rate| format!("{rate:.1e}")).collect();
-    let text = format!("{}, at 0, 0.5, 1, 1.5 and 2 m/s: {}", ber_snr::NEAREST_DELAY, list.join(", "));
-    // Half a decade at either end.
-    let near = |rate: f64, paper: f64| (rate / paper).log10().abs() <= 0.5;
-    Some(if near(slow, 1e-4) && near(fast, 1e-1) {
-        let why = "the rise is there, at a delay picked among five; at shorter ones there is next to none, so the paper's values speak of old reports";
-        Judged(text, Verdict::ConsistentWith, why.into())
-    } else if fast > 10.0 * slow {
-        Judged(text, Verdict::InPart, "error rates rise with speed, with other values at the ends".into())
-    } else {
-        Judged(text, Verdict::NotReproduced, "error rates hardly rise with speed".into())
-    })
-}
-
-fn error_floor(figure: &Figure) -> Option<Judged> {
-    let at = |speed: f64| {
-        Some(figure.series(ber_snr::NEAREST_DELAY, &ber_snr::speed_name(speed))?.at(ber_snr::SNR_MAX_DB)?.y)
-    };
-    let (slow, fast) = (at(0.5)?, at(2.0)?);
-    let text = format!(
-        "{}, at {} dB: {} at 0.5 m/s, {} at 2 m/s",
-        ber_snr::NEAREST_DELAY,
-        ber_snr::SNR_MAX_DB,
-        error_rate(slow),
-        error_rate(fast)
-    );
-    Some(match (slow < 1e-3, fast < 1e-3) {
-        (true, true) => Judged(text, Verdict::Reproduced, "below 1e-3 at every speed".into()),
-        (true, false) => Judged(
-            text,
-            Verdict::InPart,
-            "for slow users; when the light is lost altogether no SNR helps, so fast ones keep a floor".into(),
-        ),
-        _ => Judged(text, Verdict::NotReproduced, "the floor stays above 1e-3".into()),
-    })
-}
-
-/// Median and 99th percentile, whose x is a time in us, in the panel of the whole array.
-fn times<'a>(figure: &'a Figure, name: &str) -> Option<[&'a Point; 2]> {
-    let panel = figure.panels.first()?;
-    let series = panel.series.iter().find(|series| series.name == name)?;
-    Some([series.points.first()?, series.points.get(1)?])
-}
-
-fn time(point: &Point) -> String {
-    interval(point.x, point.x_ci95, 0)
-}
-
-fn decision_time(figure: &Figure) -> Option<Judged> {
-    let [p50, p99] = times(figure, "ddpg")?;
-    let text = format!("ddpg {} us median, {} us 99th percentile", time(p50), time(p99));
-    Some(match (p50.x <= inference::QUOTED_US, p99.x <= inference::QUOTED_US) {
-        (true, true) => Judged(
-            text,
-            Verdict::Reproduced,
-            "in a hot loop; see docs/latency.md for the whole way from report to mirror".into(),
-        ),
-        (true, false) => {
-            let circumstance = if figure.overloaded { ", on a machine with other work" } else { "" };
-            Judged(text, Verdict::InPart, format!("the median, not the 99th percentile{circumstance}"))
-        }
-        _ => Judged(text, Verdict::NotReproduced, "slower".into()),
-    })
-}
-
-fn faster(figure: &Figure) -> Option<Judged> {
-    let [ddpg, _] = times(figure, "ddpg")?;
-    let medians: Vec<(&str, &Point)> = ["oracle", "pso", "sine-cosine", "greedy", "fixed-point"]
-        .into_iter()
-        .filter_map(|name| Some((name, times(figure, name)?[0])))
-        .collect();
-    let list: Vec<String> = medians.iter().map(|(name, p50)| format!("{name} {}", time(p50))).collect();
-    let text = format!("medians in us: ddpg {}, {}", time(ddpg), list.join(", "));
-    let slower = medians.iter().filter(|(_, p50)| longer(p50, ddpg)).count();
-    Some(if slower == medians.len() {
-        Judged(text, Verdict::Reproduced, "faster than each search".into())
-    } else if slower > 0 {
-        let why = "faster than searches that know nothing of the problem; a solver that uses its structure takes a similar time and comes as near";
-        Judged(text, Verdict::InPart, why.into())
-    } else {
-        Judged(text, Verdict::NotReproduced, "slower than each search".into())
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_time_is_longer_where_the_intervals_do_not_meet() {
-        let point = |x, half| Point { x, y: 0.5, ci95: None, x_ci95: Some(half) };
-        let ours = point(32.0, 2.0);
-        assert!(longer(&point(104.0, 18.0), &ours));
-        assert!(!longer(&point(40.0, 17.0), &ours));
-        assert!(!longer(&point(20.0, 1.0), &ours));
     }
 }

@@ -1,4 +1,5 @@
-//! docs/reproduction.md: the last documented run in words and tables, made from docs/reproduction.json and nothing else.
+//! docs/reproduction.md: the last documented run as text and tables, rendered from
+//! docs/reproduction.json only.
 
 use std::fmt::Write;
 
@@ -6,13 +7,13 @@ use anyhow::Result;
 
 use crate::figure::{Figure, Panel, Point, Series};
 use crate::figures::{inference, sum_rate_iterations};
-use crate::report::Report;
-use crate::run::span;
+use crate::report::{Report, duration_text};
 
-/// Places of the horizontal axis that a table shows of a long curve.
+/// Rows of a table for a long curve.
 const ROWS: usize = 7;
 
-/// A report without what a document does not show: floors, single parts, the figures' commands, most points of long curves, and digits beyond the fourth.
+/// A report without the data that the document omits: floors, parts, commands of figures, most
+/// points of long curves, and digits after the fourth.
 pub fn reduced(report: &Report) -> Report {
     let mut report = Report { parts: Vec::new(), ..report.clone() };
     report.meta.cpu_s = rounded(report.meta.cpu_s);
@@ -22,7 +23,7 @@ pub fn reduced(report: &Report) -> Report {
     for figure in &mut report.figures {
         figure.command.clear();
         for panel in &mut figure.panels {
-            // What stands on a floor goes with it.
+            // The objects of a floor are omitted with it.
             if panel.floor.take().is_some() {
                 panel.series.clear();
             }
@@ -40,7 +41,7 @@ pub fn reduced(report: &Report) -> Report {
     report
 }
 
-/// Keeps at most [`ROWS`] points at even steps, the first and the last among them.
+/// Keeps at most [`ROWS`] points at even steps, including the first and the last.
 fn thin(series: &mut Series) {
     let last = series.points.len().saturating_sub(1);
     if last < ROWS {
@@ -58,10 +59,10 @@ fn rounded(value: f64) -> f64 {
     format!("{value:.3e}").parse().unwrap_or(value)
 }
 
-/// The file from which the document is made.
+/// The file that the document is rendered from.
 ///
 /// # Errors
-/// None that is known: every number in a report is finite.
+/// None expected: every number in a report is finite.
 pub fn json(report: &Report) -> Result<String> {
     Ok(serde_json::to_string_pretty(report)? + "\n")
 }
@@ -75,11 +76,10 @@ pub fn markdown(report: &Report) -> String {
 
 fn write(report: &Report, text: &mut String) -> std::fmt::Result {
     let meta = &report.meta;
-    writeln!(text, "# The paper's figures, as Heliostat finds them\n")?;
+    writeln!(text, "# Reproduction of the paper's figures\n")?;
     writeln!(
         text,
-        "Made by the command below from `docs/reproduction.json`; do not edit. How the paper is read: [physics.md](physics.md). The plots themselves, interactive and as SVG, \
-         are in the report that the command writes.\n"
+        "Made by the command below from `docs/reproduction.json`; do not edit. [physics.md](physics.md) explains the interpretation of the paper. The command also writes a report with the plots, interactive and as SVG.\n"
     )?;
     writeln!(text, "```\n{} --write-docs docs\n```\n", meta.command)?;
     let commits = meta.commits.join(", ");
@@ -87,11 +87,11 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
     writeln!(text, "| made | {}, {} run, heliostat {}, commit {} |", meta.made, meta.effort, meta.version, commits)?;
     writeln!(
         text,
-        "| seeds | {} from {} for what does not train; {} for what trains ({} episodes) or is timed |",
+        "| seeds | {} from {} without training; {} for training ({} episodes) and timing |",
         meta.seeds, meta.first_seed, meta.training_seeds, meta.episodes
     )?;
     writeln!(text, "| machine | {} |", meta.machine)?;
-    writeln!(text, "| computing time | {} of one core, over all parts |\n", span(meta.cpu_s))?;
+    writeln!(text, "| computing time | {} of one core, over all parts |\n", duration_text(meta.cpu_s))?;
     write_claims(report, text)?;
     let mut last: Option<&Figure> = None;
     for figure in &report.figures {
@@ -99,9 +99,9 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
             writeln!(text, "## {}\n", figure.title)?;
         }
         writeln!(text, "### {}: {}\n", figure.id, figure.room)?;
-        // Rooms share most of what is to be said.
-        let said = |line: &&String| last.is_some_and(|last| last.id == figure.id && last.caption.contains(line));
-        let lines: Vec<&String> = figure.caption.iter().filter(|line| !said(line)).collect();
+        // Lines that the previous room has already are omitted.
+        let is_repeated = |line: &&String| last.is_some_and(|last| last.id == figure.id && last.caption.contains(line));
+        let lines: Vec<&String> = figure.caption.iter().filter(|line| !is_repeated(line)).collect();
         for line in &lines {
             writeln!(text, "- {line}")?;
         }
@@ -122,10 +122,10 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
 }
 
 fn write_claims(report: &Report, text: &mut String) -> std::fmt::Result {
-    writeln!(text, "## What the paper states, and what is found\n")?;
+    writeln!(text, "## Statements of the paper and findings\n")?;
     writeln!(
         text,
-        "| statement | paper | room | here | verdict | set with the paper in view |\n| --- | --- | --- | --- | --- | --- |"
+        "| statement | paper | room | here | verdict | calibrated to the paper |\n| --- | --- | --- | --- | --- | --- |"
     )?;
     for claim in &report.claims {
         for (index, finding) in claim.findings.iter().enumerate() {
@@ -156,7 +156,7 @@ fn write_figure(figure: &Figure, text: &mut String) -> std::fmt::Result {
 }
 
 fn write_panel(figure: &Figure, panel: &Panel, text: &mut String) -> std::fmt::Result {
-    // A line that does not change has its ends alone; the longest curve names the rows.
+    // A constant line has two points only; the longest curve determines the rows.
     let Some(longest) = panel.series.iter().max_by_key(|series| series.points.len()) else { return Ok(()) };
     let names: Vec<&str> = panel.series.iter().map(|series| series.name.as_str()).collect();
     writeln!(text, "**{}**: {} against {}\n", panel.title, figure.y.label, figure.x.label)?;
@@ -195,7 +195,7 @@ fn write_times(panel: &Panel, text: &mut String) -> std::fmt::Result {
 }
 
 fn write_sources(report: &Report, text: &mut String) -> std::fmt::Result {
-    writeln!(text, "## Where the figures came from\n")?;
+    writeln!(text, "## Origin of the figures\n")?;
     writeln!(
         text,
         "| figure | room | parts | commit | from | to | computing time |\n| --- | --- | --- | --- | --- | --- | --- |"
@@ -210,7 +210,7 @@ fn write_sources(report: &Report, text: &mut String) -> std::fmt::Result {
             source.commits.join(", "),
             source.first,
             source.last,
-            span(source.cpu_s)
+            duration_text(source.cpu_s)
         )?;
     }
     Ok(())

@@ -1,36 +1,36 @@
-//! How much is computed: the whole, or a smoke run.
+//! The size of a run: full or quick.
 
 /// The sizes of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effort {
-    /// Seeds of what does not train.
+    /// Seeds of computations without training.
     pub seeds: u64,
     /// Seeds of each training run.
     pub training_seeds: u64,
     /// Episodes of each training run.
     pub episodes: usize,
-    /// How many times a learner is judged after its beginning.
+    /// Evaluations of a learner after its start.
     pub judgements: usize,
-    /// Held-out states on which learners are judged.
+    /// Held-out states for the evaluation of learners.
     pub watched_states: usize,
-    /// States of each seed, power and number of blocked users.
+    /// States for each seed, power and number of blocked users.
     pub states: usize,
     /// Optical powers in W.
     pub powers_w: Vec<f64>,
-    /// Instants of each seed, delay and speed.
+    /// Instants for each seed, delay and speed.
     pub instants: usize,
-    /// Decisions that are timed of each seed and each policy that is fast: enough for a 99th percentile.
+    /// Timed decisions for each seed and each fast policy: enough for a 99th percentile.
     pub timed: usize,
-    /// The same of each policy that is slow.
+    /// Timed decisions for each seed and each slow policy.
     pub timed_slow: usize,
-    /// Trials of the metaheuristics for one decision.
+    /// Evaluations of the metaheuristics for one decision.
     pub trials: u32,
     /// Distance between points of the map in cm.
     pub step_cm: f64,
 }
 
 impl Effort {
-    /// What the documented figures are made with.
+    /// The size of the documented run.
     pub fn full() -> Self {
         Self {
             seeds: 10,

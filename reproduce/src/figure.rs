@@ -1,31 +1,33 @@
-//! What a figure holds, apart from how it is drawn: panels of series with units, intervals and the paper's quoted points.
+//! The data of a figure, independent of its drawing: panels of series with units, intervals and the
+//! paper's values.
 
 use serde::{Deserialize, Serialize};
 
 /// A figure in one room.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
-    /// Which figure: the word on the command line.
+    /// The id of the figure on the command line.
     pub id: String,
-    /// Which room: the name of its scenario.
+    /// The name of the room's scenario.
     pub room: String,
-    /// What it shows, in one line.
+    /// The title.
     pub title: String,
-    /// How it came about, and how it is to be read.
+    /// The method, and how to read the figure.
     pub caption: Vec<String>,
-    /// The command that makes it again.
+    /// The command that reproduces it.
     #[serde(skip_serializing_if = "String::is_empty", default)]
     pub command: String,
-    /// Whether a part of it was computed under more load than there were cores, so that times in it are too long.
+    /// Whether the load of the machine exceeded its cores during a part, so that times may be too
+    /// long.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub overloaded: bool,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
     pub y: Axis,
-    /// Side by side.
+    /// The panels.
     pub panels: Vec<Panel>,
-    /// Quotients of curves, seed by seed, that are stated and not drawn.
+    /// Ratios of curves for each seed, which are stated and not drawn.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub ratios: Vec<Series>,
 }
@@ -37,7 +39,7 @@ pub struct Axis {
     pub label: String,
     /// Whether it is logarithmic.
     pub log: bool,
-    /// Where it begins and ends, if not with the data.
+    /// The range, if it is not that of the data.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub range: Option<[f64; 2]>,
 }
@@ -57,11 +59,11 @@ impl Axis {
 /// One pair of axes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Panel {
-    /// What sets it apart from its neighbours.
+    /// The title.
     pub title: String,
     /// The curves, each named by its policy or condition.
     pub series: Vec<Series>,
-    /// What the paper says.
+    /// The values of the paper.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub quoted: Vec<Quoted>,
     /// Values over the floor, under the curves.
@@ -69,7 +71,7 @@ pub struct Panel {
     pub floor: Option<Floor>,
 }
 
-/// A curve; its name chooses its colour, so that a policy looks the same everywhere.
+/// A curve; its name determines its colour, so that a policy has the same colour in every figure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Series {
     /// The policy or condition.
@@ -85,17 +87,17 @@ impl Series {
     }
 }
 
-/// A figure at one place of the horizontal axis.
+/// A value at one position of the horizontal axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// Where.
+    /// The position.
     pub x: f64,
     /// The mean.
     pub y: f64,
     /// Half the width of the 95 % interval of the mean; none for a single value.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ci95: Option<f64>,
-    /// The same along x, where x is measured too.
+    /// The same along x, if x is measured.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub x_ci95: Option<f64>,
 }
@@ -103,9 +105,9 @@ pub struct Point {
 /// A value that the paper states: a point, or a line where one coordinate is not given.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quoted {
-    /// Where, if it is said.
+    /// The horizontal coordinate, if given.
     pub x: Option<f64>,
-    /// How much, if it is said.
+    /// The vertical coordinate, if given.
     pub y: Option<f64>,
     /// Its name.
     pub text: String,
@@ -114,7 +116,7 @@ pub struct Quoted {
 /// Values over the floor, row by row from the smallest y.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Floor {
-    /// What the values are, with the unit.
+    /// The quantity with the unit.
     pub label: String,
     /// Cells along x.
     pub columns: usize,
@@ -122,7 +124,7 @@ pub struct Floor {
     pub rows: usize,
     /// Half the room's extent along x and y in m.
     pub half_m: [f64; 2],
-    /// One value a cell, at its centre.
+    /// One value for each cell, at its centre.
     pub values: Vec<f64>,
 }
 
@@ -157,7 +159,7 @@ impl Figure {
         names
     }
 
-    /// The series of a name in the panel of that title: one that only begins so may be another condition.
+    /// The series with this name in the panel with this title.
     pub fn series(&self, panel: &str, name: &str) -> Option<&Series> {
         let panel = self.panels.iter().find(|candidate| candidate.title == panel)?;
         panel.series.iter().find(|series| series.name == name)
@@ -180,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panel_whose_title_begins_alike_does_not_stand_in_for_one_that_is_missing() {
+    fn panels_are_found_by_their_complete_title() {
         let series = Series { name: "2 m/s".into(), points: Vec::new() };
         let panel = |title: &str| Panel { title: title.into(), series: vec![series.clone()], ..Panel::default() };
         let figure = Figure { panels: vec![panel("100 + 100 ms, predicted")], ..Figure::default() };

@@ -1,18 +1,23 @@
-//! The paper's figures from one command: what this project finds, beside what the paper says, with seeds, intervals and verdicts.
+//! Reproduces the figures of the paper with one command: results, the paper's values, seeds,
+//! intervals and verdicts.
 //!
-//! Nothing is computed here that another crate computes: rates, policies, oracles and closed loops are those of `heliostat-models`, rooms those of
-//! `heliostat-sim-node`. This crate chooses what to run, keeps what is finished, judges and draws.
+//! Rates, policies, oracles and closed loops come from `heliostat-models`, rooms from
+//! `heliostat-sim-node`. This crate selects the computations, stores finished parts, derives
+//! verdicts and draws.
 //!
-//! # From the command to the report
-//! - [`args`]: the command line, and everything that can be refused before long work starts.
-//! - [`effort`]: how much is computed.
-//! - [`figures`]: one file a figure: its parts, and the picture from finished parts.
-//! - [`part`], [`store`]: a part is named by all that it depends on, and kept on disk when it is finished.
-//! - [`run`]: estimate, progress, and the parts one by one.
-//! - [`command`]: the command that makes a report or a figure again.
-//! - [`claims`]: every statement of the paper with a verdict.
-//! - [`report`], [`page`], [`document`]: JSON, CSV and SVG files, the page, and docs/reproduction.md.
-//! - [`figure`](mod@figure), [`draw`], [`statistics`], [`machine`], [`over_floor`](mod@over_floor): what these share.
+//! # From the command line to the report
+//! - [`args`]: the command line, and the checks before long computations.
+//! - [`effort`], [`plan`]: sizes, seeds and rooms.
+//! - [`figures`]: one file for each figure: its parts, and the figure from finished parts.
+//! - [`part`], [`job`], [`store`]: a part has a key of all its inputs, and is stored on disk when
+//!   it is finished.
+//! - [`run`]: estimate, progress, and the computation of the parts.
+//! - [`command`]: the command that reproduces a figure.
+//! - [`claims`]: the statements of the paper, each with a verdict.
+//! - [`report`], [`files`], [`page`], [`document`]: the result, its files, the page, and
+//!   docs/reproduction.md.
+//! - [`figure`](mod@figure), [`draw`], [`statistics`], [`machine`], [`over_floor`](mod@over_floor):
+//!   shared by the modules above.
 
 pub mod args;
 pub mod claims;
@@ -22,10 +27,13 @@ pub mod draw;
 pub mod effort;
 pub mod figure;
 pub mod figures;
+pub mod files;
+pub mod job;
 pub mod machine;
 pub mod over_floor;
 pub mod page;
 pub mod part;
+pub mod plan;
 pub mod report;
 pub mod run;
 #[cfg(test)]
@@ -33,6 +41,7 @@ mod sources;
 pub mod statistics;
 pub mod store;
 mod training;
+pub mod verdict;
 
 pub use args::ReproduceArgs;
 pub use run::run_reproduce;

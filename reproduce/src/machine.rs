@@ -1,4 +1,4 @@
-//! What a figure was computed with, and when: commit, machine, time.
+//! Commit, machine and time of a computation.
 
 use std::time::SystemTime;
 
@@ -6,7 +6,7 @@ use cpu_time::ProcessTime;
 
 pub use heliostat_models::card::hardware;
 
-/// The commit that was built; `+changes` follows where the working copy had others.
+/// The commit of this build, followed by `+changes` if the working copy was modified.
 pub const COMMIT: &str = env!("HELIOSTAT_COMMIT");
 
 /// Now, in UTC, to the second.
@@ -14,7 +14,7 @@ pub fn now() -> String {
     humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
 }
 
-/// Processor time of this process so far in s: a pause, or others on the same machine, do not count.
+/// Processor time of this process so far in s.
 pub fn cpu_s() -> f64 {
     ProcessTime::now().as_duration().as_secs_f64()
 }
@@ -24,7 +24,7 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// How many tasks wanted a processor over the last minute, where the system tells.
+/// The load average over the last minute, if the system reports it.
 pub fn load() -> Option<f64> {
     std::fs::read_to_string("/proc/loadavg").ok()?.split(' ').next()?.parse().ok()
 }

@@ -1,4 +1,4 @@
-//! A value at each place of the floor, as one more detector would find it.
+//! A value at each point of the floor for one additional detector.
 
 use heliostat_channel::{Scene, Vec3};
 use heliostat_scenario::Scenario;
@@ -6,9 +6,10 @@ use heliostat_sim::World;
 
 use crate::figure::Floor;
 
-/// Looks from each point of a grid: obstacles and the bodies of the users block the light of the detector there, a body of its own does not.
+/// Evaluates `value` at each point of a grid, for the scene of one additional detector. Obstacles
+/// and the bodies of the users block its light; it has no body of its own.
 ///
-/// `step_m`: about the distance between points, of which there is one at least along each side. `value` takes the scene of the one detector.
+/// `step_m`: approximate distance between points; each side has at least one point.
 pub fn over_floor(scenario: &Scenario, world: &World, step_m: f64, value: &mut dyn FnMut(&Scene) -> f64) -> Floor {
     let cells = |length_m: f64| (length_m / step_m).round().max(1.0) as usize;
     let half_m = [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0];

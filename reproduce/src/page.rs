@@ -1,27 +1,26 @@
-//! The report as one page that needs nothing else: every figure, its verdicts, and where it came from.
+//! The report as one self-contained page: every figure with its verdicts and its origin.
 
 use std::fmt::Write;
 
-use crate::claims::{Claim, Verdict};
 use crate::draw::interactive;
 use crate::figure::Figure;
 use crate::figures::Kind;
-use crate::report::Report;
-use crate::run::span;
+use crate::report::{Report, duration_text};
+use crate::verdict::{Claim, Verdict};
 
-/// What each figure is called in the page.
+/// The heading of a figure in the page.
 fn heading(id: &str) -> &'static str {
     match Kind::ALL.into_iter().find(|kind| kind.id() == id) {
-        Some(Kind::SumRateIterations) => "Sum rate against iterations (the paper's Fig4)",
-        Some(Kind::SumRatePower) => "Sum rate against optical power (the paper's Fig5)",
-        Some(Kind::BerSnr) => "Bit error rate against SNR (the paper's Fig6)",
-        Some(Kind::Inference) => "Time for a decision",
+        Some(Kind::SumRateIterations) => "Sum rate against iterations (Fig. 4 of the paper)",
+        Some(Kind::SumRatePower) => "Sum rate against optical power (Fig. 5 of the paper)",
+        Some(Kind::BerSnr) => "Bit error rate against SNR (Fig. 6 of the paper)",
+        Some(Kind::Inference) => "Decision time",
         Some(Kind::Map) => "Rate over the floor",
         None => "",
     }
 }
 
-/// The whole page.
+/// The page.
 pub fn html(report: &Report) -> String {
     let mut page = String::new();
     write(report, &mut page).expect("writing into a string does not fail");
@@ -58,12 +57,12 @@ fn write(report: &Report, page: &mut String) -> std::fmt::Result {
 
 fn write_head(report: &Report, page: &mut String) -> std::fmt::Result {
     let meta = &report.meta;
-    writeln!(page, "<h1>The paper's figures, as Heliostat finds them</h1>")?;
+    writeln!(page, "<h1>Reproduction of the paper's figures</h1>")?;
     writeln!(
         page,
-        "<p>Hamad, Qidan, El-Gorashi, Elmirghani, <i>Adaptive DRL for IRS Mirror Orientation in Dynamic OWC Networks</i>. The paper is simulated; this repeats it in three \
-         rooms: <b>specular</b> (the law of reflection), <b>paper</b> (its equations (2) and (3) as printed) and <b>paper-calibrated</b> (the same with two numbers set so \
-         that its quoted rates come out). Marks in red are the paper's own values.</p>"
+        "<p>Hamad, Qidan, El-Gorashi, Elmirghani, <i>Adaptive DRL for IRS Mirror Orientation in Dynamic OWC Networks</i>. The paper is based on simulation; this report repeats it in three \
+         rooms: <b>specular</b> (the law of reflection), <b>paper</b> (its equations (2) and (3) as printed) and <b>paper-calibrated</b> (the same with two parameters calibrated \
+         to the paper's rates). Red marks are the values of the paper.</p>"
     )?;
     writeln!(page, "<table class=\"meta\">")?;
     let rows = [
@@ -72,12 +71,12 @@ fn write_head(report: &Report, page: &mut String) -> std::fmt::Result {
         (
             "seeds",
             format!(
-                "{} from {} for what does not train, {} for what trains ({} episodes) or is timed",
+                "{} from {} without training, {} for training ({} episodes) and timing",
                 meta.seeds, meta.first_seed, meta.training_seeds, meta.episodes
             ),
         ),
         ("machine", meta.machine.clone()),
-        ("computing time", format!("{} of one core, over all parts", span(meta.cpu_s))),
+        ("computing time", format!("{} of one core, over all parts", duration_text(meta.cpu_s))),
     ];
     for (name, value) in rows {
         writeln!(page, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value))?;
@@ -85,17 +84,17 @@ fn write_head(report: &Report, page: &mut String) -> std::fmt::Result {
     writeln!(page, "<tr><th>command</th><td><code>{}</code></td></tr>\n</table>", escape(&meta.command))?;
     let ids = Kind::ALL.iter().map(|kind| kind.id()).filter(|id| report.figures.iter().any(|figure| figure.id == *id));
     let links: Vec<String> = ids.map(|id| format!("<a href=\"#{id}\">{}</a>", heading(id))).collect();
-    writeln!(page, "<p>{} · <a href=\"#parts\">where the parts came from</a></p>", links.join(" · "))
+    writeln!(page, "<p>{} · <a href=\"#parts\">origin of the parts</a></p>", links.join(" · "))
 }
 
 fn write_table(claims: &[Claim], page: &mut String) -> std::fmt::Result {
     if claims.is_empty() {
         return Ok(());
     }
-    writeln!(page, "<h2 id=\"table\">What the paper states, and what is found</h2>")?;
+    writeln!(page, "<h2 id=\"table\">Statements of the paper and findings</h2>")?;
     writeln!(
         page,
-        "<table class=\"claims\"><thead><tr><th>statement</th><th>paper</th><th>room</th><th>here</th><th>verdict</th><th>set with the paper in view</th></tr></thead>"
+        "<table class=\"claims\"><thead><tr><th>statement</th><th>paper</th><th>room</th><th>here</th><th>verdict</th><th>calibrated to the paper</th></tr></thead>"
     )?;
     for claim in claims {
         writeln!(page, "<tbody>")?;
@@ -164,13 +163,13 @@ fn write_parts(report: &Report, page: &mut String) -> std::fmt::Result {
     let kept = report.parts.iter().filter(|part| part.kept).count();
     writeln!(
         page,
-        "<h2 id=\"parts\">Where the parts came from</h2>\n<p>{} parts, {} computed in this run and {kept} kept from before.</p>\n<details><summary>All parts</summary>\n\
-         <table class=\"parts\"><tr><th>figure</th><th>room</th><th>part</th><th>seed</th><th>from</th><th>commit</th><th>machine</th><th>processor time (s)</th></tr>",
+        "<h2 id=\"parts\">Origin of the parts</h2>\n<p>{} parts, {} computed in this run and {kept} from an earlier run.</p>\n<details><summary>All parts</summary>\n\
+         <table class=\"parts\"><tr><th>figure</th><th>room</th><th>part</th><th>seed</th><th>origin</th><th>commit</th><th>machine</th><th>processor time (s)</th></tr>",
         report.parts.len(),
         report.parts.len() - kept
     )?;
     for part in &report.parts {
-        let from = if part.kept { format!("kept from {}", part.made) } else { format!("computed now, {}", part.made) };
+        let from = if part.kept { format!("earlier run, {}", part.made) } else { format!("this run, {}", part.made) };
         writeln!(
             page,
             "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{from}</td><td>{}</td><td>{}</td><td>{:.1}</td></tr>",
@@ -190,7 +189,7 @@ fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Words between backticks as code.
+/// Text between backticks as code.
 fn code(text: &str) -> String {
     let parts = text.split('`').enumerate();
     parts.map(|(index, part)| if index % 2 == 1 { format!("<code>{part}</code>") } else { part.to_owned() }).collect()

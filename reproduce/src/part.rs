@@ -1,4 +1,4 @@
-//! The parts of which figures are made: each can be computed alone, and is named by all that it depends on.
+//! The parts of figures: each is computed alone, and has a key of all its inputs.
 
 use anyhow::Result;
 use heliostat_decide::policy::PolicyKind;
@@ -8,36 +8,18 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::figure::{Floor, Series};
-use crate::figures::{ber_snr, inference, map, sum_rate_iterations, sum_rate_power};
-
-/// What is to be computed, with every number that it takes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Job {
-    /// One training run, watched.
-    Learning(sum_rate_iterations::Learning),
-    /// What stands beside the training runs.
-    Yardsticks(sum_rate_iterations::Yardsticks),
-    /// Sum rates at several powers.
-    Power(sum_rate_power::Power),
-    /// Light kept under stale aim.
-    Aim(ber_snr::Aim),
-    /// Decision times.
-    Timing(inference::Timing),
-    /// Rates over the floor.
-    Map(map::Map),
-}
+use crate::job::Job;
 
 /// One part of a figure.
 #[derive(Clone, Debug)]
 pub struct Part {
-    /// Which figure it belongs to.
+    /// The id of its figure.
     pub figure: &'static str,
     /// A hash of the code that computes it.
     pub code: &'static str,
     /// The room's name.
     pub room: String,
-    /// What sets it apart from the other parts of the same figure and seed.
+    /// Its name, unique among the parts of the same figure and seed.
     pub name: String,
     /// Seed of every random choice.
     pub seed: u64,
@@ -45,19 +27,19 @@ pub struct Part {
     pub scenario: Scenario,
     /// Where the policy ddpg comes from.
     pub actor: ActorSource,
-    /// What is to be done.
+    /// The computation.
     pub job: Job,
-    /// About how long it takes on one core of the machine on which this was measured, in s.
+    /// Estimated processor time in s.
     pub cost_s: f64,
 }
 
-/// What a part found.
+/// The results of a part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// Values along an axis.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub curves: Vec<Curve>,
-    /// Values over the floor, each with what stands on it.
+    /// Values over the floor, each with the objects in the room.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub floors: Vec<(Floor, Vec<Series>)>,
 }
@@ -65,19 +47,19 @@ pub struct Measured {
 /// Values of one seed along an axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
-    /// Which panel or quantity.
+    /// The panel or quantity.
     pub group: String,
-    /// Which policy or condition.
+    /// The policy or condition.
     pub name: String,
-    /// x and y; values that do not exist are left out.
+    /// x and y; missing values are omitted.
     pub points: Vec<[f64; 2]>,
 }
 
 impl Part {
-    /// A hash of all that the result depends on: code, room, seed, settings, and the built-in or given actor.
+    /// A hash of all inputs: code, room, seed, settings, and the actor.
     ///
     /// # Errors
-    /// An actor that cannot be fetched, where the part needs one.
+    /// An actor that cannot be loaded, if the part needs one.
     pub fn key(&self) -> Result<String> {
         let mut hash = Sha256::new();
         let mut add = |text: &str| {
@@ -103,47 +85,24 @@ impl Part {
     pub fn label(&self) -> String {
         format!("{} {}: {}, seed {}", self.figure, self.room, self.name, self.seed)
     }
-
-    /// Computes it.
-    ///
-    /// # Errors
-    /// Those of the computation, with the part's name.
-    pub fn compute(&self) -> Result<Measured> {
-        use anyhow::Context;
-        let scenario = self.scenario();
-        let measured = match &self.job {
-            Job::Learning(job) => job.run(&scenario),
-            Job::Yardsticks(job) => job.run(&scenario),
-            Job::Power(job) => job.run(&scenario, &self.actor),
-            Job::Aim(job) => job.run(&scenario, &self.actor),
-            Job::Timing(job) => job.run(&scenario, &self.actor),
-            Job::Map(job) => job.run(&scenario, &self.actor),
-        };
-        measured.with_context(|| self.label())
-    }
-}
-
-impl Job {
-    fn needs_actor(&self) -> bool {
-        !matches!(self, Self::Learning(_) | Self::Yardsticks(_))
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::job::Map;
 
     #[test]
-    fn a_part_has_another_key_under_other_code_and_the_same_under_the_same() {
+    fn the_key_of_a_part_depends_on_the_code() {
         let part = |code: &'static str| Part {
-            figure: map::ID,
+            figure: "map",
             code,
             room: "paper".into(),
             name: "floor".into(),
             seed: 1,
             scenario: Scenario::builtin("paper").unwrap(),
             actor: ActorSource::Shipped,
-            job: Job::Map(map::Map { step_cm: 50.0 }),
+            job: Job::Map(Map { step_cm: 50.0 }),
             cost_s: 1.0,
         };
         assert_eq!(part("one").key().unwrap(), part("one").key().unwrap());

@@ -1,57 +1,52 @@
-//! What a run came to, and its files: the page, and SVG, CSV and JSON for each figure.
+//! The result of a run.
 
-use std::path::Path;
-
-use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 
-use crate::claims::Claim;
-use crate::draw::svg;
 use crate::figure::Figure;
-use crate::page;
-use crate::store::{self, Origin};
+use crate::store::Origin;
+use crate::verdict::Claim;
 
-/// A whole report.
+/// A report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// What made it.
+    /// Command, program, machine and time.
     pub meta: Meta,
-    /// Every statement of the paper with what was found.
+    /// The statements of the paper with the findings.
     pub claims: Vec<Claim>,
     /// The figures.
     pub figures: Vec<Figure>,
-    /// What was left out, and why.
+    /// The omitted figures with the reason.
     pub left_out: Vec<LeftOut>,
-    /// Where the parts came from, figure by figure.
+    /// The origin of the parts, for each figure and room.
     pub sources: Vec<Source>,
-    /// Where each part came from.
+    /// The origin of each part.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub parts: Vec<Origin>,
 }
 
-/// Where the parts of one figure in one room came from.
+/// The origin of the parts of one figure in one room.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Source {
     /// The figure.
     pub figure: String,
     /// The room.
     pub room: String,
-    /// How many.
+    /// Number of parts.
     pub parts: usize,
-    /// How many of them were there before the run.
+    /// Number of parts that were finished before the run.
     pub kept: usize,
     /// The commits that computed them.
     pub commits: Vec<String>,
     /// When the first was finished, in UTC.
     pub first: String,
-    /// When the last was.
+    /// When the last was finished, in UTC.
     pub last: String,
     /// Processor time of all in s.
     pub cpu_s: f64,
 }
 
 impl Source {
-    /// One entry a figure and room, in the order of the parts.
+    /// One entry for each figure and room, in the order of the parts.
     pub fn of(parts: &[Origin]) -> Vec<Self> {
         let mut sources: Vec<Self> = Vec::new();
         for part in parts {
@@ -90,26 +85,26 @@ impl Source {
     }
 }
 
-/// What made a report, where and when.
+/// Command, program, machine and time of a report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Meta {
     /// Version of the program.
     pub version: String,
     /// The commits that computed the parts.
     pub commits: Vec<String>,
-    /// When, in UTC.
+    /// Time of the report in UTC.
     pub made: String,
-    /// Where.
+    /// The machine.
     pub machine: String,
-    /// By which command.
+    /// The command.
     pub command: String,
     /// Full, quick, or reduced: full with other seeds or episodes.
     pub effort: String,
     /// The first seed.
     pub first_seed: u64,
-    /// Seeds of what does not train.
+    /// Seeds of computations without training.
     pub seeds: u64,
-    /// Seeds of what trains or is timed.
+    /// Seeds of training runs and timings.
     pub training_seeds: u64,
     /// Episodes of each training run.
     pub episodes: usize,
@@ -117,51 +112,18 @@ pub struct Meta {
     pub cpu_s: f64,
 }
 
-/// A figure that makes no sense in a room.
+/// A figure that is omitted in a room.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LeftOut {
     /// The figure.
     pub figure: String,
     /// The room.
     pub room: String,
-    /// Why.
+    /// The reason.
     pub why: String,
 }
 
-/// Writes all files of a report into a folder.
-///
-/// # Errors
-/// A file that cannot be written.
-pub fn write(report: &Report, out: &Path) -> Result<()> {
-    for figure in &report.figures {
-        let file = |extension: &str| out.join(format!("{}.{extension}", figure.stem()));
-        store::write(&file("svg"), svg::draw(figure).with_context(|| figure.stem())?.as_bytes())?;
-        store::write(&file("csv"), &csv(figure)?)?;
-        store::write(&file("json"), &serde_json::to_vec(figure)?)?;
-    }
-    store::write(&out.join("report.json"), &serde_json::to_vec(report)?)?;
-    store::write(&out.join("report.html"), page::html(report).as_bytes())
-}
-
-/// One line a point; for a floor one a cell.
-fn csv(figure: &Figure) -> Result<Vec<u8>> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(["panel", "series", &figure.x.label, &figure.y.label, "ci95", "ci95 of x"])?;
-    for panel in &figure.panels {
-        for series in &panel.series {
-            for point in &series.points {
-                let [ci95, x_ci95] =
-                    [point.ci95, point.x_ci95].map(|half| half.map_or(String::new(), |half| half.to_string()));
-                let [x, y] = [point.x, point.y].map(|value| value.to_string());
-                writer.write_record([&panel.title, &series.name, &x, &y, &ci95, &x_ci95])?;
-            }
-        }
-        let Some(floor) = &panel.floor else { continue };
-        for (index, value) in floor.values.iter().enumerate() {
-            let [x, y] = floor.centre(index % floor.columns, index / floor.columns);
-            let name = format!("{}: {value}", floor.label);
-            writer.write_record([&panel.title, &name, &x.to_string(), &y.to_string(), "", ""])?;
-        }
-    }
-    writer.into_inner().context("the table cannot be finished")
+/// A duration for a reader, in s or in min.
+pub fn duration_text(seconds: f64) -> String {
+    if seconds < 90.0 { format!("{seconds:.0} s") } else { format!("{:.0} min", seconds / 60.0) }
 }

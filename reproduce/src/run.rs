@@ -1,4 +1,4 @@
-//! One run of `heliostat reproduce`: what can be refused is refused, then the parts are computed one by one, then the report is written.
+//! One run of `heliostat reproduce`: checks, computation of the parts, report.
 
 use std::fs;
 use std::io::IsTerminal;
@@ -10,21 +10,23 @@ use anyhow::{Context, Result, ensure};
 use heliostat_models::networks::on_one_thread;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::args::ReproduceArgs;
+use crate::args::{ReproduceArgs, command_of_report};
 use crate::claims::claims;
 use crate::document;
 use crate::effort::Effort;
-use crate::figures::{Done, Kind, Room};
+use crate::figures::finished_parts::Done;
+use crate::figures::{self, Kind};
 use crate::part::Part;
-use crate::report::{LeftOut, Meta, Report, Source};
+use crate::plan::Room;
+use crate::report::{LeftOut, Meta, Report, Source, duration_text};
 use crate::store::{Origin, Store};
-use crate::{command, machine, report, training};
+use crate::{files, machine, training};
 
 /// Runs the command.
 ///
 /// # Errors
-/// A folder that cannot be written, a scenario or figure that makes no sense, a missing actor, all before any part is computed; then those
-/// of the parts, which stay finished on disk up to the one that failed.
+/// An unwritable folder, an invalid scenario or figure, or a missing actor, before any part is
+/// computed; then an error of a part. Parts finished before remain stored.
 pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
     let report = reproduce(&args)?;
     let kept = report.parts.iter().filter(|part| part.kept).count();
@@ -45,11 +47,11 @@ pub fn run_reproduce(args: ReproduceArgs) -> Result<()> {
     for left_out in &report.left_out {
         println!("{} in room {}: {}", left_out.figure, left_out.room, left_out.why);
     }
-    println!("{}: {} parts, {kept} of them kept from before", page.display(), report.parts.len());
+    println!("{}: {} parts, {kept} of them from an earlier run", page.display(), report.parts.len());
     Ok(())
 }
 
-/// Computes what is missing and writes the report.
+/// Computes the missing parts and writes the report.
 ///
 /// # Errors
 /// As [`run_reproduce`].
@@ -64,7 +66,7 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
     }
     let store = Store::open(&args.out)?;
     if let Some(folder) = &args.write_docs {
-        ensure!(folder.is_dir(), "--write-docs {}: wanted a folder that is there", folder.display());
+        ensure!(folder.is_dir(), "--write-docs {}: expected an existing folder", folder.display());
     }
     if args.needs_actor() {
         rooms.iter().try_for_each(|room| training::provide(room, &args.out, args.train_missing))?;
@@ -101,14 +103,14 @@ pub fn reproduce(args: &ReproduceArgs) -> Result<Report> {
         sources: Source::of(&parts),
         parts,
     };
-    report::write(&report, &args.out)?;
+    files::write(&report, &args.out)?;
     if let Some(folder) = &args.write_docs {
         write_docs(&report, folder)?;
     }
     Ok(report)
 }
 
-/// Says what is to be done, and how long it takes about; the bar counts seconds of that.
+/// Prints the number of parts and the estimated time; the progress bar counts the estimated time.
 fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<ProgressBar> {
     let (mut count, mut missing, mut cost_s) = (0, 0, 0.0);
     for part in figures.iter().flat_map(|(_, _, parts)| parts) {
@@ -120,9 +122,9 @@ fn estimate(store: &Store, figures: &[(Kind, &Room, Vec<Part>)]) -> Result<Progr
     }
     drop(writeln!(
         std::io::stderr(),
-        "{count} parts, {} of them finished before; the rest takes about {} of one core",
+        "{count} parts, {} of them finished; the others take about {} of one core",
         count - missing,
-        span(cost_s)
+        duration_text(cost_s)
     ));
     let bar = ProgressBar::new((1e3 * cost_s) as u64);
     bar.set_style(ProgressStyle::with_template("{bar:32} {percent} %, {eta} left  {msg}")?);
@@ -140,7 +142,7 @@ fn finish(store: &Store, part: Part, bar: &ProgressBar) -> Result<Done> {
         return Ok((part, finished));
     }
     bar.set_message(part.label());
-    let finished = on_one_thread(|| store.compute(&part))??;
+    let finished = on_one_thread(|| store.compute(&part, figures::compute))??;
     if !std::io::stderr().is_terminal() {
         drop(writeln!(std::io::stderr(), "{}: {:.1} s", part.label(), finished.origin.cpu_s));
     }
@@ -155,7 +157,7 @@ fn meta(args: &ReproduceArgs, parts: &[Origin]) -> Meta {
         commits: commits(parts),
         made: machine::now(),
         machine: machine::hardware(),
-        command: command::of_report(args),
+        command: command_of_report(args),
         effort: match args.quick {
             true => "quick",
             false if effort == Effort::full() => "full",
@@ -178,16 +180,11 @@ fn commits(parts: &[Origin]) -> Vec<String> {
     commits
 }
 
-/// A time in words.
-pub fn span(seconds: f64) -> String {
-    if seconds < 90.0 { format!("{seconds:.0} s") } else { format!("{:.0} min", seconds / 60.0) }
-}
-
 fn write_docs(report: &Report, folder: &Path) -> Result<()> {
     let report = document::reduced(report);
     let json = folder.join("reproduction.json");
     crate::store::write(&json, document::json(&report)?.as_bytes())?;
-    // What is written is what the file says, so that the document can be made again from it.
+    // The document is rendered from the file, so that it can be rendered again.
     let text = fs::read_to_string(&json).with_context(|| format!("cannot read {}", json.display()))?;
     let report = serde_json::from_str(&text)?;
     crate::store::write(&folder.join("reproduction.md"), document::markdown(&report).as_bytes())

@@ -1,7 +1,7 @@
-//! A hash of the code on which a figure depends, so that a part is computed again when that changed.
+//! A hash of the code that a figure depends on: a part is computed again when the code changes.
 //!
-//! The build script takes this file as a module of its own; it must not name the crate. Libraries outside the workspace are not in the hash: a part
-//! names the commit that computed it.
+//! The build script includes this file as a module; it must not name the crate. The hash covers the
+//! workspace only; each part also records its commit.
 
 use std::fs;
 use std::io;
@@ -9,23 +9,25 @@ use std::path::Path;
 
 use sha2::{Digest, Sha256};
 
-/// The crates whose code computes parts: all of `src` counts.
+/// The crates whose code computes parts.
 pub const CRATES: [&str; 6] = ["channel", "scenario", "sim-node", "driver", "controller", "models"];
 
-/// The hash for a figure by the name of its file: those crates, what its parts share here, and its own file. Actors are hashed with the part that
-/// uses them.
+/// The hash for a figure by the name of its file: the crates above, the shared files of this crate,
+/// and its own file. Actors enter the key of the part that uses them.
 ///
 /// # Errors
 /// A file that cannot be read.
 pub fn of_figure(root: &Path, file: &str) -> io::Result<String> {
     let mut places = CRATES.map(|name| format!("{name}/src")).to_vec();
     places.extend(
-        ["figures/mod.rs", "over_floor.rs", &format!("figures/{file}")].map(|name| format!("reproduce/src/{name}")),
+        ["figures.rs", "figures/finished_parts.rs", "job.rs", "over_floor.rs", "plan.rs", &format!("figures/{file}")]
+            .map(|name| format!("reproduce/src/{name}")),
     );
     hash(root, &places)
 }
 
-/// Hash of files, and of all files below folders, by their names from the root in order and by their contents.
+/// Hash of files, and of all files below folders, by their names from the root in order and by
+/// their contents.
 ///
 /// # Errors
 /// A file or folder that cannot be read.
@@ -81,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn a_build_is_stamped_with_the_code_that_it_was_made_of() {
+    fn a_build_has_the_hash_of_its_code() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let stamped = [("map.rs", env!("HELIOSTAT_CODE_MAP")), ("ber_snr.rs", env!("HELIOSTAT_CODE_BER_SNR"))];
         for (file, code) in stamped {

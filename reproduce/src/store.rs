@@ -1,4 +1,5 @@
-//! Finished parts on disk: one JSON file each, named by what the part depends on, written beside its place and then renamed into it.
+//! Finished parts on disk: one JSON file each, named by the key of the part, written to a temporary
+//! file and renamed.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,23 +10,23 @@ use serde::{Deserialize, Serialize};
 use crate::machine;
 use crate::part::{Measured, Part};
 
-/// A finished part as it stands in its file.
+/// A finished part.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
-    /// Where it came from.
+    /// Its origin.
     pub origin: Origin,
-    /// What it found.
+    /// Its results.
     pub measured: Measured,
 }
 
-/// Where a part came from.
+/// The origin of a part.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Origin {
     /// The figure it belongs to.
     pub figure: String,
     /// The room's name.
     pub room: String,
-    /// Which part.
+    /// The name of the part.
     pub name: String,
     /// Its seed.
     pub seed: u64,
@@ -33,23 +34,23 @@ pub struct Origin {
     pub made: String,
     /// The commit that computed it.
     pub commit: String,
-    /// Where.
+    /// The machine.
     pub machine: String,
     /// Processor time that it took in s.
     pub cpu_s: f64,
-    /// How many tasks wanted a processor, this one among them, where the system tells: the larger load average of its beginning and its end.
+    /// The larger load average of its start and its end, if the system reports it.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub load: Option<f64>,
-    /// Cores that there were for them.
+    /// Cores of the machine.
     #[serde(default)]
     pub cores: usize,
-    /// Whether it was there before this run.
+    /// Whether it was finished before this run.
     #[serde(default)]
     pub kept: bool,
 }
 
 impl Origin {
-    /// The load, where it was larger than the cores could bear: others then took time from the part.
+    /// The load, if it exceeds the number of cores: other work then slowed the part.
     pub fn overload(&self) -> Option<f64> {
         self.load.filter(|load| *load > self.cores as f64)
     }
@@ -62,13 +63,13 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the folder `parts` in an output folder, and makes both where they are missing.
+    /// Opens the folder `parts` in an output folder, and creates both if they are missing.
     ///
     /// # Errors
-    /// A folder that cannot be made or written.
+    /// A folder that cannot be created or written.
     pub fn open(out: &Path) -> Result<Self> {
         let folder = out.join("parts");
-        let refused = || format!("cannot write into {}: give --out a folder that you may write", out.display());
+        let refused = || format!("cannot write into {}: expected a writable folder for --out", out.display());
         fs::create_dir_all(&folder).with_context(refused)?;
         let probe = folder.join(".probe");
         fs::write(&probe, "").with_context(refused)?;
@@ -76,23 +77,23 @@ impl Store {
         Ok(Self { folder })
     }
 
-    /// The finished part, if it is there; one that cannot be read counts as missing, since a run that was cut off must not stop the next.
+    /// The finished part, if it exists; an unreadable file counts as missing.
     ///
     /// # Errors
-    /// Those of [`Part::key`].
+    /// The error of [`Part::key`].
     pub fn find(&self, part: &Part) -> Result<Option<Finished>> {
         let text = fs::read(self.path(part)?).ok();
         let finished: Option<Finished> = text.and_then(|text| serde_json::from_slice(&text).ok());
         Ok(finished.map(|finished| Finished { origin: Origin { kept: true, ..finished.origin }, ..finished }))
     }
 
-    /// Computes a part and keeps it.
+    /// Computes a part with `compute` and stores the result.
     ///
     /// # Errors
-    /// Those of the part, and a file that cannot be written.
-    pub fn compute(&self, part: &Part) -> Result<Finished> {
+    /// The error of `compute`, and a file that cannot be written.
+    pub fn compute(&self, part: &Part, compute: impl FnOnce(&Part) -> Result<Measured>) -> Result<Finished> {
         let (before_s, before) = (machine::cpu_s(), machine::load());
-        let measured = part.compute()?;
+        let measured = compute(part)?;
         let origin = Origin {
             figure: part.figure.into(),
             room: part.room.clone(),
@@ -108,7 +109,7 @@ impl Store {
         };
         let text = serde_json::to_vec(&Finished { origin, measured })?;
         write(&self.path(part)?, &text)?;
-        // What the file says, to the last bit of each number, so that a report does not change when the part is kept.
+        // Read back, so that the report is equal when the part comes from its file.
         Ok(serde_json::from_slice(&text)?)
     }
 
@@ -119,7 +120,7 @@ impl Store {
     }
 }
 
-/// Writes a file so that it is there whole or not at all.
+/// Writes a file atomically.
 ///
 /// # Errors
 /// A file that cannot be written, by name.

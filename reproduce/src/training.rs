@@ -1,4 +1,4 @@
-//! The policy ddpg for rooms that no built-in actor fits, trained by `heliostat train` itself.
+//! The policy ddpg for rooms without a built-in actor, trained by `heliostat train`.
 
 use std::fs;
 use std::io::Write;
@@ -11,7 +11,7 @@ use heliostat_models::comparison::Entrant;
 use heliostat_models::{TrainArgs, run_train};
 use heliostat_scenario::Scenario;
 
-use crate::figures::Room;
+use crate::plan::Room;
 
 /// `heliostat train` by its own flags.
 #[derive(Parser)]
@@ -20,7 +20,8 @@ struct Train {
     args: TrainArgs,
 }
 
-/// The built-in actor where one fits; else the place of one in the output folder, whether it is there or not.
+/// The built-in actor if one fits, else the path of an actor in the output folder, which may not
+/// exist yet.
 pub fn source(scenario: &Scenario, out: &Path) -> ActorSource {
     if fits(scenario, &ActorSource::Shipped) {
         ActorSource::Shipped
@@ -29,10 +30,10 @@ pub fn source(scenario: &Scenario, out: &Path) -> ActorSource {
     }
 }
 
-/// Refuses a room without an actor, or trains one for it.
+/// Trains an actor for a room without one, if allowed.
 ///
 /// # Errors
-/// No actor and no leave to train one, with the way to get one; or what stops the training.
+/// A room without an actor if training is not allowed, or an error of the training.
 pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
     if fits(&room.scenario, &room.actor) {
         return Ok(());
@@ -42,14 +43,14 @@ pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
     if !train {
         bail!(
             "room {} has no trained actor: none is built in for channel mode {} with {} x {} mirrors in this geometry; give --train-missing to train one \
-             now (some minutes), or make the one built in that you train with `heliostat train ddpg`",
+             now (some minutes), or build in one that you train with `heliostat train ddpg`",
             room.name,
             room.scenario.channel.mode.name(),
             room.scenario.mirrors.rows,
             room.scenario.mirrors.columns
         );
     }
-    fs::create_dir_all(&folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    fs::create_dir_all(&folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     crate::store::write(&file, room.scenario.to_toml().as_bytes())?;
     drop(writeln!(std::io::stderr(), "training the policy ddpg for room {}", room.name));
     let [file, into] = [&file, &folder].map(|path| path.display().to_string());
@@ -61,7 +62,7 @@ pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
     let actors = fs::read_dir(&folder)?.filter_map(|entry| Some(entry.ok()?.path()));
     let trained =
         actors.filter(|path| path.extension().is_some_and(|extension| extension == "onnx")).collect::<Vec<_>>();
-    ensure!(trained.len() == 1, "wanted one actor in {}, found {}", folder.display(), trained.len());
+    ensure!(trained.len() == 1, "expected one actor in {}, found {}", folder.display(), trained.len());
     fs::rename(&trained[0], folder.join("ddpg.onnx"))?;
     ensure!(fits(&room.scenario, &room.actor), "the actor that was trained for room {} does not fit it", room.name);
     Ok(())

@@ -1,10 +1,10 @@
-//! The document in docs/ is what its JSON says, word for word.
+//! docs/reproduction.md is the rendering of docs/reproduction.json.
 
 use heliostat_reproduce::document::markdown;
 use heliostat_reproduce::report::Report;
 
 #[test]
-fn the_document_is_what_its_json_renders_to() {
+fn the_document_is_the_rendering_of_its_json() {
     let text = include_str!("../../docs/reproduction.json");
     let report: Report = serde_json::from_str(text).expect("docs/reproduction.json is a report");
     let made_by = "make it again with `heliostat reproduce all --out DIR --write-docs docs`";

@@ -1,15 +1,15 @@
-//! Whole runs, tiny: what is written, what is kept, what is refused before it begins.
+//! Complete small runs: their files, the reuse of parts, and the refusals before the start.
 
 use std::fs;
 use std::path::Path;
 
 use clap::Parser;
 use heliostat_reproduce::ReproduceArgs;
-use heliostat_reproduce::claims::Verdict;
-use heliostat_reproduce::figures::Kind;
+use heliostat_reproduce::figures::{self, Kind};
 use heliostat_reproduce::report::Report;
 use heliostat_reproduce::run::reproduce;
 use heliostat_reproduce::store::Store;
+use heliostat_reproduce::verdict::Verdict;
 
 #[derive(Parser)]
 struct Command {
@@ -33,23 +33,23 @@ fn kept(report: &Report) -> usize {
 const TINY: [&str; 6] = ["--mode", "specular", "--blocked", "2", "--seeds", "2"];
 
 #[test]
-fn a_run_that_was_cut_off_goes_on_and_another_seed_begins_anew() {
+fn an_interrupted_run_continues_and_another_seed_starts_again() {
     let folder = tempfile::tempdir().unwrap();
     let first = args("sum-rate-power", folder.path(), &TINY);
-    // Cut off after one part.
+    // Interrupted after one part.
     let (plan, rooms) = (first.plan(first.effort()), first.rooms().unwrap());
     let parts = Kind::SumRatePower.parts(&rooms[0], &plan).unwrap();
-    let done = Store::open(folder.path()).unwrap().compute(&parts[0]).unwrap();
+    let done = Store::open(folder.path()).unwrap().compute(&parts[0], figures::compute).unwrap();
     let so_far = reproduce(&args("sum-rate-power", folder.path(), &[&TINY[..], &["--finished"]].concat())).unwrap();
     assert_eq!((so_far.parts.len(), so_far.left_out.len()), (1, 1));
     assert!(so_far.left_out[0].why.contains("1 of its 2 parts"), "{}", so_far.left_out[0].why);
     let report = reproduce(&first).unwrap();
     assert_eq!((report.parts.len(), kept(&report)), (2, 1));
     assert_eq!((report.parts[0].kept, &report.parts[0].made), (true, &done.origin.made));
-    // Nothing is computed twice, and the figures stay.
+    // No part is computed twice, and the figures are equal.
     let again = reproduce(&first).unwrap();
     assert_eq!((kept(&again), &again.figures), (2, &report.figures));
-    // A part that cannot be read is computed again, and comes to the same.
+    // An unreadable part is computed again, with the same result.
     let file = fs::read_dir(folder.path().join("parts")).unwrap().next().unwrap().unwrap().path();
     fs::write(&file, "{").unwrap();
     let mended = reproduce(&first).unwrap();
@@ -60,13 +60,13 @@ fn a_run_that_was_cut_off_goes_on_and_another_seed_begins_anew() {
 }
 
 #[test]
-fn a_report_needs_nothing_else_and_its_files_agree() {
+fn a_report_is_self_contained_and_its_files_agree() {
     let folder = tempfile::tempdir().unwrap();
     let report = reproduce(&args("sum-rate-power", folder.path(), &TINY)).unwrap();
     let read = |name: &str| fs::read_to_string(folder.path().join(name)).unwrap();
     let page = read("report.html");
     assert_eq!(page.matches("<script type=\"text/javascript\">").count(), 1 + report.figures.len(), "the library once");
-    assert!(!page.contains("<script src") && !page.contains("<link"), "nothing is fetched");
+    assert!(!page.contains("<script src") && !page.contains("<link"), "nothing is loaded from other servers");
     let command =
         "<code>heliostat reproduce sum-rate-power --out DIR --mode specular --seeds 2 --blocked 2 --quick</code>";
     assert_eq!(page.matches(command).count(), 2, "of the report and of its figure");
@@ -77,7 +77,8 @@ fn a_report_needs_nothing_else_and_its_files_agree() {
     let ddpg = panel.series.iter().find(|series| series.name == "ddpg").unwrap();
     let line = format!("{},ddpg,{},{},", panel.title, ddpg.points[0].x, ddpg.points[0].y);
     assert!(read("sum-rate-power-specular.csv").contains(&line));
-    // Mirrors that are aimed bring more than mirrors that are not there, and no more than the oracle's and its spill.
+    // The trained policy exceeds the room without mirrors, and exceeds the oracle by the light on
+    // other users at most.
     let at = |name: &str| report.figures[0].series("2 blocked", name).unwrap().at(2.0).unwrap().y;
     assert!(at("ddpg") > 1.3 * at("no-irs") && at("ddpg") < 1.05 * at("oracle"));
     assert!(report.claims.iter().any(|claim| claim.findings[0].verdict == Verdict::NotReproduced));
@@ -96,7 +97,7 @@ fn a_map_is_drawn_without_and_with_the_array() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_before_it_begins() {
+fn invalid_arguments_are_refused_before_the_start() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path();
     let blocked = refusal("sum-rate-power", out, &["--set", "users.count=2", "--blocked", "0,3"]);
@@ -105,8 +106,8 @@ fn what_makes_no_sense_is_refused_before_it_begins() {
     assert!(many.contains("--blocked has 9") && many.contains("give 8 numbers or fewer"), "{many}");
     let mirrors = refusal("sum-rate-power", out, &["--set", "mirrors.rows=0"]);
     assert!(mirrors.contains("mirrors.rows"), "{mirrors}");
-    let pointless = refusal("ber-snr", out, &["--mode", "paper"]);
-    assert!(pointless.contains("law of reflection"), "{pointless}");
+    let not_applicable = refusal("ber-snr", out, &["--mode", "paper"]);
+    assert!(not_applicable.contains("law of reflection"), "{not_applicable}");
     let untrained = refusal("inference", out, &["--mode", "specular", "--set", "mirrors.rows=8"]);
     assert!(untrained.contains("--train-missing") && untrained.contains("heliostat train ddpg"), "{untrained}");
     let twice = refusal("map", out, &["--mode", "paper,paper"]);
@@ -114,12 +115,12 @@ fn what_makes_no_sense_is_refused_before_it_begins() {
     let file = out.join("file");
     fs::write(&file, "").unwrap();
     let unwritable = refusal("map", &file, &[]);
-    assert!(unwritable.contains("--out a folder that you may write"), "{unwritable}");
+    assert!(unwritable.contains("expected a writable folder for --out"), "{unwritable}");
     assert!(!out.join("report.html").exists());
 }
 
 #[test]
-fn a_figure_that_makes_no_sense_in_a_room_is_left_out_of_the_whole_and_said() {
+fn a_figure_that_does_not_apply_to_a_room_is_omitted_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let all = args("all", folder.path(), &[]);
     let rooms = all.rooms().unwrap();

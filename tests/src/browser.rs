@@ -1,4 +1,4 @@
-//! A Chromium without a window, driven by chromedriver over W3C WebDriver: JSON over HTTP.
+//! A headless Chromium, driven by chromedriver over W3C WebDriver (JSON over HTTP).
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -6,12 +6,12 @@ use std::process::{Child, Command, Stdio};
 use base64::prelude::{BASE64_STANDARD, Engine as _};
 use serde_json::{Value, json};
 
-use crate::wait_until;
+use crate::wait::wait_until;
 
-/// Set where a browser must be there: its absence is then a failure.
+/// If set, a missing browser is a failure.
 const REQUIRED: &str = "HELIOSTAT_REQUIRE_BROWSER";
 
-/// Root may run it, no graphics card is needed, and nothing but the page is asked for.
+/// Flags for a run as root, without a graphics card, and without requests other than the page's.
 const FLAGS: [&str; 11] = [
     "--headless",
     "--no-sandbox",
@@ -35,10 +35,11 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Opens a page in a browser whose profile is empty; nothing where no browser is installed, which is said.
+    /// Opens a page in a browser with an empty profile; `None`, with a message, if no browser is
+    /// installed.
     ///
     /// # Panics
-    /// When a browser is required and not there, or when it does not start.
+    /// When a browser is required and missing, or does not start.
     pub fn open(url: &str) -> Option<Self> {
         let driver = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
         let mut driver = match driver {
@@ -50,22 +51,23 @@ impl Browser {
             Err(error) => panic!("{REQUIRED} is set, but chromedriver does not start: {error}"),
         };
         let port = announced_port(&mut driver);
-        let profile = tempfile::tempdir().expect("a folder for the profile");
+        let profile = tempfile::tempdir().expect("a temporary folder");
         let mut flags: Vec<String> = FLAGS.map(String::from).into();
         flags.push(format!("--user-data-dir={}", profile.path().display()));
-        let wanted = json!({ "alwaysMatch": { "goog:chromeOptions": { "args": flags } } });
+        let capabilities = json!({ "alwaysMatch": { "goog:chromeOptions": { "args": flags } } });
         let sessions = format!("http://127.0.0.1:{port}/session");
-        let session = call(&sessions, &json!({ "capabilities": wanted })).expect("chromedriver starts a Chromium");
+        let session =
+            call(&sessions, &json!({ "capabilities": capabilities })).expect("chromedriver starts a Chromium");
         let id = session["sessionId"].as_str().expect("a session has an id");
         let browser = Self { driver, session: format!("{sessions}/{id}"), _profile: profile };
-        browser.order("url", &json!({ "url": url }));
+        browser.command("url", &json!({ "url": url }));
         Some(browser)
     }
 
-    /// Clicks what a CSS selector finds, once it is there and can be clicked.
+    /// Clicks the element of a CSS selector, once it exists and is enabled.
     ///
     /// # Panics
-    /// When that is not so in good time.
+    /// When that takes longer than the time limit.
     pub fn click(&self, selector: &str) {
         wait_until(&format!("{selector} that can be clicked"), || {
             let enabled = format!("return document.querySelector({selector:?})?.disabled === false");
@@ -73,30 +75,30 @@ impl Browser {
         });
     }
 
-    /// Types into what a CSS selector finds.
+    /// Types into the element of a CSS selector.
     ///
     /// # Panics
-    /// When it is not there, or takes no keys.
+    /// When it does not exist, or accepts no keys.
     pub fn press(&self, selector: &str, keys: &str) {
         let typed = self.element(selector, "value", &json!({ "text": keys }));
-        assert!(typed.is_some(), "{selector} takes no keys");
+        assert!(typed.is_some(), "{selector} accepts no keys");
     }
 
-    /// What a script returns.
+    /// The value that a script returns.
     ///
     /// # Panics
     /// When it fails.
     pub fn run(&self, script: &str) -> Value {
-        self.order("execute/sync", &json!({ "script": script, "args": [] }))
+        self.command("execute/sync", &json!({ "script": script, "args": [] }))
     }
 
-    /// The text of what a CSS selector finds; empty where nothing is.
+    /// The text of the element of a CSS selector; empty if there is none.
     pub fn text(&self, selector: &str) -> String {
         let text = self.run(&format!("return document.querySelector({selector:?})?.textContent ?? ''"));
         text.as_str().unwrap_or_default().to_owned()
     }
 
-    /// Makes the page this large, in CSS pixels, whatever the window.
+    /// Sets the size of the page in CSS pixels.
     ///
     /// # Panics
     /// When the browser refuses.
@@ -105,53 +107,54 @@ impl Browser {
         self.devtools("Emulation.setDeviceMetricsOverride", size);
     }
 
-    /// A picture of the page, PNG.
+    /// A screenshot of the page as PNG.
     ///
     /// # Panics
     /// When the browser refuses.
-    pub fn picture(&self) -> Vec<u8> {
-        let picture = self.devtools("Page.captureScreenshot", json!({ "format": "png" }));
-        BASE64_STANDARD.decode(picture["data"].as_str().expect("text")).expect("base 64")
+    pub fn screenshot(&self) -> Vec<u8> {
+        let screenshot = self.devtools("Page.captureScreenshot", json!({ "format": "png" }));
+        BASE64_STANDARD.decode(screenshot["data"].as_str().expect("text")).expect("base 64")
     }
 
     fn devtools(&self, command: &str, parameters: Value) -> Value {
-        self.order("goog/cdp/execute", &json!({ "cmd": command, "params": parameters }))
+        self.command("goog/cdp/execute", &json!({ "cmd": command, "params": parameters }))
     }
 
-    /// Does something to what a selector finds; nothing where it is not there or cannot be done.
+    /// Applies an action to the element of a selector; `None` if it does not exist or the action
+    /// fails.
     fn element(&self, selector: &str, action: &str, body: &Value) -> Option<Value> {
-        let found = self.order("elements", &json!({ "using": "css selector", "value": selector }));
+        let found = self.command("elements", &json!({ "using": "css selector", "value": selector }));
         let id = found.as_array()?.first()?.as_object()?.values().next()?.as_str()?;
         call(&format!("{}/element/{id}/{action}", self.session), body).ok()
     }
 
-    fn order(&self, command: &str, body: &Value) -> Value {
-        call(&format!("{}/{command}", self.session), body).unwrap_or_else(|error| panic!("{command} {body}: {error}"))
+    fn command(&self, name: &str, body: &Value) -> Value {
+        call(&format!("{}/{name}", self.session), body).unwrap_or_else(|error| panic!("{name} {body}: {error}"))
     }
 }
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // It ends with its driver at the latest.
+        // If this fails, the browser ends with its driver.
         let _ = ureq::delete(&self.session).call();
         self.driver.kill().ok();
         self.driver.wait().ok();
     }
 }
 
-/// The value of a WebDriver command's answer, or what was wrong.
+/// The value of a WebDriver response, or its error message.
 fn call(url: &str, body: &Value) -> Result<Value, String> {
     let request = ureq::post(url).config().http_status_as_error(false).build();
     let mut answer = request.send_json(body).map_err(|error| error.to_string())?;
-    let is_good = answer.status().is_success();
+    let is_success = answer.status().is_success();
     let mut answer: Value = answer.body_mut().read_json().map_err(|error| error.to_string())?;
     let value = answer["value"].take();
-    if is_good { Ok(value) } else { Err(value["message"].as_str().unwrap_or_default().to_owned()) }
+    if is_success { Ok(value) } else { Err(value["message"].as_str().unwrap_or_default().to_owned()) }
 }
 
-/// The port that the system gave, from what chromedriver says when it has started.
+/// The port that the system assigned, from chromedriver's first output.
 fn announced_port(driver: &mut Child) -> u16 {
     let output = BufReader::new(driver.stdout.take().expect("standard output is piped"));
     let port = |line: String| line.split_once("successfully on port ")?.1.trim_end_matches('.').parse().ok();
-    output.lines().map_while(Result::ok).find_map(port).expect("chromedriver says on which port it started")
+    output.lines().map_while(Result::ok).find_map(port).expect("chromedriver prints its port")
 }

@@ -1,25 +1,25 @@
-//! What the tests across processes share: the built programs as processes, and a witness who hears what a room says.
+//! Shared parts of the tests across processes, and the readers of sources and manifests for the
+//! rules of ARCHITECTURE.md.
 //!
-//! Nothing here reaches into a process: tests see what a driver, a viewer or a person at the terminal would see.
+//! - [`Process`]: a built program as a process.
+//! - [`RoomObserver`]: a session that receives the messages of a room.
+//! - [`Browser`]: a browser with one page.
+//! - [`architecture`]: checks of the architecture rules, based on [`module_graph`], [`packages`]
+//!   and [`rust_source`].
+//!
+//! Tests see what a driver, a viewer or a user at the terminal sees; nothing here reaches into a
+//! process.
 
+pub mod architecture;
 mod browser;
+pub mod module_graph;
+mod observer;
+pub mod packages;
 mod process;
-mod witness;
+pub mod rust_source;
+mod wait;
 
 pub use browser::Browser;
+pub use observer::RoomObserver;
 pub use process::{Process, programs};
-pub use witness::Witness;
-
-use std::time::{Duration, Instant};
-
-/// How long anything may take that takes a fraction of a second on an idle machine.
-pub const PATIENCE: Duration = Duration::from_secs(30);
-
-/// Waits until `true`, or panics with the name of what was waited for.
-pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
-    while !is_so() {
-        assert!(Instant::now() < deadline, "waited {} s in vain: {what}", PATIENCE.as_secs());
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
+pub use wait::wait_until;

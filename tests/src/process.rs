@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 
 use serde_json::Value;
 
-use crate::wait_until;
+use crate::wait::wait_until;
 
 /// A running program; it is killed when dropped.
 pub struct Process {
@@ -27,11 +27,12 @@ impl Process {
         Self::program("heliostat", arguments)
     }
 
-    /// The same, for tests to which no message may be lost: a busy machine makes it wait for up to a second, where it would drop a message after 50 us.
+    /// The same, for tests that may lose no message: on a busy machine Zenoh waits up to a second
+    /// before it drops one, instead of 50 us.
     ///
     /// # Panics
     /// When the program is not built or does not start.
-    pub fn heliostat_that_waits(arguments: &[&str]) -> Self {
+    pub fn heliostat_without_loss(arguments: &[&str]) -> Self {
         let wait = "transport/link/tx/queue/congestion_control/drop/wait_before_drop=1000000";
         Self::start("heliostat", arguments, &[("HELIOSTAT_ZENOH", wait)])
     }
@@ -62,28 +63,29 @@ impl Process {
         Self { child, output, errors, readers }
     }
 
-    /// Sends SIGKILL: the process gets no chance to say or do anything.
+    /// Sends SIGKILL.
     pub fn kill(&mut self) {
         self.child.kill().expect("the process can be killed");
         self.child.wait().expect("the process can be waited for");
     }
 
-    /// The operating system's number of the process.
+    /// The process id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// Whether it still runs.
+    /// Whether it is running.
     pub fn is_running(&mut self) -> bool {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// What it has written to standard error so far.
+    /// Its output on standard error so far.
     pub fn errors(&self) -> String {
         self.errors.lock().expect("no reader panics").clone()
     }
 
-    /// Closes its standard input, which ends a process started with `--exit-with-parent`, and waits for it.
+    /// Closes its standard input, which ends a process started with `--exit-with-parent`, and waits
+    /// for it.
     pub fn end(mut self) -> Ended {
         drop(self.child.stdin.take());
         self.wait()
@@ -92,7 +94,7 @@ impl Process {
     /// Waits for its end.
     ///
     /// # Panics
-    /// When it does not end in good time.
+    /// When it does not end within the time limit.
     pub fn wait(mut self) -> Ended {
         let mut status = None;
         wait_until("the end of a process", || {
@@ -117,7 +119,7 @@ impl Drop for Process {
     }
 }
 
-/// What an ended process left behind.
+/// The output of a process that has ended.
 #[derive(Debug)]
 pub struct Ended {
     /// Its exit status.
@@ -129,22 +131,22 @@ pub struct Ended {
 }
 
 impl Ended {
-    /// The JSON object on the last line of its output, after a good end.
+    /// The JSON object on the last line of its output, after success.
     ///
     /// # Panics
-    /// When the exit status is bad, or the last line is no JSON.
+    /// When the exit status is a failure, or the last line is not JSON.
     pub fn json(&self) -> Value {
         assert!(self.status.success(), "{}: {}", self.status, self.errors);
         let line = self.output.lines().last().unwrap_or_default();
-        serde_json::from_str(line).unwrap_or_else(|error| panic!("the last line is no JSON ({error}): {line}"))
+        serde_json::from_str(line).unwrap_or_else(|error| panic!("the last line is not JSON ({error}): {line}"))
     }
 
-    /// Its standard error, after a bad end.
+    /// Its standard error, after a failure.
     ///
     /// # Panics
-    /// When the exit status is good.
+    /// When the exit status is a success.
     pub fn refusal(&self) -> &str {
-        assert!(!self.status.success(), "ended well, with: {}", self.output);
+        assert!(!self.status.success(), "ended with success: {}", self.output);
         &self.errors
     }
 }
@@ -160,7 +162,7 @@ fn collect(mut stream: impl Read + Send + 'static, into: &Arc<Mutex<String>>) ->
     })
 }
 
-/// The workspace's folder.
+/// The folder of the workspace.
 pub(crate) fn workspace() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..")
 }
@@ -168,14 +170,15 @@ pub(crate) fn workspace() -> PathBuf {
 /// The folder of the built programs.
 ///
 /// # Panics
-/// When this is called from elsewhere than a test.
+/// When this is not called from a test.
 pub fn programs() -> PathBuf {
-    let test = std::env::current_exe().expect("a test has a file");
+    let test = std::env::current_exe().expect("a test is a file");
     let folder = test.parent().and_then(Path::parent).expect("a test lies in target/PROFILE/deps");
     folder.to_path_buf()
 }
 
-/// A program built beside this test: tests run from `target/PROFILE/deps`, programs are in `target/PROFILE`.
+/// A program built beside this test: tests run from `target/PROFILE/deps`, programs are in
+/// `target/PROFILE`.
 fn built(name: &str) -> PathBuf {
     let path = programs().join(name).with_extension(std::env::consts::EXE_EXTENSION);
     assert!(path.exists(), "{} is not built: run the tests with `cargo test --release --workspace`", path.display());

@@ -1,4 +1,4 @@
-//! The main job, as a stranger starts it: two processes, one contract, mirrors that follow people.
+//! The demo: two processes connected by the contract, mirrors that follow the users.
 
 use heliostat_tests::Process;
 use serde_json::Value;
@@ -20,21 +20,22 @@ fn assert_complete(summary: &Value) {
     for name in ["ticks", "commands", "lost_ticks", "over_budget", "ratio_to_oracle", "qos_met"] {
         number(summary, &format!("/{name}"));
     }
-    // Three seconds at 100 reports a second, each answered; where a machine stalls for tens of milliseconds, some are dropped rather than late.
+    // Three seconds at 100 reports/s, each answered; a machine that stalls for tens of milliseconds
+    // drops some of them.
     assert!(number(summary, "/commands") > 200.0, "{summary}");
     assert!(number(summary, "/lost_ticks") <= 0.1 * number(summary, "/ticks"), "{summary}");
     let refused = summary["refused_by_room"].as_object().expect("an object");
     assert!(!refused.keys().any(|name| name.starts_with("command:")), "{summary}");
-    // The room ends first, and word of its end may overtake its last reports.
+    // The room ends first, and the notice of its end may arrive before its last reports.
     let refused = summary["refused_by_controller"].as_object().expect("an object");
     assert!(refused.keys().all(|name| name.ends_with(":source-gone")), "{summary}");
 }
 
 #[test]
-fn the_shipped_actor_brings_light_to_people_in_shadow() {
+fn the_built_in_actor_raises_the_rate_of_blocked_users() {
     let summary = demo(&["--set", "blockage.forced_users=2"]);
     assert_complete(&summary);
-    // A machine that stalls makes a decision late; the policy itself never fails.
+    // A stalled machine delays a decision; the policy itself does not fail.
     let fallbacks = summary["fallbacks"].as_object().expect("an object");
     assert!(fallbacks.keys().all(|name| name == "late"), "{summary}");
     let (policy, no_irs) = (number(&summary, "/sum_rate_mbps/policy"), number(&summary, "/sum_rate_mbps/no_irs"));
@@ -54,14 +55,14 @@ fn model_based_policies_need_no_actor() {
 }
 
 #[test]
-fn the_papers_equations_run_in_the_same_loop() {
+fn the_paper_scenario_runs_in_the_same_loop() {
     let summary = demo(&["--scenario", "deploy/scenarios/paper.toml"]);
     assert_complete(&summary);
     assert!(number(&summary, "/ratio_to_oracle") > 0.95, "{summary}");
 }
 
 #[test]
-fn another_room_works_and_an_actor_that_does_not_fit_says_so() {
+fn another_room_works_and_an_actor_of_another_shape_is_refused() {
     let other = [
         "--set",
         "mirrors.rows=7",
@@ -86,7 +87,7 @@ fn another_room_works_and_an_actor_that_does_not_fit_says_so() {
 }
 
 #[test]
-fn a_scenario_that_cannot_be_is_refused_before_anything_starts() {
+fn an_invalid_scenario_is_refused_before_any_process_starts() {
     let ended = Process::heliostat(&["demo", "--set", "mirrors.reflectivity=2"]).wait();
     assert!(ended.refusal().contains("mirrors.reflectivity = 2"), "{}", ended.errors);
     assert!(!ended.errors.contains("is process"), "{}", ended.errors);

@@ -1,4 +1,5 @@
-//! Drivers across processes: the simulated array keeps the contract, and one written in Python does so and is led by the controller.
+//! Drivers across processes: the simulated array and one in Python keep the contract, and the
+//! controller drives both.
 
 use std::path::Path;
 use std::process::Child;
@@ -6,10 +7,10 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use heliostat_bus::{BusConfig, free_loopback_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Room, Stamp, UserReport, UserState, encode};
-use heliostat_tests::{Process, Witness, wait_until};
+use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
 
-/// A Python interpreter that has the package `eclipse-zenoh`; none where it is missing and not required.
+/// A Python interpreter with the package `eclipse-zenoh`; `None` if it is missing and not required.
 fn python() -> Option<String> {
     let python = std::env::var("HELIOSTAT_PYTHON").unwrap_or_else(|_| "python3".into());
     let found = std::process::Command::new(&python).args(["-c", "import zenoh; zenoh.Config"]).output();
@@ -26,7 +27,7 @@ fn python() -> Option<String> {
     None
 }
 
-/// The example driver of 2 x 3 mirrors, which ends with this.
+/// The example driver of 2 x 3 mirrors; it is killed when dropped.
 struct PythonDriver(Child);
 
 impl PythonDriver {
@@ -39,7 +40,7 @@ impl PythonDriver {
 
 impl Drop for PythonDriver {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // It may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -65,7 +66,7 @@ fn the_simulated_array_keeps_every_rule() {
 }
 
 #[test]
-fn an_empty_room_has_nobody_to_check() {
+fn a_check_of_an_empty_room_is_refused() {
     let endpoint = free_loopback_endpoint().unwrap();
     let ended = Process::heliostat(&["driver", "check", "--room", "empty", "--listen", &endpoint]).wait();
     assert!(ended.refusal().contains("nobody in room \"empty\""), "{}", ended.errors);
@@ -80,7 +81,7 @@ fn a_driver_in_python_keeps_every_rule() {
     assert!(verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }
 
-/// Five people who stand still, as a tracker would report them.
+/// Five users at rest, as a tracker would report them.
 fn report(tick: u64) -> Vec<u8> {
     let time_ns = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970").as_nanos() as u64;
     let user = |user: u32| UserState {
@@ -95,35 +96,36 @@ fn report(tick: u64) -> Vec<u8> {
     payload
 }
 
-/// Whether telemetry shows the angles of this very command.
-fn shows(told: &MirrorTelemetry, command: &MirrorCommand) -> bool {
-    (told.epoch, told.applied_sequence, told.answers) == (command.epoch, command.sequence, command.answers)
-        && told.roll_commanded == command.roll
-        && told.yaw_commanded == command.yaw
+/// Whether telemetry acknowledges this command.
+fn acknowledges(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
+    (telemetry.epoch, telemetry.applied_sequence, telemetry.answers)
+        == (command.epoch, command.sequence, command.answers)
+        && telemetry.roll_commanded == command.roll
+        && telemetry.yaw_commanded == command.yaw
 }
 
 #[test]
-fn a_driver_in_python_is_led_by_the_controller() {
+fn a_driver_in_python_follows_the_controller() {
     let Some(python) = python() else { return };
     let (of_controller, of_tracker) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
-    // A busy machine may take its time from a command to the look at what came of it.
+    // A busy machine delays the check of a command.
     let set = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=3", "--set", "control.validity_ms=20000"];
-    let flags = ["controller", "--room", "led", "--listen", &of_controller, "--policy", "fixed-point"];
+    let flags = ["controller", "--room", "driven", "--listen", &of_controller, "--policy", "fixed-point"];
     let _controller = Process::heliostat(&[&flags[..], &set, &["--exit-with-parent"]].concat());
-    let room = BusConfig::new(Room::new("led").unwrap());
-    let tracker = Witness::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
-    let _driver = PythonDriver::start(&python, "led", &format!("{of_controller},{of_tracker}"));
+    let room = BusConfig::new(Room::new("driven").unwrap());
+    let tracker = RoomObserver::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
+    let _driver = PythonDriver::start(&python, "driven", &format!("{of_controller},{of_tracker}"));
     let (mut tick, mut acknowledged) = (0, 0);
     wait_until("ten commands that the driver acknowledges by number, tick and angles", || {
         tick += 1;
-        tracker.say(&tracker.room().users(), &report(tick));
-        // Longer than from one telemetry to the next.
+        tracker.publish(&tracker.room().users(), &report(tick));
+        // Longer than the interval of telemetry.
         std::thread::sleep(Duration::from_millis(120));
-        if let (Some(told), Some(command)) = (tracker.telemetry(), tracker.command().1)
-            && shows(&told, &command)
+        if let (Some(telemetry), Some(command)) = (tracker.telemetry(), tracker.command().1)
+            && acknowledges(&telemetry, &command)
         {
-            assert_eq!(told.state, ArrayState::Following, "{told:?}");
-            assert!(told.counters.accepted > 0 && told.counters.rejected == 0, "{told:?}");
+            assert_eq!(telemetry.state, ArrayState::Following, "{telemetry:?}");
+            assert!(telemetry.counters.accepted > 0 && telemetry.counters.rejected == 0, "{telemetry:?}");
             assert!(command.roll.iter().chain(&command.yaw).any(|angle| angle.abs() > 0.01), "{command:?}");
             acknowledged += u32::from(command.answers == tick);
         }

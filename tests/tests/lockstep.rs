@@ -1,4 +1,4 @@
-//! The same seed twice in lockstep: the same run, bit for bit, across processes.
+//! Two lockstep runs with the same seed are equal bit for bit across processes.
 
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_tests::Process;
@@ -25,7 +25,7 @@ fn hash(policy: &str, seed: &str) -> String {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_run_and_another_seed_another() {
+fn equal_seeds_give_equal_runs_and_other_seeds_other_runs() {
     for policy in ["actor", "fixed-point"] {
         let first = hash(policy, "7");
         assert_eq!(first, hash(policy, "7"), "{policy}");

@@ -13,16 +13,16 @@ fn free_address() -> SocketAddr {
     SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port")))
 }
 
-/// The page at an address; empty where nobody answers.
+/// The page at an address; empty without a response.
 fn fetch(address: SocketAddr) -> String {
-    let ask = || -> std::io::Result<String> {
+    let request = || -> std::io::Result<String> {
         let mut stream = TcpStream::connect(address)?;
         write!(stream, "GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;
         let mut answer = String::new();
         stream.read_to_string(&mut answer)?;
         Ok(answer)
     };
-    ask().unwrap_or_default()
+    request().unwrap_or_default()
 }
 
 /// Names of all samples of a page, without labels.
@@ -31,7 +31,7 @@ fn names(page: &str) -> BTreeSet<String> {
     samples.filter_map(|line| line.split(['{', ' ']).next()).map(str::to_owned).collect()
 }
 
-/// The value of the sample that begins so.
+/// The value of the first sample with this prefix.
 fn value(page: &str, sample: &str) -> f64 {
     let line = page.lines().find(|line| line.starts_with(sample));
     line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(f64::NAN)
@@ -49,7 +49,7 @@ fn names_of_dashboard() -> BTreeSet<String> {
 }
 
 #[test]
-fn a_running_room_tells_what_happens_and_the_dashboard_names_nothing_else() {
+fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     let (room_at, controller_at) = (free_address(), free_address());
     let endpoint = free_loopback_endpoint().expect("a free port");
     let (room_text, controller_text) = (room_at.to_string(), controller_at.to_string());
@@ -95,7 +95,7 @@ fn a_running_room_tells_what_happens_and_the_dashboard_names_nothing_else() {
     let drawn = names_of_dashboard();
     assert!(drawn.len() > 15, "{drawn:?}");
     let unknown: Vec<_> = drawn.difference(&known).collect();
-    assert!(unknown.is_empty(), "the dashboard names metrics that nobody makes: {unknown:?}");
+    assert!(unknown.is_empty(), "the dashboard names unknown metrics: {unknown:?}");
 
     let ended = controller.end();
     assert!(ended.status.success(), "{}", ended.errors);

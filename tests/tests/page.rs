@@ -1,18 +1,20 @@
-//! The live page: what it serves and refuses, and in a browser, that each button acts on the running system.
+//! The live page: what it serves and refuses, and in a browser, that each button acts on the
+//! running system.
 //!
-//! Effects are read back from the topics, not from the page. With HELIOSTAT_SCREENSHOTS=1 the pictures of docs/images are taken anew.
+//! Effects are read from the topics, not from the page. HELIOSTAT_SCREENSHOTS=1 replaces the
+//! screenshots in docs/images.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 
 use heliostat_proto::{ArrayState, NodeKind};
-use heliostat_tests::{Browser, Process, Witness, wait_until};
+use heliostat_tests::{Browser, Process, RoomObserver, wait_until};
 
-/// A demo with a page, and a witness of its topics.
+/// A demo with a page, and an observer of its topics.
 struct Setting {
     demo: Process,
-    witness: Witness,
+    observer: RoomObserver,
     /// Host and port of the page.
     host: String,
 }
@@ -23,25 +25,25 @@ impl Setting {
         let all: Vec<&str> = always.iter().chain(arguments).copied().collect();
         let demo = Process::heliostat(&all);
         wait_until("the address of the page", || demo.errors().contains("the page is at http://"));
-        let said = demo.errors();
+        let output = demo.errors();
         let word_after = |before: &str| {
-            let rest = said.split_once(before).unwrap_or_else(|| panic!("no {before:?} in {said}")).1;
+            let rest = output.split_once(before).unwrap_or_else(|| panic!("no {before:?} in {output}")).1;
             rest.split([' ', ',', ';', '/', '\n']).next().unwrap_or_default().to_owned()
         };
         let endpoint = |number: usize| {
-            let found = said.match_indices("tcp/").nth(number).map(|(at, _)| &said[at..]);
-            found.and_then(|rest| rest.split([',', ';', ' ']).next()).expect("two endpoints are said").to_owned()
+            let found = output.match_indices("tcp/").nth(number).map(|(at, _)| &output[at..]);
+            found.and_then(|rest| rest.split([',', ';', ' ']).next()).expect("two endpoints are printed").to_owned()
         };
-        let witness = Witness::connect("demo", &[&endpoint(0), &endpoint(1)]);
-        Self { host: word_after("the page is at http://"), demo, witness }
+        let observer = RoomObserver::connect("demo", &[&endpoint(0), &endpoint(1)]);
+        Self { host: word_after("the page is at http://"), demo, observer }
     }
 
     fn url(&self) -> String {
         format!("http://{}/", self.host)
     }
 
-    /// Status line, headers and body of the answer to a bare request.
-    fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &str) -> String {
+    /// Status line, headers and body of the response to a request.
+    fn request(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &str) -> String {
         let mut stream = TcpStream::connect(&self.host).expect("the page is served");
         let headers: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
         let length = body.len();
@@ -57,49 +59,50 @@ impl Setting {
 }
 
 #[test]
-fn the_page_answers_to_itself_alone() {
+fn requests_of_other_pages_are_refused() {
     let setting = Setting::new(&["--policy", "flat"]);
     let host = ("Host", setting.host.as_str());
-    let page = setting.ask("GET", "/", &[host], "");
+    let page = setting.request("GET", "/", &[host], "");
     assert!(page.starts_with("HTTP/1.1 200") && page.contains("<title>Heliostat</title>"), "{page}");
     assert!(page.contains("Content-Security-Policy: default-src 'none'; script-src 'self'"), "{page}");
-    assert!(setting.ask("GET", "/plotly.js", &[host], "").contains("plotly.js v"));
-    assert!(setting.ask("GET", "/room.json", &[host], "").contains("\"fixed-point\""));
-    assert!(setting.ask("GET", "/", &[("Host", "example.org")], "").starts_with("HTTP/1.1 403"));
+    assert!(setting.request("GET", "/plotly.js", &[host], "").contains("plotly.js v"));
+    assert!(setting.request("GET", "/room.json", &[host], "").contains("\"fixed-point\""));
+    assert!(setting.request("GET", "/", &[("Host", "example.org")], "").starts_with("HTTP/1.1 403"));
 
     let json = ("Content-Type", "application/json");
     let own = format!("http://{}", setting.host);
     let order = r#"{"order":"stop"}"#;
     for origin in [None, Some("http://example.org"), Some("null"), Some("http://127.0.0.1")] {
         let headers: Vec<_> = [host, json].into_iter().chain(origin.map(|origin| ("Origin", origin))).collect();
-        assert!(setting.ask("POST", "/order", &headers, order).starts_with("HTTP/1.1 403"), "{origin:?}");
+        assert!(setting.request("POST", "/order", &headers, order).starts_with("HTTP/1.1 403"), "{origin:?}");
     }
-    let answer_to = |body: &str| setting.ask("POST", "/order", &[host, json, ("Origin", &own)], body);
-    assert!(answer_to(r#"{"order":"power","watts":-1}"#).contains("wanted more than 0 and at most 100 W"));
+    let answer_to = |body: &str| setting.request("POST", "/order", &[host, json, ("Origin", &own)], body);
+    assert!(answer_to(r#"{"order":"power","watts":-1}"#).contains("more than 0 and at most 100 W"));
     assert!(answer_to(r#"{"order":"explode"}"#).starts_with("HTTP/1.1 422"));
     let form = ("Content-Type", "text/plain");
-    let answer = setting.ask("POST", "/order", &[host, form, ("Origin", &own)], order);
+    let answer = setting.request("POST", "/order", &[host, form, ("Origin", &own)], order);
     assert!(answer.starts_with("HTTP/1.1 415"), "{answer}");
-    assert!(setting.witness.telemetry().is_none_or(|array| array.state != ArrayState::Stopped));
+    assert!(setting.observer.telemetry().is_none_or(|array| array.state != ArrayState::Stopped));
 
-    let controller = || setting.witness.status(NodeKind::Controller).unwrap_or_default();
-    // Until page and controller have met nobody hears an order, and the page says so.
-    wait_until("somebody who hears", || {
+    let controller = || setting.observer.status(NodeKind::Controller).unwrap_or_default();
+    // Before the page and the controller are connected, an order has no receiver, and the page
+    // reports it.
+    wait_until("a receiver of the order", || {
         let answer = answer_to(r#"{"order":"policy","name":"clairvoyant"}"#);
-        let heard = answer.starts_with("HTTP/1.1 202");
+        let is_received = answer.starts_with("HTTP/1.1 202");
         assert!(
-            heard || (answer.starts_with("HTTP/1.1 503") && answer.contains("the controller does not hear it")),
+            is_received || (answer.starts_with("HTTP/1.1 503") && answer.contains("no controller received the order")),
             "{answer}"
         );
-        heard
+        is_received
     });
-    wait_until("a refusal by name", || controller().last_problem.contains("there is no policy \"clairvoyant\""));
+    wait_until("a refusal with the name", || controller().last_problem.contains("there is no policy \"clairvoyant\""));
     assert_eq!(controller().policy, "flat");
-    assert!(setting.witness.counter(NodeKind::Controller, "policies_refused") >= 1);
+    assert!(setting.observer.counter(NodeKind::Controller, "policies_refused") >= 1);
 }
 
 #[test]
-fn a_taken_port_is_replaced_and_said() {
+fn a_port_in_use_is_replaced_and_reported() {
     let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
     let port = taken.local_addr().expect("bound").port().to_string();
     let demo = Process::heliostat(&["demo", "--plain", "--policy", "flat", "--ui-port", &port]);
@@ -113,15 +116,15 @@ fn a_taken_port_is_replaced_and_said() {
 fn every_button_acts_on_the_running_system() {
     let setting = Setting::new(&["--policy", "greedy", "--set", "blockage.forced_users=2"]);
     let Some(browser) = Browser::open(&setting.url()) else { return };
-    let witness = &setting.witness;
-    let policy = || witness.status(NodeKind::Controller).map(|status| status.policy).unwrap_or_default();
-    let array = || witness.telemetry().expect("heard before");
+    let observer = &setting.observer;
+    let policy = || observer.status(NodeKind::Controller).map(|status| status.policy).unwrap_or_default();
+    let array = || observer.telemetry().expect("received before");
     wait_until("a page that shows the room", || browser.text("#chip-array") == "following");
-    wait_until("a room that is drawn", || browser.run("return !!document.querySelector('#room canvas')") == true);
+    wait_until("a drawn room", || browser.run("return !!document.querySelector('#room canvas')") == true);
     let foreign =
         "return performance.getEntriesByType('resource').filter(one => !one.name.startsWith(location.origin)).length";
-    assert_eq!(browser.run(foreign), 0, "the page loads from elsewhere");
-    take_pictures(&browser);
+    assert_eq!(browser.run(foreign), 0, "the page loads from another server");
+    take_screenshots(&browser);
 
     browser.run("document.getElementById('policy').value = 'fixed-point'");
     browser.click("#switch-policy");
@@ -129,63 +132,63 @@ fn every_button_acts_on_the_running_system() {
     wait_until("its name on the page", || browser.text("#chip-policy") == "fixed-point");
 
     browser.click("#blocked [data-value='4']");
-    let forced = || witness.truth().map_or(0, |truth| truth.users.iter().filter(|user| user.forced).count());
-    wait_until("four users whose direct path is off", || forced() == 4);
+    let forced = || observer.truth().map_or(0, |truth| truth.users.iter().filter(|user| user.forced).count());
+    wait_until("four users whose direct path is blocked", || forced() == 4);
     browser.click("#blocked [data-value='0']");
-    wait_until("nobody whose direct path is off by order", || forced() == 0);
+    wait_until("no user whose direct path is blocked by order", || forced() == 0);
 
     browser.click("#power [data-value='4']");
-    wait_until("a brighter lamp", || gauge(witness, "power_w") == Some(4.0));
+    wait_until("a higher optical power", || gauge(observer, "power_w") == Some(4.0));
     browser.click("#speed [data-value='0']");
     let standing =
-        || witness.users().is_some_and(|report| report.users.iter().all(|user| user.velocity_m_s == [0.0; 2]));
-    wait_until("people who stand", standing);
+        || observer.users().is_some_and(|report| report.users.iter().all(|user| user.velocity_m_s == [0.0; 2]));
+    wait_until("users who stand", standing);
     browser.click("#speed [data-value='2']");
-    wait_until("people who walk", || !standing());
+    wait_until("users who walk", || !standing());
 
     browser.click("#stick");
-    wait_until("mirrors that stick", || gauge(witness, "faulty_mirrors") == Some(25.0));
-    wait_until("a page that counts them", || browser.text("#chip-array").contains("25 of 100 do not follow"));
+    wait_until("stuck mirrors", || gauge(observer, "faulty_mirrors") == Some(25.0));
+    wait_until("their number on the page", || browser.text("#chip-array").contains("25 of 100 unusable"));
     browser.click("#release");
-    wait_until("mirrors that follow", || gauge(witness, "faulty_mirrors") == Some(0.0));
+    wait_until("mirrors that follow", || gauge(observer, "faulty_mirrors") == Some(0.0));
 
     browser.click("#kill");
     wait_until("a parked array", || array().state == ArrayState::Parked);
-    wait_until("a page that misses the controller", || browser.text("#chip-controller") == "gone");
+    wait_until("a page without a controller", || browser.text("#chip-controller") == "gone");
     let epoch = array().epoch;
     browser.click("#revive");
     wait_until("a new controller", || array().state == ArrayState::Following && array().epoch > epoch);
     wait_until("the policy of the one before", || policy() == "fixed-point");
 
-    // By keyboard, as somebody without a mouse would.
+    // By keyboard, for users without a mouse.
     browser.press("#stop", "\u{E007}");
     wait_until("a stopped array", || array().state == ArrayState::Stopped);
-    wait_until("a page that says so", || browser.text("#chip-array").starts_with("stopped"));
+    wait_until("the state on the page", || browser.text("#chip-array").starts_with("stopped"));
     browser.click("#rearm");
     wait_until("an array that follows again", || array().state == ArrayState::Following);
     let eye = "const { eye } = document.getElementById('room').layout.scene.camera; return eye.x";
     let before = browser.run(eye);
-    // Pressed until it shows: while the picture is being drawn, in software, a page is slow to hear.
-    wait_until("a room that is turned", || {
+    // Repeated until it takes effect: software rendering delays the page's reaction.
+    wait_until("a rotated view", || {
         browser.press("#room", "\u{E012}");
         browser.run(eye) != before
     });
     drop(setting.demo);
 }
 
-fn gauge(witness: &Witness, name: &str) -> Option<f64> {
-    let status = witness.status(NodeKind::SimNode)?;
+fn gauge(observer: &RoomObserver, name: &str) -> Option<f64> {
+    let status = observer.status(NodeKind::SimNode)?;
     status.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
 }
 
-/// The pictures of the README and the docs, where they are wanted.
-fn take_pictures(browser: &Browser) {
+/// Takes the screenshots of the README and the docs, if requested.
+fn take_screenshots(browser: &Browser) {
     if std::env::var_os("HELIOSTAT_SCREENSHOTS").is_none() {
         return;
     }
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/images");
-    std::fs::create_dir_all(&folder).expect("a folder for pictures");
-    // A minute and a half of history fills the chart.
+    std::fs::create_dir_all(&folder).expect("a folder for screenshots");
+    // The chart of the sum rates needs 90 s of history.
     std::thread::sleep(std::time::Duration::from_secs(60));
     for (name, theme, width, height) in
         [("page-light", "light", 1280, 800), ("page-dark", "dark", 1280, 800), ("page-narrow", "light", 390, 844)]
@@ -199,6 +202,6 @@ fn take_pictures(browser: &Browser) {
             now == format!("theme: {theme}")
         });
         std::thread::sleep(std::time::Duration::from_secs(3));
-        std::fs::write(folder.join(name).with_extension("png"), browser.picture()).expect("written");
+        std::fs::write(folder.join(name).with_extension("png"), browser.screenshot()).expect("written");
     }
 }

@@ -1,15 +1,15 @@
-//! Every policy by its name, as a stranger gives it: two processes for a moment each.
+//! Every policy by its name, in a short demo.
 
 use heliostat_tests::Process;
 use serde_json::Value;
 
-/// What runs in the default room. The metaheuristics may take their whole budget for each tick, and the oracle far more.
+/// Policies that run in the default room; the oracle takes too long for each tick.
 const QUICK: [&str; 9] = ["fixed-point", "greedy", "sine-cosine", "pso", "nearest", "random", "flat", "no-irs", "hold"];
 
-/// What was learned, and may be built in or not.
+/// Learned policies, built in or not.
 const LEARNED: [&str; 7] = ["ddpg", "ddpg-raw", "ddpg-basis", "analytic", "dql", "q-learning", "sarsa"];
 
-/// Room for the exhaustive search.
+/// A room small enough for the exhaustive search.
 const SMALL: [&str; 6] = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];
 
 fn demo(policy: &str, more: &[&str]) -> Process {
@@ -20,7 +20,7 @@ fn demo(policy: &str, more: &[&str]) -> Process {
 fn assert_ran(summary: &Value, policy: &str) {
     assert_eq!(summary["policy"], policy, "{summary}");
     assert!(summary["commands"].as_u64().is_some_and(|commands| commands > 0), "{policy}: {summary}");
-    // One tick or another is answered otherwise where a machine stalls, and the first may come before the first channel report; not the most of them.
+    // A stalled machine, and a first tick before the first channel report, cause single fallbacks.
     let decisions = summary["decisions"].as_u64().expect("a number");
     let others: u64 = summary["fallbacks"].as_object().expect("an object").values().filter_map(Value::as_u64).sum();
     assert!(2 * others < decisions, "{policy}: {summary}");
@@ -35,7 +35,7 @@ fn every_policy_that_needs_no_file_runs_by_its_name() {
 }
 
 #[test]
-fn every_learned_policy_runs_by_its_name_or_says_how_to_get_it() {
+fn every_learned_policy_runs_or_names_the_training_command() {
     for policy in LEARNED {
         let finished = demo(policy, &[]).wait();
         if finished.status.success() {

@@ -1,4 +1,4 @@
-//! What a room says, recorded by one process and replayed by another.
+//! A room, recorded by one process and replayed by another.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{MirrorCommand, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
-use heliostat_tests::{Process, Witness, programs, wait_until};
+use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -17,7 +17,7 @@ fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
 }
 
-/// A room, a controller, and a recorder that hears both.
+/// A room, a controller, and a recorder connected to both.
 struct Setting {
     folder: TempDir,
     room_at: String,
@@ -38,13 +38,13 @@ impl Setting {
     }
 
     fn room(&self, arguments: &[&str]) -> Process {
-        Process::heliostat_that_waits(&[&["sim-node", "--listen", &self.room_at, "--json"], arguments].concat())
+        Process::heliostat_without_loss(&[&["sim-node", "--listen", &self.room_at, "--json"], arguments].concat())
     }
 
     fn controller(&self, arguments: &[&str]) -> Process {
         let fixed = ["controller", "--connect", &self.room_at, "--connect", &self.recorder_at];
         let ended = ["--exit-with-parent", "--json", "--policy", "fixed-point"];
-        Process::heliostat_that_waits(&[&fixed[..], &ended, arguments].concat())
+        Process::heliostat_without_loss(&[&fixed[..], &ended, arguments].concat())
     }
 
     fn recorder_arguments(&self) -> Vec<String> {
@@ -53,24 +53,25 @@ impl Setting {
         arguments.map(str::to_owned).into()
     }
 
-    /// A recorder that hears the room already.
+    /// A recorder that is connected to the room.
     fn recorder(&self, arguments: &[&str]) -> Process {
         let fixed = self.recorder_arguments();
         let fixed: Vec<&str> = fixed.iter().map(String::as_str).collect();
         let recorder = Process::heliostat(&[&fixed, arguments].concat());
-        wait_until("the recorder hears the room", || recorder.errors().contains("sim-node is here"));
+        wait_until("a recorder connected to the room", || recorder.errors().contains("sim-node is alive"));
         recorder
     }
 
-    /// Records until the room has ended; gives the recorder's account.
+    /// Records until the room has ended; returns the recorder's counts.
     fn record(&self, both: &[&str], room_arguments: &[&str], controller_arguments: &[&str]) -> Value {
         let room = self.room(&[both, room_arguments].concat());
         let recorder = self.recorder(&[both, &["--until-empty"]].concat());
         let controller = self.controller(&[both, controller_arguments].concat());
         room.wait().json();
-        // The controller notices that nobody reports any more.
+        // The controller detects the missing reports.
         std::thread::sleep(Duration::from_millis(1500));
-        // A status of its own is said at the end at the latest, and names the policy.
+        // The controller publishes its status at its end at the latest; the status names the
+        // policy.
         controller.end().json();
         recorder.wait().json()
     }
@@ -80,7 +81,7 @@ fn replay(file: &Path, arguments: &[&str]) -> Process {
     Process::heliostat(&[&["replay", &text(file), "--json"], arguments].concat())
 }
 
-/// The verdict of a replay that comes out as recorded.
+/// The result of a replay without differences.
 fn verified(file: &Path) -> Value {
     replay(file, &["--verify"]).wait().json()
 }
@@ -109,7 +110,7 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
     assert_eq!((&verdict["clock"], &verdict["policies"][0]), (&"lockstep".into(), &"fixed-point".into()));
 
-    // Another policy decides otherwise. Without --verify that is no failure.
+    // Another policy gives other commands. Without --verify that is not an error.
     let other = replay(&file, &["--policy", "nearest"]).wait().json();
     assert!(other["different"].as_u64() > Some(100) && other["largest_difference_rad"].as_f64() > Some(0.0), "{other}");
     let ended = replay(&file, &["--verify", "--policy", "nearest"]).wait();
@@ -132,7 +133,7 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     let verdict: Value = serde_json::from_str(ended.output.trim()).unwrap();
     assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(149), Some(1)), "{verdict}");
 
-    // The same bit in the file itself is damage, which the checksum of its chunk tells.
+    // The same bit in the file itself is damage, which the checksum of the chunk detects.
     let mut bytes = fs::read(&file).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
@@ -141,7 +142,7 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     let ended = replay(&damaged, &["--verify"]).wait();
     assert_eq!(ended.status.code(), Some(2), "{} {}", ended.output, ended.errors);
 
-    // Into a controller that runs by itself.
+    // Playback into a controller process.
     let endpoint = free_loopback_endpoint().unwrap();
     let player = replay(&file, &["--listen", &endpoint]);
     let arguments =
@@ -153,9 +154,9 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
 }
 
 #[test]
-fn a_live_recording_replays_once_it_has_settled() {
+fn a_live_recording_replays_after_the_first_decisions() {
     let setting = Setting::new();
-    // When the room has ended, the controller has one command more to give, which answers no report.
+    // After the room has ended, the controller publishes one more command, which answers no report.
     let account = setting.record(&["--set", "control.when_silent=\"park\""], &["--seconds", "5"], &[]);
     assert_eq!(account["problems"].as_array().map(Vec::len), Some(0), "{account}");
     let mut unprompted = 0;
@@ -169,7 +170,7 @@ fn a_live_recording_replays_once_it_has_settled() {
     assert!(verdict["same"].as_u64() > Some(100) && verdict["different"] == 0, "{verdict}");
     assert_eq!(verdict["compared"], account["streams"]["heliostat/v1/demo/mirrors/command"]["messages"], "{verdict}");
 
-    // Onto the bus, twice as fast, into a controller that serves two playbacks one after the other.
+    // Playback at double speed into one controller, twice.
     let endpoint = free_loopback_endpoint().unwrap();
     let arguments = ["controller", "--policy", "fixed-point", "--connect", &endpoint, "--exit-with-parent"];
     let controller = Process::heliostat(&arguments);
@@ -185,11 +186,11 @@ fn a_live_recording_replays_once_it_has_settled() {
 fn the_golden_recording_replays() {
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
     let verdict = verified(&golden);
-    assert_eq!((verdict["same"].as_u64(), verdict["not_judged"].as_u64()), (Some(120), Some(0)), "{verdict}");
+    assert_eq!((verdict["same"].as_u64(), verdict["not_counted"].as_u64()), (Some(120), Some(0)), "{verdict}");
 }
 
 #[test]
-fn whatever_ends_a_recorder_the_file_can_be_read() {
+fn a_recording_is_readable_however_the_recorder_ends() {
     let setting = Setting::new();
     let room = setting.room(&["--exit-with-parent"]);
     let controller = setting.controller(&[]);
@@ -203,7 +204,7 @@ fn whatever_ends_a_recorder_the_file_can_be_read() {
     assert_eq!(account["failure"], Value::Null, "{account}");
     assert_eq!(replay(&setting.file(), &["--policy", "flat"]).wait().json()["complete"], true);
 
-    // A killed recorder leaves all but its last second.
+    // A killed recorder loses its last second at most.
     fs::remove_file(setting.file()).unwrap();
     let mut recorder = setting.recorder(&[]);
     wait_until("something to be written", || size(&setting.file()) > 300_000);
@@ -212,7 +213,7 @@ fn whatever_ends_a_recorder_the_file_can_be_read() {
     assert_eq!(verdict["complete"], false, "{verdict}");
     assert!(verdict["reports"].as_u64() > Some(50), "{verdict}");
 
-    // A file that may grow no further: an error that says how much is lost, and a file in good order.
+    // A file at its size limit: an error with the number of lost messages, and a valid file.
     fs::remove_file(setting.file()).unwrap();
     let limited = Command::new("bash")
         .args(["-c", "trap '' XFSZ; ulimit -f 300; exec \"$@\"", "bash"])
@@ -244,39 +245,39 @@ fn gaps_are_counted_by_sequence_number() {
         &text(&setting.file()),
     ]);
     wait_until("a recorder", || recorder.errors().contains("room demo into"));
-    let tracker = Witness::connect("demo", &[&setting.recorder_at]);
+    let tracker = RoomObserver::connect("demo", &[&setting.recorder_at]);
     let key = tracker.room().users();
-    let say = |sequence| {
+    let publish = |sequence| {
         let stamp = Stamp { source: 7, sequence, time_ns: 1 };
         let mut payload = Vec::new();
         codec::encode(&UserReport { stamp, tick: sequence, ..UserReport::default() }, &mut payload).unwrap();
-        tracker.say(&key, &payload);
+        tracker.publish(&key, &payload);
     };
     let size = || fs::metadata(setting.file()).map_or(0, |file| file.len());
-    let say_until_written = |sequence| {
+    let publish_until_written = |sequence| {
         let before = size();
         wait_until("a report on disk", || {
-            say(sequence);
+            publish(sequence);
             size() > before
         });
     };
-    say_until_written(1);
-    [2, 3, 7, 8].into_iter().for_each(say);
-    // Once for what was under way before, and once more for itself.
-    say_until_written(10);
-    say_until_written(10);
+    publish_until_written(1);
+    [2, 3, 7, 8].into_iter().for_each(publish);
+    // The first call may see the writing of an earlier report, the second is its own.
+    publish_until_written(10);
+    publish_until_written(10);
     let account = recorder.end().json();
     let users = &account["streams"][&key];
     assert_eq!((users["missing"].as_u64(), users["sources"].as_u64()), (Some(4), Some(1)), "{account}");
-    assert!(account["problems"][0].as_str().unwrap().contains("no command was heard"), "{account}");
-    // Nothing was decided, so there is nothing to verify.
+    assert!(account["problems"][0].as_str().unwrap().contains("no command was received"), "{account}");
+    // Without a command there is nothing to verify.
     let ended = replay(&setting.file(), &["--verify"]).wait();
     assert_eq!(ended.status.code(), Some(2));
     assert!(ended.errors.contains("cannot be replayed: it holds no command"), "{}", ended.errors);
 }
 
 #[test]
-fn what_cannot_be_recorded_or_replayed_is_told_by_name() {
+fn a_failed_recording_or_replay_is_reported_with_the_cause() {
     let folder = TempDir::new().unwrap();
     let taken = folder.path().join("taken.mcap");
     fs::write(&taken, "something").unwrap();
@@ -284,25 +285,25 @@ fn what_cannot_be_recorded_or_replayed_is_told_by_name() {
     assert!(refused.refusal().contains("does not exist yet"), "{}", refused.errors);
     assert_eq!(fs::read_to_string(&taken).unwrap(), "something");
 
-    let nobody = free_loopback_endpoint().unwrap();
-    let empty = folder.path().join("nobody.mcap");
-    let alone = Process::heliostat(&["record", "--seconds", "1", "--connect", &nobody, "--out", &text(&empty)]).wait();
-    assert!(alone.refusal().contains("nothing was heard"), "{}", alone.errors);
+    let unused = free_loopback_endpoint().unwrap();
+    let empty = folder.path().join("empty-room.mcap");
+    let alone = Process::heliostat(&["record", "--seconds", "1", "--connect", &unused, "--out", &text(&empty)]).wait();
+    assert!(alone.refusal().contains("nothing was received"), "{}", alone.errors);
 
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/golden.mcap");
-    let refused = |name: &str, wanted: &str| {
+    let refused = |name: &str, expected: &str| {
         for arguments in [&["--verify"][..], &["--listen", "tcp/127.0.0.1:0"]] {
             let ended = replay(&folder.path().join(name), arguments).wait();
             assert_eq!(ended.status.code(), Some(2), "{name}: {}", ended.errors);
-            let wanted = format!("{name} cannot be replayed: {wanted}");
-            assert!(ended.errors.contains(&wanted), "{name} {arguments:?}: {}", ended.errors);
+            let expected = format!("{name} cannot be replayed: {expected}");
+            assert!(ended.errors.contains(&expected), "{name} {arguments:?}: {}", ended.errors);
         }
     };
     refused("absent.mcap", "No such file");
     refused("taken.mcap", "the recording cannot be read: ");
     let golden_bytes = fs::read(&golden).unwrap();
     fs::write(folder.path().join("begun.mcap"), &golden_bytes[..20]).unwrap();
-    refused("begun.mcap", "the file holds no recording of a room");
+    refused("begun.mcap", "the file is not a recording of a room");
     fs::write(folder.path().join("cut.mcap"), &golden_bytes[..golden_bytes.len() / 30]).unwrap();
     refused("cut.mcap", "it holds no position report");
     let changed = |name: &str, change: fn(&mut heliostat_record::file::Header)| {
@@ -312,7 +313,7 @@ fn what_cannot_be_recorded_or_replayed_is_told_by_name() {
         Recording::create(file, &header).unwrap().finish(&Account::default()).unwrap();
     };
     changed("later.mcap", |header| header.contract = "2".into());
-    refused("later.mcap", "the recording speaks version 2 of the contract, this program version 1");
+    refused("later.mcap", "the recording uses version 2 of the contract; expected version 1");
     changed("empty.mcap", |_| {});
     refused("empty.mcap", "it holds no position report");
     changed("edited.mcap", |header| header.scenario = header.scenario.replace("seed = 1", "seed = 2"));

@@ -1,13 +1,13 @@
-// The buttons: each sends an order; what is pressed shows what the topics say, not what was clicked.
+// The buttons: each sends an order. The pressed state shows the published state, not the last click.
 
 const POWERS_W = [0.5, 1, 2, 4];
-const SPEEDS = [["stand", 0], ["stroll", 0.5], ["walk", 2], ["run", 4]];
-const MOST_BLOCKED = 8;
+const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
+const BLOCKED_MAX = 8;
 
 export class Buttons {
   constructor(plan) {
     this.plan = plan;
-    this.said = document.getElementById("said");
+    this.status = document.getElementById("order-status");
     const select = document.getElementById("policy");
     select.replaceChildren(...plan.policies.map((name) => new Option(name, name)));
     this.on("switch-policy", () => ({ order: "policy", name: select.value }));
@@ -21,20 +21,20 @@ export class Buttons {
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
     this.blocked = [];
     if (!plan.owns_processes) {
-      for (const id of ["kill", "revive"]) document.getElementById(id).title = "only `heliostat demo` owns the processes that it started";
+      for (const id of ["kill", "revive"]) document.getElementById(id).title = "only `heliostat demo` can kill or restart the processes that it started";
     }
   }
 
   theme() {}
 
-  // Shows the state that the topics tell.
-  take(now) {
+  // Shows the published state.
+  update(now) {
     const pressed = (buttons, value) => {
       for (const [button, of] of buttons) button.setAttribute("aria-pressed", String(value != null && Math.abs(of - value) < 1e-6));
     };
-    const most = Math.min(now.users.length, MOST_BLOCKED);
-    if (this.blocked.length !== most + 1) {
-      const choices = Array.from({ length: most + 1 }, (_, users) => [users ? String(users) : "nobody", users]);
+    const count = Math.min(now.users.length, BLOCKED_MAX);
+    if (this.blocked.length !== count + 1) {
+      const choices = Array.from({ length: count + 1 }, (_, users) => [users ? String(users) : "no user", users]);
       this.blocked = this.group("blocked", choices, (users) => ({ order: "blocked", users }));
     }
     pressed(this.blocked, now.users.filter((user) => user.forced).length);
@@ -42,7 +42,7 @@ export class Buttons {
     pressed(this.speed, now.speed_m_s);
     const simulated = now.origin === "simulated";
     for (const [button] of [...this.power, ...this.speed, ...this.blocked]) button.disabled = !simulated;
-    const enable = (id, yes) => { document.getElementById(id).disabled = !yes; };
+    const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("stick", simulated);
     enable("release", simulated);
     enable("kill", this.plan.owns_processes && now.controller_alive);
@@ -78,11 +78,11 @@ export class Buttons {
       const answer = await fetch("/order", {
         method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
       });
-      this.said.textContent = answer.ok ? `sent: ${what}` : `refused: ${await answer.text()}`;
-      this.said.className = answer.ok ? "" : "bad";
+      this.status.textContent = answer.ok ? `sent: ${what}` : `refused: ${await answer.text()}`;
+      this.status.className = answer.ok ? "" : "bad";
     } catch (error) {
-      this.said.textContent = `not sent: ${error.message}`;
-      this.said.className = "bad";
+      this.status.textContent = `not sent: ${error.message}`;
+      this.status.className = "bad";
     }
   }
 }

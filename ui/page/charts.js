@@ -1,12 +1,12 @@
 // The charts of sum rates over time and of decision times.
-import { Pace } from "./pace.js";
+import { RedrawLimiter } from "./redraw.js";
 
 const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
 const CONFIG = { displayModeBar: false, responsive: true };
 const FONT = { family: "system-ui, sans-serif", size: 11 };
 
-// One colour a policy, the same in every report and picture.
+// One colour for each policy, the same in every report and figure.
 const POLICY_COLOURS = {
   actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-basis": "#009e73", "ddpg-raw": "#cc79a7", dql: "#d55e00",
   "q-learning": "#e69f00", sarsa: "#f0e442", greedy: "#117733", "fixed-point": "#44aa99", nearest: "#882255", random: "#999999",
@@ -19,7 +19,7 @@ export class Charts {
     this.latency = document.getElementById("latency-chart");
     this.past = plan.history.map(([time_s, sum]) => ({ time_s, ...sum }));
     this.policy = "";
-    this.pace = new Pace(500);
+    this.redraw = new RedrawLimiter(500);
   }
 
   theme(dark) {
@@ -27,10 +27,10 @@ export class Charts {
     this.grid = dark ? "#2e3740" : "#e2e6ea";
     this.muted = dark ? "#a0aab5" : "#59626d";
     this.flat = dark ? "#999999" : "#666666";
-    this.pace.hurry();
+    this.redraw.reset();
   }
 
-  take(now) {
+  update(now) {
     this.policy = now.policy || this.policy;
     if (now.sum_mbps && now.origin !== "silent") {
       const newest = this.past.at(-1);
@@ -38,7 +38,7 @@ export class Charts {
       this.past = this.past.filter((point) => now.time_s - point.time_s <= SPAN_S);
     }
     this.figures(now.sum_mbps);
-    this.pace.run(() => {
+    this.redraw.run(() => {
       this.drawSum(now.time_s);
       this.drawLatency(now.latency);
     });
@@ -63,7 +63,7 @@ export class Charts {
       term.style.setProperty("--swatch", colour);
       term.textContent = name;
       figure.children[0].textContent = rate == null ? "–" : rate.toFixed(1);
-      figure.children[1].textContent = share || (key === "oracle" ? "Mb/s" : "");
+      figure.children[1].textContent = share || (key === "oracle" ? "Mbit/s" : "");
     });
   }
 
@@ -83,11 +83,11 @@ export class Charts {
     const x = this.past.map((point) => point.time_s - now_s);
     const traces = this.lines().reverse().map(([key, name, color, dash, width]) => ({
       type: "scatter", mode: "lines", name, x, y: this.past.map((point) => point[key]), line: { color, dash, width },
-      hovertemplate: "%{y:.1f} Mb/s",
+      hovertemplate: "%{y:.1f} Mbit/s",
     }));
     const layout = this.layout({
       xaxis: this.axis("s ago", { range: [-SPAN_S, 0] }),
-      yaxis: this.axis("Mb/s", { rangemode: "tozero" }),
+      yaxis: this.axis("Mbit/s", { rangemode: "tozero" }),
     });
     Plotly.react(this.sum, traces, layout, CONFIG);
   }
@@ -102,7 +102,7 @@ export class Charts {
       customdata: counts.map((_, index) => (index < edges_us.length ? `up to ${edges_us[index]} us` : `over ${edges_us.at(-1)} us`)),
       hovertemplate: "%{customdata}: %{y:.2f} %<extra></extra>",
     };
-    // Edges stand between the buckets, and so does the budget.
+    // The edges lie between the buckets, and so does the time limit.
     const line = within - 0.5;
     const layout = this.layout({
       bargap: 0.08, hovermode: "closest",

@@ -1,4 +1,4 @@
-// Starts the page: what stands still once, what moves as it comes.
+// Starts the page: loads the static plan once, then applies the live events.
 import { Room } from "./room.js";
 import { Charts } from "./charts.js";
 import { Buttons } from "./buttons.js";
@@ -7,27 +7,27 @@ export const USER_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e
 export const userColour = (index) => USER_COLOURS[index % USER_COLOURS.length];
 
 const at = (id) => document.getElementById(id);
-const say = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
 
-// Theme: as the system is until somebody chooses.
+// Theme: the system's until the user chooses one.
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
 const chosen = () => localStorage.getItem("theme") ?? "system";
 const isDark = () => chosen() === "dark" || (chosen() === "system" && systemDark.matches);
 function applyTheme(parts) {
   document.documentElement.dataset.theme = isDark() ? "dark" : "light";
-  say(at("theme"), `theme: ${chosen()}`);
+  setText(at("theme"), `theme: ${chosen()}`);
   parts.forEach((part) => part.theme(isDark()));
 }
 
-function chip(id, text, mood) {
-  say(at(id), text);
-  at(id).className = mood ?? "";
+function chip(id, text, state) {
+  setText(at(id), text);
+  at(id).className = state ?? "";
 }
 
 function users(rows) {
   const body = at("users");
   while (body.rows.length > rows.length) body.deleteRow(-1);
-  const largest = Math.max(1, ...rows.map((user) => Math.max(user.rate_mbps, user.need_mbps)));
+  const largest = Math.max(1, ...rows.map((user) => Math.max(user.rate_mbps, user.min_rate_mbps)));
   rows.forEach((user, index) => {
     let row = body.rows[index];
     if (!row) {
@@ -37,27 +37,27 @@ function users(rows) {
       row.querySelector(".swatch").style.background = userColour(index);
       row.querySelector(".bar i").style.background = userColour(index);
     }
-    const [name, path, rate, need, bar] = row.cells;
-    const met = user.rate_mbps >= user.need_mbps;
-    say(name.lastChild, String(user.user));
-    say(path, user.forced ? "forced off" : user.blocked ? "in shadow" : "clear");
-    say(rate, user.rate_mbps.toFixed(2));
+    const [name, path, rate, minimum, bar] = row.cells;
+    const met = user.rate_mbps >= user.min_rate_mbps;
+    setText(name.lastChild, String(user.user));
+    setText(path, user.forced ? "blocked (order)" : user.blocked ? "blocked" : "clear");
+    setText(rate, user.rate_mbps.toFixed(2));
     rate.className = met ? "number" : "number bad";
-    say(need, met ? user.need_mbps.toFixed(1) : `${user.need_mbps.toFixed(1)} missed`);
-    need.className = rate.className;
+    setText(minimum, met ? user.min_rate_mbps.toFixed(1) : `${user.min_rate_mbps.toFixed(1)} not met`);
+    minimum.className = rate.className;
     bar.querySelector("i").style.width = `${(100 * user.rate_mbps) / largest}%`;
-    bar.querySelector("b").style.left = `${(100 * user.need_mbps) / largest}%`;
+    bar.querySelector("b").style.left = `${(100 * user.min_rate_mbps) / largest}%`;
   });
 }
 
 function list(element, entries) {
   while (element.children.length > entries.length) element.lastChild.remove();
-  entries.forEach(([name, value, mood], index) => {
+  entries.forEach(([name, value, state], index) => {
     if (!element.children[index]) element.insertAdjacentHTML("beforeend", "<div><dt></dt><dd></dd></div>");
     const [term, figure] = element.children[index].children;
-    say(term, name);
-    say(figure, value);
-    figure.className = mood ?? "";
+    setText(term, name);
+    setText(figure, value);
+    figure.className = state ?? "";
   });
 }
 
@@ -69,7 +69,7 @@ function quantiles(times) {
     cells.forEach((text, column) => {
       const cell = row.cells[column] ?? row.insertCell();
       if (column > 0) cell.className = "number";
-      say(cell, text);
+      setText(cell, text);
     });
   });
 }
@@ -77,22 +77,22 @@ function quantiles(times) {
 function figures(now) {
   const ORIGIN = { simulated: ["simulated", ""], measured: ["measured", ""], silent: ["silent", "bad"] };
   chip("chip-policy", now.policy || "–");
-  const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} do not follow` : "";
+  const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
   chip("chip-array", now.array.state + stuck, now.array.state === "following" && !stuck ? "good" : "bad");
   chip("chip-controller", now.controller_alive ? "alive" : "gone", now.controller_alive ? "good" : "bad");
   chip("chip-room", ...ORIGIN[now.origin]);
   users(now.users);
   quantiles(now.times);
   const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : ""];
-  const counts = now.counts.map((count) => [count.name, String(count.value), count.trouble && count.value > 0 ? "bad" : ""]);
+  const counts = now.counts.map((count) => [count.name, String(count.value), count.is_problem && count.value > 0 ? "bad" : ""]);
   list(at("counts"), [...counts, faults]);
   const problem = now.nodes.filter((node) => node.problem).map((node) => `${node.node}: ${node.problem}`);
-  say(at("problem"), problem.join("; "));
+  setText(at("problem"), problem.join("; "));
 }
 
 async function start() {
   const plan = await (await fetch("/room.json")).json();
-  say(at("where"), `room ${plan.room}, scenario ${plan.scenario}`);
+  setText(at("where"), `room ${plan.room}, scenario ${plan.scenario}`);
   const parts = [new Room(at("room"), plan), new Charts(plan), new Buttons(plan)];
   const [room, charts, buttons] = parts;
   const retheme = () => applyTheme(parts);
@@ -108,10 +108,10 @@ async function start() {
   live.addEventListener("figures", (event) => {
     const now = JSON.parse(event.data);
     figures(now);
-    buttons.take(now);
-    charts.take(now);
+    buttons.update(now);
+    charts.update(now);
   });
-  live.addEventListener("frame", (event) => room.take(JSON.parse(event.data)));
+  live.addEventListener("frame", (event) => room.update(JSON.parse(event.data)));
   live.addEventListener("error", () => chip("chip-room", "no connection", "bad"));
 }
 

@@ -1,5 +1,5 @@
 // The room in three dimensions.
-import { Pace } from "./pace.js";
+import { RedrawLimiter } from "./redraw.js";
 import { userColour } from "./page.js";
 
 const EYES = {
@@ -16,18 +16,18 @@ export class Room {
   constructor(element, plan) {
     this.element = element;
     this.plan = plan;
-    this.held = false;
-    this.pace = new Pace(180);
-    element.addEventListener("pointerdown", () => { this.held = true; });
-    addEventListener("pointerup", () => { this.held = false; });
+    this.isDragged = false;
+    this.redraw = new RedrawLimiter(180);
+    element.addEventListener("pointerdown", () => { this.isDragged = true; });
+    addEventListener("pointerup", () => { this.isDragged = false; });
     element.addEventListener("keydown", (event) => this.turn(event));
     for (const button of document.querySelectorAll("[data-eye]")) {
       button.addEventListener("click", () => this.look(EYES[button.dataset.eye]));
     }
     document.getElementById("legend").innerHTML =
-      `<i style="background:${UNUSED}"></i>mirror that serves nobody <i style="background:${UNUSABLE}"></i>mirror that does not follow ` +
-      `<i style="background:#000;opacity:.45"></i>shadow at the height of the detectors <i style="background:#f0c000"></i>direct light. ` +
-      "A mirror has the colour of the user whom it serves.";
+      `<i style="background:${UNUSED}"></i>mirror without a user <i style="background:${UNUSABLE}"></i>unusable mirror ` +
+      `<i style="background:#000;opacity:.45"></i>area without direct light, at the height of the detectors <i style="background:#f0c000"></i>direct path. ` +
+      "A mirror has the colour of the user that it serves.";
   }
 
   theme(dark) {
@@ -35,17 +35,17 @@ export class Room {
     this.edge = dark ? "#75808c" : "#9aa5b0";
     this.ink = dark ? "#e9ecef" : "#1a1e23";
     this.dark = dark;
-    this.pace.hurry();
+    this.redraw.reset();
   }
 
-  take(frame) {
-    // A redraw under the hand would throw the camera back.
-    if (!this.held) this.pace.run(() => this.draw(frame));
+  update(frame) {
+    // A redraw while the user drags would reset the camera.
+    if (!this.isDragged) this.redraw.run(() => this.draw(frame));
   }
 
   draw(frame) {
     const traces = [
-      this.box(), this.ground(), this.shadows(frame), this.obstacles(frame), this.bodies(frame), this.lamps(), ...this.direct(frame),
+      this.box(), this.ground(), this.blockedAreas(frame), this.obstacles(frame), this.bodies(frame), this.leds(), ...this.direct(frame),
       this.beams(frame), this.mirrors(frame), this.detectors(frame),
     ];
     const axis = (half, from = -half) => ({ visible: false, range: [from, half], autorange: false });
@@ -64,7 +64,7 @@ export class Room {
     Plotly.relayout(this.element, { "scene.camera": camera });
   }
 
-  // Arrow keys turn the room, plus and minus bring it nearer or farther.
+  // Arrow keys rotate the view, plus and minus zoom.
   turn(event) {
     const steps = { ArrowLeft: [-0.12, 0, 1], ArrowRight: [0.12, 0, 1], ArrowUp: [0, 0.1, 1], ArrowDown: [0, -0.1, 1], "+": [0, 0, 0.92], "-": [0, 0, 1.08] };
     const step = steps[event.key];
@@ -96,9 +96,9 @@ export class Room {
     return mesh.trace();
   }
 
-  shadows(frame) {
+  blockedAreas(frame) {
     const mesh = new Mesh();
-    for (const corners of frame.shadows_m) mesh.fan(corners.map(([x, y]) => [x, y, this.plan.detector_height_m]), "#000000");
+    for (const corners of frame.blocked_areas_m) mesh.fan(corners.map(([x, y]) => [x, y, this.plan.detector_height_m]), "#000000");
     return mesh.trace({ opacity: this.dark ? 0.5 : 0.3 });
   }
 
@@ -110,11 +110,11 @@ export class Room {
 
   bodies(frame) {
     const mesh = new Mesh();
-    frame.people.forEach(({ body_m }, index) => { if (body_m) mesh.cylinder(body_m, userColour(index)); });
+    frame.users.forEach(({ body_m }, index) => { if (body_m) mesh.cylinder(body_m, userColour(index)); });
     return mesh.trace({ opacity: 0.75 });
   }
 
-  lamps() {
+  leds() {
     const [x, y, z] = columns(this.plan.leds_m);
     return {
       type: "scatter3d", mode: "markers", x, y, z, hovertemplate: "LED<extra></extra>",
@@ -124,8 +124,8 @@ export class Room {
 
   direct(frame) {
     const path = ({ led, at_m }) => [this.plan.leds_m[led], at_m, null];
-    const clear = frame.people.filter((person) => !person.blocked).flatMap(path);
-    const blocked = frame.people.filter((person) => person.blocked).flatMap(path);
+    const clear = frame.users.filter((user) => !user.blocked).flatMap(path);
+    const blocked = frame.users.filter((user) => user.blocked).flatMap(path);
     return [lines(clear, { color: "#f0c000", width: 5 }), lines(blocked, { color: this.edge, width: 2, dash: "dash" })];
   }
 
@@ -134,7 +134,7 @@ export class Room {
     const color = [];
     frame.serves.forEach((user, mirror) => {
       if (user < 0) return;
-      points.push(this.plan.mirrors_m[mirror], frame.people[user].at_m, null);
+      points.push(this.plan.mirrors_m[mirror], frame.users[user].at_m, null);
       color.push(userColour(user), userColour(user), userColour(user));
     });
     return { ...lines(points, { color, width: 2 }), opacity: 0.45 };
@@ -152,16 +152,16 @@ export class Room {
   }
 
   detectors(frame) {
-    const [x, y, z] = columns(frame.people.map((person) => person.at_m));
+    const [x, y, z] = columns(frame.users.map((user) => user.at_m));
     return {
-      type: "scatter3d", mode: "markers+text", x, y, z, text: frame.people.map((_, index) => `<b>${index}</b>`),
+      type: "scatter3d", mode: "markers+text", x, y, z, text: frame.users.map((_, index) => `<b>${index}</b>`),
       textposition: "top center", textfont: { color: this.ink, size: 14 }, hovertemplate: "user %{text}<extra></extra>",
-      marker: { size: 6, color: frame.people.map((_, index) => userColour(index)), line: { color: this.ink, width: 1 } },
+      marker: { size: 6, color: frame.users.map((_, index) => userColour(index)), line: { color: this.ink, width: 1 } },
     };
   }
 }
 
-// Triangles with a colour each.
+// Triangles, each with a colour.
 class Mesh {
   constructor() { this.points = []; this.faces = []; this.colours = []; }
 

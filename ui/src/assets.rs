@@ -1,4 +1,4 @@
-//! The files of the page, built into the program: nothing is loaded from anywhere else.
+//! The files of the page, built into the program. The page loads nothing from other servers.
 
 use std::sync::LazyLock;
 
@@ -9,12 +9,12 @@ pub(crate) struct Asset {
     pub text: &'static str,
 }
 
-/// All files but Plotly.
+/// All files except Plotly.
 static ASSETS: [Asset; 7] = [
     Asset { path: "/", media: "text/html; charset=utf-8", text: include_str!("../page/index.html") },
     Asset { path: "/page.css", media: "text/css; charset=utf-8", text: include_str!("../page/page.css") },
     Asset { path: "/page.js", media: JAVASCRIPT, text: include_str!("../page/page.js") },
-    Asset { path: "/pace.js", media: JAVASCRIPT, text: include_str!("../page/pace.js") },
+    Asset { path: "/redraw.js", media: JAVASCRIPT, text: include_str!("../page/redraw.js") },
     Asset { path: "/room.js", media: JAVASCRIPT, text: include_str!("../page/room.js") },
     Asset { path: "/charts.js", media: JAVASCRIPT, text: include_str!("../page/charts.js") },
     Asset { path: "/buttons.js", media: JAVASCRIPT, text: include_str!("../page/buttons.js") },
@@ -28,7 +28,7 @@ pub(crate) fn find(path: &str) -> Option<&'static Asset> {
     ASSETS.iter().find(|asset| asset.path == path)
 }
 
-/// Plotly's script, cut out of the script tags in which the `plotly` crate hands it out.
+/// Plotly's script, extracted from the script tags that the `plotly` crate returns.
 pub(crate) fn plotly() -> &'static str {
     static SCRIPT: LazyLock<String> = LazyLock::new(|| {
         let tags = plotly::Plot::offline_js_sources();
@@ -43,14 +43,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn plotly_is_cut_out_whole() {
+    fn plotly_is_extracted_completely() {
         let script = plotly();
         assert!(script.trim_start().starts_with("/**\n* plotly.js v"));
         assert!(script.len() > 1_000_000 && script.contains("scatter3d") && script.contains("mesh3d"));
     }
 
     #[test]
-    fn the_page_names_nothing_from_elsewhere() {
+    fn the_page_refers_to_no_other_server() {
         for asset in &ASSETS {
             let text = asset.text.replace("http://www.w3.org/2000/svg", "");
             assert!(!text.contains("http://") && !text.contains("https://"), "{}", asset.path);

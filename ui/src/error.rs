@@ -1,4 +1,4 @@
-//! What can keep the page or the screen from being there.
+//! Errors of the page and the terminal view.
 
 use std::io;
 use std::net::IpAddr;
@@ -8,50 +8,50 @@ use heliostat_channel::ChannelError;
 use heliostat_proto::CodecError;
 use thiserror::Error;
 
-/// Why there is no view, no page, or no effect of a button.
+/// An error of the view, of the page, or of an order.
 #[derive(Debug, Error)]
 pub enum UiError {
-    /// The room could not be joined, or an order not be sent.
+    /// The room cannot be joined, or an order cannot be published.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The scenario's optics are refused.
+    /// The channel model refuses the scenario.
     #[error(transparent)]
     Optics(#[from] ChannelError),
-    /// An order cannot be written as a message.
+    /// An order cannot be encoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
-    /// No port can be had at the address.
+    /// No port is available at the address.
     #[error(
-        "the page cannot be served at {address}: {problem}; wanted an address of this machine (--ui-listen), or --no-ui"
+        "the page cannot be served at {address}: {problem}; expected an address of this machine (--ui-listen), or --no-ui"
     )]
     CannotListen {
-        /// Where it was tried.
+        /// The address.
         address: IpAddr,
-        /// What the system said.
+        /// The error of the operating system.
         problem: io::Error,
     },
     /// The web server's threads could not be started.
     #[error("the page's web server did not start: {0}")]
     Threads(io::Error),
-    /// The terminal refuses to be drawn on.
-    #[error("the terminal cannot be drawn on: {0}; --plain prints lines instead")]
+    /// The terminal cannot be used for the full-screen view.
+    #[error("the terminal cannot show the full-screen view: {0}; use --plain to print lines")]
     Terminal(#[from] io::Error),
-    /// An order that has no sense.
-    #[error("{what} = {value}: wanted {wanted}")]
+    /// An order with an invalid value.
+    #[error("{what} = {value}: expected {wanted}")]
     Order {
-        /// What was ordered.
+        /// The order.
         what: &'static str,
-        /// How much of it.
+        /// Its value.
         value: String,
-        /// What would do.
+        /// The valid values.
         wanted: &'static str,
     },
     /// An order that only the process that started the room can carry out.
-    #[error("nobody here can {0}: only `heliostat demo` owns the processes that it started")]
+    #[error("cannot {0} here: only `heliostat demo` can, for the processes that it started")]
     NotOwned(&'static str),
-    /// An order that nobody was there to hear.
+    /// An order without a receiver.
     #[error(
-        "the {0} does not hear it: no such process is in the room, or it is not connected; start it, or give its endpoint with --connect"
+        "no {0} received the order: none is in the room, or none is connected; start one, or give its endpoint with --connect"
     )]
     Unheard(&'static str),
 }

@@ -1,7 +1,8 @@
-//! The figures that page and terminal show alike, composed from the latest of every topic.
+//! The figures that the page and the terminal show, computed from the latest message of every
+//! topic.
 //!
-//! A simulated room tells its truth and its yardsticks. A real one tells positions and measured light: rates are then computed
-//! from the measured SINR, and nobody knows what other mirrors would have given.
+//! A simulated room publishes its true state and the baselines. A real room publishes positions and
+//! measured gains: rates are then computed from the measured SINR, and there are no baselines.
 
 use std::time::Instant;
 
@@ -11,17 +12,17 @@ use serde::Serialize;
 
 use crate::View;
 use crate::latency::Histogram;
-use crate::view::{Heard, PATIENCE};
+use crate::view::{EXPIRY, Received};
 
 /// Where the figures come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
-    /// The truth of a simulated room.
+    /// The true state of a simulated room.
     Simulated,
     /// Reports of trackers and receivers.
     Measured,
-    /// Nothing came for a while.
+    /// No message arrived recently.
     #[default]
     Silent,
 }
@@ -31,46 +32,46 @@ pub enum Origin {
 pub struct UserFigures {
     /// Number of the user.
     pub user: u32,
-    /// Where the detector is in m.
+    /// Position of the detector in m.
     pub position_m: [f32; 3],
-    /// Whether the direct path is off.
+    /// Whether the direct path is blocked.
     pub blocked: bool,
-    /// Whether it is off by order.
+    /// Whether it is blocked by order.
     pub forced: bool,
     /// Rate in Mbit/s.
     pub rate_mbps: f32,
-    /// The rate that the user needs, in Mbit/s.
-    pub need_mbps: f32,
+    /// The user's minimum rate in Mbit/s.
+    pub min_rate_mbps: f32,
 }
 
 impl UserFigures {
-    /// Whether the user has what they need.
+    /// Whether the minimum rate is met.
     pub fn is_met(&self) -> bool {
-        self.rate_mbps >= self.need_mbps
+        self.rate_mbps >= self.min_rate_mbps
     }
 }
 
-/// Sum rates of the same moment in Mbit/s; what nobody can know is absent.
+/// Sum rates at the same instant in Mbit/s; baselines are absent in a real room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SumFigures {
-    /// As the mirrors stand.
+    /// With the mirrors as they are.
     pub policy: f64,
     /// Without mirrors.
     pub no_irs: Option<f64>,
     /// With all mirrors flat.
     pub flat: Option<f64>,
-    /// At the best angles that meet the needs.
+    /// At the best angles that meet the minimum rates.
     pub oracle: Option<f64>,
 }
 
 /// The mirror array.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ArrayFigures {
-    /// What it does, in a word; "silent" where it says nothing.
+    /// Its state in one word; "silent" without telemetry.
     pub state: &'static str,
     /// Number of mirrors.
     pub mirrors: usize,
-    /// Mirrors known not to follow: as the driver finds, or as the simulator says that it broke.
+    /// Mirrors that do not follow commands, as reported by the driver or by the simulator.
     pub unusable: usize,
     /// Names of the faults.
     pub faults: Vec<&'static str>,
@@ -79,35 +80,35 @@ pub struct ArrayFigures {
 /// One process.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct NodeFigures {
-    /// What sort.
+    /// The kind of process.
     pub node: &'static str,
-    /// What it says that it does; "gone" where it says nothing any more.
+    /// Its state; "gone" if its last status is old.
     pub state: String,
-    /// The last thing that went wrong; empty while nothing did.
+    /// Its last problem; empty if there was none.
     pub problem: String,
 }
 
 /// A distribution of times.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TimeFigures {
-    /// Of what.
+    /// What is timed.
     pub name: &'static str,
-    /// In us; absent before the first.
+    /// Quantiles in us; absent before the first time.
     pub us: Option<Quantiles>,
 }
 
-/// Something counted since the start of whoever counts it.
+/// A counter since the start of its process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Count {
-    /// What.
+    /// Name.
     pub name: String,
-    /// How often.
+    /// Value.
     pub value: u64,
-    /// Whether anything but 0 deserves a look.
-    pub trouble: bool,
+    /// Whether a value above 0 is a problem.
+    pub is_problem: bool,
 }
 
-/// Everything at a glance.
+/// All figures at one instant.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Figures {
     /// Time since the view opened, in s.
@@ -116,7 +117,7 @@ pub struct Figures {
     pub origin: Origin,
     /// Number of the tick.
     pub tick: u64,
-    /// Policy in use; empty where no controller says.
+    /// Policy in use; empty without a controller.
     pub policy: String,
     /// Whether a controller is in the room.
     pub controller_alive: bool,
@@ -130,23 +131,23 @@ pub struct Figures {
     pub nodes: Vec<NodeFigures>,
     /// Decision, loop and age.
     pub times: Vec<TimeFigures>,
-    /// Decisions of the last half minute by how long they took.
+    /// Histogram of the decision times of the last 30 s.
     pub latency: Histogram,
-    /// Misses, fallbacks, faults.
+    /// Counters of decisions, commands and problems.
     pub counts: Vec<Count>,
-    /// Optical power in W, where the room says.
+    /// Optical power in W, if the room reports it.
     pub power_w: Option<f64>,
-    /// Fastest walking speed in m/s, where the room says.
+    /// Highest walking speed in m/s, if the room reports it.
     pub speed_m_s: Option<f64>,
 }
 
 impl View {
-    /// The figures of this moment.
+    /// The current figures.
     pub fn figures(&self) -> Figures {
-        let heard = self.heard();
-        let (origin, tick, users) = self.users(&heard);
-        let controller = fresh_status(&heard, NodeKind::Controller);
-        let room = fresh_status(&heard, NodeKind::SimNode);
+        let received = self.received();
+        let (origin, tick, users) = self.users(&received);
+        let controller = fresh_status(&received, NodeKind::Controller);
+        let room = fresh_status(&received, NodeKind::SimNode);
         let gauge = |name: &str| {
             let gauges = room.map_or(&[][..], |room| &room.gauges);
             gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
@@ -156,57 +157,58 @@ impl View {
             origin,
             tick,
             policy: controller.map(|controller| controller.policy.clone()).unwrap_or_default(),
-            controller_alive: heard.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
-            sum_mbps: sum(&heard, &users),
+            controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
+            sum_mbps: sum(&received, &users),
             users,
-            array: self.array(&heard, gauge("faulty_mirrors").unwrap_or(0.0) as usize),
-            nodes: heard.statuses.values().map(|(at, status)| node(*at, status)).collect(),
+            array: self.array(&received, gauge("faulty_mirrors").unwrap_or(0.0) as usize),
+            nodes: received.statuses.values().map(|(at, status)| node(*at, status)).collect(),
             times: vec![time("decision", controller), time("loop", room), time("age", controller)],
-            latency: heard.latency.histogram(),
-            counts: counts(controller, room, Heard::fresh(&heard.telemetry), heard.unreadable),
+            latency: received.latency.histogram(),
+            counts: counts(controller, room, Received::fresh(&received.telemetry), received.unreadable),
             power_w: gauge("power_w"),
             speed_m_s: gauge("speed_max_m_s"),
         }
     }
 
-    /// Sum rates of the last minute and a half: time since the view opened in s, then Mbit/s as in [`SumFigures`].
+    /// Sum rates of the last 90 s: time since the view opened in s, then Mbit/s as in
+    /// [`SumFigures`].
     pub fn history(&self) -> Vec<(f64, SumFigures)> {
         let since = |at: Instant| at.saturating_duration_since(self.opened).as_secs_f64();
-        self.heard().history.iter().map(|sample| (since(sample.at), sum_of(&sample.sum))).collect()
+        self.received().history.iter().map(|sample| (since(sample.at), sum_of(&sample.sum))).collect()
     }
 
-    fn users(&self, heard: &Heard) -> (Origin, u64, Vec<UserFigures>) {
-        if let Some(truth) = Heard::fresh(&heard.truth) {
+    fn users(&self, received: &Received) -> (Origin, u64, Vec<UserFigures>) {
+        if let Some(truth) = Received::fresh(&received.truth) {
             let user = |user: &heliostat_proto::TruthUser| UserFigures {
                 user: user.user,
                 position_m: user.position_m,
                 blocked: user.los_blocked,
                 forced: user.forced,
                 rate_mbps: user.rate_bps * 1e-6,
-                need_mbps: user.min_rate_bps * 1e-6,
+                min_rate_mbps: user.min_rate_bps * 1e-6,
             };
             return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
         }
-        let Some(report) = Heard::fresh(&heard.users) else { return (Origin::Silent, 0, Vec::new()) };
-        let channel = Heard::fresh(&heard.channel).map_or(&[][..], |report| &report.users);
+        let Some(report) = Received::fresh(&received.users) else { return (Origin::Silent, 0, Vec::new()) };
+        let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
         let user = |user: &heliostat_proto::UserState| {
-            let light = channel.iter().find(|light| light.user == user.user);
+            let gains = channel.iter().find(|gains| gains.user == user.user);
             let rate = |sinr: f32| self.model.budget.rate_bps(f64::from(sinr), report.users.len());
             UserFigures {
                 user: user.user,
                 position_m: user.position_m,
-                blocked: light.is_some_and(|light| light.los_gain == 0.0),
+                blocked: gains.is_some_and(|gains| gains.los_gain == 0.0),
                 forced: false,
-                rate_mbps: light.map_or(0.0, |light| rate(light.sinr) * 1e-6) as f32,
-                need_mbps: user.min_rate_bps * 1e-6,
+                rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
+                min_rate_mbps: user.min_rate_bps * 1e-6,
             }
         };
         (Origin::Measured, report.tick, report.users.iter().map(user).collect())
     }
 
-    fn array(&self, heard: &Heard, faulty: usize) -> ArrayFigures {
+    fn array(&self, received: &Received, faulty: usize) -> ArrayFigures {
         let mirrors = self.model.mirrors.len();
-        let Some(telemetry) = Heard::fresh(&heard.telemetry) else {
+        let Some(telemetry) = Received::fresh(&received.telemetry) else {
             return ArrayFigures { state: "silent", mirrors, ..ArrayFigures::default() };
         };
         ArrayFigures {
@@ -218,12 +220,12 @@ impl View {
     }
 }
 
-fn fresh_status(heard: &Heard, node: NodeKind) -> Option<&NodeStatus> {
-    heard.statuses.get(node.name()).filter(|(at, _)| at.elapsed() < PATIENCE).map(|(_, status)| status)
+fn fresh_status(received: &Received, node: NodeKind) -> Option<&NodeStatus> {
+    received.statuses.get(node.name()).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
 }
 
-fn sum(heard: &Heard, users: &[UserFigures]) -> Option<SumFigures> {
-    if let Some(truth) = Heard::fresh(&heard.truth) {
+fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
+    if let Some(truth) = Received::fresh(&received.truth) {
         return Some(sum_of(&truth.sum_rate_bps));
     }
     let policy = users.iter().map(|user| f64::from(user.rate_mbps)).sum();
@@ -236,7 +238,7 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
 }
 
 fn node(at: Instant, status: &NodeStatus) -> NodeFigures {
-    let state = if at.elapsed() < PATIENCE { status.state.clone() } else { "gone".into() };
+    let state = if at.elapsed() < EXPIRY { status.state.clone() } else { "gone".into() };
     NodeFigures { node: status.node.name(), state, problem: status.last_problem.clone() }
 }
 
@@ -251,11 +253,11 @@ fn counts(
     array: Option<&MirrorTelemetry>,
     unreadable: u64,
 ) -> Vec<Count> {
-    let of = |status: Option<&NodeStatus>, wanted: &str| {
+    let of = |status: Option<&NodeStatus>, counter: &str| {
         let counters = status.map_or(&[][..], |status| &status.counters);
-        let matching = counters.iter().filter(|(name, _)| match wanted.strip_suffix('*') {
+        let matching = counters.iter().filter(|(name, _)| match counter.strip_suffix('*') {
             Some(start) => name.starts_with(start),
-            None => name == wanted,
+            None => name == counter,
         });
         matching.map(|(_, count)| count).sum::<u64>()
     };
@@ -271,7 +273,7 @@ fn counts(
         ("commands refused", refused, true),
         ("unreadable", unreadable, true),
     ];
-    all.map(|(name, value, trouble)| Count { name: name.into(), value, trouble }).into()
+    all.map(|(name, value, is_problem)| Count { name: name.into(), value, is_problem }).into()
 }
 
 fn state_name(state: ArrayState) -> &'static str {

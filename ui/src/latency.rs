@@ -1,7 +1,7 @@
-//! How decision times are spread over the last half minute.
+//! The histogram of decision times over the last 30 s.
 //!
-//! A controller counts its decisions by how long they took since it started, as counters named [`BUCKET`] and an upper edge in us.
-//! The difference of two statuses is what happened between them.
+//! A controller publishes a cumulative histogram since its start, as counters named [`BUCKET`] and
+//! an upper edge in us. The difference of two statuses is the histogram between them.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -9,23 +9,24 @@ use std::time::{Duration, Instant};
 use heliostat_proto::NodeStatus;
 use serde::Serialize;
 
-/// Before the upper edge in the name of a counter that is cumulative from 0.
+/// Prefix of the counters of the histogram; the upper edge in us follows.
 const BUCKET: &str = "decision_us_le:";
-/// A decision should take no longer, in us; the histogram is drawn against it.
+/// Time limit of a decision in us.
 pub(crate) const BUDGET_US: u64 = 500;
-/// How far the histogram looks back.
+/// Span of the histogram.
 const WINDOW: Duration = Duration::from_secs(30);
 
-/// Decisions by how long they took.
+/// A histogram of decision times.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Histogram {
-    /// Upper edge of each bucket in us, ascending; one bucket beyond the last is open.
+    /// Upper edge of each bucket in us, ascending; one more bucket above the last has no upper
+    /// edge.
     pub edges_us: Vec<u64>,
-    /// Decisions in each bucket; one more than there are edges.
+    /// Decisions in each bucket, one entry more than edges.
     pub counts: Vec<u64>,
 }
 
-/// The counters of the statuses of the last half minute.
+/// The counters of the statuses of the last 30 s.
 #[derive(Debug, Default)]
 pub(crate) struct Window {
     seen: VecDeque<Counted>,
@@ -36,12 +37,12 @@ struct Counted {
     at: Instant,
     source: u64,
     total: u64,
-    /// Upper edge in us and how many decisions took no longer, ascending.
+    /// Upper edge in us and the number of decisions up to it, ascending.
     within: Vec<(u64, u64)>,
 }
 
 impl Window {
-    /// Takes over the counters of a controller's status.
+    /// Adds the counters of a controller's status.
     pub fn take(&mut self, status: &NodeStatus) {
         let now = Instant::now();
         let source = status.stamp.source;
@@ -53,7 +54,7 @@ impl Window {
         within.sort_unstable();
         let decision = status.timings.iter().find(|(name, _)| name == "decision");
         let total = decision.map_or(0, |(_, quantiles)| quantiles.count);
-        // Another controller counts anew.
+        // The counters of another controller start at 0.
         if self.seen.back().is_some_and(|last| last.source != source) {
             self.seen.clear();
         }
@@ -63,10 +64,10 @@ impl Window {
         }
     }
 
-    /// What happened within the window; empty where no controller says so.
+    /// The histogram of the window; empty without a controller.
     pub fn histogram(&self) -> Histogram {
         let Some(last) = self.seen.back() else { return Histogram::default() };
-        // A controller that we met at its start has counted nothing before.
+        // Without an earlier status, all decisions since the controller's start count.
         let first = self.seen.front().filter(|first| first.within.len() == last.within.len() && self.seen.len() > 1);
         let before = |index: usize| first.map_or(0, |first| first.within[index].1);
         let mut counts = Vec::with_capacity(last.within.len() + 1);
@@ -99,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_difference_of_two_statuses_is_what_happened_between() {
+    fn the_histogram_is_the_difference_of_two_statuses() {
         let mut window = Window::default();
         assert_eq!(window.histogram(), Histogram::default());
         window.take(&status(1, [10, 15], 16));
@@ -109,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn another_controller_counts_anew() {
+    fn the_histogram_restarts_with_another_controller() {
         let mut window = Window::default();
         window.take(&status(1, [1000, 2000], 3000));
         window.take(&status(2, [3, 5], 9));

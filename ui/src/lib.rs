@@ -1,16 +1,18 @@
-//! What people see of a running room: the live page, the terminal view, and the buttons of both.
+//! The live page and the terminal view of a running room, and the buttons of the page.
 //!
-//! Everything shown comes from the public topics of the contract, so a real room shows as well as a simulated one; everything
-//! ordered goes out over public topics too. This crate knows neither the controller nor the simulator.
+//! All displayed data comes from the public topics of the contract, and all orders are published on
+//! public topics. A real room is therefore displayed like a simulated one. This crate depends on
+//! neither the controller nor the simulator.
 //!
-//! - [`view`]: listens, and keeps the latest of every topic.
-//! - [`figures`]: what page and terminal both show: rates, sums, times, counters.
-//! - [`scene`]: what the page draws: mirrors, people, obstacles, shadows, beams.
-//! - [`orders`]: what a button does, and the publishers that do it.
-//! - [`server`]: the page on an address; [`guard`] keeps strangers' pages from pressing its buttons.
+//! - [`view`]: subscribes to every topic, and keeps the latest message of each.
+//! - [`figures`]: rates, sums, times and counters for the page and the terminal.
+//! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
+//! - [`orders`]: the orders of the buttons, and their publishers.
+//! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
 //! - [`terminal`]: the same figures on a terminal, or as plain lines.
 
 mod assets;
+mod blocked_area;
 mod error;
 pub mod figures;
 pub mod guard;
@@ -18,7 +20,6 @@ mod latency;
 pub mod orders;
 pub mod scene;
 pub mod server;
-mod shadow;
 pub mod terminal;
 pub mod view;
 

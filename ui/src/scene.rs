@@ -1,7 +1,7 @@
-//! What the page draws in three dimensions: a plan of what stands still, and frames of what moves.
+//! The data of the page's 3-D view: a plan of the static objects, and frames of the moving ones.
 //!
-//! A mirror *serves* the user to whom it brings most light at its present angles, by the same channel that measures rates.
-//! Lengths are in m, rounded to millimetres.
+//! A mirror *serves* the user to whom it has the largest gain at its present angles, by the same
+//! channel model that gives the rates. Lengths are in m, rounded to millimetres.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -10,16 +10,17 @@ use heliostat_proto::MirrorTelemetry;
 use serde::Serialize;
 
 use crate::View;
-use crate::shadow::shadow;
-use crate::view::Heard;
+use crate::blocked_area::blocked_area;
+use crate::view::Received;
 
-/// A user who walks slower than this, in m/s, is taken to face where they faced before.
+/// Below this speed in m/s a user keeps the previous heading.
 const WALKING_M_S: f64 = 0.05;
 
-/// A mirror that stands this far from its command, in rad, is drawn as one that does not follow: far more than jitter.
-const ASTRAY_RAD: f32 = 0.1;
+/// A mirror whose measured angle differs by more than this from its command, in rad, counts as
+/// unusable.
+const UNUSABLE_RAD: f32 = 0.1;
 
-/// What stands still.
+/// The static objects.
 #[derive(Clone, Debug, Serialize)]
 pub struct Plan {
     /// Name of the room in the keys.
@@ -32,62 +33,62 @@ pub struct Plan {
     pub leds_m: Vec<[f64; 3]>,
     /// Centres of the mirrors in m, in index order.
     pub mirrors_m: Vec<[f64; 3]>,
-    /// Height of the detectors above the floor in m: shadows are drawn there.
+    /// Height of the detectors above the floor in m; blocked areas are drawn at this height.
     pub detector_height_m: f64,
 }
 
-/// A person as the page draws them.
+/// A user as drawn.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Person {
-    /// Where the detector is in m.
+pub struct SceneUser {
+    /// Position of the detector in m.
     pub at_m: [f64; 3],
-    /// The body: x, y, radius and height in m; absent where bodies do not count.
+    /// The body: x, y, radius and height in m; absent if bodies do not block.
     pub body_m: Option<[f64; 4]>,
-    /// The access point that serves them.
+    /// The access point that serves the user.
     pub led: usize,
-    /// Whether the direct path is off.
+    /// Whether the direct path is blocked.
     pub blocked: bool,
 }
 
-/// What moves.
+/// The moving objects.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Frame {
     /// Corners of each mirror: four times x, y, z in m.
     pub mirrors_m: Vec<[f64; 12]>,
-    /// Index among the people of whom each mirror serves; -1 for nobody.
+    /// For each mirror the index of the user that it serves; -1 for none.
     pub serves: Vec<i32>,
-    /// Indices of the mirrors that do not follow.
+    /// Indices of the mirrors that do not follow commands.
     pub unusable: Vec<u32>,
-    /// The people.
-    pub people: Vec<Person>,
+    /// The users.
+    pub users: Vec<SceneUser>,
     /// The obstacles: x, y, radius and height in m.
     pub obstacles_m: Vec<[f64; 4]>,
-    /// Corners of each shadow at the detectors' height, in m.
-    pub shadows_m: Vec<Vec<[f64; 2]>>,
+    /// Corners of each area without direct light at the detectors' height, in m.
+    pub blocked_areas_m: Vec<Vec<[f64; 2]>>,
 }
 
-/// Draws frames of a view, and remembers which way people faced.
+/// Computes the frames of a view, and keeps the heading of each user.
 pub struct Painter {
     view: Arc<View>,
-    memory: Mutex<Memory>,
+    state: Mutex<PainterState>,
 }
 
-struct Memory {
+struct PainterState {
     scene: Scene,
     headings: Vec<Vec3>,
     gains: Vec<f64>,
 }
 
-/// A person and what blocks their light, as far as the topics say.
-struct Seen {
+/// A user as published.
+struct ObservedUser {
     position: Vec3,
-    /// Unit vector, or zero where unknown.
+    /// Unit vector, or zero if unknown.
     heading: Vec3,
     blocked: bool,
 }
 
 impl View {
-    /// What stands still in the room.
+    /// The static objects of the room.
     pub fn plan(&self, room: &str) -> Plan {
         let size = &self.scenario.room;
         Plan {
@@ -102,42 +103,42 @@ impl View {
 }
 
 impl Painter {
-    /// A painter that has not seen anybody yet.
+    /// A painter without users.
     pub fn new(view: Arc<View>) -> Self {
-        let memory = Memory { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
-        Self { view, memory: Mutex::new(memory) }
+        let state = PainterState { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
+        Self { view, state: Mutex::new(state) }
     }
 
-    /// The room at this moment.
+    /// The current frame.
     pub fn frame(&self) -> Frame {
-        let mut memory = self.memory.lock().unwrap_or_else(PoisonError::into_inner);
-        let (people, obstacles, telemetry) = self.look(&mut memory.headings);
-        let bodies: Vec<Option<Cylinder>> = people.iter().map(|person| self.body(person)).collect();
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let (users, obstacles, telemetry) = self.latest(&mut state.headings);
+        let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| self.body(user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let angles = self.angles(telemetry.as_ref());
-        let serves = memory.serve(&self.view, &people, &blockers, &angles);
-        let serving = memory.scene.serving();
+        let serves = state.serve(&self.view, &users, &blockers, &angles);
+        let serving = state.scene.serving();
         Frame {
             mirrors_m: (0..angles.len()).map(|index| self.corners(index, &angles)).collect(),
             serves,
             unusable: telemetry.map(unusable).unwrap_or_default(),
-            people: (people.iter().zip(&bodies).enumerate())
-                .map(|(index, (person, body))| Person {
-                    at_m: rounded(&person.position),
+            users: (users.iter().zip(&bodies).enumerate())
+                .map(|(index, (user, body))| SceneUser {
+                    at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
                     led: serving[index],
-                    blocked: person.blocked,
+                    blocked: user.blocked,
                 })
                 .collect(),
             obstacles_m: obstacles.iter().map(outline).collect(),
-            shadows_m: self.shadows(&blockers),
+            blocked_areas_m: self.blocked_areas(&blockers),
         }
     }
 
-    /// The latest of people, obstacles and mirrors.
-    fn look(&self, headings: &mut Vec<Vec3>) -> (Vec<Seen>, Vec<Cylinder>, Option<MirrorTelemetry>) {
-        let heard = self.view.heard();
-        let telemetry = Heard::fresh(&heard.telemetry).cloned();
+    /// The latest users, obstacles and telemetry.
+    fn latest(&self, headings: &mut Vec<Vec3>) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+        let received = self.view.received();
+        let telemetry = Received::fresh(&received.telemetry).cloned();
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
             x_m: f64::from(obstacle.x_m),
             y_m: f64::from(obstacle.y_m),
@@ -145,33 +146,37 @@ impl Painter {
             height_m: f64::from(obstacle.height_m),
         };
         let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
-        if let Some(truth) = Heard::fresh(&heard.truth) {
-            let seen = |user: &heliostat_proto::TruthUser| {
+        if let Some(truth) = Received::fresh(&received.truth) {
+            let observed = |user: &heliostat_proto::TruthUser| {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
-                Seen { position: point(user.position_m), heading: Vec3::new(cos, sin, 0.0), blocked: user.los_blocked }
+                ObservedUser {
+                    position: point(user.position_m),
+                    heading: Vec3::new(cos, sin, 0.0),
+                    blocked: user.los_blocked,
+                }
             };
-            let people = truth.users.iter().map(seen).collect();
-            return (people, truth.obstacles.iter().map(cylinder).collect(), telemetry);
+            let users = truth.users.iter().map(observed).collect();
+            return (users, truth.obstacles.iter().map(cylinder).collect(), telemetry);
         }
-        let obstacles = Heard::fresh(&heard.obstacles).map_or(&[][..], |report| &report.obstacles);
+        let obstacles = Received::fresh(&received.obstacles).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(cylinder).collect();
-        let Some(report) = Heard::fresh(&heard.users) else { return (Vec::new(), obstacles, telemetry) };
+        let Some(report) = Received::fresh(&received.users) else { return (Vec::new(), obstacles, telemetry) };
         headings.resize(report.users.len(), Vec3::zeros());
-        let light = Heard::fresh(&heard.channel).map_or(&[][..], |report| &report.users);
-        let people = report.users.iter().zip(headings).map(|(user, heading)| {
+        let gains = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
+        let users = report.users.iter().zip(headings).map(|(user, heading)| {
             let [x, y] = user.velocity_m_s.map(f64::from);
             if x.hypot(y) > WALKING_M_S {
                 *heading = Vec3::new(x, y, 0.0).normalize();
             }
-            let dark = light.iter().any(|light| light.user == user.user && light.los_gain == 0.0);
-            Seen { position: point(user.position_m), heading: *heading, blocked: dark }
+            let blocked = gains.iter().any(|gains| gains.user == user.user && gains.los_gain == 0.0);
+            ObservedUser { position: point(user.position_m), heading: *heading, blocked }
         });
-        (people.collect(), obstacles, telemetry)
+        (users.collect(), obstacles, telemetry)
     }
 
-    fn body(&self, person: &Seen) -> Option<Cylinder> {
+    fn body(&self, user: &ObservedUser) -> Option<Cylinder> {
         let blockage = &self.view.scenario.blockage;
-        let axis = person.position - blockage.body_offset_m * person.heading;
+        let axis = user.position - blockage.body_offset_m * user.heading;
         blockage.bodies.then_some(Cylinder {
             x_m: axis.x,
             y_m: axis.y,
@@ -180,7 +185,7 @@ impl Painter {
         })
     }
 
-    /// Where the mirrors are: as measured, or else as commanded, or else flat.
+    /// The angles of the mirrors: measured, else commanded, else flat.
     fn angles(&self, telemetry: Option<&MirrorTelemetry>) -> MirrorAngles {
         let mirrors = self.view.model.mirrors.len();
         let Some(telemetry) = telemetry.filter(|telemetry| telemetry.check_mirrors(mirrors).is_ok()) else {
@@ -196,11 +201,12 @@ impl Painter {
         }
     }
 
-    /// Corners of a turned mirror, one after the other round its edge.
+    /// Corners of a mirror, in order along its edge.
     fn corners(&self, index: usize, angles: &MirrorAngles) -> [f64; 12] {
         let array = &self.view.model.mirrors;
         let normal = array.normal(angles.roll[index], angles.yaw[index]);
-        // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays horizontal.
+        // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays
+        // horizontal.
         let flat_width = array.room_from_wall(&Vec3::x());
         let width = Vec3::z().cross(&normal).try_normalize(1e-9).unwrap_or(flat_width);
         let height = normal.cross(&width);
@@ -213,49 +219,52 @@ impl Painter {
         corners
     }
 
-    fn shadows(&self, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>> {
+    fn blocked_areas(&self, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>> {
         let room = &self.view.scenario.room;
         let (extents, height) = ((room.length_x_m / 2.0, room.length_y_m / 2.0), self.view.scenario.receiver.height_m);
         let pairs = self.view.model.leds.iter().flat_map(|led| blockers.iter().map(move |blocker| (led, blocker)));
-        let thrown = pairs.map(|(led, blocker)| shadow(blocker, &led.position, height, extents));
-        let drawable = thrown.filter(|corners| corners.len() > 2);
+        let areas = pairs.map(|(led, blocker)| blocked_area(blocker, &led.position, height, extents));
+        let drawable = areas.filter(|corners| corners.len() > 2);
         drawable.map(|corners| corners.into_iter().map(|corner| corner.map(millimetres)).collect()).collect()
     }
 }
 
-impl Memory {
-    /// Index of the person whom each mirror serves, or -1.
-    fn serve(&mut self, view: &View, people: &[Seen], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
-        let (users, mirrors) = (people.len(), angles.len());
-        if self.scene.users() != users {
-            self.scene = Scene::new(&view.model, users);
-            self.gains = vec![0.0; users * mirrors];
+impl PainterState {
+    /// Index of the user that each mirror serves, or -1.
+    fn serve(&mut self, view: &View, users: &[ObservedUser], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
+        let (count, mirrors) = (users.len(), angles.len());
+        if self.scene.users() != count {
+            self.scene = Scene::new(&view.model, count);
+            self.gains = vec![0.0; count * mirrors];
         }
-        let positions: Vec<Vec3> = people.iter().map(|person| person.position).collect();
-        let blocked: Vec<bool> = people.iter().map(|person| person.blocked).collect();
+        let positions: Vec<Vec3> = users.iter().map(|user| user.position).collect();
+        let blocked: Vec<bool> = users.iter().map(|user| user.blocked).collect();
         self.scene.update(&view.model, &positions, blockers, &blocked);
         self.scene.irs_gain_each(&view.model, angles, &mut self.gains);
         let best = |mirror: usize| {
             let gain = |user: usize| self.gains[user * mirrors + mirror];
-            let best = (0..users).max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
+            let best = (0..count).max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
             best.filter(|user| gain(*user) > 0.0).map_or(-1, |user| user as i32)
         };
         (0..mirrors).map(best).collect()
     }
 }
 
-/// The mirrors that do not follow: as the driver says, or else those that stand far from where they were told to be.
+/// The unusable mirrors: those that the driver reports, else those far from their command.
 fn unusable(telemetry: MirrorTelemetry) -> Vec<u32> {
     if !telemetry.unusable.is_empty() {
         return telemetry.unusable;
     }
-    let astray = |measured: &[f32], commanded: &[f32], index: usize| {
-        measured.get(index).zip(commanded.get(index)).is_some_and(|(is, told)| (is - told).abs() > ASTRAY_RAD)
+    let is_off = |measured: &[f32], commanded: &[f32], index: usize| {
+        measured
+            .get(index)
+            .zip(commanded.get(index))
+            .is_some_and(|(measured, commanded)| (measured - commanded).abs() > UNUSABLE_RAD)
     };
     let all = 0..telemetry.roll_commanded.len();
     let far = all.filter(|index| {
-        astray(&telemetry.roll_measured, &telemetry.roll_commanded, *index)
-            || astray(&telemetry.yaw_measured, &telemetry.yaw_commanded, *index)
+        is_off(&telemetry.roll_measured, &telemetry.roll_commanded, *index)
+            || is_off(&telemetry.yaw_measured, &telemetry.yaw_commanded, *index)
     });
     far.map(|index| index as u32).collect()
 }

@@ -1,4 +1,5 @@
-//! The figures without a browser: a full screen on a terminal, one line at a time elsewhere.
+//! The figures on a terminal: a full-screen view, or one line at a time if output is not a
+//! terminal.
 
 use std::io::{self, IsTerminal, Stdout, Write};
 use std::time::Duration;
@@ -19,24 +20,24 @@ use ratatui::{Frame, Terminal};
 use crate::figures::{Figures, SumFigures, TimeFigures};
 use crate::{UiError, View};
 
-/// Characters of the longest bar.
+/// Length of the longest bar in characters.
 const BAR: usize = 28;
-/// Okabe and Ito's colours, which the colour-blind tell apart: the policy, what is flat, what is well, what is not.
+/// The Okabe-Ito palette, which is distinguishable with colour-vision deficiency.
 const POLICY: Color = Color::Rgb(0x56, 0xB4, 0xE9);
 const FLAT: Color = Color::Rgb(0x99, 0x99, 0x99);
 const NO_IRS: Color = Color::Rgb(0xBB, 0xBB, 0xBB);
 const GOOD: Color = Color::Rgb(0x00, 0x9E, 0x73);
 const BAD: Color = Color::Rgb(0xD5, 0x5E, 0x00);
 
-/// Where figures are drawn.
+/// The output of the figures.
 pub enum Display {
-    /// A full screen on standard output.
+    /// A full-screen view on standard output.
     Screen(Box<Screen>),
-    /// One line at a time, on standard error: standard output stays free for summaries.
+    /// One line at a time on standard error; standard output is for summaries.
     Lines,
 }
 
-/// A terminal taken over; dropping it gives the terminal back as it was.
+/// A terminal in full-screen mode; dropping it restores the terminal.
 pub struct Screen {
     terminal: Terminal<TermionBackend<AlternateScreen<RawTerminal<Stdout>>>>,
     keys: Keys<AsyncReader>,
@@ -44,10 +45,10 @@ pub struct Screen {
 }
 
 impl Display {
-    /// A full screen where a person sits at a terminal, lines where not, or where `plain` lines are wanted.
+    /// A full-screen view if input and output are a terminal and `plain` is false, else lines.
     ///
     /// # Errors
-    /// [`UiError::Terminal`] where the terminal refuses.
+    /// [`UiError::Terminal`] if the terminal refuses full-screen mode.
     pub fn open(plain: bool, title: &str) -> Result<Self, UiError> {
         if plain || !io::stdout().is_terminal() || !io::stdin().is_terminal() {
             return Ok(Self::Lines);
@@ -57,7 +58,7 @@ impl Display {
         Ok(Self::Screen(Box::new(Screen { terminal, keys: async_stdin().keys(), title: title.to_owned() })))
     }
 
-    /// How often it is worth drawing.
+    /// Time between two updates.
     pub fn interval(&self) -> Duration {
         Duration::from_millis(match self {
             Self::Screen(_) => 200,
@@ -65,10 +66,10 @@ impl Display {
         })
     }
 
-    /// Draws the present state.
+    /// Draws the current state.
     ///
     /// # Errors
-    /// [`UiError::Terminal`] where the terminal is gone.
+    /// [`UiError::Terminal`] if the terminal is closed.
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
         let figures = view.figures();
         match self {
@@ -81,13 +82,13 @@ impl Display {
         Ok(())
     }
 
-    /// Whether somebody pressed q, Escape or Ctrl-C since the last call.
+    /// Whether q, Escape or Ctrl-C was pressed since the last call.
     ///
     /// # Errors
-    /// [`UiError::Terminal`] where the terminal is gone.
+    /// [`UiError::Terminal`] if the terminal is closed.
     pub fn quit_asked(&mut self) -> Result<bool, UiError> {
         let Self::Screen(screen) = self else { return Ok(false) };
-        // A terminal in raw mode sends no signals: Ctrl-C is a key like any other.
+        // In raw mode the terminal sends no signals; Ctrl-C arrives as a key.
         while let Some(key) = screen.keys.next().transpose()? {
             if matches!(key, Key::Char('q') | Key::Esc | Key::Ctrl('c')) {
                 return Ok(true);
@@ -99,20 +100,21 @@ impl Display {
 
 impl Drop for Screen {
     fn drop(&mut self) {
-        // Mode and screen are given back by their own types; nothing is left to be done about a terminal that does not answer.
+        // The drop of the inner types restores mode and screen; an error of a closed terminal has
+        // no remedy.
         let _ = self.terminal.show_cursor();
     }
 }
 
 /// The figures in one line.
 fn line(figures: &Figures) -> String {
-    let Some(sum) = &figures.sum_mbps else { return "the room is silent".into() };
+    let Some(sum) = &figures.sum_mbps else { return "no messages from the room".into() };
     let blocked = figures.users.iter().filter(|user| user.blocked).count();
     let others = named(sum)[1..].iter().map(|(name, rate, _)| format!("{name} {rate:.1}")).collect::<Vec<_>>();
     let others = if others.is_empty() { String::new() } else { format!(" ({})", others.join(", ")) };
     let [decision, round, ..] = &figures.times[..] else { return String::new() };
     format!(
-        "tick {:>6}  {}  blocked {blocked}/{}  sum rate {:6.1} Mb/s{others}  decision p99 {}  loop p99 {}",
+        "tick {:>6}  {}  blocked {blocked}/{}  sum rate {:6.1} Mbit/s{others}  decision p99 {}  loop p99 {}",
         figures.tick,
         figures.array.state,
         figures.users.len(),
@@ -124,7 +126,7 @@ fn line(figures: &Figures) -> String {
 
 fn draw(frame: &mut Frame, title: &str, figures: &Figures, history: &[(f64, SumFigures)]) {
     let users = u16::try_from(figures.users.len()).unwrap_or(u16::MAX).saturating_add(3);
-    let [head, people, middle, foot] = Layout::vertical([
+    let [head, users_area, middle, foot] = Layout::vertical([
         Constraint::Length(2),
         Constraint::Length(users.min(frame.area().height / 3)),
         Constraint::Min(9),
@@ -133,29 +135,29 @@ fn draw(frame: &mut Frame, title: &str, figures: &Figures, history: &[(f64, SumF
     .areas(frame.area());
     let [rates, times] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(46)]).areas(middle);
     frame.render_widget(heading(title, figures), head);
-    draw_users(frame, people, figures);
+    draw_users(frame, users_area, figures);
     draw_rates(frame, rates, figures, history);
     draw_times(frame, times, figures);
     let problems = figures.nodes.iter().filter(|node| !node.problem.is_empty());
     let mut lines: Vec<Line> =
         problems.map(|node| Line::from(format!("{}: {}", node.node, node.problem)).fg(BAD)).take(1).collect();
-    lines.push(Line::from("q ends").dim());
+    lines.push(Line::from("q quits").dim());
     frame.render_widget(Paragraph::new(lines), foot);
 }
 
 fn heading(title: &str, figures: &Figures) -> Paragraph<'static> {
     let state = figures.array.state;
-    let well = matches!(state, "following" | "holding");
+    let is_normal = matches!(state, "following" | "holding");
     let unusable = match figures.array.unusable {
         0 => String::new(),
-        some => format!(", {some} of {} mirrors do not follow", figures.array.mirrors),
+        some => format!(", {some} of {} mirrors unusable", figures.array.mirrors),
     };
     let controller = if figures.controller_alive { "" } else { "  no controller" };
     Paragraph::new(vec![
         Line::from(vec![Span::from("Heliostat  ").bold(), Span::from(title.to_owned()).dim()]),
         Line::from(vec![
             Span::from(format!("policy {}  tick {}  mirrors ", figures.policy, figures.tick)),
-            Span::from(format!("{state}{unusable}")).fg(if well { GOOD } else { BAD }),
+            Span::from(format!("{state}{unusable}")).fg(if is_normal { GOOD } else { BAD }),
             Span::from(controller).fg(BAD),
         ]),
     ])
@@ -166,36 +168,36 @@ fn draw_users(frame: &mut Frame, area: Rect, figures: &Figures) {
     let rows = figures.users.iter().map(|user| {
         let [x, y, _] = user.position_m;
         let direct = match (user.blocked, user.forced) {
-            (true, true) => "forced off",
-            (true, false) => "in shadow",
+            (true, true) => "blocked (order)",
+            (true, false) => "blocked",
             (false, _) => "clear",
         };
-        let (met, colour) = if user.is_met() { ("met", GOOD) } else { ("MISS", BAD) };
+        let (met, colour) = if user.is_met() { ("met", GOOD) } else { ("below", BAD) };
         Row::new(vec![
             Line::from(user.user.to_string()),
             Line::from(format!("{x:>5.2}, {y:>5.2}")),
             Line::from(direct),
             Line::from(format!("{:>7.2}", user.rate_mbps)),
-            Line::from(format!("{:>5.1}", user.need_mbps)),
+            Line::from(format!("{:>5.1}", user.min_rate_mbps)),
             Line::from(met).fg(colour),
             Line::from("█".repeat((user.rate_mbps / largest * BAR as f32).round() as usize)).fg(colour),
         ])
     });
-    let widths = [4, 13, 11, 8, 6, 5, BAR as u16].map(Constraint::Length);
-    let header = Row::new(["user", "at (m)", "direct", "Mb/s", "needs", "", ""]).dim();
+    let widths = [4, 13, 15, 8, 7, 5, BAR as u16].map(Constraint::Length);
+    let header = Row::new(["user", "position (m)", "direct path", "Mbit/s", "minimum", "", ""]).dim();
     frame.render_widget(Table::new(rows, widths).header(header).block(Block::new().title("Rates".bold())), area);
 }
 
 fn draw_rates(frame: &mut Frame, area: Rect, figures: &Figures, history: &[(f64, SumFigures)]) {
     let Some(sum) = &figures.sum_mbps else {
-        return frame.render_widget(Paragraph::new("the room is silent".fg(BAD)), area);
+        return frame.render_widget(Paragraph::new("no messages from the room".fg(BAD)), area);
     };
     let [bars, chart] = Layout::vertical([Constraint::Length(5), Constraint::Min(4)]).areas(area);
     let best = sum.oracle.unwrap_or(sum.policy).max(sum.policy).max(1e-9);
     let lines = named(sum).into_iter().map(|(name, rate, colour)| {
         let share = rate / best;
         Line::from(vec![
-            Span::from(format!("{name:<7} {rate:>8.2} Mb/s {:>6.1} %  ", share * 100.0)),
+            Span::from(format!("{name:<7} {rate:>8.2} Mbit/s {:>6.1} %  ", share * 100.0)),
             Span::from("█".repeat((share.clamp(0.0, 1.0) * BAR as f64).round() as usize)).fg(colour),
         ])
     });
@@ -240,14 +242,14 @@ fn draw_times(frame: &mut Frame, area: Rect, figures: &Figures) {
     let widths = [Constraint::Length(9), Constraint::Length(11), Constraint::Length(11), Constraint::Length(11)];
     frame.render_widget(Table::new(rows, widths).header(header).block(Block::new().title("Times".bold())), times);
     let counts_shown = figures.counts.iter().map(|count| {
-        let colour = if count.trouble && count.value > 0 { BAD } else { Color::Reset };
+        let colour = if count.is_problem && count.value > 0 { BAD } else { Color::Reset };
         Row::new([Line::from(count.name.clone()), Line::from(format!("{:>10}", count.value)).fg(colour)])
     });
     let table = Table::new(counts_shown, [Constraint::Length(20), Constraint::Length(10)]);
     frame.render_widget(table.block(Block::new().title("Counts".bold())), counts);
 }
 
-/// The sum rates that are known, by name; the policy's first.
+/// The known sum rates by name, the policy first.
 fn named(sum: &SumFigures) -> Vec<(&'static str, f64, Color)> {
     let all = [
         ("policy", Some(sum.policy), POLICY),
@@ -275,7 +277,7 @@ mod tests {
             user,
             rate_mbps,
             blocked,
-            need_mbps: 1.0,
+            min_rate_mbps: 1.0,
             ..UserFigures::default()
         };
         let us = |p99| Some(Quantiles { count: 9, p50: p99 / 2.0, p99, max: p99 * 2.0, ..Quantiles::default() });
@@ -297,15 +299,17 @@ mod tests {
                 TimeFigures { name: "loop", us: us(900.0) },
                 TimeFigures { name: "age", us: None },
             ],
-            counts: vec![Count { name: "fallbacks".into(), value: 3, trouble: true }],
+            counts: vec![Count { name: "fallbacks".into(), value: 3, is_problem: true }],
             ..Figures::default()
         }
     }
 
     fn drawn(width: u16, height: u16) -> String {
-        let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a backend of memory");
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a backend in memory");
         let history = [(0.0, figures().sum_mbps.expect("set")), (9.0, figures().sum_mbps.expect("set"))];
-        terminal.draw(|frame| draw(frame, "room demo", &figures(), &history)).expect("memory takes everything");
+        terminal
+            .draw(|frame| draw(frame, "room demo", &figures(), &history))
+            .expect("drawing into memory does not fail");
         terminal.backend().to_string()
     }
 
@@ -316,35 +320,35 @@ mod tests {
             "room demo",
             "policy greedy",
             "tick 4711",
-            "stopped, 25 of 100 mirrors do not follow",
-            "in shadow",
+            "stopped, 25 of 100 mirrors unusable",
+            "blocked",
             "12.50",
-            "MISS",
+            "below",
             "80.0 %",
             "300 us",
             "fallbacks",
             "a policy failed",
-            "q ends",
+            "q quits",
         ] {
             assert!(screen.contains(text), "no {text:?} in\n{screen}");
         }
     }
 
     #[test]
-    fn a_small_window_is_no_reason_to_fall_over() {
+    fn a_small_window_causes_no_panic() {
         for (width, height) in [(1, 1), (20, 5), (40, 12)] {
             drawn(width, height);
         }
     }
 
     #[test]
-    fn a_line_holds_the_figures_and_says_when_there_are_none() {
+    fn a_line_holds_the_figures_or_reports_their_absence() {
         let text = line(&figures());
         assert!(
-            text.contains("tick   4711") && text.contains("40.0 Mb/s (no IRS 10.0, flat 20.0, oracle 50.0)"),
+            text.contains("tick   4711") && text.contains("40.0 Mbit/s (no IRS 10.0, flat 20.0, oracle 50.0)"),
             "{text}"
         );
         assert!(text.contains("blocked 1/2") && text.contains("decision p99 300 us"), "{text}");
-        assert_eq!(line(&Figures::default()), "the room is silent");
+        assert_eq!(line(&Figures::default()), "no messages from the room");
     }
 }

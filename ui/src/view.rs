@@ -1,6 +1,7 @@
-//! Listens to a room's public topics and keeps the latest of each.
+//! Subscribes to a room's public topics and keeps the latest message of each.
 //!
-//! Callbacks decode and store; whatever is computed is computed by whoever draws. What was not renewed for [`PATIENCE`] counts as gone.
+//! Callbacks decode and store; the readers compute. A message older than [`EXPIRY`] counts as
+//! absent.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,14 +19,14 @@ use heliostat_scenario::Scenario;
 use crate::UiError;
 use crate::latency::Window;
 
-/// What was last heard longer ago than this is not shown as the present.
-pub const PATIENCE: Duration = Duration::from_secs(3);
-/// How much of the past the chart of sum rates shows.
+/// A message older than this is not displayed as current.
+pub const EXPIRY: Duration = Duration::from_secs(3);
+/// Time span of the chart of sum rates.
 const HISTORY: Duration = Duration::from_secs(90);
-/// Between two points of that chart.
+/// Time between two points of that chart.
 const HISTORY_STEP: Duration = Duration::from_millis(200);
 
-/// A message and when it came.
+/// A message and its arrival time.
 pub(crate) type Dated<T> = Option<(Instant, T)>;
 
 /// Sum rates at an instant, for the chart.
@@ -35,17 +36,17 @@ pub(crate) struct Sample {
     pub sum: SumRates,
 }
 
-/// The latest of what a room says.
+/// The latest messages of a room.
 #[derive(Default)]
-pub(crate) struct Heard {
+pub(crate) struct Received {
     pub truth: Dated<RoomTruth>,
     pub users: Dated<UserReport>,
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
     pub telemetry: Dated<MirrorTelemetry>,
-    /// By name of the sort of process.
+    /// By the name of the kind of process.
     pub statuses: BTreeMap<&'static str, (Instant, NodeStatus)>,
-    /// Sort and source of the processes that are there.
+    /// Kind and source of the processes in the room.
     pub alive: BTreeSet<(&'static str, u64)>,
     pub history: VecDeque<Sample>,
     pub latency: Window,
@@ -57,42 +58,44 @@ pub struct View {
     pub(crate) opened: Instant,
     pub(crate) scenario: Scenario,
     pub(crate) model: ChannelModel,
-    heard: Arc<Mutex<Heard>>,
+    received: Arc<Mutex<Received>>,
     _subscriptions: Vec<Subscription>,
 }
 
 impl View {
-    /// Listens to the room of a session; the scenario says what the room looks like.
+    /// Subscribes to the room of a session; the scenario describes the room.
     ///
     /// # Errors
-    /// [`UiError::Optics`] for a scenario that the optics refuse, [`UiError::Bus`] where the session is closed.
+    /// [`UiError::Optics`] for a scenario that the channel model refuses, [`UiError::Bus`] if the
+    /// session is closed.
     pub fn open(bus: &Bus, scenario: &Scenario) -> Result<Self, UiError> {
         let model = scenario.channel_model()?;
-        let heard: Arc<Mutex<Heard>> = Arc::default();
-        let subscriptions = subscribe(bus, &heard)?;
-        Ok(Self { opened: Instant::now(), scenario: scenario.clone(), model, heard, _subscriptions: subscriptions })
+        let received: Arc<Mutex<Received>> = Arc::default();
+        let subscriptions = subscribe(bus, &received)?;
+        Ok(Self { opened: Instant::now(), scenario: scenario.clone(), model, received, _subscriptions: subscriptions })
     }
 
-    /// Whether both sides have spoken: the room, be it simulated or real, and a controller.
+    /// Whether messages of the room and of a controller have arrived.
     pub fn is_complete(&self) -> bool {
-        let heard = self.heard();
-        (heard.truth.is_some() || heard.users.is_some()) && heard.statuses.contains_key(NodeKind::Controller.name())
+        let received = self.received();
+        (received.truth.is_some() || received.users.is_some())
+            && received.statuses.contains_key(NodeKind::Controller.name())
     }
 
-    /// The policy that a controller last said it uses, be it there or not.
+    /// The policy in the latest status of a controller, even if it has left.
     pub fn policy(&self) -> Option<String> {
-        self.heard().statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.policy.clone())
+        self.received().statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.policy.clone())
     }
 
-    pub(crate) fn heard(&self) -> MutexGuard<'_, Heard> {
-        lock(&self.heard)
+    pub(crate) fn received(&self) -> MutexGuard<'_, Received> {
+        lock(&self.received)
     }
 }
 
-impl Heard {
+impl Received {
     /// The message, unless it is old.
     pub fn fresh<T>(message: &Dated<T>) -> Option<&T> {
-        message.as_ref().filter(|(at, _)| at.elapsed() < PATIENCE).map(|(_, message)| message)
+        message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
     }
 
     fn take_truth(&mut self, truth: RoomTruth) {
@@ -114,46 +117,50 @@ impl Heard {
     }
 }
 
-fn lock(heard: &Mutex<Heard>) -> MutexGuard<'_, Heard> {
-    // Each message replaces a whole slot: a panic elsewhere leaves nothing half-made.
-    heard.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
+    // Each message replaces a complete slot, so a poisoned lock protects consistent data.
+    received.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn subscribe(bus: &Bus, heard: &Arc<Mutex<Heard>>) -> Result<Vec<Subscription>, UiError> {
+fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscription>, UiError> {
     let room: &Room = bus.room();
-    let on_alive = Arc::clone(heard);
+    let on_alive = Arc::clone(received);
     let alive = bus.watch(&room.all_alive(), move |key, presence| {
         let Some((node, source)) = parse_alive(key) else { return };
-        let mut heard = lock(&on_alive);
+        let mut received = lock(&on_alive);
         match presence {
-            Presence::Alive => heard.alive.insert((node.name(), source)),
-            Presence::Gone => heard.alive.remove(&(node.name(), source)),
+            Presence::Alive => received.alive.insert((node.name(), source)),
+            Presence::Gone => received.alive.remove(&(node.name(), source)),
         };
     })?;
     Ok(vec![
-        listen(bus, &room.truth(), heard, Heard::take_truth)?,
-        listen(bus, &room.users(), heard, |heard, users| heard.users = Some((Instant::now(), users)))?,
-        listen(bus, &room.channel(), heard, |heard, channel| heard.channel = Some((Instant::now(), channel)))?,
-        listen(bus, &room.obstacles(), heard, |heard, obstacles| heard.obstacles = Some((Instant::now(), obstacles)))?,
-        listen(bus, &room.telemetry(), heard, |heard, telemetry| heard.telemetry = Some((Instant::now(), telemetry)))?,
-        listen(bus, &room.all_status(), heard, Heard::take_status)?,
+        store(bus, &room.truth(), received, Received::take_truth)?,
+        store(bus, &room.users(), received, |received, users| received.users = Some((Instant::now(), users)))?,
+        store(bus, &room.channel(), received, |received, channel| received.channel = Some((Instant::now(), channel)))?,
+        store(bus, &room.obstacles(), received, |received, obstacles| {
+            received.obstacles = Some((Instant::now(), obstacles))
+        })?,
+        store(bus, &room.telemetry(), received, |received, telemetry| {
+            received.telemetry = Some((Instant::now(), telemetry))
+        })?,
+        store(bus, &room.all_status(), received, Received::take_status)?,
         alive,
     ])
 }
 
-fn listen<M: Message + 'static>(
+fn store<M: Message + 'static>(
     bus: &Bus,
     key: &str,
-    heard: &Arc<Mutex<Heard>>,
-    take: fn(&mut Heard, M),
+    received: &Arc<Mutex<Received>>,
+    take: fn(&mut Received, M),
 ) -> Result<Subscription, UiError> {
-    let heard = Arc::clone(heard);
+    let received = Arc::clone(received);
     Ok(bus.subscribe(key, move |payload| {
         let decoded = codec::decode::<M>(payload);
-        let mut heard = lock(&heard);
+        let mut received = lock(&received);
         match decoded {
-            Ok(message) => take(&mut heard, message),
-            Err(_) => heard.unreadable += 1,
+            Ok(message) => take(&mut received, message),
+            Err(_) => received.unreadable += 1,
         }
     })?)
 }

@@ -1,4 +1,5 @@
-//! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured gains.
+//! `heliostat calibrate`: estimates the mounting error of each mirror from commanded angles and
+//! measured gains.
 
 use std::path::{Path, PathBuf};
 
@@ -11,34 +12,37 @@ use heliostat_scenario::ScenarioArgs;
 
 use crate::output::outln;
 
-/// Estimate the mounting of each mirror from measured gains, and show what that wins back.
+/// Estimate the mounting error of each mirror from measured gains.
 ///
-/// The simulator plays the room: arrays whose axes are mounted with a random error are calibrated with detectors at five known spots, one mirror
-/// after the other, and the sum rate is shown without mounting error, as mounted, and calibrated. Settle times, slew, jitter, hysteresis and quantisation
-/// are those of the scenario's actuator; readings have the noise of its receiver and of streams.channel.noise_relative.
+/// The array is simulated: its axes have random mounting errors. Detectors at five known positions
+/// measure one mirror after the other. The output compares the sum rate without mounting error,
+/// with it, and after calibration. Settling time, slew rate, jitter, hysteresis and quantisation
+/// come from the scenario's actuator; the noise comes from its receiver and from
+/// streams.channel.noise_relative.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Mounting errors to show: the standard deviation of each axis in degrees, with commas between them
+    /// Mounting errors to simulate: standard deviation of each axis in degrees, separated by commas
     #[arg(long, value_name = "A,B", value_delimiter = ',', default_value = "1,2")]
     mounting_deg: Vec<f64>,
-    /// How many arrays for each, their seeds counted up from the scenario's
+    /// Number of arrays for each mounting error; seeds count up from the scenario's
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
-    /// States in which the sum rate of an array is taken
+    /// States for the sum rate of each array
     #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     states: u32,
-    /// Who decides in them: a policy by name, or the path of an ONNX actor
+    /// Policy by name, or path of an ONNX actor
     #[arg(long, value_name = "POLICY", default_value = "fixed-point")]
     policy: String,
-    /// How long the light is averaged for a reading, in ms
+    /// Averaging time of a reading in ms
     #[arg(long, value_name = "MS", default_value_t = 1.0)]
     dwell_ms: f64,
-    /// How far off a mirror's light is looked for on either axis, in degrees
+    /// Search range on each axis in degrees
     #[arg(long, value_name = "DEG", default_value_t = 8.0)]
     search_deg: f64,
-    /// Write the calibration of the first array of the first mounting error: for --calibration of sim-node and driver run
+    /// Write the calibration of the first array of the first mounting error, for --calibration of
+    /// sim-node and driver run
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print one JSON object
@@ -49,13 +53,13 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A scenario or a flag that means nothing, a file that cannot be written.
+/// An invalid scenario or flag, a file that cannot be written.
 pub fn run(args: Args) -> Result<()> {
     for (flag, value, most) in [("--dwell-ms", args.dwell_ms, 1e4), ("--search-deg", args.search_deg, 30.0)] {
-        ensure!(value > 0.0 && value <= most, "{flag} {value}: wanted more than 0, and {most} at most");
+        ensure!(value > 0.0 && value <= most, "{flag} {value}: expected more than 0 and at most {most}");
     }
     if let Some(out) = &args.out {
-        ensure!(!out.exists(), "{} exists already: wanted a new file", out.display());
+        ensure!(!out.exists(), "{} exists already; expected a new file", out.display());
         let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         ensure!(folder.is_dir(), "cannot write {}: there is no folder {}", out.display(), folder.display());
     }
@@ -90,25 +94,25 @@ pub fn run(args: Args) -> Result<()> {
 fn print(study: &Study) -> Result<()> {
     let Study { scenario, policy, seed, seeds, states, rows, .. } = study;
     outln!(
-        "{scenario}, {policy}: sum rate in Mb/s over {seeds} arrays (seeds from {seed}) with {states} states each; ± is the mean's 95 % interval"
+        "{scenario}, {policy}: sum rate in Mbit/s over {seeds} arrays (seeds from {seed}) with {states} states each; ± is the 95 % confidence interval of the mean"
     )?;
     outln!(
-        "{:>8} {:>14} {:>14} {:>14} {:>15} {:>15} {:>9} {:>8} {:>8} {:>8}",
+        "{:>8} {:>14} {:>14} {:>14} {:>15} {:>15} {:>9} {:>8} {:>9} {:>8}",
         "mounting",
-        "exact",
-        "as mounted",
+        "no error",
+        "uncalibrated",
         "calibrated",
-        "kept as mounted",
-        "kept calibrated",
+        "ratio uncal.",
+        "ratio cal.",
         "readings",
         "seconds",
-        "unfound",
+        "not found",
         "limited"
     )?;
     for row in rows {
         let Row { exact_mbps, uncalibrated_mbps, calibrated_mbps, uncalibrated_ratio, calibrated_ratio, .. } = row;
         outln!(
-            "{:>6} ° {:>14} {:>14} {:>14} {:>15} {:>15} {:>9.0} {:>8.0} {:>8.1} {:>8.1}",
+            "{:>6} ° {:>14} {:>14} {:>14} {:>15} {:>15} {:>9.0} {:>8.0} {:>9.1} {:>8.1}",
             row.mounting_deg,
             plus_minus(exact_mbps, 1),
             plus_minus(uncalibrated_mbps, 1),
@@ -122,10 +126,10 @@ fn print(study: &Study) -> Result<()> {
         )?;
     }
     outln!(
-        "kept: share of the sum rate without mounting error, array by array; readings and seconds: for one array, as a real room would take them"
+        "ratio: to the sum rate of the same array without mounting error; readings and seconds: for one array in real time"
     )?;
     outln!(
-        "unfound: mirrors whose light was found at no spot; limited: whose correction is beyond what the drives can do"
+        "not found: mirrors without a reading at any position; limited: mirrors whose correction exceeds the range of the drives"
     )?;
     Ok(())
 }

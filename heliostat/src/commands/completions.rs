@@ -1,44 +1,44 @@
-//! `heliostat completions` and `heliostat manual`: what a shell and `man` read, made from the commands' own help.
+//! `heliostat completions` and `heliostat manual`: generated from the definitions of the command
+//! line.
 
 use std::io;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use clap::CommandFactory;
+use clap::Command;
 use clap_complete::Shell;
 
-use crate::cli::Cli;
 use crate::output::outln;
 
-/// Print completions for a shell.
+/// Print the completion script for a shell.
 ///
 /// For example: heliostat completions bash > ~/.local/share/bash-completion/completions/heliostat
 #[derive(Debug, clap::Args)]
 pub struct CompletionArgs {
-    /// Which shell
+    /// The shell
     shell: Shell,
 }
 
-/// Write manual pages, one a command, into a folder.
+/// Write a manual page for each command into a folder.
 #[derive(Debug, clap::Args)]
 pub struct ManualArgs {
-    /// The folder; made where it does not exist
+    /// The folder; it is created if it does not exist
     folder: PathBuf,
 }
 
 /// Prints completions.
-pub fn completions(args: CompletionArgs) -> Result<()> {
+pub fn completions(args: CompletionArgs, mut command: Command) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "heliostat", &mut script);
-    // Whole, or nothing: a reader may close early.
+    clap_complete::generate(args.shell, &mut command, "heliostat", &mut script);
+    // Written at once: the reader may close the pipe early.
     io::Write::write_all(&mut io::stdout(), &script)?;
     Ok(())
 }
 
 /// Writes manual pages.
-pub fn manual(args: ManualArgs) -> Result<()> {
+pub fn manual(args: ManualArgs, command: Command) -> Result<()> {
     let folder = &args.folder;
-    let written = std::fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(Cli::command(), folder));
+    let written = std::fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(command, folder));
     written.with_context(|| format!("cannot write manual pages to {}", folder.display()))?;
     outln!("wrote manual pages to {}", folder.display())?;
     Ok(())

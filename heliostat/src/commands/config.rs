@@ -1,4 +1,4 @@
-//! `heliostat config`: what a process would run with, file and flags and defaults taken together.
+//! `heliostat config`: the effective configuration of a process from file, flags and defaults.
 
 use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, Reach, Role};
@@ -12,12 +12,13 @@ use serde_json::{Map, Value, json};
 use super::demo;
 use crate::output::outln;
 
-/// Print the effective configuration of a process: its scenario with every key, its room and its endpoints.
+/// Print the effective configuration of a process: its scenario with every key, its room and its
+/// endpoints.
 ///
-/// Give the flags that you would give the process; nothing is started.
+/// Give the same flags as to the process; no process is started.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Print JSON in place of TOML
+    /// Print JSON instead of TOML
     #[arg(long, global = true)]
     as_json: bool,
     #[command(subcommand)]
@@ -26,17 +27,18 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Process {
-    /// Of `heliostat controller` with these flags
+    /// The configuration of `heliostat controller` with these flags
     Controller(Box<heliostat_controller::cli::Args>),
-    /// Of `heliostat sim-node` with these flags
+    /// The configuration of `heliostat sim-node` with these flags
     SimNode(Box<heliostat_sim_node::cli::Args>),
-    /// Of `heliostat demo` with these flags
+    /// The configuration of `heliostat demo` with these flags
     Demo(Box<demo::Args>),
-    /// What an actor of one's own must have to fit a scenario: ports, shapes, layout and metadata
+    /// The requirements for an ONNX actor in a scenario: inputs and outputs, shapes, layout and
+    /// metadata
     Actor {
         #[command(flatten)]
         scenario: ScenarioArgs,
-        /// Most users that the actor is to see
+        /// Largest number of users in the observation
         #[arg(long, value_name = "U", default_value_t = USERS_CAPACITY)]
         users_max: usize,
     },
@@ -71,7 +73,7 @@ pub fn run(args: Args) -> Result<()> {
         Process::Demo(args) => {
             let process =
                 json!({ "name": "demo", "policy": args.policy.name(), "room": Room::new(&args.room)?.name() });
-            // Its endpoints are free ports, found when it starts.
+            // Its endpoints are free ports, chosen at the start.
             document(&args.scenario.load()?, None, process)?
         }
         Process::Actor { scenario, users_max } => actor(&scenario.load()?, users_max),
@@ -84,7 +86,7 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// What `heliostat controller --model` asks of a file.
+/// The requirements of `heliostat controller --model`.
 fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
     let mirrors = scenario.mirror_count();
     let encoder = ObservationEncoder::new(users_max, mirrors);
@@ -99,12 +101,12 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
             key::MODE: scenario.channel.mode.name(),
             key::GEOMETRY: scenario.geometry_hash(),
         },
-        // First value and the one after the last.
+        // Index of the first value, and one past the last.
         "layout": {
             "present": part(encoder.present()),
             "positions": part(encoder.positions()),
             "los_amplitude": part(encoder.los_amplitude()),
-            "need": part(encoder.need()),
+            "min_rate": part(encoder.need()),
             "steering_amplitude": part(encoder.steering_amplitude()),
             "angles": part(encoder.angles()),
             "summary": part(encoder.summary()),
@@ -140,7 +142,7 @@ fn document(scenario: &Scenario, bus: Option<&BusConfig>, process: Value) -> Res
     Ok(document)
 }
 
-/// TOML has no null: what is not set is left out.
+/// Removes unset values, since TOML has no null.
 fn without_nulls(value: Value) -> Value {
     match value {
         Value::Object(map) => map.into_iter().filter(|(_, value)| !value.is_null()).collect(),

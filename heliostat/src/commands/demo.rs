@@ -1,7 +1,7 @@
-//! `heliostat demo`: a simulated room and a controller as two processes, watched from a third.
+//! `heliostat demo`: a simulated room and a controller as two processes, displayed by this one.
 
 pub mod child;
-mod parts;
+mod processes;
 mod summary;
 
 use std::io::Write;
@@ -20,40 +20,41 @@ use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_ui::{Display, Errand, Operator, Page, PageArgs, View};
 
-use parts::Parts;
+use processes::Processes;
 
 use super::ui::policy_names;
 use crate::output::outln;
 
-/// How long both processes may take to meet.
-const START_PATIENCE: Duration = Duration::from_secs(30);
-/// Between two looks at the processes.
+/// Time limit for the two processes to connect.
+const START_LIMIT: Duration = Duration::from_secs(30);
+/// Time between two checks of the processes.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
 
-/// Run a simulated room and a controller as two processes and watch them.
+/// Run a simulated room and a controller as two processes, and display them.
 ///
-/// The processes meet over Zenoh on free loopback ports. A page on loopback shows the room and has buttons that act on it; its address
-/// is printed. The terminal shows the same figures: a full screen on a terminal (q ends), lines elsewhere. Ctrl-C, or --seconds,
-/// ends all and prints a summary. Figures go to standard error, the summary to standard output.
+/// The processes connect over Zenoh on free loopback ports. A web page on loopback shows the room,
+/// and its buttons act on it; the address is printed. The terminal shows the same figures in
+/// full-screen mode (q quits), or as lines if output is not a terminal. Ctrl-C or --seconds ends
+/// the demo with a summary. Figures go to standard error, the summary to standard output.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     pub(super) scenario: ScenarioArgs,
-    /// Which policy turns the mirrors
+    /// Policy of the controller
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     pub(super) policy: PolicyKind,
-    /// ONNX file of a learned policy, in place of the built-in one
+    /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// End after this long, counted from the first answered report
+    /// End after this many seconds, counted from the first answered report
     #[arg(long, value_name = "N")]
     seconds: Option<f64>,
-    /// Name of the room in the key expressions
+    /// Name of the room
     #[arg(long, default_value = "demo")]
     pub(super) room: String,
     #[command(flatten)]
     page: PageArgs,
-    /// Print lines even on a terminal
+    /// Print lines instead of the full-screen view
     #[arg(long)]
     plain: bool,
     /// Print the summary as one JSON object on the last line
@@ -75,7 +76,7 @@ pub fn run(args: Args) -> Result<()> {
 
     let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
     let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
-    let mut parts = Parts::start(
+    let mut parts = Processes::start(
         &args.part("sim-node", &[("--listen", endpoints.0)]),
         &args.controller_arguments(endpoints, args.policy)?,
     )?;
@@ -115,19 +116,19 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// What a running demo looks at.
+/// The inputs of the display loop.
 struct Watched<'a> {
     stop: &'a AtomicBool,
     view: &'a View,
-    /// What the page orders of this process.
+    /// Orders of the page for this process.
     ordered: Receiver<Errand>,
-    /// Where the room and the controller listen.
+    /// Endpoints of the room and of the controller.
     endpoints: (&'a str, &'a str),
     title: String,
 }
 
-/// Draws until the time is over, a signal or a key comes, or a process ends by itself.
-fn watch(args: &Args, watched: &Watched, parts: &mut Parts) -> Result<()> {
+/// Draws until the time is over, a signal or a key arrives, or a process ends.
+fn watch(args: &Args, watched: &Watched, parts: &mut Processes) -> Result<()> {
     let opened = Instant::now();
     let mut started: Option<Instant> = None;
     let mut display = Display::open(args.plain || args.json, &watched.title)?;
@@ -141,8 +142,8 @@ fn watch(args: &Args, watched: &Watched, parts: &mut Parts) -> Result<()> {
         }
         match started {
             None if watched.view.is_complete() => started = Some(Instant::now()),
-            None if opened.elapsed() > START_PATIENCE => {
-                bail!("the two processes run but did not meet within {} s", START_PATIENCE.as_secs())
+            None if opened.elapsed() > START_LIMIT => {
+                bail!("the two processes run but did not connect within {} s", START_LIMIT.as_secs())
             }
             None => {}
             Some(since) => {
@@ -160,7 +161,8 @@ fn watch(args: &Args, watched: &Watched, parts: &mut Parts) -> Result<()> {
 }
 
 impl Args {
-    /// Builds the policy once here, so that an actor that does not fit is told before anything starts.
+    /// Builds the policy once here, so that an unsuitable actor is refused before any process
+    /// starts.
     fn check_policy(&self, scenario: &Scenario) -> Result<()> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         heliostat_engine::build(self.policy, scenario, &source)
@@ -168,7 +170,7 @@ impl Args {
         Ok(())
     }
 
-    /// The arguments that both processes share, after their own.
+    /// The arguments of a process: its command, the shared flags, and its endpoints.
     fn part(&self, command: &str, endpoints: &[(&str, &str)]) -> Vec<String> {
         let mut arguments = vec![command.to_string()];
         arguments.extend(["--scenario".into(), self.scenario.scenario.clone(), "--room".into(), self.room.clone()]);

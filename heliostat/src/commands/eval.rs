@@ -1,4 +1,4 @@
-//! `heliostat eval`: any set of policies on the same states, beside the oracle.
+//! `heliostat eval`: policies on the same states, compared with the oracle.
 
 mod output;
 mod sweep;
@@ -14,51 +14,54 @@ use heliostat_scenario::ScenarioArgs;
 use crate::output::outln;
 use sweep::Sweep;
 
-/// The policies that are compared when none are named, the first only where an actor is built in for the room.
+/// The default policies; the first only if an actor is built in for the room.
 const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest", "random", "flat", "no-irs"];
 
-/// Compare policies on the same states, each beside the oracle with minimum rates.
+/// Compare policies with the oracle on the same states.
 ///
-/// A learned policy is all of its built-in actors, one for each training seed, and its interval holds the spread over them.
-/// Without --closed-loop each policy sees held-out states as they are and its mirrors turn at once. With it, reports are as rare, late and
-/// noisy as the scenario says, and mirrors take their time; the oracle still knows the true state and turns its mirrors at once.
-/// The decision time is the policy's alone.
+/// The oracle maximises the sum rate under the minimum rates. A learned policy stands for all its
+/// built-in actors, one for each training seed; its interval includes their spread. By default each
+/// policy observes exact held-out states, and its mirrors move instantly. With --closed-loop,
+/// reports and mirrors have the rate, delay, noise and dynamics of the scenario; the oracle still
+/// knows the true state and moves its mirrors instantly. The decision time is that of the policy
+/// alone.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Policies by name, or paths of ONNX actors (FILE.onnx), with commas between them [default: ddpg where an actor fits, greedy,
-    /// fixed-point, nearest, random, flat, no-irs]
+    /// Policies by name, or paths of ONNX actors (FILE.onnx), separated by commas [default: ddpg if
+    /// an actor fits, greedy, fixed-point, nearest, random, flat, no-irs]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     policies: Vec<String>,
-    /// ONNX file of the policy ddpg (actor), in place of the built-in ones
+    /// ONNX file of the policy ddpg, instead of the built-in ones
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Take the built-in actors of this training seed alone, in place of pooling all that there are
+    /// Use the built-in actor of this training seed only, instead of all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     training_seed: Option<u32>,
-    /// States of each seed
+    /// States for each seed
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     states: u32,
-    /// How many seeds, counted up from the scenario's
+    /// Number of seeds, counted up from the scenario's
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
-    /// Users whose direct path is off: short for --set blockage.forced_users=B
+    /// Users whose direct path is blocked: short for --set blockage.forced_users=B
     #[arg(long, value_name = "B")]
     blocked: Option<usize>,
-    /// Reports, delay, noise and mirrors in simulated time, in place of held-out states
+    /// Simulate reports, delays, noise and mirror dynamics, instead of using held-out states
     #[arg(long)]
     closed_loop: bool,
-    /// Show each policy that looks at users a second time, with constant-velocity prediction of the users
+    /// Add a row for each policy with constant-velocity prediction of the users
     #[arg(long, requires = "closed_loop")]
     predicted: bool,
-    /// Show each policy a second time, without being told which mirrors do not follow
+    /// Add a row for each policy that ignores which mirrors are unusable
     #[arg(long, requires = "closed_loop")]
     unaware: bool,
-    /// Compare for each value of a scenario's key: table.key=FIRST..LAST or table.key=A,B,C
+    /// Repeat the comparison for each value of a scenario key: table.key=FIRST..LAST or
+    /// table.key=A,B,C
     #[arg(long, value_name = "KEY=VALUES")]
     sweep: Option<Sweep>,
-    /// Write the figures to a CSV file too, one line a policy
+    /// Also write the figures to a CSV file, one line for each policy
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Print one JSON object
@@ -67,7 +70,7 @@ pub struct Args {
 }
 
 impl Args {
-    /// The comparison in the room with one more change, if there is one.
+    /// The settings of a comparison, with one more override of the scenario if given.
     fn settings(&self, change: Option<String>) -> Result<Settings> {
         let mut scenario = self.scenario.clone();
         scenario.overrides.extend(self.blocked.map(|blocked| format!("blockage.forced_users={blocked}")));
@@ -78,7 +81,7 @@ impl Args {
             self.model.is_none()
                 || self.policies.is_empty()
                 || self.policies.iter().any(|name| name == "ddpg" || name == "actor"),
-            "--model is the actor of ddpg, which --policies does not name; name a file itself there: --policies greedy,FILE.onnx"
+            "--model gives the actor of ddpg, but --policies does not include ddpg; give the file in --policies instead: --policies greedy,FILE.onnx"
         );
         let mut entrants = Vec::new();
         for (index, name) in self.policies.iter().enumerate() {
@@ -111,13 +114,14 @@ pub fn run(args: Args) -> Result<()> {
     let sweep = args.sweep.as_ref();
     let settings: Vec<Settings> = match sweep {
         None => vec![args.settings(None)?],
-        // A value that makes no room is told before any work is done.
+        // An invalid value is refused before the work starts.
         Some(sweep) => sweep.overrides().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
     };
     if let Some(file) = &args.csv {
-        // What cannot be written is told before the work, and what is there stays until it is done.
+        // An unwritable file is refused before the work starts; existing content stays until the
+        // end.
         let opened = File::options().create(true).append(true).open(file);
-        opened.with_context(|| format!("cannot write {}: wanted a file in a folder that exists", file.display()))?;
+        opened.with_context(|| format!("cannot write {}: expected a file in a folder that exists", file.display()))?;
     }
     let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
     if let Some(file) = &args.csv {

@@ -1,4 +1,4 @@
-//! `heliostat link`: the link budget of given users under given mirror angles.
+//! `heliostat link`: the link budget of users for given mirror angles.
 
 use std::io;
 
@@ -12,25 +12,29 @@ use heliostat_scenario::{MinRate, Scenario, ScenarioArgs};
 use heliostat_sim::World;
 use serde::{Deserialize, Serialize};
 
-use super::mirrors::{Instant, place_of};
+use super::mirrors::{Instant, parse_position};
 use super::read_csv;
 use crate::output::outln;
 
-/// Compute the link budget of users at given positions under given mirror angles.
+/// Compute the link budget of users at given positions, for given mirror angles.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// CSV of users with the header x,y,z in m; z may be left out, and heading_deg (0 faces +x, 90 faces +y) puts the user's body behind the device
+    /// CSV of users with the header x,y,z in m; z is optional, and heading_deg (0 is +x, 90 is +y)
+    /// places the user's body behind the detector
     #[arg(long, value_name = "FILE", required_unless_present = "user")]
     users: Option<String>,
-    /// A user at X,Y or X,Y,Z in m; Z is the scenario's receiver height when left out (repeatable)
+    /// A user at X,Y or X,Y,Z in m; Z defaults to the scenario's receiver height (repeatable)
     #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, conflicts_with = "users")]
     user: Vec<String>,
-    /// How the mirrors stand: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the header roll_deg,yaw_deg, one line a mirror in index order
+    /// Mirror angles: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or
+    /// aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the
+    /// header roll_deg,yaw_deg and one line for each mirror in index order
     #[arg(long, value_name = "HOW|FILE", default_value = "oracle", allow_hyphen_values = true)]
     angles: String,
-    /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header x,y,radius,height in m
+    /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header
+    /// x,y,radius,height in m
     #[arg(long, value_name = "HOW|FILE", default_value = "none")]
     obstacles: String,
     /// List the gain of each mirror to each user
@@ -48,7 +52,7 @@ struct UserLink {
     los_gain: f64,
     irs_gain: f64,
     sinr: f64,
-    /// Absent in the dark.
+    /// Absent without any received power.
     sinr_db: Option<f64>,
     rate_mbps: f64,
     min_rate_mbps: f64,
@@ -60,7 +64,7 @@ struct UserLink {
     mirror_gain: Vec<f64>,
 }
 
-/// The whole answer.
+/// The report.
 #[derive(Debug, Serialize)]
 struct LinkBudgetReport {
     scenario: String,
@@ -102,7 +106,7 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// A line of the users' file.
+/// A line of the file of users.
 #[derive(Debug, Deserialize)]
 struct UserRow {
     x: f64,
@@ -131,10 +135,10 @@ fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
             && place.y.abs() <= room.length_y_m / 2.0
             && (0.0..room.height_m).contains(&place.z);
         let heading = row.heading_deg.unwrap_or(0.0);
-        ensure!(heading.is_finite(), "user {index}: heading_deg is {heading}; wanted a number of degrees");
+        ensure!(heading.is_finite(), "user {index}: heading_deg is {heading}; expected a finite number of degrees");
         ensure!(
             inside,
-            "user {index} at ({}, {}, {}) is outside the room: wanted |x| <= {}, |y| <= {}, 0 <= z < {}",
+            "user {index} at ({}, {}, {}) is outside the room; expected |x| <= {}, |y| <= {}, 0 <= z < {}",
             place.x,
             place.y,
             place.z,
@@ -147,8 +151,8 @@ fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
 }
 
 fn parse_user(text: &str) -> Result<UserRow> {
-    let wanted = || format!("--user {text}: wanted X,Y or X,Y,Z in m, for example --user 1.0,-0.5");
-    let (x, y, z) = place_of(text).with_context(wanted)?;
+    let expected = || format!("--user {text}: expected X,Y or X,Y,Z in m, for example --user 1.0,-0.5");
+    let (x, y, z) = parse_position(text).with_context(expected)?;
     Ok(UserRow { x, y, z, heading_deg: None })
 }
 
@@ -161,7 +165,7 @@ fn set_user_count(scenario: &mut Scenario, count: usize) -> Result<()> {
     Ok(())
 }
 
-/// A line of the obstacles' file.
+/// A line of the file of obstacles.
 #[derive(Debug, Deserialize)]
 struct ObstacleRow {
     x: f64,
@@ -170,7 +174,7 @@ struct ObstacleRow {
     height: f64,
 }
 
-/// Obstacles and bodies, each with the name by which the report calls it.
+/// Obstacles and bodies, each with its name in the report.
 fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<Cylinder>, Vec<String>)> {
     let mut blockers: Vec<Cylinder> = match args.obstacles.as_str() {
         "none" => Vec::new(),
@@ -180,7 +184,7 @@ fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<C
             .map(|row| {
                 let finite = [row.x, row.y, row.radius, row.height].iter().all(|value| value.is_finite());
                 let valid = finite && row.radius > 0.0 && row.height >= 0.0;
-                ensure!(valid, "in {file}: an obstacle needs x, y, radius > 0 and height >= 0 in m, not {row:?}");
+                ensure!(valid, "in {file}: invalid obstacle {row:?}; expected x, y, radius > 0 and height >= 0 in m");
                 Ok(Cylinder { x_m: row.x, y_m: row.y, radius_m: row.radius, height_m: row.height })
             })
             .collect::<Result<_>>()?,
@@ -203,9 +207,10 @@ fn blockers(args: &Args, scenario: &Scenario, rows: &[UserRow]) -> Result<(Vec<C
 }
 
 impl LinkBudgetReport {
-    /// The links under the angles that were asked for, beside the oracle's; who blocks whom is not told yet.
+    /// The links for the requested angles, and the oracle's sum rates; `los_blocked_by` is still
+    /// empty.
     fn new(scenario: &Scenario, instant: &Instant, args: &Args) -> Result<Self> {
-        let (model, scene) = (instant.model, &instant.seen.scene);
+        let (model, scene) = (instant.model, &instant.observation.scene);
         let (users, mirrors) = (scene.users(), model.mirrors.len());
         let angles = instant.angles(&args.angles)?;
         let (mut irs, mut sinr, mut each) = (vec![0.0; users], vec![0.0; users], vec![0.0; users * mirrors]);
@@ -218,7 +223,7 @@ impl LinkBudgetReport {
             rates.iter().sum::<f64>() * 1e-6
         };
         let links = (0..users).map(|user| {
-            let legs = &scene.irs_path_clear()[user * mirrors..][..mirrors];
+            let paths = &scene.irs_path_clear()[user * mirrors..][..mirrors];
             let position = scene.positions()[user];
             UserLink {
                 position_m: [position.x, position.y, position.z],
@@ -227,11 +232,11 @@ impl LinkBudgetReport {
                 sinr: sinr[user],
                 sinr_db: (sinr[user] > 0.0).then(|| 10.0 * sinr[user].log10()),
                 rate_mbps: model.budget.rate_bps(sinr[user], users) * 1e-6,
-                min_rate_mbps: instant.seen.min_rate_bps[user] * 1e-6,
+                min_rate_mbps: instant.observation.min_rate_bps[user] * 1e-6,
                 ber: ber_ook(sinr[user]),
                 los_blocked: scene.los_blocked()[user],
                 los_blocked_by: Vec::new(),
-                mirrors_blocked: legs.iter().filter(|visible| !**visible).count(),
+                mirrors_blocked: paths.iter().filter(|visible| !**visible).count(),
                 mirror_gain: if args.per_mirror { each[user * mirrors..][..mirrors].to_vec() } else { Vec::new() },
             }
         });
@@ -251,13 +256,13 @@ impl LinkBudgetReport {
 fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
     outln!("{} mode, mirrors {}, noise {:.3e} A2", report.mode, report.angles, report.noise_variance_a2)?;
     outln!(
-        "{:>4} {:>21} {:>11} {:>11} {:>9} {:>11} {:>9}  blocked",
+        "{:>4} {:>21} {:>11} {:>11} {:>9} {:>13} {:>9}  blocked",
         "user",
         "position (m)",
         "LoS gain",
         "IRS gain",
         "SINR (dB)",
-        "rate (Mb/s)",
+        "rate (Mbit/s)",
         "BER"
     )?;
     for (user, link) in report.users.iter().enumerate() {
@@ -271,11 +276,11 @@ fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
             ));
         }
         outln!(
-            "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9} {:>11.3} {:>9.2e}  {blocked}",
+            "{user:>4} {:>21} {:>11.3e} {:>11.3e} {:>9} {:>13.3} {:>9.2e}  {blocked}",
             format!("{x:.2}, {y:.2}, {z:.2}"),
             link.los_gain,
             link.irs_gain,
-            link.sinr_db.map_or("dark".into(), |decibels| format!("{decibels:.2}")),
+            link.sinr_db.map_or("none".into(), |decibels| format!("{decibels:.2}")),
             link.rate_mbps,
             link.ber
         )?;
@@ -284,7 +289,7 @@ fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
         }
     }
     outln!(
-        "sum rate {:.3} Mb/s; oracle {:.3} Mb/s; oracle with QoS {:.3} Mb/s",
+        "sum rate {:.3} Mbit/s; oracle {:.3} Mbit/s; oracle with QoS {:.3} Mbit/s",
         report.sum_rate_mbps,
         report.oracle_sum_rate_mbps,
         report.oracle_qos_sum_rate_mbps

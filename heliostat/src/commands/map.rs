@@ -1,11 +1,11 @@
-//! `heliostat map`: what the floor gets, as a heat map.
+//! `heliostat map`: a quantity over the floor as a heat map.
 
 mod picture;
+mod quantity;
 
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
 use heliostat_channel::ChannelModel;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::scene::Scene;
@@ -15,19 +15,24 @@ use heliostat_sim::World;
 
 use super::mirrors::Instant;
 use crate::output::outln;
+use picture::Picture;
+use quantity::Quantity;
 
 /// Draw the rate, SINR or coverage over the floor as an SVG heat map.
 ///
-/// The map shows what one more detector would get at each place: obstacles and the bodies of the users block its light, a body of its own
-/// does not. A legend under the map names what is drawn over it.
+/// The map shows the value for one additional detector at each point. Obstacles and the bodies of
+/// the users block its light; it has no body of its own. A legend under the map explains the
+/// symbols.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// What to draw
+    /// The quantity to draw
     #[arg(long, value_enum, default_value = "rate")]
     what: Quantity,
-    /// How the mirrors stand: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle or a policy (flat, nearest, fixed-point, greedy, actor, random) for the users as they stand, or a CSV with the header roll_deg,yaw_deg
+    /// Mirror angles: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle or a
+    /// policy (flat, nearest, fixed-point, greedy, actor, random) for the users of the scenario, or
+    /// a CSV with the header roll_deg,yaw_deg
     #[arg(
         long,
         value_name = "HOW|FILE",
@@ -36,7 +41,7 @@ pub struct Args {
         allow_hyphen_values = true
     )]
     array: String,
-    /// Let the users walk for this long first, in s
+    /// Time in s that the users walk before the map is computed
     #[arg(long, default_value_t = 0.0)]
     at_seconds: f64,
     /// Distance between points of the map in cm
@@ -50,44 +55,24 @@ pub struct Args {
     json: bool,
 }
 
-/// A quantity over the floor.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Quantity {
-    /// Rate of one user of the scenario's K, in Mbit/s
-    Rate,
-    /// SINR in dB
-    Sinr,
-    /// Whether the minimum rate (of the first user) is met
-    Coverage,
-}
-
-impl Quantity {
-    fn label(self) -> &'static str {
-        match self {
-            Self::Rate => "rate (Mbit/s)",
-            Self::Sinr => "SINR (dB)",
-            Self::Coverage => "minimum rate met (1) or not (0)",
-        }
-    }
-}
-
-/// SINR below this is drawn as this: a point in full shadow has no SINR in dB.
+/// Lower limit of the SINR on the map: a point without light has no SINR in dB.
 const SINR_FLOOR_DB: f64 = -20.0;
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let scenario = args.scenario.load()?;
-    ensure!((0.5..=100.0).contains(&args.step_cm), "--step-cm {}: wanted 0.5 to 100", args.step_cm);
-    ensure!((0.0..=3600.0).contains(&args.at_seconds), "--at-seconds {}: wanted 0 to 3600", args.at_seconds);
+    ensure!((0.5..=100.0).contains(&args.step_cm), "--step-cm {}: expected 0.5 to 100", args.step_cm);
+    ensure!((0.0..=3600.0).contains(&args.at_seconds), "--at-seconds {}: expected 0 to 3600", args.at_seconds);
     let svg = args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
-    ensure!(svg, "--out {}: wanted a name that ends in .svg", args.out.display());
+    ensure!(svg, "--out {}: expected a name that ends in .svg", args.out.display());
     let mut world = World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
     world.step(args.at_seconds);
     let instant = Instant::new(&scenario, world.model(), world.positions(), world.blockers(), world.forced());
     let angles = instant.angles(&args.array)?;
-    let mut look = |scene: &Scene| value(args.what, &scenario, world.model(), scene, &angles);
-    let map = over_floor(&scenario, &world, args.step_cm * 1e-2, &mut look);
-    picture::draw(&args, &scenario, &world, &map).with_context(|| format!("cannot draw {}", args.out.display()))?;
+    let mut evaluate = |scene: &Scene| value(args.what, &scenario, world.model(), scene, &angles);
+    let map = over_floor(&scenario, &world, args.step_cm * 1e-2, &mut evaluate);
+    let picture = Picture { quantity: args.what, mirrors: &args.array, scenario: &scenario, world: &world, map: &map };
+    picture.draw(&args.out).with_context(|| format!("cannot draw {}", args.out.display()))?;
     let ([min, max], mean) = (map.range(), map.mean());
     if args.json {
         let summary = serde_json::json!({

@@ -1,4 +1,4 @@
-//! How the mirrors of a room stand at one instant: by hand, at somebody, under a policy, or at their best.
+//! Mirror angles at one instant: given, aimed at a point, of a policy, or of the oracle.
 
 use std::path::Path;
 
@@ -14,16 +14,16 @@ use serde::Deserialize;
 
 use super::read_csv;
 
-/// One instant of a room: users in place, and what stands in their light.
+/// One instant of a room: users and blockers.
 pub struct Instant<'a> {
     scenario: &'a Scenario,
     pub model: &'a ChannelModel,
-    /// What a policy sees of it.
-    pub seen: Observation,
+    /// The observation for a policy.
+    pub observation: Observation,
 }
 
 impl<'a> Instant<'a> {
-    /// Users at `positions`, those marked in `forced` without direct light; as many as the scenario says.
+    /// Users at `positions`; those marked in `forced` have no direct path.
     pub fn new(
         scenario: &'a Scenario,
         model: &'a ChannelModel,
@@ -31,7 +31,7 @@ impl<'a> Instant<'a> {
         blockers: &[Cylinder],
         forced: &[bool],
     ) -> Self {
-        let mut seen = Observation::new(model, positions.len());
+        let mut observation = Observation::new(model, positions.len());
         let (velocities, min_rate_bps) = (vec![Vec3::zeros(); positions.len()], scenario.min_rate_bps());
         let state = RoomState {
             tick: 0,
@@ -42,31 +42,36 @@ impl<'a> Instant<'a> {
             forced,
             measured_los_gain: None,
         };
-        seen.set_state(model, &state);
-        Self { scenario, model, seen }
+        observation.set_state(model, &state);
+        Self { scenario, model, observation }
     }
 
-    /// The angles that a word on the command line stands for.
+    /// The angles for a value of the command line.
     pub fn angles(&self, how: &str) -> Result<MirrorAngles> {
         let mirrors = self.model.mirrors.len();
         let mut angles = MirrorAngles::flat(mirrors);
         if how == "none" {
-            // Turned to the ceiling: nobody is above the mirrors.
+            // Turned to the ceiling, where no user is.
             angles.roll.fill(-std::f64::consts::FRAC_PI_2);
         } else if how == "oracle" || how == "aimed" {
             angles = self.oracle(0.0);
         } else if let Some(user) = how.strip_prefix("user:") {
-            let last = self.seen.users() - 1;
+            let last = self.observation.users() - 1;
             let user = user.parse().ok().filter(|user| *user <= last);
-            let user: usize = user.with_context(|| format!("mirrors {how}: wanted user:N, N from 0 to {last}"))?;
-            decode::aim_at_point(self.model, &self.seen.positions[user], &mut angles);
+            let user: usize =
+                user.with_context(|| format!("mirrors {how}: expected user:N with N from 0 to {last}"))?;
+            decode::aim_at_point(self.model, &self.observation.positions[user], &mut angles);
         } else if let Some(point) = how.strip_prefix("aim:") {
-            let place = place_of(point).with_context(|| format!("mirrors {how}: wanted aim:X,Y or aim:X,Y,Z in m"))?;
+            let place =
+                parse_position(point).with_context(|| format!("mirrors {how}: expected aim:X,Y or aim:X,Y,Z in m"))?;
             let point = Vec3::new(place.0, place.1, place.2.unwrap_or(self.scenario.receiver.height_m));
-            ensure!(point.iter().all(|coordinate| coordinate.is_finite()), "mirrors {how}: wanted numbers of m");
+            ensure!(
+                point.iter().all(|coordinate| coordinate.is_finite()),
+                "mirrors {how}: expected finite numbers in m"
+            );
             decode::aim_at_point(self.model, &point, &mut angles);
         } else if let Ok(kind) = PolicyKind::from_str(how, false) {
-            build(kind, self.scenario, &ActorSource::Shipped)?.act(self.model, &self.seen, &mut angles)?;
+            build(kind, self.scenario, &ActorSource::Shipped)?.act(self.model, &self.observation, &mut angles)?;
         } else if Path::new(how).exists() {
             angles = from_file(how, mirrors)?;
         } else {
@@ -75,25 +80,25 @@ impl<'a> Instant<'a> {
                 .filter_map(|kind| Some(kind.to_possible_value()?.get_name().to_owned()))
                 .collect();
             bail!(
-                "mirrors {how}: no such file; wanted a CSV of angles, none, oracle, user:N, aim:X,Y or a policy: {}",
+                "mirrors {how}: no such file; expected a CSV of angles, none, oracle, user:N, aim:X,Y or a policy: {}",
                 policies.join(", ")
             );
         }
         Ok(angles)
     }
 
-    /// The best angles; `qos_penalty` is what a missing bit/s of a minimum rate costs, in bit/s.
+    /// The best angles; `qos_penalty` is the cost of each bit/s below a minimum rate, in bit/s.
     pub fn oracle(&self, qos_penalty: f64) -> MirrorAngles {
         let mut angles = MirrorAngles::flat(self.model.mirrors.len());
-        let need = MinimumRates { min_rate_bps: &self.seen.min_rate_bps, qos_penalty };
-        let mut solver = Solver::new(self.seen.users(), self.model.mirrors.len());
-        solver.solve(self.model, &self.seen.scene, &need, Method::Oracle, &mut angles);
+        let need = MinimumRates { min_rate_bps: &self.observation.min_rate_bps, qos_penalty };
+        let mut solver = Solver::new(self.observation.users(), self.model.mirrors.len());
+        solver.solve(self.model, &self.observation.scene, &need, Method::Oracle, &mut angles);
         angles
     }
 }
 
 /// `X,Y` or `X,Y,Z` in m.
-pub fn place_of(text: &str) -> Option<(f64, f64, Option<f64>)> {
+pub fn parse_position(text: &str) -> Option<(f64, f64, Option<f64>)> {
     let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().ok()).collect::<Option<_>>()?;
     match numbers[..] {
         [x, y] => Some((x, y, None)),
@@ -102,7 +107,7 @@ pub fn place_of(text: &str) -> Option<(f64, f64, Option<f64>)> {
     }
 }
 
-/// A line of a file of angles.
+/// A line of the file of angles.
 #[derive(Debug, Deserialize)]
 struct AngleRow {
     roll_deg: f64,
@@ -115,7 +120,7 @@ fn from_file(file: &str, mirrors: usize) -> Result<MirrorAngles> {
     let mut angles = MirrorAngles::flat(mirrors);
     for (index, row) in rows.iter().enumerate() {
         let allowed = row.roll_deg.abs() <= 90.0 && row.yaw_deg.abs() <= 90.0;
-        ensure!(allowed, "{file}, mirror {index}: wanted angles from -90 to 90 degrees, not {row:?}");
+        ensure!(allowed, "{file}, mirror {index}: expected angles from -90 to 90 degrees, found {row:?}");
         angles.roll[index] = row.roll_deg.to_radians();
         angles.yaw[index] = row.yaw_deg.to_radians();
     }

@@ -1,4 +1,4 @@
-//! `heliostat scenario`: check a file, write a commented one, print the effective one.
+//! `heliostat scenario`: checks a scenario file, writes a commented one, prints the effective one.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -19,23 +19,23 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Say what is wrong in a scenario file, with the line
+    /// Check a scenario file, and report errors with their line
     Check {
         /// The file
         file: String,
-        /// Print the verdict as one JSON object
+        /// Print the result as one JSON object
         #[arg(long)]
         json: bool,
     },
     /// Write a commented scenario file to start from
     New {
-        /// Where to; nothing is overwritten
+        /// The file to create; an existing file is not overwritten
         file: PathBuf,
-        /// Which built-in scenario to start from
+        /// The built-in scenario to start from
         #[arg(long, default_value = BUILTIN_NAMES[0], value_parser = BUILTIN_NAMES)]
         from: String,
     },
-    /// Print the effective scenario as TOML, every key written out
+    /// Print the effective scenario as TOML, with every key
     Show {
         #[command(flatten)]
         scenario: ScenarioArgs,
@@ -48,7 +48,10 @@ pub fn run(args: Args) -> Result<()> {
         Action::Check { file, json } => check(file, json),
         Action::New { file, from } => {
             let mut out = OpenOptions::new().write(true).create_new(true).open(&file).with_context(|| {
-                format!("cannot write {}: choose a path that does not exist yet, in a folder that does", file.display())
+                format!(
+                    "cannot write {}: expected a file that does not exist yet, in a folder that exists",
+                    file.display()
+                )
             })?;
             out.write_all(Scenario::builtin_text(&from)?.as_bytes())?;
             outln!("wrote {}; check it with: heliostat scenario check {}", file.display(), file.display())?;
@@ -64,7 +67,7 @@ pub fn run(args: Args) -> Result<()> {
 fn check(file: String, json: bool) -> Result<()> {
     let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
     let verdict = args.load().map_err(anyhow::Error::from).and_then(|scenario| {
-        // The room itself: what only shows when a world is made of the file, such as a recording that cannot be read.
+        // Building the world finds further errors, such as an unreadable recording of users.
         World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         Ok(scenario)
     });

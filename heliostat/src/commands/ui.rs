@@ -1,4 +1,4 @@
-//! `heliostat ui`: the page and the terminal view of a room that runs elsewhere.
+//! `heliostat ui`: the page and the terminal view of a running room.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -15,11 +15,11 @@ use heliostat_ui::{Display, Operator, Page, PageArgs, View};
 /// Between two looks at keys and signals.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
 
-/// Watch a running room, simulated or real, in a browser and on the terminal.
+/// Display a running room, simulated or real, in a browser and on the terminal.
 ///
-/// Connect to the room's process and to the controller's (peers do not pass on what they hear), or to the router of both. The
-/// scenario says what the room looks like: give the same as to the others. The page's buttons act on the room as those of `heliostat demo` do, save
-/// that nobody here can kill or revive a process.
+/// Connect to the room's process and to the controller, since peers do not forward messages, or to
+/// the router of both. The scenario describes the room: use the same as for the other processes.
+/// The page has the buttons of `heliostat demo`, except those that kill or restart the controller.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -28,7 +28,7 @@ pub struct Args {
     bus: BusArgs,
     #[command(flatten)]
     page: PageArgs,
-    /// Print lines even on a terminal
+    /// Print lines instead of the full-screen view
     #[arg(long)]
     plain: bool,
     /// End after this long
@@ -71,7 +71,7 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// The names of the controller's policies, for the page to offer.
+/// The names of the controller's policies, for the page.
 pub fn policy_names() -> Vec<String> {
     let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
     values.map(|value| value.get_name().to_owned()).collect()

@@ -1,4 +1,4 @@
-//! What must be known of a recording before it can be replayed: who answered what, when, and by which policy.
+//! The first pass over a recording: scenario, clock, answers by tick, and the policy of each epoch.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::Path;
@@ -10,17 +10,17 @@ use heliostat_proto::{MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
-use super::open;
 use crate::account::Account;
-use crate::heard::Heard;
+use crate::file::open;
+use crate::received::Received;
 
 const NO_REPORT: &str =
-    "it holds no position report: the recorder did not hear the room's process, or was cut before it wrote";
+    "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
 
-/// Reports whose time is further than this from their arrival are in simulated time.
+/// A report whose time differs by more than this from its arrival is in simulated time.
 const LIVE_CLOCK_NS: u64 = 3_600_000_000_000;
 
-/// In which time a room ran.
+/// The clock of a room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Clock {
@@ -31,13 +31,13 @@ pub enum Clock {
     Lockstep,
 }
 
-/// What comes before the first position report of a recording.
+/// The part of a recording before its first position report.
 pub(crate) struct Beginning {
     /// The room's name.
     pub room: Room,
-    /// In which time the room ran: the first report tells.
+    /// The clock of the room, derived from the first report.
     pub clock: Clock,
-    /// What the array had said that it can do.
+    /// The payload of the array's capabilities.
     pub capabilities: Option<Vec<u8>>,
 }
 
@@ -45,7 +45,7 @@ impl Beginning {
     /// Reads a recording up to its first position report.
     ///
     /// # Errors
-    /// Where it cannot be read, or holds no such report.
+    /// A recording that cannot be read, or holds no such report.
     pub fn read(file: &Path) -> Result<Self> {
         let mut reading = open(file)?;
         let room = Room::new(&reading.header().room)?;
@@ -54,7 +54,7 @@ impl Beginning {
             if entry.topic == room.capabilities() {
                 capabilities = Some(entry.data);
             } else if entry.topic == room.users()
-                && let Ok(Heard::Users(report)) = Heard::read(&entry.data)
+                && let Ok(Received::Users(report)) = Received::read(&entry.data)
             {
                 return Ok(Self { clock: clock_of(report.stamp.time_ns, entry.arrived_ns), room, capabilities });
             }
@@ -63,34 +63,34 @@ impl Beginning {
     }
 }
 
-/// A recorded command, but for its angles.
+/// A recorded command without its angles.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Answer {
     pub epoch: u64,
     pub time_ns: Nanos,
-    /// It says what the command before it said: so a controller answers that has no time to decide.
+    /// Its angles equal those of the command before it, as after a missed deadline.
     pub is_repeat: bool,
 }
 
-/// What must be known of a recording before it can be replayed.
+/// What a replay needs to know in advance.
 pub(super) struct Plan {
     pub scenario: Scenario,
     pub room: Room,
     pub clock: Clock,
-    /// By the tick that they answer, in the order of arrival.
+    /// Commands by the tick that they answer, in the order of arrival.
     pub answers: HashMap<u64, VecDeque<Answer>>,
     /// Each epoch with the sequence of its first recorded command.
     pub epochs: BTreeMap<u64, u64>,
-    /// What the controllers said of themselves, by epoch.
-    controllers: BTreeMap<u64, Told>,
+    /// The statuses of the controllers, by epoch.
+    controllers: BTreeMap<u64, ControllerHistory>,
     pub account: Account,
 }
 
-/// What a controller said of itself.
+/// The statuses of one controller.
 #[derive(Default)]
-struct Told {
+struct ControllerHistory {
     policies: BTreeSet<String>,
-    /// Decisions for which it had no time.
+    /// Decisions that missed their deadline.
     late: u64,
 }
 
@@ -98,14 +98,14 @@ impl Plan {
     /// Reads a recording from its beginning to its end.
     ///
     /// # Errors
-    /// Where it cannot be read, or cannot be replayed whatever decides.
+    /// A recording that cannot be read, or cannot be replayed under any policy.
     pub fn read(file: &Path) -> Result<Self> {
         let mut reading = open(file)?;
         let header = reading.header().clone();
         let hash = Scenario::hash_of(&header.scenario);
         ensure!(
             hash == header.scenario_hash,
-            "its scenario has the hash {hash}, and it says {}: it was changed after it was made",
+            "its scenario has the hash {hash}, its header names {}: it was changed after it was made",
             header.scenario_hash
         );
         let mut plan = Self {
@@ -123,20 +123,20 @@ impl Plan {
             if !entry.topic.starts_with("heliostat/") {
                 continue;
             }
-            let heard = Heard::read(&entry.data).ok();
-            plan.account.count(&entry.topic, entry.data.len(), heard.as_ref().map(Heard::origin));
-            match heard {
-                Some(Heard::Users(report)) => {
+            let received = Received::read(&entry.data).ok();
+            plan.account.count(&entry.topic, entry.data.len(), received.as_ref().map(Received::origin));
+            match received {
+                Some(Received::Users(report)) => {
                     clock.get_or_insert_with(|| clock_of(report.stamp.time_ns, entry.arrived_ns));
                 }
-                Some(Heard::Command(command)) => last = Some(plan.expect(command, last.as_ref())),
-                Some(Heard::Status(status)) if status.node == NodeKind::Controller => {
+                Some(Received::Command(command)) => last = Some(plan.add_command(command, last.as_ref())),
+                Some(Received::Status(status)) if status.node == NodeKind::Controller => {
                     ensure!(
                         status.scenario.is_empty() || status.scenario == hash,
-                        "its controller decided by the scenario {}, and it holds {hash}: the recorder was not given the room's --scenario, --set and --seed",
+                        "its controller used scenario {}, it holds {hash}: the recorder did not have the --scenario, --set and --seed of the room",
                         status.scenario
                     );
-                    plan.learn(status);
+                    plan.add_status(status);
                 }
                 _ => {}
             }
@@ -144,13 +144,13 @@ impl Plan {
         plan.clock = clock.with_context(|| NO_REPORT)?;
         ensure!(
             !plan.epochs.is_empty(),
-            "it holds no command: nothing was decided in that room, or the recorder did not hear the controller"
+            "it holds no command: no controller was in the room, or the recorder was not connected to it"
         );
         Ok(plan)
     }
 
-    /// Takes a command; `last` is the one before it.
-    fn expect(&mut self, command: MirrorCommand, last: Option<&MirrorCommand>) -> MirrorCommand {
+    /// Adds a command; `last` is the one before it.
+    fn add_command(&mut self, command: MirrorCommand, last: Option<&MirrorCommand>) -> MirrorCommand {
         self.epochs.entry(command.epoch).or_insert(command.sequence);
         let is_repeat = last
             .is_some_and(|last| (last.epoch, &last.roll, &last.yaw) == (command.epoch, &command.roll, &command.yaw));
@@ -159,36 +159,36 @@ impl Plan {
         command
     }
 
-    /// Takes what a controller says of itself.
-    fn learn(&mut self, status: NodeStatus) {
+    /// Adds the status of a controller.
+    fn add_status(&mut self, status: NodeStatus) {
         let counter =
             |name: &str| status.counters.iter().find(|(known, _)| known == name).map_or(0, |(_, count)| *count);
-        let told = self.controllers.entry(counter("epoch")).or_default();
-        told.late = told.late.max(counter("fallback:late"));
-        told.policies.insert(status.policy);
+        let history = self.controllers.entry(counter("epoch")).or_default();
+        history.late = history.late.max(counter("fallback:late"));
+        history.policies.insert(status.policy);
     }
 
-    /// Whether the controller of an epoch had no time for some of its decisions.
+    /// Whether the controller of an epoch missed deadlines.
     pub fn was_late(&self, epoch: u64) -> bool {
-        self.controllers.get(&epoch).is_some_and(|told| told.late > 0)
+        self.controllers.get(&epoch).is_some_and(|history| history.late > 0)
     }
 
     /// The policy that decided in an epoch.
     ///
     /// # Errors
-    /// Where it is not known, not one, or not here.
+    /// A policy that is unknown, more than one policy, or one that this program does not have.
     pub fn policy_of(&self, epoch: u64) -> Result<PolicyKind> {
-        let Some(Told { policies, .. }) = self.controllers.get(&epoch) else {
-            bail!("it does not say which policy decided in epoch {epoch}: name it with --policy");
+        let Some(ControllerHistory { policies, .. }) = self.controllers.get(&epoch) else {
+            bail!("it does not name the policy of epoch {epoch}; give it with --policy");
         };
         ensure!(
             policies.len() == 1,
-            "the policy was switched within epoch {epoch} ({}), and the recording does not say at which decision: replay a recording of one policy, or name one with --policy",
+            "the policy changed within epoch {epoch} ({}), and the recording does not show at which decision; replay a recording of one policy, or give one with --policy",
             policies.iter().cloned().collect::<Vec<_>>().join(", ")
         );
         let name = policies.first().map_or("", String::as_str);
         PolicyKind::from_str(name, false).map_err(|_| {
-            anyhow!("policy \"{name}\" decided, which this program does not have: name another with --policy")
+            anyhow!("the recorded policy \"{name}\" is unknown to this program; give another with --policy")
         })
     }
 }

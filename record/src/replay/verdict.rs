@@ -1,4 +1,4 @@
-//! What a replay came to, and where two commands differ.
+//! The result of a replay, and the difference of two commands.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::plan::Clock;
 use crate::account::Account;
 
-/// What a replay came to.
+/// The result of a replay.
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
     /// The recording.
@@ -18,44 +18,45 @@ pub struct Verdict {
     pub room: String,
     /// Name of the scenario.
     pub scenario: String,
-    /// The policies that decided, one an epoch.
+    /// The policies, one for each epoch.
     pub policies: Vec<String>,
-    /// In which time the room ran.
+    /// The clock of the room.
     pub clock: Clock,
-    /// Whether the recorder ended in good order.
+    /// Whether the recorder closed the file.
     pub complete: bool,
-    /// What is in the file, and what is missing.
+    /// Counts of the messages in the file, and of missing ones.
     pub account: Account,
     /// Position reports.
     pub reports: u64,
-    /// Position reports that no recorded command answers.
+    /// Position reports without a recorded command.
     pub unanswered: u64,
-    /// Commands that were recorded and decided anew.
+    /// Commands that were recorded and decided again.
     pub compared: u64,
-    /// Of those: not judged, since what the controller knew before is not in the recording.
-    pub not_judged: u64,
-    /// Of those judged: the same, bit for bit.
+    /// Commands among them that do not count, since earlier inputs are not in the recording.
+    pub not_counted: u64,
+    /// Commands that count and are equal bit for bit.
     pub same: u64,
-    /// Of those judged: different.
+    /// Commands that count and differ.
     pub different: u64,
-    /// Reports that were answered in the recording and are not now.
+    /// Reports that have a command in the recording and none in the replay.
     pub held: u64,
     /// Recorded commands whose report is not in the recording.
     pub without_report: u64,
-    /// Largest difference of an angle in rad, among those judged.
+    /// Largest difference of an angle in rad, among the commands that count.
     pub largest_difference_rad: f64,
     /// The first difference.
     pub first_difference: Option<String>,
 }
 
 impl Verdict {
-    /// Whether everything that could be judged came out as recorded, and there was something to judge.
+    /// Whether at least one command counts, and all that count are equal.
     pub fn is_good(&self) -> bool {
         self.same > 0 && self.different == 0 && self.held == 0
     }
 }
 
-/// Where two commands differ. In live time the sequence is left out: it counts commands that the recording may not hold.
+/// The first difference of two commands. In live operation the sequence is ignored: it counts
+/// commands that the recording may not hold.
 pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Clock) -> Option<String> {
     let numbers = [
         ("epoch", ours.epoch, theirs.epoch),
@@ -63,8 +64,8 @@ pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Cl
         ("time in ns", ours.time_ns, theirs.time_ns),
         ("sequence", ours.sequence, theirs.sequence),
     ];
-    let told = if clock == Clock::Lockstep { &numbers[..] } else { &numbers[..3] };
-    if let Some((name, ours, theirs)) = told.iter().find(|(_, ours, theirs)| ours != theirs) {
+    let compared = if clock == Clock::Lockstep { &numbers[..] } else { &numbers[..3] };
+    if let Some((name, ours, theirs)) = compared.iter().find(|(_, ours, theirs)| ours != theirs) {
         return Some(format!("{name}: recorded {theirs}, decided {ours}"));
     }
     for (axis, ours, theirs) in [("roll", &ours.roll, &theirs.roll), ("yaw", &ours.yaw, &theirs.yaw)] {
@@ -96,17 +97,17 @@ impl fmt::Display for Verdict {
         if !self.complete {
             writeln!(
                 formatter,
-                "the recording was cut: it is whole up to here, and its recorder's account is missing"
+                "the recording was cut: it is complete up to here, and the recorder's counts are missing"
             )?;
         }
-        writeln!(formatter, "reports {}, of them without a recorded answer {}", self.reports, self.unanswered)?;
+        writeln!(formatter, "reports {}, without a recorded command {}", self.reports, self.unanswered)?;
         writeln!(
             formatter,
-            "commands compared {}: same {}, different {}, not judged {}; held where one was recorded {}",
-            self.compared, self.same, self.different, self.not_judged, self.held
+            "commands compared {}: equal {}, different {}, not counted {}; recorded and missing in the replay {}",
+            self.compared, self.same, self.different, self.not_counted, self.held
         )?;
         if self.without_report > 0 {
-            writeln!(formatter, "recorded commands without their report: {}", self.without_report)?;
+            writeln!(formatter, "recorded commands without a report: {}", self.without_report)?;
         }
         match &self.first_difference {
             Some(found) => {
@@ -114,9 +115,9 @@ impl fmt::Display for Verdict {
                 write!(formatter, "largest difference of an angle: {:e} rad", self.largest_difference_rad)
             }
             None if self.same > 0 => {
-                write!(formatter, "every command that was judged came out bit for bit as recorded")
+                write!(formatter, "every command that counts equals the recorded one bit for bit")
             }
-            None => write!(formatter, "no command was judged"),
+            None => write!(formatter, "no command counts"),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A figure as an interactive plot in a page that has the plotting library in it once.
+//! A figure as an interactive plot for a page that includes the plotting library once.
 
 use plotly::color::{NamedColor, Rgb, Rgba};
 use plotly::common::{
@@ -11,7 +11,7 @@ use plotly::{Configuration, HeatMap, Layout, Plot, Scatter};
 use super::style::{QUOTED, columns, style};
 use crate::figure::{Axis, Figure, Panel, Point, Series};
 
-/// Most panels that one figure can have.
+/// Largest number of panels in a figure.
 pub const PANELS_MAX: usize = 8;
 
 /// Height of a row of panels, and of what stands above and below all of them, in pixels.
@@ -35,10 +35,10 @@ pub fn draw(figure: &Figure, id: &str) -> String {
     format!("<div class=\"plot\" style=\"height:{height}px\">{}</div>", plot.to_inline_html(Some(id)))
 }
 
-/// The library itself, for the head of the page.
+/// The plotting library, for the head of the page.
 pub fn library() -> String {
     let sources = Plot::offline_js_sources();
-    // What follows the first script typesets formulas, of which there are none.
+    // The later scripts typeset formulas, which are not used.
     let end = sources.find("</script>").map_or(sources.len(), |end| end + "</script>".len());
     sources[..end].to_owned()
 }
@@ -176,7 +176,8 @@ fn add_panel(plot: &mut Plot, figure: &Figure, panel: &Panel, index: usize, name
     }
 }
 
-/// The ends of a quoted value: itself, or a line across the panel where one coordinate is not given.
+/// The ends of a quoted value: itself, or a line across the panel where one coordinate is not
+/// given.
 fn ends(figure: &Figure, panel: &Panel, x: Option<f64>, y: Option<f64>) -> (Vec<f64>, Vec<f64>) {
     let across = |axis: &Axis, value: fn(&Point) -> f64| {
         let values = panel.series.iter().flat_map(|series| &series.points).map(value);

@@ -1,11 +1,12 @@
-//! One look for each name, on every figure: the Okabe-Ito colours, which can be told apart without colour vision.
+//! One style for each name in every figure, with the Okabe-Ito palette, which is distinguishable
+//! with colour-vision deficiency.
 
 /// Colour and stroke of a series.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Style {
     /// Red, green, blue.
     pub rgb: [u8; 3],
-    /// Length of dashes and of the gaps between them, in pixels, for what does not decide anything: greys alone are too near each other.
+    /// Length of dashes and of the gaps between them, in pixels, for the grey baselines.
     pub dashes: Option<[i32; 2]>,
     /// No line between the points.
     pub points_only: bool,
@@ -14,9 +15,9 @@ pub struct Style {
 /// The paper's own values.
 pub const QUOTED: [u8; 3] = [0xD5, 0x00, 0x32];
 
-/// The look of a policy, of a walking speed (`1.5 m/s`), or of a sign on a map.
+/// The style of a policy, of a walking speed (`1.5 m/s`), or of a symbol on a map.
 pub fn style(name: &str) -> Style {
-    // A policy that predicts the users keeps its colour; so do the sizes at which a yardstick stands.
+    // A suffix such as "+prediction" does not change the colour.
     let policy = name.split(['+', ' ']).next().unwrap_or(name);
     let hex = match policy {
         "oracle" => 0x000000,
@@ -122,7 +123,8 @@ mod tests {
                 for sight in sights {
                     let [one, other] = [one, other].map(|name| seen(style(name).rgb, sight));
                     let apart = one.iter().zip(other).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt();
-                    // A difference of 2 or 3 is seen side by side; thin lines of a legend and of a plot are not.
+                    // A difference of 2 or 3 is seen side by side; thin lines of a legend and of a
+                    // plot are not.
                     assert!(apart > 20.0, "{one:?} and {other:?}");
                 }
             }

@@ -1,4 +1,4 @@
-//! A figure as an SVG file: for papers and slides, and for eyes without a browser.
+//! A figure as an SVG file.
 
 use anyhow::Result;
 use plotters::coord::Shift;
@@ -22,10 +22,10 @@ const BAR: u32 = 90;
 /// Width of one entry of the legend.
 const ENTRY: u32 = 190;
 
-/// Draws a figure; the text of the file.
+/// Draws a figure, and returns the text of the file.
 ///
 /// # Errors
-/// Those of the drawing library.
+/// An error of the drawing library.
 pub fn draw(figure: &Figure) -> Result<String> {
     let across = columns(figure.panels.len()) as u32;
     let down = (figure.panels.len() as u32).div_ceil(across);
@@ -90,7 +90,8 @@ fn high(point: &Point) -> f64 {
     point.y + point.ci95.unwrap_or(0.0)
 }
 
-/// The axis' own range, or that of the values with a margin; a linear axis of positive values begins at 0.
+/// The axis' own range, or that of the values with a margin; a linear axis of positive values
+/// begins at 0.
 fn range(axis: &Axis, values: impl Iterator<Item = f64>, margin: f64) -> [f64; 2] {
     if let Some(range) = axis.range {
         return range.map(|value| place(axis, value));

@@ -1,29 +1,31 @@
-//! Fig6: bit error rate against SNR for several walking speeds, from mirrors that are aimed at where people were.
+//! Fig. 6: bit error rate against SNR for several walking speeds, with mirrors aimed at delayed
+//! user positions.
 //!
-//! One user in shadow walks; reports of the position come at an interval, each a latency old; the controller aims the whole array; mirrors
-//! with slew, settling, quantisation and jitter follow. The reference SNR is the one at perfect aim, and the error rate is the mean over time of
-//! Q(sqrt(SNR_ref SINR / SINR at perfect aim)), where the quotient is (H / H_ref)^2.
+//! One user without direct path walks. Position reports have an interval and a latency; the
+//! controller aims all mirrors, which have slew, settling, quantisation and jitter. The reference
+//! SNR is that of perfect aim. The error rate is the mean over time of Q(sqrt(SNR_ref SINR / SINR
+//! at perfect aim)), where the quotient is (H / H_ref)^2.
 
 use anyhow::Result;
 use heliostat_channel::link::ber_ook;
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{Entrant, kept_sinr};
 use heliostat_scenario::{Actuator, ActuatorProfile, MinRate, Prediction, Scenario};
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, intervals, series};
+use super::finished_parts::{Done, groups, intervals, series};
 use crate::figure::{Axis, Figure, Panel, Quoted};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Aim, Job};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 
-/// The word on the command line.
+/// The id on the command line.
 pub const ID: &str = "ber-snr";
 
-/// Why there is no such figure under the paper's equations.
-pub const POINTLESS: &str = "equations (2) and (3) spread a mirror's light over the whole room, so that a mirror which is aimed a little aside loses \
-                             nothing and the error rate does not depend on the speed; only the law of reflection (mode specular) has a spot that can \
-                             miss somebody";
+/// The reason why the figure does not apply to the paper's equations.
+pub const NOT_APPLICABLE: &str = "equations (2) and (3) spread a mirror's light over the whole room, so a small aiming error loses nothing and the error \
+                              rate does not depend on the speed; only the law of reflection (mode specular) has a spot that can miss a user";
 
-/// Interval of the reports and their latency in ms, and whether the controller predicts.
+/// Interval and latency of the reports in ms, and whether the controller predicts.
 const DELAYS: [(f64, f64, bool); 5] =
     [(20.0, 20.0, false), (50.0, 50.0, false), (100.0, 100.0, false), (200.0, 200.0, false), (100.0, 100.0, true)];
 
@@ -33,24 +35,11 @@ pub const SPEEDS_M_S: [f64; 5] = [0.0, 0.5, 1.0, 1.5, 2.0];
 /// The SNR at which the paper states error rates, in dB.
 pub const QUOTED_SNR_DB: f64 = 15.0;
 
-/// The delay that comes nearest to the paper's statement.
+/// The delay whose error rates are nearest to the paper's.
 pub const NEAREST_DELAY: &str = "100 + 100 ms";
 
 /// The largest SNR shown, in dB.
 pub const SNR_MAX_DB: f64 = 30.0;
-
-/// One seed of one delay, all speeds.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Aim {
-    /// Time between two reports in ms.
-    pub interval_ms: f64,
-    /// Age of a report when it arrives, in ms.
-    pub latency_ms: f64,
-    /// Constant-velocity prediction of the user.
-    pub prediction: bool,
-    /// Instants at each speed.
-    pub instants: usize,
-}
 
 /// The group of a delay's curves.
 fn group((interval_ms, latency_ms, prediction): (f64, f64, bool)) -> String {
@@ -79,7 +68,8 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Vec<Part> {
 }
 
 impl Aim {
-    /// One user in shadow, alone in the room, seen by reports of this interval and age, and mirrors that take time.
+    /// The room with one user without direct path, reports of this interval and latency, and MEMS
+    /// actuators.
     fn room(&self, scenario: &Scenario, speed_m_s: f64) -> Scenario {
         let mut room = scenario.clone();
         room.users.count = 1;
@@ -94,7 +84,7 @@ impl Aim {
         room.streams.positions.latency_ms = self.latency_ms;
         room.streams.channel.rate_hz = room.streams.positions.rate_hz;
         room.streams.channel.latency_ms = self.latency_ms;
-        // A command stands until the next one replaces it.
+        // A command is valid until the next one.
         room.control.validity_ms = room.control.validity_ms.max(4.0 * self.interval_ms);
         room.control.prediction = if self.prediction { Prediction::ConstantVelocity } else { Prediction::None };
         room
@@ -138,11 +128,11 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         room: room.name.clone(),
         title: "Bit error rate against SNR, by walking speed".into(),
         caption: vec![
-            "Each panel names the interval of the position reports and their latency. Mirrors are aimed at where the user was: one user in shadow, all mirrors, \
+            "Each panel names the interval of the position reports and their latency. Mirrors are aimed at the reported position: one user without direct path, all mirrors, \
              `mems` actuators (slew, settling, quantisation, jitter). The paper states neither interval nor latency."
                 .into(),
             "The SNR is the one at perfect aim. The error rate is that of on-off keying, Q(sqrt(SNR (H / H at perfect aim)^2)), averaged over time. At 15 dB a \
-             perfect aim gives 9.4e-9, so an error rate of 1e-4 already means that the light is lost for part of the time."
+             perfect aim gives 9.4e-9, so an error rate of 1e-4 means that the light misses the detector for part of the time."
                 .into(),
             format!("{} Each seed is one walk with {} instants a speed.", intervals(done), instants.unwrap_or(0)),
         ],

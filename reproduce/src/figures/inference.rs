@@ -1,53 +1,41 @@
-//! How long a decision takes, beside the paper's half millisecond and beside the methods that search at every decision.
+//! Decision times, compared with the paper's 0.5 ms and with methods that search at every decision.
 
 use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Row, Settings, compare_under};
 use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, seeds};
+use super::finished_parts::{Done, curves, groups, seeds};
 use crate::figure::{Axis, Figure, Panel, Point, Quoted, Series};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Job, Timing};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 use crate::statistics::mean;
 
-/// The word on the command line.
+/// The id on the command line.
 pub const ID: &str = "inference";
 
 /// The paper's time for a decision in us.
 pub const QUOTED_US: f64 = 500.0;
 
-/// Everything that can be timed in the whole array.
+/// The policies for the full array.
 const POLICIES: [&str; 7] = ["ddpg", "nearest", "fixed-point", "greedy", "oracle", "pso", "sine-cosine"];
 
-/// What can be timed where every assignment can be tried.
+/// The policies for an array small enough for the exhaustive search.
 pub(crate) const SMALL: [&str; 4] = ["exhaustive", "oracle", "greedy", "fixed-point"];
 
 /// Rows and columns, and users, of the array for the exhaustive search.
 const SMALL_SIDE: usize = 3;
 const SMALL_USERS: usize = 3;
 
-/// A policy whose median is shorter, in us, can decide often enough for a 99th percentile.
+/// Below this median in us a policy makes enough decisions for a 99th percentile.
 const FAST_US: f64 = 1000.0;
-
-/// One seed of one array.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Timing {
-    /// Nine mirrors and three users, with the exhaustive search.
-    pub small: bool,
-    /// Decisions of each policy whose median is under `FAST_US`.
-    pub decisions: usize,
-    /// Decisions of each other policy.
-    pub slow_decisions: usize,
-    /// Trials of the metaheuristics for one decision, however long they take.
-    pub trials: u32,
-}
 
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     ensure!(
         room.scenario.users.trace.is_none(),
-        "{ID} draws states from the random walk, but room {} follows a recording: leave users.trace out",
+        "{ID} draws states from the random walk, but room {} uses a recording; remove users.trace",
         room.name
     );
     let (decisions, slow_decisions, trials) = (plan.effort.timed, plan.effort.timed_slow, plan.effort.trials);
@@ -63,13 +51,13 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         cost_s: slow_decisions as f64 * if small { 2e-2 } else { 5e-3 + 4e-5 * f64::from(trials) }
             + decisions as f64 * if small { 2e-3 } else { 8e-3 },
     };
-    // Under the paper's equations angles are continuous, and there are no assignments to try.
+    // Under the paper's equations angles are continuous, so there is no list of assignments.
     let both: &[bool] = if room.scenario.channel.mode == ChannelMode::Specular { &[false, true] } else { &[false] };
     Ok(both.iter().flat_map(|small| plan.training_seeds().map(|seed| part(*small, seed))).collect())
 }
 
 impl Timing {
-    /// Times every policy on the same states, one after the other; then the fast ones on more.
+    /// Times every policy on the same states, then the fast ones on more states.
     pub(crate) fn run(&self, scenario: &Scenario, actor: &ActorSource) -> Result<Measured> {
         let mut scenario = scenario.clone();
         scenario.control.search_time_us = 0.0;
@@ -96,7 +84,7 @@ impl Timing {
         for (name, row) in &all {
             let timed = again.iter().find(|(other, _)| other == name).map_or(row, |(_, row)| row);
             let Some(times) = timed.decision_us else { continue };
-            // The height at which both times are drawn is the ratio on the states that all policies share, whoever is fast today.
+            // Both times are drawn at the ratio on the states that all policies share.
             let points = vec![[times.p50, row.ratio_to_oracle.mean], [times.p99, row.ratio_to_oracle.mean]];
             curves.push(Curve { group: group.clone(), name: name.clone(), points });
         }
@@ -107,7 +95,7 @@ impl Timing {
 pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     let panel = |group: &str| {
         let mut names: Vec<&str> = Vec::new();
-        for curve in super::curves(done).filter(|curve| curve.group == group) {
+        for curve in curves(done).filter(|curve| curve.group == group) {
             if !names.contains(&curve.name.as_str()) {
                 names.push(&curve.name);
             }
@@ -135,25 +123,25 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         format!(
             "Each policy from its median (left end) to its 99th percentile (right end) of {decisions} decisions a seed in a hot loop, one thread; \
              the policy alone, encoding of the observation included. A policy whose median is {FAST_US} us or more makes {slow}, so that its right end is about \
-             its slowest. Higher is nearer to the oracle. {intervals}"
+             its slowest. The vertical axis is the sum rate relative to the oracle. {intervals}"
         ),
         format!("`pso` and `sine-cosine` make {trials} trials for each decision. Machine: {machine}."),
     ];
     let overload = done.iter().filter_map(|(_, finished)| Some((finished.origin.overload()?, finished.origin.cores)));
     if let Some((load, cores)) = overload.max_by(|one, other| one.0.total_cmp(&other.0)) {
         caption.push(format!(
-            "Other work ran on the machine (load average up to {load:.1} on {cores} cores), which stretches the right ends most."
+            "Other work ran on the machine (load average up to {load:.1} on {cores} cores), which increases the right ends most."
         ));
     }
     if room.scenario.channel.mode != ChannelMode::Specular {
         caption.push(
-            "No exhaustive search: under the paper's equations a mirror has a continuum of useful angles, and no list of assignments holds the best.".into(),
+            "No exhaustive search: under the paper's equations a mirror has a continuum of useful angles, so the best one is in no finite list of assignments.".into(),
         );
     }
     Figure {
         id: ID.into(),
         room: room.name.clone(),
-        title: "Time for a decision, and what it is worth".into(),
+        title: "Decision time and sum rate".into(),
         caption,
         x: Axis::log("time for a decision (us)", [1.0, 1e6]),
         y: Axis::linear("sum rate over the oracle's (1)"),
@@ -162,10 +150,11 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     }
 }
 
-/// Two points: median and 99th percentile, at the height of the ratio, each a mean over seeds. The 99th percentile has no interval: it is far from
-/// normal over few seeds, and would reach below zero.
+/// Median and 99th percentile at the height of the ratio, each a mean over seeds. The 99th
+/// percentile has no interval: its distribution over few seeds is far from normal, and the interval
+/// would include negative times.
 fn times(done: &[Done], group: &str, name: &str) -> Series {
-    let same: Vec<&Curve> = super::curves(done).filter(|curve| curve.group == group && curve.name == name).collect();
+    let same: Vec<&Curve> = curves(done).filter(|curve| curve.group == group && curve.name == name).collect();
     let points = (0..2).map(|end| {
         let of = |part: usize| same.iter().map(|curve| curve.points[end][part]).collect::<Vec<_>>();
         let ((x, x_ci95), (y, ci95)) = (mean(&of(0)), mean(&of(1)));
@@ -182,7 +171,8 @@ mod tests {
     use crate::figures::Kind;
     use crate::store::{Finished, Origin};
 
-    /// The figure whose every part finds for `ddpg` the medians and 99th percentiles given, one pair a seed, under a load on 2 cores.
+    /// The figure for given medians and 99th percentiles of `ddpg`, one pair for each seed, with a
+    /// load on 2 cores.
     fn figure_of(times_us: &[[f64; 2]], load: f64) -> Figure {
         let seeds = times_us.len();
         let args = ReproduceArgs::of_command(&format!(
@@ -210,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn fast_policies_make_more_decisions_on_states_that_leave_their_worth_as_it_was() {
+    fn more_decisions_of_fast_policies_leave_their_sum_rate_unchanged() {
         let scenario = Scenario::builtin("paper").unwrap().with_overrides(&["users.count=2".into()]).unwrap();
         let worth = |decisions: usize| {
             let job = Timing { small: false, decisions, slow_decisions: 2, trials: 10 };
@@ -221,12 +211,13 @@ mod tests {
     }
 
     #[test]
-    fn other_work_is_named_where_the_load_was_more_than_the_cores_could_bear() {
+    fn other_work_is_reported_if_the_load_exceeds_the_cores() {
         let (quiet, busy) = (figure_of(&[[200.0, 900.0]], 1.2), figure_of(&[[200.0, 900.0]], 7.0));
-        let said = |figure: &Figure| figure.caption.iter().any(|line| line.contains("Other work ran"));
-        let blamed = |figure: &Figure| claims(std::slice::from_ref(figure))[0].findings[0].why.contains("other work");
-        assert_eq!([said(&quiet), blamed(&quiet)], [false; 2]);
-        assert_eq!([said(&busy), blamed(&busy)], [true; 2]);
+        let is_reported = |figure: &Figure| figure.caption.iter().any(|line| line.contains("Other work ran"));
+        let is_in_verdict =
+            |figure: &Figure| claims(std::slice::from_ref(figure))[0].findings[0].why.contains("other work");
+        assert_eq!([is_reported(&quiet), is_in_verdict(&quiet)], [false; 2]);
+        assert_eq!([is_reported(&busy), is_in_verdict(&busy)], [true; 2]);
         assert!(busy.caption.iter().any(|line| line.contains("up to 7.0 on 2 cores")));
     }
 }

@@ -1,4 +1,4 @@
-//! What one more user would get at each place of the floor, without the array and with it.
+//! The rate of one additional user at each point of the floor, without and with the array.
 
 use std::f64::consts::TAU;
 
@@ -8,28 +8,22 @@ use heliostat_engine::ActorSource;
 use heliostat_models::comparison::Entrant;
 use heliostat_scenario::Scenario;
 use heliostat_sim::World;
-use serde::Serialize;
 
-use super::{Done, Plan, Room};
+use super::finished_parts::Done;
 use crate::figure::{Axis, Figure, Panel, Point, Series};
+use crate::job::{Job, Map};
 use crate::over_floor::over_floor;
-use crate::part::{Job, Measured, Part};
+use crate::part::{Measured, Part};
+use crate::plan::{Plan, Room};
 
-/// The word on the command line.
+/// The id on the command line.
 pub const ID: &str = "map";
 
-/// Who turns the mirrors: nobody, and the controller's default.
+/// The policies: no array, and the controller's default.
 const POLICIES: [&str; 2] = ["no-irs", "ddpg"];
 
-/// How long people walk before the picture is taken, in s.
+/// Time that the users walk before the snapshot, in s.
 const SETTLE_S: f64 = 20.0;
-
-/// One room at one instant.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Map {
-    /// Distance between points in cm.
-    pub step_cm: f64,
-}
 
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     ensure!(room.scenario.users.count > 0, "{ID} needs a user in room {}", room.name);
@@ -48,7 +42,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
 }
 
 impl Map {
-    /// The floor under each policy, with what stands on it.
+    /// The floor for each policy, with the objects in the room.
     pub(crate) fn run(&self, scenario: &Scenario, actor: &ActorSource) -> Result<Measured> {
         let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         world.step(SETTLE_S);
@@ -60,17 +54,17 @@ impl Map {
                 scene.sinr(world.model(), &angles, &mut sinr);
                 1e-6 * world.model().budget.rate_bps(sinr[0], scenario.users.count)
             });
-            // Enough for the eye, and small on disk.
+            // Rounded to limit the file size.
             floor.values.iter_mut().for_each(|value| *value = (*value * 1e3).round() * 1e-3);
             floor.label = "rate (Mbit/s)".into();
-            floors.push((floor, signs(&world)));
+            floors.push((floor, symbols(&world)));
         }
         Ok(Measured { floors, ..Measured::default() })
     }
 }
 
-/// What stands on the floor.
-fn signs(world: &World) -> Vec<Series> {
+/// The objects in the room.
+fn symbols(world: &World) -> Vec<Series> {
     let point = |x: f64, y: f64| Point { x, y, ci95: None, x_ci95: None };
     let outline = |cylinder: &Cylinder| {
         let at = |step: i32| {
@@ -81,21 +75,21 @@ fn signs(world: &World) -> Vec<Series> {
     };
     let mirrors = &world.model().mirrors;
     let foot = |index: usize| point(mirrors.positions()[index].x, mirrors.positions()[index].y);
-    let mut signs: Vec<Series> = world.blockers().iter().map(outline).collect();
-    signs.push(Series { name: "mirrors".into(), points: vec![foot(0), foot(mirrors.columns() - 1)] });
+    let mut symbols: Vec<Series> = world.blockers().iter().map(outline).collect();
+    symbols.push(Series { name: "mirrors".into(), points: vec![foot(0), foot(mirrors.columns() - 1)] });
     let users = world.positions().iter().map(|position| point(position.x, position.y)).collect();
-    signs.push(Series { name: "user".into(), points: users });
-    signs
+    symbols.push(Series { name: "user".into(), points: users });
+    symbols
 }
 
 pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     let titles = ["without the array", "with the array, policy ddpg"];
     let floors = done.iter().flat_map(|(_, finished)| &finished.measured.floors);
-    let panel = |(title, (floor, signs)): (&str, &(_, Vec<Series>))| {
+    let panel = |(title, (floor, symbols)): (&str, &(_, Vec<Series>))| {
         let floor: &crate::figure::Floor = floor;
         Panel {
             title: format!("{title}: mean {:.2} Mbit/s", floor.mean()),
-            series: signs.clone(),
+            series: symbols.clone(),
             quoted: Vec::new(),
             floor: Some(floor.clone()),
         }
@@ -107,14 +101,14 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         title: "Rate over the floor".into(),
         caption: vec![
             format!(
-                "What one more detector would get at each place in the share of the band that each of {} users has; obstacles and the bodies of the users block its \
-                 light. The mirrors are turned for the users as they stand. One room, seed {seed}: a picture, not a statistic.",
+                "The rate of one additional detector at each point, with the bandwidth share of each of {} users. Obstacles and the bodies of the users block its \
+                 light. The mirrors serve the users at their positions. One room, seed {seed}: an example, not a statistic.",
                 room.scenario.users.count
             ),
             if forced > 0 {
-                format!("The direct paths of {forced} users are forced off; that of the one more is not.")
+                format!("The direct paths of {forced} users are blocked; that of the additional detector is not.")
             } else {
-                "Nobody's direct path is forced off.".into()
+                "No user's direct path is blocked by force.".into()
             },
         ],
         x: Axis::linear("x (m)"),

@@ -1,7 +1,8 @@
-//! Fig4: sum rate against iterations (episodes of training), for two sizes of the array.
+//! Fig. 4: sum rate against iterations (episodes of training), for two sizes of the array.
 //!
-//! A learner is judged on the same held-out states, without exploration, before its first episode and then at even steps. `ddpg-raw` is the
-//! paper's algorithm to the letter; `ddpg` is ours, with one weight a user as its action.
+//! Each learner is evaluated on the same held-out states, without exploration, before its first
+//! episode and then at even steps. `ddpg-raw` is the paper's algorithm; `ddpg` is this project's,
+//! with one weight for each user as its action.
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
@@ -11,56 +12,27 @@ use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
 use heliostat_models::evaluate::HeldOut;
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, intervals, series};
+use super::finished_parts::{Done, groups, intervals, series};
 use crate::figure::{Axis, Figure, Panel};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Baselines, Job, Learning};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 
-/// The word on the command line.
+/// The id on the command line.
 pub const ID: &str = "sum-rate-iterations";
 
-/// Who learns: the paper's DDPG, ours, and the paper's rival. With the time of one episode on 7 x 7 and on 10 x 10 mirrors in s.
+/// The learners, with the estimated time of one episode on 7 x 7 and on 10 x 10 mirrors in s.
 const LEARNERS: [(&str, [f64; 2]); 3] = [("ddpg-raw", [0.6, 0.8]), ("ddpg", [1.0, 1.1]), ("dql", [0.3, 0.4])];
 
-/// What stands beside them; the oracle comes with every comparison.
+/// Policies for comparison; every comparison includes the oracle.
 const POLICIES: [&str; 3] = ["flat", "random", "no-irs"];
 
 /// Rows and columns of the paper's arrays.
 const SIDES: [usize; 2] = [7, 10];
 
-/// Users whose direct path is off, as in the paper's other figures.
+/// Blocked users, as in the paper's other figures.
 const BLOCKED: usize = 2;
-
-/// One training run.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Learning {
-    /// Who learns.
-    pub learner: String,
-    /// Rows and columns.
-    pub side: usize,
-    /// Users whose direct path is off in the states on which it is judged.
-    pub blocked: usize,
-    /// Episodes.
-    pub episodes: usize,
-    /// Times it is judged after its beginning.
-    pub judgements: usize,
-    /// States on which it is judged.
-    pub states: usize,
-}
-
-/// The lines that do not learn, on the same states: those of other seeds would be other rooms than the learners are judged in, and no yardstick.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Yardsticks {
-    /// Rows and columns.
-    pub side: usize,
-    /// As in [`Learning`].
-    pub blocked: usize,
-    /// As in [`Learning`].
-    pub states: usize,
-    /// Where the lines end.
-    pub episodes: usize,
-}
 
 /// The group of the curves of an array.
 pub fn group(side: usize) -> String {
@@ -70,7 +42,7 @@ pub fn group(side: usize) -> String {
 pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     ensure!(
         room.scenario.users.trace.is_none(),
-        "{ID} draws rooms from the random walk, but room {} follows a recording: leave users.trace out",
+        "{ID} draws rooms from the random walk, but room {} uses a recording; remove users.trace",
         room.name
     );
     let effort = &plan.effort;
@@ -90,11 +62,11 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
             cost_s,
         };
         sized(&room.scenario, side, blocked)?;
-        let yardsticks = Yardsticks { side, blocked, states, episodes: effort.episodes };
+        let baselines = Baselines { side, blocked, states, episodes: effort.episodes };
         parts.push(part(
-            format!("yardsticks {side}x{side}"),
+            format!("baselines {side}x{side}"),
             plan.first_seed,
-            Job::Yardsticks(yardsticks),
+            Job::Baselines(baselines),
             4e-3 * states as f64,
         ));
         for (learner, episode_s) in LEARNERS {
@@ -126,7 +98,7 @@ fn sized(scenario: &Scenario, side: usize, blocked: usize) -> Result<Scenario> {
 }
 
 impl Learning {
-    /// Trains and judges.
+    /// Trains and evaluates.
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = sized(scenario, self.side, self.blocked)?;
         let mut learner = algorithm(&self.learner)?.begin(
@@ -149,8 +121,8 @@ impl Learning {
     }
 }
 
-impl Yardsticks {
-    /// Compares on the states on which learners are judged: those of set 0, whatever the seed.
+impl Baselines {
+    /// Evaluates on the states of the learners: those of set 0, independent of the seed.
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = Scenario { seed: 0, ..sized(scenario, self.side, self.blocked)? };
         let source = ActorSource::Shipped;
@@ -183,16 +155,16 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         title: "Sum rate against iterations".into(),
         caption: vec![
             format!(
-                "Each learner is judged on the same {states} held-out states with {blocked} users blocked, without exploration; iterations are episodes of 40 steps, \
+                "Each learner is evaluated on the same {states} held-out states with {blocked} users blocked, without exploration; iterations are episodes of 40 steps, \
                  {episodes} in all (the paper: 1000, of unstated length). {}",
                 intervals(done)
             ),
-            "The lines that do not learn stand on those same states, `random` as the mean of 30 draws. Nothing in them depends on a seed of training, so that they \
-             have no band."
+            "The policies without training are evaluated on the same states, `random` as the mean of 30 draws. They do not depend on a training seed, so they \
+             have no interval."
                 .into(),
-            "`ddpg-raw` is the paper's algorithm to the letter: all angles are outputs of the actor, rates, networks and buffer are the paper's. `ddpg` is ours: one weight \
-             a user, decoded by geometry. `dql` chooses among quantised angles. The oracle stands for the exhaustive search, which 2 M continuous angles rule out; it \
-             keeps minimum rates where it can, so that a policy that gives a user up can pass it."
+            "`ddpg-raw` is the paper's algorithm: all angles are outputs of the actor; rates, networks and buffer are the paper's. `ddpg` is this project's: one weight \
+             for each user, decoded by geometry. `dql` chooses among quantised angles. The oracle replaces the exhaustive search, which is impossible for 2 M continuous angles. It \
+             meets minimum rates where possible, so a policy that drops a user can exceed it."
                 .into(),
         ],
         x: Axis::linear("iterations (episodes)"),
@@ -207,9 +179,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn yardsticks_do_not_depend_on_the_seed_and_so_have_no_interval() {
-        let yardsticks = Yardsticks { side: 7, blocked: 2, states: 2, episodes: 5 };
-        let of_seed = |seed: u64| yardsticks.run(&Scenario { seed, ..Scenario::builtin("specular").unwrap() }).unwrap();
+    fn baselines_do_not_depend_on_the_seed() {
+        let baselines = Baselines { side: 7, blocked: 2, states: 2, episodes: 5 };
+        let of_seed = |seed: u64| baselines.run(&Scenario { seed, ..Scenario::builtin("specular").unwrap() }).unwrap();
         assert_eq!(of_seed(1), of_seed(2));
     }
 }

@@ -1,34 +1,24 @@
-//! Fig4 to Fig6 go by their labels; this is Fig5: sum rate against optical power for several numbers of blocked users.
+//! Fig. 5: sum rate against optical power for several numbers of blocked users.
 
 use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
-use serde::Serialize;
 
-use super::{Done, Plan, Room, groups, intervals, series};
+use super::finished_parts::{Done, groups, intervals, series};
 use crate::draw::interactive::PANELS_MAX;
 use crate::figure::{Axis, Figure, Panel, Quoted, Series};
-use crate::part::{Curve, Job, Measured, Part};
+use crate::job::{Job, Power};
+use crate::part::{Curve, Measured, Part};
+use crate::plan::{Plan, Room};
 use crate::statistics::over_seeds;
 
-/// The word on the command line.
+/// The id on the command line.
 pub const ID: &str = "sum-rate-power";
 
-/// Those compared; the oracle comes with every comparison.
+/// The compared policies; every comparison includes the oracle.
 const POLICIES: [&str; 4] = ["ddpg", "flat", "random", "no-irs"];
-
-/// One seed of one number of blocked users.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Power {
-    /// Users whose direct path is off.
-    pub blocked: usize,
-    /// Optical powers in W.
-    pub powers_w: Vec<f64>,
-    /// States at each power.
-    pub states: usize,
-}
 
 /// The group of the curves of a number of blocked users.
 pub fn group(blocked: usize) -> String {
@@ -50,7 +40,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
     );
     ensure!(
         room.scenario.users.trace.is_none(),
-        "{ID} draws states from the random walk, but room {} follows a recording: leave users.trace out",
+        "{ID} draws states from the random walk, but room {} uses a recording; remove users.trace",
         room.name
     );
     let effort = &plan.effort;
@@ -98,9 +88,9 @@ impl Power {
     }
 }
 
-/// At this power and this number of blocked users the paper states figures.
+/// The optical power of the paper's stated rates, in W.
 pub const QUOTED_POWER_W: f64 = 2.0;
-/// See [`QUOTED_POWER_W`].
+/// The number of blocked users of the paper's stated rates.
 pub const QUOTED_BLOCKED: usize = 2;
 
 pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
@@ -121,18 +111,18 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
         title: "Sum rate against optical power".into(),
         caption: vec![
             format!(
-                "{} mirrors, {} users; each panel says how many of them have no direct path. {} Each seed has {} rooms of its own.",
+                "{} mirrors, {} users; each panel names the number of users without direct path. {} Each seed has {} rooms.",
                 room.scenario.mirror_count(),
                 room.scenario.users.count,
                 intervals(done),
                 states.unwrap_or(0)
             ),
-            "Every policy sees a state as it is and its mirrors turn at once, so that the speed at which people walk plays no part (the paper: about \
-             1 m/s). The paper's benchmark, each mirror turned at random and left so, is `random`, the mean of 30 draws; `flat` (no mirror turned) and \
-             `no-irs` stand beside it because random angles are the weakest of the three in the paper's equations."
+            "Every policy observes the exact state, and its mirrors move instantly, so the walking speed has no effect (the paper: about \
+             1 m/s). The paper's benchmark with fixed random angles is `random`, the mean of 30 draws. `flat` (all angles zero) and \
+             `no-irs` are shown because random angles have the lowest rate of the three in the paper's equations."
                 .into(),
-            "`ddpg` is the shipped actor, with one weight a user as its action. The oracle keeps minimum rates wherever they can be kept; a policy that gives \
-             a user up can get a larger sum."
+            "`ddpg` is the built-in actor, with one weight for each user as its action. The oracle meets minimum rates where possible; a policy that drops \
+             a user can have a larger sum."
                 .into(),
         ],
         x: Axis::linear("optical power (W)"),
@@ -143,7 +133,7 @@ pub(super) fn figure(room: &Room, done: &[Done]) -> Figure {
     }
 }
 
-/// What the gain of `ddpg` is taken over.
+/// The policies relative to which the gain of `ddpg` is stated.
 pub const OVER: [&str; 2] = ["random", "flat"];
 
 /// The name of the quotient of `ddpg` and a policy.
@@ -151,7 +141,8 @@ pub fn gain_name(policy: &str) -> String {
     format!("ddpg over {policy}, {}", group(QUOTED_BLOCKED))
 }
 
-/// The quotient of `ddpg` and another policy at each power, seed by seed, where the paper states it.
+/// The quotient of `ddpg` and another policy at each power, seed by seed, where the paper states
+/// it.
 fn gain(done: &[Done], policy: &str) -> Option<Series> {
     let of_seed = |(_, finished): &Done| {
         let curve = |name: &str| {
@@ -167,7 +158,10 @@ fn gain(done: &[Done], policy: &str) -> Option<Series> {
 }
 
 fn quoted() -> Vec<Quoted> {
-    let point =
-        |rate: f64, who: &str| Quoted { x: Some(QUOTED_POWER_W), y: Some(rate), text: format!("paper, {who}: {rate}") };
+    let point = |rate: f64, method: &str| Quoted {
+        x: Some(QUOTED_POWER_W),
+        y: Some(rate),
+        text: format!("paper, {method}: {rate}"),
+    };
     vec![point(19.2, "DRL"), point(10.0, "fixed")]
 }

@@ -20,7 +20,7 @@ use super::board::Board;
 use super::pace::{Block, PaceArgs, Plan, Turn};
 use super::people::People;
 use super::rows::{Row, Table, Varied};
-use crate::commands::demo::child::Part;
+use crate::commands::demo::child::ChildProcess as Part;
 
 /// How long processes may take to meet.
 const MEET_WITHIN: Duration = Duration::from_secs(20);

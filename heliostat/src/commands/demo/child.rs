@@ -1,4 +1,4 @@
-//! A part of the system as an operating-system process of its own, watched from here.
+//! A child process of the demo.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -9,20 +9,20 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
-/// How many lines of a process are kept as its last words.
-const LAST_WORDS: usize = 12;
+/// Number of lines of standard error that are kept for an error message.
+const LAST_LINES: usize = 12;
 
-/// A running part.
-pub struct Part {
+/// A running child process.
+pub struct ChildProcess {
     name: &'static str,
     process: Child,
-    last_words: Arc<Mutex<VecDeque<String>>>,
+    last_lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
     answer: Arc<Mutex<Option<String>>>,
 }
 
-impl Part {
-    /// Starts this same program with the given arguments; the part ends when its standard input closes.
+impl ChildProcess {
+    /// Starts this program with other arguments; the child ends when its standard input closes.
     pub fn start(name: &'static str, arguments: &[String]) -> Result<Self> {
         let program = std::env::current_exe().context("cannot find this program's own file")?;
         let mut command = Command::new(program);
@@ -32,45 +32,46 @@ impl Part {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
-        // A process group of its own: Ctrl-C reaches this process alone, which then ends its parts in order.
+        // A process group of its own: Ctrl-C reaches this process only, which then ends its
+        // children in order.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut process = command.spawn().with_context(|| format!("cannot start the {name} process"))?;
-        let last_words = Arc::new(Mutex::new(VecDeque::with_capacity(LAST_WORDS)));
+        let last_lines = Arc::new(Mutex::new(VecDeque::with_capacity(LAST_LINES)));
         let answer = Arc::new(Mutex::new(None));
         let stdout = process.stdout.take().context("no standard output")?;
         let stderr = process.stderr.take().context("no standard error")?;
-        let (words, kept) = (Arc::clone(&last_words), Arc::clone(&answer));
+        let (lines, kept) = (Arc::clone(&last_lines), Arc::clone(&answer));
         let readers = vec![
             read_lines(stdout, move |line| *kept.lock().expect("no reader panics") = Some(line)),
             read_lines(stderr, move |line| {
-                let mut words = words.lock().expect("no reader panics");
-                if words.len() == LAST_WORDS {
-                    words.pop_front();
+                let mut lines = lines.lock().expect("no reader panics");
+                if lines.len() == LAST_LINES {
+                    lines.pop_front();
                 }
-                words.push_back(line);
+                lines.push_back(line);
             }),
         ];
-        Ok(Self { name, process, last_words, readers, answer })
+        Ok(Self { name, process, last_lines, readers, answer })
     }
 
-    /// The operating system's number of the process.
+    /// The process id.
     pub fn id(&self) -> u32 {
         self.process.id()
     }
 
-    /// An error with the process' last words if it has ended, though nobody asked it to.
+    /// An error with the last output of the process if it has ended without a request.
     pub fn check_alive(&mut self) -> Result<()> {
         match self.process.try_wait().with_context(|| format!("cannot watch the {} process", self.name))? {
             None => Ok(()),
-            Some(status) => bail!(self.epitaph(status)),
+            Some(status) => bail!(self.end_report(status)),
         }
     }
 
-    /// Asks the process to end, waits for it, and returns the JSON object that it printed last.
-    pub fn finish(mut self, patience: Duration) -> Result<serde_json::Value> {
+    /// Requests the end of the process, waits for it, and returns the JSON object on its last line.
+    pub fn finish(mut self, limit: Duration) -> Result<serde_json::Value> {
         drop(self.process.stdin.take());
-        let deadline = Instant::now() + patience;
+        let deadline = Instant::now() + limit;
         let status = loop {
             if let Some(status) = self.process.try_wait()? {
                 break status;
@@ -78,9 +79,9 @@ impl Part {
             if Instant::now() > deadline {
                 self.process.kill().ok();
                 bail!(
-                    "the {} process did not end within {} s of being asked to, and was killed",
+                    "the {} process did not end within {} s of the request, and was killed",
                     self.name,
-                    patience.as_secs()
+                    limit.as_secs()
                 );
             }
             std::thread::sleep(Duration::from_millis(10));
@@ -89,29 +90,29 @@ impl Part {
             reader.join().ok();
         });
         if !status.success() {
-            bail!(self.epitaph(status));
+            bail!(self.end_report(status));
         }
         let line = self.answer.lock().expect("no reader panics").take();
         let line = line.with_context(|| format!("the {} process printed no summary", self.name))?;
         serde_json::from_str(&line).with_context(|| format!("the {} process' summary is not JSON: {line}", self.name))
     }
 
-    fn epitaph(&mut self, status: ExitStatus) -> String {
-        // The pipe closes with the process: what it said last is complete once the readers are done.
+    fn end_report(&mut self, status: ExitStatus) -> String {
+        // The pipe closes with the process: its output is complete when the readers have ended.
         self.readers.drain(..).for_each(|reader| {
             reader.join().ok();
         });
-        let words = self.last_words.lock().expect("no reader panics");
-        let words = if words.is_empty() {
+        let lines = self.last_lines.lock().expect("no reader panics");
+        let lines = if lines.is_empty() {
             "nothing".to_string()
         } else {
-            words.iter().cloned().collect::<Vec<_>>().join("\n  ")
+            lines.iter().cloned().collect::<Vec<_>>().join("\n  ")
         };
-        format!("the {} process ended early ({status}); its last words:\n  {words}", self.name)
+        format!("the {} process ended early ({status}); its last output:\n  {lines}", self.name)
     }
 }
 
-impl Drop for Part {
+impl Drop for ChildProcess {
     fn drop(&mut self) {
         if matches!(self.process.try_wait(), Ok(None)) {
             self.process.kill().ok();

@@ -1,4 +1,4 @@
-//! What a demo came to, from what its two processes said last.
+//! The summary of a demo, from the summaries of its two processes.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -19,7 +19,7 @@ struct SumRates {
     oracle: f64,
 }
 
-/// What the room said.
+/// The summary of the room.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct RoomPart {
     scenario: String,
@@ -42,7 +42,7 @@ struct RoomPart {
     last_problem: String,
 }
 
-/// What the controller said.
+/// The summary of the controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct ControllerPart {
     policy: String,
@@ -64,17 +64,17 @@ struct ControllerPart {
 pub struct Summary {
     #[serde(flatten)]
     room: RoomPart,
-    /// Nothing where it was killed by order.
+    /// `None` if it was killed by order.
     #[serde(flatten)]
     controller: Option<ControllerPart>,
 }
 
 impl Summary {
-    /// Joins what the two processes printed.
+    /// Joins the summaries of the two processes.
     pub fn new(room: &Value, controller: Option<&Value>) -> Result<Self> {
-        let room = RoomPart::deserialize(room).context("the sim-node's summary lacks something")?;
+        let room = RoomPart::deserialize(room).context("the summary of sim-node is incomplete")?;
         let controller = controller.map(ControllerPart::deserialize).transpose();
-        let controller = controller.context("the controller's summary lacks something")?;
+        let controller = controller.context("the summary of the controller is incomplete")?;
         Ok(Self { room, controller })
     }
 
@@ -82,7 +82,7 @@ impl Summary {
     pub fn print(&self) -> io::Result<()> {
         let (room, controller) = (&self.room, self.controller.as_ref());
         let share = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
-        let policy = controller.map_or("of a controller that was killed", |controller| controller.policy.as_str());
+        let policy = controller.map_or("unknown (the controller was killed)", |controller| controller.policy.as_str());
         outln!("{} (seed {}), policy {policy}", room.scenario, room.seed)?;
         outln!(
             "ticks {}, commands {}, lost {}, late {}, before the first answer {}",
@@ -97,7 +97,7 @@ impl Summary {
         let times = [
             ("decision", controller.map(|controller| &controller.decision_us)),
             ("loop: report to mirrors", Some(&room.loop_us)),
-            ("age of the information", controller.map(|controller| &controller.age_us)),
+            ("age of the positions", controller.map(|controller| &controller.age_us)),
         ];
         for (name, time) in times.into_iter().filter_map(|(name, time)| Some((name, time?))) {
             let Quantiles { p50, p90, p99, p999, max, .. } = time;
@@ -120,8 +120,12 @@ impl Summary {
         {
             outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
         }
-        outln!("users whose need is met: {} (oracle {})", share(room.qos_met), share(room.qos_met_oracle))?;
-        outln!("users in shadow: {:.2} on average", room.blocked_users_mean)?;
+        outln!(
+            "share of users with their minimum rate: {} (oracle {})",
+            share(room.qos_met),
+            share(room.qos_met_oracle)
+        )?;
+        outln!("blocked users: {:.2} on average", room.blocked_users_mean)?;
         for (what, counts) in [
             ("fallbacks", controller.map(|controller| &controller.fallbacks)),
             ("refused by the controller", controller.map(|controller| &controller.refused)),
@@ -132,9 +136,9 @@ impl Summary {
             }
         }
         let problem = controller.map_or("", |controller| controller.last_problem.as_str());
-        for (who, problem) in [("controller", problem), ("sim-node", room.last_problem.as_str())] {
+        for (node, problem) in [("controller", problem), ("sim-node", room.last_problem.as_str())] {
             if !problem.is_empty() {
-                outln!("last problem of the {who}: {problem}")?;
+                outln!("last problem of {node}: {problem}")?;
             }
         }
         Ok(())

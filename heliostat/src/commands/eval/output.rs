@@ -19,7 +19,7 @@ fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
 pub fn print_table(report: &Report) -> io::Result<()> {
     let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
     outln!(
-        "{}, {loop_name}: {} users, {} with the direct path off; {} states of each of {} seeds from {}",
+        "{}, {loop_name}: {} users, {} with a blocked direct path; {} states for each of {} seeds from {}",
         report.scenario,
         report.users,
         report.blocked,
@@ -31,7 +31,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         "{:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
         "",
         "trained",
-        "Mb/s",
+        "Mbit/s",
         "ratio",
         "p5",
         "QoS met",
@@ -58,33 +58,35 @@ pub fn print_table(report: &Report) -> io::Result<()> {
             time(row.decision_us.map(|times| times.p99)),
         )?;
     }
-    outln!("trained: training seeds behind a learned policy's figures; their spread is part of the interval")?;
+    outln!("trained: number of training seeds of a learned policy; the interval includes their spread")?;
     outln!(
-        "±: half the width of the mean's 95 % interval; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
+        "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
     )?;
-    outln!("blocked: mean rate of a user without a direct path, in Mb/s")?;
+    outln!("blocked: mean rate of a user without direct path, in Mbit/s")?;
     if report.mode == Loop::ClosedLoop {
-        outln!("outage, the share of the users' time below their minimum rate, is one minus QoS met")?;
+        outln!("outage: share of the users' time below their minimum rate, equal to one minus QoS met")?;
     }
     Ok(())
 }
 
-/// Prints ratio and QoS met of every policy, and then their sum rates, a line for each value of the swept key.
+/// Prints ratio and QoS met of every policy, then their sum rates, one line for each value of the
+/// key.
 pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
     outln!(
-        "ratio to the oracle with minimum rates, and share of minimum rates met; {} states of each of {} seeds",
+        "ratio to the oracle with minimum rates, and share of minimum rates met; {} states for each of {} seeds",
         first.states,
         first.seeds
     )?;
     print_columns(sweep, reports, |row| {
         (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
     })?;
-    outln!("sum rate in Mb/s")?;
+    outln!("sum rate in Mbit/s")?;
     print_columns(sweep, reports, |row| (number(row.sum_rate_mbps.mean, 1), interval(row.sum_rate_mbps, 1)))
 }
 
-/// Prints a column for the oracle and one for each policy, of which `cell` gives the text of either.
+/// Prints a column for the oracle and one for each policy; `cell` returns the text for each of the
+/// two.
 fn print_columns(sweep: &Sweep, reports: &[Report], cell: impl Fn(&Row) -> (String, String)) -> io::Result<()> {
     let width = |name: &str| name.len().max(18);
     let header = reports.iter().take(1).flat_map(|report| &report.policies);
@@ -104,12 +106,12 @@ fn interval(spread: Spread, digits: usize) -> String {
     format!("{:.digits$} ±{:.digits$}", spread.mean, spread.ci95)
 }
 
-/// A number, or a dash where there is none.
+/// A number, or a dash for NaN.
 fn number(value: f64, digits: usize) -> String {
     if value.is_nan() { "-".into() } else { format!("{value:.digits$}") }
 }
 
-/// Writes a line a policy; those of a sweep begin with the value of the swept key.
+/// Writes a line for each policy; in a sweep the first column is the value of the key.
 ///
 /// # Errors
 /// A file that cannot be written.

@@ -1,4 +1,4 @@
-//! One key of the scenario over several values: `users.count=1..10`, `noise.variance_a2=2e-15,6.5e-15,2e-14`.
+//! Several values of a scenario key: `users.count=1..10`, `noise.variance_a2=2e-15,6.5e-15,2e-14`.
 
 use std::str::FromStr;
 
@@ -30,17 +30,17 @@ impl FromStr for Sweep {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wanted = "wanted table.key=FIRST..LAST of whole numbers, or table.key=A,B,C";
-        let (key, values) = text.split_once('=').ok_or(wanted)?;
+        let expected = "expected table.key=FIRST..LAST of whole numbers, or table.key=A,B,C";
+        let (key, values) = text.split_once('=').ok_or(expected)?;
         let values: Vec<String> = match values.split_once("..") {
             Some((first, last)) => {
-                let number = |text: &str| text.trim_start_matches('=').parse::<u32>().map_err(|_| wanted);
+                let number = |text: &str| text.trim_start_matches('=').parse::<u32>().map_err(|_| expected);
                 (number(first)?..=number(last)?).map(|value| value.to_string()).collect()
             }
             None => values.split(',').map(|value| value.trim().to_owned()).collect(),
         };
         if key.trim().is_empty() || values.is_empty() || values.iter().any(String::is_empty) {
-            return Err(wanted.into());
+            return Err(expected.into());
         }
         Ok(Self { key: key.trim().into(), values })
     }

@@ -1,6 +1,7 @@
-//! The heat map as an SVG file: the floor, what stands on it, a colour bar and a legend.
+//! The heat map as an SVG file: floor, obstacles, users, colour bar and legend.
 
 use std::f64::consts::TAU;
+use std::path::Path;
 
 use anyhow::Result;
 use heliostat_channel::Cylinder;
@@ -10,35 +11,48 @@ use heliostat_sim::World;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::{Args, Quantity};
+use super::quantity::Quantity;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Width and height of the part with the map, and what is beside and under it, in pixels.
+/// Width and height of the map, of the colour bar and of the legend, in pixels.
 const MAP: u32 = 640;
 const BAR_WIDTH: u32 = 120;
 const LEGEND_HEIGHT: u32 = 40;
-/// Space that caption and axis take above and below the floor; the colour bar keeps in line with it.
+/// Height of the caption above and the axis below the floor; the colour bar is aligned with the
+/// floor.
 const ABOVE: u32 = 44;
 const BELOW: u32 = 50;
 
-/// Draws the map into the file that the arguments name.
-pub fn draw(args: &Args, scenario: &Scenario, world: &World, map: &Floor) -> Result<()> {
-    let root = SVGBackend::new(&args.out, (MAP + BAR_WIDTH, MAP + LEGEND_HEIGHT)).into_drawing_area();
-    root.fill(&WHITE)?;
-    let (top, legend) = root.split_vertically(MAP);
-    let (floor, bar) = top.split_horizontally(MAP);
-    let scale = Scale::of(args.what, map);
-    let title = format!("{}, scenario {}", args.what.label(), scenario.name);
-    top.draw(&Text::new(title, (70, 14), ("sans-serif", 20)))?;
-    draw_floor(&floor, scenario, world, map, &scale)?;
-    draw_bar(&bar, args.what.label(), &scale)?;
-    draw_legend(&legend, args)?;
-    root.present()?;
-    Ok(())
+/// A heat map and the objects in the room.
+pub struct Picture<'a> {
+    pub quantity: Quantity,
+    /// The mirror angles as given on the command line.
+    pub mirrors: &'a str,
+    pub scenario: &'a Scenario,
+    pub world: &'a World,
+    pub map: &'a Floor,
 }
 
-/// From values to colours.
+impl Picture<'_> {
+    /// Draws the map into an SVG file.
+    pub fn draw(&self, out: &Path) -> Result<()> {
+        let root = SVGBackend::new(out, (MAP + BAR_WIDTH, MAP + LEGEND_HEIGHT)).into_drawing_area();
+        root.fill(&WHITE)?;
+        let (top, legend) = root.split_vertically(MAP);
+        let (floor, bar) = top.split_horizontally(MAP);
+        let scale = Scale::of(self.quantity, self.map);
+        let title = format!("{}, scenario {}", self.quantity.label(), self.scenario.name);
+        top.draw(&Text::new(title, (70, 14), ("sans-serif", 20)))?;
+        draw_floor(&floor, self, &scale)?;
+        draw_bar(&bar, self.quantity.label(), &scale)?;
+        draw_legend(&legend, self.mirrors)?;
+        root.present()?;
+        Ok(())
+    }
+}
+
+/// The mapping from values to colours.
 struct Scale {
     low: f64,
     high: f64,
@@ -56,13 +70,14 @@ impl Scale {
         Self { low, high: if high > low { high } else { low + 1.0 } }
     }
 
-    /// Viridis: even steps to the eye, readable without colour vision.
+    /// The Viridis scale: perceptually uniform, and readable with colour-vision deficiency.
     fn colour(&self, value: f64) -> RGBColor {
         ViridisRGB::get_color(((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0))
     }
 }
 
-fn draw_floor(area: &Area, scenario: &Scenario, world: &World, map: &Floor, scale: &Scale) -> Result<()> {
+fn draw_floor(area: &Area, picture: &Picture, scale: &Scale) -> Result<()> {
+    let Picture { scenario, world, map, .. } = picture;
     let (half_x, half_y) = (scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0);
     let mut chart = ChartBuilder::on(area)
         .margin_left(10)
@@ -77,7 +92,7 @@ fn draw_floor(area: &Area, scenario: &Scenario, world: &World, map: &Floor, scal
         let [x, y] = map.centre(index % map.columns, index / map.columns);
         Rectangle::new([(x - half[0], y - half[1]), (x + half[0], y + half[1])], scale.colour(*value).filled())
     }))?;
-    // White on black, to be seen on every colour of the scale.
+    // White on black, visible on every colour of the scale.
     for style in [BLACK.stroke_width(4), WHITE.stroke_width(2)] {
         chart.draw_series(world.blockers().iter().map(|cylinder| PathElement::new(outline(cylinder), style)))?;
     }
@@ -116,8 +131,8 @@ fn draw_bar(area: &Area, label: &str, scale: &Scale) -> Result<()> {
     Ok(())
 }
 
-/// Signs as they are drawn over the map, each with its name.
-fn draw_legend(area: &Area, args: &Args) -> Result<()> {
+/// The symbols of the map, each with its name.
+fn draw_legend(area: &Area, mirrors: &str) -> Result<()> {
     let middle = LEGEND_HEIGHT as i32 / 2;
     let ground =
         |x: i32| Rectangle::new([(x - 14, middle - 11), (x + 14, middle + 11)], ViridisRGB::get_color(0.3).filled());
@@ -131,6 +146,6 @@ fn draw_legend(area: &Area, args: &Args) -> Result<()> {
     area.draw(&Circle::new((places[2], middle), 8, WHITE.stroke_width(2)))?;
     area.draw(&name(places[2], "obstacle or body".into()))?;
     area.draw(&PathElement::new(vec![(places[3] - 14, middle), (places[3] + 14, middle)], BLUE.stroke_width(8)))?;
-    area.draw(&name(places[3], format!("mirrors: {}", args.array)))?;
+    area.draw(&name(places[3], format!("mirrors: {mirrors}")))?;
     Ok(())
 }

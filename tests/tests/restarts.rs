@@ -1,10 +1,10 @@
-//! Processes that die, come back, or find their place taken.
+//! Processes that are killed, restarted, or find another process in their role.
 
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{ArrayState, NodeKind};
-use heliostat_tests::{Process, Witness, programs, wait_until};
+use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 
-/// A room, a controller and a witness of both.
+/// The endpoints of a room and a controller.
 struct Setting {
     room_endpoint: String,
     controller_endpoint: String,
@@ -36,8 +36,8 @@ impl Setting {
         ])
     }
 
-    fn witness(&self) -> Witness {
-        Witness::connect("demo", &[&self.room_endpoint, &self.controller_endpoint])
+    fn observer(&self) -> RoomObserver {
+        RoomObserver::connect("demo", &[&self.room_endpoint, &self.controller_endpoint])
     }
 }
 
@@ -46,38 +46,38 @@ fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
     let setting = Setting::new();
     let room = setting.room();
     let mut controller = setting.controller();
-    let witness = setting.witness();
-    witness.wait_for_commands();
-    let turned = || witness.telemetry().is_some_and(|array| array.yaw_commanded.iter().any(|yaw| *yaw != 0.0));
-    wait_until("mirrors that turn", turned);
-    let first_epoch = witness.telemetry().expect("heard").epoch;
+    let observer = setting.observer();
+    observer.wait_for_commands();
+    let turned = || observer.telemetry().is_some_and(|array| array.yaw_commanded.iter().any(|yaw| *yaw != 0.0));
+    wait_until("moving mirrors", turned);
+    let first_epoch = observer.telemetry().expect("received").epoch;
 
     controller.kill();
-    wait_until("a parked array", || witness.telemetry().is_some_and(|array| array.state == ArrayState::Parked));
-    let parked = witness.telemetry().expect("heard");
+    wait_until("a parked array", || observer.telemetry().is_some_and(|array| array.state == ArrayState::Parked));
+    let parked = observer.telemetry().expect("received");
     assert!(parked.roll_commanded.iter().chain(&parked.yaw_commanded).all(|angle| *angle == 0.0), "{parked:?}");
 
     let controller = setting.controller();
     wait_until("an array that follows the new controller", || {
-        witness.telemetry().is_some_and(|array| array.state == ArrayState::Following && array.epoch > first_epoch)
+        observer.telemetry().is_some_and(|array| array.state == ArrayState::Following && array.epoch > first_epoch)
     });
-    witness.wait_for_commands();
+    observer.wait_for_commands();
     let room_summary = room.end().json();
     let summary = controller.end().json();
     assert!(summary["commands"].as_u64() > Some(0), "{summary}");
     assert!(
         room_summary["lost_ticks"].as_u64() > Some(0),
-        "ticks went unanswered while nobody was there: {room_summary}"
+        "ticks without a controller are not answered: {room_summary}"
     );
 }
 
 #[test]
-fn a_controller_that_is_deposed_ends_and_says_by_whom() {
+fn a_superseded_controller_ends_and_names_its_successor() {
     let setting = Setting::new();
     let _room = setting.room();
     let first = setting.controller();
-    let witness = setting.witness();
-    witness.wait_for_commands();
+    let observer = setting.observer();
+    observer.wait_for_commands();
     let second = Process::heliostat(&[
         "controller",
         "--policy",
@@ -90,7 +90,7 @@ fn a_controller_that_is_deposed_ends_and_says_by_whom() {
     let ended = first.wait();
     assert!(ended.refusal().contains("another controller (epoch"), "{}", ended.errors);
     wait_until("an array that follows the second controller", || {
-        witness.telemetry().is_some_and(|array| array.state == ArrayState::Following)
+        observer.telemetry().is_some_and(|array| array.state == ArrayState::Following)
     });
     assert!(second.end().json()["commands"].as_u64() > Some(0));
 }
@@ -100,14 +100,14 @@ fn the_controller_serves_a_simulator_that_comes_back() {
     let setting = Setting::new();
     let mut room = setting.room();
     let controller = setting.controller();
-    let witness = setting.witness();
-    witness.wait_for_commands();
-    let first = witness.users().expect("heard").stamp.source;
+    let observer = setting.observer();
+    observer.wait_for_commands();
+    let first = observer.users().expect("received").stamp.source;
 
     room.kill();
     let room = setting.room();
-    wait_until("reports of the new simulator", || witness.users().is_some_and(|report| report.stamp.source != first));
-    witness.wait_for_commands();
+    wait_until("reports of the new simulator", || observer.users().is_some_and(|report| report.stamp.source != first));
+    observer.wait_for_commands();
     let summary = room.end().json();
     assert!(summary["commands"].as_u64() > Some(0), "{summary}");
     let summary = controller.end().json();
@@ -118,40 +118,40 @@ fn the_controller_serves_a_simulator_that_comes_back() {
 fn a_second_simulator_in_the_room_is_refused() {
     let setting = Setting::new();
     let _room = setting.room();
-    let witness = setting.witness();
-    wait_until("the first simulator", || witness.users().is_some());
+    let observer = setting.observer();
+    wait_until("the first simulator", || observer.users().is_some());
     let elsewhere = free_loopback_endpoint().expect("a free port");
     let second = Process::heliostat(&["sim-node", "--listen", &elsewhere, "--connect", &setting.room_endpoint]).wait();
     assert!(second.refusal().contains("another sim-node is in room \"demo\""), "{}", second.errors);
 }
 
 #[test]
-fn two_simulators_that_cannot_see_each_other_are_never_mixed() {
+fn reports_of_two_unconnected_simulators_are_not_mixed() {
     let setting = Setting::new();
     let _room = setting.room();
     let controller = setting.controller();
-    let witness = setting.witness();
-    witness.wait_for_commands();
-    let owner = witness.users().expect("heard").stamp.source;
+    let observer = setting.observer();
+    observer.wait_for_commands();
+    let owner = observer.users().expect("received").stamp.source;
 
-    // The second one knows the controller only: peers do not pass on what others say.
+    // The second one is connected to the controller only: peers do not forward messages.
     let second =
         Process::heliostat(&["sim-node", "--connect", &setting.controller_endpoint, "--exit-with-parent", "--json"]);
     wait_until("foreign reports that are counted and named", || {
-        witness.counter(NodeKind::Controller, "refused:users:foreign-source") > 20
+        observer.counter(NodeKind::Controller, "refused:users:foreign-source") > 20
     });
-    let problem = || witness.status(NodeKind::Controller).expect("heard").last_problem;
+    let problem = || observer.status(NodeKind::Controller).expect("received").last_problem;
     wait_until("the name of the second source", || problem().contains("a second source"));
-    witness.wait_for_commands();
-    let answered = witness.telemetry().expect("heard");
-    assert!(answered.applied_sequence > 0 && witness.users().expect("heard").stamp.source == owner);
+    observer.wait_for_commands();
+    let answered = observer.telemetry().expect("received");
+    assert!(answered.applied_sequence > 0 && observer.users().expect("received").stamp.source == owner);
     second.end();
     let summary = controller.end().json();
     assert_eq!(summary["sources"].as_u64(), Some(1), "{summary}");
 }
 
 #[test]
-fn the_demo_tells_of_a_part_that_dies() {
+fn the_demo_reports_a_killed_process() {
     let demo = Process::heliostat(&["demo", "--seconds", "60", "--json", "--policy", "flat"]);
     let part = |demo: &Process| {
         let errors = demo.errors();
@@ -168,8 +168,8 @@ fn the_demo_tells_of_a_part_that_dies() {
 }
 
 #[test]
-fn nobody_need_read_what_is_said_on_standard_error() {
-    let full = std::fs::File::options().write(true).open("/dev/full").expect("a device that takes nothing");
+fn a_full_standard_error_does_not_stop_the_demo() {
+    let full = std::fs::File::options().write(true).open("/dev/full").expect("a device without space");
     let mut demo = std::process::Command::new(programs().join("heliostat"));
     demo.args(["demo", "--seconds", "0.5", "--json", "--no-ui", "--policy", "flat"]).stderr(full);
     let ended = demo.output().expect("the program starts");

@@ -1,18 +1,19 @@
-//! Payloads that nobody should send, on every key that anybody listens to: nothing crashes, each is counted and named.
+//! Invalid payloads on every subscribed key: no process crashes, and each payload is counted by its
+//! cause.
 
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{
     ChannelReport, MirrorCommand, NodeKind, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState, codec,
 };
-use heliostat_tests::{Process, Witness, wait_until};
+use heliostat_tests::{Process, RoomObserver, wait_until};
 
-/// What no number in a message may be.
+/// An invalid number.
 const NAN: [u8; 4] = f32::NAN.to_le_bytes();
-/// A number that stands once in each of the test's messages, to be replaced by one that is none.
+/// A number that occurs once in each message of the test, to be replaced by NaN.
 const MARK: f32 = 0.123_456_79;
 
-/// A valid payload and, by the name under which it must be counted, what becomes of it in bad hands.
-fn hostile(valid: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
+/// Invalid variants of a valid payload, each with the cause under which it must be counted.
+fn invalid_variants(valid: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
     let mut wrong_version = valid.to_vec();
     wrong_version[0] = 9;
     let mut wrong_kind = valid.to_vec();
@@ -40,8 +41,8 @@ fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
     bytes
 }
 
-/// A room, a controller, and a witness who knows the newest position report.
-fn running() -> (Process, Process, Witness) {
+/// A room, a controller, and an observer that has received commands.
+fn running() -> (Process, Process, RoomObserver) {
     let (room, controller) = (free_loopback_endpoint().expect("a port"), free_loopback_endpoint().expect("a port"));
     let sim = Process::heliostat(&["sim-node", "--listen", &room, "--exit-with-parent", "--json"]);
     let central = Process::heliostat(&[
@@ -55,16 +56,16 @@ fn running() -> (Process, Process, Witness) {
         "--exit-with-parent",
         "--json",
     ]);
-    let witness = Witness::connect("demo", &[&room, &controller]);
-    witness.wait_for_commands();
-    (sim, central, witness)
+    let observer = RoomObserver::connect("demo", &[&room, &controller]);
+    observer.wait_for_commands();
+    (sim, central, observer)
 }
 
 #[test]
-fn the_controller_counts_and_names_whatever_is_wrong() {
-    let (sim, central, witness) = running();
-    let room = witness.room().clone();
-    let real = witness.users().expect("heard");
+fn the_controller_counts_invalid_payloads_by_cause() {
+    let (sim, central, observer) = running();
+    let room = observer.room().clone();
+    let real = observer.users().expect("received");
     let user = |user| UserState { user, position_m: [MARK, 0.0, 0.85], velocity_m_s: [0.0, 0.0], min_rate_bps: 1e6 };
     let channel = |user| UserChannel { user, los_gain: MARK, irs_gain: 0.0, sinr: 0.0 };
     let users = UserReport { users: vec![user(0), user(1)], ..real.clone() };
@@ -78,60 +79,60 @@ fn the_controller_counts_and_names_whatever_is_wrong() {
         ("obstacles", room.obstacles(), encoded(&obstacles)),
     ];
     for (stream, key, valid) in &attacks {
-        for (name, payload) in hostile(valid) {
+        for (name, payload) in invalid_variants(valid) {
             let counter = format!("refused:{stream}:{name}");
-            let before = witness.counter(NodeKind::Controller, &counter);
-            witness.say(key, &payload);
-            wait_until(&counter, || witness.counter(NodeKind::Controller, &counter) > before);
+            let before = observer.counter(NodeKind::Controller, &counter);
+            observer.publish(key, &payload);
+            wait_until(&counter, || observer.counter(NodeKind::Controller, &counter) > before);
         }
     }
 
-    // Well-formed, from the source that owns the room, and still wrong.
+    // Well-formed reports of the current source with invalid content.
     let later = |sequence: u64, users: Vec<UserState>| UserReport {
-        stamp: Stamp { sequence: real.stamp.sequence + sequence, ..witness.users().expect("heard").stamp },
+        stamp: Stamp { sequence: real.stamp.sequence + sequence, ..observer.users().expect("received").stamp },
         tick: real.tick,
         users,
     };
     let five: Vec<UserState> = (0..5).map(user).collect();
-    // Each is made when it is said: a stamp grows old while the one before is waited for.
-    let say = |name: &str, spoil: &dyn Fn(&mut UserReport)| {
+    // Each report is built when it is published, so that its stamp is current.
+    let refuse = |name: &str, change: &dyn Fn(&mut UserReport)| {
         let mut report = later(1_000_000, five.clone());
-        spoil(&mut report);
-        witness.say(&room.users(), &encoded(&report));
+        change(&mut report);
+        observer.publish(&room.users(), &encoded(&report));
         let counter = format!("refused:users:{name}");
-        wait_until(&counter, || witness.counter(NodeKind::Controller, &counter) > 0);
+        wait_until(&counter, || observer.counter(NodeKind::Controller, &counter) > 0);
     };
-    say("wrong-user-count", &|report| report.users.truncate(2));
-    say("stale", &|report| report.stamp.time_ns -= 10_000_000_000);
-    say("from-future", &|report| report.stamp.time_ns += 10_000_000_000);
-    say("outside-room", &|report| report.users[0].position_m = [99.0, 0.0, 0.85]);
-    say("out-of-order", &|report| report.stamp.sequence = 1);
-    assert!(!witness.status(NodeKind::Controller).expect("heard").last_problem.is_empty());
+    refuse("wrong-user-count", &|report| report.users.truncate(2));
+    refuse("stale", &|report| report.stamp.time_ns -= 10_000_000_000);
+    refuse("from-future", &|report| report.stamp.time_ns += 10_000_000_000);
+    refuse("outside-room", &|report| report.users[0].position_m = [99.0, 0.0, 0.85]);
+    refuse("out-of-order", &|report| report.stamp.sequence = 1);
+    assert!(!observer.status(NodeKind::Controller).expect("received").last_problem.is_empty());
 
-    witness.wait_for_commands();
+    observer.wait_for_commands();
     let summary = central.end().json();
     assert!(summary["refused"]["users:not-finite"].as_u64() > Some(0), "{summary}");
     sim.end().json();
 }
 
 #[test]
-fn the_array_counts_and_names_whatever_is_wrong() {
-    let (sim, central, witness) = running();
-    let key = witness.room().command();
-    let (_, real) = witness.command();
-    let real = real.expect("heard");
+fn the_array_counts_invalid_commands_by_cause() {
+    let (sim, central, observer) = running();
+    let key = observer.room().command();
+    let (_, real) = observer.command();
+    let real = real.expect("received");
     let command = |mirrors: usize| MirrorCommand {
         epoch: real.epoch,
         sequence: real.sequence + 1_000_000,
         roll: vec![MARK; mirrors],
         yaw: vec![0.0; mirrors],
-        ..witness.command().1.expect("heard")
+        ..observer.command().1.expect("received")
     };
     let counted = |name: &str| format!("refused:command:{name}");
-    for (name, payload) in hostile(&encoded(&command(100))) {
-        let before = witness.counter(NodeKind::SimNode, &counted(name));
-        witness.say(&key, &payload);
-        wait_until(&counted(name), || witness.counter(NodeKind::SimNode, &counted(name)) > before);
+    for (name, payload) in invalid_variants(&encoded(&command(100))) {
+        let before = observer.counter(NodeKind::SimNode, &counted(name));
+        observer.publish(&key, &payload);
+        wait_until(&counted(name), || observer.counter(NodeKind::SimNode, &counted(name)) > before);
     }
     let mut expired = command(100);
     expired.time_ns -= 60_000_000_000;
@@ -141,10 +142,10 @@ fn the_array_counts_and_names_whatever_is_wrong() {
         ("lower-epoch", MirrorCommand { epoch: 1, ..command(100) }),
         ("old-sequence", MirrorCommand { sequence: 1, ..command(100) }),
     ] {
-        witness.say(&key, &encoded(&payload));
-        wait_until(&counted(name), || witness.counter(NodeKind::SimNode, &counted(name)) > 0);
+        observer.publish(&key, &encoded(&payload));
+        wait_until(&counted(name), || observer.counter(NodeKind::SimNode, &counted(name)) > 0);
     }
-    witness.wait_for_commands();
+    observer.wait_for_commands();
     let summary = sim.end().json();
     assert!(summary["refused"]["command:wrong-mirror-count"].as_u64() > Some(0), "{summary}");
     central.end().json();

@@ -1,15 +1,15 @@
-//! One who hears what a room says, and can speak into it.
+//! A session that receives the messages of a room, and can publish into it.
 
 use std::sync::{Arc, Mutex};
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription};
 use heliostat_proto::{MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, UserReport, codec};
 
-use crate::wait_until;
+use crate::wait::wait_until;
 
-/// The latest of each message, and how many came.
+/// The latest message of each kind, and for some their number.
 #[derive(Clone, Debug, Default)]
-struct Heard {
+struct Received {
     users: (u64, Option<UserReport>),
     command: (u64, Option<MirrorCommand>),
     telemetry: (u64, Option<MirrorTelemetry>),
@@ -18,39 +18,40 @@ struct Heard {
     sim_node: (u64, Option<NodeStatus>),
 }
 
-/// A session in a room that remembers the latest of everything.
-pub struct Witness {
+/// A session in a room that keeps the latest message of each kind.
+pub struct RoomObserver {
     bus: Bus,
     room: Room,
-    heard: Arc<Mutex<Heard>>,
+    received: Arc<Mutex<Received>>,
     _subscriptions: Vec<Subscription>,
 }
 
-impl Witness {
+impl RoomObserver {
     /// Connects to these endpoints.
     ///
     /// # Panics
     /// When the bus does not open.
     pub fn connect(room: &str, endpoints: &[&str]) -> Self {
-        let room = Room::new(room).expect("a test names its room well");
+        let room = Room::new(room).expect("the room name of a test is valid");
         Self::join(&endpoints.iter().fold(BusConfig::new(room), |config, endpoint| config.connect_to(endpoint)))
     }
 
-    /// Joins a room, listening or connecting as the configuration says.
+    /// Joins a room with a configuration.
     ///
     /// # Panics
     /// When the bus does not open.
     pub fn join(config: &BusConfig) -> Self {
         let room = config.room.clone();
         let bus = Bus::open(config).expect("the bus opens");
-        let heard: Arc<Mutex<Heard>> = Arc::default();
+        let received: Arc<Mutex<Received>> = Arc::default();
         let keys = [room.users(), room.command(), room.telemetry(), room.truth(), room.all_status()];
         let subscriptions = keys.map(|key| {
-            let heard = Arc::clone(&heard);
-            let listen = move |key: &str, payload: &[u8]| heard.lock().expect("no listener panics").take(key, payload);
-            bus.subscribe_keyed(&key, listen).expect("the key is one")
+            let received = Arc::clone(&received);
+            let on_message =
+                move |key: &str, payload: &[u8]| received.lock().expect("no callback panics").take(key, payload);
+            bus.subscribe_keyed(&key, on_message).expect("the key is valid")
         });
-        Self { bus, room, heard, _subscriptions: subscriptions.into() }
+        Self { bus, room, received, _subscriptions: subscriptions.into() }
     }
 
     /// The room.
@@ -62,61 +63,61 @@ impl Witness {
     ///
     /// # Panics
     /// When the bus does not take them.
-    pub fn say(&self, key: &str, payload: &[u8]) {
-        // The class that waits rather than being dropped, so that each payload said is one received.
-        let publisher = self.bus.publisher(key, Class::Order).expect("the key is one");
+    pub fn publish(&self, key: &str, payload: &[u8]) {
+        // This class waits instead of dropping, so that each published payload arrives.
+        let publisher = self.bus.publisher(key, Class::Order).expect("the key is valid");
         publisher.put(payload).expect("the bus takes a payload");
     }
 
     /// The newest position report.
     pub fn users(&self) -> Option<UserReport> {
-        self.heard().users.1
+        self.received().users.1
     }
 
-    /// How many commands came, and the newest.
+    /// The number of commands, and the newest.
     pub fn command(&self) -> (u64, Option<MirrorCommand>) {
-        self.heard().command
+        self.received().command
     }
 
     /// The newest telemetry.
     pub fn telemetry(&self) -> Option<MirrorTelemetry> {
-        self.heard().telemetry.1
+        self.received().telemetry.1
     }
 
     /// The newest truth.
     pub fn truth(&self) -> Option<RoomTruth> {
-        self.heard().truth.1
+        self.received().truth.1
     }
 
-    /// The newest status of a sort of process.
+    /// The newest status of a kind of process.
     pub fn status(&self, node: NodeKind) -> Option<NodeStatus> {
-        let heard = self.heard();
-        if node == NodeKind::Controller { heard.controller.1 } else { heard.sim_node.1 }
+        let received = self.received();
+        if node == NodeKind::Controller { received.controller.1 } else { received.sim_node.1 }
     }
 
-    /// The value of a counter in the newest status; 0 where it is not named.
+    /// The value of a counter in the newest status; 0 if it is absent.
     pub fn counter(&self, node: NodeKind, name: &str) -> u64 {
         let counters = self.status(node).map(|status| status.counters).unwrap_or_default();
         counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
     }
 
-    /// Waits until the room's mirrors follow commands.
+    /// Waits for ten more commands.
     ///
     /// # Panics
-    /// When they do not in good time.
+    /// When they do not arrive within the time limit.
     pub fn wait_for_commands(&self) {
         let before = self.command().0;
         wait_until("ten commands", || self.command().0 >= before + 10);
     }
 
-    fn heard(&self) -> Heard {
-        self.heard.lock().expect("no listener panics").clone()
+    fn received(&self) -> Received {
+        self.received.lock().expect("no callback panics").clone()
     }
 }
 
-impl Heard {
+impl Received {
     fn take(&mut self, key: &str, payload: &[u8]) {
-        // A test may say what nobody can read: a witness only counts what is whole.
+        // A test may publish invalid payloads: the observer counts valid ones only.
         let last = key.rsplit_once('/').map_or("", |(_, last)| last);
         match last {
             "users" => keep(&mut self.users, codec::decode(payload).ok()),

@@ -1,4 +1,4 @@
-//! A payload as a recorder sees it: what it is, and who said it as which of how many.
+//! A received payload, decoded: its message, its source and its sequence number.
 
 use heliostat_proto::{
     Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, EmergencyStop, Kind, Message,
@@ -6,9 +6,9 @@ use heliostat_proto::{
     codec::kind_of, decode,
 };
 
-/// A decoded payload; kinds that only pass through are told by their stamp.
+/// A decoded payload; kinds that are only recorded keep their stamp alone.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Heard {
+pub enum Received {
     Users(UserReport),
     Channel(ChannelReport),
     Obstacles(ObstacleReport),
@@ -19,22 +19,22 @@ pub enum Heard {
     Other(Kind, Stamp),
 }
 
-/// Who said it, as which of theirs, and when it was true.
+/// Source, sequence number and time of a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Origin {
-    /// The source; of a command, the epoch.
+    /// The source; for a command, the epoch.
     pub source: u64,
-    /// Counts up by one with each message of the source on its key.
+    /// Rises by one with each message of the source on its key.
     pub sequence: u64,
     /// The time of the content.
     pub time_ns: Nanos,
 }
 
-impl Heard {
-    /// Reads a payload.
+impl Received {
+    /// Decodes a payload.
     pub fn read(payload: &[u8]) -> Result<Self, CodecError> {
-        fn stamped<T: Message>(payload: &[u8], stamp: fn(&T) -> Stamp) -> Result<Heard, CodecError> {
-            decode::<T>(payload).map(|message| Heard::Other(T::KIND, stamp(&message)))
+        fn stamped<T: Message>(payload: &[u8], stamp: fn(&T) -> Stamp) -> Result<Received, CodecError> {
+            decode::<T>(payload).map(|message| Received::Other(T::KIND, stamp(&message)))
         }
         match kind_of(payload)? {
             Kind::UserReport => decode(payload).map(Self::Users),
@@ -52,7 +52,7 @@ impl Heard {
         }
     }
 
-    /// Who said it.
+    /// Source, sequence number and time.
     pub fn origin(&self) -> Origin {
         let stamp = match self {
             Self::Command(command) => {

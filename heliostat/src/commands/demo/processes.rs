@@ -1,0 +1,62 @@
+//! The two processes of a demo, and the orders of the page for them.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use heliostat_ui::Errand;
+use serde_json::Value;
+
+use super::child::ChildProcess;
+
+/// Time limit for the end of a process after the request.
+const END_LIMIT: Duration = Duration::from_secs(10);
+
+/// The two processes.
+pub struct Processes {
+    room: ChildProcess,
+    /// `None` after it was killed by order.
+    controller: Option<ChildProcess>,
+}
+
+impl Processes {
+    /// Starts both.
+    pub fn start(room: &[String], controller: &[String]) -> Result<Self> {
+        Ok(Self {
+            room: ChildProcess::start("sim-node", room)?,
+            controller: Some(ChildProcess::start("controller", controller)?),
+        })
+    }
+
+    /// The process ids of the room and of the controller.
+    pub fn ids(&self) -> (u32, Option<u32>) {
+        (self.room.id(), self.controller.as_ref().map(ChildProcess::id))
+    }
+
+    /// An error with the last output of a process that ended without a request.
+    pub fn check_alive(&mut self) -> Result<()> {
+        self.room.check_alive()?;
+        self.controller.as_mut().map_or(Ok(()), ChildProcess::check_alive)
+    }
+
+    /// Kills or restarts the controller; `arguments` are those of the new one.
+    pub fn run(&mut self, errand: Errand, arguments: impl FnOnce() -> Result<Vec<String>>) -> Result<()> {
+        match errand {
+            // Dropping the process kills it.
+            Errand::KillController => self.controller = None,
+            Errand::ReviveController if self.controller.is_none() => {
+                self.controller =
+                    Some(ChildProcess::start("controller", &arguments()?).context("the controller was not restarted")?);
+            }
+            Errand::ReviveController => {}
+        }
+        Ok(())
+    }
+
+    /// Ends both, and returns their summaries; `None` for a killed controller.
+    pub fn finish(self) -> Result<(Value, Option<Value>)> {
+        // The room ends first, so that no tick counts as lost because the controller has ended.
+        let room = self.room.finish(END_LIMIT)?;
+        let controller = self.controller.map(|controller| controller.finish(END_LIMIT)).transpose()?;
+        Ok((room, controller))
+    }
+}

@@ -1,0 +1,126 @@
+//! Reads a recording from its beginning to its end, or to its last complete chunk.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::Path;
+
+use heliostat_proto::{Nanos, VERSION};
+use mcap::McapError;
+use mcap::records::Record;
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::{ACCOUNT_NAME, HEADER_NAME, Header, RecordingError};
+
+/// Opens a recording on disk.
+///
+/// # Errors
+/// [`RecordingError::Read`], [`RecordingError::Foreign`] or [`RecordingError::Version`].
+pub fn open(file: &Path) -> Result<Reading<BufReader<File>>, RecordingError> {
+    let file = File::open(file).map_err(|error| RecordingError::Open(error.to_string()))?;
+    Reading::open(BufReader::new(file))
+}
+
+/// One message of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Its topic; for a payload, the key.
+    pub topic: String,
+    /// When the recorder received it, UTC in ns.
+    pub arrived_ns: Nanos,
+    /// The bytes.
+    pub data: Vec<u8>,
+}
+
+/// A recording that is being read, up to its end or to its last complete chunk.
+pub struct Reading<R> {
+    source: R,
+    reader: LinearReader,
+    header: Header,
+    topics: HashMap<u16, String>,
+    account: Option<String>,
+}
+
+impl<R: Read> Reading<R> {
+    /// Starts to read.
+    ///
+    /// # Errors
+    /// [`RecordingError::Read`], [`RecordingError::Foreign`] or [`RecordingError::Version`].
+    pub fn open(source: R) -> Result<Self, RecordingError> {
+        // A chunk is checked before any message in it is used: half a chunk counts as none.
+        let options = LinearReaderOptions::default().with_skip_end_magic(true).with_prevalidate_chunk_crcs(true);
+        let header = Header::default();
+        let reader = LinearReader::new_with_options(options);
+        let mut reading = Self { source, reader, header, topics: HashMap::new(), account: None };
+        while reading.header.room.is_empty() {
+            if !matches!(reading.step()?, Step::Other) {
+                return Err(RecordingError::Foreign);
+            }
+        }
+        if reading.header.contract != VERSION.to_string() {
+            return Err(RecordingError::Version { found: reading.header.contract });
+        }
+        Ok(reading)
+    }
+
+    /// The data known when the recording started.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The counts that the recorder wrote at the end, as JSON; `None` before the end was read, and
+    /// if the recording was cut.
+    pub fn account(&self) -> Option<&str> {
+        self.account.as_deref()
+    }
+
+    /// The next message; `None` at the end.
+    ///
+    /// # Errors
+    /// [`RecordingError::Read`] if the file is damaged; a file that was cut ends without an error.
+    pub fn entry(&mut self) -> Result<Option<Entry>, RecordingError> {
+        loop {
+            match self.step()? {
+                Step::Entry(entry) => return Ok(Some(entry)),
+                Step::Other => {}
+                Step::End => return Ok(None),
+            }
+        }
+    }
+
+    fn step(&mut self) -> Result<Step, RecordingError> {
+        let unreadable = |error: McapError| RecordingError::Read(error.to_string());
+        let event = match self.reader.next_event() {
+            None => return Ok(Step::End),
+            Some(Err(McapError::UnexpectedEof)) => return Ok(Step::End),
+            Some(event) => event.map_err(unreadable)?,
+        };
+        match event {
+            LinearReadEvent::ReadRequest(length) => {
+                let got = self.source.read(self.reader.insert(length));
+                self.reader.notify_read(got.map_err(|error| RecordingError::Read(error.to_string()))?);
+            }
+            LinearReadEvent::Record { data, opcode } => match mcap::parse_record(opcode, data).map_err(unreadable)? {
+                Record::Channel(channel) => drop(self.topics.insert(channel.id, channel.topic)),
+                Record::Metadata(found) if found.name == HEADER_NAME => {
+                    self.header = Header::from_map(&found.metadata)?
+                }
+                Record::Metadata(mut found) if found.name == ACCOUNT_NAME => {
+                    self.account = found.metadata.remove("json")
+                }
+                Record::Message { header, data } => {
+                    let topic = self.topics.get(&header.channel_id).cloned().unwrap_or_default();
+                    return Ok(Step::Entry(Entry { topic, arrived_ns: header.log_time, data: data.into_owned() }));
+                }
+                _ => {}
+            },
+        }
+        Ok(Step::Other)
+    }
+}
+
+enum Step {
+    Entry(Entry),
+    Other,
+    End,
+}

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval, link, map, scenario, ui};
+use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval, link, map, results, scenario, ui};
 
 /// Real-time control of a wall of MEMS mirrors that steers light to people.
 ///
@@ -42,6 +42,8 @@ enum Command {
     Map(map::Args),
     /// Measure speed, each figure beside a reference measured in the same run
     Bench(bench::Args),
+    /// Run the commands behind a results page, and write the page
+    Results(results::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
     /// Check what matters before a run, and say what to do about it
@@ -73,6 +75,7 @@ pub fn run() -> Result<()> {
         Command::Link(args) => link::run(args),
         Command::Map(args) => map::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Results(args) => results::run(args),
         Command::Scenario(args) => scenario::run(args),
         Command::Doctor(args) => doctor::run(args),
         Command::Config(args) => config::run(args),

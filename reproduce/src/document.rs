@@ -1,4 +1,4 @@
-//! docs/reproduction.md: the last documented run in words and tables, made from docs/reproduction.json and nothing else.
+//! docs/results/reproduction.md: the last documented run in words and tables, rendered from docs/results/reproduction.json alone.
 
 use std::fmt::Write;
 
@@ -78,10 +78,10 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
     writeln!(text, "# The paper's figures, as Heliostat finds them\n")?;
     writeln!(
         text,
-        "Made by the command below from `docs/reproduction.json`; do not edit. How the paper is read: [physics.md](physics.md). The plots themselves, interactive and as SVG, \
+        "Made by the command below from `docs/results/reproduction.json`; do not edit. How the paper is read: [physics.md](../physics.md). The plots themselves, interactive and as SVG, \
          are in the report that the command writes.\n"
     )?;
-    writeln!(text, "```\n{} --write-docs docs\n```\n", meta.command)?;
+    writeln!(text, "```\n{} --write-docs docs/results\n```\n", meta.command)?;
     let commits = meta.commits.join(", ");
     writeln!(text, "| | |\n| --- | --- |")?;
     writeln!(text, "| made | {}, {} run, heliostat {}, commit {} |", meta.made, meta.effort, meta.version, commits)?;

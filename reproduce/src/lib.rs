@@ -11,7 +11,7 @@
 //! - [`run`]: estimate, progress, and the parts one by one.
 //! - [`command`]: the command that makes a report or a figure again.
 //! - [`claims`]: every statement of the paper with a verdict.
-//! - [`report`], [`page`], [`document`]: JSON, CSV and SVG files, the page, and docs/reproduction.md.
+//! - [`report`], [`page`], [`document`]: JSON, CSV and SVG files, the page, and docs/results/reproduction.md.
 //! - [`figure`](mod@figure), [`draw`], [`statistics`], [`machine`], [`over_floor`](mod@over_floor): what these share.
 
 pub mod args;

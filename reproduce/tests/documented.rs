@@ -5,8 +5,8 @@ use heliostat_reproduce::report::Report;
 
 #[test]
 fn the_document_is_what_its_json_renders_to() {
-    let text = include_str!("../../docs/reproduction.json");
-    let report: Report = serde_json::from_str(text).expect("docs/reproduction.json is a report");
-    let made_by = "make it again with `heliostat reproduce all --out DIR --write-docs docs`";
-    assert!(markdown(&report) == include_str!("../../docs/reproduction.md"), "docs/reproduction.md differs; {made_by}");
+    let text = include_str!("../../docs/results/reproduction.json");
+    let report: Report = serde_json::from_str(text).expect("docs/results/reproduction.json is a report");
+    let made_by = "make it again with `heliostat reproduce all --out DIR --write-docs docs/results`";
+    assert!(markdown(&report) == include_str!("../../docs/results/reproduction.md"), "docs/results/reproduction.md differs; {made_by}");
 }

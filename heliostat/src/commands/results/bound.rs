@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 
-use super::table::Row;
+use super::table::{ORACLE, Row};
 
 /// A bound that every named row of a section must meet.
 #[derive(Clone, Copy, Debug)]
@@ -47,7 +47,7 @@ impl Bound {
     /// No row or no figure that the bound concerns.
     pub fn judge(&self, rows: &[Row]) -> Result<Verdict> {
         let figure = |row: &Value, at: &str| row.pointer(at).and_then(Value::as_f64);
-        let oracle = rows.iter().find(|(name, _)| name == "(oracle)").map(|(_, row)| row);
+        let oracle = rows.iter().find(|(name, _)| name == ORACLE).map(|(_, row)| row);
         let of_row = |row: &Value| {
             let value = figure(row, self.at)?;
             match self.limit {

@@ -9,7 +9,7 @@ use super::archive::{Archive, Finished};
 use super::pages::{Page, Section};
 use super::table::grid;
 
-/// The page; sections that are not finished are left out and named at the end.
+/// The page; it lists unfinished sections at the end.
 ///
 /// # Errors
 /// A finished section whose JSON object is not that of its command.
@@ -68,7 +68,7 @@ fn states(output: &Value) -> String {
     let report = output.pointer("/reports/0/report").unwrap_or(output);
     let number = |name: &str| report[name].as_u64();
     match (number("states"), number("seeds"), number("seed")) {
-        (Some(states), Some(seeds), Some(seed)) => format!("{states} states of each of {seeds} seeds from {seed}. "),
+        (Some(states), Some(seeds), Some(seed)) => format!("States per seed: {states}. Seeds: {seeds}, from {seed}. "),
         _ => String::new(),
     }
 }

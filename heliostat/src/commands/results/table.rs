@@ -3,6 +3,11 @@
 use anyhow::{Context, Result};
 use serde_json::{Map, Value};
 
+/// Name of the oracle's row.
+pub const ORACLE: &str = "(oracle)";
+/// JSON pointer of the ratio to the oracle.
+const RATIO: &str = "/ratio_to_oracle";
+
 /// How the rows of a table lie in a command's JSON object.
 #[derive(Clone, Copy, Debug)]
 pub enum Layout {
@@ -84,14 +89,20 @@ impl Layout {
                 let key = output["sweep"].as_str().context("expected the swept key in `sweep`")?;
                 for swept in output["reports"].as_array().context("expected an array `reports`")? {
                     let rows = policies(&swept["report"], arguments)?;
+                    // The oracle's ratio to itself is no information.
+                    let shown = |name: &str| {
+                        let of_oracle = name == ORACLE;
+                        columns.iter().filter(|column| !(of_oracle && column.at == RATIO)).copied().collect::<Vec<_>>()
+                    };
                     if lines.is_empty() {
-                        let of_row = |(name, _): &Row| columns.iter().map(|c| format!("{name}: {}", c.title)).collect();
-                        let titles: Vec<Vec<String>> = rows.iter().map(of_row).collect();
-                        lines.push([format!("`{key}`")].into_iter().chain(titles.concat()).collect());
+                        let titles = rows.iter().flat_map(|(name, _)| {
+                            shown(name).into_iter().map(move |column| format!("{name}: {}", column.title))
+                        });
+                        lines.push([format!("`{key}`")].into_iter().chain(titles).collect());
                     }
                     let value = cell(&swept["value"], Form::Text);
-                    let rest: Vec<Vec<String>> = rows.iter().map(|(_, row)| cells(row, columns)).collect();
-                    lines.push([value].into_iter().chain(rest.concat()).collect::<Vec<_>>());
+                    let figures = rows.iter().flat_map(|(name, row)| cells(row, &shown(name)));
+                    lines.push([value].into_iter().chain(figures).collect::<Vec<_>>());
                 }
             }
         }
@@ -112,7 +123,7 @@ fn policies(report: &Value, arguments: &[String]) -> Result<Vec<Row>> {
     };
     let mut rows: Vec<Row> = policies.iter().map(|(name, row)| (name.clone(), row.clone())).collect();
     rows.sort_by_key(|(name, _)| rank(name));
-    rows.insert(0, ("(oracle)".into(), report["oracle"].clone()));
+    rows.insert(0, (ORACLE.into(), report["oracle"].clone()));
     Ok(rows)
 }
 
@@ -184,11 +195,11 @@ mod tests {
     fn a_sweep_has_a_line_a_value_and_each_column_for_each_policy() {
         let swept = |value: &str| json!({ "value": value, "report": report(0.8) });
         let output = json!({ "sweep": "users.count", "reports": [swept("1"), swept("2")] });
-        let table = Layout::Sweep.markdown(&output, &arguments("eval --policies greedy,flat"), &COLUMNS[..1]).unwrap();
+        let table = Layout::Sweep.markdown(&output, &arguments("eval --policies greedy,flat"), &COLUMNS).unwrap();
         let lines: Vec<&str> = table.lines().collect();
         assert_eq!(lines.len(), 4);
-        assert!(lines[0].starts_with("| `users.count` | (oracle): ratio | greedy: ratio |"), "{table}");
-        assert!(lines[3].starts_with("| 2 | 1.00 | 0.80 ± 0.01 |"), "{table}");
+        assert!(lines[0].starts_with("| `users.count` | (oracle): p50 | greedy: ratio | greedy: p50 |"), "{table}");
+        assert!(lines[3].starts_with("| 2 | - | 0.80 ± 0.01 | 7 |"), "{table}");
     }
 
     #[test]

@@ -1,9 +1,11 @@
-//! The documents: their commands run, their links lead somewhere, and the tests that they name exist.
+//! The documents: their commands run, their links lead somewhere, and the tests that they name
+//! exist.
 //!
-//! Bash runs each fenced block marked `sh`, block after block in one folder for each file, with the built `heliostat`
-//! first on the path and the repository's folders beside it. `sh until-stopped` marks commands that run until Ctrl-C:
-//! they run side by side for two seconds. `sh no-run` marks commands that cannot run here; the text beside it says why.
-//! In a tested file, a command in any other block fails the test.
+//! Bash runs each fenced block marked `sh`, block after block in one folder for each file, with the
+//! built `heliostat` first on the path and the repository's folders beside it. `sh until-stopped`
+//! marks commands that run until Ctrl-C: they run side by side for two seconds. `sh no-run` marks
+//! commands that cannot run here; the text beside it says why. In a tested file, a command in any
+//! other block fails the test.
 
 use std::collections::BTreeMap;
 use std::fs;

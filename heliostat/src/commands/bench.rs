@@ -23,7 +23,8 @@ pub struct Args {
 enum What {
     /// Environment steps a second on one core, beside a straightforward scalar implementation
     Env(env::Args),
-    /// Time of one solution of the oracle, without and with minimum rates, beside the model-based policies
+    /// Time of one solution of the oracle, without and with minimum rates, beside the model-based
+    /// policies
     Oracle(oracle::Args),
     /// The decision without transport at several rates, beside the inference engine alone
     Decide(decide::Args),
@@ -57,8 +58,8 @@ pub fn run(args: Args) -> Result<()> {
     }
 }
 
-/// Overrides for a room with `users` users, some blocked by obstacles and bodies, and `side` x `side`
-/// mirrors under a point LED.
+/// Overrides for a room with `users` users, some blocked by obstacles and bodies, and `side` x
+/// `side` mirrors under a point LED.
 fn room(users: usize, side: usize) -> Vec<String> {
     let mut set = vec![
         "led.side_m=0".into(),

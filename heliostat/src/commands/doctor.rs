@@ -15,8 +15,8 @@ use crate::output::outln;
 
 /// Check what a run needs: scenario, policy, driver, ports, clock, permissions, processors.
 ///
-/// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a check fails. A warning
-/// concerns speed or accuracy; a run is still possible.
+/// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
+/// check fails. A warning concerns speed or accuracy; a run is still possible.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]

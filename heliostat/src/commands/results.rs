@@ -1,9 +1,9 @@
 //! `heliostat results PAGE`: runs the commands behind a results page and writes the page.
 //!
-//! A page is data ([`pages`]): sections, each with one command, the columns of its table and the bounds it is held to.
-//! Each command runs in a process of its own, exactly as the page prints it, so that a reader who repeats it gets the
-//! same measurement. Finished sections are kept as JSON beside the page ([`archive`]); [`document`] renders the page
-//! from that file alone.
+//! A page is data ([`pages`]): sections, each with one command, the columns of its table and the
+//! bounds it is held to. Each command runs in a process of its own, exactly as the page prints it,
+//! so that a reader who repeats it gets the same measurement. Finished sections are kept as JSON
+//! beside the page ([`archive`]); [`document`] renders the page from that file alone.
 
 mod archive;
 mod bound;
@@ -26,8 +26,8 @@ use pages::{PageName, Section};
 
 /// Run the commands behind a results page, and write the page as Markdown.
 ///
-/// Each section is one command. The page is written again after each finished section, with a JSON file of the same
-/// name beside it. A run that was interrupted continues with --resume.
+/// Each section is one command. The page is written again after each finished section, with a JSON
+/// file of the same name beside it. A run that was interrupted continues with --resume.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Which page

@@ -14,7 +14,8 @@ struct Inner {
     waiting: Vec<Option<(usize, Instant)>>,
     /// No report before this index is waiting.
     oldest: usize,
-    /// Reports that got no command of their own, because a command for a later report of their room arrived.
+    /// Reports that got no command of their own, because a command for a later report of their room
+    /// arrived.
     superseded: u64,
     times: Times,
 }
@@ -38,8 +39,8 @@ impl Board {
 
     /// Notes the arrival of an answer; only the first to each report counts.
     ///
-    /// Earlier reports of the room that still wait are superseded, because the array now has a newer command. They count
-    /// with the time until this arrival.
+    /// Earlier reports of the room that still wait are superseded, because the array now has a
+    /// newer command. They count with the time until this arrival.
     pub fn answered(&self, tick: u64, arrived: Instant) {
         let mut inner = self.lock();
         let Inner { waiting, oldest, superseded, times } = &mut *inner;
@@ -106,7 +107,8 @@ mod tests {
     fn an_answer_counts_once_and_supersedes_earlier_reports_of_its_room() {
         let board = Board::default();
         let due = Instant::now();
-        // Ticks of two rooms in turn: the answer to 3 supersedes 1 of the same room; 2 and 4 are never answered.
+        // Ticks of two rooms in turn: the answer to 3 supersedes 1 of the same room; 2 and 4 are
+        // never answered.
         (1..=4).for_each(|tick| board.sent(tick, tick as usize % 2, due));
         for tick in [3, 1, 99, 0] {
             board.answered(tick, due + Duration::from_millis(10));

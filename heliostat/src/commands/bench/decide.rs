@@ -1,9 +1,9 @@
 //! `heliostat bench decide | policies | mirrors | users`: the decision without transport, from the payload of a
 //! position report to the payload of the command, in one process.
 //!
-//! Between decisions the thread sleeps, as a controller does between reports, so the caches lose their contents as they
-//! do there. A decision counts from the moment the thread is awake, or from its due time if the previous decision was
-//! still running.
+//! Between decisions the thread sleeps, as a controller does between reports, so the caches lose
+//! their contents as they do there. A decision counts from the moment the thread is awake, or from
+//! its due time if the previous decision was still running.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -35,7 +35,8 @@ pub struct Args {
     scenario: ScenarioArgs,
     #[command(flatten)]
     pace: PaceArgs,
-    /// Policy that decides [default: ddpg for decide, fixed-point for mirrors and users, all for policies]
+    /// Policy that decides [default: ddpg for decide, fixed-point for mirrors and users, all for
+    /// policies]
     #[arg(long, value_enum)]
     policy: Option<PolicyKind>,
     /// Whether caches are warmed shortly before each report, as the controller does
@@ -95,7 +96,8 @@ pub fn mirrors(args: &Args) -> Result<()> {
             format!("mirrors.width_m={}", 2.5 / side as f64),
             format!("mirrors.height_m={}", 1.0 / side as f64),
             format!("mirrors.gap_m={}", 0.2 / side as f64),
-            // A panel of 25 points costs many times as much, and its image does not fit the smallest mirrors.
+            // A panel of 25 points costs many times as much, and its image does not fit the
+            // smallest mirrors.
             "led.side_m=0".into(),
         ];
         Ok(args.scenario.load()?.with_overrides(&set)?)
@@ -277,7 +279,8 @@ impl Side for Decider {
     }
 }
 
-/// The inference engine alone, on the actor for the room, or on that of the default room if there is none.
+/// The inference engine alone, on the actor for the room, or on that of the default room if there
+/// is none.
 struct Engine {
     actor: Actor,
 }

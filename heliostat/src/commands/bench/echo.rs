@@ -1,4 +1,5 @@
-//! The echo that the loop is compared with: a process that answers each report with a given number of bytes.
+//! The echo that the loop is compared with: a process that answers each report with a given number
+//! of bytes.
 
 use std::io::Read;
 use std::sync::Arc;

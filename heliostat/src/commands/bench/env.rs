@@ -1,11 +1,11 @@
 //! `heliostat bench env`: a step of the environment is the blockage of every path, direct and aimed gains, and gains
 //! at given angles.
 //!
-//! The reference computes the same pair by pair with the channel's functions for one path, as a script would. The two
-//! alternate, so that a drift of the machine cancels in the ratio.
+//! The reference computes the same pair by pair with the channel's functions for one path, as a
+//! script would. The two alternate, so that a drift of the machine cancels in the ratio.
 //!
-//! With bodies every user is a blocker, so the pairs of path and blocker grow with the square of the number of users.
-//! The rows without bodies show how the rest grows.
+//! With bodies every user is a blocker, so the pairs of path and blocker grow with the square of
+//! the number of users. The rows without bodies show how the rest grows.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -21,7 +21,8 @@ use serde::Serialize;
 
 use crate::output::outln;
 
-/// Measure environment steps a second on one core for each mode, 49 to 1024 mirrors and 5 to 40 users.
+/// Measure environment steps a second on one core for each mode, 49 to 1024 mirrors and 5 to 40
+/// users.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print one JSON object

@@ -1,7 +1,7 @@
 //! `heliostat bench oracle`: solution time of the oracle, beside the model-based policies on the same states.
 //!
-//! A solution leads from a scene to the angles of the mirrors. The three methods alternate state by state, so that a
-//! drift of the machine cancels in the ratio.
+//! A solution leads from a scene to the angles of the mirrors. The three methods alternate state by
+//! state, so that a drift of the machine cancels in the ratio.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -16,7 +16,8 @@ use serde::Serialize;
 
 use crate::output::outln;
 
-/// Measure the solution time of the oracle, without and with minimum rates, beside fixed-point and greedy.
+/// Measure the solution time of the oracle, without and with minimum rates, beside fixed-point and
+/// greedy.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print one JSON object

@@ -1,13 +1,15 @@
 //! When reports are due, and how the measured side and the reference alternate.
 //!
-//! Due times are fixed in advance: a late report does not delay those after it, and it counts from its due time. A
-//! slow answer therefore cannot hide the wait of the next report (coordinated omission).
+//! Due times are fixed in advance: a late report does not delay those after it, and it counts from
+//! its due time. A slow answer therefore cannot hide the wait of the next report (coordinated
+//! omission).
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
 
-/// How long one side runs before the other: far longer than a decision, far shorter than a drift of the machine.
+/// How long one side runs before the other: far longer than a decision, far shorter than a drift of
+/// the machine.
 const BLOCK: Duration = Duration::from_millis(500);
 
 /// Blocks of the measured side for each block of the reference.

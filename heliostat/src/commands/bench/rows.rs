@@ -1,4 +1,5 @@
-//! The output of the latency benchmarks: rows with a measured distribution beside a reference of the same run.
+//! The output of the latency benchmarks: rows with a measured distribution beside a reference of
+//! the same run.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -63,7 +64,8 @@ impl From<Quantiles> for Distribution {
 /// What was varied.
 #[derive(Clone, Debug, Serialize)]
 pub struct Varied {
-    /// Reports a second and room; null if each report follows immediately after the previous answer.
+    /// Reports a second and room; null if each report follows immediately after the previous
+    /// answer.
     pub hz: Option<f64>,
     /// Number of mirrors.
     pub mirrors: usize,
@@ -94,7 +96,8 @@ pub struct Row {
     /// Medians of the stages of a decision, in us.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     stages_p50_us: BTreeMap<String, f64>,
-    /// For `loop` and `rooms`: the decision within the loop, from the callback to the return of the put.
+    /// For `loop` and `rooms`: the decision within the loop, from the callback to the return of the
+    /// put.
     #[serde(skip_serializing_if = "Option::is_none")]
     decision_us: Option<Distribution>,
 }

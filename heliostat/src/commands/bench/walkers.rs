@@ -1,4 +1,5 @@
-//! Reports for benchmarks: users who walk in circles around two pillars, half of them without a direct path.
+//! Reports for benchmarks: users who walk in circles around two pillars, half of them without a
+//! direct path.
 
 use heliostat_proto::{ChannelReport, Nanos, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState};
 

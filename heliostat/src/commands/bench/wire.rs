@@ -1,8 +1,9 @@
 //! `heliostat bench loop | rooms`: from the publication of a report to the arrival of the command that answers it.
 //!
-//! This process is the room, the controller is a second one, and the reference is a third: an echo that answers each
-//! report with as many bytes as a command has, over the same session, with the same quality of service. Reports go to
-//! controller and echo alternately. A report counts from its due time.
+//! This process is the room, the controller is a second one, and the reference is a third: an echo
+//! that answers each report with as many bytes as a command has, over the same session, with the
+//! same quality of service. Reports go to controller and echo alternately. A report counts from its
+//! due time.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -42,10 +43,12 @@ pub struct Args {
     /// Policy of the controller
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
-    /// Numbers of rooms that one process serves (comma-separated), instead of the benchmark's default
+    /// Numbers of rooms that one process serves (comma-separated), instead of the benchmark's
+    /// default
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u16).range(1..=512))]
     rooms: Vec<u16>,
-    /// Endpoint of the processes, instead of a free TCP port of this machine; for example unixsock-stream//run/bench.sock
+    /// Endpoint of the processes, instead of a free TCP port of this machine; for example
+    /// unixsock-stream//run/bench.sock
     #[arg(long, value_name = "ENDPOINT")]
     endpoint: Option<String>,
     /// Print one JSON object
@@ -168,7 +171,8 @@ struct Side {
     walkers: Walkers,
     users: usize,
     tick: u64,
-    /// Whether the payloads are messages; the echo gets payloads of the same size with a number in front.
+    /// Whether the payloads are messages; the echo gets payloads of the same size with a number in
+    /// front.
     sends_messages: bool,
     buffers: [Vec<u8>; 3],
     _subscriptions: Vec<Subscription>,
@@ -243,7 +247,8 @@ impl Side {
         Ok(())
     }
 
-    /// Sends the reports of a block, room after room, spread evenly over the interval; returns their number.
+    /// Sends the reports of a block, room after room, spread evenly over the interval; returns
+    /// their number.
     fn go_through(&mut self, block: Block) -> Result<u64> {
         let rooms = self.rooms.len();
         let start = Instant::now();

@@ -75,8 +75,8 @@ fn states(output: &Value) -> String {
 
 /// Four significant digits.
 fn significant(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return value.to_string();
+    if value.abs() < 1e-9 {
+        return "0".into();
     }
     let digits = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
     let text = format!("{value:.digits$}");
@@ -139,7 +139,14 @@ mod tests {
 
     #[test]
     fn figures_of_verdicts_have_four_digits() {
-        let cases = [(0.0, "0"), (1.23456, "1.235"), (0.00087654, "0.0008765"), (672.4, "672.4"), (12345.6, "12346")];
+        let cases = [
+            (0.0, "0"),
+            (-1e-17, "0"),
+            (1.23456, "1.235"),
+            (0.00087654, "0.0008765"),
+            (672.4, "672.4"),
+            (12345.6, "12346"),
+        ];
         for (value, expected) in cases {
             assert_eq!(significant(value), expected);
         }

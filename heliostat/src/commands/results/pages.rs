@@ -83,9 +83,13 @@ impl Section {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
+    use std::fs;
+    use std::path::Path;
 
     use clap::{Parser, ValueEnum};
 
+    use super::super::archive::Archive;
+    use super::super::document;
     use super::*;
     use crate::cli::Cli;
 
@@ -109,6 +113,23 @@ mod tests {
             let names: BTreeSet<_> = page.sections.iter().map(|section| section.name).collect();
             let titles: BTreeSet<_> = page.sections.iter().map(|section| section.title).collect();
             assert_eq!((names.len(), titles.len()), (page.sections.len(), page.sections.len()), "{}", page.name);
+        }
+    }
+
+    #[test]
+    fn a_page_in_docs_is_what_its_json_renders_to() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results");
+        for page in PageName::value_variants().iter().map(|name| name.page()) {
+            // A page without a JSON file was transcribed by hand and says so.
+            let kept = folder.join(page.name).with_extension("json");
+            let text = fs::read_to_string(kept.with_extension("md")).expect("every page is in docs/results");
+            if kept.exists() {
+                let archive = Archive::read(&kept).expect("finished sections");
+                let rendered = document::markdown(page, &archive).expect("the output of its commands");
+                assert!(text == rendered, "docs/results/{}.md differs from its JSON file", page.name);
+            } else {
+                assert!(text.contains("transcribed from"), "docs/results/{}.md has no JSON file", page.name);
+            }
         }
     }
 

@@ -115,7 +115,8 @@ fn policies(report: &Value, arguments: &[String]) -> Result<Vec<Row>> {
     let policies: &Map<String, Value> = report["policies"].as_object().context("expected an object `policies`")?;
     let named = arguments.iter().skip_while(|word| *word != "--policies").nth(1).map_or("", String::as_str);
     let named: Vec<&str> = named.split(',').collect();
-    // A variant of a policy, such as one with prediction, follows the policy whose name it begins with.
+    // A variant of a policy, such as one with prediction, follows the policy whose name it begins
+    // with.
     let rank = |name: &str| {
         let fits = named.iter().enumerate().filter(|(_, policy)| name.starts_with(**policy));
         let best = fits.max_by_key(|(_, policy)| policy.len());
@@ -138,6 +139,7 @@ fn cell(value: &Value, form: Form) -> String {
         Form::Text => match value {
             Value::Null => None,
             Value::String(text) => Some(text.clone()),
+            Value::Number(number) => Some(number.to_string().trim_end_matches(".0").to_owned()),
             other => Some(other.to_string()),
         },
         Form::Number(digits) => number(value, digits),
@@ -200,6 +202,14 @@ mod tests {
         assert_eq!(lines.len(), 4);
         assert!(lines[0].starts_with("| `users.count` | (oracle): p50 | greedy: ratio | greedy: p50 |"), "{table}");
         assert!(lines[3].starts_with("| 2 | - | 0.80 ± 0.01 | 7 |"), "{table}");
+    }
+
+    #[test]
+    fn text_has_no_needless_decimal_and_a_missing_figure_is_a_dash() {
+        let cases = [(json!(100.0), "100"), (json!(0.5), "0.5"), (json!(true), "true"), (Value::Null, "-")];
+        for (value, expected) in cases {
+            assert_eq!(cell(&value, Form::Text), expected);
+        }
     }
 
     #[test]

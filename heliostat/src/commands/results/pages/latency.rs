@@ -108,7 +108,7 @@ pub static PAGE: Page = Page {
         Section {
             name: "loop-nearest",
             title: "Loop, nearest",
-            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is a bare echo.",
+            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is an echo.",
             command: "bench loop --policy nearest",
             full: "--seconds 6",
             quick: "--seconds 1 --hz 100",
@@ -132,7 +132,7 @@ pub static PAGE: Page = Page {
         Section {
             name: "loop-fixed-point",
             title: "Loop, fixed-point",
-            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is a bare echo.",
+            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is an echo.",
             command: "bench loop --policy fixed-point",
             full: "--seconds 6",
             quick: "--seconds 1 --hz 100",
@@ -156,7 +156,7 @@ pub static PAGE: Page = Page {
         Section {
             name: "loop-ddpg",
             title: "Loop, ddpg",
-            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is a bare echo.",
+            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is an echo.",
             command: "bench loop --policy ddpg",
             full: "--seconds 6",
             quick: "--seconds 1 --hz 100",
@@ -196,7 +196,7 @@ pub static PAGE: Page = Page {
         Section {
             name: "misses-ddpg",
             title: "Missed deadlines, ddpg",
-            about: "100,000 decisions at 1000 reports a second.",
+            about: "Decisions of more than 0.5 ms at 1000 reports a second, by their longest stage.",
             command: "bench decide --hz 1000 --policy ddpg",
             full: "--decisions 100000",
             quick: "--decisions 500",
@@ -212,7 +212,7 @@ pub static PAGE: Page = Page {
         Section {
             name: "misses-nearest",
             title: "Missed deadlines, nearest",
-            about: "100,000 decisions at 1000 reports a second.",
+            about: "Decisions of more than 0.5 ms at 1000 reports a second, by their longest stage.",
             command: "bench decide --hz 1000 --policy nearest",
             full: "--decisions 100000",
             quick: "--decisions 500",

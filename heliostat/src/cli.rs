@@ -85,3 +85,50 @@ pub fn run() -> Result<()> {
         Command::Manual(args) => completions::manual(args),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::{Path, PathBuf};
+
+    use super::*;
+
+    /// Commands of a Markdown file: lines in blocks, and spans in backticks if `spans`.
+    fn commands(text: &str, spans: bool) -> Vec<String> {
+        let lines = text.lines().filter(|line| !line.contains('`')).map(str::trim_start);
+        let in_line = text.split('`').skip(1).step_by(2).filter(|_| spans);
+        let commands = lines.chain(in_line).filter(|text| text.starts_with("heliostat "));
+        let ends = [" #", " > ", " | ", " &"];
+        let first_part = |text: &str| {
+            ends.iter().fold(text.to_owned(), |text, end| text.split(end).next().unwrap_or_default().into())
+        };
+        commands.map(first_part).collect()
+    }
+
+    fn markdown(folder: &Path, found: &mut Vec<PathBuf>) {
+        for path in fs::read_dir(folder).expect("a folder of documents").flatten().map(|entry| entry.path()) {
+            if path.is_dir() {
+                markdown(&path, found);
+            } else if path.extension().is_some_and(|extension| extension == "md") {
+                found.push(path);
+            }
+        }
+    }
+
+    #[test]
+    fn the_command_line_accepts_every_command_of_the_documents() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let mut documents = vec![root.join("README.md"), root.join("SPECIFICATION.md")];
+        markdown(&root.join("docs"), &mut documents);
+        let mut count = 0;
+        for document in documents {
+            let text = fs::read_to_string(&document).expect("a document is readable");
+            for command in commands(&text, document.ends_with("SPECIFICATION.md")) {
+                let parsed = Cli::try_parse_from(command.split_whitespace());
+                assert!(parsed.is_ok(), "{}: {command}\n{}", document.display(), parsed.unwrap_err());
+                count += 1;
+            }
+        }
+        assert!(count >= 100, "only {count} commands were found");
+    }
+}

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 
-use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval, link, map, scenario, ui};
+use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval, link, map, results, scenario, ui};
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
 ///
@@ -42,6 +42,8 @@ enum Command {
     Map(map::Args),
     /// Measure speed relative to a reference in the same run
     Bench(bench::Args),
+    /// Run the commands behind a results page, and write the page
+    Results(results::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
     /// Check the machine before a run, and recommend changes
@@ -73,6 +75,7 @@ pub fn run() -> Result<()> {
         Command::Link(args) => link::run(args),
         Command::Map(args) => map::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Results(args) => results::run(args),
         Command::Scenario(args) => scenario::run(args),
         Command::Doctor(args) => doctor::run(args),
         Command::Config(args) => config::run(args),
@@ -80,5 +83,52 @@ pub fn run() -> Result<()> {
         Command::Replay(args) => heliostat_record::cli::replay(args),
         Command::Completions(args) => completions::completions(args, Cli::command()),
         Command::Manual(args) => completions::manual(args, Cli::command()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::{Path, PathBuf};
+
+    use super::*;
+
+    /// Commands of a Markdown file: lines in blocks, and spans in backticks if `spans`.
+    fn commands(text: &str, spans: bool) -> Vec<String> {
+        let lines = text.lines().filter(|line| !line.contains('`')).map(str::trim_start);
+        let in_line = text.split('`').skip(1).step_by(2).filter(|_| spans);
+        let commands = lines.chain(in_line).filter(|text| text.starts_with("heliostat "));
+        let ends = [" #", " > ", " | ", " &"];
+        let first_part = |text: &str| {
+            ends.iter().fold(text.to_owned(), |text, end| text.split(end).next().unwrap_or_default().into())
+        };
+        commands.map(first_part).collect()
+    }
+
+    fn markdown(folder: &Path, found: &mut Vec<PathBuf>) {
+        for path in fs::read_dir(folder).expect("a folder of documents").flatten().map(|entry| entry.path()) {
+            if path.is_dir() {
+                markdown(&path, found);
+            } else if path.extension().is_some_and(|extension| extension == "md") {
+                found.push(path);
+            }
+        }
+    }
+
+    #[test]
+    fn the_command_line_accepts_every_command_of_the_documents() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let mut documents = vec![root.join("README.md"), root.join("SPECIFICATION.md")];
+        markdown(&root.join("docs"), &mut documents);
+        let mut count = 0;
+        for document in documents {
+            let text = fs::read_to_string(&document).expect("a document is readable");
+            for command in commands(&text, document.ends_with("SPECIFICATION.md")) {
+                let parsed = Cli::try_parse_from(command.split_whitespace());
+                assert!(parsed.is_ok(), "{}: {command}\n{}", document.display(), parsed.unwrap_err());
+                count += 1;
+            }
+        }
+        assert!(count >= 100, "only {count} commands were found");
     }
 }

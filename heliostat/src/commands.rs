@@ -13,6 +13,7 @@ pub mod eval;
 pub mod link;
 pub mod map;
 mod mirrors;
+pub mod results;
 pub mod scenario;
 pub mod ui;
 

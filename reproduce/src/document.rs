@@ -1,5 +1,5 @@
-//! docs/reproduction.md: the last documented run as text and tables, rendered from
-//! docs/reproduction.json only.
+//! docs/results/reproduction.md: the last documented run as text and tables, rendered from
+//! docs/results/reproduction.json only.
 
 use std::fmt::Write;
 
@@ -79,9 +79,9 @@ fn write(report: &Report, text: &mut String) -> std::fmt::Result {
     writeln!(text, "# Reproduction of the paper's figures\n")?;
     writeln!(
         text,
-        "Made by the command below from `docs/reproduction.json`; do not edit. [physics.md](physics.md) explains the interpretation of the paper. The command also writes a report with the plots, interactive and as SVG.\n"
+        "Made by the command below from `docs/results/reproduction.json`; do not edit. [physics.md](../physics.md) explains the interpretation of the paper. The command also writes a report with the plots, interactive and as SVG.\n"
     )?;
-    writeln!(text, "```\n{} --write-docs docs\n```\n", meta.command)?;
+    writeln!(text, "```\n{} --write-docs docs/results\n```\n", meta.command)?;
     let commits = meta.commits.join(", ");
     writeln!(text, "| | |\n| --- | --- |")?;
     writeln!(text, "| made | {}, {} run, heliostat {}, commit {} |", meta.made, meta.effort, meta.version, commits)?;

@@ -15,7 +15,7 @@
 //! - [`command`]: the command that reproduces a figure.
 //! - [`claims`]: the statements of the paper, each with a verdict.
 //! - [`report`], [`files`], [`page`], [`document`]: the result, its files, the page, and
-//!   docs/reproduction.md.
+//!   docs/results/reproduction.md.
 //! - [`figure`](mod@figure), [`draw`], [`statistics`], [`machine`], [`over_floor`](mod@over_floor):
 //!   shared by the modules above.
 

@@ -1,8 +1,11 @@
-//! Every command in the README and in the tutorials runs.
+//! The documents: their commands run, their links lead somewhere, and the tests that they name
+//! exist.
 //!
-//! A fenced block marked `sh` is run by bash, block after block in one folder for each file, with the built `heliostat` first on the path and the
-//! repository's folders beside it. `sh until-stopped` marks commands that run until Ctrl-C: they run side by side for two seconds. `sh no-run` marks what
-//! cannot run here; the text beside it says why. Any other block that holds a command of ours fails the test.
+//! Bash runs each fenced block marked `sh`, block after block in one folder for each file, with the
+//! built `heliostat` first on the path and the repository's folders beside it. `sh until-stopped`
+//! marks commands that run until Ctrl-C: they run side by side for two seconds. `sh no-run` marks
+//! commands that cannot run here; the text beside it says why. In a tested file, a command in any
+//! other block fails the test.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,8 +16,8 @@ use std::process::Command;
 use heliostat_tests::programs;
 use tempfile::TempDir;
 
-/// Longest that one file's commands may take, in s; they take a fraction of that on an idle machine.
-const PATIENCE_S: u32 = 240;
+/// Time limit for one block, in s; on an idle machine a block needs a small part of it.
+const BLOCK_LIMIT_S: u32 = 240;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the workspace is there")
@@ -59,14 +62,14 @@ fn stopped_soon(line: &str) -> String {
     format!("{command} --seconds 2 > /dev/null &\n")
 }
 
-/// A folder in which the repository's own folders stand, so that a command can name them.
+/// Links the repository's folders into a folder, so that a command can name them.
 fn stage(folder: &TempDir) {
     for name in ["deploy", "docs", "models", "tests"] {
         symlink(root().join(name), folder.path().join(name)).expect("a fresh folder takes a link");
     }
 }
 
-/// Runs a file's blocks; gives the number of commands.
+/// Runs a file's blocks; returns the number of commands.
 fn run(file: &str) -> usize {
     let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let folder = TempDir::new().expect("a folder");
@@ -80,15 +83,15 @@ fn run(file: &str) -> usize {
             "sh until-stopped" => block.text.lines().filter(|line| is_command(line)).map(stopped_soon).collect(),
             info => {
                 let marked = info.starts_with("sh no-run");
-                assert!(marked || count == 0, "{file}, line {}: commands in a block that is not marked", block.line);
+                assert!(marked || count == 0, "{file}, line {}: commands in a block that is not marked sh", block.line);
                 continue;
             }
         };
         commands += count;
-        // A command in the background must end well too.
+        // A command in the background must succeed too.
         let script = format!("set -eu\n{script}\nfor job in $(jobs -p); do wait $job; done\n");
         let output = Command::new("timeout")
-            .args([&PATIENCE_S.to_string(), "bash", "-c", &script])
+            .args([&BLOCK_LIMIT_S.to_string(), "bash", "-c", &script])
             .env("PATH", &path)
             .current_dir(folder.path())
             .output()
@@ -130,6 +133,11 @@ fn latency_report_runs() {
 }
 
 #[test]
+fn evaluation_runs() {
+    assert!(run("docs/evaluation.md") >= 3);
+}
+
+#[test]
 fn actuators_run() {
     assert!(run("docs/actuators.md") >= 3);
 }
@@ -146,6 +154,119 @@ fn every_tutorial_is_run() {
         let name = entry.expect("a folder can be read").file_name().to_string_lossy().into_owned();
         assert!(tests.contains(&format!("run(\"docs/tutorials/{name}\")")), "{name} is not run by any test here");
     }
+}
+
+/// Markdown files of the repository: at its root, and in docs, deploy and models.
+fn documents() -> Vec<PathBuf> {
+    fn collect(folder: &Path, depth: usize, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.is_dir() && depth > 0 {
+                collect(&path, depth - 1, found);
+            } else if path.extension().is_some_and(|extension| extension == "md") {
+                found.push(path);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    collect(&root(), 0, &mut found);
+    ["docs", "deploy", "models", "examples"].iter().for_each(|folder| collect(&root().join(folder), 4, &mut found));
+    found
+}
+
+/// The lines of a Markdown file outside of fenced blocks, without code in backticks.
+fn prose(text: &str) -> Vec<String> {
+    let mut fenced = false;
+    let mut lines = Vec::new();
+    for line in text.lines() {
+        if line.trim_start().starts_with("```") {
+            fenced = !fenced;
+        } else if !fenced {
+            lines.push(line.split('`').step_by(2).collect::<Vec<_>>().join("`"));
+        }
+    }
+    lines
+}
+
+/// Targets of the links and pictures of a Markdown file.
+fn links(text: &str) -> Vec<String> {
+    let lines = prose(text);
+    let targets = lines.iter().flat_map(|line| line.split("](").skip(1));
+    targets.filter_map(|rest| Some(rest.split_once(')')?.0.to_owned())).collect()
+}
+
+/// The anchors of a Markdown file's headings, as GitHub makes them.
+fn anchors(text: &str) -> Vec<String> {
+    let mut fenced = false;
+    let mut anchors = Vec::new();
+    for line in text.lines() {
+        fenced ^= line.starts_with("```");
+        if let (false, Some(heading)) = (fenced, line.strip_prefix('#')) {
+            let heading = heading.trim_start_matches('#').trim().to_lowercase();
+            let kept = heading.chars().filter(|letter| letter.is_alphanumeric() || matches!(letter, ' ' | '-' | '_'));
+            anchors.push(kept.map(|letter| if letter == ' ' { '-' } else { letter }).collect());
+        }
+    }
+    anchors
+}
+
+#[test]
+fn internal_links_lead_to_files_and_headings_that_exist() {
+    let (mut broken, mut checked) = (Vec::new(), 0);
+    for document in documents() {
+        let text = fs::read_to_string(&document).expect("a document is readable");
+        for link in links(&text).iter().filter(|link| !link.contains("://")) {
+            checked += 1;
+            let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let target =
+                if file.is_empty() { document.clone() } else { document.parent().expect("a folder").join(file) };
+            let leads = target.exists()
+                && (anchor.is_empty()
+                    || fs::read_to_string(&target)
+                        .is_ok_and(|text| anchors(&text).iter().any(|found| found == anchor)));
+            if !leads {
+                broken.push(format!("{}: {link}", document.strip_prefix(root()).unwrap_or(&document).display()));
+            }
+        }
+    }
+    assert!(broken.is_empty(), "broken links:\n{}", broken.join("\n"));
+    assert!(checked >= 50, "only {checked} links were found");
+}
+
+#[test]
+fn tests_that_the_documents_name_exist() {
+    // Test functions, and test targets by the names of their files.
+    let (mut sources, mut targets) = (String::new(), Vec::new());
+    let mut folders = vec![root()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            let name = entry.file_name();
+            if path.is_dir() && name != "target" && name != ".git" {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                sources += &fs::read_to_string(&path).expect("a source is readable");
+                targets.extend(path.file_stem().map(|stem| stem.to_string_lossy().into_owned()));
+            }
+        }
+    }
+    let text = fs::read_to_string(root().join("docs/physics.md")).expect("the physics is there");
+    let spans: Vec<&str> = text.split('`').skip(1).step_by(2).collect();
+    let named = spans.iter().filter_map(|span| {
+        let test = span.strip_prefix("test ").or_else(|| span.starts_with("cargo test ").then(|| *span))?;
+        test.split(' ').next_back().filter(|word| word.contains('_') && !word.contains('-'))
+    });
+    let named: Vec<&str> = named.collect();
+    let exists = |name: &str| sources.contains(&format!("fn {name}")) || targets.iter().any(|target| target == name);
+    let missing: Vec<&&str> = named.iter().filter(|name| !exists(name)).collect();
+    assert!(missing.is_empty(), "docs/physics.md names tests that do not exist: {missing:?}");
+    assert!(named.len() >= 40, "only {} tests are named", named.len());
+}
+
+#[test]
+fn the_readme_is_short() {
+    let text = fs::read_to_string(root().join("README.md")).expect("there is a README");
+    assert!(text.lines().count() <= 120, "the README has {} lines; expected at most 120", text.lines().count());
 }
 
 #[test]
@@ -184,7 +305,7 @@ fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
 }
 
 #[test]
-fn the_containers_start_what_the_programs_understand() {
+fn the_containers_pass_flags_that_the_programs_accept() {
     let deploy = root().join("deploy");
     let read = |file: &str| fs::read_to_string(deploy.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
     let (compose, image) = (read("container/compose.yaml"), read("container/Containerfile"));

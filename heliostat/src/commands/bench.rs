@@ -1,4 +1,4 @@
-//! `heliostat bench`: figures of speed, each beside a reference measured in the same run.
+//! `heliostat bench`: times and rates, each beside a reference measured in the same run.
 
 mod board;
 mod decide;
@@ -6,13 +6,13 @@ mod echo;
 mod env;
 mod oracle;
 mod pace;
-mod people;
 mod rows;
+mod walkers;
 mod wire;
 
 use anyhow::Result;
 
-/// Measure speed, each figure beside a reference measured in the same run.
+/// Measure times and rates, each beside a reference of the same run.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -23,21 +23,22 @@ pub struct Args {
 enum What {
     /// Environment steps a second on one core, beside a straightforward scalar implementation
     Env(env::Args),
-    /// Time of one solution of the oracle, plain and with minimum rates, beside the model-based policies
+    /// Time of one solution of the oracle, without and with minimum rates, beside the model-based
+    /// policies
     Oracle(oracle::Args),
-    /// The decision without transport at several paces, beside the inference engine alone
+    /// The decision without transport at several rates, beside the inference engine alone
     Decide(decide::Args),
-    /// From report to command between two processes, beside a bare echo over the same transport
+    /// From report to command between two processes, beside an echo over the same transport
     Loop(wire::Args),
     /// The decision with 49 to 4096 mirrors
     Mirrors(decide::Args),
     /// The decision with 1 to 50 users
     Users(decide::Args),
-    /// From report to command with 1 to 64 rooms on one controller process, beside a bare echo
+    /// From report to command with 1 to 64 rooms on one controller process, beside an echo
     Rooms(wire::Args),
     /// The decision of every policy, beside the inference engine alone
     Policies(decide::Args),
-    /// The bare echo, which the others start by themselves
+    /// The echo process, which loop and rooms start
     #[command(hide = true)]
     Echo(echo::Args),
 }
@@ -57,7 +58,8 @@ pub fn run(args: Args) -> Result<()> {
     }
 }
 
-/// Overrides for a room of `users` people, some in the shadow of obstacles and bodies, with `side` x `side` mirrors under a point LED.
+/// Overrides for a room with `users` users, some blocked by obstacles and bodies, and `side` x
+/// `side` mirrors under a point LED.
 fn room(users: usize, side: usize) -> Vec<String> {
     let mut set = vec![
         "led.side_m=0".into(),
@@ -69,7 +71,7 @@ fn room(users: usize, side: usize) -> Vec<String> {
         "blockage.obstacles_per_m2=0.08".into(),
     ];
     if side == 32 {
-        // So many mirrors fit on the wall only when they are smaller.
+        // 1024 mirrors fit on the wall only when they are smaller.
         set.extend(["mirrors.width_m=0.1", "mirrors.height_m=0.04", "mirrors.gap_m=0.005"].map(String::from));
     }
     set

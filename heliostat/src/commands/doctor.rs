@@ -1,4 +1,4 @@
-//! `heliostat doctor`: what matters before a run, what was found, and what to do about it.
+//! `heliostat doctor`: checks before a run, with what was found and what to do.
 
 mod machine;
 mod system;
@@ -13,27 +13,27 @@ use serde::Serialize;
 
 use crate::output::outln;
 
-/// Check what matters before a run: scenario, policy, driver, ports, clock, permissions, processors.
+/// Check what a run needs: scenario, policy, driver, ports, clock, permissions, processors.
 ///
-/// Each line says ok, warn or fail, what was found, and what to do. The exit status is bad when a check fails; a warning is about speed or
-/// accuracy and lets a run begin.
+/// Each line holds ok, warn or fail, what was found, and what to do. The exit status is 1 if a
+/// check fails. A warning concerns speed or accuracy; a run is still possible.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// The policy that is to decide
+    /// Policy of the planned run
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
-    /// ONNX file of a learned policy, in place of the built-in one
+    /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Name of the room
     #[arg(long, value_name = "NAME", default_value = "demo")]
     room: String,
-    /// Endpoint of a driver or simulator to ask for its capabilities (repeatable)
+    /// Endpoint of a driver or simulator whose capabilities are checked (repeatable)
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
-    /// Port of 127.0.0.1 that is to be free (repeatable)
+    /// Port of 127.0.0.1 that must be free (repeatable)
     #[arg(long, value_name = "PORT", default_values_t = [7447], value_parser = clap::value_parser!(u16).range(1..))]
     port: Vec<u16>,
     /// Print the checks as one JSON object
@@ -41,7 +41,7 @@ pub struct Args {
     json: bool,
 }
 
-/// How a check came out.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Verdict {
@@ -60,13 +60,13 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// One thing that was looked at.
+/// One check and its result.
 #[derive(Clone, Debug, Serialize)]
 struct Check {
     name: &'static str,
     verdict: Verdict,
     found: String,
-    /// What to do; empty where nothing is.
+    /// What to do; empty if nothing.
     advice: String,
 }
 

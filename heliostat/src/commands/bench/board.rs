@@ -1,53 +1,56 @@
-//! Which reports went out when, and when each was answered.
+//! Due times of reports, and arrival times of the commands that answer them.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::rows::Times;
 
-/// Shared by whoever sends and the callbacks that bring the answers.
+/// Shared by the sending thread and the callbacks that receive the commands.
 #[derive(Clone)]
 pub struct Board(Arc<(Mutex<Inner>, Condvar)>);
 
 struct Inner {
-    /// Room and due time of each report, from tick 1 on; none once it is answered or overtaken.
+    /// Room and due time of each report, from tick 1 on; none once it is answered or superseded.
     waiting: Vec<Option<(usize, Instant)>>,
-    /// Reports before this index wait no more.
+    /// No report before this index is waiting.
     oldest: usize,
-    /// Reports that were never answered themselves, because an answer to a later one of their room came.
-    overtaken: u64,
+    /// Reports that got no command of their own, because a command for a later report of their room
+    /// arrived.
+    superseded: u64,
     times: Times,
 }
 
 impl Default for Board {
     fn default() -> Self {
         Self(Arc::new((
-            Mutex::new(Inner { waiting: Vec::new(), oldest: 0, overtaken: 0, times: Times::new() }),
+            Mutex::new(Inner { waiting: Vec::new(), oldest: 0, superseded: 0, times: Times::new() }),
             Condvar::new(),
         )))
     }
 }
 
 impl Board {
-    /// A report to a room goes out; ticks count from 1 without gaps.
+    /// Notes a report that is sent to a room; ticks count from 1 without gaps.
     pub fn sent(&self, tick: u64, room: usize, due: Instant) {
         let mut inner = self.lock();
         debug_assert_eq!(inner.waiting.len() as u64 + 1, tick);
         inner.waiting.push(Some((room, due)));
     }
 
-    /// An answer arrived; only the first to each report counts. Earlier reports of the room that still wait are overtaken: what the array
-    /// knows now is newer, and they count with the time until then.
+    /// Notes the arrival of an answer; only the first to each report counts.
+    ///
+    /// Earlier reports of the room that still wait are superseded, because the array now has a
+    /// newer command. They count with the time until this arrival.
     pub fn answered(&self, tick: u64, arrived: Instant) {
         let mut inner = self.lock();
-        let Inner { waiting, oldest, overtaken, times } = &mut *inner;
+        let Inner { waiting, oldest, superseded, times } = &mut *inner;
         let index = (tick as usize).wrapping_sub(1);
         if let Some((room, due)) = waiting.get_mut(index).and_then(Option::take) {
             times.record(arrived.saturating_duration_since(due));
             for report in &mut waiting[*oldest..index] {
                 if let Some((_, due)) = report.take_if(|(other, _)| *other == room) {
                     times.record(arrived.saturating_duration_since(due));
-                    *overtaken += 1;
+                    *superseded += 1;
                 }
             }
             *oldest += waiting[*oldest..].iter().take_while(|report| report.is_none()).count();
@@ -56,7 +59,7 @@ impl Board {
         self.0.1.notify_one();
     }
 
-    /// Waits until a report is answered; false where that takes longer than `limit`.
+    /// Waits until a report is answered; false if that takes longer than `limit`.
     pub fn wait(&self, tick: u64, limit: Duration) -> bool {
         let deadline = Instant::now() + limit;
         let mut inner = self.lock();
@@ -72,21 +75,23 @@ impl Board {
         }
     }
 
-    /// Forgets what was measured; reports that still wait will not count as lost.
+    /// Clears all measurements; reports that still wait do not count as lost.
     pub fn begin(&self) {
         let mut inner = self.lock();
         inner.times = Times::new();
-        inner.overtaken = 0;
+        inner.superseded = 0;
         inner.oldest = inner.waiting.len();
         inner.waiting.iter_mut().for_each(|report| *report = None);
     }
 
-    /// What was measured, and how many reports were never answered themselves; those that nothing overtook are among the times with `lost_after`.
+    /// The measured times, and the number of reports that got no command of their own.
+    ///
+    /// Reports that no later command superseded are among the times with `lost_after`.
     pub fn take(&self, lost_after: Duration) -> (Times, u64) {
         let mut inner = self.lock();
         let silent = inner.waiting.iter().flatten().count() as u64;
         (0..silent).for_each(|_| inner.times.record(lost_after));
-        (std::mem::replace(&mut inner.times, Times::new()), silent + inner.overtaken)
+        (std::mem::replace(&mut inner.times, Times::new()), silent + inner.superseded)
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -99,10 +104,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_answer_counts_once_and_overtakes_earlier_reports_of_its_room() {
+    fn an_answer_counts_once_and_supersedes_earlier_reports_of_its_room() {
         let board = Board::default();
         let due = Instant::now();
-        // Ticks of two rooms in turn: the answer to 3 overtakes 1 of the same room, and neither 2 nor 4 is ever answered.
+        // Ticks of two rooms in turn: the answer to 3 supersedes 1 of the same room; 2 and 4 are
+        // never answered.
         (1..=4).for_each(|tick| board.sent(tick, tick as usize % 2, due));
         for tick in [3, 1, 99, 0] {
             board.answered(tick, due + Duration::from_millis(10));
@@ -110,11 +116,11 @@ mod tests {
         assert!(board.wait(3, Duration::ZERO) && board.wait(1, Duration::ZERO) && !board.wait(2, Duration::ZERO));
         let (times, lost) = board.take(Duration::from_millis(500));
         assert_eq!((times.count(), lost), (4, 3));
-        assert_eq!(times.over(Duration::from_millis(400)), 2, "who was never answered waited long");
+        assert_eq!(times.over(Duration::from_millis(400)), 2, "an unanswered report counts with the longest time");
     }
 
     #[test]
-    fn what_was_before_the_beginning_does_not_count() {
+    fn reports_before_begin_do_not_count() {
         let board = Board::default();
         board.sent(1, 0, Instant::now());
         board.begin();

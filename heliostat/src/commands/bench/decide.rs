@@ -1,13 +1,14 @@
-//! `heliostat bench decide | policies | mirrors | users`: the decision without transport, from the payload of a position report to the
-//! payload of the command, in one process.
+//! `heliostat bench decide | policies | mirrors | users`: the decision without transport, from the payload of a
+//! position report to the payload of the command, in one process.
 //!
-//! Between decisions the thread sleeps, as a controller does between reports, so that caches go cold as they do there. A decision counts from the
-//! moment the thread is awake, or from when it was due where the one before was still going on.
+//! Between decisions the thread sleeps, as a controller does between reports, so the caches lose
+//! their contents as they do there. A decision counts from the moment the thread is awake, or from
+//! its due time if the previous decision was still running.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use clap::ValueEnum;
 use heliostat_controller::ledger::{Laps, Ledger};
 use heliostat_decide::core::{Controller, Decision, Stage};
@@ -18,11 +19,15 @@ use heliostat_proto::{UserReport, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
 use super::pace::{Block, PaceArgs, Plan, Turn};
-use super::people::People;
 use super::rows::{Row, Table, Times, Varied};
+use super::walkers::Walkers;
 
-/// Decisions before the first that counts.
+/// Unmeasured decisions at the start.
 const WARM_UP: usize = 200;
+/// Cache warm-ups before each report, as in the controller.
+const WARM_UPS: u32 = 2;
+/// The warm-ups are to end this long before the report is due, as in the controller.
+const WARM_UP_MARGIN: Duration = Duration::from_micros(50);
 
 /// Flags that the benchmarks of the decision share.
 #[derive(Debug, clap::Args)]
@@ -31,23 +36,33 @@ pub struct Args {
     scenario: ScenarioArgs,
     #[command(flatten)]
     pace: PaceArgs,
-    /// Which policy decides; where none is named, the benchmark's own choice
+    /// Policy that decides [default: ddpg for decide, fixed-point for mirrors and users, all for
+    /// policies]
     #[arg(long, value_enum)]
     policy: Option<PolicyKind>,
-    /// Rehearse this often between decisions, in us; 0 never
-    #[arg(long, value_name = "US", default_value_t = 0)]
-    keep_warm: u64,
+    /// Whether caches are warmed shortly before each report, as the controller does
+    #[arg(long, value_enum, value_name = "WHEN", default_value_t = KeepWarm::Off)]
+    keep_warm: KeepWarm,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
 
-/// `decide`: one policy at several paces, beside the inference engine alone.
+/// When caches are warmed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum KeepWarm {
+    /// Never
+    Off,
+    /// Shortly before each report
+    Expected,
+}
+
+/// `decide`: one policy at several rates, beside the inference engine alone.
 pub fn decide(args: &Args) -> Result<()> {
     let scenario = args.scenario.load()?;
     let kind = args.policy.unwrap_or(PolicyKind::Ddpg);
     let mut table =
-        Table::new(args.json, "decision without transport, beside the inference engine alone at the same pace")?;
+        Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
     for plan in args.pace.plans(&[10.0, 100.0, 1000.0, 0.0])? {
         let mut reference = Engine::new(&scenario)?;
         table.add(args.measure(&plan, (&scenario, kind), &mut reference)?)?;
@@ -59,7 +74,7 @@ pub fn decide(args: &Args) -> Result<()> {
 pub fn policies(args: &Args) -> Result<()> {
     let scenario = args.scenario.load()?;
     let mut table =
-        Table::new(args.json, "decision without transport, beside the inference engine alone at the same pace")?;
+        Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
     for plan in args.pace.plans(&[100.0])? {
         for kind in PolicyKind::value_variants() {
             if let Err(error) = build(*kind, &scenario, &ActorSource::Shipped) {
@@ -73,7 +88,7 @@ pub fn policies(args: &Args) -> Result<()> {
     Ok(table.finish()?)
 }
 
-/// `mirrors`: the same wall divided into more and more mirrors, beside 49 of them, in the light of a point LED.
+/// `mirrors`: the same wall divided into 49 to 4096 mirrors under a point LED; reference: 49 mirrors.
 pub fn mirrors(args: &Args) -> Result<()> {
     let sized = |side: usize| {
         let set = [
@@ -82,36 +97,36 @@ pub fn mirrors(args: &Args) -> Result<()> {
             format!("mirrors.width_m={}", 2.5 / side as f64),
             format!("mirrors.height_m={}", 1.0 / side as f64),
             format!("mirrors.gap_m={}", 0.2 / side as f64),
-            // A panel of 25 points costs many times as much, and its image does not fit the smallest mirrors.
+            // A panel of 25 points costs many times as much, and its image does not fit the
+            // smallest mirrors.
             "led.side_m=0".into(),
         ];
         Ok(args.scenario.load()?.with_overrides(&set)?)
     };
-    args.growth("mirrors, beside 49 of them", &[7, 10, 16, 32, 64], &sized)
+    args.growth("mirrors; reference: 49 mirrors", &[7, 10, 16, 32, 64], &sized)
 }
 
-/// `users`: more and more people, beside one.
+/// `users`: 1 to 50 users; reference: one user.
 pub fn users(args: &Args) -> Result<()> {
     let sized = |users: usize| Ok(args.scenario.load()?.with_overrides(&[format!("users.count={users}")])?);
-    args.growth("users, beside one", &[1, 2, 5, 10, 20, 50], &sized)
+    args.growth("users; reference: one user", &[1, 2, 5, 10, 20, 50], &sized)
 }
 
 impl Args {
-    /// Rooms of growing size, each beside the first.
+    /// Rooms of growing size; the first is the reference.
     fn growth(&self, of: &str, sizes: &[usize], sized: &dyn Fn(usize) -> Result<Scenario>) -> Result<()> {
         let kind = self.policy.unwrap_or(PolicyKind::FixedPoint);
-        let mut table = Table::new(self.json, &format!("decision without transport with more and more {of}"))?;
+        let mut table = Table::new(self.json, &format!("decision without transport with a growing number of {of}"))?;
         for plan in self.pace.plans(&[100.0])? {
             for size in sizes {
-                let mut smallest = Decider::new(&sized(sizes[0])?, kind, 0)?;
+                let mut smallest = Decider::new(&sized(sizes[0])?, kind, KeepWarm::Off)?;
                 table.add(self.measure(&plan, (&sized(*size)?, kind), &mut smallest)?)?;
             }
         }
         Ok(table.finish()?)
     }
 
-    fn measure(&self, plan: &Plan, of: (&Scenario, PolicyKind), reference: &mut dyn Party) -> Result<Row> {
-        ensure!(self.keep_warm <= 1_000_000, "--keep-warm {}: wanted 0 to 1000000", self.keep_warm);
+    fn measure(&self, plan: &Plan, of: (&Scenario, PolicyKind), reference: &mut dyn Side) -> Result<Row> {
         let (scenario, kind) = of;
         let mut decider = Decider::new(scenario, kind, self.keep_warm)?;
         let mut compared = Times::new();
@@ -128,19 +143,19 @@ impl Args {
             rooms: 1,
             policy: decider.controller.policy_name().into(),
         };
-        let blamed = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.over_budget_by(stage)));
+        let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.over_budget_by(stage)));
         let row = Row::new(varied, (decision.into(), ledger.over_budget(), decision.count), &compared);
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.stage_us(stage)));
-        Ok(row.by_stage(blamed.into_iter().filter(|(_, count)| *count > 0).collect(), &stages.into()))
+        Ok(row.by_stage(by_stage.into_iter().filter(|(_, count)| *count > 0).collect(), &stages.into()))
     }
 }
 
-/// One of the two that take turns.
-trait Party {
-    /// Gets ready for the next report, before the pause.
+/// One of the two sides that alternate.
+trait Side {
+    /// Prepares the next report, before the pause.
     fn prepare(&mut self) -> Result<()>;
-    /// Passes the time until shortly before the report is due.
-    fn pass(&mut self, due: Instant) {
+    /// Waits until the report is due.
+    fn wait(&mut self, due: Instant) {
         sleep_until(due);
     }
     /// Answers a report that counts from `started`.
@@ -151,11 +166,11 @@ fn sleep_until(due: Instant) {
     std::thread::sleep(due.saturating_duration_since(Instant::now()));
 }
 
-/// Lets a party answer the reports of a block; gives how many.
-fn go_through(party: &mut dyn Party, block: Block, record: &mut dyn FnMut(Duration)) -> Result<u64> {
+/// Lets a side answer the reports of a block; returns their number.
+fn go_through(side: &mut dyn Side, block: Block, record: &mut dyn FnMut(Duration)) -> Result<u64> {
     let start = Instant::now();
     for report in 0..block.reports {
-        party.prepare()?;
+        side.prepare()?;
         let started = match block.interval {
             None => Instant::now(),
             Some(interval) => {
@@ -163,12 +178,12 @@ fn go_through(party: &mut dyn Party, block: Block, record: &mut dyn FnMut(Durati
                 if Instant::now() > due {
                     due
                 } else {
-                    party.pass(due);
+                    side.wait(due);
                     Instant::now()
                 }
             }
         };
-        party.act(started)?;
+        side.act(started)?;
         record(started.elapsed());
         if block.interval.is_none() && Instant::now() > block.until {
             return Ok(report + 1);
@@ -177,13 +192,15 @@ fn go_through(party: &mut dyn Party, block: Block, record: &mut dyn FnMut(Durati
     Ok(block.reports)
 }
 
-/// The controller's core with its codec on both sides.
+/// The decision core, with decoding before it and encoding after it.
 struct Decider {
     controller: Controller,
-    people: People,
+    walkers: Walkers,
     users: usize,
     tick: u64,
-    keep_warm: Option<Duration>,
+    keep_warm: KeepWarm,
+    /// How long the last cache warm-up took.
+    warm_up_took: Duration,
     payload: Vec<u8>,
     report: UserReport,
     command: Vec<u8>,
@@ -191,16 +208,17 @@ struct Decider {
 }
 
 impl Decider {
-    fn new(scenario: &Scenario, kind: PolicyKind, keep_warm_us: u64) -> Result<Self> {
+    fn new(scenario: &Scenario, kind: PolicyKind, keep_warm: KeepWarm) -> Result<Self> {
         let policy = build(kind, scenario, &ActorSource::Shipped)?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
         controller.warm_up(0..WARM_UP);
         let mut decider = Self {
             controller,
-            people: People::default(),
+            walkers: Walkers::default(),
             users: scenario.users.count,
             tick: 0,
-            keep_warm: (keep_warm_us > 0).then(|| Duration::from_micros(keep_warm_us)),
+            keep_warm,
+            warm_up_took: Duration::ZERO,
             payload: Vec::new(),
             report: UserReport::default(),
             command: Vec::new(),
@@ -215,23 +233,31 @@ impl Decider {
     }
 }
 
-impl Party for Decider {
+impl Side for Decider {
     fn prepare(&mut self) -> Result<()> {
         self.tick += 1;
-        // Ten simulated milliseconds from report to report, whatever the pace.
+        // Ten simulated milliseconds from report to report, at every rate.
         let now = self.tick * 10_000_000;
-        self.people.walk(1, self.tick, now, self.users);
+        self.walkers.walk(1, self.tick, now, self.users);
         if self.tick % 100 == 1 {
-            self.controller.receive(now, Message::Obstacles(&mut self.people.obstacles), &mut |_| {});
+            self.controller.receive(now, Message::Obstacles(&mut self.walkers.obstacles), &mut |_| {});
         }
-        self.controller.receive(now, Message::Channel(&mut self.people.channel), &mut |_| {});
-        Ok(encode(&self.people.users, &mut self.payload)?)
+        self.controller.receive(now, Message::Channel(&mut self.walkers.channel), &mut |_| {});
+        Ok(encode(&self.walkers.users, &mut self.payload)?)
     }
 
-    fn pass(&mut self, due: Instant) {
-        while let Some(interval) = self.keep_warm.filter(|interval| Instant::now() + *interval < due) {
-            std::thread::sleep(interval);
-            self.controller.rehearse();
+    fn wait(&mut self, due: Instant) {
+        let ahead = self.warm_up_took + WARM_UP_MARGIN;
+        if self.keep_warm == KeepWarm::Expected
+            && let Some(start) = due.checked_sub(ahead).filter(|start| *start > Instant::now())
+        {
+            sleep_until(start);
+            let start = Instant::now();
+            (0..WARM_UPS).for_each(|_| self.controller.rehearse());
+            self.warm_up_took = start.elapsed();
+            while Instant::now() < due {
+                std::hint::spin_loop();
+            }
         }
         sleep_until(due);
     }
@@ -254,7 +280,8 @@ impl Party for Decider {
     }
 }
 
-/// The inference engine alone, on the actor that fits the room; on that of the default room where none does.
+/// The inference engine alone, on the actor for the room, or on that of the default room if there
+/// is none.
 struct Engine {
     actor: Actor,
 }
@@ -275,7 +302,7 @@ impl Engine {
     }
 }
 
-impl Party for Engine {
+impl Side for Engine {
     fn prepare(&mut self) -> Result<()> {
         Ok(())
     }

@@ -1,4 +1,5 @@
-//! The bare echo that the loop is compared with: a process of its own that answers each report with a given number of bytes.
+//! The echo that the loop is compared with: a process that answers each report with a given number
+//! of bytes.
 
 use std::io::Read;
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use heliostat_proto::Room;
 
 use crate::output::outln;
 
-/// Answer reports with as many bytes as a command has, until standard input closes.
+/// Answer each report with as many bytes as a command has, until standard input closes.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[arg(long)]
@@ -27,7 +28,7 @@ pub struct Args {
 
 /// Runs the echo.
 pub fn run(args: &Args) -> Result<()> {
-    ensure!(args.bytes >= 8, "--bytes {}: wanted at least 8, for the number that is echoed", args.bytes);
+    ensure!(args.bytes >= 8, "--bytes {}: expected at least 8, for the number that is echoed", args.bytes);
     let echoed = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&BusConfig::new(Room::new("bench")?).connect_to(&args.connect))?;
     let mut declared = Vec::new();
@@ -38,12 +39,12 @@ pub fn run(args: &Args) -> Result<()> {
         declared.push(bus.subscribe(&room.users(), move |payload| {
             if let Some(number) = payload.first_chunk::<8>() {
                 answer[..8].copy_from_slice(number);
-                // A session that is gone shows in the answers that are missing.
+                // If the session is closed, the answers are missing and counted as lost.
                 let _ = publisher.put(&answer);
                 echoed.fetch_add(1, Ordering::Relaxed);
             }
         })?);
-        // Heard and not answered, as by a controller.
+        // A controller receives these reports too and does not answer them.
         declared.push(bus.subscribe(&room.channel(), |_| {})?);
         declared.push(bus.subscribe(&room.obstacles(), |_| {})?);
     }

@@ -1,10 +1,11 @@
-//! `heliostat bench env`: a step of the environment is blockage of every leg, direct and aimed gains, and gains at given angles.
+//! `heliostat bench env`: a step of the environment is the blockage of every path, direct and aimed gains, and gains
+//! at given angles.
 //!
-//! The reference does the same pair by pair with the channel's functions of one path, as a script would. The two take turns,
-//! so that a drift of the machine cancels in the ratio.
+//! The reference computes the same pair by pair with the channel's functions for one path, as a
+//! script would. The two alternate, so that a drift of the machine cancels in the ratio.
 //!
-//! With bodies every user is a blocker too, so the pairs of path and blocker grow with the square of the users; the rows without bodies show
-//! how the rest grows.
+//! With bodies every user is a blocker, so the pairs of path and blocker grow with the square of
+//! the number of users. The rows without bodies show how the rest grows.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -20,7 +21,8 @@ use serde::Serialize;
 
 use crate::output::outln;
 
-/// Measure environment steps a second on one core for each mode, 49 to 1024 mirrors and 5 to 40 users.
+/// Measure environment steps a second on one core for each mode, 49 to 1024 mirrors and 5 to 40
+/// users.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print one JSON object
@@ -31,7 +33,7 @@ pub struct Args {
     seconds: f64,
 }
 
-/// States that a row goes through: more than a branch predictor can learn.
+/// States of a row: more than a branch predictor can learn.
 const STATES: u64 = 512;
 /// Users, mirrors along a side, and whether the users' own bodies block light.
 const SIZES: [(usize, usize, bool); 8] = [
@@ -44,7 +46,7 @@ const SIZES: [(usize, usize, bool); 8] = [
     (20, 10, false),
     (40, 10, false),
 ];
-/// The two implementations take turns so many times.
+/// How often the two implementations alternate.
 const TURNS: u32 = 5;
 
 #[derive(Debug, Serialize)]
@@ -61,7 +63,7 @@ struct Row {
 
 /// Runs the benchmark.
 pub fn run(args: &Args) -> Result<()> {
-    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: wanted 0.01 to 600", args.seconds);
+    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: expected 0.01 to 600", args.seconds);
     let mut rows = Vec::new();
     if !args.json {
         outln!(
@@ -105,7 +107,7 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// One moment of the room, with angles to evaluate.
+/// One state of the room, with angles to evaluate.
 struct State {
     users: Vec<Vec3>,
     blockers: Vec<Cylinder>,
@@ -152,7 +154,7 @@ fn state(scenario: &Scenario, model: &ChannelModel, seed: u64) -> Result<State> 
     Ok(State { users: world.positions().to_vec(), blockers: world.blockers().to_vec(), angles })
 }
 
-/// Steps made and the time that they took.
+/// Number of steps and the time that they took.
 #[derive(Default)]
 struct Pace {
     steps: u64,
@@ -163,7 +165,7 @@ impl Pace {
     fn run(&mut self, states: &[State], time: Duration, mut step: impl FnMut(&State)) {
         let start = Instant::now();
         while start.elapsed() < time {
-            // The clock is read once in a while only, so that its cost does not count.
+            // The clock is read once every 16 steps, so that its cost does not count.
             for state in states.iter().cycle().skip(self.steps as usize % states.len()).take(16) {
                 step(state);
             }

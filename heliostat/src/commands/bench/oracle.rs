@@ -1,7 +1,7 @@
-//! `heliostat bench oracle`: how long the yardstick takes, beside the model-based policies on the same states in the same run.
+//! `heliostat bench oracle`: solution time of the oracle, beside the model-based policies on the same states.
 //!
-//! A solution is the whole way from a scene to the angles of the mirrors. The three take turns state by state, so that a drift of the
-//! machine cancels in the ratio.
+//! A solution leads from a scene to the angles of the mirrors. The three methods alternate state by
+//! state, so that a drift of the machine cancels in the ratio.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -16,7 +16,8 @@ use serde::Serialize;
 
 use crate::output::outln;
 
-/// Measure how long the oracle takes, plain and with minimum rates, beside fixed point and greedy.
+/// Measure the solution time of the oracle, without and with minimum rates, beside fixed-point and
+/// greedy.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print one JSON object
@@ -27,7 +28,7 @@ pub struct Args {
     seconds: f64,
 }
 
-/// Different rooms that a row goes through.
+/// Number of rooms of a row.
 const STATES: u64 = 200;
 
 /// Times of one solution in us.
@@ -42,18 +43,18 @@ struct Row {
     mode: String,
     users: usize,
     mirrors: usize,
-    /// Whether missing minimum rates are penalised.
+    /// Whether rates below the minimum are penalised.
     qos: bool,
     oracle: Time,
     fixed_point: Time,
     greedy: Time,
-    /// Of the medians, oracle to greedy.
+    /// Ratio of the medians, oracle to greedy.
     oracle_over_greedy: f64,
 }
 
 /// Runs the benchmark.
 pub fn run(args: &Args) -> Result<()> {
-    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: wanted 0.01 to 600", args.seconds);
+    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: expected 0.01 to 600", args.seconds);
     if !args.json {
         outln!(
             "{:<10}{:>6}{:>9}{:>7}{:>12}{:>12}{:>14}{:>14}{:>14}{:>14}{:>8}",
@@ -123,7 +124,7 @@ fn measure(mode: &str, (users, side): (usize, usize), qos: bool, time: Duration)
         black_box(solver.solve(&model, scene, &need, method, &mut angles));
         start.elapsed().as_secs_f64() * 1e6
     };
-    // Once for nothing, so that memory and caches are warm.
+    // One unmeasured solution each warms memory and caches.
     methods.iter().for_each(|method| _ = solve(&scenes[0], *method));
     let start = Instant::now();
     for scene in scenes.iter().cycle() {

@@ -1,44 +1,46 @@
-//! When reports are due, and two parties that take turns at the same pace.
+//! When reports are due, and how the measured side and the reference alternate.
 //!
-//! Due times are laid out in advance, so a late one does not put off those after it, and what is late because of the work before it counts from
-//! when it was due: a slow answer cannot hide the wait of the next report.
+//! Due times are fixed in advance: a late report does not delay those after it, and it counts from
+//! its due time. A slow answer therefore cannot hide the wait of the next report (coordinated
+//! omission).
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
 
-/// One party acts for so long before the other does: far longer than a decision, far shorter than a drift of the machine.
+/// How long one side runs before the other: far longer than a decision, far shorter than a drift of
+/// the machine.
 const BLOCK: Duration = Duration::from_millis(500);
 
-/// The measured party has so many blocks for each one of the reference.
+/// Blocks of the measured side for each block of the reference.
 const SHARE: u32 = 2;
 
-/// Reports in a block without pauses, at the most.
+/// Largest number of reports in a block without pauses.
 const UNPACED_BLOCK: u64 = 2000;
 
-/// How often, and how many.
+/// Rate and number of reports.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PaceArgs {
-    /// Reports a second (comma-separated); 0 is without pauses
+    /// Reports a second (comma-separated); 0 for no pauses
     #[arg(long, value_name = "HZ", value_delimiter = ',')]
     hz: Vec<f64>,
-    /// Time for each row in s, two thirds of it for what is measured and one for the reference
+    /// Time for each row in s: two thirds for the measured side, one third for the reference
     #[arg(long, default_value_t = 6.0, value_name = "S")]
     seconds: f64,
-    /// So many measured decisions a row, in place of --seconds
+    /// Number of measured decisions a row, instead of --seconds
     #[arg(long, value_name = "N")]
     decisions: Option<u64>,
 }
 
 impl PaceArgs {
-    /// The plans, one a pace; `default_hz` where none was named.
+    /// The plans, one a rate; `default_hz` if no rate was given.
     pub fn plans(&self, default_hz: &[f64]) -> Result<Vec<Plan>> {
-        ensure!((0.1..=36_000.0).contains(&self.seconds), "--seconds {}: wanted 0.1 to 36000", self.seconds);
+        ensure!((0.1..=36_000.0).contains(&self.seconds), "--seconds {}: expected 0.1 to 36000", self.seconds);
         let paces = if self.hz.is_empty() { default_hz } else { &self.hz };
         let plan = |hz: &f64| {
-            ensure!(*hz == 0.0 || (0.1..=10_000.0).contains(hz), "--hz {hz}: wanted 0 (no pauses), or 0.1 to 10000");
+            ensure!(*hz == 0.0 || (0.1..=10_000.0).contains(hz), "--hz {hz}: expected 0 (no pauses), or 0.1 to 10000");
             let amount = match self.decisions {
-                Some(0) => bail!("--decisions 0: wanted at least 1"),
+                Some(0) => bail!("--decisions 0: expected at least 1"),
                 Some(decisions) => Amount::Decisions(decisions),
                 None => Amount::Time(Duration::from_secs_f64(self.seconds)),
             };
@@ -55,7 +57,7 @@ enum Amount {
     Time(Duration),
 }
 
-/// One row's pace.
+/// Rate and amount of one row.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     /// Reports a second; none without pauses.
@@ -63,12 +65,12 @@ pub struct Plan {
     amount: Amount,
 }
 
-/// Whose turn it is.
+/// Which side runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// What is measured.
+    /// The measured side.
     Measured,
-    /// What it is compared with.
+    /// The side it is compared with.
     Reference,
 }
 
@@ -77,14 +79,14 @@ pub enum Turn {
 pub struct Block {
     /// Time between reports; none without pauses.
     pub interval: Option<Duration>,
-    /// How many.
+    /// Number of reports.
     pub reports: u64,
-    /// When the block is over although reports are left; without pauses only.
+    /// When the block ends although reports are left; only without pauses.
     pub until: Instant,
 }
 
 impl Plan {
-    /// Lets the two take turns, block by block, until there is enough, and each has had one.
+    /// Alternates the two sides block by block, until enough is measured and each side has run.
     pub fn take_turns(&self, mut act: impl FnMut(Turn, Block) -> Result<u64>) -> Result<()> {
         let (start, mut decisions) = (Instant::now(), 0);
         for turn in 0.. {
@@ -92,7 +94,7 @@ impl Plan {
             let done = act(turn, self.block())?;
             if turn == Turn::Reference {
                 let enough = match self.amount {
-                    Amount::Decisions(wanted) => decisions >= wanted,
+                    Amount::Decisions(expected) => decisions >= expected,
                     Amount::Time(time) => start.elapsed() >= time,
                 };
                 if enough && decisions > 0 {
@@ -120,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn however_short_the_time_something_is_measured() {
+    fn at_least_one_block_is_measured() {
         let plan = Plan { hz: Some(100.0), amount: Amount::Time(Duration::ZERO) };
         let mut measured = 0;
         plan.take_turns(|turn, block| {
@@ -132,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_two_take_turns_until_there_is_enough() {
+    fn the_two_sides_alternate_until_enough_is_measured() {
         let plan = Plan { hz: Some(1000.0), amount: Amount::Decisions(2500) };
         let (mut turns, mut measured) = (Vec::new(), 0);
         plan.take_turns(|turn, block| {

@@ -1,4 +1,5 @@
-//! What every benchmark of latency prints: rows of a measured distribution beside a reference of the same run.
+//! The output of the latency benchmarks: rows with a measured distribution beside a reference of
+//! the same run.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -10,29 +11,29 @@ use serde::Serialize;
 
 use crate::output::outln;
 
-/// Longest time that is told apart from longer ones, in ns.
+/// Longest time that is recorded exactly, in ns; longer times count as this.
 const LONGEST_NS: u64 = 60_000_000_000;
 
-/// Times that are collected.
+/// A histogram of times.
 pub struct Times(Histogram<u64>);
 
 impl Times {
-    /// None yet, with all the memory that they will need.
+    /// An empty histogram with all its memory.
     pub fn new() -> Self {
         Self(Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("the bounds and the precision are constants in range"))
     }
 
-    /// Adds one.
+    /// Adds a time.
     pub fn record(&mut self, time: Duration) {
         self.0.saturating_record(u64::try_from(time.as_nanos()).unwrap_or(u64::MAX).max(1));
     }
 
-    /// How many were longer than a limit; exact to the histogram's three digits.
+    /// Number of times longer than a limit; exact to the histogram's three digits.
     pub fn over(&self, limit: Duration) -> u64 {
         self.0.len() - self.0.count_between(0, limit.as_nanos() as u64)
     }
 
-    /// How many there are.
+    /// Number of times.
     pub fn count(&self) -> u64 {
         self.0.len()
     }
@@ -63,7 +64,8 @@ impl From<Quantiles> for Distribution {
 /// What was varied.
 #[derive(Clone, Debug, Serialize)]
 pub struct Varied {
-    /// Reports a second and room; null where each report follows at once on the answer to the one before.
+    /// Reports a second and room; null if each report follows immediately after the previous
+    /// answer.
     pub hz: Option<f64>,
     /// Number of mirrors.
     pub mirrors: usize,
@@ -84,17 +86,18 @@ pub struct Row {
     reference_us: Distribution,
     ratio_p50: f64,
     ratio_p99: f64,
-    /// How many of the measured took more than 0.5 ms.
+    /// Number of measured times above 0.5 ms.
     over_budget: u64,
-    /// Decisions of more than 0.5 ms by the stage that took longest.
+    /// Decisions of more than 0.5 ms, by their longest stage.
     over_budget_by: BTreeMap<String, u64>,
     count: u64,
-    /// Reports that were never answered.
+    /// Reports that got no command of their own.
     lost: u64,
     /// Medians of the stages of a decision, in us.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     stages_p50_us: BTreeMap<String, f64>,
-    /// Where the loop is measured: the decision within it, from callback to the return of the put.
+    /// For `loop` and `rooms`: the decision within the loop, from the callback to the return of the
+    /// put.
     #[serde(skip_serializing_if = "Option::is_none")]
     decision_us: Option<Distribution>,
 }
@@ -118,7 +121,7 @@ impl Row {
         }
     }
 
-    /// Lays the decisions over budget on stages, and tells what each stage took.
+    /// Adds the decisions over budget by stage, and the median of each stage.
     #[must_use]
     pub fn by_stage(mut self, over_budget_by: BTreeMap<String, u64>, stages: &BTreeMap<String, Quantiles>) -> Self {
         self.over_budget_by = over_budget_by;
@@ -126,7 +129,7 @@ impl Row {
         self
     }
 
-    /// Adds what is known only where processes talk.
+    /// Adds the figures that only `loop` and `rooms` have.
     #[must_use]
     pub fn across_processes(mut self, lost: u64, decision: Quantiles) -> Self {
         self.lost = lost;
@@ -135,14 +138,14 @@ impl Row {
     }
 }
 
-/// Collects rows; prints each as it comes, or all as one JSON object at the end.
+/// Collects rows; prints each when it is added, or all as one JSON object at the end.
 pub struct Table {
     json: bool,
     rows: Vec<Row>,
 }
 
 impl Table {
-    /// An empty table under a line that says what is measured and what it is compared with.
+    /// An empty table; prints `title` and the heading unless the output is JSON.
     pub fn new(json: bool, title: &str) -> io::Result<Self> {
         if !json {
             outln!("{title}; times in us")?;
@@ -175,14 +178,15 @@ impl Table {
             let Varied { hz, mirrors, users, rooms, policy } = &row.varied;
             let hz = hz.map_or("unpaced".to_string(), |hz| hz.to_string());
             let (took, reference) = (&row.measured_us, &row.reference_us);
-            let blamed: String = row.over_budget_by.iter().map(|(stage, count)| format!(" {stage} {count}")).collect();
+            let by_stage: String =
+                row.over_budget_by.iter().map(|(stage, count)| format!(" {stage} {count}")).collect();
             let stages: String = row.stages_p50_us.iter().map(|(stage, p50)| format!(" {stage} {p50:.0}")).collect();
             let lost = if row.lost > 0 { format!(" lost {}", row.lost) } else { String::new() };
             let decision = row.decision_us.map_or(String::new(), |decision| {
                 format!("  (decision p50 {:.0} p99 {:.0})", decision.p50, decision.p99)
             });
             outln!(
-                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{blamed}{lost}{decision}  [{}]",
+                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{by_stage}{lost}{decision}  [{}]",
                 took.p50,
                 took.p90,
                 took.p99,
@@ -201,7 +205,7 @@ impl Table {
         Ok(())
     }
 
-    /// Prints the JSON object, where that was asked for.
+    /// Prints the JSON object, if the output is JSON.
     pub fn finish(self) -> io::Result<()> {
         if self.json {
             outln!("{}", serde_json::json!({ "rows": self.rows }))?;
@@ -215,7 +219,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn over_counts_what_is_longer() {
+    fn over_counts_longer_times_only() {
         let mut times = Times::new();
         for us in [100, 499, 501, 3000] {
             times.record(Duration::from_micros(us));
@@ -224,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_has_the_names_that_readers_of_the_json_rely_on() {
+    fn a_row_has_the_documented_json_names() {
         let mut times = Times::new();
         times.record(Duration::from_micros(50));
         let varied = Varied { hz: None, mirrors: 100, users: 5, rooms: 1, policy: "flat".into() };

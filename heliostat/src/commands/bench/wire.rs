@@ -1,8 +1,9 @@
 //! `heliostat bench loop | rooms`: from the publication of a report to the arrival of the command that answers it.
 //!
-//! This process is the room; the controller is another, and so is the bare echo that it is compared with: a process that answers each report with
-//! as many bytes as a command has, over the same session, with the same quality of service. Reports go to one and to the other in
-//! turn. A report counts from when it was due.
+//! This process is the room, the controller is a second one, and the reference is a third: an echo
+//! that answers each report with as many bytes as a command has, over the same session, with the
+//! same quality of service. Reports go to controller and echo alternately. A report counts from its
+//! due time.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -18,19 +19,19 @@ use heliostat_scenario::{Scenario, ScenarioArgs};
 
 use super::board::Board;
 use super::pace::{Block, PaceArgs, Plan, Turn};
-use super::people::People;
 use super::rows::{Row, Table, Varied};
+use super::walkers::Walkers;
 use crate::commands::demo::child::ChildProcess as Part;
 
-/// How long processes may take to meet.
+/// Longest time until the other process answers.
 const MEET_WITHIN: Duration = Duration::from_secs(20);
-/// How long a process may take to end.
+/// Longest time until a process ends.
 const END_WITHIN: Duration = Duration::from_secs(10);
-/// A report that is not answered for this long is lost, and counts with this time.
+/// A report without an answer for this long is lost, and counts with this time.
 const LOST_AFTER: Duration = Duration::from_millis(500);
-/// Answers a room gives before the first that counts.
+/// Unmeasured reports at the start.
 const WARM_UP: u64 = 100;
-/// The last part of a wait is spent looking at the clock, since sleep ends late.
+/// The wait ends with a busy-wait of this length, because sleep ends late.
 const SPIN: Duration = Duration::from_micros(100);
 
 /// Flags that the benchmarks across processes share.
@@ -40,13 +41,15 @@ pub struct Args {
     scenario: ScenarioArgs,
     #[command(flatten)]
     pace: PaceArgs,
-    /// Which policy decides
+    /// Policy of the controller
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
-    /// How many rooms one process serves (comma-separated), in place of the benchmark's own choice
+    /// Numbers of rooms that one process serves (comma-separated), instead of the benchmark's
+    /// default
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u16).range(1..=512))]
     rooms: Vec<u16>,
-    /// Where the processes meet, in place of a free TCP port of this machine; for example unixsock-stream//run/bench.sock
+    /// Endpoint of the processes, instead of a free TCP port of this machine; for example
+    /// unixsock-stream//run/bench.sock
     #[arg(long, value_name = "ENDPOINT")]
     endpoint: Option<String>,
     /// Print one JSON object
@@ -57,21 +60,21 @@ pub struct Args {
     controller: Vec<String>,
 }
 
-/// `loop`: one room at several paces.
+/// `loop`: one room at several rates.
 pub fn run_loop(args: &Args) -> Result<()> {
-    args.run("loop over Zenoh, beside a bare echo of the same payload sizes", &[10.0, 100.0, 1000.0, 0.0], &[1])
+    args.run("loop over Zenoh; reference: an echo of the same payload sizes", &[10.0, 100.0, 1000.0, 0.0], &[1])
 }
 
-/// `rooms`: more and more rooms on one controller process.
+/// `rooms`: a growing number of rooms on one controller process.
 pub fn run_rooms(args: &Args) -> Result<()> {
-    let title = "loop over Zenoh with one controller process for all rooms, beside a bare echo for as many";
+    let title = "loop over Zenoh with one controller process for all rooms; reference: an echo for as many";
     args.run(title, &[100.0], &[1, 4, 16, 32, 64])
 }
 
 impl Args {
     fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize]) -> Result<()> {
         let scenario = self.scenario.load()?;
-        // Otherwise the controller's process would say so, and end, while its room waits for an answer.
+        // Fails here rather than in the controller process, for whose answer the room would wait.
         heliostat_engine::build(self.policy, &scenario, &ActorSource::Shipped)?;
         let named: Vec<usize> = self.rooms.iter().map(|rooms| usize::from(*rooms)).collect();
         let rooms = if named.is_empty() { rooms } else { &named };
@@ -104,8 +107,8 @@ impl Args {
             Turn::Measured => measured.go_through(block),
             Turn::Reference => reference.go_through(block),
         })?;
-        let summary: Summary = serde_json::from_value(controller.finish(END_WITHIN)?)
-            .context("the controller's summary lacks something")?;
+        let summary: Summary =
+            serde_json::from_value(controller.finish(END_WITHIN)?).context("the controller's summary is incomplete")?;
         echo.finish(END_WITHIN)?;
         bus.close()?;
 
@@ -164,19 +167,20 @@ fn echo_arguments(endpoint: &str, rooms: &[String], scenario: &Scenario) -> Resu
 /// The rooms of one process.
 struct Side {
     names: Vec<String>,
-    rooms: Vec<Outlets>,
+    rooms: Vec<Publishers>,
     board: Board,
-    people: People,
+    walkers: Walkers,
     users: usize,
     tick: u64,
-    /// Whether the payloads are messages; a bare echo gets as many bytes that mean nothing but a number.
-    speaks: bool,
+    /// Whether the payloads are messages; the echo gets payloads of the same size with a number in
+    /// front.
+    sends_messages: bool,
     buffers: [Vec<u8>; 3],
     _subscriptions: Vec<Subscription>,
 }
 
-/// Where one room's reports go.
-struct Outlets {
+/// Publishers of one room's reports.
+struct Publishers {
     users: Publisher,
     channel: Publisher,
     obstacles: Publisher,
@@ -186,11 +190,11 @@ impl Side {
     fn open(bus: &Bus, name: &str, scenario: &Scenario, rooms: usize) -> Result<Self> {
         let names: Vec<String> = (1..=rooms).map(|index| format!("{name}-{index}")).collect();
         let board = Board::default();
-        let speaks = name == "measured";
-        let (mut outlets, mut subscriptions) = (Vec::new(), Vec::new());
+        let sends_messages = name == "measured";
+        let (mut publishers, mut subscriptions) = (Vec::new(), Vec::new());
         for name in &names {
             let room = Room::new(name)?;
-            outlets.push(Outlets {
+            publishers.push(Publishers {
                 users: bus.publisher(&room.users(), Class::Control)?,
                 channel: bus.publisher(&room.channel(), Class::Control)?,
                 obstacles: bus.publisher(&room.obstacles(), Class::Control)?,
@@ -199,7 +203,7 @@ impl Side {
             let mut command = MirrorCommand::default();
             subscriptions.push(bus.subscribe(&room.command(), move |payload| {
                 let arrived = Instant::now();
-                let tick = if speaks {
+                let tick = if sends_messages {
                     decode_into(&mut command, payload).ok().map(|()| command.answers)
                 } else {
                     payload.first_chunk().map(|bytes| u64::from_le_bytes(*bytes))
@@ -208,29 +212,30 @@ impl Side {
             })?);
         }
         let users = scenario.users.count;
-        let (people, buffers) = (People::default(), Default::default());
+        let (walkers, buffers) = (Walkers::default(), Default::default());
         Ok(Self {
             names,
-            rooms: outlets,
+            rooms: publishers,
             board,
-            people,
+            walkers,
             users,
             tick: 0,
-            speaks,
+            sends_messages,
             buffers,
             _subscriptions: subscriptions,
         })
     }
 
-    /// Reports to each room until it answers.
+    /// Sends reports to each room until it answers.
     fn meet(&mut self) -> Result<()> {
         let deadline = Instant::now() + MEET_WITHIN;
         for room in 0..self.rooms.len() {
             loop {
                 ensure!(
                     Instant::now() < deadline,
-                    "room {} gives no answer: its process runs but hears nothing",
-                    self.names[room]
+                    "room {} gives no answer: its process runs but receives no reports; expected an answer within {} s",
+                    self.names[room],
+                    MEET_WITHIN.as_secs()
                 );
                 self.prepare()?;
                 self.rooms[room].obstacles.put(&self.buffers[2])?;
@@ -243,7 +248,8 @@ impl Side {
         Ok(())
     }
 
-    /// Sends the reports of a block, room after room, spread evenly over the interval; gives how many.
+    /// Sends the reports of a block, room after room, spread evenly over the interval; returns
+    /// their number.
     fn go_through(&mut self, block: Block) -> Result<u64> {
         let rooms = self.rooms.len();
         let start = Instant::now();
@@ -268,14 +274,14 @@ impl Side {
         Ok(sent)
     }
 
-    /// Makes the payloads of the next tick.
+    /// Encodes the payloads of the next tick.
     fn prepare(&mut self) -> Result<()> {
         self.tick += 1;
-        self.people.walk(1, self.tick, utc_ns(), self.users);
-        encode(&self.people.users, &mut self.buffers[0])?;
-        encode(&self.people.channel, &mut self.buffers[1])?;
-        encode(&self.people.obstacles, &mut self.buffers[2])?;
-        if !self.speaks {
+        self.walkers.walk(1, self.tick, utc_ns(), self.users);
+        encode(&self.walkers.users, &mut self.buffers[0])?;
+        encode(&self.walkers.channel, &mut self.buffers[1])?;
+        encode(&self.walkers.obstacles, &mut self.buffers[2])?;
+        if !self.sends_messages {
             self.buffers[0][..8].copy_from_slice(&self.tick.to_le_bytes());
         }
         Ok(())

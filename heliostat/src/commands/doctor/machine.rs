@@ -7,20 +7,20 @@ use std::time::{Duration, Instant, SystemTime};
 
 use super::Check;
 
-/// Between two looks at both clocks.
+/// Time between two readings of both clocks.
 const CLOCK_WATCH: Duration = Duration::from_millis(200);
-/// The clocks may part by this much in that time before it counts as a step.
+/// A larger difference between the clocks in that time counts as a step.
 const STEP_MIN: Duration = Duration::from_millis(2);
-/// Wake-ups that are timed.
+/// Number of measured wake-ups.
 const WAKE_UPS: usize = 100;
-/// A wake-up this late spends half of what a decision has.
+/// A wake-up this late takes half of the 0.5 ms of a decision.
 const LATE_WAKE_UP: Duration = Duration::from_micros(250);
-/// What a controller with its buffers and a model may lock in memory, in bytes.
-const MEMORY_LOCK_WANTED: u64 = 256 << 20;
-/// The priority that the units in deploy/systemd ask for.
-const REALTIME_PRIORITY_WANTED: u64 = 50;
+/// Memory that a controller with its buffers and a model locks at most, in bytes.
+const MEMORY_LOCK_NEEDED: u64 = 256 << 20;
+/// The priority that the units in deploy/systemd request.
+const REALTIME_PRIORITY_NEEDED: u64 = 50;
 
-/// All of them.
+/// All checks of the machine.
 pub(super) fn checks() -> Vec<Check> {
     let mut checks = vec![clock_source(), clock_steps(), clock_synchronised(), wake_ups()];
     checks.extend(limits());
@@ -54,7 +54,7 @@ fn clock_source() -> Check {
         Some(source) => Check::warn(
             "clock",
             format!("{source}, {steps}"),
-            "reading this clock is slow; where the processor has a constant TSC, boot with clocksource=tsc",
+            "reading this clock is slow; if the processor has a constant TSC, boot with clocksource=tsc",
         ),
     }
 }
@@ -65,33 +65,29 @@ fn clock_steps() -> Check {
     let by_utc = SystemTime::now().duration_since(utc).unwrap_or_default();
     let apart = by_utc.abs_diff(monotonic.elapsed());
     let found =
-        format!("UTC and the monotonic clock part by {} us in {} ms", apart.as_micros(), CLOCK_WATCH.as_millis());
+        format!("UTC and the monotonic clock differ by {} us after {} ms", apart.as_micros(), CLOCK_WATCH.as_millis());
     if apart < STEP_MIN {
         Check::ok("clock steps", found)
     } else {
-        Check::warn(
-            "clock steps",
-            found,
-            "UTC is being set by steps: let NTP slew it (chrony: no makestep after the start)",
-        )
+        Check::warn("clock steps", found, "UTC is set in steps: let NTP slew it (chrony: no makestep after the start)")
     }
 }
 
 fn clock_synchronised() -> Check {
     let name = "clock NTP";
-    let told = Command::new("timedatectl").args(["show", "-p", "NTPSynchronized", "--value"]).output();
-    let told = told.ok().filter(|output| output.status.success());
-    match told.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).as_deref() {
+    let answer = Command::new("timedatectl").args(["show", "-p", "NTPSynchronized", "--value"]).output();
+    let answer = answer.ok().filter(|output| output.status.success());
+    match answer.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).as_deref() {
         Some("yes") => Check::ok(name, "synchronised"),
         Some("no") => Check::warn(
             name,
             "not synchronised",
-            "processes on several machines need clocks that agree to a small part of control.validity_ms: run chrony or systemd-timesyncd",
+            "the clocks of several machines must agree to a small part of control.validity_ms: run chrony or systemd-timesyncd",
         ),
         _ => Check::warn(
             name,
-            "unknown: timedatectl gives no answer",
-            "on one machine it does not matter; on several, see that NTP keeps their clocks together",
+            "unknown: timedatectl gave no answer",
+            "on one machine no action is needed; on several, synchronise their clocks with NTP",
         ),
     }
 }
@@ -114,7 +110,7 @@ fn wake_ups() -> Check {
         Check::warn(
             "wake-ups",
             found,
-            "0.5 ms will be missed now and then: give the processes real-time priority, and the machine less to do besides",
+            "some decisions will take more than 0.5 ms: give the processes real-time priority, and reduce other load",
         )
     }
 }
@@ -134,23 +130,23 @@ fn limits() -> Vec<Check> {
     let priority = limit(Resource::RLIMIT_RTPRIO);
     let priority_found = format!("real-time priority up to {priority}");
     vec![
-        if memory >= MEMORY_LOCK_WANTED || has_capability(ipc_lock) {
+        if memory >= MEMORY_LOCK_NEEDED || has_capability(ipc_lock) {
             Check::ok("memory lock", memory_found)
         } else {
             Check::warn(
                 "memory lock",
                 memory_found,
-                "pages of the controller may be swapped out: LimitMEMLOCK=infinity in its unit, or memlock in /etc/security/limits.d",
+                "pages of the controller may be swapped out: set LimitMEMLOCK=infinity in its unit, or memlock in /etc/security/limits.d",
             )
         },
-        if priority >= REALTIME_PRIORITY_WANTED || has_capability(sys_nice) {
+        if priority >= REALTIME_PRIORITY_NEEDED || has_capability(sys_nice) {
             Check::ok("real time", priority_found)
         } else {
             Check::warn(
                 "real time",
                 priority_found,
                 format!(
-                    "other processes delay decisions: LimitRTPRIO={REALTIME_PRIORITY_WANTED} in its unit, or rtprio in /etc/security/limits.d"
+                    "other processes delay decisions: set LimitRTPRIO={REALTIME_PRIORITY_NEEDED} in its unit, or rtprio in /etc/security/limits.d"
                 ),
             )
         },
@@ -159,7 +155,7 @@ fn limits() -> Vec<Check> {
 
 #[cfg(not(target_os = "linux"))]
 fn limits() -> Vec<Check> {
-    vec![Check::warn("permissions", "known on Linux only", "measure: heliostat demo --seconds 20")]
+    vec![Check::warn("permissions", "checked on Linux only", "measure instead: heliostat demo --seconds 20")]
 }
 
 #[cfg(target_os = "linux")]
@@ -174,12 +170,12 @@ fn governor() -> Check {
     let governors: Vec<String> =
         (0..).map_while(|cpu| text(&format!("/sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_governor"))).collect();
     match governors.iter().find(|governor| *governor != "performance") {
-        None if governors.is_empty() => Check::ok(name, "none: this machine does not let its frequency be chosen"),
+        None if governors.is_empty() => Check::ok(name, "none: the frequency of this machine cannot be set"),
         None => Check::ok(name, "performance"),
         Some(other) => Check::warn(
             name,
             other.clone(),
-            "a processor that slows down between reports answers late: cpupower frequency-set -g performance",
+            "the processor slows down between reports, so decisions are late: cpupower frequency-set -g performance",
         ),
     }
 }
@@ -191,9 +187,13 @@ fn cores() -> Check {
     match (count, shared) {
         (4.., false) => Check::ok("cores", found),
         (4.., true) => {
-            Check::warn("cores", found, "virtual cores may be shared: pin them to the guest where latency matters")
+            Check::warn("cores", found, "virtual cores may be shared: pin them to the guest if latency matters")
         }
-        _ => Check::warn("cores", found, "room, controller and viewer share them; from four on each has its own"),
+        _ => Check::warn(
+            "cores",
+            found,
+            "simulator, controller and live page share them; with four or more each has its own",
+        ),
     }
 }
 
@@ -206,6 +206,6 @@ fn load() -> Check {
     if load <= 0.5 * cores {
         Check::ok("load", found)
     } else {
-        Check::warn("load", found, "other processes take the cores that decisions need; measure when they have ended")
+        Check::warn("load", found, "other processes use the cores that decisions need; measure when they have ended")
     }
 }

@@ -1,4 +1,4 @@
-//! Checks of what is to run: scenario, policy, driver, ports.
+//! Checks of the planned run: scenario, policy, driver, ports.
 
 use std::net::TcpListener;
 use std::time::Duration;
@@ -12,13 +12,13 @@ use heliostat_sim::World;
 
 use super::{Args, Check};
 
-/// How long a driver may take to answer.
+/// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);
 
-/// Angles this much apart in rad are the same limit.
+/// Limits that differ by less than this, in rad, count as equal.
 const SAME_ANGLE_RAD: f64 = 1e-4;
 
-/// All of them.
+/// All checks of the planned run.
 pub(super) fn checks(args: &Args) -> Vec<Check> {
     let scenario = match args.scenario.load().map_err(anyhow::Error::from).and_then(|scenario| {
         World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
@@ -26,7 +26,7 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
     }) {
         Ok(scenario) => scenario,
         Err(error) => {
-            let advice = "correct it, or start from a sound one: heliostat scenario new FILE";
+            let advice = "correct it, or start from a valid one: heliostat scenario new FILE";
             let mut checks = vec![Check::fail("scenario", format!("{error:#}"), advice)];
             checks.extend(args.port.iter().map(|port| check_port(*port)));
             return checks;
@@ -42,9 +42,9 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         scenario.hash()
     );
     let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario), check_driver(args, &scenario)];
-    // Where a driver was asked, somebody listens, and rightly.
-    let asked = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
-    checks.extend(args.port.iter().filter(|port| !asked(port)).map(|port| check_port(*port)));
+    // A driver that is checked listens on its own port.
+    let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
+    checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
     checks
 }
 
@@ -73,35 +73,35 @@ fn check_port(port: u16) -> Check {
 
 fn check_driver(args: &Args, scenario: &Scenario) -> Check {
     if args.connect.is_empty() {
-        return Check::ok("driver", "not asked: no --connect");
+        return Check::ok("driver", "not checked: no --connect");
     }
-    match ask_driver(args) {
+    match fetch_capabilities(args) {
         Ok(capabilities) => compare(&capabilities, scenario),
         Err(error) => Check::fail(
             "driver",
             format!("{error:#}"),
-            "start the driver, and give its endpoint and the name of its room (--connect, --room)",
+            "start the driver, and pass its endpoint and the name of its room (--connect, --room)",
         ),
     }
 }
 
-fn ask_driver(args: &Args) -> anyhow::Result<Capabilities> {
+fn fetch_capabilities(args: &Args) -> anyhow::Result<Capabilities> {
     let room = Room::new(&args.room)?;
     let config = args.connect.iter().fold(BusConfig::new(room.clone()), |config, endpoint| config.connect_to(endpoint));
     let bus = Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?;
     let payloads = bus.fetch(&room.capabilities(), DRIVER_WAIT)?;
     bus.close()?;
     match payloads.as_slice() {
-        [] => anyhow::bail!("nobody in room \"{room}\" tells the capabilities of an array"),
+        [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
         [payload] => Ok(decode(payload)?),
-        several => anyhow::bail!("{} drivers answer in room \"{room}\": a room has one", several.len()),
+        several => anyhow::bail!("{} drivers answer in room \"{room}\"; expected one", several.len()),
     }
 }
 
-/// Whether an array is the one that the scenario describes.
+/// Whether the array fits the scenario.
 fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
     let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
-    // What the controller itself would say.
+    // The controller examines the capabilities in the same way.
     let examined = scenario
         .channel_model()
         .map_err(anyhow::Error::from)
@@ -109,12 +109,12 @@ fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
     if let Err(unfit) = examined {
         return Check::fail("driver", found, format!("{unfit:#}"));
     }
-    let wanted_rad = scenario.control.range_deg.to_radians();
+    let commanded_rad = scenario.control.range_deg.to_radians();
     let reach_rad = [array.roll.min_rad, array.yaw.min_rad, -array.roll.max_rad, -array.yaw.max_rad];
     let reach_rad = -reach_rad.into_iter().map(f64::from).fold(f64::NEG_INFINITY, f64::max);
-    if reach_rad + SAME_ANGLE_RAD < wanted_rad {
+    if reach_rad + SAME_ANGLE_RAD < commanded_rad {
         let advice = format!(
-            "the controller may command {:.2} degrees and the array clamps at {:.2}: --set control.range_deg={:.2}",
+            "the controller may command {:.2} degrees, but the array clamps at {:.2}: --set control.range_deg={:.2}",
             scenario.control.range_deg,
             reach_rad.to_degrees(),
             (reach_rad.to_degrees() * 100.0).floor() / 100.0
@@ -124,7 +124,7 @@ fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
     let rate_hz = f64::from(array.command_rate_max_hz);
     if rate_hz > 0.0 && rate_hz < scenario.streams.positions.rate_hz {
         let advice = format!(
-            "it follows {rate_hz} commands a second and each of {} reports is answered: lower streams.positions.rate_hz",
+            "it accepts {rate_hz} commands a second, but each of {} reports a second is answered: lower streams.positions.rate_hz",
             scenario.streams.positions.rate_hz
         );
         return Check::warn("driver", found, advice);

@@ -1,13 +1,14 @@
-//! People who walk in circles among two pillars, half of them without a direct path: reports for benchmarks.
+//! Reports for benchmarks: users who walk in circles around two pillars, half of them without a
+//! direct path.
 
 use heliostat_proto::{ChannelReport, Nanos, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState};
 
-/// How far everybody walks around the circle from one report to the next, in rad.
+/// Angle around the circle from one report to the next, in rad.
 const STEP: f64 = 0.01;
 
-/// The reports of one tick; their memory is used again.
+/// The reports of one tick; their memory is reused.
 #[derive(Default)]
-pub struct People {
+pub struct Walkers {
     /// Positions.
     pub users: UserReport,
     /// Measured gains.
@@ -16,8 +17,8 @@ pub struct People {
     pub obstacles: ObstacleReport,
 }
 
-impl People {
-    /// Moves everybody on.
+impl Walkers {
+    /// Moves all users by one step.
     pub fn walk(&mut self, source: u64, tick: u64, now: Nanos, users: usize) {
         let stamp = Stamp { source, sequence: tick, time_ns: now };
         let pillar = |x_m: f32, y_m: f32| Obstacle { x_m, y_m, radius_m: 0.25, height_m: 1.75 };

@@ -1,0 +1,123 @@
+//! Finished sections as JSON: all that a page is rendered from.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// The finished sections of one page.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Archive {
+    /// Name of the page.
+    pub page: String,
+    /// Whether the commands ran with fewer states, seeds and seconds.
+    pub quick: bool,
+    /// In the order in which they finished.
+    pub sections: Vec<Finished>,
+}
+
+/// What one section's command printed, and where.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Finished {
+    /// Name of the section.
+    pub section: String,
+    /// The arguments of `heliostat`, without `--json`.
+    pub arguments: Vec<String>,
+    /// When the command started, in UTC.
+    pub made: String,
+    /// The commit that was built.
+    pub commit: String,
+    /// Processors of the machine.
+    pub machine: String,
+    /// How long the command took, in s.
+    pub seconds: f64,
+    /// Its JSON object.
+    pub output: Value,
+}
+
+impl Archive {
+    /// Holds no section yet.
+    pub fn new(page: &str, quick: bool) -> Self {
+        Self { page: page.into(), quick, sections: Vec::new() }
+    }
+
+    /// Reads an archive.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is no archive.
+    pub fn read(file: &Path) -> Result<Self> {
+        let text = fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+        serde_json::from_str(&text).with_context(|| format!("{} holds no finished sections", file.display()))
+    }
+
+    /// Writes the archive.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn write(&self, file: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self)? + "\n";
+        fs::write(file, text)
+            .with_context(|| format!("cannot write {}: expected a file in a folder that exists", file.display()))
+    }
+
+    /// Whether the section was finished by this command at this commit.
+    pub fn holds(&self, section: &str, arguments: &[String], commit: &str) -> bool {
+        self.find(section).is_some_and(|finished| finished.arguments == arguments && finished.commit == commit)
+    }
+
+    /// The section, where it is finished.
+    pub fn find(&self, section: &str) -> Option<&Finished> {
+        self.sections.iter().find(|finished| finished.section == section)
+    }
+
+    /// Adds a section, in place of an earlier one of the same name.
+    pub fn put(&mut self, finished: Finished) {
+        self.sections.retain(|other| other.section != finished.section);
+        self.sections.push(finished);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn finished(commit: &str) -> Finished {
+        Finished {
+            section: "loop".into(),
+            arguments: vec!["bench".into(), "loop".into()],
+            made: "2026-11-22T12:00:00Z".into(),
+            commit: commit.into(),
+            machine: "2 cores".into(),
+            seconds: 1.5,
+            output: serde_json::json!({ "rows": [] }),
+        }
+    }
+
+    #[test]
+    fn a_section_counts_as_finished_only_for_the_same_command_and_commit() {
+        let mut archive = Archive::new("latency", false);
+        archive.put(finished("a"));
+        let arguments = finished("a").arguments;
+        assert!(archive.holds("loop", &arguments, "a"));
+        assert!(!archive.holds("loop", &arguments, "b") && !archive.holds("loop", &arguments[..1], "a"));
+        archive.put(finished("b"));
+        assert_eq!(archive.sections, [finished("b")]);
+    }
+
+    #[test]
+    fn an_archive_is_read_as_it_was_written_and_other_files_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("latency.json");
+        let mut archive = Archive::new("latency", true);
+        archive.put(finished("a"));
+        archive.write(&file).unwrap();
+        let read = Archive::read(&file).unwrap();
+        assert_eq!((read.page, read.quick, read.sections), ("latency".into(), true, vec![finished("a")]));
+        fs::write(&file, "{}").unwrap();
+        assert!(Archive::read(&file).is_err());
+    }
+}

@@ -1,0 +1,221 @@
+//! Tables of results pages, rendered from the JSON objects of `eval`, `calibrate` and `bench`.
+
+use anyhow::{Context, Result};
+use serde_json::{Map, Value};
+
+/// Name of the oracle's row.
+pub const ORACLE: &str = "(oracle)";
+/// JSON pointer of the ratio to the oracle.
+const RATIO: &str = "/ratio_to_oracle";
+
+/// How the rows of a table lie in a command's JSON object.
+#[derive(Clone, Copy, Debug)]
+pub enum Layout {
+    /// `heliostat eval`: one row for the oracle and one a policy.
+    Policies,
+    /// `heliostat eval --sweep`: one row a value of the swept key, with each column for each policy.
+    Sweep,
+    /// `heliostat bench` and `heliostat calibrate`: the array `rows`.
+    Rows,
+}
+
+/// One column.
+#[derive(Clone, Copy, Debug)]
+pub struct Column {
+    /// Its heading.
+    pub title: &'static str,
+    /// JSON pointer of its figure within a row.
+    pub at: &'static str,
+    /// How the figure is written.
+    pub form: Form,
+}
+
+/// How a figure is written.
+#[derive(Clone, Copy, Debug)]
+pub enum Form {
+    /// As it stands.
+    Text,
+    /// A number with so many digits after the point.
+    Number(usize),
+    /// `mean` and `ci95` of an object, with so many digits after the point.
+    Interval(usize),
+}
+
+/// One row by its name: the policy, or nothing where rows have no names.
+pub type Row = (String, Value);
+
+impl Layout {
+    /// The rows of a JSON object; those of policies in the order in which `arguments` name them.
+    ///
+    /// # Errors
+    /// A JSON object of another command.
+    pub fn rows(self, output: &Value, arguments: &[String]) -> Result<Vec<Row>> {
+        match self {
+            Self::Rows => {
+                let rows = output["rows"].as_array().context("expected an array `rows`")?;
+                let name = |row: &Value| row["policy"].as_str().unwrap_or_default().to_owned();
+                Ok(rows.iter().map(|row| (name(row), row.clone())).collect())
+            }
+            Self::Policies => policies(output, arguments),
+            Self::Sweep => {
+                let reports = output["reports"].as_array().context("expected an array `reports`")?;
+                let rows = reports.iter().map(|swept| policies(&swept["report"], arguments));
+                Ok(rows.collect::<Result<Vec<_>>>()?.concat())
+            }
+        }
+    }
+
+    /// The table in Markdown.
+    ///
+    /// # Errors
+    /// A JSON object of another command.
+    pub fn markdown(self, output: &Value, arguments: &[String], columns: &[Column]) -> Result<String> {
+        let mut lines = Vec::new();
+        match self {
+            Self::Rows => {
+                lines.push(columns.iter().map(|column| column.title.to_owned()).collect());
+                for (_, row) in self.rows(output, arguments)? {
+                    lines.push(cells(&row, columns));
+                }
+            }
+            Self::Policies => {
+                let titles = columns.iter().map(|column| column.title.to_owned());
+                lines.push([String::new()].into_iter().chain(titles).collect());
+                for (name, row) in self.rows(output, arguments)? {
+                    lines.push([name].into_iter().chain(cells(&row, columns)).collect());
+                }
+            }
+            Self::Sweep => {
+                let key = output["sweep"].as_str().context("expected the swept key in `sweep`")?;
+                for swept in output["reports"].as_array().context("expected an array `reports`")? {
+                    let rows = policies(&swept["report"], arguments)?;
+                    // The oracle's ratio to itself is no information.
+                    let shown = |name: &str| {
+                        let of_oracle = name == ORACLE;
+                        columns.iter().filter(|column| !(of_oracle && column.at == RATIO)).copied().collect::<Vec<_>>()
+                    };
+                    if lines.is_empty() {
+                        let titles = rows.iter().flat_map(|(name, _)| {
+                            shown(name).into_iter().map(move |column| format!("{name}: {}", column.title))
+                        });
+                        lines.push([format!("`{key}`")].into_iter().chain(titles).collect());
+                    }
+                    let value = cell(&swept["value"], Form::Text);
+                    let figures = rows.iter().flat_map(|(name, row)| cells(row, &shown(name)));
+                    lines.push([value].into_iter().chain(figures).collect::<Vec<_>>());
+                }
+            }
+        }
+        Ok(grid(&lines))
+    }
+}
+
+/// The oracle's row, then those of the policies.
+fn policies(report: &Value, arguments: &[String]) -> Result<Vec<Row>> {
+    let policies: &Map<String, Value> = report["policies"].as_object().context("expected an object `policies`")?;
+    let named = arguments.iter().skip_while(|word| *word != "--policies").nth(1).map_or("", String::as_str);
+    let named: Vec<&str> = named.split(',').collect();
+    // A variant of a policy, such as one with prediction, follows the policy whose name it begins
+    // with.
+    let rank = |name: &str| {
+        let fits = named.iter().enumerate().filter(|(_, policy)| name.starts_with(**policy));
+        let best = fits.max_by_key(|(_, policy)| policy.len());
+        (best.map_or(named.len(), |(index, _)| index), name.len())
+    };
+    let mut rows: Vec<Row> = policies.iter().map(|(name, row)| (name.clone(), row.clone())).collect();
+    rows.sort_by_key(|(name, _)| rank(name));
+    rows.insert(0, (ORACLE.into(), report["oracle"].clone()));
+    Ok(rows)
+}
+
+fn cells(row: &Value, columns: &[Column]) -> Vec<String> {
+    columns.iter().map(|column| cell(row.pointer(column.at).unwrap_or(&Value::Null), column.form)).collect()
+}
+
+/// A figure as text; a dash where it does not exist.
+fn cell(value: &Value, form: Form) -> String {
+    let number = |value: &Value, digits: usize| value.as_f64().map(|number| format!("{number:.digits$}"));
+    let text = match form {
+        Form::Text => match value {
+            Value::Null => None,
+            Value::String(text) => Some(text.clone()),
+            Value::Number(number) => Some(number.to_string().trim_end_matches(".0").to_owned()),
+            other => Some(other.to_string()),
+        },
+        Form::Number(digits) => number(value, digits),
+        Form::Interval(digits) => number(&value["mean"], digits).map(|mean| match number(&value["ci95"], digits) {
+            Some(half) => format!("{mean} ± {half}"),
+            None => mean,
+        }),
+    };
+    text.unwrap_or_else(|| "-".into())
+}
+
+/// A Markdown table; the first line is its heading.
+pub fn grid(lines: &[Vec<String>]) -> String {
+    let mut text = String::new();
+    for (index, line) in lines.iter().enumerate() {
+        text.push_str(&format!("| {} |\n", line.join(" | ")));
+        if index == 0 {
+            text.push_str(&format!("|{}\n", " --- |".repeat(line.len())));
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    const COLUMNS: [Column; 2] = [
+        Column { title: "ratio", at: "/ratio_to_oracle", form: Form::Interval(2) },
+        Column { title: "p50", at: "/decision_us/p50", form: Form::Number(0) },
+    ];
+
+    fn arguments(text: &str) -> Vec<String> {
+        text.split(' ').map(String::from).collect()
+    }
+
+    fn report(ratio: f64) -> Value {
+        let row =
+            |ratio: f64| json!({ "ratio_to_oracle": { "mean": ratio, "ci95": 0.01 }, "decision_us": { "p50": 7.4 } });
+        let oracle = json!({ "ratio_to_oracle": { "mean": 1.0, "ci95": null } });
+        json!({ "oracle": oracle, "policies": { "flat": row(ratio / 2.0), "greedy": row(ratio), "greedy-unaware": row(ratio) } })
+    }
+
+    #[test]
+    fn policies_come_in_the_order_of_the_command_each_before_its_variants() {
+        let table = Layout::Policies.markdown(&report(0.9), &arguments("eval --policies greedy,flat"), &COLUMNS);
+        let expected = "|  | ratio | p50 |\n| --- | --- | --- |\n| (oracle) | 1.00 | - |\n| greedy | 0.90 ± 0.01 | 7 |\n\
+                        | greedy-unaware | 0.90 ± 0.01 | 7 |\n| flat | 0.45 ± 0.01 | 7 |\n";
+        assert_eq!(table.unwrap(), expected);
+    }
+
+    #[test]
+    fn a_sweep_has_a_line_a_value_and_each_column_for_each_policy() {
+        let swept = |value: &str| json!({ "value": value, "report": report(0.8) });
+        let output = json!({ "sweep": "users.count", "reports": [swept("1"), swept("2")] });
+        let table = Layout::Sweep.markdown(&output, &arguments("eval --policies greedy,flat"), &COLUMNS).unwrap();
+        let lines: Vec<&str> = table.lines().collect();
+        assert_eq!(lines.len(), 4);
+        assert!(lines[0].starts_with("| `users.count` | (oracle): p50 | greedy: ratio | greedy: p50 |"), "{table}");
+        assert!(lines[3].starts_with("| 2 | - | 0.80 ± 0.01 | 7 |"), "{table}");
+    }
+
+    #[test]
+    fn text_has_no_needless_decimal_and_a_missing_figure_is_a_dash() {
+        let cases = [(json!(100.0), "100"), (json!(0.5), "0.5"), (json!(true), "true"), (Value::Null, "-")];
+        for (value, expected) in cases {
+            assert_eq!(cell(&value, Form::Text), expected);
+        }
+    }
+
+    #[test]
+    fn the_output_of_another_command_is_refused() {
+        for layout in [Layout::Rows, Layout::Policies, Layout::Sweep] {
+            assert!(layout.markdown(&json!({}), &[], &COLUMNS).is_err(), "{layout:?}");
+        }
+    }
+}

@@ -1,11 +1,12 @@
 //! What a controller says about itself twice a second, for people; nothing is decided by it.
 
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
+use heliostat_service::clock::utc_ns;
 
 use crate::{
     control::ControlAccount,
     core::{Controller, Departure},
-    desk::{Desk, utc_ns},
+    desk::Desk,
     ledger::Ledger,
     refused::Refusal,
     summary::Summary,

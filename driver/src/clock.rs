@@ -3,7 +3,9 @@
 //! Room time stands in messages: UTC in live operation, simulated time in lockstep. Local time only ever moves forward and paces
 //! the node. They are kept apart so that a wall clock that is set does not disturb pacing, watchdogs or latencies.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
+
+use heliostat_service::clock::utc_ns;
 
 /// One instant in both times.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,8 +42,7 @@ impl Clock {
 
     /// Both times.
     pub fn now(&self) -> Moment {
-        let room_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, as_ns);
-        Moment { local_ns: self.local_ns(), room_ns }
+        Moment { local_ns: self.local_ns(), room_ns: utc_ns() }
     }
 
     /// The instant at which local time is `local_ns`.

@@ -28,6 +28,7 @@ mod follow;
 pub mod inbox;
 pub mod kit;
 pub mod lines;
+mod metrics;
 pub mod refused;
 pub mod rules;
 pub mod run;

@@ -2,14 +2,13 @@
 
 use std::io::Write;
 use std::path::PathBuf;
-use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use heliostat_bus::BusArgs;
-use heliostat_controller::node::{Stop, stop_channel, stop_with_parent};
 use heliostat_controller::policy::PolicyKind;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::{EndArgs, signals};
 use serde::Serialize;
 
 use crate::{play, recorder, replay};
@@ -27,15 +26,11 @@ pub struct RecordArgs {
     /// The file to make; nothing is overwritten
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
-    /// End after this long
-    #[arg(long, value_name = "N", value_parser = seconds)]
-    seconds: Option<Duration>,
+    #[command(flatten)]
+    end: EndArgs,
     /// End when everybody who came into the room has left it
     #[arg(long)]
     until_empty: bool,
-    /// End when standard input closes
-    #[arg(long)]
-    exit_with_parent: bool,
     /// Print the account as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -88,19 +83,15 @@ pub struct ReplayArgs {
 /// # Errors
 /// Whatever keeps it from starting; a file that cannot be written to its end, after the account was printed.
 pub fn record(args: RecordArgs) -> Result<()> {
-    let (stop, stopped) = stop_channel();
-    stop_on_signal(stop.clone())?;
-    if args.exit_with_parent {
-        stop_with_parent(stop);
-    }
+    let stop = args.end.stop()?;
     let settings = recorder::Settings {
         scenario: args.scenario.load()?,
         bus: args.bus.config_or_connect()?,
         out: args.out,
-        run_for: args.seconds,
+        run_for: args.end.seconds,
         until_empty: args.until_empty,
     };
-    let outcome = recorder::run(&settings, &stopped)?;
+    let outcome = recorder::run(&settings, &stop)?;
     print(args.json, &outcome, &outcome.account)?;
     if let Some(failure) = &outcome.failure {
         bail!("{}: {failure}", outcome.file.display());
@@ -118,7 +109,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
 /// Replays, and prints what came out.
 ///
 /// # Errors
-/// [`Unusable`](replay::Unusable) where the recording cannot be replayed; with `--verify`, one that came out otherwise.
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput) where the recording cannot be replayed; with `--verify`, one that came out otherwise.
 pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);
@@ -137,11 +128,10 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
 }
 
 fn play(args: ReplayArgs) -> Result<()> {
-    let (stop, stopped) = stop_channel();
-    stop_on_signal(stop)?;
+    let stop = signals::stop_on_signals()?;
     let bus = BusArgs { listen: args.listen, connect: args.connect, client: args.client, ..BusArgs::default() };
     let settings = play::Settings { file: args.file, room: args.room, bus, rate: args.rate };
-    let playback = play::run(&settings, &stopped)?;
+    let playback = play::run(&settings, &stop)?;
     print(args.json, &playback, &playback)
 }
 
@@ -156,19 +146,6 @@ fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> R
     Ok(())
 }
 
-fn seconds(text: &str) -> Result<Duration, String> {
-    let value = text.parse().ok().filter(|value| (0.1..=1e7).contains(value));
-    value.map(Duration::from_secs_f64).ok_or_else(|| "wanted 0.1 to 10000000".into())
-}
-
 fn rate(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|rate| (0.01..=100.0).contains(rate)).ok_or_else(|| "wanted 0.01 to 100".into())
-}
-
-fn stop_on_signal(stop: Stop) -> Result<()> {
-    ctrlc::set_handler(move || {
-        // The command may have ended already.
-        let _ = stop.send(());
-    })
-    .context("cannot listen for Ctrl-C")
 }

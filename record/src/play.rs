@@ -8,7 +8,7 @@ use std::fmt;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{Bus, BusArgs, Class, Publisher, Token};
@@ -16,11 +16,13 @@ use heliostat_proto::{
     Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Room, Stamp,
     UserReport, decode, encode,
 };
+use heliostat_service::Stop;
+use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
 use crate::file::Entry;
 use crate::heard::Heard;
-use crate::replay::{self, Beginning, Clock, Unusable, difference};
+use crate::replay::{self, Beginning, Clock, difference};
 
 /// How long a controller is waited for.
 const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
@@ -66,10 +68,10 @@ pub struct Playback {
 /// Plays a recording to whoever is in the room, until its end or until stopped.
 ///
 /// # Errors
-/// [`Unusable`] where the recording cannot be read; a bus that cannot be opened, a controller that does not come, a report of lockstep that is
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput) where the recording cannot be read; a bus that cannot be opened, a controller that does not come, a report of lockstep that is
 /// not answered.
-pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
-    let unusable = || Unusable(settings.file.clone());
+pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
+    let unusable = || replay::unusable(&settings.file);
     let Beginning { room: recorded_room, clock, capabilities } =
         Beginning::read(&settings.file).with_context(unusable)?;
     ensure!(
@@ -104,7 +106,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
     let begun = Instant::now();
     let mut told = false;
     while bus.alive(&room.alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty() {
-        if stopped.try_recv().is_ok() {
+        if stop.is_requested() {
             bus.close()?;
             return Ok(player.playback);
         }
@@ -120,7 +122,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
     }
     let mut ends = false;
     while let Some(entry) = reading.entry().with_context(unusable)? {
-        ends = stopped.try_recv().is_ok();
+        ends = stop.is_requested();
         if ends {
             break;
         }
@@ -242,8 +244,7 @@ impl Player {
     fn wait_for(&mut self, entry: &Entry) -> Start {
         let rate = self.rate;
         let start = *self.start.get_or_insert_with(|| {
-            let at_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as Nanos;
-            Start { at: Instant::now(), at_ns, recorded_ns: entry.arrived_ns, rate }
+            Start { at: Instant::now(), at_ns: utc_ns(), recorded_ns: entry.arrived_ns, rate }
         });
         self.collect(start.due(entry.arrived_ns).saturating_duration_since(Instant::now()));
         start

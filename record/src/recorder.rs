@@ -4,18 +4,19 @@
 //! long, payloads are shed and counted: the room never waits for its recorder.
 
 use std::fs::OpenOptions;
-use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use heliostat_bus::{Bus, BusConfig, Presence as Liveliness};
 use heliostat_proto::{Nanos, NodeKind, Room, VERSION, keys::parse_alive};
 use heliostat_scenario::Scenario;
+use heliostat_service::clock::utc_ns;
+use heliostat_service::{Stop, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
@@ -78,7 +79,7 @@ enum Item {
 ///
 /// # Errors
 /// Where the bus or the file cannot be opened. A file that can be written no further is no error here: the [`Outcome`] tells.
-pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
+pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let out = &settings.out;
     let file = OpenOptions::new().write(true).create_new(true).open(out).with_context(|| {
         format!("cannot make {}: wanted a file that does not exist yet, in a folder that does", out.display())
@@ -89,7 +90,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
     let shed = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
     let room = bus.room().clone();
-    let source = RandomState::new().build_hasher().finish();
+    let source = source_id::random();
     let own_token = room.alive(NodeKind::Viewer, source);
     let (payloads, payloads_shed) = (sender.clone(), Arc::clone(&shed));
     let heard = bus.subscribe_keyed(&room.everything(), move |key, payload| {
@@ -106,14 +107,9 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
     drop(writeln!(std::io::stderr(), "record: room {room} into {}", out.display()));
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
-    while !writer.has_failed() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
+    while !writer.has_failed() && !stop.is_requested() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
         if settings.until_empty && writer.is_empty_again() {
             break;
-        }
-        match stopped.try_recv() {
-            Ok(()) => break,
-            // Nobody is left who could stop us but the deadline.
-            Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
         }
         match queue.recv_timeout(WAIT) {
             Ok(item) => writer.take(item),
@@ -134,11 +130,6 @@ fn hand_over(queue: &SyncSender<Item>, item: Item, shed: &AtomicU64) {
         Ok(()) => {}
         Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => drop(shed.fetch_add(1, Ordering::Relaxed)),
     }
-}
-
-fn utc_ns() -> Nanos {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    Nanos::try_from(since.as_nanos()).unwrap_or(Nanos::MAX)
 }
 
 /// Writes what a room says, and what is derived from it.

@@ -29,7 +29,7 @@ use heliostat_proto::{
     Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, UserReport, decode,
 };
 use heliostat_scenario::Answer as WhenLate;
-use thiserror::Error;
+use heliostat_service::exit::UnusableInput;
 
 pub(crate) use plan::Beginning;
 pub use plan::Clock;
@@ -58,13 +58,10 @@ pub struct Settings {
     pub settle: Option<u64>,
 }
 
-/// A file that cannot be replayed, which is not the same as one that comes out otherwise.
-#[derive(Debug, Error)]
-#[error("{} cannot be replayed", .0.display())]
-pub struct Unusable(
-    /// The file.
-    pub PathBuf,
-);
+/// The context of an error that the recording itself causes; a replay that differs is another error.
+pub(crate) fn unusable(file: &Path) -> UnusableInput {
+    UnusableInput::new(format!("{} cannot be replayed", file.display()))
+}
 
 /// Opens a recording.
 pub(crate) fn open(file: &Path) -> Result<Reading<BufReader<File>>> {
@@ -74,9 +71,9 @@ pub(crate) fn open(file: &Path) -> Result<Reading<BufReader<File>>> {
 /// Replays a recording into a controller of this process.
 ///
 /// # Errors
-/// [`Unusable`] where the recording cannot be read, or says too little to decide by; a policy that cannot be built.
+/// [`UnusableInput`] where the recording cannot be read, or says too little to decide by; a policy that cannot be built.
 pub fn run(settings: &Settings) -> Result<Verdict> {
-    let plan = Plan::read(&settings.file).with_context(|| Unusable(settings.file.clone()))?;
+    let plan = Plan::read(&settings.file).with_context(|| unusable(&settings.file))?;
     let mut reading = open(&settings.file)?;
     let mut player = Player::new(settings, plan)?;
     while let Some(entry) = reading.entry()? {
@@ -148,7 +145,7 @@ impl<'a> Player<'a> {
         let Some((&epoch, &first)) = self.plan.epochs.range(epoch..).next() else { return Ok(None) };
         let kind = match self.settings.policy {
             Some(kind) => kind,
-            None => self.plan.policy_of(epoch).with_context(|| Unusable(self.settings.file.clone()))?,
+            None => self.plan.policy_of(epoch).with_context(|| unusable(&self.settings.file))?,
         };
         let scenario = &self.plan.scenario;
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);

@@ -1,10 +1,10 @@
 //! The simulated room as a program of its own.
 
-use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
 use heliostat_sim_node::cli;
+use heliostat_service::exit;
 
 /// A simulated room: walking users, obstacles, mirrors, measured rates.
 #[derive(Debug, Parser)]
@@ -15,11 +15,5 @@ struct Command {
 }
 
 fn main() -> ExitCode {
-    match cli::run(Command::parse().args) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            drop(writeln!(std::io::stderr(), "heliostat-sim-node: {error:#}"));
-            ExitCode::FAILURE
-        }
-    }
+    exit::run("heliostat-sim-node", || cli::run(Command::parse().args))
 }

@@ -6,6 +6,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
+use heliostat_service::duration;
 
 /// One party acts for so long before the other does: far longer than a decision, far shorter than a drift of the machine.
 const BLOCK: Duration = Duration::from_millis(500);
@@ -23,8 +24,8 @@ pub struct PaceArgs {
     #[arg(long, value_name = "HZ", value_delimiter = ',')]
     hz: Vec<f64>,
     /// Time for each row in s, two thirds of it for what is measured and one for the reference
-    #[arg(long, default_value_t = 6.0, value_name = "S")]
-    seconds: f64,
+    #[arg(long, value_name = "S", default_value = "6", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Duration,
     /// So many measured decisions a row, in place of --seconds
     #[arg(long, value_name = "N")]
     decisions: Option<u64>,
@@ -33,14 +34,13 @@ pub struct PaceArgs {
 impl PaceArgs {
     /// The plans, one a pace; `default_hz` where none was named.
     pub fn plans(&self, default_hz: &[f64]) -> Result<Vec<Plan>> {
-        ensure!((0.1..=36_000.0).contains(&self.seconds), "--seconds {}: wanted 0.1 to 36000", self.seconds);
         let paces = if self.hz.is_empty() { default_hz } else { &self.hz };
         let plan = |hz: &f64| {
             ensure!(*hz == 0.0 || (0.1..=10_000.0).contains(hz), "--hz {hz}: wanted 0 (no pauses), or 0.1 to 10000");
             let amount = match self.decisions {
                 Some(0) => bail!("--decisions 0: wanted at least 1"),
                 Some(decisions) => Amount::Decisions(decisions),
-                None => Amount::Time(Duration::from_secs_f64(self.seconds)),
+                None => Amount::Time(self.seconds),
             };
             Ok(Plan { hz: (*hz > 0.0).then_some(*hz), amount })
         };

@@ -4,7 +4,7 @@
 //! as many bytes as a command has, over the same session, with the same quality of service. Reports go to one and to the other in
 //! turn. A report counts from when it was due.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
@@ -14,6 +14,7 @@ use heliostat_controller::policy::{self, ActorSource, PolicyKind};
 use heliostat_controller::summary::Summary;
 use heliostat_proto::{MirrorCommand, Room, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_service::clock::utc_ns;
 
 use super::board::Board;
 use super::pace::{Block, PaceArgs, Plan, Turn};
@@ -295,8 +296,4 @@ fn wait_until(due: Instant) {
     while Instant::now() < due {
         std::hint::spin_loop();
     }
-}
-
-fn utc_ns() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64)
 }

@@ -35,8 +35,16 @@ fn add_room(page: &mut Page, post: &Post) {
         ("heliostat_decisions", "Position reports answered by a command or by the decision to hold", summary.decisions),
         ("heliostat_commands", "Position reports answered by a command", summary.commands),
         ("heliostat_commands_unsent", "Commands that the transport refused", summary.unsent),
-        ("heliostat_reports_shed", "Position reports superseded by a newer one before they were answered", summary.shed),
-        ("heliostat_policy_stalls", "Status checks at which a policy had been computing for more than 0.1 s", summary.unanswered),
+        (
+            "heliostat_reports_shed",
+            "Position reports superseded by a newer one before they were answered",
+            summary.shed,
+        ),
+        (
+            "heliostat_policy_stalls",
+            "Status checks at which a policy had been computing for more than 0.1 s",
+            summary.unanswered,
+        ),
         ("heliostat_room_sources", "Publishers that have reported for the room, in succession", summary.sources),
     ] {
         page.counter(name, help, &[room], value);
@@ -66,16 +74,31 @@ fn add_room(page: &mut Page, post: &Post) {
         page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, *count);
     }
     for (by, count) in [("range", summary.clipped.range), ("slew", summary.clipped.slew)] {
-        page.counter("heliostat_angles_limited", "Axis angles changed by a limit of range or slew rate", &[room, ("by", by)], count);
+        page.counter(
+            "heliostat_angles_limited",
+            "Axis angles changed by a limit of range or slew rate",
+            &[room, ("by", by)],
+            count,
+        );
     }
     if let Some(array) = &summary.array {
         for (bit, name) in FAULTS {
             let stands = f64::from(u8::from(array.faults & bit != 0));
-            page.gauge("heliostat_array_fault", "1 while the array reports this fault", &[room, ("fault", name)], stands);
+            page.gauge(
+                "heliostat_array_fault",
+                "1 while the array reports this fault",
+                &[room, ("fault", name)],
+                stands,
+            );
         }
         let unusable = array.unusable as f64;
         page.gauge("heliostat_array_unusable_mirrors", "Mirrors that do not follow commands", &[room], unusable);
         let refused = array.refused;
-        page.counter("heliostat_array_refused", "Commands that the array has refused since its start", &[room], refused);
+        page.counter(
+            "heliostat_array_refused",
+            "Commands that the array has refused since its start",
+            &[room],
+            refused,
+        );
     }
 }

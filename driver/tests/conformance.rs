@@ -86,7 +86,8 @@ fn broken(report: &Report) -> Vec<&'static str> {
 
 #[test]
 fn a_driver_made_with_the_kit_keeps_every_rule() {
-    let report = checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &Settings::new(bus), stop).unwrap()));
+    let report =
+        checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &Settings::new(bus), stop).unwrap()));
     assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
     assert_eq!((report.mirrors, report.hardware.as_str()), (3, "exact"));
 }

@@ -243,8 +243,11 @@ impl Player {
     /// Waits until it is time for an entry.
     fn wait_for(&mut self, entry: &Entry) -> Start {
         let rate = self.rate;
-        let start = *self.start.get_or_insert_with(|| {
-            Start { at: Instant::now(), at_ns: utc_ns(), recorded_ns: entry.arrived_ns, rate }
+        let start = *self.start.get_or_insert_with(|| Start {
+            at: Instant::now(),
+            at_ns: utc_ns(),
+            recorded_ns: entry.arrived_ns,
+            rate,
         });
         self.collect(start.due(entry.arrived_ns).saturating_duration_since(Instant::now()));
         start

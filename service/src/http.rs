@@ -19,7 +19,7 @@ use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use socket2::SockRef;
 use tokio::net::TcpStream;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use tokio_io_timeout::TimeoutStream;
 use tower_http::limit::RequestBodyLimitLayer;
 use tower_http::timeout::TimeoutLayer;
@@ -33,8 +33,6 @@ const BUFFER_MAX: usize = 16 * 1024;
 const SEND_BUFFER: usize = 256 * 1024;
 /// Pause after a connection could not be accepted, for example because files are used up.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
-/// Threads on which handlers may block at the same time.
-const BLOCKING_THREADS: usize = 4;
 
 /// What one client can cost.
 #[derive(Clone, Copy, Debug)]
@@ -77,8 +75,8 @@ pub struct Server {
 
 /// Serves a router on a thread of the given name, until `stop` is requested or the server is dropped.
 ///
-/// A handler that streams without end has to watch `stop` itself. A handler that blocks does so on
-/// `tokio::task::spawn_blocking`.
+/// A handler that streams without end has to watch `stop` itself. A handler must not block; see
+/// [`unblock`].
 ///
 /// # Errors
 /// What the operating system says where the socket cannot be used or no thread can be started.
@@ -86,12 +84,7 @@ pub fn serve(name: &str, listener: TcpListener, router: Router, limits: Limits, 
     let address = listener.local_addr()?;
     SockRef::from(&listener).set_send_buffer_size(SEND_BUFFER)?;
     listener.set_nonblocking(true)?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_io()
-        .enable_time()
-        .max_blocking_threads(BLOCKING_THREADS)
-        .thread_name(name)
-        .build()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build()?;
     let listener = {
         let _inside = runtime.enter();
         tokio::net::TcpListener::from_std(listener)?
@@ -100,11 +93,22 @@ pub fn serve(name: &str, listener: TcpListener, router: Router, limits: Limits, 
         .layer(RequestBodyLimitLayer::new(limits.body_bytes))
         .layer(TimeoutLayer::with_status_code(StatusCode::REQUEST_TIMEOUT, limits.answer));
     let until = stop.clone();
-    let thread = std::thread::Builder::new().name(name.to_owned()).spawn(move || {
-        runtime.block_on(accept(listener, router, limits, until));
-        runtime.shutdown_timeout(limits.shutdown);
-    })?;
+    let serve = move || runtime.block_on(accept(listener, router, limits, until));
+    let thread = std::thread::Builder::new().name(name.to_owned()).spawn(serve)?;
     Ok(Server { address, stop, thread: Some(thread) })
+}
+
+/// Runs what blocks on a thread of its own, for a handler.
+///
+/// Not on the runtime's blocking threads: Zenoh panics on any thread of a current-thread runtime.
+///
+/// # Errors
+/// No thread can be started, or the work panicked.
+pub async fn unblock<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> io::Result<T> {
+    let (sender, result) = oneshot::channel();
+    // A handler that gave up waiting needs no result.
+    std::thread::Builder::new().name("handler".into()).spawn(move || drop(sender.send(work())))?;
+    result.await.map_err(io::Error::other)
 }
 
 impl Server {

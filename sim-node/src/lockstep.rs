@@ -57,13 +57,7 @@ pub(crate) fn run(mut node: Node, ticks: u64, stop: &Stop) -> Result<Summary, No
 }
 
 /// Publishes a report; positions wait for their answer. Gives the number of ticks answered.
-fn publish(
-    node: &mut Node,
-    report: &Report,
-    now: Moment,
-    hash: &mut Fnv1a,
-    stop: &Stop,
-) -> Result<u64, NodeError> {
+fn publish(node: &mut Node, report: &Report, now: Moment, hash: &mut Fnv1a, stop: &Stop) -> Result<u64, NodeError> {
     let (ledger, clock) = (&mut node.ledger, node.clock);
     node.edge.publish(report, || {
         if let Report::Users(report) = report {
@@ -81,12 +75,7 @@ fn publish(
 }
 
 /// The command that answers the tick, given to the room; nothing when stopped.
-fn await_answer(
-    node: &mut Node,
-    tick: u64,
-    now: Moment,
-    stop: &Stop,
-) -> Result<Option<MirrorCommand>, NodeError> {
+fn await_answer(node: &mut Node, tick: u64, now: Moment, stop: &Stop) -> Result<Option<MirrorCommand>, NodeError> {
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WAIT {
         if stop.is_requested() {

@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use heliostat_sim_node::cli;
 use heliostat_service::exit;
+use heliostat_sim_node::cli;
 
 /// A simulated room: walking users, obstacles, mirrors, measured rates.
 #[derive(Debug, Parser)]

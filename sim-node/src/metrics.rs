@@ -16,12 +16,21 @@ pub(crate) fn page(room: &str, summary: &Summary, ledger: &Ledger) -> Page {
         ("heliostat_ticks_late", "Ticks published late or skipped", summary.late_ticks),
         ("heliostat_ticks_unattended", "Ticks before the first answered one", summary.unattended_ticks),
         ("heliostat_room_commands", "Commands that the array accepted", summary.commands),
-        ("heliostat_room_commands_clipped", "Accepted commands with an angle beyond the range", summary.clipped_commands),
+        (
+            "heliostat_room_commands_clipped",
+            "Accepted commands with an angle beyond the range",
+            summary.clipped_commands,
+        ),
     ] {
         page.counter(name, help, &[], value);
     }
     for (reason, count) in &summary.refused {
-        page.counter("heliostat_room_refused", "Payloads and commands refused, by reason", &[("reason", reason.as_str())], *count);
+        page.counter(
+            "heliostat_room_refused",
+            "Payloads and commands refused, by reason",
+            &[("reason", reason.as_str())],
+            *count,
+        );
     }
     let help = "From the publication of a position report to the arrival of the command that answers it";
     page.histogram("heliostat_loop_seconds", help, &[], Histogram::of_ns(ledger.latency_ns()));
@@ -34,7 +43,12 @@ pub(crate) fn add_rates(page: &mut Page, measured: &Measured) {
     for (hands, rate) in
         [("policy", sums.policy), ("no-irs", sums.no_irs), ("flat", sums.flat), ("oracle", sums.oracle)]
     {
-        page.gauge("heliostat_sum_rate_bps", "Sum rate under the policy, without mirrors, with flat mirrors, and under the oracle", &[("hands", hands)], rate);
+        page.gauge(
+            "heliostat_sum_rate_bps",
+            "Sum rate under the policy, without mirrors, with flat mirrors, and under the oracle",
+            &[("hands", hands)],
+            rate,
+        );
     }
     let blocked = measured.los_blocked.iter().filter(|blocked| **blocked).count();
     for (name, help, count) in [

@@ -28,7 +28,7 @@ const MEMBERS: [&str; 13] = [
     "proto",
     "bus",
     "driver",
-    "metrics",
+    "service",
     "sim-node",
     "controller",
     "models",
@@ -73,7 +73,7 @@ fn the_page_knows_a_room_by_its_topics_alone() {
 
 #[test]
 fn what_is_deployed_carries_no_training_and_no_plots() {
-    for member in ["channel", "scenario", "proto", "bus", "driver", "metrics", "sim-node", "controller"] {
+    for member in ["channel", "scenario", "proto", "bus", "driver", "service", "sim-node", "controller"] {
         for heavy in ["candle-core", "candle-nn", "plotters", "heliostat-models"] {
             assert!(!dependencies(member).contains(&heavy.to_string()), "{member} depends on {heavy}");
         }
@@ -87,6 +87,19 @@ fn each_foreign_library_has_one_door() {
     assert_eq!(offenders(&["postcard::"], &["proto/src/codec.rs"]), Vec::<String>::new());
     assert_eq!(offenders(&["mcap::"], &["record/src/file.rs"]), Vec::<String>::new());
     assert_eq!(offenders(&["foxglove::"], &["record/src/scene.rs"]), Vec::<String>::new());
+    assert_eq!(offenders(&["ctrlc::"], &["service/src/signals.rs"]), Vec::<String>::new());
+    assert_eq!(offenders(&["hyper::", "hyper_util::"], &["service/src/http.rs"]), Vec::<String>::new());
+}
+
+#[test]
+fn what_processes_share_is_written_once() {
+    let clocks = ["service/src/clock.rs", "heliostat/src/commands/doctor/machine.rs", "reproduce/src/machine.rs"];
+    assert_eq!(offenders(&["SystemTime", "UNIX_EPOCH"], &clocks), Vec::<String>::new());
+    assert_eq!(offenders(&["RandomState"], &["service/src/source_id.rs", "bus/src/config.rs"]), Vec::<String>::new());
+    assert_eq!(offenders(&["process::exit", "ExitCode::FAILURE"], &["service"]), Vec::<String>::new());
+    for pure in ["channel", "scenario", "proto"] {
+        assert!(!dependencies(pure).contains(&"heliostat-service".to_string()), "{pure} depends on service");
+    }
 }
 
 #[test]

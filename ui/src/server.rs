@@ -21,8 +21,8 @@ use axum::http::{HeaderMap, Method, StatusCode, Uri};
 use axum::middleware::from_fn;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
-use heliostat_service::http::{self, Limits};
 use heliostat_service::Stop;
+use heliostat_service::http::{self, Limits};
 use serde::Serialize;
 
 use crate::assets::{self, JAVASCRIPT};
@@ -191,8 +191,7 @@ async fn order(State(Shared { page, .. }): State<Shared>, headers: HeaderMap, bo
         Err(error) => return reply(StatusCode::UNPROCESSABLE_ENTITY, TEXT, format!("invalid order: {error}\n")),
     };
     // Sending waits for the network.
-    let sent = tokio::task::spawn_blocking(move || page.operator.send(&order)).await;
-    match sent {
+    match http::unblock(move || page.operator.send(&order)).await {
         Ok(Ok(())) => reply(StatusCode::ACCEPTED, TEXT, ""),
         Ok(Err(error @ UiError::Unheard(_))) => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string()),
         Ok(Err(error)) => reply(StatusCode::UNPROCESSABLE_ENTITY, TEXT, error.to_string()),

@@ -1,12 +1,12 @@
 //! The flags of the controller, for its own program and for the `heliostat` command line.
 
-use std::{io::Write, path::PathBuf, time::Duration};
+use std::{io::Write, path::PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use heliostat_bus::BusArgs;
-use heliostat_metrics::{LogArgs, MetricsArgs};
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
 
 use crate::{
     intake::{Deciding, KeepWarm, Place},
@@ -16,9 +16,6 @@ use crate::{
 };
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
 use heliostat_engine::ActorSource;
-
-/// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
-const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_controller=info,heliostat_metrics=info";
 
 /// Run the central unit: reports in, mirror commands out.
 ///
@@ -60,12 +57,8 @@ pub struct Args {
     /// Take time from the reports, for a room that runs in lockstep; the same room then gets the same commands
     #[arg(long)]
     lockstep: bool,
-    /// End after this long
-    #[arg(long, value_name = "N")]
-    seconds: Option<f64>,
-    /// End when standard input closes
-    #[arg(long)]
-    exit_with_parent: bool,
+    #[command(flatten)]
+    end: EndArgs,
     /// Print the summary as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -77,9 +70,6 @@ impl Args {
     /// # Errors
     /// Whatever is wrong with a flag or with the scenario.
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
-        if let Some(seconds) = self.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
-            bail!("--seconds {seconds}: wanted 0.1 to 10000000");
-        }
         self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path).check_used_by(self.policy)?;
         let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
@@ -94,7 +84,7 @@ impl Args {
             model: self.model.clone(),
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
-            run_for: self.seconds.map(Duration::from_secs_f64),
+            run_for: self.end.seconds,
             metrics: self.metrics,
         })
     }
@@ -106,21 +96,12 @@ impl Args {
 /// Whatever keeps it from starting, with what to do about it.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let config = args.node_config()?;
-    args.log.begin(DEFAULT_LOG);
-    let (stop, stopped) = node::stop_channel();
-    let on_signal = stop.clone();
-    ctrlc::set_handler(move || {
-        // The node may have ended already.
-        let _ = on_signal.send(());
-    })
-    .context("cannot listen for Ctrl-C")?;
-    if args.exit_with_parent {
-        node::stop_with_parent(stop);
-    }
+    args.log.start();
+    let stop = args.end.stop()?;
     // Before any other thread is there: those that follow inherit it.
     let machine = args.machine.obtain();
     machine.iter().for_each(|granted| tracing::info!("{granted}"));
-    let summary = Summary { machine, ..node::run(&config, &stopped)? };
+    let summary = Summary { machine, ..node::run(&config, &stop)? };
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
     if args.json {

@@ -8,13 +8,14 @@
 use std::{
     ops::RangeInclusive,
     sync::Arc,
-    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant},
 };
 
 use heliostat_bus::Publisher;
 use heliostat_proto::{
     ChannelReport, CodecError, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode_into, encode,
 };
+use heliostat_service::clock::utc_ns;
 
 use crate::{
     control::ControlAccount,
@@ -59,12 +60,6 @@ impl RoomClock {
             Self::Lockstep { newest_ns } => *newest_ns,
         }
     }
-}
-
-/// UTC in ns since 1970.
-pub fn utc_ns() -> Nanos {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    Nanos::try_from(since.as_nanos()).unwrap_or(Nanos::MAX)
 }
 
 /// Share of the newest duration in the mean that is expected of the next one.

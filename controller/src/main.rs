@@ -1,10 +1,10 @@
 //! The controller as a program of its own, for deployment.
 
-use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
 use heliostat_controller::cli;
+use heliostat_service::exit;
 
 #[derive(Parser)]
 #[command(name = "heliostat-controller", version)]
@@ -14,11 +14,5 @@ struct Program {
 }
 
 fn main() -> ExitCode {
-    match cli::run(Program::parse().args) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            drop(writeln!(std::io::stderr(), "heliostat-controller: {error:#}"));
-            ExitCode::FAILURE
-        }
-    }
+    exit::run("heliostat-controller", || cli::run(Program::parse().args))
 }

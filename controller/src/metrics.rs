@@ -1,7 +1,7 @@
-//! The controller's metrics, made from what the status loop knows anyway.
+//! The controller's metrics, made by the status loop.
 
-use heliostat_metrics::{Histogram, Page};
 use heliostat_proto::messages::fault;
+use heliostat_service::{Histogram, Page};
 
 use crate::post::Post;
 use heliostat_decide::core::Stage;
@@ -16,7 +16,7 @@ const FAULTS: [(u32, &str); 6] = [
     (fault::CLOCK, "clock"),
 ];
 
-/// The page of all rooms as of their last look.
+/// The page of all rooms.
 pub fn page(posts: &[Post]) -> Page {
     let mut page = Page::default();
     page.build_info("controller", env!("CARGO_PKG_VERSION"));
@@ -30,33 +30,41 @@ fn add_room(page: &mut Page, post: &Post) {
     let (summary, times) = (post.summary(), post.times());
     let room = ("room", post.room().name());
     let policy = [room, ("policy", summary.policy.as_str())];
-    page.gauge("heliostat_policy_info", "Which policy decides; the value says nothing", &policy, 1.0);
+    page.gauge("heliostat_policy_info", "Name of the policy in use; the value is always 1", &policy, 1.0);
     page.gauge("heliostat_epoch", "Epoch of the commands", &[room], summary.epoch as f64);
     for (name, help, value) in [
-        ("heliostat_decisions", "Position reports that were answered, be it to hold", summary.decisions),
-        ("heliostat_commands", "Commands among the answers", summary.commands),
-        ("heliostat_commands_unsent", "Commands that the transport did not take", summary.unsent),
-        ("heliostat_reports_shed", "Reports that a newer one replaced before they were answered", summary.shed),
-        ("heliostat_policy_stalls", "Looks at which the policy had not answered for 0.1 s", summary.unanswered),
-        ("heliostat_room_sources", "Sources that owned the room, one after the other", summary.sources),
+        ("heliostat_decisions", "Position reports answered by a command or by the decision to hold", summary.decisions),
+        ("heliostat_commands", "Position reports answered by a command", summary.commands),
+        ("heliostat_commands_unsent", "Commands that the transport refused", summary.unsent),
+        (
+            "heliostat_reports_shed",
+            "Position reports superseded by a newer one before they were answered",
+            summary.shed,
+        ),
+        (
+            "heliostat_policy_stalls",
+            "Status checks at which a policy had been computing for more than 0.1 s",
+            summary.unanswered,
+        ),
+        ("heliostat_room_sources", "Publishers that have reported for the room, in succession", summary.sources),
     ] {
         page.counter(name, help, &[room], value);
     }
     let help = "From the arrival of a position report to the return of the command's publication";
     page.histogram("heliostat_decision_seconds", help, &[room], Histogram::of_ns(times.decision()));
-    let help = "Age of the positions that a decision acted on";
+    let help = "From the measurement of the positions to the decision";
     page.histogram("heliostat_information_age_seconds", help, &[room], Histogram::of_ns(times.age()));
     for stage in Stage::ALL {
         let (named, caused) = ([room, ("stage", stage.name())], [room, ("cause", stage.name())]);
-        let help = "Part of a decision";
+        let help = "Duration of one stage of a decision";
         page.histogram("heliostat_stage_seconds", help, &named, Histogram::of_ns(times.stage(stage)));
-        let help = "Decisions of more than 0.5 ms, by the stage that took longest";
+        let help = "Decisions longer than 0.5 ms, by their longest stage";
         page.counter("heliostat_decision_misses", help, &caused, times.over_budget_by(stage));
     }
     for (cause, count) in &summary.fallbacks {
         page.counter(
             "heliostat_fallbacks",
-            "Ticks that left the plain way",
+            "Ticks decided in a degraded mode, by cause",
             &[room, ("cause", cause.as_str())],
             *count,
         );
@@ -64,19 +72,34 @@ fn add_room(page: &mut Page, post: &Post) {
     for (name, count) in &summary.refused {
         let (stream, reason) = name.split_once(':').unwrap_or((name.as_str(), ""));
         let labels = [room, ("stream", stream), ("reason", reason)];
-        page.counter("heliostat_refused", "Messages received and not used", &labels, *count);
+        page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, *count);
     }
     for (by, count) in [("range", summary.clipped.range), ("slew", summary.clipped.slew)] {
-        page.counter("heliostat_angles_limited", "Axis values that a limit changed", &[room, ("by", by)], count);
+        page.counter(
+            "heliostat_angles_limited",
+            "Axis angles changed by a limit of range or slew rate",
+            &[room, ("by", by)],
+            count,
+        );
     }
     if let Some(array) = &summary.array {
         for (bit, name) in FAULTS {
             let stands = f64::from(u8::from(array.faults & bit != 0));
-            page.gauge("heliostat_array_fault", "1 while the array tells this fault", &[room, ("fault", name)], stands);
+            page.gauge(
+                "heliostat_array_fault",
+                "1 while the array reports this fault",
+                &[room, ("fault", name)],
+                stands,
+            );
         }
         let unusable = array.unusable as f64;
-        page.gauge("heliostat_array_unusable_mirrors", "Mirrors known not to follow", &[room], unusable);
+        page.gauge("heliostat_array_unusable_mirrors", "Mirrors that do not follow commands", &[room], unusable);
         let refused = array.refused;
-        page.counter("heliostat_array_refused", "Commands that the array refused since it started", &[room], refused);
+        page.counter(
+            "heliostat_array_refused",
+            "Commands that the array has refused since its start",
+            &[room],
+            refused,
+        );
     }
 }

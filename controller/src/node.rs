@@ -3,17 +3,15 @@
 //! Nothing here is on the way from a report to its command.
 
 use std::{
-    io::Read,
     path::PathBuf,
-    sync::mpsc::{self, Receiver, RecvTimeoutError, Sender},
     time::{Duration, Instant},
 };
 
 use anyhow::{Context, bail};
 use heliostat_bus::{Bus, BusConfig};
-use heliostat_metrics::MetricsArgs;
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
+use heliostat_service::{MetricsArgs, Stop};
 
 use crate::{intake::Deciding, metrics, post::Post, summary::Summary};
 use heliostat_decide::{
@@ -65,30 +63,11 @@ pub struct NodeConfig {
     pub metrics: MetricsArgs,
 }
 
-/// Ends a running node when it is sent anything.
-pub type Stop = Sender<()>;
-
-/// A pair to stop a node by.
-pub fn stop_channel() -> (Stop, Receiver<()>) {
-    mpsc::channel()
-}
-
-/// Ends the node when the parent process closes our standard input.
-pub fn stop_with_parent(stop: Stop) {
-    std::thread::spawn(move || {
-        let mut ignored = [0; 256];
-        let mut input = std::io::stdin().lock();
-        while !matches!(input.read(&mut ignored), Ok(0) | Err(_)) {}
-        // The node may have ended already.
-        let _ = stop.send(());
-    });
-}
-
 /// Runs a controller until it is stopped, and gives its account.
 ///
 /// # Errors
 /// Where the actor does not fit, the bus cannot be opened, or other controllers have taken over every room.
-pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summary> {
+pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
     let started = Instant::now();
     let exporter = config.metrics.open()?;
     let bus = Bus::open(&config.bus).context("cannot join the room")?;
@@ -99,7 +78,7 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
     let deadline = config.run_for.map(|run_for| started + run_for);
     let mut next_look = Instant::now() + STATUS_INTERVAL;
     let mut silence_told = false;
-    while !wait_for_stop(stopped, deadline) {
+    while !wait_for_stop(stop, deadline) {
         posts.iter_mut().for_each(Post::elapse);
         if Instant::now() < next_look {
             continue;
@@ -166,19 +145,10 @@ fn nobody_reports(config: &NodeConfig) -> String {
     )
 }
 
-/// Waits until it is time to look after the rooms again; true where the node is to end instead.
-fn wait_for_stop(stopped: &Receiver<()>, deadline: Option<Instant>) -> bool {
+/// Waits until the rooms are due for a check; true where the node has to end instead.
+fn wait_for_stop(stop: &Stop, deadline: Option<Instant>) -> bool {
     let left = deadline.map_or(SILENCE_INTERVAL, |deadline| deadline.saturating_duration_since(Instant::now()));
-    if left.is_zero() {
-        return true;
-    }
-    match stopped.recv_timeout(left.min(SILENCE_INTERVAL)) {
-        Ok(()) => true,
-        Err(RecvTimeoutError::Timeout) => deadline.is_some_and(|deadline| Instant::now() >= deadline),
-        // Nobody is left who could stop us but the deadline.
-        Err(RecvTimeoutError::Disconnected) => {
-            std::thread::sleep(left.min(SILENCE_INTERVAL));
-            deadline.is_some_and(|deadline| Instant::now() >= deadline)
-        }
-    }
+    left.is_zero()
+        || stop.wait_for(left.min(SILENCE_INTERVAL))
+        || deadline.is_some_and(|deadline| Instant::now() >= deadline)
 }

@@ -4,7 +4,6 @@
 //! by another controller leaves the others alone.
 
 use std::{
-    hash::{BuildHasher, Hasher, RandomState},
     sync::{Arc, Mutex, MutexGuard},
     thread::JoinHandle,
     time::{Duration, Instant},
@@ -13,10 +12,11 @@ use std::{
 use anyhow::Context;
 use heliostat_bus::{Bus, Class, Presence, Publisher, Subscription, Token};
 use heliostat_proto::{Capabilities, EmergencyStop, NodeKind, Room, decode, encode, keys::parse_alive};
+use heliostat_service::{clock::utc_ns, source_id};
 
 use crate::{
     control::{self, Workshop},
-    desk::{Desk, RoomClock, utc_ns},
+    desk::{Desk, RoomClock},
     intake::{Deciding, Intake, attend, lock, try_lock},
     ledger::Ledger,
     node::{NodeConfig, Pace},
@@ -107,7 +107,7 @@ impl Post {
         subscriptions.extend(learn_of_array(bus, (&desk, &standby), examiner)?);
         let workshop = Workshop { scenario: scenario.clone(), model, own: (config.policy, actor) };
         subscriptions.push(control::listen(bus, &desk, workshop)?);
-        let source = RandomState::new().build_hasher().finish();
+        let source = source_id::random();
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {

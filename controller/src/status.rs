@@ -1,13 +1,9 @@
 //! What a controller says about itself twice a second, for people; nothing is decided by it.
 
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
+use heliostat_service::clock::utc_ns;
 
-use crate::{
-    control::ControlAccount,
-    desk::{Desk, utc_ns},
-    ledger::Ledger,
-    summary::Summary,
-};
+use crate::{control::ControlAccount, desk::Desk, ledger::Ledger, summary::Summary};
 use heliostat_decide::{
     core::{Controller, Departure},
     refusal::Refusal,

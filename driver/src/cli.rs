@@ -2,14 +2,12 @@
 
 use std::io::Write;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use heliostat_bus::BusArgs;
 use heliostat_proto::{Room, Stamp};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
 
 use crate::config::Config;
 use crate::run;
@@ -44,9 +42,12 @@ struct RunArgs {
     calibration: Option<PathBuf>,
     #[command(flatten)]
     bus: BusArgs,
-    /// End after this many seconds; without it, run until stopped
-    #[arg(long, value_name = "N", value_parser = run::seconds)]
-    seconds: Option<Duration>,
+    #[command(flatten)]
+    metrics: MetricsArgs,
+    #[command(flatten)]
+    log: LogArgs,
+    #[command(flatten)]
+    end: EndArgs,
     /// Print the summary as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -83,16 +84,11 @@ fn drive(args: &RunArgs) -> Result<()> {
         kit.calibrate(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
     }
     let bus = args.bus.config_or_connect()?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let on_signal = Arc::clone(&stop);
-    let handler = move || {
-        if on_signal.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    };
-    ctrlc::set_handler(handler).context("cannot watch for Ctrl-C")?;
-    drop(writeln!(std::io::stderr(), "driver: room {}, array of {}", bus.room, args.config.display()));
-    let summary = run::run(kit, &bus, args.seconds, &stop)?;
+    let stop = args.end.stop()?;
+    args.log.start();
+    tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
+    let settings = run::Settings { bus, run_for: args.end.seconds, metrics: args.metrics };
+    let summary = run::run(kit, &settings, &stop)?;
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
     if args.json {

@@ -1,6 +1,8 @@
 //! The clock of live operation: both times of a room.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
+
+use heliostat_service::clock::utc_ns;
 
 use heliostat_array::moment::Moment;
 
@@ -23,8 +25,7 @@ impl Clock {
 
     /// Both times.
     pub fn now(&self) -> Moment {
-        let room_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, as_ns);
-        Moment { local_ns: self.local_ns(), room_ns }
+        Moment { local_ns: self.local_ns(), room_ns: utc_ns() }
     }
 
     /// The instant at which local time is `local_ns`.

@@ -16,6 +16,7 @@ pub mod config;
 pub mod devices;
 pub mod inbox;
 pub mod lines;
+mod metrics;
 pub mod run;
 
 pub use heliostat_array::{Device, DeviceError, Health, Kit};

@@ -148,9 +148,3 @@ impl Lines {
         self.capabilities.put()
     }
 }
-
-/// A number that two instances are most unlikely to share: the standard library seeds its hashers from the operating system.
-pub fn random_id() -> u64 {
-    use std::hash::{BuildHasher, RandomState};
-    RandomState::new().hash_one((std::process::id(), std::time::SystemTime::now()))
-}

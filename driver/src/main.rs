@@ -1,10 +1,10 @@
 //! The driver as a program of its own; `heliostat driver` is the same.
 
-use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
 use heliostat_driver::cli;
+use heliostat_service::exit;
 
 /// Drive real mirrors, or check a driver against the contract.
 #[derive(Debug, Parser)]
@@ -15,11 +15,5 @@ struct Program {
 }
 
 fn main() -> ExitCode {
-    match cli::run(Program::parse().args) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            drop(writeln!(std::io::stderr(), "heliostat-driver: {error:#}"));
-            ExitCode::FAILURE
-        }
-    }
+    exit::run("heliostat-driver", || cli::run(Program::parse().args))
 }

@@ -2,16 +2,17 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::io::Write;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_proto::{ArrayState, NodeKind, NodeStatus, Stamp};
+use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use serde::Serialize;
+use thiserror::Error;
 
-use crate::clock::{Clock, as_ns};
-use crate::lines::{Lines, LinesError, Outlet, check_alone, random_id};
+use crate::clock::Clock;
+use crate::lines::{Lines, LinesError, Outlet, check_alone};
+use crate::metrics;
 use heliostat_array::device::Device;
 use heliostat_array::kit::Kit;
 use heliostat_array::moment::Moment;
@@ -28,6 +29,41 @@ const SLEEP_MAX: Duration = Duration::from_millis(50);
 
 /// First and longest pause before a router that cannot be reached is tried again.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
+
+/// Where a driver runs.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The session with the room.
+    pub bus: BusConfig,
+    /// How long; without end where absent.
+    pub run_for: Option<Duration>,
+    /// Where metrics are served.
+    pub metrics: MetricsArgs,
+}
+
+impl Settings {
+    /// A driver that runs until it is stopped and serves no metrics.
+    pub fn new(bus: BusConfig) -> Self {
+        Self { bus, run_for: None, metrics: MetricsArgs::default() }
+    }
+}
+
+/// Why a driver cannot start or go on.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// The session failed, or another process drives the mirrors of this room.
+    #[error(transparent)]
+    Lines(#[from] LinesError),
+    /// Metrics cannot be served.
+    #[error(transparent)]
+    Metrics(#[from] MetricsError),
+}
+
+impl From<BusError> for RunError {
+    fn from(error: BusError) -> Self {
+        Self::Lines(error.into())
+    }
+}
 
 /// What a run came to.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -58,28 +94,27 @@ impl fmt::Display for Summary {
     }
 }
 
-/// Drives a device until `stop` is set, or for `duration`.
+/// Drives a device until `stop` is requested, or for a given time.
 ///
 /// A router that cannot be reached is tried again, and so is a device that does not answer.
 ///
 /// # Errors
-/// [`LinesError`]: a transport that is set up wrongly or fails, or somebody else who turns the mirrors of this room.
-pub fn run<D: Device>(
-    kit: Kit<D>,
-    bus: &BusConfig,
-    duration: Option<Duration>,
-    stop: &AtomicBool,
-) -> Result<Summary, LinesError> {
-    let end = duration.map(|duration| Instant::now() + duration);
-    let Some(bus) = open(bus, stop)? else { return Ok(Summary::default()) };
+/// [`RunError`]: a transport that is set up wrongly or fails, another process that drives the mirrors of this room, an
+/// address at which metrics cannot be served.
+pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
+    let end = settings.run_for.map(|duration| Instant::now() + duration);
+    let exporter = settings.metrics.open()?;
+    let Some(bus) = open(&settings.bus, stop)? else { return Ok(Summary::default()) };
     check_alone(&bus)?;
     let clock = Clock::start_in(Duration::ZERO);
-    let source = random_id();
+    let source = source_id::random();
     let mut driver = Driver {
         kit,
         lines: Lines::open(&bus, clock, Class::State)?,
         status: Outlet::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
         refused: Refused::default(),
+        room: bus.room().to_string(),
+        exporter,
         source,
         sequences: [0; 3],
         told: ArrayState::Parked,
@@ -88,7 +123,7 @@ pub fn run<D: Device>(
     };
     let token = bus.announce(&bus.room().alive(NodeKind::Driver, source))?;
     let (mut telemetry, mut announcement) = (Instant::now(), Instant::now());
-    while !stop.load(Ordering::Relaxed) && end.is_none_or(|end| Instant::now() < end) {
+    while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
         let work = driver.kit.next_ns().map_or(telemetry, |next_ns| clock.instant_at(next_ns));
         let wake = work.min(telemetry).min(announcement).min(Instant::now() + SLEEP_MAX);
         driver.hear(wake);
@@ -116,17 +151,17 @@ pub fn run<D: Device>(
 }
 
 /// Opens the session, as often as it takes to reach a router; nothing when stopped meanwhile.
-fn open(config: &BusConfig, stop: &AtomicBool) -> Result<Option<Bus>, LinesError> {
+fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, LinesError> {
     let [mut pause, longest] = ROUTER_PAUSES;
-    while !stop.load(Ordering::Relaxed) {
+    while !stop.is_requested() {
         match Bus::open(config) {
             Ok(bus) => return Ok(Some(bus)),
             Err(error @ BusError::CannotReach { .. }) => {
-                drop(writeln!(std::io::stderr(), "driver: {error}; trying again in {pause:?}"))
+                tracing::warn!("{error}; trying again in {pause:?}");
             }
             Err(error) => return Err(error.into()),
         }
-        std::thread::sleep(pause);
+        stop.wait_for(pause);
         pause = longest.min(2 * pause);
     }
     Ok(None)
@@ -137,6 +172,8 @@ struct Driver<D> {
     lines: Lines,
     status: Outlet,
     refused: Refused,
+    room: String,
+    exporter: Option<Exporter>,
     source: u64,
     /// Of telemetry, capabilities and status.
     sequences: [u64; 3],
@@ -175,9 +212,12 @@ impl<D: Device> Driver<D> {
         let summary = self.summary();
         if self.told_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {
-                drop(writeln!(std::io::stderr(), "driver: {}", summary.last_problem));
+                tracing::warn!("{}", summary.last_problem);
             }
             self.told_problem.clone_from(&summary.last_problem);
+        }
+        if let Some(exporter) = &self.exporter {
+            exporter.publish(metrics::page(&self.room, &summary, self.kit.array().state()));
         }
         let stamp = self.stamp(2, now);
         let mut status = NodeStatus {
@@ -210,16 +250,4 @@ impl<D: Device> Driver<D> {
             last_problem: device.unwrap_or_else(|| self.refused.last_problem().to_owned()),
         }
     }
-}
-
-/// How long a text on the command line lasts, in seconds.
-///
-/// # Errors
-/// What is wrong with the text.
-pub fn seconds(text: &str) -> Result<Duration, String> {
-    let value: f64 = text.parse().map_err(|_| format!("`{text}` is no number of seconds"))?;
-    Duration::try_from_secs_f64(value)
-        .ok()
-        .filter(|duration| as_ns(*duration) > 0)
-        .ok_or_else(|| format!("`{text}` is no length of time"))
 }

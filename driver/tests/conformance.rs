@@ -12,10 +12,12 @@ use heliostat_channel::MirrorAngles;
 use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::Clock;
 use heliostat_driver::lines::Lines;
+use heliostat_driver::run::Settings;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
     AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, Room, Stamp, StopAction, ValidityClock,
 };
+use heliostat_service::Stop;
 
 /// Mirrors that are wherever they were told to be.
 struct Exact {
@@ -66,15 +68,15 @@ impl Device for Exact {
 }
 
 /// Checks whatever `drive` does in a room of its own.
-fn checked(room: &str, drive: impl FnOnce(BusConfig, &AtomicBool) + Send) -> Report {
+fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
     let endpoint = free_loopback_endpoint().unwrap();
     let config = BusConfig::new(Room::new(room).unwrap());
-    let stop = AtomicBool::new(false);
+    let stop = Stop::default();
     std::thread::scope(|scope| {
         let driver = config.clone().listen_at(&endpoint);
         scope.spawn(|| drive(driver, &stop));
         let report = check::run(&config.connect_to(&endpoint));
-        stop.store(true, Ordering::Relaxed);
+        stop.request();
         report.unwrap()
     })
 }
@@ -85,7 +87,8 @@ fn broken(report: &Report) -> Vec<&'static str> {
 
 #[test]
 fn a_driver_made_with_the_kit_keeps_every_rule() {
-    let report = checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &bus, None, stop).unwrap()));
+    let report =
+        checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &Settings::new(bus), stop).unwrap()));
     assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
     assert_eq!((report.mirrors, report.hardware.as_str()), (3, "exact"));
 }
@@ -95,7 +98,7 @@ fn a_driver_without_a_clock_is_judged_by_what_it_announces() {
     let mut device = Exact::new();
     device.capabilities.validity_clock = ValidityClock::Arrival;
     device.capabilities.feedback = Feedback::ClosedLoop;
-    let report = checked("clockless", |bus, stop| drop(run::run(Kit::new(device), &bus, None, stop).unwrap()));
+    let report = checked("clockless", |bus, stop| drop(run::run(Kit::new(device), &Settings::new(bus), stop).unwrap()));
     let not_judged = report.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
     assert_eq!(not_judged.map(|finding| finding.rule).collect::<Vec<_>>(), ["expired", "future"]);
     assert_eq!(broken(&report), [""; 0], "{report}");
@@ -113,7 +116,7 @@ enum Flaw {
 }
 
 /// A driver with one flaw: a sound kit whose messages are tampered with on the way in or out.
-fn flawed(flaw: Flaw, bus: &BusConfig, stop: &AtomicBool) {
+fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let bus = Bus::open(bus).unwrap();
     let clock = Clock::start_in(Duration::ZERO);
     let mut lines = Lines::open(&bus, clock, Class::State).unwrap();
@@ -137,7 +140,7 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &AtomicBool) {
     let mut refused = Refused::default();
     let (mut named, mut count, mut sequence) = ((0, 0), 0, 0);
     let mut announcement = Instant::now();
-    while !stop.load(Ordering::Relaxed) {
+    while !stop.is_requested() {
         while let Some(mut arrival) = lines.inbox().pop_until(Instant::now() + Duration::from_millis(20)) {
             if flaw == Flaw::DeafToStops && matches!(arrival.content, Content::Stop(_)) {
                 continue;

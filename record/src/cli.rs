@@ -2,14 +2,13 @@
 
 use std::io::Write;
 use std::path::PathBuf;
-use std::time::Duration;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use heliostat_bus::BusArgs;
-use heliostat_controller::node::{Stop, stop_channel, stop_with_parent};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::{EndArgs, signals};
 use serde::Serialize;
 
 use crate::{play, recorder, replay};
@@ -29,15 +28,11 @@ pub struct RecordArgs {
     /// The file to create; an existing file is not overwritten
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
-    /// End after this many seconds
-    #[arg(long, value_name = "N", value_parser = seconds)]
-    seconds: Option<Duration>,
+    #[command(flatten)]
+    end: EndArgs,
     /// End when every process that was seen in the room has left it
     #[arg(long)]
     until_empty: bool,
-    /// End when standard input closes
-    #[arg(long)]
-    exit_with_parent: bool,
     /// Print the message counts as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -94,19 +89,15 @@ pub struct ReplayArgs {
 /// Any error that prevents the start; a file that could not be written completely, after the counts
 /// were printed.
 pub fn record(args: RecordArgs) -> Result<()> {
-    let (stop, stopped) = stop_channel();
-    stop_on_signal(stop.clone())?;
-    if args.exit_with_parent {
-        stop_with_parent(stop);
-    }
+    let stop = args.end.stop()?;
     let settings = recorder::Settings {
         scenario: args.scenario.load()?,
         bus: args.bus.config_or_connect()?,
         out: args.out,
-        run_for: args.seconds,
+        run_for: args.end.seconds,
         until_empty: args.until_empty,
     };
-    let outcome = recorder::run(&settings, &stopped)?;
+    let outcome = recorder::run(&settings, &stop)?;
     print(args.json, &outcome, &outcome.account)?;
     if let Some(failure) = &outcome.failure {
         bail!("{}: {failure}", outcome.file.display());
@@ -120,8 +111,8 @@ pub fn record(args: RecordArgs) -> Result<()> {
 /// Replays, and prints the result.
 ///
 /// # Errors
-/// [`Unusable`](replay::Unusable) if the recording cannot be replayed; with `--verify`, a
-/// difference.
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput) if the recording cannot be replayed;
+/// with `--verify`, a difference.
 pub fn replay(args: ReplayArgs) -> Result<()> {
     if !args.verify && args.policy.is_none() && args.model.is_none() {
         return play(args);
@@ -140,11 +131,10 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
 }
 
 fn play(args: ReplayArgs) -> Result<()> {
-    let (stop, stopped) = stop_channel();
-    stop_on_signal(stop)?;
+    let stop = signals::stop_on_signals()?;
     let bus = BusArgs { listen: args.listen, connect: args.connect, client: args.client, ..BusArgs::default() };
     let settings = play::Settings { file: args.file, room: args.room, bus, rate: args.rate };
-    let playback = play::run(&settings, &stopped)?;
+    let playback = play::run(&settings, &stop)?;
     print(args.json, &playback, &playback)
 }
 
@@ -159,19 +149,6 @@ fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> R
     Ok(())
 }
 
-fn seconds(text: &str) -> Result<Duration, String> {
-    let value = text.parse().ok().filter(|value| (0.1..=1e7).contains(value));
-    value.map(Duration::from_secs_f64).ok_or_else(|| "expected seconds from 0.1 to 10000000, for example 2.5".into())
-}
-
 fn rate(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|rate| (0.01..=100.0).contains(rate)).ok_or_else(|| "expected 0.01 to 100".into())
-}
-
-fn stop_on_signal(stop: Stop) -> Result<()> {
-    ctrlc::set_handler(move || {
-        // The command may have ended already.
-        let _ = stop.send(());
-    })
-    .context("cannot listen for Ctrl-C")
 }

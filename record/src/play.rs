@@ -9,7 +9,7 @@ use std::fmt;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{Bus, BusArgs, Class, Publisher, Token};
@@ -17,11 +17,13 @@ use heliostat_proto::{
     Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Room, Stamp,
     UserReport, decode, encode,
 };
+use heliostat_service::Stop;
+use heliostat_service::clock::utc_ns;
 use serde::Serialize;
 
 use crate::file::{self, Entry};
 use crate::received::Received;
-use crate::replay::{Beginning, Clock, Unusable, difference};
+use crate::replay::{self, Beginning, Clock, difference};
 
 /// Longest time to wait for a controller.
 const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
@@ -68,10 +70,10 @@ pub struct Playback {
 /// Plays a recording into a room, until its end or until stopped.
 ///
 /// # Errors
-/// [`Unusable`] if the recording cannot be read; a bus that cannot be opened, a controller that
-/// does not join, a lockstep report that is not answered.
-pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
-    let unusable = || Unusable(settings.file.clone());
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput) if the recording cannot be read; a bus
+/// that cannot be opened, a controller that does not join, a lockstep report that is not answered.
+pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
+    let unusable = || replay::unusable(&settings.file);
     let Beginning { room: recorded_room, clock, capabilities } =
         Beginning::read(&settings.file).with_context(unusable)?;
     ensure!(
@@ -107,7 +109,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
     let begun = Instant::now();
     let mut reported = false;
     while bus.alive(&room.alive_of(NodeKind::Controller), ALIVE_LIMIT)?.is_empty() {
-        if stopped.try_recv().is_ok() {
+        if stop.is_requested() {
             bus.close()?;
             return Ok(player.playback);
         }
@@ -123,7 +125,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Playback> {
     }
     let mut ends = false;
     while let Some(entry) = reading.entry().with_context(unusable)? {
-        ends = stopped.try_recv().is_ok();
+        ends = stop.is_requested();
         if ends {
             break;
         }
@@ -245,9 +247,11 @@ impl Player {
     /// Waits until an entry is due.
     fn wait_for(&mut self, entry: &Entry) -> Start {
         let rate = self.rate;
-        let start = *self.start.get_or_insert_with(|| {
-            let at_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos() as Nanos;
-            Start { at: Instant::now(), at_ns, recorded_ns: entry.arrived_ns, rate }
+        let start = *self.start.get_or_insert_with(|| Start {
+            at: Instant::now(),
+            at_ns: utc_ns(),
+            recorded_ns: entry.arrived_ns,
+            rate,
         });
         self.collect(start.due(entry.arrived_ns).saturating_duration_since(Instant::now()));
         start

@@ -4,18 +4,19 @@
 //! counted while the queue is full: the room never waits for its recorder.
 
 use std::fs::OpenOptions;
-use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use heliostat_bus::{Bus, BusConfig, Presence as Liveliness};
 use heliostat_proto::{Nanos, NodeKind, Room, VERSION, keys::parse_alive};
 use heliostat_scenario::Scenario;
+use heliostat_service::clock::utc_ns;
+use heliostat_service::{Stop, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
@@ -79,7 +80,7 @@ enum Item {
 ///
 /// # Errors
 /// A bus or a file that cannot be opened. A later write error is reported in the [`Outcome`].
-pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
+pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
     let out = &settings.out;
     let file = OpenOptions::new().write(true).create_new(true).open(out).with_context(|| {
         format!("cannot create {}: expected a file that does not exist yet, in a folder that exists", out.display())
@@ -90,7 +91,7 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
     let dropped = Arc::new(AtomicU64::new(0));
     let bus = Bus::open(&settings.bus).context("cannot join the room")?;
     let room = bus.room().clone();
-    let source = RandomState::new().build_hasher().finish();
+    let source = source_id::random();
     let own_token = room.alive(NodeKind::Viewer, source);
     let (payloads, payloads_dropped) = (sender.clone(), Arc::clone(&dropped));
     let received = bus.subscribe_keyed(&room.everything(), move |key, payload| {
@@ -107,14 +108,9 @@ pub fn run(settings: &Settings, stopped: &Receiver<()>) -> Result<Outcome> {
     drop(writeln!(std::io::stderr(), "record: room {room} into {}", out.display()));
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
-    while !writer.has_failed() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
+    while !writer.has_failed() && !stop.is_requested() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
         if settings.until_empty && writer.is_empty_again() {
             break;
-        }
-        match stopped.try_recv() {
-            Ok(()) => break,
-            // After a disconnect only the deadline ends the recording.
-            Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
         }
         match queue.recv_timeout(WAIT) {
             Ok(item) => writer.take(item),
@@ -135,11 +131,6 @@ fn enqueue(queue: &SyncSender<Item>, item: Item, dropped: &AtomicU64) {
         Ok(()) => {}
         Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => drop(dropped.fetch_add(1, Ordering::Relaxed)),
     }
-}
-
-fn utc_ns() -> Nanos {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    Nanos::try_from(since.as_nanos()).unwrap_or(Nanos::MAX)
 }
 
 /// Writes the messages of a room, and the data derived from them.

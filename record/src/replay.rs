@@ -32,7 +32,7 @@ use heliostat_decide::refusal::Stream;
 use heliostat_engine::ActorSource;
 use heliostat_proto::{Capabilities, MirrorCommand, NodeKind, UserReport, decode};
 use heliostat_scenario::Answer as WhenLate;
-use thiserror::Error;
+use heliostat_service::exit::UnusableInput;
 
 pub(crate) use plan::Beginning;
 pub use plan::Clock;
@@ -63,21 +63,18 @@ pub struct Settings {
     pub settle: Option<u64>,
 }
 
-/// A file that cannot be replayed, as opposed to one whose commands differ.
-#[derive(Debug, Error)]
-#[error("{} cannot be replayed", .0.display())]
-pub struct Unusable(
-    /// The file.
-    pub PathBuf,
-);
+/// The context of an error that the recording itself causes; a replay that differs is another error.
+pub(crate) fn unusable(file: &Path) -> UnusableInput {
+    UnusableInput::new(format!("{} cannot be replayed", file.display()))
+}
 
 /// Replays a recording into a controller of this process.
 ///
 /// # Errors
-/// [`Unusable`] if the recording cannot be read or lacks a required stream; a policy that cannot be
-/// built.
+/// [`UnusableInput`] if the recording cannot be read or lacks a required stream; a policy that cannot
+/// be built.
 pub fn run(settings: &Settings) -> Result<Verdict> {
-    let plan = Plan::read(&settings.file).with_context(|| Unusable(settings.file.clone()))?;
+    let plan = Plan::read(&settings.file).with_context(|| unusable(&settings.file))?;
     let mut reading = open(&settings.file)?;
     let mut player = Player::new(settings, plan)?;
     while let Some(entry) = reading.entry()? {
@@ -141,7 +138,7 @@ impl<'a> Player<'a> {
         let Some((&epoch, &first)) = self.plan.epochs.range(epoch..).next() else { return Ok(None) };
         let kind = match self.settings.policy {
             Some(kind) => kind,
-            None => self.plan.policy_of(epoch).with_context(|| Unusable(self.settings.file.clone()))?,
+            None => self.plan.policy_of(epoch).with_context(|| unusable(&self.settings.file))?,
         };
         let scenario = &self.plan.scenario;
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);

@@ -8,5 +8,8 @@ fn the_document_is_the_rendering_of_its_json() {
     let text = include_str!("../../docs/results/reproduction.json");
     let report: Report = serde_json::from_str(text).expect("docs/results/reproduction.json is a report");
     let made_by = "make it again with `heliostat reproduce all --out DIR --write-docs docs`";
-    assert!(markdown(&report) == include_str!("../../docs/results/reproduction.md"), "docs/results/reproduction.md differs; {made_by}");
+    assert!(
+        markdown(&report) == include_str!("../../docs/results/reproduction.md"),
+        "docs/results/reproduction.md differs; {made_by}"
+    );
 }

@@ -9,6 +9,7 @@ use heliostat_driver::inbox::Inbox;
 use heliostat_driver::lines::{self, ALIVE_LIMIT, Lines, Outlet};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{Capabilities, CodecError, MirrorTelemetry, NodeKind, SimulatorControl, Stamp, decode};
+use heliostat_service::source_id;
 
 use crate::node::NodeError;
 use heliostat_sim::streams::Report;
@@ -44,7 +45,7 @@ impl Edge {
         let bus = Bus::open(config)?;
         let keys = config.room.clone();
         lines::check_alone(&bus)?;
-        let source = lines::random_id();
+        let source = source_id::random();
         let clock = Clock::start_in(START_DELAY);
         let rivals = Arc::new(Mutex::new(Vec::new()));
         let seen = Arc::clone(&rivals);

@@ -3,11 +3,11 @@
 //! Late wake-ups do not add up: the world is moved to the time that it is, and deadlines that have passed are left out and counted.
 //! Commands are stamped as they come in and take effect at that time, although the loop looks at them only when it wakes.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
 use heliostat_driver::clock::as_ns;
+use heliostat_service::Stop;
 
 use crate::ledger::TICK_TIMEOUT_NS;
 use crate::node::{Node, NodeError};
@@ -21,17 +21,17 @@ const SLEEP_MAX: Duration = Duration::from_millis(50);
 /// Longest sleep while the answers to the last ticks are awaited.
 const DRAIN_SLEEP: Duration = Duration::from_millis(1);
 
-pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &AtomicBool) -> Result<Summary, NodeError> {
+pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Result<Summary, NodeError> {
     let mut reporter = node.reporter()?.into_thread();
     let end_ns = duration.map_or(u64::MAX, as_ns);
-    while !stop.load(Ordering::Relaxed) && node.clock.local_ns() < end_ns && !reporter.has_failed() {
+    while !stop.is_requested() && node.clock.local_ns() < end_ns && !reporter.has_failed() {
         sleep_until(&node, next_event_ns(&node).min(end_ns));
         let now = node.clock.now();
         if now.local_ns < end_ns {
             turn(&mut node, &mut reporter, now)?;
         }
     }
-    if !stop.load(Ordering::Relaxed) {
+    if !stop.is_requested() {
         drain(&mut node);
     }
     node.refused.set("shed", node.edge.inbox().shed());

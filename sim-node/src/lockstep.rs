@@ -4,12 +4,12 @@
 //! the same run, bit for bit; the hash in the summary shows it. Stamps are simulated time. Only the first accepted command that answers
 //! the tick under way enters the room; others are counted as `not-awaited`.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_proto::MirrorCommand;
+use heliostat_service::Stop;
 
 use crate::node::{Node, NodeError};
 use crate::reporter::Reporter;
@@ -29,13 +29,13 @@ const LISTEN_SLICE: Duration = Duration::from_millis(50);
 /// Simulated room time at the start; not 0, which stands for "never" in messages.
 const START_NS: u64 = 1_000_000_000;
 
-pub(crate) fn run(mut node: Node, ticks: u64, stop: &AtomicBool) -> Result<Summary, NodeError> {
+pub(crate) fn run(mut node: Node, ticks: u64, stop: &Stop) -> Result<Summary, NodeError> {
     await_controller(&node, stop)?;
     let mut reporter = node.reporter()?;
     node.announce_capabilities(Moment { local_ns: 0, room_ns: START_NS })?;
     let mut hash = Fnv1a::default();
     let mut answered = 0;
-    while answered < ticks && !stop.load(Ordering::Relaxed) {
+    while answered < ticks && !stop.is_requested() {
         let local_ns = next_event_ns(&node);
         let now = Moment { local_ns, room_ns: START_NS + local_ns };
         node.room.advance(local_ns);
@@ -57,13 +57,7 @@ pub(crate) fn run(mut node: Node, ticks: u64, stop: &AtomicBool) -> Result<Summa
 }
 
 /// Publishes a report; positions wait for their answer. Gives the number of ticks answered.
-fn publish(
-    node: &mut Node,
-    report: &Report,
-    now: Moment,
-    hash: &mut Fnv1a,
-    stop: &AtomicBool,
-) -> Result<u64, NodeError> {
+fn publish(node: &mut Node, report: &Report, now: Moment, hash: &mut Fnv1a, stop: &Stop) -> Result<u64, NodeError> {
     let (ledger, clock) = (&mut node.ledger, node.clock);
     node.edge.publish(report, || {
         if let Report::Users(report) = report {
@@ -81,15 +75,10 @@ fn publish(
 }
 
 /// The command that answers the tick, given to the room; nothing when stopped.
-fn await_answer(
-    node: &mut Node,
-    tick: u64,
-    now: Moment,
-    stop: &AtomicBool,
-) -> Result<Option<MirrorCommand>, NodeError> {
+fn await_answer(node: &mut Node, tick: u64, now: Moment, stop: &Stop) -> Result<Option<MirrorCommand>, NodeError> {
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WAIT {
-        if stop.load(Ordering::Relaxed) {
+        if stop.is_requested() {
             return Ok(None);
         }
         let Some(arrival) = node.edge.inbox().pop_until(Instant::now() + LISTEN_SLICE) else { continue };
@@ -110,9 +99,9 @@ fn await_answer(
     Err(NodeError::NoAnswer { tick, waited_s: ANSWER_WAIT.as_secs(), last_problem })
 }
 
-fn await_controller(node: &Node, stop: &AtomicBool) -> Result<(), NodeError> {
+fn await_controller(node: &Node, stop: &Stop) -> Result<(), NodeError> {
     let begun = Instant::now();
-    while !stop.load(Ordering::Relaxed) && !node.edge.controller_is_alive()? {
+    while !stop.is_requested() && !node.edge.controller_is_alive()? {
         if begun.elapsed() > CONTROLLER_WAIT {
             return Err(NodeError::NoController { room: node.edge.room_name(), waited_s: CONTROLLER_WAIT.as_secs() });
         }

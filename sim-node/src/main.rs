@@ -1,9 +1,9 @@
 //! The simulated room as a program of its own.
 
-use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
+use heliostat_service::exit;
 use heliostat_sim_node::cli;
 
 /// A simulated room: walking users, obstacles, mirrors, measured rates.
@@ -15,11 +15,5 @@ struct Command {
 }
 
 fn main() -> ExitCode {
-    match cli::run(Command::parse().args) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            drop(writeln!(std::io::stderr(), "heliostat-sim-node: {error:#}"));
-            ExitCode::FAILURE
-        }
-    }
+    exit::run("heliostat-sim-node", || cli::run(Command::parse().args))
 }

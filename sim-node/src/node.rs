@@ -1,6 +1,5 @@
 //! The simulator as a process: what live operation and lockstep share.
 
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use heliostat_array::calibration::Unfit;
@@ -11,9 +10,9 @@ use heliostat_bus::{BusConfig, BusError, Class};
 use heliostat_driver::clock::Clock;
 use heliostat_driver::inbox::Arrival;
 use heliostat_driver::lines::LinesError;
-use heliostat_metrics::{Exporter, MetricsArgs, MetricsError, Page};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_scenario::{Scenario, TraceFileError};
+use heliostat_service::{Exporter, MetricsArgs, MetricsError, Page, Stop};
 use thiserror::Error;
 
 use crate::edge::Edge;
@@ -113,12 +112,12 @@ pub enum NodeError {
     ReporterPanicked,
 }
 
-/// Runs a simulated room until its end, or until `stop` is set.
+/// Runs a simulated room until its end, or until `stop` is requested.
 ///
 /// # Errors
 /// [`NodeError`]: a room that cannot be built, a transport that fails, another simulator in the room, a tick of a lockstep run that
 /// nobody answers.
-pub fn run(settings: &Settings, stop: &AtomicBool) -> Result<Summary, NodeError> {
+pub fn run(settings: &Settings, stop: &Stop) -> Result<Summary, NodeError> {
     let node = Node::open(settings)?;
     let Settings { scenario, bus, .. } = settings;
     tracing::info!(

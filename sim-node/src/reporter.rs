@@ -6,8 +6,8 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use heliostat_driver::lines::Outlet;
-use heliostat_metrics::{Exporter, Page};
 use heliostat_proto::{NodeStatus, RoomTruth, Stamp, TruthUser};
+use heliostat_service::{Exporter, Page};
 
 use crate::edge::Edge;
 use crate::metrics;

@@ -1,17 +1,17 @@
 //! The node on the bus: closed loop, hostile payloads, two simulators, lockstep. Sessions of one process stand for processes.
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
 use heliostat_driver::lines::LinesError;
-use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{
     FaultKind, MirrorCommand, MirrorFault, NodeKind, NodeStatus, Room, RoomTruth, SimulatorControl, UserReport, decode,
     encode,
 };
 use heliostat_scenario::Scenario;
+use heliostat_service::{MetricsArgs, Stop};
 use heliostat_sim_node::Summary;
 use heliostat_sim_node::node::{self, NodeError, Pace, Settings};
 
@@ -31,7 +31,7 @@ fn live(milliseconds: u64) -> Pace {
 }
 
 fn run(settings: &Settings) -> Result<Summary, NodeError> {
-    node::run(settings, &AtomicBool::new(false))
+    node::run(settings, &Stop::default())
 }
 
 /// A controller in small: answers every report with angles that follow from the report alone.

@@ -3,10 +3,11 @@
 
 use std::path::Path;
 use std::process::Child;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use heliostat_bus::{BusConfig, free_loopback_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Room, Stamp, UserReport, UserState, encode};
+use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
 
@@ -83,7 +84,7 @@ fn a_driver_in_python_keeps_every_rule() {
 
 /// Five users at rest, as a tracker would report them.
 fn report(tick: u64) -> Vec<u8> {
-    let time_ns = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970").as_nanos() as u64;
+    let time_ns = utc_ns();
     let user = |user: u32| UserState {
         user,
         position_m: [user as f32 - 2.0, 0.5 * user as f32 - 1.0, 0.85],

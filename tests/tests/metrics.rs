@@ -105,3 +105,33 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     }
     room.end();
 }
+
+#[test]
+fn a_driver_serves_metrics_and_logs_as_json() {
+    let (metrics_at, board_at) = (free_address(), free_address());
+    let endpoint = free_loopback_endpoint().expect("a free port");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("array.toml");
+    // Nothing answers at the board's address, which the driver reports and tries again.
+    let config = format!(
+        "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{board_at}\"\n\
+         min_deg = -30.0\nmax_deg = 30.0\nmeasures = false\nmirrors = [0]\n"
+    );
+    fs::write(&file, config).expect("a file");
+    let (file, metrics) = (file.display().to_string(), metrics_at.to_string());
+    let flags = ["--metrics-listen", &metrics, "--log-format", "json", "--exit-with-parent", "--listen", &endpoint];
+    let driver = Process::heliostat(&[&["driver", "run", "--config", &file], &flags[..]].concat());
+    wait_until("the driver's metrics", || {
+        let page = fetch(metrics_at);
+        page.contains("heliostat_device_connections_total{room=\"demo\"} 0")
+            && page.contains("heliostat_array_state_info{room=\"demo\",state=\"")
+            && page.contains("process=\"driver\"")
+    });
+    let ended = driver.end();
+    assert!(ended.status.success(), "{}", ended.errors);
+    assert!(ended.errors.lines().count() > 1, "{}", ended.errors);
+    for line in ended.errors.lines() {
+        let entry: serde_json::Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        assert!(entry["level"].is_string() && entry["timestamp"].is_string(), "{line}");
+    }
+}

@@ -17,6 +17,7 @@ mod error;
 pub mod figures;
 pub mod guard;
 mod latency;
+mod live;
 pub mod orders;
 pub mod scene;
 pub mod server;

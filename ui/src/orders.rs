@@ -3,18 +3,18 @@
 //! Policy, power, people, speed and mirror faults travel as operators' messages, the stop under its own key. To kill or revive a process
 //! is no message: it is an [`Errand`] for whoever started it, where there is one.
 
-use std::hash::{BuildHasher, RandomState};
 use std::sync::Mutex;
 use std::sync::PoisonError;
 use std::sync::mpsc::Sender;
 use std::thread;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Class, Publisher, Token};
 use heliostat_proto::{
     ControllerControl, EmergencyStop, FaultKind, MAX_USERS, Message, MirrorFault, NodeKind, SimulatorControl, Stamp,
     StopAction, codec,
 };
+use heliostat_service::{clock::utc_ns, source_id};
 use serde::Deserialize;
 
 use crate::UiError;
@@ -104,7 +104,7 @@ impl Operator {
     /// [`UiError::Bus`] where the session is closed.
     pub fn new(bus: &Bus, errands: Option<Sender<Errand>>) -> Result<Self, UiError> {
         let room = bus.room();
-        let source = RandomState::new().hash_one((std::process::id(), SystemTime::now()));
+        let source = source_id::random();
         let line = |hearer, key: &str| {
             let publisher = bus.publisher(key, Class::Order)?;
             Ok::<_, UiError>(Line { hearer, publisher, sequence: Mutex::new(0) })
@@ -224,11 +224,6 @@ impl Order {
             _ => Ok(()),
         }
     }
-}
-
-fn utc_ns() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]

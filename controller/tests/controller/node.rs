@@ -13,8 +13,8 @@ use heliostat_controller::{
     summary::Summary,
 };
 use heliostat_decide::policy::PolicyKind;
-use heliostat_metrics::MetricsArgs;
 use heliostat_proto::{MirrorCommand, Room as RoomName, UserReport, decode, encode};
+use heliostat_service::{MetricsArgs, Stop};
 
 use crate::support::{Room, scenario};
 
@@ -25,7 +25,7 @@ struct Rig {
     bus: Bus,
     room: Room,
     commands: mpsc::Receiver<MirrorCommand>,
-    stop: node::Stop,
+    stop: Stop,
     node: thread::JoinHandle<anyhow::Result<Summary>>,
     _subscription: heliostat_bus::Subscription,
 }
@@ -53,7 +53,8 @@ impl Rig {
             run_for: Some(4 * PATIENCE),
             metrics: MetricsArgs::default(),
         };
-        let (stop, stopped) = node::stop_channel();
+        let stop = Stop::default();
+        let stopped = stop.clone();
         let node = thread::spawn(move || node::run(&config, &stopped));
         Self { bus, room, commands, stop, node, _subscription: subscription }
     }
@@ -79,7 +80,7 @@ impl Rig {
     }
 
     fn finish(self) -> Summary {
-        self.stop.send(()).unwrap();
+        self.stop.request();
         self.node.join().unwrap().unwrap()
     }
 }

@@ -1,7 +1,7 @@
 //! The one who plays: speaks to a driver as a controller and an operator would, and keeps all that it answers.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
@@ -9,8 +9,7 @@ use heliostat_proto::{
     Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand, MirrorTelemetry, Nanos,
     NodeKind, Stamp, StopAction, decode, encode,
 };
-
-use crate::lines::random_id;
+use heliostat_service::{clock::utc_ns, source_id};
 
 /// How long an answer is waited for; only a driver that never gives it makes this pass.
 pub const PATIENCE: Duration = Duration::from_secs(4);
@@ -96,7 +95,7 @@ impl Player {
             capabilities: fetched.unwrap_or_default(),
             epoch: 0,
             sequence: 0,
-            source: random_id(),
+            source: source_id::random(),
             calibrations_sent: 0,
             bus,
         };
@@ -107,7 +106,7 @@ impl Player {
         let first = player.wait(PATIENCE, |heard| heard.telemetry.last().cloned());
         let first = first.context("the driver says nothing: no sound telemetry")?;
         // Above whatever it followed before, as a controller that starts now would be.
-        player.epoch = first.epoch.max(now_ns() / 1_000_000) + 1;
+        player.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;
         Ok(player)
     }
 
@@ -157,7 +156,7 @@ impl Player {
             epoch: self.epoch,
             sequence: self.sequence,
             answers: 1000 + self.sequence,
-            time_ns: now_ns(),
+            time_ns: utc_ns(),
             validity_ms: VALIDITY_MS,
             roll: vec![roll as f32; mirrors],
             yaw: vec![yaw as f32; mirrors],
@@ -188,10 +187,10 @@ impl Player {
 
     /// The same by somebody with a liveliness token of their own, which is gone as soon as the driver has shown that it heard.
     pub fn order_and_leave(&self, action: StopAction, shows: impl Fn(&MirrorTelemetry) -> bool) -> Result<bool> {
-        let source = random_id();
+        let source = source_id::random();
         let token = self.bus.announce(&self.bus.room().alive(NodeKind::Viewer, source))?;
         let from = self.count();
-        self.stops.put(&order_of(source, action, now_ns())?)?;
+        self.stops.put(&order_of(source, action, utc_ns())?)?;
         let heard = self.telemetry(from, shows).is_some();
         drop(token);
         Ok(heard)
@@ -202,7 +201,7 @@ impl Player {
         self.calibrations_sent += 1;
         let (offsets, gains) = (vec![offset_rad as f32; mirrors], vec![1.0; mirrors]);
         let calibration = Calibration {
-            stamp: Stamp { source: self.source, sequence: self.calibrations_sent, time_ns: now_ns() },
+            stamp: Stamp { source: self.source, sequence: self.calibrations_sent, time_ns: utc_ns() },
             roll_offset_rad: offsets.clone(),
             roll_gain: gains.clone(),
             yaw_offset_rad: offsets,
@@ -229,11 +228,6 @@ impl Player {
         let from = self.count() + 1;
         self.telemetry(from, |_| true).unwrap_or_else(|| self.last())
     }
-}
-
-/// UTC in ns.
-pub fn now_ns() -> Nanos {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as Nanos)
 }
 
 /// A message as a payload.

@@ -8,8 +8,9 @@ use heliostat_proto::{
     ArrayState, CLOCK_LEAD_MAX_NS, Counters, Feedback, MirrorCommand, MirrorTelemetry, StopAction, UserReport,
     ValidityClock,
 };
+use heliostat_service::clock::utc_ns;
 
-use super::player::{PATIENCE, Player, bytes, now_ns};
+use super::player::{PATIENCE, Player, bytes};
 use super::{Finding, Verdict};
 
 /// Angles that went through single precision may differ by this, in rad.
@@ -187,7 +188,7 @@ fn expired(player: &mut Player) -> Result<Outcome> {
     if player.capabilities.validity_clock == ValidityClock::Arrival {
         return not_judged("it counts validity from arrival");
     }
-    let old = MirrorCommand { time_ns: now_ns() - 5_000_000_000, ..player.command(0.0, 0.0) };
+    let old = MirrorCommand { time_ns: utc_ns() - 5_000_000_000, ..player.command(0.0, 0.0) };
     refused(player, &[bytes(&old)?], Counters { expired: 1, ..Counters::default() })
 }
 
@@ -195,7 +196,7 @@ fn future(player: &mut Player) -> Result<Outcome> {
     if player.capabilities.validity_clock == ValidityClock::Arrival {
         return not_judged("it counts validity from arrival");
     }
-    let early = MirrorCommand { time_ns: now_ns() + 60_000_000_000 + CLOCK_LEAD_MAX_NS, ..player.command(0.0, 0.0) };
+    let early = MirrorCommand { time_ns: utc_ns() + 60_000_000_000 + CLOCK_LEAD_MAX_NS, ..player.command(0.0, 0.0) };
     let (counted, told) = player.play(&[bytes(&early)?])?;
     let flagged = told.faults & fault::CLOCK != 0;
     let next = player.command(0.0, 0.0);
@@ -276,7 +277,7 @@ fn flood(player: &mut Player) -> Result<Outcome> {
 }
 
 fn stop(player: &mut Player) -> Result<Outcome> {
-    let stopped_ns = now_ns();
+    let stopped_ns = utc_ns();
     let from = player.count();
     player.order(StopAction::Stop, stopped_ns)?;
     let Some(told) = player.telemetry(from, |told| told.state == ArrayState::Stopped) else {
@@ -292,7 +293,7 @@ fn stop(player: &mut Player) -> Result<Outcome> {
     let (early, _) = player.play(&[bytes(&command)?])?;
     let ignored = early == Counters { stopped: 1, ..Counters::default() };
     let from = player.count();
-    player.order(StopAction::Rearm, now_ns())?;
+    player.order(StopAction::Rearm, utc_ns())?;
     let parked = player.telemetry(from, |told| told.state == ArrayState::Parked).is_some();
     let command = player.command(roll, yaw);
     let (counted, after) = player.play(&[bytes(&command)?])?;
@@ -319,7 +320,7 @@ fn orphaned_stop(player: &mut Player) -> Result<Outcome> {
     let (counted, _) = player.play(&[bytes(&command)?])?;
     let refused = counted == Counters { stopped: 1, ..Counters::default() };
     let from = player.count();
-    player.order(StopAction::Rearm, now_ns())?;
+    player.order(StopAction::Rearm, utc_ns())?;
     let parked = player.telemetry(from, |told| told.state == ArrayState::Parked).is_some();
     verdict(
         released.is_none() && refused && parked,

@@ -7,7 +7,6 @@ mod summary;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
@@ -18,6 +17,7 @@ use heliostat_decide::policy::PolicyKind;
 use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_service::{Stop, duration, signals};
 use heliostat_ui::{Display, Errand, Operator, Page, PageArgs, View};
 
 use processes::Processes;
@@ -47,8 +47,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// End after this many seconds, counted from the first answered report
-    #[arg(long, value_name = "N")]
-    seconds: Option<f64>,
+    #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Option<Duration>,
     /// Name of the room
     #[arg(long, default_value = "demo")]
     pub(super) room: String,
@@ -64,15 +64,10 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
-    if let Some(seconds) = args.seconds.filter(|seconds| !(0.1..=1e6).contains(seconds)) {
-        bail!("--seconds {seconds}: wanted 0.1 to 1000000");
-    }
     let room = Room::new(&args.room)?;
     let scenario = args.scenario.load()?;
     args.check_policy(&scenario)?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let on_signal = Arc::clone(&stop);
-    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+    let stop = signals::stop_on_signals()?;
 
     let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
     let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
@@ -118,7 +113,7 @@ pub fn run(args: Args) -> Result<()> {
 
 /// The inputs of the display loop.
 struct Watched<'a> {
-    stop: &'a AtomicBool,
+    stop: &'a Stop,
     view: &'a View,
     /// Orders of the page for this process.
     ordered: Receiver<Errand>,
@@ -133,7 +128,7 @@ fn watch(args: &Args, watched: &Watched, parts: &mut Processes) -> Result<()> {
     let mut started: Option<Instant> = None;
     let mut display = Display::open(args.plain || args.json, &watched.title)?;
     let mut drawn = Instant::now();
-    while !watched.stop.load(Ordering::Relaxed) && !display.quit_asked()? {
+    while !watched.stop.is_requested() && !display.quit_asked()? {
         std::thread::sleep(WATCH_EVERY);
         parts.check_alive()?;
         for errand in watched.ordered.try_iter() {
@@ -147,7 +142,7 @@ fn watch(args: &Args, watched: &Watched, parts: &mut Processes) -> Result<()> {
             }
             None => {}
             Some(since) => {
-                if args.seconds.is_some_and(|seconds| since.elapsed().as_secs_f64() >= seconds) {
+                if args.seconds.is_some_and(|seconds| since.elapsed() >= seconds) {
                     break;
                 }
                 if drawn.elapsed() >= display.interval() {

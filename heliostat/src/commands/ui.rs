@@ -2,14 +2,14 @@
 
 use std::io::Write;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusArgs};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::{duration, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, View};
 
 /// Between two looks at keys and signals.
@@ -31,21 +31,16 @@ pub struct Args {
     /// Print lines instead of the full-screen view
     #[arg(long)]
     plain: bool,
-    /// End after this long
-    #[arg(long, value_name = "N")]
-    seconds: Option<f64>,
+    /// End after this many seconds; without it, run until stopped
+    #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Option<Duration>,
 }
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
-    if let Some(seconds) = args.seconds.filter(|seconds| !(0.1..=1e7).contains(seconds)) {
-        bail!("--seconds {seconds}: wanted 0.1 to 10000000");
-    }
     let scenario = args.scenario.load()?;
     let config = args.bus.config_or_connect()?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let on_signal = Arc::clone(&stop);
-    ctrlc::set_handler(move || on_signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+    let stop = signals::stop_on_signals()?;
 
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, &scenario)?);
@@ -60,8 +55,8 @@ pub fn run(args: Args) -> Result<()> {
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     let mut display = Display::open(args.plain, &title)?;
     let (opened, mut drawn) = (Instant::now(), Instant::now());
-    let is_over = || args.seconds.is_some_and(|seconds| opened.elapsed().as_secs_f64() >= seconds);
-    while !stop.load(Ordering::Relaxed) && !display.quit_asked()? && !is_over() {
+    let is_over = || args.seconds.is_some_and(|seconds| opened.elapsed() >= seconds);
+    while !stop.is_requested() && !display.quit_asked()? && !is_over() {
         std::thread::sleep(WATCH_EVERY);
         if drawn.elapsed() >= display.interval() {
             drawn = Instant::now();

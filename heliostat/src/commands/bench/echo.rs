@@ -1,15 +1,19 @@
 //! The echo that the loop is compared with: a process that answers each report with a given number
 //! of bytes.
 
-use std::io::Read;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use heliostat_bus::{Bus, BusConfig, Class};
 use heliostat_proto::Room;
+use heliostat_service::{Stop, signals};
 
 use crate::output::outln;
+
+/// Between two checks whether the end has been requested.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// Answer each report with as many bytes as a command has, until standard input closes.
 #[derive(Debug, clap::Args)]
@@ -48,8 +52,9 @@ pub fn run(args: &Args) -> Result<()> {
         declared.push(bus.subscribe(&room.channel(), |_| {})?);
         declared.push(bus.subscribe(&room.obstacles(), |_| {})?);
     }
-    let mut buffer = [0; 256];
-    while std::io::stdin().read(&mut buffer).is_ok_and(|count| count > 0) {}
+    let stop = Stop::default();
+    signals::stop_at_end_of_input(&stop);
+    while !stop.wait_for(LOOK_EVERY) {}
     drop(declared);
     bus.close()?;
     outln!("{}", serde_json::json!({ "echoed": echoed.load(Ordering::Relaxed) }))?;

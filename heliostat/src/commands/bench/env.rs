@@ -16,6 +16,7 @@ use heliostat_channel::diffuse::{self, Reading};
 use heliostat_channel::specular::{self, Plate};
 use heliostat_channel::{ChannelModel, Cylinder, MirrorAngles, Mode, Scene, Vec3, decode, los};
 use heliostat_scenario::Scenario;
+use heliostat_service::duration;
 use heliostat_sim::world::World;
 use serde::Serialize;
 
@@ -29,8 +30,8 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     /// Time spent on each row, in s
-    #[arg(long, default_value_t = 1.0)]
-    seconds: f64,
+    #[arg(long, value_name = "S", default_value = "1", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Duration,
 }
 
 /// States of a row: more than a branch predictor can learn.
@@ -63,7 +64,6 @@ struct Row {
 
 /// Runs the benchmark.
 pub fn run(args: &Args) -> Result<()> {
-    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: expected 0.01 to 600", args.seconds);
     let mut rows = Vec::new();
     if !args.json {
         outln!(
@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> Result<()> {
             set.push(format!("led.side_m={}", if panel { 0.1 } else { 0.0 }));
             set.push(format!("blockage.bodies={bodies}"));
             let scenario = Scenario::builtin(mode)?.with_overrides(&set)?;
-            let row = measure(&scenario, Duration::from_secs_f64(args.seconds))?;
+            let row = measure(&scenario, args.seconds)?;
             if !args.json {
                 outln!(
                     "{:<18}{:<16}{:>6}{:>9}{:>8}{:>13.0}{:>13.0}{:>8.1}",

@@ -11,6 +11,7 @@ use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_channel::solver::{Method, MinimumRates, Solver};
 use heliostat_channel::{MirrorAngles, Scene};
 use heliostat_scenario::Scenario;
+use heliostat_service::duration;
 use heliostat_sim::World;
 use serde::Serialize;
 
@@ -24,8 +25,8 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     /// Time spent on each row, in s
-    #[arg(long, default_value_t = 1.0)]
-    seconds: f64,
+    #[arg(long, value_name = "S", default_value = "1", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Duration,
 }
 
 /// Number of rooms of a row.
@@ -54,7 +55,6 @@ struct Row {
 
 /// Runs the benchmark.
 pub fn run(args: &Args) -> Result<()> {
-    anyhow::ensure!((0.01..=600.0).contains(&args.seconds), "--seconds {}: expected 0.01 to 600", args.seconds);
     if !args.json {
         outln!(
             "{:<10}{:>6}{:>9}{:>7}{:>12}{:>12}{:>14}{:>14}{:>14}{:>14}{:>8}",
@@ -75,7 +75,7 @@ pub fn run(args: &Args) -> Result<()> {
     for mode in ["specular", "paper"] {
         for (users, side) in [(5, 7), (5, 10), (10, 10), (5, 32)] {
             for qos in [false, true] {
-                let row = measure(mode, (users, side), qos, Duration::from_secs_f64(args.seconds))?;
+                let row = measure(mode, (users, side), qos, args.seconds)?;
                 if !args.json {
                     print(&row)?;
                 }

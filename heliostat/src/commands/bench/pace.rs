@@ -7,6 +7,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
+use heliostat_service::duration;
 
 /// How long one side runs before the other: far longer than a decision, far shorter than a drift of
 /// the machine.
@@ -25,8 +26,8 @@ pub struct PaceArgs {
     #[arg(long, value_name = "HZ", value_delimiter = ',')]
     hz: Vec<f64>,
     /// Time for each row in s: two thirds for the measured side, one third for the reference
-    #[arg(long, default_value_t = 6.0, value_name = "S")]
-    seconds: f64,
+    #[arg(long, value_name = "S", default_value = "6", value_parser = duration::seconds, allow_negative_numbers = true)]
+    seconds: Duration,
     /// Number of measured decisions a row, instead of --seconds
     #[arg(long, value_name = "N")]
     decisions: Option<u64>,
@@ -35,14 +36,13 @@ pub struct PaceArgs {
 impl PaceArgs {
     /// The plans, one a rate; `default_hz` if no rate was given.
     pub fn plans(&self, default_hz: &[f64]) -> Result<Vec<Plan>> {
-        ensure!((0.1..=36_000.0).contains(&self.seconds), "--seconds {}: expected 0.1 to 36000", self.seconds);
         let paces = if self.hz.is_empty() { default_hz } else { &self.hz };
         let plan = |hz: &f64| {
             ensure!(*hz == 0.0 || (0.1..=10_000.0).contains(hz), "--hz {hz}: expected 0 (no pauses), or 0.1 to 10000");
             let amount = match self.decisions {
                 Some(0) => bail!("--decisions 0: expected at least 1"),
                 Some(decisions) => Amount::Decisions(decisions),
-                None => Amount::Time(Duration::from_secs_f64(self.seconds)),
+                None => Amount::Time(self.seconds),
             };
             Ok(Plan { hz: (*hz > 0.0).then_some(*hz), amount })
         };

@@ -5,7 +5,7 @@
 //! same quality of service. Reports go to controller and echo alternately. A report counts from its
 //! due time.
 
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
@@ -16,6 +16,7 @@ use heliostat_decide::policy::PolicyKind;
 use heliostat_engine::ActorSource;
 use heliostat_proto::{MirrorCommand, Room, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_service::clock::utc_ns;
 
 use super::board::Board;
 use super::pace::{Block, PaceArgs, Plan, Turn};
@@ -302,8 +303,4 @@ fn wait_until(due: Instant) {
     while Instant::now() < due {
         std::hint::spin_loop();
     }
-}
-
-fn utc_ns() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64)
 }

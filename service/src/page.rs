@@ -8,7 +8,7 @@ use prometheus_client::encoding::{DescriptorEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::Registry;
 
-/// Upper ends of the buckets of times, in s: fine around the 0.5 ms that a decision has, then coarser.
+/// Upper ends of the buckets of times, in s: fine around the 0.5 ms budget of a decision, then coarser.
 const TIME_BUCKETS_S: [f64; 17] = [
     20e-6, 50e-6, 100e-6, 150e-6, 200e-6, 300e-6, 400e-6, 500e-6, 700e-6, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 50e-3, 0.1,
     0.5,
@@ -23,7 +23,7 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Takes over a histogram of times in ns. A time at the edge of a bucket counts by the histogram's own precision.
+    /// Converts a histogram of times in ns. At the edge of a bucket the precision of that histogram decides.
     pub fn of_ns(times: &hdrhistogram::Histogram<u64>) -> Self {
         let mut histogram = Self { sum_s: times.mean() * 1e-9 * times.len() as f64, ..Self::default() };
         for step in times.iter_recorded() {
@@ -74,7 +74,7 @@ pub struct Page {
 }
 
 impl Page {
-    /// An empty page; every sample will bear the common labels.
+    /// An empty page; every sample gets the common labels.
     pub fn new(common: &[(&str, &str)]) -> Self {
         Self { families: Vec::new(), common: owned(common) }
     }
@@ -84,7 +84,7 @@ impl Page {
         self.add(name, help, labels, Value::Counter(value));
     }
 
-    /// Adds a present value.
+    /// Adds a current value.
     pub fn gauge(&mut self, name: &'static str, help: &'static str, labels: &[(&str, &str)], value: f64) {
         self.add(name, help, labels, Value::Gauge(value));
     }
@@ -94,10 +94,10 @@ impl Page {
         self.add(name, help, labels, Value::Histogram(value));
     }
 
-    /// Adds what was built: `heliostat_build_info` with the version and the name of the process, always 1.
+    /// Adds `heliostat_build_info` with the version and the name of the process; its value is always 1.
     pub fn build_info(&mut self, process: &str, version: &str) {
         let labels = [("process", process), ("version", version)];
-        self.gauge("heliostat_build_info", "What runs here; the value says nothing", &labels, 1.0);
+        self.gauge("heliostat_build_info", "Name and version of the process; the value is always 1", &labels, 1.0);
     }
 
     /// The page as text.

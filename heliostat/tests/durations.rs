@@ -1,0 +1,27 @@
+//! Every flag that takes seconds follows one rule.
+
+use std::process::Command;
+
+#[test]
+fn every_command_refuses_an_invalid_duration_in_the_same_words() {
+    let commands: [&[&str]; 8] = [
+        &["demo"],
+        &["ui"],
+        &["controller"],
+        &["sim-node"],
+        &["driver", "run", "--config", "none.toml"],
+        &["record", "--out", "none.mcap"],
+        &["bench", "env"],
+        &["bench", "decide"],
+    ];
+    for command in commands {
+        for value in ["x", "-1", "0", "1e9", "nan"] {
+            let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).args(["--seconds", value]).output();
+            let ended = ended.expect("the program starts");
+            let errors = String::from_utf8_lossy(&ended.stderr);
+            let expected = format!("invalid duration \"{value}\": expected seconds between 0.01 and 10000000");
+            assert!(errors.contains(&expected), "{command:?} --seconds {value}: {errors}");
+            assert_eq!(ended.status.code(), Some(2), "{command:?} --seconds {value}");
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Serves the newest page under `/metrics`, on a thread of its own.
+
+use std::net::{SocketAddr, TcpListener};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use axum::Router;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::IntoResponse;
+use axum::routing::get;
+use thiserror::Error;
+
+use crate::http::{self, Limits};
+use crate::page::Page;
+use crate::stop::Stop;
+
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// Why metrics cannot be served.
+#[derive(Debug, Error)]
+pub enum MetricsError {
+    /// The address is taken, or none of this machine.
+    #[error(
+        "cannot serve metrics at {address}: {problem}; give --metrics-listen an address of this machine with a free port"
+    )]
+    Listen {
+        /// Where.
+        address: SocketAddr,
+        /// What the operating system reports.
+        problem: std::io::Error,
+    },
+}
+
+/// The flag that says where a process serves its metrics.
+#[derive(Clone, Copy, Debug, Default, clap::Args)]
+pub struct MetricsArgs {
+    /// Serve metrics in the OpenMetrics format at http://ADDRESS/metrics; port 0 selects a free port, which the log names
+    #[arg(long, value_name = "ADDRESS")]
+    pub metrics_listen: Option<SocketAddr>,
+}
+
+impl MetricsArgs {
+    /// Opens an exporter where the flag is given.
+    ///
+    /// # Errors
+    /// [`MetricsError`].
+    pub fn open(&self) -> Result<Option<Exporter>, MetricsError> {
+        self.metrics_listen.map(Exporter::open).transpose()
+    }
+}
+
+/// A server of the newest page; it ends when dropped.
+#[derive(Debug)]
+pub struct Exporter {
+    newest: Arc<Mutex<Page>>,
+    server: http::Server,
+}
+
+impl Exporter {
+    /// Listens at an address.
+    ///
+    /// # Errors
+    /// [`MetricsError`].
+    pub fn open(address: SocketAddr) -> Result<Self, MetricsError> {
+        let failed = |problem| MetricsError::Listen { address, problem };
+        let listener = TcpListener::bind(address).map_err(failed)?;
+        let newest = Arc::new(Mutex::new(Page::default()));
+        let router = Router::new().route("/metrics", get(metrics)).fallback(elsewhere).with_state(Arc::clone(&newest));
+        let server = http::serve("metrics", listener, router, Limits::default(), Stop::default()).map_err(failed)?;
+        tracing::info!("metrics at http://{}/metrics", server.address());
+        Ok(Self { newest, server })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.server.address()
+    }
+
+    /// Replaces the page.
+    pub fn publish(&self, page: Page) {
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = page;
+    }
+}
+
+async fn metrics(State(newest): State<Arc<Mutex<Page>>>) -> impl IntoResponse {
+    let page = newest.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    ([(CONTENT_TYPE, OPEN_METRICS)], page.text())
+}
+
+async fn elsewhere() -> impl IntoResponse {
+    (StatusCode::NOT_FOUND, "metrics are at /metrics\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::net::TcpStream;
+
+    use super::*;
+
+    fn get(address: SocketAddr, path: &str) -> String {
+        let mut stream = TcpStream::connect(address).expect("the exporter listens");
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").expect("it reads");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("it answers");
+        answer
+    }
+
+    #[test]
+    fn the_newest_page_is_served_and_nothing_else() {
+        let exporter = Exporter::open(([127, 0, 0, 1], 0).into()).expect("a free port");
+        let address = exporter.address();
+        for count in [1, 2] {
+            let mut page = Page::new(&[("room", "a")]);
+            page.counter("heliostat_ticks", "Ticks", &[], count);
+            exporter.publish(page);
+        }
+        let answer = get(address, "/metrics");
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        assert!(answer.contains(OPEN_METRICS) && answer.contains("heliostat_ticks_total{room=\"a\"} 2\n"), "{answer}");
+        assert!(get(address, "/").starts_with("HTTP/1.1 404"));
+        let taken = Exporter::open(address).err().expect("one listener a port").to_string();
+        assert!(taken.contains(&address.to_string()), "{taken}");
+        drop(exporter);
+        assert!(TcpStream::connect(address).is_err(), "the port is closed");
+    }
+}

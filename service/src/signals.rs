@@ -1,0 +1,72 @@
+//! When a process ends: Ctrl-C, SIGTERM, the end of standard input, or a given time.
+//!
+//! The first signal requests an orderly end. The second ends the process at once, with exit code
+//! [`INTERRUPTED`]: an orderly end may wait for a network that does not answer.
+
+use std::io::Read;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use thiserror::Error;
+
+use crate::duration;
+use crate::exit::INTERRUPTED;
+use crate::stop::Stop;
+
+/// The flags that say when a process ends.
+#[derive(Clone, Copy, Debug, Default, clap::Args)]
+pub struct EndArgs {
+    /// End after this many seconds; without it, run until stopped
+    #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
+    pub seconds: Option<Duration>,
+    /// End when standard input closes, as it does when the parent process ends
+    #[arg(long)]
+    pub exit_with_parent: bool,
+}
+
+/// The operating system does not deliver signals to this process.
+#[derive(Debug, Error)]
+#[error("cannot listen for Ctrl-C and SIGTERM: {0}")]
+pub struct SignalError(#[from] ctrlc::Error);
+
+impl EndArgs {
+    /// Listens for signals and, where the flag says so, for the end of standard input.
+    ///
+    /// # Errors
+    /// [`SignalError`]; a process can listen once only.
+    pub fn stop(&self) -> Result<Stop, SignalError> {
+        let stop = stop_on_signals()?;
+        if self.exit_with_parent {
+            stop_at_end_of_input(&stop);
+        }
+        Ok(stop)
+    }
+}
+
+/// A request that the first Ctrl-C or SIGTERM makes; the second ends the process.
+///
+/// # Errors
+/// [`SignalError`]; a process can listen once only.
+pub fn stop_on_signals() -> Result<Stop, SignalError> {
+    let stop = Stop::default();
+    let on_signal = stop.clone();
+    let signalled = AtomicBool::new(false);
+    ctrlc::set_handler(move || {
+        if signalled.swap(true, Ordering::Relaxed) {
+            std::process::exit(INTERRUPTED.into());
+        }
+        on_signal.request();
+    })?;
+    Ok(stop)
+}
+
+/// Requests the end when standard input closes, on a thread that reads and discards it.
+pub fn stop_at_end_of_input(stop: &Stop) {
+    let stop = stop.clone();
+    std::thread::spawn(move || {
+        let mut discarded = [0; 256];
+        // A read error ends the process too: the parent can no longer be watched.
+        while std::io::stdin().read(&mut discarded).is_ok_and(|count| count > 0) {}
+        stop.request();
+    });
+}

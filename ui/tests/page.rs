@@ -1,0 +1,149 @@
+//! The live page against clients that are slow, idle or do not read.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
+use heliostat_proto::Room;
+use heliostat_scenario::Scenario;
+use heliostat_ui::{Operator, Page, Server, View};
+
+/// How long anything may take that takes some seconds on an idle machine.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Live pages at once, as in `live.rs`.
+const READERS_MAX: usize = 16;
+
+/// A page of a room in which nobody speaks.
+struct Setting {
+    server: Server,
+    _bus: Bus,
+}
+
+impl Setting {
+    fn new(room: &str) -> Self {
+        // So many mirrors make large frames: 0.4 MB a second for each page.
+        let set = ["rows=32", "columns=32", "width_m=0.1", "height_m=0.04", "gap_m=0.005"];
+        let set = set.map(|text| format!("mirrors.{text}"));
+        let scenario = Scenario::builtin("specular").unwrap().with_overrides(&set).unwrap();
+        let endpoint = free_loopback_endpoint().unwrap();
+        let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).listen_at(&endpoint)).unwrap();
+        let view = Arc::new(View::open(&bus, &scenario).unwrap());
+        let operator = Operator::new(&bus, None).unwrap();
+        let page = Page { view, operator, room: room.to_owned(), policies: Vec::new() };
+        Self { server: Server::start(page, IpAddr::V4(Ipv4Addr::LOCALHOST), 0).unwrap(), _bus: bus }
+    }
+
+    fn address(&self) -> SocketAddr {
+        self.server.address()
+    }
+
+    /// Sends a request and leaves the answer unread.
+    fn ask(&self, request: &str) -> TcpStream {
+        let mut stream = TcpStream::connect(self.address()).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let address = self.address();
+        let (line, rest) = request.split_once('\n').unwrap_or((request, "\r\n"));
+        write!(stream, "{line} HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n{rest}").unwrap();
+        stream
+    }
+
+    /// The status line of the answer to `GET /live`, and what follows it.
+    fn live(&self) -> (String, BufReader<TcpStream>) {
+        let mut answer = BufReader::new(self.ask("GET /live"));
+        let mut status = String::new();
+        answer.read_line(&mut status).unwrap();
+        (status, answer)
+    }
+
+    /// Fetches the page.
+    fn page(&self) -> String {
+        let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(PATIENCE)).build().into();
+        agent.get(self.server.url()).call().unwrap().body_mut().read_to_string().unwrap()
+    }
+}
+
+fn await_events(answer: &mut BufReader<TcpStream>) {
+    for expected in ["event: figures", "event: frame"] {
+        let found = answer.lines().map_while(Result::ok).any(|line| line == expected);
+        assert!(found, "no \"{expected}\" came");
+    }
+}
+
+#[test]
+fn clients_that_do_not_read_give_their_places_to_others() {
+    let setting = Setting::new("deaf");
+    let deaf: Vec<TcpStream> = (0..READERS_MAX).map(|_| setting.ask("GET /live")).collect();
+    let begun = Instant::now();
+    let mut refused = false;
+    let mut answer = loop {
+        let (status, answer) = setting.live();
+        if status.starts_with("HTTP/1.1 200") && refused {
+            break answer;
+        }
+        refused |= status.starts_with("HTTP/1.1 503");
+        assert!(begun.elapsed() < PATIENCE, "clients that do not read keep their places: {status}");
+        std::thread::sleep(Duration::from_millis(50));
+    };
+    await_events(&mut answer);
+    drop(deaf);
+}
+
+#[test]
+fn a_closed_page_gives_its_place_to_another() {
+    let setting = Setting::new("closed");
+    let mut open: Vec<_> = (0..READERS_MAX).map(|_| setting.live()).collect();
+    assert!(open.iter().all(|(status, _)| status.starts_with("HTTP/1.1 200")));
+    assert!(setting.live().0.starts_with("HTTP/1.1 503"));
+    open.pop();
+    let begun = Instant::now();
+    while !setting.live().0.starts_with("HTTP/1.1 200") {
+        assert!(begun.elapsed() < PATIENCE, "a closed page keeps its place");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn three_slow_orders_do_not_block_the_page() {
+    let setting = Setting::new("slow");
+    let order = "POST /order\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{";
+    let slow = [(); 3].map(|()| setting.ask(order));
+    assert!(setting.page().contains("<title>Heliostat</title>"));
+    for mut client in slow {
+        let mut answer = String::new();
+        client.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 408"), "an order that does not arrive: {answer}");
+    }
+}
+
+#[test]
+fn idle_connections_do_not_end_the_page() {
+    let setting = Setting::new("idle");
+    let idle: Vec<TcpStream> = (0..250).map(|_| TcpStream::connect(setting.address()).unwrap()).collect();
+    assert!(setting.page().contains("<title>Heliostat</title>"));
+    let (status, mut answer) = setting.live();
+    assert!(status.starts_with("HTTP/1.1 200"), "{status}");
+    await_events(&mut answer);
+    drop(idle);
+}
+
+#[test]
+fn an_order_beyond_the_limit_is_refused() {
+    let setting = Setting::new("large");
+    let order = "POST /order\nContent-Type: application/json\r\nContent-Length: 4097\r\n\r\n";
+    let mut answer = String::new();
+    setting.ask(order).read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 413"), "{answer}");
+}
+
+#[test]
+fn the_end_of_the_page_ends_its_events() {
+    let setting = Setting::new("end");
+    let (_, mut answer) = setting.live();
+    await_events(&mut answer);
+    let begun = Instant::now();
+    drop(setting.server);
+    assert!(begun.elapsed() < PATIENCE / 2, "the end waits for an open page");
+    answer.read_to_end(&mut Vec::new()).unwrap();
+}

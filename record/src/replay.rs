@@ -247,7 +247,7 @@ impl<'a> Player<'a> {
             // message.
             if self.plan.clock == Clock::Live {
                 let current = self
-                    .epoch_replay
+                    .current
                     .as_ref()
                     .map_or((0, 0), |epoch_replay| (epoch_replay.controller.epoch(), epoch_replay.decided));
                 match current {

@@ -105,7 +105,8 @@ impl Server {
         let feed = Feed::start(Arc::clone(&page.view), stop.clone()).map_err(UiError::Threads)?;
         let router = router(Shared { page: Arc::new(page), feed });
         let limits = Limits { body_bytes: ORDER_MAX, ..Limits::default() };
-        let http = http::serve("page", listener, router, limits, stop).map_err(UiError::Threads)?;
+        let served = http::serve("page", listener, router, limits, stop.clone());
+        let http = served.inspect_err(|_| stop.request()).map_err(UiError::Threads)?;
         let replaced = (port != 0 && http.address().port() != port).then_some(port);
         Ok(Self { http, replaced })
     }

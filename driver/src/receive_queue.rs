@@ -1,4 +1,4 @@
-//! What arrives for an array, between the transport's thread and the driver's: stamped, decoded, in order, never without bound.
+//! The bounded queue of messages for an array, between the transport's thread and the driver's.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -7,21 +7,21 @@ use std::time::{Duration, Instant};
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 
-/// Most arrivals of each urgency that wait; beyond it the oldest is shed.
+/// Capacity for stops, and for all other messages; beyond it the oldest is dropped.
 const CAPACITY: usize = 256;
 
-/// One payload.
+/// A received message.
 #[derive(Clone, Debug)]
 pub struct Arrival {
-    /// When it came in, before it was decoded.
+    /// When it arrived, before it was decoded.
     pub at: Moment,
-    /// What it holds.
+    /// Its content.
     pub content: Content,
 }
 
-/// A bounded queue of arrivals; an emergency stop overtakes the rest, and a flood of commands cannot push it out.
+/// A bounded queue in which emergency stops have priority, and commands cannot displace them.
 #[derive(Debug, Default)]
-pub struct Inbox {
+pub struct ReceiveQueue {
     queue: Mutex<Queue>,
     filled: Condvar,
 }
@@ -30,7 +30,7 @@ pub struct Inbox {
 struct Queue {
     stops: VecDeque<Arrival>,
     others: VecDeque<Arrival>,
-    shed: u64,
+    dropped: u64,
 }
 
 impl Queue {
@@ -39,27 +39,27 @@ impl Queue {
     }
 }
 
-impl Inbox {
-    /// Takes a payload as it comes in; called on the transport's thread.
+impl ReceiveQueue {
+    /// Adds a message; called on the transport's thread.
     pub fn push(&self, at: Moment, content: Content) {
         let mut queue = self.lock();
-        let Queue { stops, others, shed } = &mut *queue;
-        let line = if matches!(content, Content::Stop(_)) { stops } else { others };
-        if line.len() == CAPACITY {
-            line.pop_front();
-            *shed += 1;
+        let Queue { stops, others, dropped } = &mut *queue;
+        let target = if matches!(content, Content::Stop(_)) { stops } else { others };
+        if target.len() == CAPACITY {
+            target.pop_front();
+            *dropped += 1;
         }
-        line.push_back(Arrival { at, content });
+        target.push_back(Arrival { at, content });
         drop(queue);
         self.filled.notify_one();
     }
 
-    /// The next arrival, if any.
+    /// The next message, if any.
     pub fn pop(&self) -> Option<Arrival> {
         self.lock().pop()
     }
 
-    /// The next arrival, waiting for one until `deadline`.
+    /// The next message; waits for one until `deadline`.
     pub fn pop_until(&self, deadline: Instant) -> Option<Arrival> {
         let mut queue = self.lock();
         loop {
@@ -74,13 +74,13 @@ impl Inbox {
         }
     }
 
-    /// Arrivals that were shed because nobody took them.
-    pub fn shed(&self) -> u64 {
-        self.lock().shed
+    /// Messages that were dropped because the queue was full.
+    pub fn dropped(&self) -> u64 {
+        self.lock().dropped
     }
 
     fn lock(&self) -> MutexGuard<'_, Queue> {
-        // A queue is whole between any two of its operations, so a panic elsewhere does not spoil it.
+        // The queue is consistent between two operations, so a panic of another thread does not corrupt it.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -96,25 +96,25 @@ mod tests {
     }
 
     #[test]
-    fn keeps_order_sheds_the_oldest_and_lets_a_stop_overtake() {
-        let inbox = Inbox::default();
-        inbox.push(Moment::simulated(0), command());
-        inbox.push(Moment::simulated(0), Content::Stop(Ok(EmergencyStop::default())));
+    fn keeps_order_drops_the_oldest_and_gives_stops_priority() {
+        let queue = ReceiveQueue::default();
+        queue.push(Moment::simulated(0), command());
+        queue.push(Moment::simulated(0), Content::Stop(Ok(EmergencyStop::default())));
         for i in 1..CAPACITY as u64 + 3 {
-            inbox.push(Moment::simulated(i), command());
+            queue.push(Moment::simulated(i), command());
         }
-        assert_eq!(inbox.shed(), 3);
-        assert!(matches!(inbox.pop().unwrap().content, Content::Stop(_)));
-        assert_eq!(inbox.pop().unwrap().at, Moment::simulated(3));
+        assert_eq!(queue.dropped(), 3);
+        assert!(matches!(queue.pop().unwrap().content, Content::Stop(_)));
+        assert_eq!(queue.pop().unwrap().at, Moment::simulated(3));
     }
 
     #[test]
-    fn waits_until_the_deadline_and_not_longer() {
-        let inbox = Inbox::default();
-        assert!(inbox.pop_until(Instant::now() + Duration::from_millis(5)).is_none());
+    fn waits_until_the_deadline_at_the_latest() {
+        let queue = ReceiveQueue::default();
+        assert!(queue.pop_until(Instant::now() + Duration::from_millis(5)).is_none());
         std::thread::scope(|scope| {
-            scope.spawn(|| inbox.push(Moment::simulated(1), command()));
-            assert!(inbox.pop_until(Instant::now() + Duration::from_secs(30)).is_some());
+            scope.spawn(|| queue.push(Moment::simulated(1), command()));
+            assert!(queue.pop_until(Instant::now() + Duration::from_secs(30)).is_some());
         });
     }
 }

@@ -1,4 +1,4 @@
-//! A driver as a process: a kit with a session, a clock and a loop around it.
+//! The loop of a driver process: a kit with a session and a clock.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,48 +6,48 @@ use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use heliostat_array::device::Device;
+use heliostat_array::kit::Kit;
+use heliostat_array::moment::Moment;
+use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_proto::{ArrayState, NodeKind, NodeStatus, Stamp};
 use serde::Serialize;
 
 use crate::clock::{Clock, as_ns};
-use crate::lines::{Lines, LinesError, Outlet, check_alone, random_id};
-use heliostat_array::device::Device;
-use heliostat_array::kit::Kit;
-use heliostat_array::moment::Moment;
-use heliostat_array::refused::Refused;
+use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone, random_id};
 
-/// Between two telemetry messages; the contract asks for ten a second.
+/// Time between two telemetry messages; the contract requires ten per second.
 const TELEMETRY: Duration = Duration::from_millis(50);
 
-/// Between two announcements of the capabilities, and two statuses.
+/// Time between two publications of the capabilities and of the status.
 const ANNOUNCEMENT: Duration = Duration::from_secs(1);
 
-/// Longest sleep, so that the end is noticed soon.
+/// Longest wait, so that a stop request takes effect soon.
 const SLEEP_MAX: Duration = Duration::from_millis(50);
 
-/// First and longest pause before a router that cannot be reached is tried again.
+/// First and longest pause before another attempt to reach the router.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
 
-/// What a run came to.
+/// The result of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Summary {
-    /// Commands followed.
+    /// Commands accepted.
     pub commands: u64,
     /// Of those, with an angle beyond the limits.
     pub clipped_commands: u64,
-    /// What was refused, by name.
+    /// Messages refused, by name.
     pub refused: BTreeMap<String, u64>,
-    /// Times that the device was brought up.
+    /// How often the device was connected.
     pub connections: u64,
-    /// The last thing that went wrong; empty when nothing did.
+    /// The last problem; empty if there was none.
     pub last_problem: String,
 }
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
-        writeln!(f, "device          brought up {} times", self.connections)?;
+        writeln!(f, "device          connected {} times", self.connections)?;
         for (name, count) in &self.refused {
             writeln!(f, "refused         {name}: {count}")?;
         }
@@ -60,16 +60,17 @@ impl fmt::Display for Summary {
 
 /// Drives a device until `stop` is set, or for `duration`.
 ///
-/// A router that cannot be reached is tried again, and so is a device that does not answer.
+/// It retries while the router cannot be reached or the device does not answer.
 ///
 /// # Errors
-/// [`LinesError`]: a transport that is set up wrongly or fails, or somebody else who turns the mirrors of this room.
+/// [`SessionError`]: a transport that fails or is configured wrongly, or another process that controls the
+/// mirrors of this room.
 pub fn run<D: Device>(
     kit: Kit<D>,
     bus: &BusConfig,
     duration: Option<Duration>,
     stop: &AtomicBool,
-) -> Result<Summary, LinesError> {
+) -> Result<Summary, SessionError> {
     let end = duration.map(|duration| Instant::now() + duration);
     let Some(bus) = open(bus, stop)? else { return Ok(Summary::default()) };
     check_alone(&bus)?;
@@ -77,13 +78,13 @@ pub fn run<D: Device>(
     let source = random_id();
     let mut driver = Driver {
         kit,
-        lines: Lines::open(&bus, clock, Class::State)?,
-        status: Outlet::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
-        refused: Refused::default(),
+        session: ArraySession::open(&bus, clock, Class::State)?,
+        status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
+        refused: RefusalCounts::default(),
         source,
         sequences: [0; 3],
-        told: ArrayState::Parked,
-        told_problem: String::new(),
+        published_state: ArrayState::Parked,
+        logged_problem: String::new(),
         started_ns: clock.now().room_ns,
     };
     let token = bus.announce(&bus.room().alive(NodeKind::Driver, source))?;
@@ -91,7 +92,7 @@ pub fn run<D: Device>(
     while !stop.load(Ordering::Relaxed) && end.is_none_or(|end| Instant::now() < end) {
         let work = driver.kit.next_ns().map_or(telemetry, |next_ns| clock.instant_at(next_ns));
         let wake = work.min(telemetry).min(announcement).min(Instant::now() + SLEEP_MAX);
-        driver.hear(wake);
+        driver.handle_received(wake);
         let now = clock.now();
         driver.kit.advance(now);
         let due = |at: &mut Instant, interval: Duration| {
@@ -101,22 +102,22 @@ pub fn run<D: Device>(
             }
             due
         };
-        if due(&mut telemetry, TELEMETRY) || driver.told != driver.kit.array().state() {
-            driver.tell(now)?;
+        if due(&mut telemetry, TELEMETRY) || driver.published_state != driver.kit.array().state() {
+            driver.publish_telemetry(now)?;
         }
         if due(&mut announcement, ANNOUNCEMENT) {
-            driver.announce(now)?;
+            driver.publish_capabilities_and_status(now)?;
         }
     }
-    driver.refused.set("shed", driver.lines.inbox().shed());
+    driver.refused.set("dropped", driver.session.received().dropped());
     let summary = driver.summary();
     drop((driver, token));
     bus.close()?;
     Ok(summary)
 }
 
-/// Opens the session, as often as it takes to reach a router; nothing when stopped meanwhile.
-fn open(config: &BusConfig, stop: &AtomicBool) -> Result<Option<Bus>, LinesError> {
+/// Opens a connection, and retries until the router can be reached; `None` when stopped before.
+fn open(config: &BusConfig, stop: &AtomicBool) -> Result<Option<Bus>, SessionError> {
     let [mut pause, longest] = ROUTER_PAUSES;
     while !stop.load(Ordering::Relaxed) {
         match Bus::open(config) {
@@ -134,26 +135,26 @@ fn open(config: &BusConfig, stop: &AtomicBool) -> Result<Option<Bus>, LinesError
 
 struct Driver<D> {
     kit: Kit<D>,
-    lines: Lines,
-    status: Outlet,
-    refused: Refused,
+    session: ArraySession,
+    status: MessagePublisher,
+    refused: RefusalCounts,
     source: u64,
-    /// Of telemetry, capabilities and status.
+    /// Sequence numbers of telemetry, capabilities and status.
     sequences: [u64; 3],
-    /// State that the last telemetry told.
-    told: ArrayState,
-    /// Problem that the last status told.
-    told_problem: String,
+    /// The state in the last telemetry.
+    published_state: ArrayState,
+    /// The problem that was logged last.
+    logged_problem: String,
     started_ns: u64,
 }
 
 impl<D: Device> Driver<D> {
-    /// Takes all that has arrived, waiting for the first until `wake`.
-    fn hear(&mut self, wake: Instant) {
-        let mut next = self.lines.inbox().pop_until(wake);
+    /// Handles all received messages; waits for the first until `wake`.
+    fn handle_received(&mut self, wake: Instant) {
+        let mut next = self.session.received().pop_until(wake);
         while let Some(arrival) = next {
-            self.kit.take(arrival.at, arrival.content, &mut self.refused);
-            next = self.lines.inbox().pop();
+            self.kit.handle(arrival.at, arrival.content, &mut self.refused);
+            next = self.session.received().pop();
         }
     }
 
@@ -162,22 +163,22 @@ impl<D: Device> Driver<D> {
         Stamp { source: self.source, sequence: self.sequences[of], time_ns: now.room_ns }
     }
 
-    fn tell(&mut self, now: Moment) -> Result<(), LinesError> {
+    fn publish_telemetry(&mut self, now: Moment) -> Result<(), SessionError> {
         let stamp = self.stamp(0, now);
         let telemetry = self.kit.telemetry(now, stamp);
-        self.told = self.kit.array().state();
-        self.lines.tell(&telemetry)
+        self.published_state = self.kit.array().state();
+        self.session.publish_telemetry(&telemetry)
     }
 
-    fn announce(&mut self, now: Moment) -> Result<(), LinesError> {
+    fn publish_capabilities_and_status(&mut self, now: Moment) -> Result<(), SessionError> {
         let stamp = self.stamp(1, now);
-        self.lines.announce(&self.kit.capabilities(stamp))?;
+        self.session.publish_capabilities(&self.kit.capabilities(stamp))?;
         let summary = self.summary();
-        if self.told_problem != summary.last_problem {
+        if self.logged_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {
                 drop(writeln!(std::io::stderr(), "driver: {}", summary.last_problem));
             }
-            self.told_problem.clone_from(&summary.last_problem);
+            self.logged_problem.clone_from(&summary.last_problem);
         }
         let stamp = self.stamp(2, now);
         let mut status = NodeStatus {

@@ -1,114 +1,115 @@
-//! What an array says and hears on the bus, whoever runs it: commands, stops and calibrations in, telemetry and capabilities out.
+//! The session of an array on the bus, real or simulated: it receives commands, stops and calibrations, and
+//! publishes telemetry and capabilities.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use heliostat_array::content::Content;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Service, Subscription};
 use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, decode, encode};
 use thiserror::Error;
 
 use crate::clock::Clock;
-use crate::inbox::Inbox;
-use heliostat_array::content::Content;
+use crate::receive_queue::ReceiveQueue;
 
-/// How long answers to "who is alive" are waited for.
+/// Timeout of a query for liveliness tokens.
 pub const ALIVE_LIMIT: Duration = Duration::from_secs(1);
 
-/// Why nothing can be said or heard.
+/// Why a session cannot be opened or used.
 #[derive(Debug, Error)]
-pub enum LinesError {
+pub enum SessionError {
     /// The transport failed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// A message of ours breaks the contract.
+    /// An outgoing message violates the contract.
     #[error("a message cannot be published: {0}")]
     Codec(#[from] CodecError),
-    /// Somebody else turns the mirrors of this room.
+    /// Another process controls the mirrors of this room.
     #[error("another {other} is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
     RoomTaken {
         /// Name of the room.
         room: String,
-        /// What has it.
+        /// The kind of the other process.
         other: NodeKind,
-        /// The other's liveliness token.
+        /// Its liveliness token.
         token: String,
     },
 }
 
-/// Refuses a room whose mirrors somebody else turns: a driver does so as much as a simulator.
+/// Refuses a room in which another driver or simulator controls the mirrors.
 ///
 /// # Errors
-/// [`LinesError::RoomTaken`], or a transport that fails.
-pub fn check_alone(bus: &Bus) -> Result<(), LinesError> {
+/// [`SessionError::RoomTaken`], or a transport that fails.
+pub fn check_alone(bus: &Bus) -> Result<(), SessionError> {
     for other in [NodeKind::SimNode, NodeKind::Driver] {
         if let Some(token) = bus.alive(&bus.room().alive_of(other), ALIVE_LIMIT)?.into_iter().next() {
-            return Err(LinesError::RoomTaken { room: bus.room().to_string(), other, token });
+            return Err(SessionError::RoomTaken { room: bus.room().to_string(), other, token });
         }
     }
     Ok(())
 }
 
-/// A publisher with its buffer.
-pub struct Outlet {
+/// A publisher of messages, with its buffer.
+pub struct MessagePublisher {
     publisher: Publisher,
     buffer: Vec<u8>,
 }
 
-impl Outlet {
+impl MessagePublisher {
     /// Declares a publisher.
     ///
     /// # Errors
     /// A transport that fails.
-    pub fn new(bus: &Bus, key: &str, class: Class) -> Result<Self, LinesError> {
+    pub fn new(bus: &Bus, key: &str, class: Class) -> Result<Self, SessionError> {
         Ok(Self { publisher: bus.publisher(key, class)?, buffer: Vec::new() })
     }
 
-    /// Encodes a message; [`Outlet::put`] then publishes it.
+    /// Encodes a message; [`MessagePublisher::put`] then publishes it.
     ///
     /// # Errors
-    /// A message that breaks the contract.
-    pub fn encode<T: Message>(&mut self, message: &T) -> Result<(), LinesError> {
+    /// A message that violates the contract.
+    pub fn encode<T: Message>(&mut self, message: &T) -> Result<(), SessionError> {
         Ok(encode(message, &mut self.buffer)?)
     }
 
-    /// Publishes what was encoded last.
+    /// Publishes the message that was encoded last.
     ///
     /// # Errors
     /// A transport that fails.
-    pub fn put(&self) -> Result<(), LinesError> {
+    pub fn put(&self) -> Result<(), SessionError> {
         Ok(self.publisher.put(&self.buffer)?)
     }
 }
 
-/// Everything that an array says and hears.
-pub struct Lines {
-    inbox: Arc<Inbox>,
-    telemetry: Outlet,
-    capabilities: Outlet,
-    /// What whoever asks for the capabilities gets: the payload published last.
+/// The subscriptions and publishers of an array.
+pub struct ArraySession {
+    received: Arc<ReceiveQueue>,
+    telemetry: MessagePublisher,
+    capabilities: MessagePublisher,
+    /// The payload that answers a query for the capabilities: the one published last.
     answer: Arc<Mutex<Vec<u8>>>,
     _declared: ([Subscription; 3], Service),
 }
 
-impl Lines {
-    /// Declares everything; `class` is that of telemetry and capabilities.
+impl ArraySession {
+    /// Declares subscriptions and publishers; `class` is that of telemetry and capabilities.
     ///
     /// # Errors
     /// A transport that fails.
-    pub fn open(bus: &Bus, clock: Clock, class: Class) -> Result<Self, LinesError> {
+    pub fn open(bus: &Bus, clock: Clock, class: Class) -> Result<Self, SessionError> {
         let keys = bus.room();
-        let inbox = Arc::new(Inbox::default());
-        let hear = |key: String, content: fn(&[u8]) -> Content| {
-            let inbox = Arc::clone(&inbox);
+        let received = Arc::new(ReceiveQueue::default());
+        let subscribe = |key: String, content: fn(&[u8]) -> Content| {
+            let received = Arc::clone(&received);
             bus.subscribe(&key, move |payload| {
                 let at = clock.now();
-                inbox.push(at, content(payload));
+                received.push(at, content(payload));
             })
         };
-        let heard = [
-            hear(keys.command(), |payload| Content::Command(decode(payload)))?,
-            hear(keys.stop(), |payload| Content::Stop(decode(payload)))?,
-            hear(keys.calibration(), |payload| Content::Calibration(decode(payload)))?,
+        let subscriptions = [
+            subscribe(keys.command(), |payload| Content::Command(decode(payload)))?,
+            subscribe(keys.stop(), |payload| Content::Stop(decode(payload)))?,
+            subscribe(keys.calibration(), |payload| Content::Calibration(decode(payload)))?,
         ];
         let answer = Arc::new(Mutex::new(Vec::new()));
         let latest = Arc::clone(&answer);
@@ -116,33 +117,33 @@ impl Lines {
             payload.extend_from_slice(&latest.lock().unwrap_or_else(PoisonError::into_inner));
         })?;
         Ok(Self {
-            inbox,
-            telemetry: Outlet::new(bus, &keys.telemetry(), class)?,
-            capabilities: Outlet::new(bus, &keys.capabilities(), class)?,
+            received,
+            telemetry: MessagePublisher::new(bus, &keys.telemetry(), class)?,
+            capabilities: MessagePublisher::new(bus, &keys.capabilities(), class)?,
             answer,
-            _declared: (heard, service),
+            _declared: (subscriptions, service),
         })
     }
 
-    /// What arrived.
-    pub fn inbox(&self) -> &Inbox {
-        &self.inbox
+    /// The queue of received messages.
+    pub fn received(&self) -> &ReceiveQueue {
+        &self.received
     }
 
     /// Publishes telemetry.
     ///
     /// # Errors
-    /// A transport that fails, or telemetry that breaks the contract.
-    pub fn tell(&mut self, telemetry: &MirrorTelemetry) -> Result<(), LinesError> {
+    /// A transport that fails, or telemetry that violates the contract.
+    pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), SessionError> {
         self.telemetry.encode(telemetry)?;
         self.telemetry.put()
     }
 
-    /// Publishes the capabilities, and gives them to whoever asks from now on.
+    /// Publishes the capabilities, and answers queries with them from now on.
     ///
     /// # Errors
-    /// A transport that fails, or capabilities that break the contract.
-    pub fn announce(&mut self, capabilities: &Capabilities) -> Result<(), LinesError> {
+    /// A transport that fails, or capabilities that violate the contract.
+    pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), SessionError> {
         self.capabilities.encode(capabilities)?;
         self.answer.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&self.capabilities.buffer);
         self.capabilities.put()

@@ -12,7 +12,8 @@ use heliostat_driver::calibration_store;
 use heliostat_metrics::{LogArgs, MetricsArgs};
 use heliostat_scenario::ScenarioArgs;
 
-use crate::node::{self, Pace, Settings};
+use crate::run;
+use crate::settings::{Pace, Settings};
 
 /// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
 const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_sim_node=info,heliostat_metrics=info";
@@ -31,10 +32,10 @@ pub struct Args {
     /// End after this many seconds; without it, run until stopped
     #[arg(long, value_name = "N", value_parser = seconds)]
     seconds: Option<Duration>,
-    /// Run so many ticks in simulated time, each waiting for its answer: the same seed gives the same run, bit for bit
+    /// Run so many ticks in simulated time, where each tick waits for its answer: the same seed gives the same run, bit for bit
     #[arg(long, value_name = "TICKS", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..))]
     lockstep: Option<u64>,
-    /// Correct the mirrors' mounting by this file of `heliostat calibrate` from the start
+    /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Print the summary as one JSON object on the last line
@@ -49,7 +50,7 @@ impl Args {
     /// The settings that the flags describe.
     ///
     /// # Errors
-    /// Whatever is wrong with a flag or with the scenario.
+    /// An invalid flag, scenario or calibration file.
     pub fn settings(&self) -> Result<Settings> {
         let pace = match self.lockstep {
             Some(ticks) => Pace::Lockstep { ticks },
@@ -68,8 +69,8 @@ impl Args {
 /// Runs the simulator until its end, Ctrl-C or SIGTERM, and prints its summary.
 ///
 /// # Errors
-/// A scenario that cannot be read, a room that cannot be built, a transport that fails, another simulator in the room, a tick of a
-/// lockstep run that nobody answers.
+/// A scenario that cannot be read, a room that cannot be created, a transport that fails, another driver or
+/// simulator in the room, a tick of a lockstep run without an answer.
 pub fn run(args: Args) -> Result<()> {
     let settings = args.settings()?;
     let stop = Arc::new(AtomicBool::new(false));
@@ -78,7 +79,7 @@ pub fn run(args: Args) -> Result<()> {
         stop_with_parent(&stop);
     }
     args.log.begin(DEFAULT_LOG);
-    let summary = node::run(&settings, &stop)?;
+    let summary = run::run(&settings, &stop)?;
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
     if args.json {
@@ -109,7 +110,7 @@ fn stop_with_parent(stop: &Arc<AtomicBool>) {
     let stop = Arc::clone(stop);
     std::thread::spawn(move || {
         let mut buffer = [0; 256];
-        // A read error means as much as the end: nobody is there any more.
+        // A read error also means that the parent process has ended.
         while std::io::stdin().read(&mut buffer).is_ok_and(|count| count > 0) {}
         stop.store(true, Ordering::Relaxed);
     });

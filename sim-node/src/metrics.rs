@@ -1,47 +1,56 @@
-//! The room's metrics, made where its status is made.
+//! The metrics of the room.
 
 use heliostat_metrics::{Histogram, Page};
-
-use crate::ledger::Ledger;
-use crate::summary::Summary;
 use heliostat_sim::baselines::Measured;
 
-/// The page of a room, as far as the room itself knows it.
-pub(crate) fn page(room: &str, summary: &Summary, ledger: &Ledger) -> Page {
+use crate::summary::Summary;
+use crate::tick_ledger::TickLedger;
+
+/// The metrics of the room without the rates.
+pub(crate) fn page(room: &str, summary: &Summary, ticks: &TickLedger) -> Page {
     let mut page = Page::new(&[("room", room)]);
     page.build_info("sim-node", env!("CARGO_PKG_VERSION"));
     for (name, help, value) in [
         ("heliostat_ticks", "Position reports published", summary.ticks),
         ("heliostat_ticks_lost", "Ticks that no accepted command answered in time", summary.lost_ticks),
-        ("heliostat_ticks_late", "Ticks that left late or were left out", summary.late_ticks),
-        ("heliostat_ticks_unattended", "Ticks before the first answer of all", summary.unattended_ticks),
+        ("heliostat_ticks_late", "Ticks that were published late or skipped", summary.late_ticks),
+        ("heliostat_ticks_unattended", "Ticks before the first answer", summary.unattended_ticks),
         ("heliostat_room_commands", "Commands that the array accepted", summary.commands),
-        ("heliostat_room_commands_clipped", "Of those: with an angle beyond the range", summary.clipped_commands),
+        (
+            "heliostat_room_commands_clipped",
+            "Accepted commands with an angle beyond the range",
+            summary.clipped_commands,
+        ),
     ] {
         page.counter(name, help, &[], value);
     }
     for (reason, count) in &summary.refused {
         page.counter("heliostat_room_refused", "Payloads and commands refused", &[("reason", reason.as_str())], *count);
     }
-    let help = "From the publication of a position report to the arrival of the command that answers it";
-    page.histogram("heliostat_loop_seconds", help, &[], Histogram::of_ns(ledger.latency_ns()));
+    let help = "Time from the publication of a position report to the arrival of the command that answers it";
+    page.histogram("heliostat_loop_seconds", help, &[], Histogram::of_ns(ticks.latency_ns()));
     page
 }
 
-/// Adds what the last measured instant came to.
+/// Adds the rates at the last computed instant.
 pub(crate) fn add_rates(page: &mut Page, measured: &Measured) {
     let sums = &measured.sum_rates_bps;
-    for (hands, rate) in
+    for (angles, rate) in
         [("policy", sums.policy), ("no-irs", sums.no_irs), ("flat", sums.flat), ("oracle", sums.oracle)]
     {
-        page.gauge("heliostat_sum_rate_bps", "Sum rate under four hands", &[("hands", hands)], rate);
+        page.gauge(
+            "heliostat_sum_rate_bps",
+            "Sum rate with the policy's angles, without the array, with flat mirrors, and with the oracle",
+            &[("angles", angles)],
+            rate,
+        );
     }
     let blocked = measured.los_blocked.iter().filter(|blocked| **blocked).count();
     for (name, help, count) in [
         ("heliostat_users", "Users in the room", measured.rates_bps.len()),
         ("heliostat_users_met", "Users whose minimum rate is met", measured.met),
         ("heliostat_users_met_oracle", "Users whose minimum rate the oracle would meet", measured.met_oracle),
-        ("heliostat_users_blocked", "Users whose direct path is off", blocked),
+        ("heliostat_users_blocked", "Users whose direct path is blocked", blocked),
     ] {
         page.gauge(name, help, &[], count as f64);
     }

@@ -1,4 +1,5 @@
-//! The correction of each mirror's mounting: device angle = gain * angle + offset, for each mirror and axis.
+//! The correction of each mirror's mounting: device angle = gain * angle + offset, for each mirror
+//! and axis.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{Calibration, CodecError};

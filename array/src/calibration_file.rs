@@ -76,7 +76,8 @@ impl CalibrationFile {
     /// Reads a calibration from its TOML text.
     ///
     /// # Errors
-    /// [`CalibrationFileError`] for a key that is unknown, missing or of another type, and for a list that does not fit the array.
+    /// [`CalibrationFileError`] for a key that is unknown, missing or of another type, and for a
+    /// list that does not fit the array.
     pub fn parse(text: &str) -> Result<Self, CalibrationFileError> {
         let read: Self = toml::from_str(text)?;
         read.check()?;

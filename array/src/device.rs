@@ -1,4 +1,4 @@
-//! The trait that hardware implements; [`Kit`](crate::kit::Kit) does everything else.
+//! The trait that hardware implements; `Kit` does everything else.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::Capabilities;
@@ -37,18 +37,19 @@ pub struct Health {
 /// Mirrors that can be turned: on a serial port, on a board, in a simulation.
 ///
 /// All calls come from one thread and have the time as an argument. After an error the kit calls
-/// [`connect`](Self::connect) repeatedly, with growing pauses, and then [`apply`](Self::apply) with the
-/// angles that apply by then.
+/// [`connect`](Self::connect) repeatedly, with growing pauses, and then [`apply`](Self::apply) with
+/// the angles that apply by then.
 pub trait Device {
     /// The capabilities of the array, constant while the device runs.
     ///
-    /// The kit overwrites the stamp and publishes all other fields unchanged. It enforces the limits,
-    /// the park position and the validity clock in them.
+    /// The kit overwrites the stamp and publishes all other fields unchanged. It enforces the
+    /// limits, the park position and the validity clock in them.
     fn capabilities(&self) -> Capabilities;
 
     /// Minimum and maximum angle of the hardware itself in rad, roll and then yaw.
     ///
-    /// This is the range of the announced limits, plus the reserve for the corrections of a calibration.
+    /// This is the range of the announced limits, plus the reserve for the corrections of a
+    /// calibration.
     fn travel_rad(&self) -> [[f64; 2]; 2] {
         let Capabilities { roll, yaw, .. } = self.capabilities();
         [roll, yaw].map(|axis| [f64::from(axis.min_rad), f64::from(axis.max_rad)])
@@ -83,6 +84,7 @@ pub trait Device {
     /// Stops all motion at once.
     ///
     /// # Errors
-    /// [`DeviceError`] if the motion may not have stopped; the kit stops it again as soon as it answers.
+    /// [`DeviceError`] if the motion may not have stopped; the kit stops it again as soon as it
+    /// answers.
     fn stop(&mut self, now: Moment) -> Result<(), DeviceError>;
 }

@@ -1,9 +1,10 @@
-//! Detection of mirrors that do not follow their commands: stuck, without drive, or turning in the wrong direction.
+//! Detection of mirrors that do not follow their commands: stuck, without drive, or turning in the
+//! wrong direction.
 //!
-//! Only hardware that measures can be checked. An axis fails a check when its error is above the tolerance
-//! and it has not approached its target since the previous check. An axis that fails every check for
-//! longer than the patience is unusable. It is usable again when it has moved to a command at a distance
-//! and has stayed there for as long.
+//! Only hardware that measures can be checked. An axis fails a check when its error is above the
+//! tolerance and it has not approached its target since the previous check. An axis that fails
+//! every check for longer than the patience is unusable. It is usable again when it has moved to a
+//! command at a distance and has stayed there for as long.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{AxisLimits, Capabilities};
@@ -100,7 +101,8 @@ mod tests {
         FollowCheck::new(&Capabilities { rows: 1, columns: 1, ..Capabilities::default() })
     }
 
-    /// Checks one mirror; `at` returns its commanded and measured roll for each check. Returns whether it is unusable after each.
+    /// Checks one mirror; `at` returns its commanded and measured roll for each check. Returns
+    /// whether it is unusable after each.
     fn verdicts(mirror: &mut FollowCheck, checks: u64, at: impl Fn(f64) -> (f64, f64)) -> Vec<bool> {
         let check = |index: u64| {
             let (commanded, measured) = at(index as f64);

@@ -1,17 +1,21 @@
-//! What every driver does with any device: rules, watchdog, emergency stop, calibration, telemetry, reconnection.
+//! What every driver does with any device: rules, watchdog, emergency stop, calibration, telemetry,
+//! reconnection.
 //!
 //! # Theory of Operation
 //!
-//! [`Kit`] puts the rules of [`crate::rules`] around a [`Device`]. It has no thread, no socket and no clock:
-//! the caller passes messages and time to the `handle_*` methods, and the kit applies the resulting angles
-//! to the device. Driver processes and the simulated room are such callers. The calling order is:
+//! [`Kit`] puts the rules of [`crate::rules`] around a [`Device`]. It has no thread, no socket and
+//! no clock: the caller passes messages and time to the `handle_*` methods, and the kit applies the
+//! resulting angles to the device. Driver processes and the simulated room are such callers. The
+//! calling order is:
 //!
-//! 1. [`Kit::handle`], or one of the specific `handle_*` methods, for each message, with its arrival time.
+//! 1. [`Kit::handle`], or one of the specific `handle_*` methods, for each message, with its
+//!    arrival time.
 //! 2. [`Kit::advance`] at [`Kit::next_ns`] at the latest: it holds, parks and reconnects.
 //! 3. [`Kit::telemetry`] and [`Kit::capabilities`] when these are due.
 //!
 //! The connection to the device has two states. A failed call leads to Down, and the array's rules
-//! continue to run there; so after a reconnection the device receives the angles that apply by then.
+//! continue to run there; so after a reconnection the device receives the angles that apply by
+//! then.
 //!
 //! ```text
 //!              connect succeeded: apply the target, or stop again if the array is stopped
@@ -24,8 +28,8 @@
 //! start   +------------------- a call of the device failed ------------------------+
 //! ```
 //!
-//! The fail-safe default is the park position: mirrors for which no command is valid are parked, and
-//! a device that could not be stopped is stopped again as soon as it answers.
+//! The fail-safe default is the park position: mirrors for which no command is valid are parked,
+//! and a device that could not be stopped is stopped again as soon as it answers.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
@@ -92,7 +96,8 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    /// Advances to a time: the array holds or parks, and a lost device is connected when that is due.
+    /// Advances to a time: the array holds or parks, and a lost device is connected when that is
+    /// due.
     pub fn advance(&mut self, now: Moment) {
         if let Some(at_ns) = self.array.parks_at_ns().filter(|at_ns| *at_ns <= now.local_ns) {
             let passed_ns = now.local_ns - at_ns;

@@ -1,12 +1,14 @@
-//! The array's side of the contract: which commands an array follows, and when it holds, parks and stops.
+//! The array's side of the contract: which commands an array follows, and when it holds, parks and
+//! stops.
 //!
 //! Simulated and real arrays share this code. It does no I/O, reads no clock and starts no thread:
-//! messages and time come in, and the [`Device`] receives the resulting angles. Crate `heliostat-driver`
-//! adds sessions and hardware, crate `heliostat-sim` a simulated device.
+//! messages and time come in, and the [`Device`] receives the resulting angles. Crate
+//! `heliostat-driver` adds sessions and hardware, crate `heliostat-sim` a simulated device.
 //!
 //! - [`device`]: the trait that hardware implements.
 //! - [`rules`]: which commands are followed, and when an array holds, parks and stops.
-//! - [`calibration`]: the correction of each mirror's mounting; [`calibration_file`]: its file format.
+//! - [`calibration`]: the correction of each mirror's mounting; [`calibration_file`]: its file
+//!   format.
 //! - [`kit`]: device, rules and correction together, with telemetry and reconnection.
 //! - [`content`]: the messages that arrive; [`refusal_counts`]: counts of refusals.
 //! - [`moment`]: the two times of a room.

@@ -1,8 +1,8 @@
 //! The two times of a room.
 //!
-//! Messages contain room time: UTC in live operation, simulated time in lockstep. Local time is monotonic
-//! and paces the process. They are separate, so that a step of the UTC clock does not disturb pacing,
-//! watchdogs or latencies.
+//! Messages contain room time: UTC in live operation, simulated time in lockstep. Local time is
+//! monotonic and paces the process. They are separate, so that a step of the UTC clock does not
+//! disturb pacing, watchdogs or latencies.
 
 /// One instant in both times.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,11 +1,13 @@
-//! The rules of CONTRACT.md for drivers, as a pure state machine: time and messages in, target angles out.
+//! The rules of CONTRACT.md for drivers, as a pure state machine: time and messages in, target
+//! angles out.
 //!
 //! # Theory of Operation
 //!
-//! [`Array`] decides which commands an array follows and where its mirrors go when no command is valid.
-//! It trusts no controller, and its default is safe: an array starts parked, and it parks again when
-//! valid commands no longer arrive. It has no clock: each call has the time as an argument, and
-//! [`Array::changes_at_ns`] returns the time at which the caller must call [`Array::advance`] next.
+//! [`Array`] decides which commands an array follows and where its mirrors go when no command is
+//! valid. It trusts no controller, and its default is safe: an array starts parked, and it parks
+//! again when valid commands no longer arrive. It has no clock: each call has the time as an
+//! argument, and [`Array::changes_at_ns`] returns the time at which the caller must call
+//! [`Array::advance`] next.
 //!
 //! ```text
 //!                          command accepted
@@ -29,9 +31,10 @@
 //! | Holding | the last accepted command | accepted |
 //! | Stopped | the angles at which the mirrors came to rest, if they are measured | refused |
 //!
-//! A command that is accepted in another state than Following counts as late, unless it is the first.
+//! A command that is accepted in another state than Following counts as late, unless it is the
+//! first.
 //!
-//! Telemetry has a fifth state, Fault. [`Kit`](crate::kit::Kit) reports it while the device does not answer.
+//! Telemetry has a fifth state, Fault. `Kit` reports it while the device does not answer.
 //!
 //! A command is checked in this order:
 //!
@@ -42,9 +45,9 @@
 //! 4. A command whose validity has ended, or whose time is in the future, is refused.
 //! 5. Angles beyond the limits are clamped to them, and the command is counted as clipped.
 //!
-//! Validity starts at the time in the command, but never ends later than validity_ms after its arrival.
-//! Clocks may differ by [`CLOCK_LEAD_MAX_NS`] before a time counts as in the future. An array without a
-//! synchronised clock counts from arrival alone.
+//! Validity starts at the time in the command, but never ends later than validity_ms after its
+//! arrival. Clocks may differ by [`CLOCK_LEAD_MAX_NS`] before a time counts as in the future. An
+//! array without a synchronised clock counts from arrival alone.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
@@ -214,7 +217,8 @@ impl Array {
             (&mut self.target.yaw, &command.yaw, self.limits.yaw_rad),
         ];
         for (list, commanded, [min, max]) in axes {
-            // A limit of 90 degrees in single precision is a little above the same limit in double precision.
+            // A limit of 90 degrees in single precision is a little above the same limit in double
+            // precision.
             let slack = 1e-6 * min.abs().max(max.abs());
             for (target, &angle) in list.iter_mut().zip(commanded) {
                 let angle = f64::from(angle);
@@ -237,8 +241,8 @@ impl Array {
 
     /// Applies a stop or a re-arm of an operator; returns whether the state changed.
     ///
-    /// A stop applies at any time. A re-arm applies only if it is later than the last stop; then the
-    /// array parks.
+    /// A stop applies at any time. A re-arm applies only if it is later than the last stop; then
+    /// the array parks.
     pub fn handle_stop(&mut self, order: &EmergencyStop) -> bool {
         let stopped = self.state == ArrayState::Stopped;
         match order.action {
@@ -307,7 +311,8 @@ impl Array {
         &self.counters
     }
 
-    /// Fault bits of the telemetry: the clock's, from a command in the future until one is accepted.
+    /// Fault bits of the telemetry: the clock's, from a command in the future until one is
+    /// accepted.
     pub fn faults(&self) -> u32 {
         self.faults
     }

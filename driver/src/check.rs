@@ -1,11 +1,14 @@
-//! The conformance check: sends valid and invalid messages to any driver and reports which rules it keeps.
+//! The conformance check: sends valid and invalid messages to any driver and reports which rules it
+//! keeps.
 //!
-//! The check uses only public messages: capabilities, telemetry and liveliness tokens. Each finding has
-//! its evidence; for a rule that could not be judged, that is the reason. A wait ends when the driver has
-//! answered, or after some seconds; so on a busy machine the check is slow, but its result is correct.
+//! The check uses only public messages: capabilities, telemetry and liveliness tokens. Each finding
+//! has its evidence; for a rule that could not be judged, that is the reason. A wait ends when the
+//! driver has answered, or after some seconds; so on a busy machine the check is slow, but its
+//! result is correct.
 //!
 //! - [`report`]: findings and their verdicts.
-//! - `rules`: the rules, one function each; `test_session`: the session of the check with the driver.
+//! - `rules`: the rules, one function each; `test_session`: the session of the check with the
+//!   driver.
 
 pub mod report;
 mod rules;

@@ -29,7 +29,8 @@ enum Command {
     Run(RunArgs),
     /// Send valid and invalid messages to a driver and report which rules of the contract it keeps
     ///
-    /// The mirrors move. No controller may run in the room during the check. The exit status is 1 if a rule is broken.
+    /// The mirrors move. No controller may run in the room during the check. The exit status is 1
+    /// if a rule is broken.
     Check(CheckArgs),
 }
 
@@ -66,8 +67,8 @@ struct CheckArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// A file that describes no array, a transport that fails, or a room with another driver. For the check: a
-/// driver that is absent or breaks a rule.
+/// A file that describes no array, a transport that fails, or a room with another driver. For the
+/// check: a driver that is absent or breaks a rule.
 pub fn run(args: Args) -> Result<()> {
     match args.command {
         Command::Run(args) => drive(&args),

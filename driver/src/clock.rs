@@ -11,7 +11,8 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Local time begins after `delay`, which leaves time to get ready for what is due at its beginning.
+    /// Local time begins after `delay`, which leaves time to get ready for what is due at its
+    /// beginning.
     pub fn start_in(delay: Duration) -> Self {
         Self { start: Instant::now() + delay }
     }

@@ -1,4 +1,5 @@
-//! The file that describes an array of real hardware: its boards, their addresses, and the mirror of each channel.
+//! The file that describes an array of real hardware: its boards, their addresses, and the mirror
+//! of each channel.
 
 use std::path::Path;
 
@@ -19,7 +20,8 @@ pub struct Config {
     pub rows: usize,
     /// Columns of mirrors; mirror index = row * columns + column.
     pub columns: usize,
-    /// Part of the range of the hardware, on either side, that is reserved for the corrections of a calibration.
+    /// Part of the range of the hardware, on either side, that is reserved for the corrections of a
+    /// calibration.
     #[serde(default)]
     pub calibration_reserve_deg: f64,
     /// Time for which the mirrors hold after the validity of a command ended, before they park.
@@ -85,7 +87,8 @@ impl Config {
     /// Reads a file.
     ///
     /// # Errors
-    /// A file that cannot be read, or a key that is unknown, missing or of another type, with its line.
+    /// A file that cannot be read, or a key that is unknown, missing or of another type, with its
+    /// line.
     pub fn load(file: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
         toml::from_str(&text).with_context(|| format!("in {}", file.display()))

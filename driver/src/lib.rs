@@ -1,4 +1,5 @@
-//! Mirror drivers: the session of an array of `heliostat-array` on the bus, and drivers for hardware.
+//! Mirror drivers: the session of an array of `heliostat-array` on the bus, and drivers for
+//! hardware.
 //!
 //! Any hardware for which [`Device`] is implemented can replace the simulated mirrors.
 //!

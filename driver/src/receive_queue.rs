@@ -80,7 +80,8 @@ impl ReceiveQueue {
     }
 
     fn lock(&self) -> MutexGuard<'_, Queue> {
-        // The queue is consistent between two operations, so a panic of another thread does not corrupt it.
+        // The queue is consistent between two operations, so a panic of another thread does not
+        // corrupt it.
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

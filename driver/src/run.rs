@@ -63,8 +63,8 @@ impl fmt::Display for Summary {
 /// It retries while the router cannot be reached or the device does not answer.
 ///
 /// # Errors
-/// [`SessionError`]: a transport that fails or is configured wrongly, or another process that controls the
-/// mirrors of this room.
+/// [`SessionError`]: a transport that fails or is configured wrongly, or another process that
+/// controls the mirrors of this room.
 pub fn run<D: Device>(
     kit: Kit<D>,
     bus: &BusConfig,

@@ -1,5 +1,5 @@
-//! The session of an array on the bus, real or simulated: it receives commands, stops and calibrations, and
-//! publishes telemetry and capabilities.
+//! The session of an array on the bus, real or simulated: it receives commands, stops and
+//! calibrations, and publishes telemetry and capabilities.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -150,7 +150,8 @@ impl ArraySession {
     }
 }
 
-/// A number that two instances are most unlikely to share: the standard library seeds its hashers from the operating system.
+/// A number that two instances are most unlikely to share: the standard library seeds its hashers
+/// from the operating system.
 pub fn random_id() -> u64 {
     use std::hash::{BuildHasher, RandomState};
     RandomState::new().hash_one((std::process::id(), std::time::SystemTime::now()))

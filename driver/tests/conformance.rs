@@ -1,4 +1,5 @@
-//! The conformance check: the kit keeps every rule, and each driver with a flaw fails exactly the rules that it breaks.
+//! The conformance check: the kit keeps every rule, and each driver with a flaw fails exactly the
+//! rules that it breaks.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -191,7 +191,8 @@ fn a_lost_device_is_a_fault_and_receives_the_target_after_its_reconnection() {
     assert_eq!(last.as_deref(), Some("set 250000 125000 250000 125000"));
 }
 
-/// The reference sketch, built for this host, on a pseudo-terminal; `None` without a C++ compiler, unless one is required.
+/// The reference sketch, built for this host, on a pseudo-terminal; `None` without a C++ compiler,
+/// unless one is required.
 fn reference_board() -> Option<(String, Child, impl Sized)> {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("board");
@@ -230,7 +231,8 @@ fn the_driver_turns_the_mirrors_of_the_reference_sketch() {
     let mut output = String::new();
     board.stderr.take().unwrap().read_to_string(&mut output).unwrap();
     board.wait().unwrap();
-    // 637 us per rad around 1500 us: roll and yaw of the last mirror are pins 8 and 9, and a stop ends the pulses.
+    // 637 us per rad around 1500 us: roll and yaw of the last mirror are pins 8 and 9, and a stop
+    // ends the pulses.
     let pulses: Vec<&str> = output.lines().collect();
     assert_eq!(pulses.len(), 16, "{pulses:?}");
     assert_eq!(

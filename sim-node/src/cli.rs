@@ -15,7 +15,8 @@ use heliostat_scenario::ScenarioArgs;
 use crate::run;
 use crate::settings::{Pace, Settings};
 
-/// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched off.
+/// What is logged unless RUST_LOG says otherwise; Zenoh warns about the discovery that we switched
+/// off.
 const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_sim_node=info,heliostat_metrics=info";
 
 /// Flags of the simulator.
@@ -32,7 +33,8 @@ pub struct Args {
     /// End after this many seconds; without it, run until stopped
     #[arg(long, value_name = "N", value_parser = seconds)]
     seconds: Option<Duration>,
-    /// Run so many ticks in simulated time, where each tick waits for its answer: the same seed gives the same run, bit for bit
+    /// Run so many ticks in simulated time, where each tick waits for its answer: the same seed
+    /// gives the same run, bit for bit
     #[arg(long, value_name = "TICKS", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..))]
     lockstep: Option<u64>,
     /// Correct the mirrors' mounting with this file of `heliostat calibrate`
@@ -69,8 +71,8 @@ impl Args {
 /// Runs the simulator until its end, Ctrl-C or SIGTERM, and prints its summary.
 ///
 /// # Errors
-/// A scenario that cannot be read, a room that cannot be created, a transport that fails, another driver or
-/// simulator in the room, a tick of a lockstep run without an answer.
+/// A scenario that cannot be read, a room that cannot be created, a transport that fails, another
+/// driver or simulator in the room, a tick of a lockstep run without an answer.
 pub fn run(args: Args) -> Result<()> {
     let settings = args.settings()?;
     let stop = Arc::new(AtomicBool::new(false));

@@ -23,7 +23,8 @@ pub enum NodeError {
     /// Metrics cannot be served.
     #[error(transparent)]
     Metrics(#[from] MetricsError),
-    /// The session of the array cannot be opened or used, or another process controls the room's mirrors.
+    /// The session of the array cannot be opened or used, or another process controls the room's
+    /// mirrors.
     #[error(transparent)]
     Session(#[from] SessionError),
     /// The corrections do not fit the array.

@@ -1,9 +1,9 @@
 //! Lockstep: simulated time, in which each tick waits for the command that answers it.
 //!
-//! All input of the room comes from the seed and from the answers, in a fixed order. So the same seed and
-//! the same controller give the same run, bit for bit; the hash in the summary confirms it. Stamps are in
-//! simulated time. Only the first accepted command that answers the current tick enters the room; others
-//! are counted as `not-awaited`.
+//! All input of the room comes from the seed and from the answers, in a fixed order. So the same
+//! seed and the same controller give the same run, bit for bit; the hash in the summary confirms
+//! it. Stamps are in simulated time. Only the first accepted command that answers the current tick
+//! enters the room; others are counted as `not-awaited`.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -58,7 +58,8 @@ pub(crate) fn run(mut node: Node, ticks: u64, stop: &AtomicBool) -> Result<Summa
     Ok(summary)
 }
 
-/// Publishes a report, and for positions waits for the answer; returns the number of ticks answered.
+/// Publishes a report, and for positions waits for the answer; returns the number of ticks
+/// answered.
 fn publish(
     node: &mut Node,
     report: &Report,
@@ -158,7 +159,8 @@ impl Fnv1a {
         }
     }
 
-    /// The parts of a command that affect the room; not epoch and sequence, which identify the sender.
+    /// The parts of a command that affect the room; not epoch and sequence, which identify the
+    /// sender.
     fn command(&mut self, command: &MirrorCommand) {
         self.bytes(&command.answers.to_le_bytes());
         self.bytes(&command.time_ns.to_le_bytes());

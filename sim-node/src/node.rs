@@ -74,7 +74,8 @@ impl Node {
         }
         let session = RoomSession::open(&settings.bus, reports, telemetry)?;
         let clock = session.clock();
-        // Halfway between two ticks: this samples the mean age of the angles, and does not delay a tick.
+        // Halfway between two ticks: this samples the mean age of the angles, and does not delay a
+        // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
         Ok(Self {
             reports: Reports::new(&scenario.streams, scenario.users.count, scenario.seed, session.source()),
@@ -103,7 +104,8 @@ impl Node {
         TruthPublisher::new(self.room.world(), &self.session, self.exporter.take())
     }
 
-    /// Gives an arrival to the array at time `at`; returns the command if it was one that was accepted.
+    /// Gives an arrival to the array at time `at`; returns the command if it was one that was
+    /// accepted.
     pub fn handle(&mut self, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
         let command = self.room.handle(at, arrival.content, &mut self.refused)?;
         self.ticks.answered(command.answers, arrival.at.local_ns);

@@ -11,8 +11,8 @@ use crate::{live, lockstep};
 /// Runs a simulated room until its end, or until `stop` is set.
 ///
 /// # Errors
-/// [`NodeError`]: a room that cannot be created, a transport that fails, another driver or simulator in the
-/// room, a tick of a lockstep run without an answer.
+/// [`NodeError`]: a room that cannot be created, a transport that fails, another driver or
+/// simulator in the room, a tick of a lockstep run without an answer.
 pub fn run(settings: &Settings, stop: &AtomicBool) -> Result<Summary, NodeError> {
     let node = Node::open(settings)?;
     let Settings { scenario, bus, .. } = settings;

@@ -1,4 +1,5 @@
-//! The session of the simulator on the bus: the array's session, the report streams, orders, and liveliness.
+//! The session of the simulator on the bus: the array's session, the report streams, orders, and
+//! liveliness.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;

@@ -60,7 +60,8 @@ pub struct Summary {
     pub qos_met_oracle: Option<f64>,
     /// Mean number of users whose direct path is blocked.
     pub blocked_users_mean: f64,
-    /// Lockstep: hash of all commands and of all computed instants; the same seed gives the same hash.
+    /// Lockstep: hash of all commands and of all computed instants; the same seed gives the same
+    /// hash.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hash: Option<String>,
     /// The last problem; empty if there was none.

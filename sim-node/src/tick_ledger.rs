@@ -1,7 +1,7 @@
 //! Matches each tick with the command that answers it, and measures the time between them.
 //!
-//! A tick is lost when no accepted command answers it within [`TICK_TIMEOUT_NS`]. Ticks before the first
-//! answer count as unattended, not as lost, because no controller was in the room yet.
+//! A tick is lost when no accepted command answers it within [`TICK_TIMEOUT_NS`]. Ticks before the
+//! first answer count as unattended, not as lost, because no controller was in the room yet.
 
 use std::collections::VecDeque;
 
@@ -58,14 +58,16 @@ impl Default for TickLedger {
 }
 
 impl TickLedger {
-    /// Records a tick; to be called before its publication, because the answer may arrive before that returns.
+    /// Records a tick; to be called before its publication, because the answer may arrive before
+    /// that returns.
     pub fn published(&mut self, tick: u64, now_ns: u64) {
         self.expire(now_ns);
         self.published += 1;
         self.in_flight.push_back(InFlight { tick, published_ns: now_ns, answered: false });
     }
 
-    /// Records the answer to a tick; returns the time since its publication if it is the first answer in time.
+    /// Records the answer to a tick; returns the time since its publication if it is the first
+    /// answer in time.
     pub fn answered(&mut self, tick: u64, now_ns: u64) -> Option<u64> {
         self.expire(now_ns);
         let index = self.in_flight.iter().position(|sent| sent.tick == tick && !sent.answered)?;

@@ -60,7 +60,8 @@ impl TruthPublisher {
         })
     }
 
-    /// Computes an instant and publishes it; it counts in the tally once the array has accepted a command.
+    /// Computes an instant and publishes it; it counts in the tally once the array has accepted a
+    /// command.
     pub fn truth(&mut self, at: &Snapshot) -> Result<&Measured, NodeError> {
         let begun = Instant::now();
         let measured = self.baselines.measure(at);

@@ -1,5 +1,5 @@
-//! The simulator on the bus: closed loop, invalid payloads, two simulators, lockstep. Several sessions of
-//! the test process take the place of processes.
+//! The simulator on the bus: closed loop, invalid payloads, two simulators, lockstep. Several
+//! sessions of the test process take the place of processes.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;

@@ -1,8 +1,9 @@
-//! The users' rates with the present mirror angles, and three baselines: no array, flat mirrors, and the oracle.
+//! The users' rates with the present mirror angles, and three baselines: no array, flat mirrors,
+//! and the oracle.
 //!
-//! All four are computed for the same instants with the same users and obstacles, so that their ratios
-//! are comparable. The oracle respects the minimum rates with a penalty of [`QOS_PENALTY`] bit/s for each
-//! missing bit/s.
+//! All four are computed for the same instants with the same users and obstacles, so that their
+//! ratios are comparable. The oracle respects the minimum rates with a penalty of [`QOS_PENALTY`]
+//! bit/s for each missing bit/s.
 
 use heliostat_channel::solver::{Method, Need, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, LinkBudget, MirrorAngles, Scene, Vec3};
@@ -78,7 +79,8 @@ pub struct Measured {
     pub met_oracle: usize,
 }
 
-/// Computes the rates of instants; owns a model, scene and solver, so that it can run on another thread.
+/// Computes the rates of instants; owns a model, scene and solver, so that it can run on another
+/// thread.
 #[derive(Debug)]
 pub struct Baselines {
     model: ChannelModel,
@@ -181,7 +183,8 @@ impl Tally {
         }
     }
 
-    /// Share of users and instants with the minimum rate met: with the present angles, and by the oracle.
+    /// Share of users and instants with the minimum rate met: with the present angles, and by the
+    /// oracle.
     pub fn qos_met(&self) -> (f64, f64) {
         let share = |count: u64| count as f64 / self.users.max(1) as f64;
         (share(self.met), share(self.met_oracle))

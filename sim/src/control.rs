@@ -1,4 +1,5 @@
-//! Changes that an operator orders in a running simulated room: valid parts are applied, the others refused by name.
+//! Changes that an operator orders in a running simulated room: valid parts are applied, the others
+//! refused by name.
 
 use heliostat_proto::{FaultKind, MirrorFault, SimulatorControl};
 use thiserror::Error;

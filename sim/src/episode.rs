@@ -4,13 +4,15 @@
 //!
 //! 1. [`Episode::new`] creates the room and advances it to the start of the reports.
 //! 2. [`Episode::poll_event`] returns the next message of the room until it returns `None`.
-//! 3. [`Episode::handle_command`] gives each command back to the array, before the next poll, at the
-//!    time of the event that it answers. The controller takes no simulated time to answer.
-//! 4. [`Episode::advance`] moves the room to an instant, at which [`Episode::room`] can be examined.
+//! 3. [`Episode::handle_command`] gives each command back to the array, before the next poll, at
+//!    the time of the event that it answers. The controller takes no simulated time to answer.
+//! 4. [`Episode::advance`] moves the room to an instant, at which [`Episode::room`] can be
+//!    examined.
 //!
 //! Events of the same time have a fixed order: telemetry, then obstacles, channel and positions. A
-//! command changes the mirrors at once, so later events of the same time include its effect. The room
-//! reports a sample one latency after it was taken, so that its age is what `streams` configures.
+//! command changes the mirrors at once, so later events of the same time include its effect. The
+//! room reports a sample one latency after it was taken, so that its age is what `streams`
+//! configures.
 //!
 //! ```
 //! use heliostat_proto::MirrorCommand;
@@ -143,8 +145,8 @@ impl Episode {
         self.room.handle_command(now, command)
     }
 
-    /// Advances users and mirrors to a time, without events; to be called after [`Episode::poll_event`]
-    /// has returned `None` for this time.
+    /// Advances users and mirrors to a time, without events; to be called after
+    /// [`Episode::poll_event`] has returned `None` for this time.
     pub fn advance(&mut self, to_ns: u64) {
         self.room.advance(to_ns);
     }

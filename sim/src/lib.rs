@@ -1,7 +1,9 @@
-//! The simulated room: users who walk, obstacles, mirrors with delay and errors, and reports with noise and latency.
+//! The simulated room: users who walk, obstacles, mirrors with delay and errors, and reports with
+//! noise and latency.
 //!
-//! This crate does no I/O, reads no clock and starts no thread. Time, commands, seeds and the text of a
-//! recorded walk are arguments. It contains no control policy and shares no code with the controller.
+//! This crate does no I/O, reads no clock and starts no thread. Time, commands, seeds and the text
+//! of a recorded walk are arguments. It contains no control policy and shares no code with the
+//! controller.
 //!
 //! Data flow:
 //!

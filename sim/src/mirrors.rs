@@ -23,7 +23,8 @@ mod mounting;
 /// Time for which the array holds the last command after its validity ended, in ms.
 pub const HOLD_MS: u32 = 300;
 
-/// Range of the drives beyond the announced limits, on either side, in rad: for the corrections of a calibration.
+/// Range of the drives beyond the announced limits, on either side, in rad: for the corrections of
+/// a calibration.
 pub const CALIBRATION_RESERVE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// The actuators of an array, with the time up to which they were advanced.
@@ -38,7 +39,8 @@ pub struct SimulatedMirrors {
 }
 
 impl SimulatedMirrors {
-    /// Mirrors at rest, at local time 0; mounting, jitter, drift and which of them are stuck come from the seed.
+    /// Mirrors at rest, at local time 0; mounting, jitter, drift and which of them are stuck come
+    /// from the seed.
     pub fn new(table: &Table, grid: &MirrorArray, seed: u64) -> Self {
         let parameters = table.parameters();
         let drive =

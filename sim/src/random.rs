@@ -1,8 +1,8 @@
-//! Seeded random numbers: one independent stream for each purpose, so that a change of one setting does
-//! not change the rest.
+//! Seeded random numbers: one independent stream for each purpose, so that a change of one setting
+//! does not change the rest.
 //!
-//! Uniform numbers use exact arithmetic on the generator's bits, so walks and obstacles are the same on
-//! every platform. Normal numbers use the platform's logarithm.
+//! Uniform numbers use exact arithmetic on the generator's bits, so walks and obstacles are the
+//! same on every platform. Normal numbers use the platform's logarithm.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -44,7 +44,8 @@ impl Purpose {
     }
 }
 
-/// The generator of one purpose; `index` distinguishes instances of the same purpose, such as users.
+/// The generator of one purpose; `index` distinguishes instances of the same purpose, such as
+/// users.
 pub fn stream(seed: u64, purpose: Purpose, index: u32) -> RoomRng {
     let mut rng = RoomRng::seed_from_u64(seed);
     rng.set_stream(purpose.code() << 32 | u64::from(index));

@@ -1,8 +1,9 @@
-//! The reports of the room's trackers and receivers: each stream has its own rate, latency and noise.
+//! The reports of the room's trackers and receivers: each stream has its own rate, latency and
+//! noise.
 //!
 //! A sample is taken when it is due and released one latency later; its stamp has the time of the
-//! sample. Reports that are released at the same instant are ordered: obstacles, channel, positions,
-//! because the positions complete a tick.
+//! sample. Reports that are released at the same instant are ordered: obstacles, channel,
+//! positions, because the positions complete a tick.
 //!
 //! - [`schedule`]: when the samples of a stream are due.
 
@@ -20,7 +21,8 @@ use crate::world::walker::Walker;
 
 pub mod schedule;
 
-/// A tick that is sampled later than this after it was due counts as late; half a period if that is shorter.
+/// A tick that is sampled later than this after it was due counts as late; half a period if that is
+/// shorter.
 pub const LATE_NS: u64 = 1_000_000;
 
 /// A report of one stream.

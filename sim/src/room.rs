@@ -1,4 +1,5 @@
-//! The simulated room: the world, and the driver kit around the simulated array, on the same time line.
+//! The simulated room: the world, and the driver kit around the simulated array, on the same time
+//! line.
 
 use heliostat_array::Kit;
 use heliostat_array::calibration::Unfit;
@@ -49,7 +50,8 @@ impl SimulatedRoom {
         self.kit.handle_command(at, command)
     }
 
-    /// Gives an arrival of any kind to the array; returns the command if it was one that was accepted.
+    /// Gives an arrival of any kind to the array; returns the command if it was one that was
+    /// accepted.
     pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
         self.keep_time(at);
         self.kit.handle(at, content, refused)

@@ -1,8 +1,8 @@
 //! Users, obstacles and the channel between them, without the motion of the mirrors.
 //!
-//! Training steps a world directly; [`crate::room`] steps it together with the mirrors. All random numbers
-//! come from the seed, one stream for each purpose ([`crate::random`]), so that a change of one setting
-//! does not change the rest. [`World::step`] does not allocate.
+//! Training steps a world directly; `SimulatedRoom` steps it together with the mirrors. All random
+//! numbers come from the seed, one stream for each purpose ([`crate::random`]), so that a change of
+//! one setting does not change the rest. [`World::step`] does not allocate.
 //!
 //! - [`walker`]: the floor and one user's receiver.
 //! - [`mobility`], [`trace`]: random and recorded walks.
@@ -77,7 +77,8 @@ impl World {
     /// `seed` replaces the scenario's own seed; `trace` is the text of the file `users.trace`.
     ///
     /// # Errors
-    /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recorded walk are not valid.
+    /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recorded walk are not
+    /// valid.
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
         let model = scenario.channel_model()?;
         let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
@@ -193,7 +194,8 @@ impl World {
         self.time_s
     }
 
-    /// Forces the direct paths of the first `users` users off and those of the others on, from the next refresh on.
+    /// Forces the direct paths of the first `users` users off and those of the others on, from the
+    /// next refresh on.
     pub fn set_forced(&mut self, users: usize) {
         for (user, forced) in self.forced.iter_mut().enumerate() {
             *forced = user < users;
@@ -215,7 +217,8 @@ impl World {
         self.speeds.bounds_m_s()
     }
 
-    /// Sets the transmitted power in W; returns false, without a change, for a value that is not positive.
+    /// Sets the transmitted power in W; returns false, without a change, for a value that is not
+    /// positive.
     pub fn set_power(&mut self, power_w: f64) -> bool {
         let valid = power_w.is_finite() && power_w > 0.0;
         if valid {

@@ -30,7 +30,8 @@ fn commands() -> Vec<(f64, MirrorAngles)> {
     commands
 }
 
-/// Runs the commands with steps of at most `longest` seconds; returns the angles just before each command.
+/// Runs the commands with steps of at most `longest` seconds; returns the angles just before each
+/// command.
 fn run(parameters: &ActuatorParameters, longest: f64) -> Vec<MirrorAngles> {
     let mut mirrors = actuator(parameters);
     let mut seen = Vec::new();

@@ -1,4 +1,5 @@
-//! The world: reproducibility from the seed, independence of its settings, and the share of blocked paths.
+//! The world: reproducibility from the seed, independence of its settings, and the share of blocked
+//! paths.
 
 use heliostat_channel::blockage::blocks;
 use heliostat_scenario::Scenario;
@@ -76,8 +77,8 @@ fn bodies_are_behind_the_receivers_of_their_users() {
     }
 }
 
-/// Mean number of users of 5 whose path to the LED is blocked, over many rooms: by obstacles, by obstacles
-/// or the user's own body, by any cylinder.
+/// Mean number of users of 5 whose path to the LED is blocked, over many rooms: by obstacles, by
+/// obstacles or the user's own body, by any cylinder.
 fn blocked_users() -> [f64; 3] {
     let mut world = world(&[], 0);
     let rooms = 4000;
@@ -99,8 +100,8 @@ fn blocked_users() -> [f64; 3] {
 
 #[test]
 fn the_number_of_blocked_users_agrees_with_an_independent_prototype() {
-    // The prototype has 0.21 of 5 for two cylinders, 1.4 with each user's own body, and 1.7 with the
-    // bodies of the others.
+    // The prototype has 0.21 of 5 for two cylinders, 1.4 with each user's own body, and 1.7 with
+    // the bodies of the others.
     let [obstacles, own_body, all] = blocked_users();
     assert!((obstacles - 0.21).abs() < 0.03, "{obstacles}");
     assert!((own_body - 1.4).abs() < 0.1, "{own_body}");

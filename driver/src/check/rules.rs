@@ -317,7 +317,8 @@ fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
     if !session.send_stop_and_leave(StopAction::Stop, |telemetry| telemetry.state == ArrayState::Stopped)? {
         return verdict(false, format!("a stop was sent by another process; state {:?} since", session.last().state));
     }
-    // Long enough for the driver to notice that the sender has left, and to report a change of state.
+    // Long enough for the driver to notice that the sender has left, and to report a change of
+    // state.
     let left = session.count();
     let released = session.wait(ORPHAN_WATCH, |received| {
         received.telemetry[left..]
@@ -373,7 +374,8 @@ fn refused(session: &mut TestSession, payloads: &[Vec<u8>], expected: Counters) 
         && after.yaw_commanded == before.yaw_commanded
         && (after.epoch, after.applied_sequence) == (before.epoch, before.applied_sequence);
     let evidence = evidence(&counted, &after);
-    // On a busy machine the validity of the last valid command may end before this, and the mirrors park.
+    // On a busy machine the validity of the last valid command may end before this, and the mirrors
+    // park.
     let unchanged =
         unchanged || (after.state == ArrayState::Parked && after.applied_sequence == before.applied_sequence);
     verdict(counted == expected && unchanged, format!("{evidence}; mirrors and command unchanged {unchanged}"))

@@ -1,4 +1,5 @@
-//! The session of the check: it sends messages like a controller and an operator, and keeps all answers.
+//! The session of the check: it sends messages like a controller and an operator, and keeps all
+//! answers.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -52,7 +53,8 @@ pub struct TestSession {
     calibrations_sent: u64,
 }
 
-/// Queries the driver's capabilities; repeats the query, because a new session may not know the driver yet.
+/// Queries the driver's capabilities; repeats the query, because a new session may not know the
+/// driver yet.
 fn fetch_capabilities(bus: &Bus) -> Result<Option<Capabilities>> {
     let key = bus.room().capabilities();
     let until = Instant::now() + ANSWER_TIMEOUT;
@@ -108,7 +110,8 @@ impl TestSession {
         }
         let first = session.wait(ANSWER_TIMEOUT, |received| received.telemetry.last().cloned());
         let first = first.context("the driver published no valid telemetry: expected ten messages per second")?;
-        // Higher than any epoch that it has followed, like the epoch of a controller that starts now.
+        // Higher than any epoch that it has followed, like the epoch of a controller that starts
+        // now.
         session.epoch = first.epoch.max(now_ns() / 1_000_000) + 1;
         Ok(session)
     }
@@ -168,7 +171,8 @@ impl TestSession {
         }
     }
 
-    /// Roll and yaw within the limits, at `share` of the range from the lowest to the highest angle.
+    /// Roll and yaw within the limits, at `share` of the range from the lowest to the highest
+    /// angle.
     pub fn angles_at(&self, share: f64) -> (f64, f64) {
         let Capabilities { roll, yaw, .. } = &self.capabilities;
         let at = |min: f32, max: f32| f64::from(min) + share * f64::from(max - min);
@@ -190,7 +194,8 @@ impl TestSession {
         Ok(self.stops.put(&stop_message(self.source, action, time_ns)?)?)
     }
 
-    /// Does the same as another process, whose liveliness token disappears once the driver shows the effect.
+    /// Does the same as another process, whose liveliness token disappears once the driver shows
+    /// the effect.
     pub fn send_stop_and_leave(&self, action: StopAction, shows: impl Fn(&MirrorTelemetry) -> bool) -> Result<bool> {
         let source = random_id();
         let token = self.bus.announce(&self.bus.room().alive(NodeKind::Viewer, source))?;
@@ -201,7 +206,8 @@ impl TestSession {
         Ok(received)
     }
 
-    /// Publishes a calibration for `mirrors` mirrors with this offset and gain 1; returns its sequence.
+    /// Publishes a calibration for `mirrors` mirrors with this offset and gain 1; returns its
+    /// sequence.
     pub fn calibrate(&mut self, mirrors: usize, offset_rad: f64) -> Result<u64> {
         self.calibrations_sent += 1;
         let (offsets, gains) = (vec![offset_rad as f32; mirrors], vec![1.0; mirrors]);
@@ -216,7 +222,8 @@ impl TestSession {
         Ok(self.calibrations_sent)
     }
 
-    /// Publishes payloads and waits until the driver has counted them; returns the counts and the telemetry.
+    /// Publishes payloads and waits until the driver has counted them; returns the counts and the
+    /// telemetry.
     pub fn send_and_count(&self, payloads: &[Vec<u8>]) -> Result<(Counters, MirrorTelemetry)> {
         let before = self.settled();
         let from = self.count();

@@ -1,10 +1,10 @@
 //! A Mirrorcle PlayzerX on its USB serial port: one mirror, open loop.
 //!
-//! Every frame is `p l`, a code, the length of the frame, data, and a newline. A sample contains x and y
-//! as 12-bit numbers, 0 to 4095 for -1 to +1 of the mirror's range, in three bytes: low eight bits of x;
-//! high four bits of x and low four of y; high eight bits of y. The device applies queued samples at the
-//! sample rate and does not acknowledge them, so no angle is measured. Only a ping is answered, with the
-//! line `pl-ok`.
+//! Every frame is `p l`, a code, the length of the frame, data, and a newline. A sample contains x
+//! and y as 12-bit numbers, 0 to 4095 for -1 to +1 of the mirror's range, in three bytes: low eight
+//! bits of x; high four bits of x and low four of y; high eight bits of y. The device applies
+//! queued samples at the sample rate and does not acknowledge them, so no angle is measured. Only a
+//! ping is answered, with the line `pl-ok`.
 //!
 //! Here x is yaw and y is roll. With an empty queue the device holds the last sample.
 //!
@@ -39,7 +39,8 @@ pub struct PlayzerX {
 }
 
 impl PlayzerX {
-    /// The device at an address; its largest code is `range_rad` (mechanical), its smallest the negative.
+    /// The device at an address; its largest code is `range_rad` (mechanical), its smallest the
+    /// negative.
     ///
     /// # Errors
     /// A range or a sample rate that the device does not have.

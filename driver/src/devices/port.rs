@@ -77,7 +77,8 @@ impl Address {
                 Box::new(stream)
             }
         };
-        // Without data a serial port reads 0 bytes and a socket times out; a socket reads 0 bytes when it is closed.
+        // Without data a serial port reads 0 bytes and a socket times out; a socket reads 0 bytes
+        // when it is closed.
         let ends = matches!(self, Self::Tcp(_));
         Ok(Port { stream, ends, name: self.to_string(), pending: Vec::new() })
     }
@@ -92,7 +93,8 @@ impl std::fmt::Display for Address {
     }
 }
 
-/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, reads of at most 0.1 s.
+/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, reads of at most 0.1
+/// s.
 fn open_serial(path: &str, baud: u32) -> std::io::Result<File> {
     let speed = SPEEDS.iter().find(|(known, _)| *known == baud).map(|(_, speed)| *speed);
     let known = || SPEEDS.map(|(baud, _)| baud.to_string()).join(", ");

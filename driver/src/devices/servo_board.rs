@@ -1,9 +1,9 @@
-//! A microcontroller board for servos, steppers or galvanometers, with a protocol of text lines over a
-//! serial port or a socket.
+//! A microcontroller board for servos, steppers or galvanometers, with a protocol of text lines
+//! over a serial port or a socket.
 //!
-//! Heliostat defines the protocol; `driver/reference/servo_board.ino` implements the board's side. Numbers
-//! are integers in urad, mechanical, roll before yaw, mirrors in order. The board answers each line of
-//! the host with one line, terminated by a newline:
+//! Heliostat defines the protocol; `driver/reference/servo_board.ino` implements the board's side.
+//! Numbers are integers in urad, mechanical, roll before yaw, mirrors in order. The board answers
+//! each line of the host with one line, terminated by a newline:
 //!
 //! | host | board | meaning |
 //! | --- | --- | --- |
@@ -12,8 +12,8 @@
 //! | `get` | `at R0 Y0 R1 Y1 ...` | the measured angles |
 //! | `stop` | `ok` | stop all motion at once |
 //!
-//! A board that cannot execute a line answers `error` and the reason. It stops all motion when it has
-//! received no line for a second.
+//! A board that cannot execute a line answers `error` and the reason. It stops all motion when it
+//! has received no line for a second.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -47,8 +47,8 @@ pub struct ServoBoard {
 }
 
 impl ServoBoard {
-    /// The board at an address, with the configured mirrors and limits; a board that reports others is
-    /// refused when it is connected.
+    /// The board at an address, with the configured mirrors and limits; a board that reports others
+    /// is refused when it is connected.
     pub fn new(address: Address, channels: usize, axis: AxisLimits, measures: bool) -> Self {
         Self { address, channels, axis, measures, port: None, line: String::new() }
     }

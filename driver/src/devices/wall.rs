@@ -32,7 +32,8 @@ pub struct Layout {
     pub rows: usize,
     /// Columns of mirrors.
     pub columns: usize,
-    /// Part of the range of the hardware, on either side, that is reserved for the corrections of a calibration, in rad.
+    /// Part of the range of the hardware, on either side, that is reserved for the corrections of a
+    /// calibration, in rad.
     pub reserve_rad: f64,
     /// Time for which the mirrors hold after validity ended, in ms.
     pub park_after_ms: u32,

@@ -4,13 +4,14 @@
 //! low-pass -> second order (`axis`) -> scale, offset, drift and jitter (`mounting`).
 //!
 //! The slew limit acts on the set-point ahead of the filters, where drive electronics limit it. The
-//! mirror itself may be faster for a moment, by its overshoot. Between two changes, everything before
-//! the mounting has a closed form, so the result does not depend on the step size: a step is divided
-//! where a delayed command takes effect and where a set-point arrives. No call allocates once the
-//! command queue has reached its length.
+//! mirror itself may be faster for a moment, by its overshoot. Between two changes, everything
+//! before the mounting has a closed form, so the result does not depend on the step size: a step is
+//! divided where a delayed command takes effect and where a set-point arrives. No call allocates
+//! once the command queue has reached its length.
 //!
 //! Each axis can have a fault, and the array as a whole can be late, offline or restarted
-//! ([`Actuator::set_fault`], [`Actuator::set_lateness`], [`Actuator::go_offline`], [`Actuator::reboot`]).
+//! ([`Actuator::set_fault`], [`Actuator::set_lateness`], [`Actuator::go_offline`],
+//! [`Actuator::reboot`]).
 
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_scenario::ActuatorParameters;
@@ -40,7 +41,8 @@ pub struct Actuator {
 }
 
 impl Actuator {
-    /// Mirrors at rest that face straight into the room; `rng` yields the mounting, its drift and jitter.
+    /// Mirrors at rest that face straight into the room; `rng` yields the mounting, its drift and
+    /// jitter.
     pub fn new(parameters: &ActuatorParameters, mirrors: usize, rng: RoomRng) -> Self {
         let axes = 2 * mirrors;
         let second_order = parameters.second_order.map(|(frequency, damping)| SecondOrder { frequency, damping });
@@ -63,8 +65,8 @@ impl Actuator {
 
     /// Accepts a command now; it takes effect after the drive's delay.
     ///
-    /// Angles beyond the range are clamped to it. Surplus entries are ignored, and mirrors without an
-    /// entry keep their command. An offline array ignores the command.
+    /// Angles beyond the range are clamped to it. Surplus entries are ignored, and mirrors without
+    /// an entry keep their command. An offline array ignores the command.
     pub fn command(&mut self, angles: &MirrorAngles) {
         if self.is_offline() {
             return;
@@ -93,7 +95,8 @@ impl Actuator {
         &self.angles
     }
 
-    /// What the drives' own sensors measure: the angles without scale, offset, drift and jitter of the mounting.
+    /// What the drives' own sensors measure: the angles without scale, offset, drift and jitter of
+    /// the mounting.
     pub fn measured(&self) -> &MirrorAngles {
         &self.measured
     }
@@ -131,7 +134,8 @@ impl Actuator {
         self.drive.set_lateness(seconds);
     }
 
-    /// Ignores commands for so many seconds and drops those that have not taken effect; targets remain.
+    /// Ignores commands for so many seconds and drops those that have not taken effect; targets
+    /// remain.
     pub fn go_offline(&mut self, seconds: f64) {
         self.drive.drop_pending();
         self.offline_until = self.time + seconds;
@@ -149,7 +153,8 @@ impl Actuator {
         self.time < self.offline_until
     }
 
-    /// Stops all motion: drops commands that have not taken effect and makes each present angle the target.
+    /// Stops all motion: drops commands that have not taken effect and makes each present angle the
+    /// target.
     pub fn halt(&mut self) {
         self.drive.drop_pending();
         for ((target, axis), fault) in self.drive.targets_mut().iter_mut().zip(&mut self.axes).zip(&self.faults) {

@@ -1,9 +1,9 @@
 //! One axis of a mirror between two instants: the exact response to a set-point of constant speed.
 //!
-//! The chain is set-point u -> low-pass z -> second order y, each part optional:
-//! z' = w_c (u - z), y'' + 2 d w y' + w^2 y = w^2 z. For u = a + b t both have closed forms: a straight
-//! line, a decaying exponential from the low-pass, and the free motion of the second order. So a step
-//! of any length is exact.
+//! The chain is set-point u -> low-pass z -> second order y, each part optional: z' = w_c (u - z),
+//! y'' + 2 d w y' + w^2 y = w^2 z. For u = a + b t both have closed forms: a straight line, a
+//! decaying exponential from the low-pass, and the free motion of the second order. So a step of
+//! any length is exact.
 
 /// Minimum relative distance between the low-pass and a real pole of the second order, where the
 /// closed form divides by 0.
@@ -61,7 +61,8 @@ pub(super) struct Propagator {
 impl Dynamics {
     /// A low-pass (cut-off in rad/s) and a second order, both optional.
     ///
-    /// A low-pass that coincides with a pole of an overdamped second order is moved by a ten-thousandth.
+    /// A low-pass that coincides with a pole of an overdamped second order is moved by a
+    /// ten-thousandth.
     pub fn new(low_pass: Option<f64>, second_order: Option<SecondOrder>) -> Self {
         let Some((cut_off, SecondOrder { frequency, damping })) = low_pass.zip(second_order) else {
             return Self { low_pass, second_order, exponential_gain: 0.0 };
@@ -117,7 +118,8 @@ impl Dynamics {
 }
 
 impl SecondOrder {
-    /// exp(-d w h) cos(w_d h) and exp(-d w h) sin(w_d h) / w_d, or their forms at and above critical damping.
+    /// exp(-d w h) cos(w_d h) and exp(-d w h) sin(w_d h) / w_d, or their forms at and above
+    /// critical damping.
     fn free_motion(&self, duration: f64) -> (f64, f64) {
         let drag = self.damping * self.frequency;
         let under = self.frequency * self.frequency - drag * drag;
@@ -141,7 +143,8 @@ impl SecondOrder {
 mod tests {
     use super::*;
 
-    /// The same equations integrated by classical Runge-Kutta in tiny steps: an independent implementation.
+    /// The same equations integrated by classical Runge-Kutta in tiny steps: an independent
+    /// implementation.
     fn integrate(dynamics: &Dynamics, state: &AxisState, rate: f64, duration: f64) -> AxisState {
         let cut_off = dynamics.low_pass;
         let SecondOrder { frequency, damping } = dynamics.second_order.expect("the test has one");

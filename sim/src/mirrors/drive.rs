@@ -1,9 +1,9 @@
 //! The path of a command through the drive electronics: delay, range, quantisation and hysteresis.
 //!
-//! Hysteresis is the play operator. A command u moves the held target w to
-//! min(max(w, u - h/2), u + h/2) for a loop of width h. So an axis comes to rest h/2 short of its
-//! command from either side, and a reversal of less than h has no effect. The result depends only on
-//! the order of the commands.
+//! Hysteresis is the play operator. A command u moves the held target w to min(max(w, u - h/2), u +
+//! h/2) for a loop of width h. So an axis comes to rest h/2 short of its command from either side,
+//! and a reversal of less than h has no effect. The result depends only on the order of the
+//! commands.
 
 use std::collections::VecDeque;
 

@@ -1,7 +1,9 @@
-//! The difference between the angle of a drive and the angle of its mirror: scale, offset, drift and jitter.
+//! The difference between the angle of a drive and the angle of its mirror: scale, offset, drift
+//! and jitter.
 //!
-//! The mirror is at scale * angle + offset + drift + jitter. Scale and offset are drawn once, drift is
-//! Brownian motion, and jitter is drawn at each step. The drive's own sensor measures none of them.
+//! The mirror is at scale * angle + offset + drift + jitter. Scale and offset are drawn once, drift
+//! is Brownian motion, and jitter is drawn at each step. The drive's own sensor measures none of
+//! them.
 
 use heliostat_scenario::ActuatorParameters;
 
@@ -20,7 +22,8 @@ pub(super) struct Mounting {
 }
 
 impl Mounting {
-    /// Draws the offsets from `rng`, which drift and jitter then use, and the scales from its next stream.
+    /// Draws the offsets from `rng`, which drift and jitter then use, and the scales from its next
+    /// stream.
     pub fn new(parameters: &ActuatorParameters, axes: usize, mut rng: RoomRng) -> Self {
         let offset = (0..axes).map(|_| parameters.offset_rad * random::normal(&mut rng)).collect();
         let mut scales = rng.clone();
@@ -46,7 +49,8 @@ impl Mounting {
         }
     }
 
-    /// The angle of the mirror on `axis` when its drive is at `angle`, both in rad; draws the jitter.
+    /// The angle of the mirror on `axis` when its drive is at `angle`, both in rad; draws the
+    /// jitter.
     pub fn mirror_angle(&mut self, axis: usize, angle: f64) -> f64 {
         let jitter = if self.jitter_rad > 0.0 { self.jitter_rad * random::normal(&mut self.rng) } else { 0.0 };
         self.scale[axis] * angle + self.offset[axis] + self.drift[axis] + jitter

@@ -18,7 +18,8 @@ pub struct Due {
 }
 
 impl Schedule {
-    /// Samples at `phase_ns` and every 1 / `rate_hz` seconds after it; a rate of 0 or less has no samples.
+    /// Samples at `phase_ns` and every 1 / `rate_hz` seconds after it; a rate of 0 or less has no
+    /// samples.
     pub fn new(rate_hz: f64, phase_ns: u64) -> Self {
         Self { rate_hz, phase_ns, next: 0 }
     }
@@ -28,7 +29,8 @@ impl Schedule {
         (self.rate_hz > 0.0).then(|| self.deadline(self.next))
     }
 
-    /// Takes the deadline that has been reached; later ones that have passed too are skipped and counted.
+    /// Takes the deadline that has been reached; later ones that have passed too are skipped and
+    /// counted.
     pub fn take(&mut self, now_ns: u64) -> Option<Due> {
         let due_ns = self.next_ns().filter(|due_ns| *due_ns <= now_ns)?;
         let first = self.next + 1;

@@ -1,9 +1,10 @@
 //! How the users move: the random waypoint model, or a recorded walk in its place.
 //!
-//! A user walks straight to a point drawn uniformly in the room, at a speed drawn uniformly for that
-//! segment, and then draws the next point without a pause. The walk starts in its stationary regime,
-//! so it needs no warm-up. It is exact over any time step: one step may cover many segments.
-//! It uses only the four operations and square roots, so it is the same on every platform, bit for bit.
+//! A user walks straight to a point drawn uniformly in the room, at a speed drawn uniformly for
+//! that segment, and then draws the next point without a pause. The walk starts in its stationary
+//! regime, so it needs no warm-up. It is exact over any time step: one step may cover many
+//! segments. It uses only the four operations and square roots, so it is the same on every
+//! platform, bit for bit.
 
 use thiserror::Error;
 
@@ -237,7 +238,8 @@ mod tests {
         out
     }
 
-    /// Variance of x and the largest gap between its distribution and that of equation (4), F(x) = 1/2 + 3x/(2L) - 2x^3/L^3.
+    /// Variance of x and the largest gap between its distribution and that of equation (4), F(x) =
+    /// 1/2 + 3x/(2L) - 2x^3/L^3.
     fn against_equation_4(mut xs: Vec<f64>) -> (f64, f64) {
         xs.sort_by(f64::total_cmp);
         let n = xs.len() as f64;

@@ -1,9 +1,10 @@
 //! Positions of the obstacles: a Matérn hard-core process of type II.
 //!
-//! Parent points form a Poisson process, each with a random mark. A point is kept when no other point
-//! within the minimum distance has a lower mark. The parents cover the room and a margin of the minimum
-//! distance around it, so that the density is the same up to the walls. The configured intensity is
-//! the one after thinning, lambda = (1 - exp(-p pi d^2)) / (pi d^2) for parents of intensity p.
+//! Parent points form a Poisson process, each with a random mark. A point is kept when no other
+//! point within the minimum distance has a lower mark. The parents cover the room and a margin of
+//! the minimum distance around it, so that the density is the same up to the walls. The configured
+//! intensity is the one after thinning, lambda = (1 - exp(-p pi d^2)) / (pi d^2) for parents of
+//! intensity p.
 //!
 //! Source: Chiu, Stoyan, Kendall and Mecke, Stochastic Geometry and its Applications, section 5.4.
 

@@ -2,7 +2,8 @@
 //!
 //! Times are in s, users count from 0, positions are in m in the room frame. Between two samples of
 //! a user the position is interpolated linearly; before the first and after the last sample it is
-//! constant. At its latest time the recording repeats: all users jump back to their first positions.
+//! constant. At its latest time the recording repeats: all users jump back to their first
+//! positions.
 
 use thiserror::Error;
 
@@ -102,7 +103,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Reads a recording for exactly `users` people in a room.
+    /// Parses a recorded walk of exactly `users` users.
     ///
     /// Lines that are empty or begin with `#` are skipped.
     ///

@@ -148,7 +148,7 @@ impl Node {
     /// Refuses the orders of operators: in lockstep the seed determines the run.
     pub fn refuse_orders(&mut self) {
         for _ in self.session.new_orders() {
-            let refusal = control::Refusal::Lockstep;
+            let refusal = control::OrderRefusal::Lockstep;
             self.refused.note("control", refusal.name(), &refusal);
         }
     }

@@ -10,7 +10,7 @@ use crate::world::mobility::MobilityError;
 
 /// Why a part of an order is refused.
 #[derive(Debug, Error)]
-pub enum Refusal {
+pub enum OrderRefusal {
     /// More users than the room has.
     #[error("forced_users {found} is too large: expected at most {present}, the users in the room")]
     Users {
@@ -41,7 +41,7 @@ pub enum Refusal {
     Lockstep,
 }
 
-impl Refusal {
+impl OrderRefusal {
     /// The name under which it is counted.
     pub fn name(&self) -> &'static str {
         match self {
@@ -55,22 +55,22 @@ impl Refusal {
 }
 
 /// Applies an order; returns the parts that were refused.
-pub fn apply(room: &mut SimulatedRoom, order: &SimulatorControl) -> Vec<Refusal> {
+pub fn apply(room: &mut SimulatedRoom, order: &SimulatorControl) -> Vec<OrderRefusal> {
     let mut refused = Vec::new();
     if let Some(found) = order.forced_users {
         let present = room.world().users().len();
         match usize::try_from(found) {
             Ok(users) if users <= present => room.world_mut().set_forced(users),
-            _ => refused.push(Refusal::Users { found, present }),
+            _ => refused.push(OrderRefusal::Users { found, present }),
         }
     }
     if let Some(found) = order.power_w
         && !room.world_mut().set_power(f64::from(found))
     {
-        refused.push(Refusal::Power { found });
+        refused.push(OrderRefusal::Power { found });
     }
     if let Some([min, max]) = order.speed_m_s {
-        refused.extend(room.world_mut().set_speed(f64::from(min), f64::from(max)).err().map(Refusal::Speed));
+        refused.extend(room.world_mut().set_speed(f64::from(min), f64::from(max)).err().map(OrderRefusal::Speed));
     }
     for fault in &order.faults {
         refused.extend(apply_fault(room, fault).err());
@@ -79,10 +79,10 @@ pub fn apply(room: &mut SimulatedRoom, order: &SimulatorControl) -> Vec<Refusal>
 }
 
 /// Applies one fault to its mirrors.
-fn apply_fault(room: &mut SimulatedRoom, fault: &MirrorFault) -> Result<(), Refusal> {
+fn apply_fault(room: &mut SimulatedRoom, fault: &MirrorFault) -> Result<(), OrderRefusal> {
     let mirrors = room.angles().roll.len();
     if let Some(found) = fault.mirrors.iter().copied().find(|index| *index as usize >= mirrors) {
-        return Err(Refusal::Mirror { found, last: mirrors - 1 });
+        return Err(OrderRefusal::Mirror { found, last: mirrors - 1 });
     }
     let seconds = f64::from(fault.seconds);
     let actuator = room.actuator_mut();
@@ -125,8 +125,8 @@ mod tests {
         SimulatedRoom::new(&Scenario::builtin("specular").unwrap(), None, 1).unwrap()
     }
 
-    fn names(refused: &[Refusal]) -> Vec<&'static str> {
-        refused.iter().map(Refusal::name).collect()
+    fn names(refused: &[OrderRefusal]) -> Vec<&'static str> {
+        refused.iter().map(OrderRefusal::name).collect()
     }
 
     #[test]

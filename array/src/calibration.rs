@@ -1,4 +1,5 @@
-//! The correction of each mirror's mounting: device angle = gain * angle + offset, mirror by mirror and axis by axis.
+//! The correction of each mirror's mounting: device angle = gain * angle + offset, for each mirror
+//! and axis.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{Calibration, CodecError};
@@ -6,25 +7,25 @@ use thiserror::Error;
 
 use crate::rules::Limits;
 
-/// Slack for angles that went through single precision, in rad.
+/// Tolerance for angles that were rounded to single precision, in rad.
 const ROUNDING_RAD: f64 = 1e-6;
 
-/// Why a calibration is not taken into use.
+/// Why a calibration is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Unfit {
-    /// For an array of another size.
+    /// It is for an array of another size.
     #[error(transparent)]
     WrongCount(#[from] CodecError),
-    /// Not newer than the one in use.
-    #[error("sequence {found} after {used} of the same source")]
+    /// It is not newer than the one in use.
+    #[error("a calibration of sequence {found}: expected more than {used}, the one in use from this source")]
     OldSequence {
         /// Sequence of the calibration.
         found: u64,
         /// Sequence of the one in use.
         used: u64,
     },
-    /// A gain that does not keep the direction of a turn.
-    #[error("the {axis} gain of mirror {mirror} is {gain}: wanted more than 0")]
+    /// A gain that reverses or cancels a turn.
+    #[error("invalid {axis} gain {gain} of mirror {mirror}: expected more than 0")]
     Gain {
         /// Roll or yaw.
         axis: &'static str,
@@ -33,9 +34,10 @@ pub enum Unfit {
         /// Its gain.
         gain: f32,
     },
-    /// A mirror would be told more than its hardware can do.
+    /// A corrected angle would be beyond the range of the hardware.
     #[error(
-        "mirror {mirror} would be told {axis} of {angle_deg:.2} degrees: its hardware goes from {min_deg:.2} to {max_deg:.2}"
+        "the corrected {axis} of mirror {mirror} is {angle_deg:.2} degrees: \
+         expected {min_deg:.2} to {max_deg:.2}, the range of its hardware"
     )]
     BeyondHardware {
         /// Roll or yaw.
@@ -63,7 +65,7 @@ impl Unfit {
     }
 }
 
-/// The correction in use; none at first.
+/// The correction in use; at first there is none.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Correction {
     used: Option<Calibration>,
@@ -75,8 +77,8 @@ impl Correction {
         self.used.as_ref().map_or(0, |used| used.stamp.sequence)
     }
 
-    /// Takes a calibration into use.
-    pub fn take(&mut self, new: &Calibration, limits: &Limits, travel_rad: [[f64; 2]; 2]) -> Result<(), Unfit> {
+    /// Uses another calibration from now on.
+    pub fn replace(&mut self, new: &Calibration, limits: &Limits, travel_rad: [[f64; 2]; 2]) -> Result<(), Unfit> {
         new.check_mirrors(limits.mirrors)?;
         if let Some(used) = &self.used
             && used.stamp.source == new.stamp.source
@@ -105,7 +107,7 @@ impl Correction {
         Ok(())
     }
 
-    /// What the device is to be told so that the mirrors get to `angles`.
+    /// Writes the device angles that turn the mirrors to `angles`.
     pub fn apply(&self, angles: &MirrorAngles, out: &mut MirrorAngles) {
         out.clone_from(angles);
         if let Some(used) = &self.used {
@@ -114,7 +116,7 @@ impl Correction {
         }
     }
 
-    /// The way back: angles of the device in the terms of commands.
+    /// The inverse: converts device angles to the angles of commands.
     pub fn undo(&self, angles: &mut MirrorAngles) {
         if let Some(used) = &self.used {
             let back = |angle: f64, gain: f64, offset: f64| (angle - offset) / gain;

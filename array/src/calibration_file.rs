@@ -1,10 +1,10 @@
-//! The file that holds a calibration between its making and its use: TOML, one entry a mirror in index order.
+//! The file format of a calibration: TOML, one entry per mirror in index order.
 //!
 //! ```toml
 //! rows = 1
 //! columns = 2
 //!
-//! [roll]                       # the drive is told gain * angle + offset
+//! [roll]                       # drive angle = gain * angle + offset
 //! offset_deg = [0.52, -0.1]
 //! gain = [1.0, 1.0]
 //!
@@ -17,14 +17,14 @@ use heliostat_proto::{Calibration, Stamp};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Why a text is no calibration.
+/// Why a text is not a calibration.
 #[derive(Debug, Error)]
 pub enum CalibrationFileError {
     /// A key is unknown, missing or of another type.
     #[error(transparent)]
     Toml(#[from] toml::de::Error),
-    /// A list is not as long as the array has mirrors.
-    #[error("{list} has {found} entries: expected {expected}, one a mirror")]
+    /// The length of a list is not the number of mirrors.
+    #[error("{list} has {found} entries: expected {expected}, one per mirror")]
     Length {
         /// The list, for example `roll.gain`.
         list: String,
@@ -41,7 +41,7 @@ pub enum CalibrationFileError {
     },
 }
 
-/// Corrections of every mirror of an array.
+/// The corrections of every mirror of an array.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationFile {
@@ -49,19 +49,19 @@ pub struct CalibrationFile {
     pub rows: usize,
     /// Columns of the array.
     pub columns: usize,
-    /// Of the roll axes.
+    /// Corrections of the roll axes.
     pub roll: AxisCorrections,
-    /// Of the yaw axes.
+    /// Corrections of the yaw axes.
     pub yaw: AxisCorrections,
 }
 
-/// Corrections of one axis of every mirror: the drive is told gain * angle + offset. Shape of both: M.
+/// Corrections of one axis of every mirror: drive angle = gain * angle + offset. Shape of both: M.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AxisCorrections {
-    /// Mechanical, in degrees.
+    /// Mechanical offsets in degrees.
     pub offset_deg: Vec<f64>,
-    /// Dimensionless.
+    /// Gains, dimensionless.
     pub gain: Vec<f64>,
 }
 
@@ -76,7 +76,8 @@ impl CalibrationFile {
     /// Reads a calibration from its TOML text.
     ///
     /// # Errors
-    /// [`CalibrationFileError`] for a key that is unknown, missing or of another type, and for a list that does not fit the array.
+    /// [`CalibrationFileError`] for a key that is unknown, missing or of another type, and for a
+    /// list that does not fit the array.
     pub fn parse(text: &str) -> Result<Self, CalibrationFileError> {
         let read: Self = toml::from_str(text)?;
         read.check()?;
@@ -102,9 +103,9 @@ impl CalibrationFile {
     /// The TOML text of the calibration.
     ///
     /// # Panics
-    /// Never: every calibration has a TOML form.
+    /// Never: every calibration can be written as TOML.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("numbers and lists of numbers have a TOML form")
+        toml::to_string(self).expect("numbers and lists of numbers can be written as TOML")
     }
 
     /// The message with the same meaning.
@@ -126,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_reads_back_and_lists_must_fit_the_array() {
+    fn a_written_file_can_be_read_and_its_lists_must_fit_the_array() {
         let mut written = CalibrationFile {
             rows: 1,
             columns: 2,
@@ -141,6 +142,6 @@ mod tests {
         );
         written.yaw.gain.pop();
         let refusal = CalibrationFile::parse(&written.to_toml()).unwrap_err().to_string();
-        assert_eq!(refusal, "yaw.gain has 1 entries: expected 2, one a mirror");
+        assert_eq!(refusal, "yaw.gain has 1 entries: expected 2, one per mirror");
     }
 }

@@ -1,8 +1,8 @@
-//! What arrives for an array.
+//! The messages that arrive for an array.
 
 use heliostat_proto::{Calibration, CodecError, EmergencyStop, MirrorCommand};
 
-/// A payload, decoded, or what is wrong with it.
+/// A decoded payload, or the error of its decoding.
 #[derive(Clone, Debug)]
 pub enum Content {
     /// From the command key.

@@ -1,4 +1,4 @@
-//! What a kind of mirrors has to provide; the kit does everything else.
+//! The trait that hardware implements; `Kit` does everything else.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::Capabilities;
@@ -6,51 +6,56 @@ use thiserror::Error;
 
 use crate::moment::Moment;
 
-/// Why a device did not do what it was asked to.
+/// Why a device failed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{device}: {problem}")]
 pub struct DeviceError {
-    /// Which device: a port, an address.
+    /// The device: a port or an address.
     pub device: String,
-    /// What went wrong, and what can be done about it where that is known.
+    /// What went wrong, and a remedy if one is known.
     pub problem: String,
 }
 
 impl DeviceError {
-    /// What went wrong with which device.
+    /// An error of a device.
     pub fn new(device: impl Into<String>, problem: impl ToString) -> Self {
         Self { device: device.into(), problem: problem.to_string() }
     }
 }
 
-/// How the hardware is, as far as it knows.
+/// The condition of the hardware, as it reports it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Health {
     /// Temperature in degrees Celsius.
     pub temperature_c: Option<f32>,
-    /// Bits of [`fault`](heliostat_proto::messages::fault) that the hardware reports of itself.
+    /// Bits of [`fault`](heliostat_proto::messages::fault) that the hardware reports.
     pub faults: u32,
-    /// Mirrors that the hardware knows not to follow, ascending.
+    /// Mirrors that the hardware reports as not following, ascending.
     pub broken: Vec<u32>,
 }
 
-/// Mirrors that can be turned: a serial port, a board, a simulation.
+/// Mirrors that can be turned: on a serial port, on a board, in a simulation.
 ///
-/// All calls come from one thread and carry the time at which they count. After an error the kit calls
-/// [`connect`](Self::connect) again and again, with growing pauses, and then [`apply`](Self::apply) with whatever is wanted by then.
+/// All calls come from one thread and have the time as an argument. After an error the kit calls
+/// [`connect`](Self::connect) repeatedly, with growing pauses, and then [`apply`](Self::apply) with
+/// the angles that apply by then.
 pub trait Device {
-    /// What the mirrors are and can do. The kit overwrites the stamp; everything else is announced as it stands here, and the
-    /// limits, the park position and the validity clock in it are what the kit enforces. Constant as long as the device runs.
+    /// The capabilities of the array, constant while the device runs.
+    ///
+    /// The kit overwrites the stamp and publishes all other fields unchanged. It enforces the
+    /// limits, the park position and the validity clock in them.
     fn capabilities(&self) -> Capabilities;
 
-    /// How far the hardware itself can be told to go, roll and yaw, smallest and largest in rad: the limits announced, and what is
-    /// kept back for the corrections of a calibration.
+    /// Minimum and maximum angle of the hardware itself in rad, roll and then yaw.
+    ///
+    /// This is the range of the announced limits, plus the reserve for the corrections of a
+    /// calibration.
     fn travel_rad(&self) -> [[f64; 2]; 2] {
         let Capabilities { roll, yaw, .. } = self.capabilities();
         [roll, yaw].map(|axis| [f64::from(axis.min_rad), f64::from(axis.max_rad)])
     }
 
-    /// Brings the device up.
+    /// Connects and initialises the device.
     ///
     /// # Errors
     /// [`DeviceError`]; the kit tries again later.
@@ -59,19 +64,19 @@ pub trait Device {
     /// Turns all mirrors at once; the angles are within the limits, with the calibration applied.
     ///
     /// # Errors
-    /// [`DeviceError`] where the device did not take them.
+    /// [`DeviceError`] if the device did not accept them.
     fn apply(&mut self, now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError>;
 
-    /// Writes where the mirrors are; false where the hardware does not measure.
+    /// Writes the measured angles; returns false if the hardware does not measure.
     ///
     /// # Errors
-    /// [`DeviceError`] where it should but does not answer.
+    /// [`DeviceError`] if it measures but does not answer.
     fn measure(&mut self, now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError>;
 
-    /// How the hardware is.
+    /// The condition of the hardware.
     ///
     /// # Errors
-    /// [`DeviceError`] where it does not answer.
+    /// [`DeviceError`] if it does not answer.
     fn health(&mut self, _now: Moment) -> Result<Health, DeviceError> {
         Ok(Health::default())
     }
@@ -79,6 +84,7 @@ pub trait Device {
     /// Stops all motion at once.
     ///
     /// # Errors
-    /// [`DeviceError`] where that may not have happened; the kit stops it again as soon as it answers.
+    /// [`DeviceError`] if the motion may not have stopped; the kit stops it again as soon as it
+    /// answers.
     fn stop(&mut self, now: Moment) -> Result<(), DeviceError>;
 }

@@ -1,7 +1,35 @@
-//! What every driver does, whatever its device: rules, watchdog, emergency stop, calibration, telemetry, reconnection.
+//! What every driver does with any device: rules, watchdog, emergency stop, calibration, telemetry,
+//! reconnection.
 //!
-//! No thread, no socket and no clock: messages and time come in, the device is told what follows. [`crate::run`] puts a session and a
-//! clock around it for real devices; the simulated room does so for its own, in real and in simulated time.
+//! # Theory of Operation
+//!
+//! [`Kit`] puts the rules of [`crate::rules`] around a [`Device`]. It has no thread, no socket and
+//! no clock: the caller passes messages and time to the `handle_*` methods, and the kit applies the
+//! resulting angles to the device. Driver processes and the simulated room are such callers. The
+//! calling order is:
+//!
+//! 1. [`Kit::handle`], or one of the specific `handle_*` methods, for each message, with its
+//!    arrival time.
+//! 2. [`Kit::advance`] at [`Kit::next_ns`] at the latest: it holds, parks and reconnects.
+//! 3. [`Kit::telemetry`] and [`Kit::capabilities`] when these are due.
+//!
+//! The connection to the device has two states. A failed call leads to Down, and the array's rules
+//! continue to run there; so after a reconnection the device receives the angles that apply by
+//! then.
+//!
+//! ```text
+//!              connect succeeded: apply the target, or stop again if the array is stopped
+//!         +------------------------------------------------------------------------+
+//!         |                                                                        v
+//!     +------+   retry at retry_at_ns, after a pause that doubles up to 5 s     +----+
+//! +-->| Down |---------------------------------------------------------+        | Up |
+//! |   +------+<--- connect failed -------------------------------------+        +----+
+//! |       ^                                                                        |
+//! start   +------------------- a call of the device failed ------------------------+
+//! ```
+//!
+//! The fail-safe default is the park position: mirrors for which no command is valid are parked,
+//! and a device that could not be stopped is stopped again as soon as it answers.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
@@ -10,25 +38,25 @@ use heliostat_proto::{ArrayState, Calibration, Capabilities, EmergencyStop, Mirr
 use crate::calibration::{Correction, Unfit};
 use crate::content::Content;
 use crate::device::{Device, DeviceError, Health};
-use crate::follow::Follow;
+use crate::follow_check::FollowCheck;
 use crate::moment::Moment;
-use crate::refused::Refused;
+use crate::refusal_counts::RefusalCounts;
 use crate::rules::{Array, Limits, Refusal};
 
-/// First pause before a device that failed is tried again, in ns; it doubles with each failure.
+/// First pause before a reconnection in ns; it doubles with each failure.
 const PAUSE_MIN_NS: u64 = 100_000_000;
 
-/// Longest pause, in ns.
+/// Longest pause before a reconnection in ns.
 const PAUSE_MAX_NS: u64 = 5_000_000_000;
 
-/// The way to the device.
+/// The connection to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Link {
     Up,
     Down { retry_at_ns: u64, pause_ns: u64 },
 }
 
-/// A device with everything around it that the contract asks of a driver.
+/// A device with everything that the contract requires of a driver.
 #[derive(Clone, Debug)]
 pub struct Kit<D> {
     device: D,
@@ -36,31 +64,31 @@ pub struct Kit<D> {
     array: Array,
     correction: Correction,
     calibration_refused: bool,
-    follow: Follow,
+    follow_check: FollowCheck,
     link: Link,
-    reconnections: u64,
+    connections: u64,
     last_problem: Option<DeviceError>,
-    /// When the mirrors were last told anything.
+    /// When angles were last applied to the device.
     applied: Moment,
     corrected: MirrorAngles,
     measured: MirrorAngles,
 }
 
 impl<D: Device> Kit<D> {
-    /// Around a device that is not connected yet; [`Kit::advance`] does that.
+    /// A kit for a device that is not connected yet; [`Kit::advance`] connects it.
     pub fn new(device: D) -> Self {
         let capabilities = device.capabilities();
         let array = Array::new(Limits::new(&capabilities));
         let flat = MirrorAngles::flat(capabilities.mirrors());
         Self {
-            follow: Follow::new(&capabilities),
+            follow_check: FollowCheck::new(&capabilities),
             device,
             capabilities,
             array,
             correction: Correction::default(),
             calibration_refused: false,
             link: Link::Down { retry_at_ns: 0, pause_ns: PAUSE_MIN_NS },
-            reconnections: 0,
+            connections: 0,
             last_problem: None,
             applied: Moment::default(),
             corrected: flat.clone(),
@@ -68,12 +96,13 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    /// Lets time pass: the array holds, parks, and its device is tried again when that is due.
+    /// Advances to a time: the array holds or parks, and a lost device is connected when that is
+    /// due.
     pub fn advance(&mut self, now: Moment) {
         if let Some(at_ns) = self.array.parks_at_ns().filter(|at_ns| *at_ns <= now.local_ns) {
             let passed_ns = now.local_ns - at_ns;
             if self.array.advance(at_ns) {
-                self.tell(Moment { local_ns: at_ns, room_ns: now.room_ns.saturating_sub(passed_ns) });
+                self.apply_target(Moment { local_ns: at_ns, room_ns: now.room_ns.saturating_sub(passed_ns) });
             }
         }
         self.array.advance(now.local_ns);
@@ -87,10 +116,12 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    /// Takes whatever arrived; gives the command where it was one that is followed. What is refused is counted by name.
-    pub fn take(&mut self, at: Moment, content: Content, refused: &mut Refused) -> Option<MirrorCommand> {
+    /// Handles an arrival of any kind; returns the command if it was one that was accepted.
+    ///
+    /// Refusals are counted by name in `refused`.
+    pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
         match content {
-            Content::Command(Ok(command)) => match self.command(at, &command) {
+            Content::Command(Ok(command)) => match self.handle_command(at, &command) {
                 Ok(()) => return Some(command),
                 Err(refusal) => refused.note("command", refusal.name(), &refusal),
             },
@@ -98,10 +129,10 @@ impl<D: Device> Kit<D> {
                 self.array.count_malformed();
                 refused.note("command", error.name(), &error);
             }
-            Content::Stop(Ok(order)) => self.order(at, &order),
+            Content::Stop(Ok(order)) => self.handle_stop(at, &order),
             Content::Stop(Err(error)) => refused.note("stop", error.name(), &error),
             Content::Calibration(Ok(calibration)) => {
-                if let Err(unfit) = self.calibrate(at, &calibration) {
+                if let Err(unfit) = self.handle_calibration(at, &calibration) {
                     refused.note("calibration", unfit.name(), &unfit);
                 }
             }
@@ -113,51 +144,53 @@ impl<D: Device> Kit<D> {
         None
     }
 
-    /// Takes a command.
+    /// Checks a command and applies it to the device if it is accepted.
     ///
     /// # Errors
-    /// [`Refusal`]; the array goes on as if nothing had come.
-    pub fn command(&mut self, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+    /// [`Refusal`]: the target does not change.
+    pub fn handle_command(&mut self, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
         self.advance(now);
-        self.array.receive(now, command)?;
-        self.tell(now);
+        self.array.handle_command(now, command)?;
+        self.apply_target(now);
         Ok(())
     }
 
-    /// Obeys a stop or a re-arm. A device is stopped again by every stop: it costs nothing, and the first may not have reached it.
-    pub fn order(&mut self, now: Moment, order: &EmergencyStop) {
+    /// Applies a stop or a re-arm.
+    ///
+    /// Every stop stops the device again, because an earlier one may not have reached it.
+    pub fn handle_stop(&mut self, now: Moment, order: &EmergencyStop) {
         self.advance(now);
-        let changed = self.array.order(order);
+        let changed = self.array.handle_stop(order);
         if self.array.state() == ArrayState::Stopped {
             self.halt(now);
         } else if changed {
-            self.tell(now);
+            self.apply_target(now);
         }
     }
 
-    /// Takes a calibration into use; mirrors that follow a command are corrected at once.
+    /// Uses a calibration from now on; the present target is corrected at once.
     ///
     /// # Errors
-    /// [`Unfit`]; the one in use stays, and telemetry says so.
-    pub fn calibrate(&mut self, now: Moment, calibration: &Calibration) -> Result<(), Unfit> {
+    /// [`Unfit`]: the calibration in use remains, and telemetry reports the fault.
+    pub fn handle_calibration(&mut self, now: Moment, calibration: &Calibration) -> Result<(), Unfit> {
         self.advance(now);
-        let taken = self.correction.take(calibration, self.array.limits(), self.device.travel_rad());
-        self.calibration_refused = taken.is_err();
-        if taken.is_ok() && self.array.state() != ArrayState::Stopped {
-            self.tell(now);
+        let replaced = self.correction.replace(calibration, self.array.limits(), self.device.travel_rad());
+        self.calibration_refused = replaced.is_err();
+        if replaced.is_ok() && self.array.state() != ArrayState::Stopped {
+            self.apply_target(now);
         }
-        taken
+        replaced
     }
 
-    /// What the array does, as the contract tells it.
+    /// Measures the mirrors and returns the telemetry of the contract.
     pub fn telemetry(&mut self, now: Moment, stamp: Stamp) -> MirrorTelemetry {
-        let (measures, health) = self.look(now);
+        let (measures, health) = self.measure(now);
         let single = |angles: &[f64]| angles.iter().map(|angle| *angle as f32).collect::<Vec<_>>();
         let measured = |angles: &[f64]| if measures { single(angles) } else { Vec::new() };
         let followed = self.array.followed().copied().unwrap_or_default();
         let mirrors = 0..self.capabilities.mirrors();
         let unusable: Vec<u32> = mirrors
-            .filter(|mirror| self.follow.is_unusable(*mirror) || health.broken.contains(&(*mirror as u32)))
+            .filter(|mirror| self.follow_check.is_unusable(*mirror) || health.broken.contains(&(*mirror as u32)))
             .map(|mirror| mirror as u32)
             .collect();
         let is_down = self.link != Link::Up;
@@ -190,12 +223,12 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    /// What the array is and can do.
+    /// The capabilities of the array.
     pub fn capabilities(&self, stamp: Stamp) -> Capabilities {
         Capabilities { stamp, ..self.capabilities.clone() }
     }
 
-    /// When [`Kit::advance`] has something to do if nothing comes, in local time.
+    /// When [`Kit::advance`] must be called if no message arrives, in local time.
     pub fn next_ns(&self) -> Option<u64> {
         let retry_at_ns = match self.link {
             Link::Up => None,
@@ -204,7 +237,7 @@ impl<D: Device> Kit<D> {
         self.array.changes_at_ns().into_iter().chain(retry_at_ns).min()
     }
 
-    /// The rules' state.
+    /// The state machine of the rules.
     pub fn array(&self) -> &Array {
         &self.array
     }
@@ -214,23 +247,23 @@ impl<D: Device> Kit<D> {
         &self.device
     }
 
-    /// For what a device can do beyond the contract.
+    /// The device, for functions beyond the contract.
     pub fn device_mut(&mut self) -> &mut D {
         &mut self.device
     }
 
-    /// What was wrong with the device last.
+    /// The last failure of the device.
     pub fn last_problem(&self) -> Option<&DeviceError> {
         self.last_problem.as_ref()
     }
 
-    /// Times that the device was brought up.
+    /// How often the device was connected.
     pub fn connections(&self) -> u64 {
-        self.reconnections
+        self.connections
     }
 
-    /// Tells the device where the mirrors are to point, if it can be reached and may move.
-    fn tell(&mut self, now: Moment) {
+    /// Applies the corrected target to the device if it is connected.
+    fn apply_target(&mut self, now: Moment) {
         self.correction.apply(self.array.target(), &mut self.corrected);
         if self.link == Link::Up {
             match self.device.apply(now, &self.corrected) {
@@ -240,7 +273,7 @@ impl<D: Device> Kit<D> {
         }
     }
 
-    /// Stops the device; its mirrors are then asked to be where they came to rest.
+    /// Stops the device; the angles at which the mirrors came to rest become the target.
     fn halt(&mut self, now: Moment) {
         if self.link != Link::Up {
             return;
@@ -251,40 +284,40 @@ impl<D: Device> Kit<D> {
         }
         if self.device.measure(now, &mut self.measured) == Ok(true) {
             self.correction.undo(&mut self.measured);
-            self.array.stay_at(&self.measured);
+            self.array.set_target(&self.measured);
         }
     }
 
     fn connected(&mut self, now: Moment) {
         self.link = Link::Up;
-        self.reconnections += 1;
+        self.connections += 1;
         if self.array.state() == ArrayState::Stopped {
             self.halt(now);
         } else {
-            self.tell(now);
+            self.apply_target(now);
         }
     }
 
     fn lost(&mut self, now: Moment, problem: DeviceError, pause_ns: u64) {
         self.link = Link::Down { retry_at_ns: now.local_ns.saturating_add(pause_ns), pause_ns };
-        self.follow.pause();
+        self.follow_check.pause();
         self.last_problem = Some(problem);
     }
 
-    /// Reads angles and health; a device that does not answer is lost.
-    fn look(&mut self, now: Moment) -> (bool, Health) {
+    /// Reads angles and health; a device that does not answer counts as lost.
+    fn measure(&mut self, now: Moment) -> (bool, Health) {
         if self.link != Link::Up {
             return (false, Health::default());
         }
-        let seen = self.device.measure(now, &mut self.measured).and_then(|measures| {
+        let answer = self.device.measure(now, &mut self.measured).and_then(|measures| {
             let health = self.device.health(now)?;
             Ok((measures, health))
         });
-        match seen {
+        match answer {
             Ok((measures, health)) => {
                 if measures {
                     self.correction.undo(&mut self.measured);
-                    self.follow.look(now.local_ns, self.array.target(), &self.measured);
+                    self.follow_check.update(now.local_ns, self.array.target(), &self.measured);
                 }
                 (measures, health)
             }

@@ -1,15 +1,53 @@
-//! The rules of CONTRACT.md for drivers, as a pure state machine: time and messages come in, targets come out.
+//! The rules of CONTRACT.md for drivers, as a pure state machine: time and messages in, target
+//! angles out.
 //!
-//! It trusts no controller. Its rules, in the order in which they are looked at:
-//! 1. A wrong number of mirrors or an angle that is not finite is refused; anything at all while an emergency stop is latched.
-//! 2. An epoch lower than the one followed, or a sequence number that is not new within its epoch, is refused. A higher epoch takes
-//!    over at once, whatever its sequence number.
-//! 3. A command whose validity has ended, or which is from the future, is refused.
-//! 4. Angles beyond the limits are cut to them, and the command counts as clipped.
-//! 5. The last command is followed until its validity ends, held for [`Limits::hold_ns`] longer, and then the array parks.
+//! # Theory of Operation
 //!
-//! Validity is measured from the command's own time, but never reaches further than from its arrival. Clocks may disagree by
-//! [`CLOCK_LEAD_MAX_NS`] before a command counts as one from the future. An array without a clock counts from arrival alone.
+//! [`Array`] decides which commands an array follows and where its mirrors go when no command is
+//! valid. It trusts no controller, and its default is safe: an array starts parked, and it parks
+//! again when valid commands no longer arrive. It has no clock: each call has the time as an
+//! argument, and [`Array::changes_at_ns`] returns the time at which the caller must call
+//! [`Array::advance`] next.
+//!
+//! ```text
+//!                          command accepted
+//!              +---------------------------------------------+
+//!              |                                             v
+//!         +--------+     hold_ns after       +---------+   validity   +-----------+
+//! start ->| Parked |<------ validity --------| Holding |<--- ends ----| Following |<--+ command
+//!         +--------+                         +---------+              +-----------+---+ accepted
+//!              ^                                  |    command accepted    ^
+//!              |                                  +------------------------+
+//!              |
+//!              | re-arm later than the stop  +---------+
+//!              +-----------------------------| Stopped |<--- stop, from any state
+//!                                            +---------+
+//! ```
+//!
+//! | state | target angles | commands |
+//! | --- | --- | --- |
+//! | Parked | the park position | accepted |
+//! | Following | the last accepted command | accepted |
+//! | Holding | the last accepted command | accepted |
+//! | Stopped | the angles at which the mirrors came to rest, if they are measured | refused |
+//!
+//! A command that is accepted in another state than Following counts as late, unless it is the
+//! first.
+//!
+//! Telemetry has a fifth state, Fault. `Kit` reports it while the device does not answer.
+//!
+//! A command is checked in this order:
+//!
+//! 1. A wrong number of mirrors or an angle that is not finite is refused.
+//! 2. Every command is refused while an emergency stop is latched.
+//! 3. An epoch lower than the one followed is refused, and so is a sequence number that is not new
+//!    within its epoch. A higher epoch takes over at once, with any sequence number.
+//! 4. A command whose validity has ended, or whose time is in the future, is refused.
+//! 5. Angles beyond the limits are clamped to them, and the command is counted as clipped.
+//!
+//! Validity starts at the time in the command, but never ends later than validity_ms after its
+//! arrival. Clocks may differ by [`CLOCK_LEAD_MAX_NS`] before a time counts as in the future. An
+//! array without a synchronised clock counts from arrival alone.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
@@ -21,7 +59,7 @@ use thiserror::Error;
 
 use crate::moment::Moment;
 
-/// What an array may be told.
+/// What an array enforces on commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Number of mirrors.
@@ -32,14 +70,14 @@ pub struct Limits {
     pub yaw_rad: [f64; 2],
     /// Roll and yaw of the park position in rad.
     pub park_rad: [f64; 2],
-    /// From the end of validity to parking in ns.
+    /// Time from the end of validity to parking in ns.
     pub hold_ns: u64,
-    /// From when validity is counted.
+    /// The clock by which validity is counted.
     pub clock: ValidityClock,
 }
 
 impl Limits {
-    /// What the capabilities promise is what is enforced.
+    /// The limits that the capabilities announce.
     pub fn new(capabilities: &Capabilities) -> Self {
         let Capabilities { roll, yaw, .. } = capabilities;
         Self {
@@ -53,54 +91,54 @@ impl Limits {
     }
 }
 
-/// Why a command is not followed.
+/// Why a command is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Refusal {
     /// Another number of mirrors.
-    #[error("a command for {found} mirrors at an array of {wanted}")]
+    #[error("a command for {found} mirrors: expected {expected}, the size of the array")]
     WrongCount {
         /// Mirrors in the command.
         found: usize,
         /// Mirrors of the array.
-        wanted: usize,
+        expected: usize,
     },
     /// An angle is not a number or infinite.
-    #[error("the angle of mirror {mirror} is not finite")]
+    #[error("an angle of mirror {mirror} is not finite: expected a number in rad")]
     NonFinite {
         /// The first such mirror.
         mirror: usize,
     },
     /// An emergency stop is latched.
-    #[error("a command while an emergency stop is latched: re-arm the array first")]
+    #[error("an emergency stop is latched: re-arm the array first")]
     Stopped,
-    /// The sender was deposed by one with a higher epoch.
-    #[error("a command of epoch {found} after epoch {followed}")]
+    /// A sender with a higher epoch has superseded this one.
+    #[error("a command of epoch {found}: expected at least {followed}, the epoch that the array follows")]
     LowerEpoch {
         /// Epoch of the command.
         found: u64,
         /// Epoch that the array follows.
         followed: u64,
     },
-    /// The command was overtaken or repeated.
-    #[error("sequence {found} after {last} of the same epoch")]
+    /// The command was superseded or repeated.
+    #[error("a command of sequence {found}: expected more than {last}, the last one of this epoch")]
     OldSequence {
         /// Sequence number of the command.
         found: u64,
         /// Last sequence number that was accepted.
         last: u64,
     },
-    /// The command arrived after its validity.
-    #[error("a command {age_ms:.1} ms old that was valid for {validity_ms} ms")]
+    /// The command arrived after its validity had ended.
+    #[error("a command {age_ms:.1} ms old: expected less than {validity_ms} ms, its validity")]
     Expired {
         /// Age on arrival in ms.
         age_ms: f64,
         /// Its validity in ms.
         validity_ms: u32,
     },
-    /// The command is from the future: the clocks disagree.
-    #[error("a command from {lead_ms:.1} ms in the future")]
+    /// The time of the command is in the future: the clocks differ.
+    #[error("a command {lead_ms:.1} ms in the future: synchronise the clocks of sender and driver")]
     FromFuture {
-        /// How far ahead its time is in ms.
+        /// The lead of its time in ms.
         lead_ms: f64,
     },
 }
@@ -120,7 +158,7 @@ impl Refusal {
     }
 }
 
-/// The command that is followed, as telemetry tells it.
+/// The command that the array follows, as telemetry reports it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Followed {
     /// Epoch of its sender.
@@ -133,7 +171,7 @@ pub struct Followed {
     pub received: Moment,
 }
 
-/// The guard of an array.
+/// The state machine of an array's rules.
 #[derive(Clone, Debug)]
 pub struct Array {
     limits: Limits,
@@ -147,7 +185,7 @@ pub struct Array {
 }
 
 impl Array {
-    /// An array that is parked and has followed nobody yet.
+    /// A parked array that has not accepted a command.
     pub fn new(limits: Limits) -> Self {
         let mut array = Self {
             limits,
@@ -163,11 +201,11 @@ impl Array {
         array
     }
 
-    /// Takes a command.
+    /// Checks a command and follows it if it is accepted.
     ///
     /// # Errors
-    /// [`Refusal`]; the array goes on as if nothing had come.
-    pub fn receive(&mut self, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+    /// [`Refusal`]: it is counted, and nothing else changes.
+    pub fn handle_command(&mut self, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
         self.advance(now.local_ns);
         let remaining_ns = self.check(now, command).inspect_err(|refusal| self.count(refusal))?;
         self.counters.accepted += 1;
@@ -179,7 +217,8 @@ impl Array {
             (&mut self.target.yaw, &command.yaw, self.limits.yaw_rad),
         ];
         for (list, commanded, [min, max]) in axes {
-            // A limit of 90 degrees in single precision is a little above the same limit in double precision.
+            // A limit of 90 degrees in single precision is a little above the same limit in double
+            // precision.
             let slack = 1e-6 * min.abs().max(max.abs());
             for (target, &angle) in list.iter_mut().zip(commanded) {
                 let angle = f64::from(angle);
@@ -195,14 +234,16 @@ impl Array {
         Ok(())
     }
 
-    /// Counts a payload on the command key that is no command.
+    /// Counts a payload on the command key that is not a command.
     pub fn count_malformed(&mut self) {
         self.counters.rejected += 1;
     }
 
-    /// Obeys an operator; true where the state changed. A stop counts whatever its time; a re-arm only when it is later than the
-    /// last stop, and then the array is told to park.
-    pub fn order(&mut self, order: &EmergencyStop) -> bool {
+    /// Applies a stop or a re-arm of an operator; returns whether the state changed.
+    ///
+    /// A stop applies at any time. A re-arm applies only if it is later than the last stop; then
+    /// the array parks.
+    pub fn handle_stop(&mut self, order: &EmergencyStop) -> bool {
         let stopped = self.state == ArrayState::Stopped;
         match order.action {
             StopAction::Stop => {
@@ -219,12 +260,12 @@ impl Array {
         }
     }
 
-    /// Mirrors that were stopped on their way are asked to be where they are.
-    pub fn stay_at(&mut self, angles: &MirrorAngles) {
+    /// Sets the target to the angles at which stopped mirrors came to rest.
+    pub fn set_target(&mut self, angles: &MirrorAngles) {
         self.target.clone_from(angles);
     }
 
-    /// Lets time pass; true when the array parks, and its target with it.
+    /// Advances to a time; returns true when the array parks, which changes the target.
     pub fn advance(&mut self, local_ns: u64) -> bool {
         if self.state == ArrayState::Following && local_ns >= self.valid_until_ns {
             self.state = ArrayState::Holding;
@@ -237,12 +278,12 @@ impl Array {
         parks
     }
 
-    /// When the array will park if nothing comes, in local time.
+    /// When the array parks if no command is accepted, in local time.
     pub fn parks_at_ns(&self) -> Option<u64> {
         matches!(self.state, ArrayState::Following | ArrayState::Holding).then(|| self.park_at_ns())
     }
 
-    /// When the state will change if nothing comes, in local time.
+    /// When the state changes if no command is accepted, in local time.
     pub fn changes_at_ns(&self) -> Option<u64> {
         match self.state {
             ArrayState::Following => Some(self.valid_until_ns),
@@ -250,32 +291,33 @@ impl Array {
         }
     }
 
-    /// What the array does.
+    /// The state.
     pub fn state(&self) -> ArrayState {
         self.state
     }
 
-    /// The last command that was accepted; it stays known while the array is parked.
+    /// The last command that was accepted, also while the array is parked.
     pub fn followed(&self) -> Option<&Followed> {
         self.followed.as_ref()
     }
 
-    /// Where the mirrors are told to point.
+    /// The target angles of the mirrors.
     pub fn target(&self) -> &MirrorAngles {
         &self.target
     }
 
-    /// What became of the commands so far.
+    /// How many commands were accepted, and refused for which reason.
     pub fn counters(&self) -> &Counters {
         &self.counters
     }
 
-    /// Fault bits of the telemetry: the clock's, from a command of the future until one is accepted.
+    /// Fault bits of the telemetry: the clock's, from a command in the future until one is
+    /// accepted.
     pub fn faults(&self) -> u32 {
         self.faults
     }
 
-    /// What the array may be told.
+    /// The limits of commands.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
@@ -290,11 +332,11 @@ impl Array {
         self.target.yaw.fill(yaw);
     }
 
-    /// The time that a good command stays valid, in ns.
+    /// The remaining validity of an acceptable command, in ns.
     fn check(&self, now: Moment, command: &MirrorCommand) -> Result<u64, Refusal> {
-        let wanted = self.limits.mirrors;
-        if let Some(found) = [command.roll.len(), command.yaw.len()].into_iter().find(|found| *found != wanted) {
-            return Err(Refusal::WrongCount { found, wanted });
+        let expected = self.limits.mirrors;
+        if let Some(found) = [command.roll.len(), command.yaw.len()].into_iter().find(|found| *found != expected) {
+            return Err(Refusal::WrongCount { found, expected });
         }
         let angles = || command.roll.iter().zip(&command.yaw);
         if let Some(mirror) = angles().position(|(roll, yaw)| !roll.is_finite() || !yaw.is_finite()) {

@@ -1,4 +1,4 @@
-//! The rules of the array's guard, one by one.
+//! The rules of an array, one by one.
 
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Limits, Refusal};
@@ -7,7 +7,7 @@ use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, EmergencyStop, MirrorComman
 
 const MS: u64 = 1_000_000;
 const HOLD_NS: u64 = 300 * MS;
-/// Any UTC; local time starts elsewhere, since nothing may mix the two.
+/// Any UTC; local time starts at another value, so that a mix of the two fails.
 const UTC: u64 = 1_800_000_000_000_000_000;
 
 fn at(ms: u64) -> Moment {
@@ -41,7 +41,7 @@ fn command(epoch: u64, sequence: u64, made_at_ms: u64) -> MirrorCommand {
 fn follows_holds_and_parks() {
     let mut array = array();
     assert_eq!((array.state(), array.parks_at_ns()), (ArrayState::Parked, None));
-    array.receive(at(10), &command(1, 1, 5)).unwrap();
+    array.handle_command(at(10), &command(1, 1, 5)).unwrap();
     assert_eq!(array.state(), ArrayState::Following);
     assert!((array.target().roll[1] - 0.2).abs() < 1e-7 && (array.target().yaw[0] + 0.1).abs() < 1e-7);
     // 200 ms from the time at which the command was made.
@@ -61,20 +61,20 @@ fn follows_holds_and_parks() {
 }
 
 #[test]
-fn a_command_after_the_validity_of_the_last_is_late_but_followed() {
+fn a_command_after_the_end_of_validity_is_followed_and_counted_as_late() {
     let mut array = array();
-    array.receive(at(0), &command(1, 1, 0)).unwrap();
-    array.receive(at(100), &command(1, 2, 100)).unwrap();
+    array.handle_command(at(0), &command(1, 1, 0)).unwrap();
+    array.handle_command(at(100), &command(1, 2, 100)).unwrap();
     assert_eq!(array.counters().late, 0);
-    array.receive(at(301), &command(1, 3, 300)).unwrap();
+    array.handle_command(at(301), &command(1, 3, 300)).unwrap();
     assert_eq!((array.counters().late, array.counters().accepted), (1, 3));
     assert_eq!(array.state(), ArrayState::Following);
 }
 
 #[test]
-fn every_refusal_has_a_name_and_changes_nothing() {
+fn every_refusal_has_a_name_and_does_not_change_the_array() {
     let mut array = array();
-    array.receive(at(1000), &command(5, 10, 1000)).unwrap();
+    array.handle_command(at(1000), &command(5, 10, 1000)).unwrap();
     let before = (array.target().clone(), array.parks_at_ns(), *array.followed().unwrap());
     let with = |change: fn(&mut MirrorCommand)| {
         let mut command = command(5, 11, 1000);
@@ -94,7 +94,7 @@ fn every_refusal_has_a_name_and_changes_nothing() {
         ("from-future", with(|c| c.time_ns += CLOCK_LEAD_MAX_NS + 2 * MS)),
     ];
     for (name, command) in &cases {
-        assert_eq!(array.receive(at(1001), command).unwrap_err().name(), *name, "{command:?}");
+        assert_eq!(array.handle_command(at(1001), command).unwrap_err().name(), *name, "{command:?}");
         assert_eq!(before, (array.target().clone(), array.parks_at_ns(), *array.followed().unwrap()), "{name}");
     }
     let counters = *array.counters();
@@ -103,36 +103,36 @@ fn every_refusal_has_a_name_and_changes_nothing() {
     array.count_malformed();
     assert_eq!(array.counters().rejected, 5);
     assert_eq!(array.faults(), fault::CLOCK, "a command from the future is a fault of the clocks");
-    array.receive(at(1001), &with(|_| {})).unwrap();
+    array.handle_command(at(1001), &with(|_| {})).unwrap();
     assert_eq!(array.faults(), 0);
 }
 
 #[test]
-fn a_higher_epoch_takes_over_whatever_its_sequence_and_fences_the_old_one() {
+fn a_higher_epoch_takes_over_with_any_sequence_and_the_lower_one_is_refused() {
     let mut array = array();
-    array.receive(at(0), &command(1, 900, 0)).unwrap();
-    array.receive(at(1), &command(2, 1, 1)).unwrap();
-    assert_eq!(array.receive(at(2), &command(1, 901, 2)), Err(Refusal::LowerEpoch { found: 1, followed: 2 }));
+    array.handle_command(at(0), &command(1, 900, 0)).unwrap();
+    array.handle_command(at(1), &command(2, 1, 1)).unwrap();
+    assert_eq!(array.handle_command(at(2), &command(1, 901, 2)), Err(Refusal::LowerEpoch { found: 1, followed: 2 }));
 }
 
 #[test]
-fn angles_beyond_the_range_are_cut_and_counted_once_a_command() {
+fn angles_beyond_the_range_are_clamped_and_counted_once_per_command() {
     let mut array = array();
     let mut wide = command(1, 1, 0);
     wide.roll = vec![3.0, -3.0];
     wide.yaw = vec![0.5, -0.5];
-    array.receive(at(0), &wide).unwrap();
+    array.handle_command(at(0), &wide).unwrap();
     assert_eq!((array.target().roll.as_slice(), array.counters().clipped), ([0.5, -0.5].as_slice(), 1));
     let mut edge = command(1, 2, 0);
     edge.yaw = vec![0.5, -0.5];
-    array.receive(at(0), &edge).unwrap();
+    array.handle_command(at(0), &edge).unwrap();
     assert_eq!(array.counters().clipped, 1, "the edge of the range is within it");
 }
 
 #[test]
-fn a_sender_whose_clock_is_ahead_does_not_keep_the_array_from_parking() {
+fn a_sender_with_a_clock_ahead_does_not_delay_parking() {
     let mut array = array();
-    array.receive(at(0), &command(1, 1, 40)).unwrap();
+    array.handle_command(at(0), &command(1, 1, 40)).unwrap();
     assert_eq!(array.parks_at_ns(), Some(200 * MS + HOLD_NS));
 }
 
@@ -144,20 +144,20 @@ fn order(action: StopAction, at_ms: u64) -> EmergencyStop {
 #[test]
 fn a_stop_is_latched_until_a_later_rearm() {
     let mut array = array();
-    array.receive(at(0), &command(1, 1, 0)).unwrap();
-    assert!(array.order(&order(StopAction::Stop, 100)));
-    assert!(!array.order(&order(StopAction::Stop, 90)), "an older stop changes nothing");
-    assert_eq!(array.receive(at(101), &command(9, 1, 101)), Err(Refusal::Stopped));
+    array.handle_command(at(0), &command(1, 1, 0)).unwrap();
+    assert!(array.handle_stop(&order(StopAction::Stop, 100)));
+    assert!(!array.handle_stop(&order(StopAction::Stop, 90)), "an older stop changes nothing");
+    assert_eq!(array.handle_command(at(101), &command(9, 1, 101)), Err(Refusal::Stopped));
     assert_eq!((array.counters().stopped, array.followed().unwrap().epoch), (1, 1));
     assert!(!array.advance(10_000 * MS), "a stopped array does not park");
     for early in [99, 100] {
-        assert!(!array.order(&order(StopAction::Rearm, early)));
+        assert!(!array.handle_stop(&order(StopAction::Rearm, early)));
         assert_eq!(array.state(), ArrayState::Stopped);
     }
-    assert!(array.order(&order(StopAction::Rearm, 101)));
+    assert!(array.handle_stop(&order(StopAction::Rearm, 101)));
     assert_eq!(array.state(), ArrayState::Parked);
     assert_eq!(array.target().roll, [0.0, 0.0]);
-    array.receive(at(102), &command(1, 2, 102)).unwrap();
+    array.handle_command(at(102), &command(1, 2, 102)).unwrap();
     assert_eq!(array.state(), ArrayState::Following);
 }
 
@@ -166,7 +166,7 @@ fn without_a_clock_validity_counts_from_arrival() {
     let mut limits = *array().limits();
     limits.clock = ValidityClock::Arrival;
     let mut array = Array::new(limits);
-    array.receive(at(60_000), &command(1, 1, 0)).unwrap();
-    array.receive(at(60_001), &command(1, 2, 200_000)).unwrap();
+    array.handle_command(at(60_000), &command(1, 1, 0)).unwrap();
+    array.handle_command(at(60_001), &command(1, 2, 200_000)).unwrap();
     assert_eq!(array.parks_at_ns(), Some(60_201 * MS + HOLD_NS));
 }

@@ -1,5 +1,5 @@
 // A board for heliostat-driver's servo-board protocol: four two-axis mirrors on eight hobby servos, open loop.
-// Lines of text at 115200 baud; angles are mechanical, in whole urad, roll before yaw. See driver/src/devices/servo_board.rs.
+// Lines of text at 115200 baud; angles are mechanical, integers in urad, roll before yaw. See driver/src/devices/servo_board.rs.
 #include <Servo.h>
 
 const int MIRRORS = 4;
@@ -13,7 +13,7 @@ Servo servos[AXES];
 long angles[AXES];
 char line[16 * AXES];
 int length = 0;
-unsigned long heard_ms = 0;
+unsigned long received_ms = 0;
 bool detached = true;
 
 void turn() {
@@ -24,29 +24,29 @@ void turn() {
   detached = false;
 }
 
-// A servo without pulses stays where it is.
+// A servo without pulses holds its angle.
 void halt() {
   for (int axis = 0; axis < AXES; axis++) servos[axis].detach();
   detached = true;
 }
 
-// All angles of a line, or none: a mirror is never told half a command.
+// Applies all angles of a line, or none of them if one is invalid.
 bool set(char *text) {
-  long wanted[AXES];
+  long targets[AXES];
   for (int axis = 0; axis < AXES; axis++) {
     char *end;
-    wanted[axis] = strtol(text, &end, 10);
-    if (end == text || wanted[axis] < MIN_URAD || wanted[axis] > MAX_URAD) return false;
+    targets[axis] = strtol(text, &end, 10);
+    if (end == text || targets[axis] < MIN_URAD || targets[axis] > MAX_URAD) return false;
     text = end;
   }
   while (*text == ' ' || *text == '\r') text++;
   if (*text != 0) return false;
-  memcpy(angles, wanted, sizeof(angles));
+  memcpy(angles, targets, sizeof(angles));
   turn();
   return true;
 }
 
-void obey() {
+void handle_line() {
   if (strncmp(line, "hello", 5) == 0) {
     Serial.print("heliostat 1 "); Serial.print(MIRRORS);
     Serial.print(' '); Serial.print(MIN_URAD);
@@ -68,12 +68,12 @@ void loop() {
     char next = Serial.read();
     if (next == '\n') {
       line[length] = 0;
-      heard_ms = millis();
-      obey();
+      received_ms = millis();
+      handle_line();
       length = 0;
     } else if (length < (int)sizeof(line) - 1) {
       line[length++] = next;
     }
   }
-  if (!detached && millis() - heard_ms > SILENCE_MS) halt();
+  if (!detached && millis() - received_ms > SILENCE_MS) halt();
 }

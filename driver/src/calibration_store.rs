@@ -8,7 +8,7 @@ use heliostat_array::calibration_file::CalibrationFile;
 /// Reads a calibration file.
 ///
 /// # Errors
-/// A file that cannot be read, or that is no calibration.
+/// A file that cannot be read, or is not a calibration.
 pub fn load(file: &Path) -> Result<CalibrationFile> {
     let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     CalibrationFile::parse(&text).with_context(|| format!("in {}", file.display()))

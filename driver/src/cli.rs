@@ -5,15 +5,14 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
+use heliostat_array::Kit;
+use heliostat_array::moment::Moment;
 use heliostat_bus::BusArgs;
 use heliostat_proto::{Room, Stamp};
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
 
 use crate::config::Config;
-use crate::run;
-use crate::{calibration_store, check};
-use heliostat_array::Kit;
-use heliostat_array::moment::Moment;
+use crate::{calibration_store, check, run};
 
 /// Flags of the driver.
 #[derive(Clone, Debug, clap::Args)]
@@ -24,20 +23,21 @@ pub struct Args {
 
 #[derive(Clone, Debug, Subcommand)]
 enum Command {
-    /// Drive the hardware that a file describes, in place of the simulated mirrors
+    /// Control the mirrors of the hardware that a file describes
     Run(RunArgs),
-    /// Play valid, hostile and unlucky traffic at a driver and tell which rules of the contract it keeps
+    /// Send valid and invalid messages to a driver and report which rules of the contract it keeps
     ///
-    /// The mirrors move. No controller may run in the room meanwhile. The exit status is 1 where a rule is broken.
+    /// The mirrors move. No controller may run in the room during the check. The exit status is 1
+    /// if a rule is broken.
     Check(CheckArgs),
 }
 
 #[derive(Clone, Debug, clap::Args)]
 struct RunArgs {
-    /// TOML file of the boards and the mirrors that they turn
+    /// TOML file of the boards and their mirrors
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    /// Correct the mirrors' mounting by this file of `heliostat calibrate` from the start
+    /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     #[command(flatten)]
@@ -60,7 +60,7 @@ struct CheckArgs {
     key: Option<String>,
     #[command(flatten)]
     bus: BusArgs,
-    /// Print the outcome as one JSON object
+    /// Print the findings as one JSON object
     #[arg(long)]
     json: bool,
 }
@@ -68,7 +68,8 @@ struct CheckArgs {
 /// Runs the command.
 ///
 /// # Errors
-/// A file that describes no array, a transport that fails, a room that is taken; a driver that is not there or breaks a rule.
+/// A file that describes no array, a transport that fails, or a room with another driver. For the
+/// check: a driver that is absent or breaks a rule.
 pub fn run(args: Args) -> Result<()> {
     match args.command {
         Command::Run(args) => drive(&args),
@@ -81,7 +82,7 @@ fn drive(args: &RunArgs) -> Result<()> {
     let mut kit = Kit::new(wall);
     if let Some(file) = &args.calibration {
         let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
-        kit.calibrate(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
+        kit.handle_calibration(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
     }
     let bus = args.bus.config_or_connect()?;
     let stop = args.end.stop()?;
@@ -121,6 +122,6 @@ fn room_of(key: &str) -> Result<Room> {
     let name = key.strip_prefix("heliostat/v1/").and_then(|rest| rest.strip_suffix("/mirrors/command"));
     match name.map(Room::new) {
         Some(Ok(room)) => Ok(room),
-        _ => bail!("\"{key}\" is no command topic: wanted heliostat/v1/ROOM/mirrors/command, or --room ROOM"),
+        _ => bail!("invalid command topic \"{key}\": expected heliostat/v1/ROOM/mirrors/command, or use --room ROOM"),
     }
 }

@@ -13,7 +13,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Local time begins after `delay`, which leaves time to get ready for what is due at its beginning.
+    /// Local time starts after `delay`: time to prepare what is due at its start.
     pub fn start_in(delay: Duration) -> Self {
         Self { start: Instant::now() + delay }
     }
@@ -34,7 +34,7 @@ impl Clock {
     }
 }
 
-/// A duration in whole nanoseconds; 584 years fit.
+/// A duration in ns, at most the 584 years that fit.
 pub fn as_ns(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

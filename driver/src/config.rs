@@ -1,4 +1,5 @@
-//! The file that describes an array of real hardware: its boards, where they are, and which channel turns which mirror.
+//! The file that describes an array of real hardware: its boards, their addresses, and the mirror
+//! of each channel.
 
 use std::path::Path;
 
@@ -19,13 +20,14 @@ pub struct Config {
     pub rows: usize,
     /// Columns of mirrors; mirror index = row * columns + column.
     pub columns: usize,
-    /// Kept back from the range of the hardware, either side, for the corrections of a calibration.
+    /// Part of the range of the hardware, on either side, that is reserved for the corrections of a
+    /// calibration.
     #[serde(default)]
     pub calibration_reserve_deg: f64,
-    /// How long the mirrors hold after the validity of a command ended, before they park.
+    /// Time for which the mirrors hold after the validity of a command ended, before they park.
     #[serde(default = "park_after_ms")]
     pub park_after_ms: u32,
-    /// Counts validity from the arrival of a command, for a host whose clock is not synchronised.
+    /// Count validity from the arrival of a command: for a host whose clock is not synchronised.
     #[serde(default)]
     pub validity_from_arrival: bool,
     /// The hardware.
@@ -38,37 +40,37 @@ pub struct Config {
 pub enum BoardConfig {
     /// A Mirrorcle PlayzerX.
     Playzerx {
-        /// Where it is.
+        /// Its address.
         address: String,
-        /// Mechanical angle at the ends of its codes.
+        /// Mechanical angle at the largest and smallest code.
         range_deg: f64,
-        /// At which its queue is played.
+        /// Sample rate at which the device applies its queue.
         #[serde(default = "sample_rate_hz")]
         sample_rate_hz: u32,
-        /// The mirror that it turns.
+        /// The index of its mirror.
         mirrors: Vec<usize>,
     },
-    /// A board that understands lines of text.
+    /// A board with a protocol of text lines.
     ServoBoard {
-        /// Where it is.
+        /// Its address.
         address: String,
         /// Smallest mechanical angle of both axes.
         min_deg: f64,
         /// Largest mechanical angle of both axes.
         max_deg: f64,
-        /// Fastest turn; 0 where unknown.
+        /// Maximum angular speed; 0 if unknown.
         #[serde(default)]
         slew_deg_per_s: f64,
-        /// Until a small step has settled; 0 where unknown.
+        /// Settling time of a small step; 0 if unknown.
         #[serde(default)]
         settling_ms: f64,
-        /// Smallest step; 0 where unknown.
+        /// Smallest step; 0 if unknown.
         #[serde(default)]
         resolution_deg: f64,
         /// Whether it measures angles.
         #[serde(default)]
         measures: bool,
-        /// The mirrors that its channels turn, in order.
+        /// The indices of its mirrors, in the order of the channels.
         mirrors: Vec<usize>,
     },
 }
@@ -85,13 +87,14 @@ impl Config {
     /// Reads a file.
     ///
     /// # Errors
-    /// A file that cannot be read, or a key that is unknown, missing or of another type, with its line.
+    /// A file that cannot be read, or a key that is unknown, missing or of another type, with its
+    /// line.
     pub fn load(file: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
         toml::from_str(&text).with_context(|| format!("in {}", file.display()))
     }
 
-    /// The array that the file describes; nothing is opened yet.
+    /// The array that the file describes; no device is opened yet.
     ///
     /// # Errors
     /// Boards, addresses or mirrors that do not fit together.
@@ -144,8 +147,9 @@ impl BoardConfig {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use heliostat_array::device::Device;
+
+    use super::*;
 
     const TWO_BOARDS: &str = r#"
         rows = 1
@@ -169,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn boards_become_one_array_with_what_all_of_them_can_do() {
+    fn boards_become_one_array_with_their_common_capabilities() {
         let capabilities = wall(TWO_BOARDS).unwrap().capabilities();
         assert_eq!((capabilities.rows, capabilities.columns), (1, 3));
         assert!((capabilities.roll.max_rad - 4_f32.to_radians()).abs() < 1e-6, "5 degrees less the reserve");
@@ -177,14 +181,14 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_named() {
+    fn errors_name_the_board_or_mirror_that_does_not_fit() {
         let problem = |from: &str, to: &str| format!("{:#}", wall(&TWO_BOARDS.replace(from, to)).err().expect(to));
         assert!(problem("mirrors = [2]", "mirrors = [1]").contains("mirror 1 is turned by 2 channels"));
-        assert!(problem("mirrors = [2]", "mirrors = [7]").contains("no mirror 7"));
-        assert!(problem("mirrors = [2]", "mirrors = [2, 2]").contains("1 channels and 2 mirrors"));
+        assert!(problem("mirrors = [2]", "mirrors = [7]").contains("unknown mirror 7"));
+        assert!(problem("mirrors = [2]", "mirrors = [2, 2]").contains("1 channels but 2 mirrors"));
         assert!(problem("columns = 3", "columns = 4").contains("mirror 3 is turned by 0 channels"));
-        assert!(problem("serial:/dev/ttyACM0", "usb:1").contains("wanted serial:PATH"));
+        assert!(problem("serial:/dev/ttyACM0", "usb:1").contains("expected serial:PATH"));
         assert!(problem("range_deg", "range_degrees").contains("range_degrees"));
-        assert!(problem("range_deg = 5.0", "range_deg = 0.5").contains("nothing is left"));
+        assert!(problem("range_deg = 5.0", "range_deg = 0.5").contains("no range is left"));
     }
 }

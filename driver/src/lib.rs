@@ -1,11 +1,12 @@
-//! Mirror drivers: the session that puts an array of `heliostat-array` on the bus, and drivers for hardware.
+//! Mirror drivers: the session of an array of `heliostat-array` on the bus, and drivers for
+//! hardware.
 //!
-//! A real array takes the place of a simulated one when somebody implements [`Device`] for it.
+//! Any hardware for which [`Device`] is implemented can replace the simulated mirrors.
 //!
-//! - [`lines`], [`inbox`]: what an array publishes and receives.
-//! - [`run`]: a driver as a process; [`cli`] is its command line, [`config`] its file.
+//! - [`session`], [`receive_queue`]: what an array publishes and receives.
+//! - [`run`]: the loop of a driver process; [`cli`] is its command line, [`config`] its file.
 //! - [`devices`]: drivers for hardware.
-//! - [`check`]: plays traffic at any driver and reports which rules it keeps.
+//! - [`check`]: the conformance check, which tests any driver against the contract.
 //! - [`clock`]: both times of a room; [`calibration_store`]: calibration files on disk.
 
 pub mod calibration_store;
@@ -14,9 +15,9 @@ pub mod cli;
 pub mod clock;
 pub mod config;
 pub mod devices;
-pub mod inbox;
-pub mod lines;
 mod metrics;
+pub mod receive_queue;
 pub mod run;
+pub mod session;
 
 pub use heliostat_array::{Device, DeviceError, Health, Kit};

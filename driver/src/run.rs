@@ -1,9 +1,13 @@
-//! A driver as a process: a kit with a session, a clock and a loop around it.
+//! The loop of a driver process: a kit with a session and a clock.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::time::{Duration, Instant};
 
+use heliostat_array::device::Device;
+use heliostat_array::kit::Kit;
+use heliostat_array::moment::Moment;
+use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_proto::{ArrayState, NodeKind, NodeStatus, Stamp};
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
@@ -11,23 +15,19 @@ use serde::Serialize;
 use thiserror::Error;
 
 use crate::clock::Clock;
-use crate::lines::{Lines, LinesError, Outlet, check_alone};
 use crate::metrics;
-use heliostat_array::device::Device;
-use heliostat_array::kit::Kit;
-use heliostat_array::moment::Moment;
-use heliostat_array::refused::Refused;
+use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
 
-/// Between two telemetry messages; the contract asks for ten a second.
+/// Time between two telemetry messages; the contract requires ten per second.
 const TELEMETRY: Duration = Duration::from_millis(50);
 
-/// Between two announcements of the capabilities, and two statuses.
+/// Time between two publications of the capabilities and of the status.
 const ANNOUNCEMENT: Duration = Duration::from_secs(1);
 
-/// Longest sleep, so that the end is noticed soon.
+/// Longest wait, so that a stop request takes effect soon.
 const SLEEP_MAX: Duration = Duration::from_millis(50);
 
-/// First and longest pause before a router that cannot be reached is tried again.
+/// First and longest pause before another attempt to reach the router.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
 
 /// Where a driver runs.
@@ -48,12 +48,12 @@ impl Settings {
     }
 }
 
-/// Why a driver cannot start or go on.
+/// Why a driver cannot start or continue.
 #[derive(Debug, Error)]
 pub enum RunError {
-    /// The session failed, or another process drives the mirrors of this room.
+    /// The session failed, or another process controls the mirrors of this room.
     #[error(transparent)]
-    Lines(#[from] LinesError),
+    Session(#[from] SessionError),
     /// Metrics cannot be served.
     #[error(transparent)]
     Metrics(#[from] MetricsError),
@@ -61,29 +61,29 @@ pub enum RunError {
 
 impl From<BusError> for RunError {
     fn from(error: BusError) -> Self {
-        Self::Lines(error.into())
+        Self::Session(error.into())
     }
 }
 
-/// What a run came to.
+/// The result of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Summary {
-    /// Commands followed.
+    /// Commands accepted.
     pub commands: u64,
     /// Of those, with an angle beyond the limits.
     pub clipped_commands: u64,
-    /// What was refused, by name.
+    /// Messages refused, by name.
     pub refused: BTreeMap<String, u64>,
-    /// Times that the device was brought up.
+    /// How often the device was connected.
     pub connections: u64,
-    /// The last thing that went wrong; empty when nothing did.
+    /// The last problem; empty if there was none.
     pub last_problem: String,
 }
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
-        writeln!(f, "device          brought up {} times", self.connections)?;
+        writeln!(f, "device          connected {} times", self.connections)?;
         for (name, count) in &self.refused {
             writeln!(f, "refused         {name}: {count}")?;
         }
@@ -96,11 +96,11 @@ impl fmt::Display for Summary {
 
 /// Drives a device until `stop` is requested, or for a given time.
 ///
-/// A router that cannot be reached is tried again, and so is a device that does not answer.
+/// It retries while the router cannot be reached or the device does not answer.
 ///
 /// # Errors
-/// [`RunError`]: a transport that is set up wrongly or fails, another process that drives the mirrors of this room, an
-/// address at which metrics cannot be served.
+/// [`RunError`]: a transport that fails or is configured wrongly, another process that controls the
+/// mirrors of this room, an address at which metrics cannot be served.
 pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
     let end = settings.run_for.map(|duration| Instant::now() + duration);
     let exporter = settings.metrics.open()?;
@@ -110,15 +110,15 @@ pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<S
     let source = source_id::random();
     let mut driver = Driver {
         kit,
-        lines: Lines::open(&bus, clock, Class::State)?,
-        status: Outlet::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
-        refused: Refused::default(),
+        session: ArraySession::open(&bus, clock, Class::State)?,
+        status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
+        refused: RefusalCounts::default(),
         room: bus.room().to_string(),
         exporter,
         source,
         sequences: [0; 3],
-        told: ArrayState::Parked,
-        told_problem: String::new(),
+        published_state: ArrayState::Parked,
+        logged_problem: String::new(),
         started_ns: clock.now().room_ns,
     };
     let token = bus.announce(&bus.room().alive(NodeKind::Driver, source))?;
@@ -126,7 +126,7 @@ pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<S
     while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
         let work = driver.kit.next_ns().map_or(telemetry, |next_ns| clock.instant_at(next_ns));
         let wake = work.min(telemetry).min(announcement).min(Instant::now() + SLEEP_MAX);
-        driver.hear(wake);
+        driver.handle_received(wake);
         let now = clock.now();
         driver.kit.advance(now);
         let due = |at: &mut Instant, interval: Duration| {
@@ -136,28 +136,28 @@ pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<S
             }
             due
         };
-        if due(&mut telemetry, TELEMETRY) || driver.told != driver.kit.array().state() {
-            driver.tell(now)?;
+        if due(&mut telemetry, TELEMETRY) || driver.published_state != driver.kit.array().state() {
+            driver.publish_telemetry(now)?;
         }
         if due(&mut announcement, ANNOUNCEMENT) {
-            driver.announce(now)?;
+            driver.publish_capabilities_and_status(now)?;
         }
     }
-    driver.refused.set("shed", driver.lines.inbox().shed());
+    driver.refused.set("dropped", driver.session.received().dropped());
     let summary = driver.summary();
     drop((driver, token));
     bus.close()?;
     Ok(summary)
 }
 
-/// Opens the session, as often as it takes to reach a router; nothing when stopped meanwhile.
-fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, LinesError> {
+/// Opens a connection, and retries until the router can be reached; `None` when stopped before.
+fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, SessionError> {
     let [mut pause, longest] = ROUTER_PAUSES;
     while !stop.is_requested() {
         match Bus::open(config) {
             Ok(bus) => return Ok(Some(bus)),
             Err(error @ BusError::CannotReach { .. }) => {
-                tracing::warn!("{error}; trying again in {pause:?}");
+                tracing::warn!("{error}; trying again in {pause:?}")
             }
             Err(error) => return Err(error.into()),
         }
@@ -169,28 +169,28 @@ fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, LinesError> {
 
 struct Driver<D> {
     kit: Kit<D>,
-    lines: Lines,
-    status: Outlet,
-    refused: Refused,
+    session: ArraySession,
+    status: MessagePublisher,
+    refused: RefusalCounts,
     room: String,
     exporter: Option<Exporter>,
     source: u64,
-    /// Of telemetry, capabilities and status.
+    /// Sequence numbers of telemetry, capabilities and status.
     sequences: [u64; 3],
-    /// State that the last telemetry told.
-    told: ArrayState,
-    /// Problem that the last status told.
-    told_problem: String,
+    /// The state in the last telemetry.
+    published_state: ArrayState,
+    /// The problem that was logged last.
+    logged_problem: String,
     started_ns: u64,
 }
 
 impl<D: Device> Driver<D> {
-    /// Takes all that has arrived, waiting for the first until `wake`.
-    fn hear(&mut self, wake: Instant) {
-        let mut next = self.lines.inbox().pop_until(wake);
+    /// Handles all received messages; waits for the first until `wake`.
+    fn handle_received(&mut self, wake: Instant) {
+        let mut next = self.session.received().pop_until(wake);
         while let Some(arrival) = next {
-            self.kit.take(arrival.at, arrival.content, &mut self.refused);
-            next = self.lines.inbox().pop();
+            self.kit.handle(arrival.at, arrival.content, &mut self.refused);
+            next = self.session.received().pop();
         }
     }
 
@@ -199,22 +199,22 @@ impl<D: Device> Driver<D> {
         Stamp { source: self.source, sequence: self.sequences[of], time_ns: now.room_ns }
     }
 
-    fn tell(&mut self, now: Moment) -> Result<(), LinesError> {
+    fn publish_telemetry(&mut self, now: Moment) -> Result<(), SessionError> {
         let stamp = self.stamp(0, now);
         let telemetry = self.kit.telemetry(now, stamp);
-        self.told = self.kit.array().state();
-        self.lines.tell(&telemetry)
+        self.published_state = self.kit.array().state();
+        self.session.publish_telemetry(&telemetry)
     }
 
-    fn announce(&mut self, now: Moment) -> Result<(), LinesError> {
+    fn publish_capabilities_and_status(&mut self, now: Moment) -> Result<(), SessionError> {
         let stamp = self.stamp(1, now);
-        self.lines.announce(&self.kit.capabilities(stamp))?;
+        self.session.publish_capabilities(&self.kit.capabilities(stamp))?;
         let summary = self.summary();
-        if self.told_problem != summary.last_problem {
+        if self.logged_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {
                 tracing::warn!("{}", summary.last_problem);
             }
-            self.told_problem.clone_from(&summary.last_problem);
+            self.logged_problem.clone_from(&summary.last_problem);
         }
         if let Some(exporter) = &self.exporter {
             exporter.publish(metrics::page(&self.room, &summary, self.kit.array().state()));

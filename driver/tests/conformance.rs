@@ -1,4 +1,5 @@
-//! The conformance check: our driver keeps every rule, and each deliberately broken one fails exactly the rules that it breaks.
+//! The conformance check: the kit keeps every rule, and each driver with a flaw fails exactly the
+//! rules that it breaks.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,20 +7,20 @@ use std::time::{Duration, Instant};
 
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
-use heliostat_array::refused::Refused;
+use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::{Bus, BusConfig, Class, Presence, free_loopback_endpoint};
 use heliostat_channel::MirrorAngles;
 use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::Clock;
-use heliostat_driver::lines::Lines;
 use heliostat_driver::run::Settings;
+use heliostat_driver::session::ArraySession;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
     AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, Room, Stamp, StopAction, ValidityClock,
 };
 use heliostat_service::Stop;
 
-/// Mirrors that are wherever they were told to be.
+/// Mirrors that are always at their commanded angles.
 struct Exact {
     capabilities: Capabilities,
     angles: MirrorAngles,
@@ -67,7 +68,7 @@ impl Device for Exact {
     }
 }
 
-/// Checks whatever `drive` does in a room of its own.
+/// Checks the driver that `drive` runs, in a separate room.
 fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
     let endpoint = free_loopback_endpoint().unwrap();
     let config = BusConfig::new(Room::new(room).unwrap());
@@ -86,7 +87,7 @@ fn broken(report: &Report) -> Vec<&'static str> {
 }
 
 #[test]
-fn a_driver_made_with_the_kit_keeps_every_rule() {
+fn a_driver_with_the_kit_keeps_every_rule() {
     let report =
         checked("kept", |bus, stop| drop(run::run(Kit::new(Exact::new()), &Settings::new(bus), stop).unwrap()));
     assert!(report.findings.iter().all(|finding| finding.verdict == Verdict::Kept), "{report}");
@@ -94,7 +95,7 @@ fn a_driver_made_with_the_kit_keeps_every_rule() {
 }
 
 #[test]
-fn a_driver_without_a_clock_is_judged_by_what_it_announces() {
+fn validity_rules_are_not_judged_for_a_driver_that_counts_from_arrival() {
     let mut device = Exact::new();
     device.capabilities.validity_clock = ValidityClock::Arrival;
     device.capabilities.feedback = Feedback::ClosedLoop;
@@ -104,28 +105,28 @@ fn a_driver_without_a_clock_is_judged_by_what_it_announces() {
     assert_eq!(broken(&report), [""; 0], "{report}");
 }
 
-/// What is wrong with a driver.
+/// The flaw of a driver.
 #[derive(Clone, Copy, PartialEq)]
 enum Flaw {
-    DeafToStops,
-    ForgetsOrphanedStops,
+    IgnoresStops,
+    ReleasesOrphanedStops,
     FollowsAnySequence,
     FollowsAnyTime,
     Unlimited,
     NeverParks,
 }
 
-/// A driver with one flaw: a sound kit whose messages are tampered with on the way in or out.
+/// A driver with one flaw: a correct kit whose messages are changed on the way in or out.
 fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let bus = Bus::open(bus).unwrap();
     let clock = Clock::start_in(Duration::ZERO);
-    let mut lines = Lines::open(&bus, clock, Class::State).unwrap();
+    let mut session = ArraySession::open(&bus, clock, Class::State).unwrap();
     let _token = bus.announce(&bus.room().alive(NodeKind::Driver, 1)).unwrap();
     let left = Arc::new(AtomicBool::new(false));
-    let leaves = Arc::clone(&left);
+    let watcher = Arc::clone(&left);
     let watched = bus.room().alive_of(NodeKind::Viewer);
-    let note = move |_: &str, presence| leaves.store(presence == Presence::Gone, Ordering::Relaxed);
-    let _watch = bus.watch(&watched, note).unwrap();
+    let on_change = move |_: &str, presence| watcher.store(presence == Presence::Gone, Ordering::Relaxed);
+    let _watch = bus.watch(&watched, on_change).unwrap();
     let announced = Exact::new().capabilities;
     let mut device = Exact::new();
     match flaw {
@@ -137,12 +138,12 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
         _ => {}
     }
     let mut kit = Kit::new(device);
-    let mut refused = Refused::default();
-    let (mut named, mut count, mut sequence) = ((0, 0), 0, 0);
+    let mut refused = RefusalCounts::default();
+    let (mut reported, mut count, mut sequence) = ((0, 0), 0, 0);
     let mut announcement = Instant::now();
     while !stop.is_requested() {
-        while let Some(mut arrival) = lines.inbox().pop_until(Instant::now() + Duration::from_millis(20)) {
-            if flaw == Flaw::DeafToStops && matches!(arrival.content, Content::Stop(_)) {
+        while let Some(mut arrival) = session.received().pop_until(Instant::now() + Duration::from_millis(20)) {
+            if flaw == Flaw::IgnoresStops && matches!(arrival.content, Content::Stop(_)) {
                 continue;
             }
             let mut sent = None;
@@ -156,45 +157,45 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
                     command.time_ns = arrival.at.room_ns;
                 }
             }
-            if kit.take(arrival.at, arrival.content, &mut refused).is_some() {
-                named = sent.unwrap();
+            if kit.handle(arrival.at, arrival.content, &mut refused).is_some() {
+                reported = sent.unwrap();
             }
         }
         let now = clock.now();
         kit.advance(now);
-        if flaw == Flaw::ForgetsOrphanedStops && left.swap(false, Ordering::Relaxed) {
+        if flaw == Flaw::ReleasesOrphanedStops && left.swap(false, Ordering::Relaxed) {
             let stamp = Stamp { time_ns: now.room_ns, ..Stamp::default() };
-            kit.order(now, &EmergencyStop { stamp, action: StopAction::Rearm, ..EmergencyStop::default() });
+            kit.handle_stop(now, &EmergencyStop { stamp, action: StopAction::Rearm, ..EmergencyStop::default() });
         }
         sequence += 1;
         let stamp = Stamp { source: 1, sequence, time_ns: now.room_ns };
         let mut telemetry = kit.telemetry(now, stamp);
-        (telemetry.epoch, telemetry.applied_sequence) = named;
-        lines.tell(&telemetry).unwrap();
+        (telemetry.epoch, telemetry.applied_sequence) = reported;
+        session.publish_telemetry(&telemetry).unwrap();
         if Instant::now() >= announcement {
             announcement += Duration::from_secs(1);
-            lines.announce(&Capabilities { stamp, ..announced.clone() }).unwrap();
+            session.publish_capabilities(&Capabilities { stamp, ..announced.clone() }).unwrap();
         }
     }
 }
 
 #[test]
-fn each_broken_driver_fails_exactly_what_it_breaks() {
+fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
     let cases: [(Flaw, &str, &[&str]); 6] = [
-        (Flaw::DeafToStops, "deaf", &["stop", "orphaned-stop"]),
-        (Flaw::ForgetsOrphanedStops, "forgetful", &["orphaned-stop"]),
+        (Flaw::IgnoresStops, "ignores-stops", &["stop", "orphaned-stop"]),
+        (Flaw::ReleasesOrphanedStops, "releases-stops", &["orphaned-stop"]),
         (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch"]),
         (Flaw::FollowsAnyTime, "times", &["expired", "future"]),
         (Flaw::Unlimited, "unlimited", &["limits"]),
-        (Flaw::NeverParks, "restless", &["silence"]),
+        (Flaw::NeverParks, "never-parks", &["silence"]),
     ];
     std::thread::scope(|scope| {
-        let runs = cases.map(|(flaw, room, wanted)| {
-            (scope.spawn(move || checked(room, |bus, stop| flawed(flaw, &bus, stop))), wanted)
+        let runs = cases.map(|(flaw, room, expected)| {
+            (scope.spawn(move || checked(room, |bus, stop| flawed(flaw, &bus, stop))), expected)
         });
-        for (run, wanted) in runs {
+        for (run, expected) in runs {
             let report = run.join().unwrap();
-            assert_eq!(broken(&report), wanted, "{report}");
+            assert_eq!(broken(&report), expected, "{report}");
         }
     });
 }

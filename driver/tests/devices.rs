@@ -1,4 +1,4 @@
-//! The drivers for hardware against emulated devices: a pseudo-terminal and a socket, byte for byte.
+//! The drivers for hardware with emulated devices on a pseudo-terminal and a socket, byte for byte.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -19,19 +19,19 @@ use heliostat_proto::{ArrayState, Feedback, MirrorCommand, Stamp};
 const NOW: Moment = Moment { local_ns: 0, room_ns: 1_800_000_000_000_000_000 };
 
 fn wall(text: &str) -> Wall {
-    toml::from_str::<Config>(text).expect("the file is sound").wall().expect("the array is sound")
+    toml::from_str::<Config>(text).expect("the file is valid").wall().expect("the array is valid")
 }
 
-/// Waits until the emulated device has heard what was wanted; what it heard otherwise.
-fn heard<T: Clone + PartialEq>(log: &Mutex<Vec<T>>, wanted: &[T]) -> Vec<T> {
+/// Waits until the emulated device has received what is expected; returns what it received.
+fn received<T: Clone + PartialEq>(log: &Mutex<Vec<T>>, expected: &[T]) -> Vec<T> {
     let begun = Instant::now();
-    while log.lock().unwrap().as_slice() != wanted && begun.elapsed() < Duration::from_secs(5) {
+    while log.lock().unwrap().as_slice() != expected && begun.elapsed() < Duration::from_secs(5) {
         std::thread::sleep(Duration::from_millis(5));
     }
     log.lock().unwrap().clone()
 }
 
-/// A PlayzerX at a pseudo-terminal: takes frames apart by their length, answers pings.
+/// A PlayzerX on a pseudo-terminal: splits frames by their length and answers pings.
 fn playzerx(answer: &'static str) -> (String, Arc<Mutex<Vec<Vec<u8>>>>, impl Sized) {
     let pty = nix::pty::openpty(None, None).unwrap();
     let path = std::fs::read_link(format!("/proc/self/fd/{}", pty.slave.as_raw_fd())).unwrap();
@@ -53,12 +53,12 @@ fn playzerx(answer: &'static str) -> (String, Arc<Mutex<Vec<Vec<u8>>>>, impl Siz
             }
         }
     });
-    // The other end stays open, so that the terminal does not hang up between two openings.
+    // The other end stays open, so that the terminal does not hang up between two connections.
     (path.display().to_string(), frames, pty.slave)
 }
 
 #[test]
-fn a_playzerx_hears_the_bytes_of_its_published_protocol() {
+fn a_playzerx_receives_the_bytes_of_its_published_protocol() {
     let (path, frames, _open) = playzerx("pl-ok\n");
     let mut device = wall(&format!(
         "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"playzerx\"\naddress = \"serial:{path}\"\nrange_deg = 5.0\nsample_rate_hz = 10000\nmirrors = [0]"
@@ -73,7 +73,7 @@ fn a_playzerx_hears_the_bytes_of_its_published_protocol() {
     // x: half of the range is 3071.25, 0xbff; y: -0.4 of it is 1228.5, 0x4cd.
     device.apply(NOW, &to(-2.0, 2.5)).unwrap();
     device.stop(NOW).unwrap();
-    let wanted: Vec<Vec<u8>> = [
+    let expected: Vec<Vec<u8>> = [
         &b"plp\x05\n"[..],
         b"pli\x08usb\n",
         b"plr\x08\x10\x27\x00\n",
@@ -85,14 +85,14 @@ fn a_playzerx_hears_the_bytes_of_its_published_protocol() {
     ]
     .map(<[u8]>::to_vec)
     .to_vec();
-    assert_eq!(heard(&frames, &wanted), wanted);
+    assert_eq!(received(&frames, &expected), expected);
     let mut nowhere = to(0.0, 0.0);
     assert_eq!(device.measure(NOW, &mut nowhere), Ok(false), "no acknowledgement, so nothing is measured");
     assert_eq!(device.capabilities().feedback, Feedback::OpenLoop);
 }
 
 #[test]
-fn another_device_at_the_port_is_refused_by_its_answer() {
+fn another_device_on_the_port_is_refused_by_its_answer() {
     let (path, _frames, _open) = playzerx("hello\n");
     let mut device = wall(&format!(
         "rows = 1\ncolumns = 1\n[[boards]]\nkind = \"playzerx\"\naddress = \"serial:{path}\"\nrange_deg = 5.0\nmirrors = [0]"
@@ -101,12 +101,12 @@ fn another_device_at_the_port_is_refused_by_its_answer() {
     assert!(error.contains("\"hello\"") && error.contains("pl-ok"), "{error}");
 }
 
-/// A servo board at a socket, one connection after the other; it hangs up after `lines` lines.
+/// A servo board on a socket, one connection after the other; it disconnects after `lines` lines.
 fn servo_board(lines: usize) -> (String, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
     let log = Arc::new(Mutex::new(Vec::new()));
-    let heard = Arc::clone(&log);
+    let lines_received = Arc::clone(&log);
     std::thread::spawn(move || {
         for stream in listener.incoming() {
             let stream = stream.unwrap();
@@ -123,7 +123,7 @@ fn servo_board(lines: usize) -> (String, Arc<Mutex<Vec<String>>>) {
                     ("stop", _) => "ok".to_owned(),
                     _ => "error unknown".to_owned(),
                 };
-                heard.lock().unwrap().push(line);
+                lines_received.lock().unwrap().push(line);
                 writeln!(out, "{answer}").unwrap();
             }
         }
@@ -138,7 +138,7 @@ fn servos(address: &str, mirrors: &str) -> Wall {
 }
 
 #[test]
-fn a_servo_board_hears_its_lines_in_the_order_of_its_channels() {
+fn a_servo_board_receives_angles_in_the_order_of_its_channels() {
     let (address, log) = servo_board(usize::MAX);
     let mut device = servos(&address, "[1, 0]");
     device.connect(NOW).unwrap();
@@ -148,12 +148,12 @@ fn a_servo_board_hears_its_lines_in_the_order_of_its_channels() {
     assert_eq!(device.measure(NOW, &mut measured), Ok(true));
     assert_eq!(measured, angles);
     device.stop(NOW).unwrap();
-    let wanted = ["hello", "set 200000 400000 100000 -300000", "get", "stop"].map(str::to_owned);
-    assert_eq!(heard(&log, &wanted), wanted);
+    let expected = ["hello", "set 200000 400000 100000 -300000", "get", "stop"].map(str::to_owned);
+    assert_eq!(received(&log, &expected), expected);
 }
 
 #[test]
-fn a_board_that_is_not_the_one_described_is_refused() {
+fn a_board_with_other_limits_than_configured_is_refused() {
     let (address, _log) = servo_board(usize::MAX);
     let wide = format!(
         "rows = 1\ncolumns = 2\n[[boards]]\nkind = \"servo-board\"\naddress = \"tcp:{address}\"\nmin_deg = -40.0\nmax_deg = 30.0\nmirrors = [0, 1]"
@@ -163,8 +163,8 @@ fn a_board_that_is_not_the_one_described_is_refused() {
 }
 
 #[test]
-fn a_device_that_goes_away_is_a_fault_and_is_told_again_when_it_is_back() {
-    // hello and the park position; then it hangs up.
+fn a_lost_device_is_a_fault_and_receives_the_target_after_its_reconnection() {
+    // hello and the park position; then it disconnects.
     let (address, log) = servo_board(2);
     let mut kit = Kit::new(servos(&address, "[0, 1]"));
     let at = |ms: u64| Moment { local_ns: ms * 1_000_000, room_ns: NOW.room_ns + ms * 1_000_000 };
@@ -179,19 +179,20 @@ fn a_device_that_goes_away_is_a_fault_and_is_told_again_when_it_is_back() {
         yaw: vec![0.125; 2],
         ..MirrorCommand::default()
     };
-    kit.command(at(1), &command).unwrap();
-    let told = kit.telemetry(at(2), Stamp::default());
-    assert_eq!((told.state, told.faults & fault::LINK), (ArrayState::Fault, fault::LINK));
-    assert!(told.roll_measured.is_empty() && kit.last_problem().is_some());
+    kit.handle_command(at(1), &command).unwrap();
+    let telemetry = kit.telemetry(at(2), Stamp::default());
+    assert_eq!((telemetry.state, telemetry.faults & fault::LINK), (ArrayState::Fault, fault::LINK));
+    assert!(telemetry.roll_measured.is_empty() && kit.last_problem().is_some());
     kit.advance(at(50));
-    assert_eq!(kit.connections(), 1, "not before the pause is over");
+    assert_eq!(kit.connections(), 1, "no reconnection before the pause ends");
     kit.advance(at(150));
     assert_eq!(kit.connections(), 2);
     let last = log.lock().unwrap().last().cloned();
     assert_eq!(last.as_deref(), Some("set 250000 125000 250000 125000"));
 }
 
-/// The reference sketch, built for this host and run at a pseudo-terminal; nothing where there is no C++ compiler and none is required.
+/// The reference sketch, built for this host, on a pseudo-terminal; `None` without a C++ compiler,
+/// unless one is required.
 fn reference_board() -> Option<(String, Child, impl Sized)> {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("board");
@@ -215,7 +216,7 @@ fn reference_board() -> Option<(String, Child, impl Sized)> {
 }
 
 #[test]
-fn the_reference_sketch_is_a_board_that_the_driver_turns() {
+fn the_driver_turns_the_mirrors_of_the_reference_sketch() {
     let Some((path, mut board, _open)) = reference_board() else { return };
     let mut device = wall(&format!(
         "rows = 1\ncolumns = 4\n[[boards]]\nkind = \"servo-board\"\naddress = \"serial:{path}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmirrors = [0, 1, 2, 3]"
@@ -227,11 +228,15 @@ fn the_reference_sketch_is_a_board_that_the_driver_turns() {
     assert!(far.contains("not 8 numbers within the limits"), "{far}");
     device.stop(NOW).unwrap();
     board.kill().unwrap();
-    let mut told = String::new();
-    board.stderr.take().unwrap().read_to_string(&mut told).unwrap();
+    let mut output = String::new();
+    board.stderr.take().unwrap().read_to_string(&mut output).unwrap();
     board.wait().unwrap();
-    // 637 us a radian about 1500 us: roll and yaw of the last mirror are at pins 8 and 9, and a stop ends the pulses.
-    let told: Vec<&str> = told.lines().collect();
-    assert_eq!(told.len(), 16, "{told:?}");
-    assert_eq!((told[0], told[6], told[7], told[8], told[15]), ("2 1500", "8 1563", "9 1373", "2 off", "9 off"));
+    // 637 us per rad around 1500 us: roll and yaw of the last mirror are pins 8 and 9, and a stop
+    // ends the pulses.
+    let pulses: Vec<&str> = output.lines().collect();
+    assert_eq!(pulses.len(), 16, "{pulses:?}");
+    assert_eq!(
+        (pulses[0], pulses[6], pulses[7], pulses[8], pulses[15]),
+        ("2 1500", "8 1563", "9 1373", "2 off", "9 off")
+    );
 }

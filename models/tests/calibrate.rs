@@ -4,7 +4,7 @@ use heliostat_engine::ActorSource;
 use heliostat_models::calibrate::{Method, Settings, calibrate, study};
 use heliostat_models::comparison::Entrant;
 use heliostat_scenario::Scenario;
-use heliostat_sim::actuator::Actuator;
+use heliostat_sim::mirrors::actuator::Actuator;
 use heliostat_sim::random::{Purpose, stream};
 use indicatif::ProgressBar;
 

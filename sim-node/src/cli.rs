@@ -9,7 +9,8 @@ use heliostat_driver::calibration_store;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
 
-use crate::node::{self, Pace, Settings};
+use crate::run;
+use crate::settings::{Pace, Settings};
 
 /// Flags of the simulator.
 #[derive(Clone, Debug, clap::Args)]
@@ -24,10 +25,11 @@ pub struct Args {
     log: LogArgs,
     #[command(flatten)]
     end: EndArgs,
-    /// Run so many ticks in simulated time, each waiting for its answer: the same seed gives the same run, bit for bit
+    /// Run so many ticks in simulated time, where each tick waits for its answer: the same seed
+    /// gives the same run, bit for bit
     #[arg(long, value_name = "TICKS", conflicts_with = "seconds", value_parser = clap::value_parser!(u64).range(1..))]
     lockstep: Option<u64>,
-    /// Correct the mirrors' mounting by this file of `heliostat calibrate` from the start
+    /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// Print the summary as one JSON object on the last line
@@ -39,7 +41,7 @@ impl Args {
     /// The settings that the flags describe.
     ///
     /// # Errors
-    /// Whatever is wrong with a flag or with the scenario.
+    /// An invalid flag, scenario or calibration file.
     pub fn settings(&self) -> Result<Settings> {
         let pace = match self.lockstep {
             Some(ticks) => Pace::Lockstep { ticks },
@@ -58,13 +60,13 @@ impl Args {
 /// Runs the simulator until its end, Ctrl-C or SIGTERM, and prints its summary.
 ///
 /// # Errors
-/// A scenario that cannot be read, a room that cannot be built, a transport that fails, another simulator in the room, a tick of a
-/// lockstep run that nobody answers.
+/// A scenario that cannot be read, a room that cannot be created, a transport that fails, another
+/// driver or simulator in the room, a tick of a lockstep run without an answer.
 pub fn run(args: Args) -> Result<()> {
     let settings = args.settings()?;
     let stop = args.end.stop()?;
     args.log.start();
-    let summary = node::run(&settings, &stop)?;
+    let summary = run::run(&settings, &stop)?;
     // Not println!, which panics when the reader is gone.
     let mut out = std::io::stdout();
     if args.json {

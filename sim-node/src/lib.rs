@@ -1,19 +1,24 @@
 //! The simulator process: the simulated room of `heliostat-sim` on the bus.
 //!
-//! It takes the place of a real room behind the same contract: a controller cannot tell the two apart.
+//! It uses the same contract as a real room, so a controller cannot distinguish the two.
 //!
-//! - [`node`]: the room on the bus, live or in lockstep; [`summary`] is the result of a run.
-//! - [`ledger`]: which tick was answered when.
-//! - [`cli`]: its command line.
+//! - [`run`]: one run, live or in lockstep; [`settings`] are its input, [`summary`] is its result.
+//! - [`tick_ledger`]: which tick was answered, and when.
+//! - [`cli`]: the command line.
 
 pub mod cli;
-mod edge;
-pub mod ledger;
+pub mod error;
 mod live;
 mod lockstep;
 mod metrics;
-pub mod node;
-mod reporter;
+mod node;
+pub mod run;
+mod session;
+pub mod settings;
 pub mod summary;
+pub mod tick_ledger;
+mod truth_publisher;
 
+pub use error::NodeError;
+pub use settings::{Pace, Settings};
 pub use summary::Summary;

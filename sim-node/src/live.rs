@@ -1,99 +1,104 @@
-//! Live operation: the room runs as time passes, paced by absolute deadlines.
+//! Live operation: the room runs in real time, paced by absolute deadlines.
 //!
-//! Late wake-ups do not add up: the world is moved to the time that it is, and deadlines that have passed are left out and counted.
-//! Commands are stamped as they come in and take effect at that time, although the loop looks at them only when it wakes.
+//! Late wake-ups do not accumulate: the world advances to the present time, and deadlines that have
+//! passed are skipped and counted. Commands are stamped on arrival and take effect at that time,
+//! although the loop handles them when it wakes up.
 
 use std::time::{Duration, Instant};
 
 use heliostat_array::moment::Moment;
 use heliostat_driver::clock::as_ns;
 use heliostat_service::Stop;
+use heliostat_sim::reports::Report;
 
-use crate::ledger::TICK_TIMEOUT_NS;
-use crate::node::{Node, NodeError};
-use crate::reporter::ReporterThread;
+use crate::error::NodeError;
+use crate::node::Node;
 use crate::summary::Summary;
-use heliostat_sim::streams::Report;
+use crate::tick_ledger::TICK_TIMEOUT_NS;
+use crate::truth_publisher::PublisherThread;
 
-/// Longest sleep, so that a stop is noticed soon.
+/// Longest sleep, so that a stop request takes effect soon.
 const SLEEP_MAX: Duration = Duration::from_millis(50);
 
-/// Longest sleep while the answers to the last ticks are awaited.
+/// Longest wait for one of the answers to the last ticks.
 const DRAIN_SLEEP: Duration = Duration::from_millis(1);
 
 pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Result<Summary, NodeError> {
-    let mut reporter = node.reporter()?.into_thread();
+    let mut publisher = node.truth_publisher()?.into_thread();
     let end_ns = duration.map_or(u64::MAX, as_ns);
-    while !stop.is_requested() && node.clock.local_ns() < end_ns && !reporter.has_failed() {
+    while !stop.is_requested() && node.clock.local_ns() < end_ns && !publisher.has_failed() {
         sleep_until(&node, next_event_ns(&node).min(end_ns));
         let now = node.clock.now();
         if now.local_ns < end_ns {
-            turn(&mut node, &mut reporter, now)?;
+            run_due(&mut node, &mut publisher, now)?;
         }
     }
     if !stop.is_requested() {
         drain(&mut node);
     }
-    node.refused.set("shed", node.edge.inbox().shed());
-    node.refused.set("truth-skipped", reporter.skipped());
-    let measurements = reporter.finish()?;
+    node.refused.set("dropped", node.session.received().dropped());
+    node.refused.set("truth-skipped", publisher.skipped());
+    let measurements = publisher.finish()?;
     let summary = node.summary(&measurements);
-    node.edge.close()?;
+    node.session.close()?;
     Ok(summary)
 }
 
-/// Everything that is due now.
-fn turn(node: &mut Node, reporter: &mut ReporterThread, now: Moment) -> Result<(), NodeError> {
-    take_arrivals(node);
-    node.obey_orders(now);
-    // Before the first report, so that its answer can heed them.
+/// Runs everything that is due now.
+fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Result<(), NodeError> {
+    handle_received(node);
+    node.apply_orders(now);
+    // Before the first report, so that its answer can respect them.
     if node.capabilities.take(now.local_ns).is_some() {
-        node.announce_capabilities(now)?;
+        node.publish_capabilities(now)?;
     }
     if node.reports.next_sample_ns() <= now.local_ns {
         node.room.advance(now.local_ns);
         node.reports.sample(now, node.room.world(), node.room.angles());
     }
     while let Some(report) = node.reports.release(now.local_ns) {
-        let (ledger, clock) = (&mut node.ledger, node.clock);
-        node.edge.publish(&report, || {
+        let (ticks, clock) = (&mut node.ticks, node.clock);
+        node.session.publish(&report, || {
             if let Report::Users(report) = &report {
-                ledger.published(report.tick, clock.local_ns());
+                ticks.published(report.tick, clock.local_ns());
             }
         })?;
     }
-    node.tell_mirrors(now)?;
+    node.publish_telemetry(now)?;
     if node.truth.take(now.local_ns).is_some() {
         node.room.advance(now.local_ns);
-        reporter.truth(node.snapshot(now));
+        publisher.truth(node.snapshot(now));
     }
     if node.status.take(now.local_ns).is_some() {
-        node.ledger.expire(now.local_ns);
-        for token in node.edge.new_rivals() {
-            node.refused.count("another-simulator", format!("another simulator came into the room: {token}"));
+        node.ticks.expire(now.local_ns);
+        for token in node.session.new_other_simulators() {
+            node.refused.count(
+                "another-simulator",
+                format!("another simulator has joined the room ({token}): stop one of the two"),
+            );
         }
-        reporter.status(node.account(now.room_ns));
+        publisher.status(node.status_and_metrics(now.room_ns));
     }
     Ok(())
 }
 
-fn take_arrivals(node: &mut Node) {
-    while let Some(arrival) = node.edge.inbox().pop() {
+fn handle_received(node: &mut Node) {
+    while let Some(arrival) = node.session.received().pop() {
         let at = arrival.at;
-        node.receive(arrival, at);
+        node.handle(arrival, at);
     }
 }
 
-/// Waits for the answers to the last ticks, as long as they may take.
+/// Waits for the answers to the last ticks until their timeout.
 fn drain(node: &mut Node) {
     let give_up_ns = node.clock.local_ns() + TICK_TIMEOUT_NS;
-    while node.ledger.is_waiting() && node.clock.local_ns() < give_up_ns {
-        if let Some(arrival) = node.edge.inbox().pop_until(Instant::now() + DRAIN_SLEEP) {
+    while node.ticks.is_waiting() && node.clock.local_ns() < give_up_ns {
+        if let Some(arrival) = node.session.received().pop_until(Instant::now() + DRAIN_SLEEP) {
             let at = arrival.at;
-            node.receive(arrival, at);
+            node.handle(arrival, at);
         }
     }
-    node.ledger.expire(node.clock.local_ns());
+    node.ticks.expire(node.clock.local_ns());
 }
 
 fn next_event_ns(node: &Node) -> u64 {

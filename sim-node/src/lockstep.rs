@@ -1,8 +1,9 @@
 //! Lockstep: simulated time, in which each tick waits for the command that answers it.
 //!
-//! Everything that enters the room comes from the seed and from the answers, in one order, so the same seed and the same controller give
-//! the same run, bit for bit; the hash in the summary shows it. Stamps are simulated time. Only the first accepted command that answers
-//! the tick under way enters the room; others are counted as `not-awaited`.
+//! All input of the room comes from the seed and from the answers, in a fixed order. So the same
+//! seed and the same controller give the same run, bit for bit; the hash in the summary confirms
+//! it. Stamps are in simulated time. Only the first accepted command that answers the current tick
+//! enters the room; others are counted as `not-awaited`.
 
 use std::time::{Duration, Instant};
 
@@ -10,29 +11,30 @@ use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_proto::MirrorCommand;
 use heliostat_service::Stop;
-
-use crate::node::{Node, NodeError};
-use crate::reporter::Reporter;
-use crate::summary::Summary;
 use heliostat_sim::baselines::Measured;
-use heliostat_sim::streams::Report;
+use heliostat_sim::reports::Report;
 
-/// How long a controller is waited for.
+use crate::error::NodeError;
+use crate::node::Node;
+use crate::summary::Summary;
+use crate::truth_publisher::TruthPublisher;
+
+/// Timeout for the presence of a controller.
 const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
 
-/// How long the answer to one tick is waited for.
+/// Timeout of the answer to one tick.
 const ANSWER_WAIT: Duration = Duration::from_secs(10);
 
-/// A stop is noticed after this long at the latest.
-const LISTEN_SLICE: Duration = Duration::from_millis(50);
+/// Longest wait, so that a stop request takes effect soon.
+const WAIT_SLICE: Duration = Duration::from_millis(50);
 
-/// Simulated room time at the start; not 0, which stands for "never" in messages.
+/// Simulated room time at the start; not 0, which means "never" in messages.
 const START_NS: u64 = 1_000_000_000;
 
 pub(crate) fn run(mut node: Node, ticks: u64, stop: &Stop) -> Result<Summary, NodeError> {
     await_controller(&node, stop)?;
-    let mut reporter = node.reporter()?;
-    node.announce_capabilities(Moment { local_ns: 0, room_ns: START_NS })?;
+    let mut publisher = node.truth_publisher()?;
+    node.publish_capabilities(Moment { local_ns: 0, room_ns: START_NS })?;
     let mut hash = Fnv1a::default();
     let mut answered = 0;
     while answered < ticks && !stop.is_requested() {
@@ -44,24 +46,25 @@ pub(crate) fn run(mut node: Node, ticks: u64, stop: &Stop) -> Result<Summary, No
             answered += publish(&mut node, &report, now, &mut hash, stop)?;
         }
         node.refuse_orders();
-        node.tell_mirrors(now)?;
+        node.publish_telemetry(now)?;
         if node.truth.take(local_ns).is_some() {
-            hash.truth(reporter.truth(&node.snapshot(now))?);
+            hash.truth(publisher.truth(&node.snapshot(now))?);
         }
-        show_status(&mut node, &mut reporter, now)?;
+        publish_status(&mut node, &mut publisher, now)?;
     }
-    let mut summary = node.summary(&reporter.measurements());
+    let mut summary = node.summary(&publisher.measurements());
     summary.hash = Some(format!("{:016x}", hash.0));
-    node.edge.close()?;
+    node.session.close()?;
     Ok(summary)
 }
 
-/// Publishes a report; positions wait for their answer. Gives the number of ticks answered.
+/// Publishes a report, and for positions waits for the answer; returns the number of ticks
+/// answered.
 fn publish(node: &mut Node, report: &Report, now: Moment, hash: &mut Fnv1a, stop: &Stop) -> Result<u64, NodeError> {
-    let (ledger, clock) = (&mut node.ledger, node.clock);
-    node.edge.publish(report, || {
+    let (ticks, clock) = (&mut node.ticks, node.clock);
+    node.session.publish(report, || {
         if let Report::Users(report) = report {
-            ledger.published(report.tick, clock.local_ns());
+            ticks.published(report.tick, clock.local_ns());
         }
     })?;
     let Report::Users(report) = report else { return Ok(0) };
@@ -74,21 +77,22 @@ fn publish(node: &mut Node, report: &Report, now: Moment, hash: &mut Fnv1a, stop
     }
 }
 
-/// The command that answers the tick, given to the room; nothing when stopped.
+/// Waits for the command that answers the tick and gives it to the room; `None` when stopped.
 fn await_answer(node: &mut Node, tick: u64, now: Moment, stop: &Stop) -> Result<Option<MirrorCommand>, NodeError> {
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WAIT {
         if stop.is_requested() {
             return Ok(None);
         }
-        let Some(arrival) = node.edge.inbox().pop_until(Instant::now() + LISTEN_SLICE) else { continue };
+        let Some(arrival) = node.session.received().pop_until(Instant::now() + WAIT_SLICE) else { continue };
         if let Content::Command(Ok(MirrorCommand { answers, .. })) = &arrival.content
             && *answers != tick
         {
-            node.refused.count("not-awaited", format!("a command that answers tick {answers} during tick {tick}"));
+            node.refused
+                .count("not-awaited", format!("a command answers tick {answers}: expected an answer to tick {tick}"));
             continue;
         }
-        if let Some(command) = node.receive(arrival, now) {
+        if let Some(command) = node.handle(arrival, now) {
             return Ok(Some(command));
         }
     }
@@ -101,19 +105,22 @@ fn await_answer(node: &mut Node, tick: u64, now: Moment, stop: &Stop) -> Result<
 
 fn await_controller(node: &Node, stop: &Stop) -> Result<(), NodeError> {
     let begun = Instant::now();
-    while !stop.is_requested() && !node.edge.controller_is_alive()? {
+    while !stop.is_requested() && !node.session.controller_is_alive()? {
         if begun.elapsed() > CONTROLLER_WAIT {
-            return Err(NodeError::NoController { room: node.edge.room_name(), waited_s: CONTROLLER_WAIT.as_secs() });
+            return Err(NodeError::NoController {
+                room: node.session.room_name(),
+                waited_s: CONTROLLER_WAIT.as_secs(),
+            });
         }
-        std::thread::sleep(LISTEN_SLICE);
+        std::thread::sleep(WAIT_SLICE);
     }
     Ok(())
 }
 
-/// A status twice a second of real time; nothing of it enters the room.
-fn show_status(node: &mut Node, reporter: &mut Reporter, now: Moment) -> Result<(), NodeError> {
+/// Publishes the status, paced by real time; it does not affect the room.
+fn publish_status(node: &mut Node, publisher: &mut TruthPublisher, now: Moment) -> Result<(), NodeError> {
     if node.status.take(node.clock.local_ns()).is_some() {
-        reporter.status(node.account(now.room_ns))?;
+        publisher.status(node.status_and_metrics(now.room_ns))?;
     }
     Ok(())
 }
@@ -141,7 +148,8 @@ impl Fnv1a {
         }
     }
 
-    /// What the room gets of a command; not epoch and sequence, which name the sender's run.
+    /// The parts of a command that affect the room; not epoch and sequence, which identify the
+    /// sender.
     fn command(&mut self, command: &MirrorCommand) {
         self.bytes(&command.answers.to_le_bytes());
         self.bytes(&command.time_ns.to_le_bytes());
@@ -165,7 +173,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_hash_is_fnv_1a_and_sees_every_bit_of_a_command_but_its_sender() {
+    fn the_hash_is_fnv_1a_of_every_bit_of_a_command_except_its_sender() {
         let mut hash = Fnv1a::default();
         hash.bytes(b"foobar");
         assert_eq!(hash.0, 0x8594_4171_f739_67e8, "published test vector");

@@ -6,7 +6,7 @@ use clap::Parser;
 use heliostat_service::exit;
 use heliostat_sim_node::cli;
 
-/// A simulated room: walking users, obstacles, mirrors, measured rates.
+/// Run the simulated room: users, obstacles, mirrors, reports.
 #[derive(Debug, Parser)]
 #[command(name = "heliostat-sim-node", version)]
 struct Command {

@@ -1,20 +1,20 @@
-//! The room's metrics, made together with its status.
+//! The metrics of the room.
 
 use heliostat_service::{Histogram, Page};
-
-use crate::ledger::Ledger;
-use crate::summary::Summary;
 use heliostat_sim::baselines::Measured;
 
-/// The page of a room, without the rates that another thread measures.
-pub(crate) fn page(room: &str, summary: &Summary, ledger: &Ledger) -> Page {
+use crate::summary::Summary;
+use crate::tick_ledger::TickLedger;
+
+/// The metrics of the room without the rates.
+pub(crate) fn page(room: &str, summary: &Summary, ticks: &TickLedger) -> Page {
     let mut page = Page::new(&[("room", room)]);
     page.build_info("sim-node", env!("CARGO_PKG_VERSION"));
     for (name, help, value) in [
         ("heliostat_ticks", "Position reports published", summary.ticks),
-        ("heliostat_ticks_lost", "Ticks without an accepted answer within 0.5 s", summary.lost_ticks),
-        ("heliostat_ticks_late", "Ticks published late or skipped", summary.late_ticks),
-        ("heliostat_ticks_unattended", "Ticks before the first answered one", summary.unattended_ticks),
+        ("heliostat_ticks_lost", "Ticks that no accepted command answered in time", summary.lost_ticks),
+        ("heliostat_ticks_late", "Ticks that were published late or skipped", summary.late_ticks),
+        ("heliostat_ticks_unattended", "Ticks before the first answer", summary.unattended_ticks),
         ("heliostat_room_commands", "Commands that the array accepted", summary.commands),
         (
             "heliostat_room_commands_clipped",
@@ -25,28 +25,23 @@ pub(crate) fn page(room: &str, summary: &Summary, ledger: &Ledger) -> Page {
         page.counter(name, help, &[], value);
     }
     for (reason, count) in &summary.refused {
-        page.counter(
-            "heliostat_room_refused",
-            "Payloads and commands refused, by reason",
-            &[("reason", reason.as_str())],
-            *count,
-        );
+        page.counter("heliostat_room_refused", "Payloads and commands refused", &[("reason", reason.as_str())], *count);
     }
-    let help = "From the publication of a position report to the arrival of the command that answers it";
-    page.histogram("heliostat_loop_seconds", help, &[], Histogram::of_ns(ledger.latency_ns()));
+    let help = "Time from the publication of a position report to the arrival of the command that answers it";
+    page.histogram("heliostat_loop_seconds", help, &[], Histogram::of_ns(ticks.latency_ns()));
     page
 }
 
-/// Adds the rates of the last measured instant.
+/// Adds the rates at the last computed instant.
 pub(crate) fn add_rates(page: &mut Page, measured: &Measured) {
     let sums = &measured.sum_rates_bps;
-    for (hands, rate) in
+    for (angles, rate) in
         [("policy", sums.policy), ("no-irs", sums.no_irs), ("flat", sums.flat), ("oracle", sums.oracle)]
     {
         page.gauge(
             "heliostat_sum_rate_bps",
-            "Sum rate under the policy, without mirrors, with flat mirrors, and under the oracle",
-            &[("hands", hands)],
+            "Sum rate with the policy's angles, without the array, with flat mirrors, and with the oracle",
+            &[("angles", angles)],
             rate,
         );
     }

@@ -1,153 +1,44 @@
-//! The simulator as a process: what live operation and lockstep share.
+//! The simulated room with its session, clock and counters: what live operation and lockstep share.
 
-use std::time::Duration;
-
-use heliostat_array::calibration::Unfit;
-use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_array::moment::Moment;
-use heliostat_array::refused::Refused;
-use heliostat_bus::{BusConfig, BusError, Class};
+use heliostat_array::refusal_counts::RefusalCounts;
+use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
-use heliostat_driver::inbox::Arrival;
-use heliostat_driver::lines::LinesError;
+use heliostat_driver::receive_queue::Arrival;
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
-use heliostat_scenario::{Scenario, TraceFileError};
-use heliostat_service::{Exporter, MetricsArgs, MetricsError, Page, Stop};
-use thiserror::Error;
-
-use crate::edge::Edge;
-use crate::ledger::Ledger;
-use crate::reporter::{Measurements, Reporter};
-use crate::summary::Summary;
-use crate::{live, lockstep, metrics};
+use heliostat_scenario::Scenario;
+use heliostat_service::{Exporter, Page};
 use heliostat_sim::baselines::Snapshot;
 use heliostat_sim::control;
+use heliostat_sim::reports::Reports;
+use heliostat_sim::reports::schedule::Schedule;
 use heliostat_sim::room::SimulatedRoom;
-use heliostat_sim::schedule::Schedule;
-use heliostat_sim::streams::Reports;
-use heliostat_sim::world::WorldError;
 
-/// Announcements of the array's capabilities a second.
+use crate::error::NodeError;
+use crate::metrics;
+use crate::session::RoomSession;
+use crate::settings::{Pace, Settings};
+use crate::summary::Summary;
+use crate::tick_ledger::TickLedger;
+use crate::truth_publisher::{Measurements, TruthPublisher};
+
+/// Publications of the array's capabilities in Hz.
 const CAPABILITIES_HZ: f64 = 1.0;
 
-/// Statuses a second.
+/// Publications of the status in Hz.
 const STATUS_HZ: f64 = 2.0;
 
 /// Longest text of a problem in a status, in characters.
 const PROBLEM_CHARACTERS: usize = 250;
 
-/// Everything that a run needs.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    /// The room; its seed is the seed of the run.
-    pub scenario: Scenario,
-    /// Where to meet the controller.
-    pub bus: BusConfig,
-    /// In which time the room runs.
-    pub pace: Pace,
-    /// Where metrics are served.
-    pub metrics: MetricsArgs,
-    /// Corrections that the array has from the start.
-    pub calibration: Option<CalibrationFile>,
-}
-
-/// In which time the room runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pace {
-    /// As time passes, for this long or until stopped.
-    Live {
-        /// How long; without end where absent.
-        duration: Option<Duration>,
-    },
-    /// In simulated time, each tick waiting for its answer.
-    Lockstep {
-        /// How many ticks.
-        ticks: u64,
-    },
-}
-
-/// Why a run cannot begin or go on.
-#[derive(Debug, Error)]
-pub enum NodeError {
-    /// The scenario describes no valid room.
-    #[error(transparent)]
-    World(#[from] WorldError),
-    /// The recorded walk cannot be read.
-    #[error(transparent)]
-    Trace(#[from] TraceFileError),
-    /// The transport failed.
-    #[error(transparent)]
-    Bus(#[from] BusError),
-    /// Metrics cannot be served.
-    #[error(transparent)]
-    Metrics(#[from] MetricsError),
-    /// Nothing can be said or heard, or somebody else has the room.
-    #[error(transparent)]
-    Lines(#[from] LinesError),
-    /// The corrections do not fit the array.
-    #[error("the calibration does not fit the array: {0}")]
-    Calibration(#[from] Unfit),
-    /// Lockstep: nobody came to answer.
-    #[error("no controller came into room \"{room}\" within {waited_s} s: lockstep needs one")]
-    NoController {
-        /// Name of the room.
-        room: String,
-        /// How long was waited, in s.
-        waited_s: u64,
-    },
-    /// Lockstep: a tick was not answered.
-    #[error(
-        "tick {tick} was not answered within {waited_s} s (the controller needs --lockstep to take its time from the room){last_problem}"
-    )]
-    NoAnswer {
-        /// The tick.
-        tick: u64,
-        /// How long was waited, in s.
-        waited_s: u64,
-        /// What went wrong last, if anything did.
-        last_problem: String,
-    },
-    /// The thread that measures the truth panicked.
-    #[error("the thread that measures the truth panicked")]
-    ReporterPanicked,
-}
-
-/// Runs a simulated room until its end, or until `stop` is requested.
-///
-/// # Errors
-/// [`NodeError`]: a room that cannot be built, a transport that fails, another simulator in the room, a tick of a lockstep run that
-/// nobody answers.
-pub fn run(settings: &Settings, stop: &Stop) -> Result<Summary, NodeError> {
-    let node = Node::open(settings)?;
-    let Settings { scenario, bus, .. } = settings;
-    tracing::info!(
-        room = %bus.room,
-        scenario = scenario.name,
-        hash = scenario.hash(),
-        seed = scenario.seed,
-        "{}",
-        endpoints(&bus.listen, &bus.connect)
-    );
-    match settings.pace {
-        Pace::Live { duration } => live::run(node, duration, stop),
-        Pace::Lockstep { ticks } => lockstep::run(node, ticks, stop),
-    }
-}
-
-fn endpoints(listen: &[String], connect: &[String]) -> String {
-    let at = listen.iter().map(|endpoint| format!("listening at {endpoint}"));
-    let to = connect.iter().map(|endpoint| format!("connecting to {endpoint}"));
-    at.chain(to).collect::<Vec<_>>().join(", ")
-}
-
-/// The room with everything around it.
+/// The simulated room with its session, clock, schedules and counters.
 pub(crate) struct Node {
     pub room: SimulatedRoom,
     pub reports: Reports,
-    pub edge: Edge,
+    pub session: RoomSession,
     pub clock: Clock,
-    pub ledger: Ledger,
-    pub refused: Refused,
+    pub ticks: TickLedger,
+    pub refused: RefusalCounts,
     pub telemetry: Schedule,
     pub truth: Schedule,
     pub status: Schedule,
@@ -155,19 +46,19 @@ pub(crate) struct Node {
     telemetry_sequence: u64,
     orders: u64,
     capabilities_sequence: u64,
-    /// Until the reporter takes it over.
+    /// Taken by the truth publisher when it is created.
     exporter: Option<Exporter>,
     has_exporter: bool,
-    /// As the last telemetry told it.
-    told_state: ArrayState,
+    /// The state in the last telemetry.
+    published_state: ArrayState,
     scenario: Scenario,
     scenario_hash: String,
     started_ns: u64,
 }
 
 impl Node {
-    fn open(settings: &Settings) -> Result<Self, NodeError> {
-        // In lockstep nothing may be dropped, and telemetry is not to be overtaken by reports.
+    pub fn open(settings: &Settings) -> Result<Self, NodeError> {
+        // In lockstep no message may be dropped, and reports must not overtake telemetry.
         let (reports, telemetry) = match settings.pace {
             Pace::Live { .. } => (Class::Control, Class::State),
             Pace::Lockstep { .. } => (Class::Order, Class::Order),
@@ -176,66 +67,71 @@ impl Node {
         let exporter = settings.metrics.open()?;
         let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
-            room.calibrate(Moment::default(), &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
+            room.handle_calibration(
+                Moment::default(),
+                &corrections.message(Stamp { sequence: 1, ..Stamp::default() }),
+            )?;
         }
-        let edge = Edge::open(&settings.bus, reports, telemetry)?;
-        let clock = edge.clock();
-        // Halfway between two ticks: the mean of an interval's aim, and never in the way of a tick.
+        let session = RoomSession::open(&settings.bus, reports, telemetry)?;
+        let clock = session.clock();
+        // Halfway between two ticks: this samples the mean age of the angles, and does not delay a
+        // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
         Ok(Self {
-            reports: Reports::new(&scenario.streams, scenario.users.count, scenario.seed, edge.source()),
+            reports: Reports::new(&scenario.streams, scenario.users.count, scenario.seed, session.source()),
             telemetry: Schedule::new(scenario.streams.telemetry.rate_hz, between_ticks_ns),
             truth: Schedule::new(scenario.streams.truth.rate_hz, between_ticks_ns),
             status: Schedule::new(STATUS_HZ, between_ticks_ns),
             started_ns: clock.now().room_ns,
             scenario_hash: scenario.hash(),
             room,
-            edge,
+            session,
             clock,
-            ledger: Ledger::default(),
-            refused: Refused::default(),
+            ticks: TickLedger::default(),
+            refused: RefusalCounts::default(),
             capabilities: Schedule::new(CAPABILITIES_HZ, 0),
             telemetry_sequence: 0,
             orders: 0,
             capabilities_sequence: 0,
             has_exporter: exporter.is_some(),
             exporter,
-            told_state: ArrayState::Parked,
+            published_state: ArrayState::Parked,
             scenario,
         })
     }
 
-    pub fn reporter(&mut self) -> Result<Reporter, NodeError> {
-        Reporter::new(self.room.world(), &self.edge, self.exporter.take())
+    pub fn truth_publisher(&mut self) -> Result<TruthPublisher, NodeError> {
+        TruthPublisher::new(self.room.world(), &self.session, self.exporter.take())
     }
 
-    /// Gives an arrival to the array at time `at`; the command when it was accepted.
-    pub fn receive(&mut self, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
-        let command = self.room.take(at, arrival.content, &mut self.refused)?;
-        self.ledger.answered(command.answers, arrival.at.local_ns);
+    /// Gives an arrival to the array at time `at`; returns the command if it was one that was
+    /// accepted.
+    pub fn handle(&mut self, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
+        let command = self.room.handle(at, arrival.content, &mut self.refused)?;
+        self.ticks.answered(command.answers, arrival.at.local_ns);
         Some(command)
     }
 
     /// Publishes telemetry when it is due, or when the array's state has changed.
-    pub fn tell_mirrors(&mut self, now: Moment) -> Result<(), NodeError> {
+    pub fn publish_telemetry(&mut self, now: Moment) -> Result<(), NodeError> {
         let due = self.telemetry.take(now.local_ns).is_some();
         if due {
             self.room.advance(now.local_ns);
         }
         let state = self.room.array().state();
-        if !due && state == self.told_state {
+        if !due && state == self.published_state {
             return Ok(());
         }
-        self.told_state = state;
+        self.published_state = state;
         self.telemetry_sequence += 1;
-        let stamp = self.edge.stamp(self.telemetry_sequence, now.room_ns);
+        let stamp = self.session.stamp(self.telemetry_sequence, now.room_ns);
         let telemetry = self.room.telemetry(stamp);
-        self.edge.publish_telemetry(&telemetry)
+        self.session.publish_telemetry(&telemetry)
     }
 
-    /// Applies what operators have ordered.
-    pub fn obey_orders(&mut self, now: Moment) {
-        for order in self.edge.new_orders() {
+    /// Applies the orders of operators.
+    pub fn apply_orders(&mut self, now: Moment) {
+        for order in self.session.new_orders() {
             match order {
                 Ok(order) => {
                     self.room.advance(now.local_ns);
@@ -249,18 +145,18 @@ impl Node {
         }
     }
 
-    /// Refuses what operators have ordered: in lockstep the seed decides.
+    /// Refuses the orders of operators: in lockstep the seed determines the run.
     pub fn refuse_orders(&mut self) {
-        for _ in self.edge.new_orders() {
-            let refusal = control::Refusal::Lockstep;
+        for _ in self.session.new_orders() {
+            let refusal = control::OrderRefusal::Lockstep;
             self.refused.note("control", refusal.name(), &refusal);
         }
     }
 
-    pub fn announce_capabilities(&mut self, now: Moment) -> Result<(), NodeError> {
+    pub fn publish_capabilities(&mut self, now: Moment) -> Result<(), NodeError> {
         self.capabilities_sequence += 1;
-        let stamp = self.edge.stamp(self.capabilities_sequence, now.room_ns);
-        self.edge.publish_capabilities(&self.room.capabilities(stamp))
+        let stamp = self.session.stamp(self.capabilities_sequence, now.room_ns);
+        self.session.publish_capabilities(&self.room.capabilities(stamp))
     }
 
     pub fn snapshot(&self, now: Moment) -> Snapshot {
@@ -301,9 +197,9 @@ impl Node {
         let quantiles =
             Quantiles { count: us.count, p50: us.p50, p90: us.p90, p99: us.p99, p999: us.p999, max: us.max };
         NodeStatus {
-            stamp: self.edge.stamp(0, time_ns),
+            stamp: self.session.stamp(0, time_ns),
             node: NodeKind::SimNode,
-            name: format!("{:016x}", self.edge.source()),
+            name: format!("{:016x}", self.session.source()),
             software: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
             state,
             scenario: self.scenario_hash.clone(),
@@ -316,11 +212,11 @@ impl Node {
         }
     }
 
-    /// The status with the metrics of the same moment, where they are served.
-    pub fn account(&self, time_ns: u64) -> (NodeStatus, Option<Page>) {
+    /// The status, with the metrics of the same time if they are served.
+    pub fn status_and_metrics(&self, time_ns: u64) -> (NodeStatus, Option<Page>) {
         let page = || {
             let summary = self.summary(&Measurements::default());
-            metrics::page(&self.edge.room_name(), &summary, &self.ledger)
+            metrics::page(&self.session.room_name(), &summary, &self.ticks)
         };
         (self.status_message(time_ns), self.has_exporter.then(page))
     }
@@ -332,14 +228,14 @@ impl Node {
             scenario: self.scenario.name.clone(),
             scenario_hash: self.scenario_hash.clone(),
             seed: self.scenario.seed,
-            ticks: self.ledger.published_count(),
-            unattended_ticks: self.ledger.unattended(),
-            lost_ticks: self.ledger.lost(),
+            ticks: self.ticks.published_count(),
+            unattended_ticks: self.ticks.unattended(),
+            lost_ticks: self.ticks.lost(),
             late_ticks: self.reports.late_ticks(),
             commands: counters.accepted,
             clipped_commands: counters.clipped,
             refused: refused.collect(),
-            loop_us: self.ledger.distribution(),
+            loop_us: self.ticks.distribution(),
             truth_us_mean: measurements.mean_cost_s * 1e6,
             last_problem: self.refused.last_problem().to_owned(),
             ..Summary::default()

@@ -1,27 +1,27 @@
-//! What a run came to, as JSON and as a short table.
+//! The result of a run, as JSON and as a short table.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_sim::baselines::Tally;
 use serde::Serialize;
 
-use crate::ledger::Distribution;
-use heliostat_sim::baselines::Tally;
+use crate::tick_ledger::Distribution;
 
 /// Mean sum rates in Mbit/s over the same instants.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SumRatesMbps {
-    /// With the mirrors as they were commanded.
+    /// With the angles of the policy.
     pub policy: f64,
     /// Without the array.
     pub no_irs: f64,
-    /// With all mirrors facing straight into the room.
+    /// With all mirrors flat.
     pub flat: f64,
-    /// With the mirrors as the oracle would have turned them.
+    /// With the angles of the oracle.
     pub oracle: f64,
 }
 
-/// What a run came to.
+/// The result of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Summary {
     /// Name of the scenario.
@@ -32,23 +32,23 @@ pub struct Summary {
     pub seed: u64,
     /// Position reports published.
     pub ticks: u64,
-    /// Ticks before the first answer of all: no controller was there yet.
+    /// Ticks before the first answer: no controller was in the room yet.
     pub unattended_ticks: u64,
     /// Ticks that no accepted command answered in time.
     pub lost_ticks: u64,
-    /// Ticks that left late, or were left out because the next one was already due.
+    /// Ticks that were published late, or skipped because the next one was already due.
     pub late_ticks: u64,
     /// Commands accepted.
     pub commands: u64,
-    /// Of those, with an angle beyond the range.
+    /// Accepted commands with an angle beyond the range.
     pub clipped_commands: u64,
     /// Payloads and commands refused, by name.
     pub refused: BTreeMap<String, u64>,
-    /// From the publication of a tick to the arrival of the command that answers it.
+    /// Time from the publication of a tick to the arrival of the command that answers it.
     pub loop_us: Distribution,
-    /// Instants at which rates were measured, from the first command on.
+    /// Instants at which rates were computed, from the first command on.
     pub truth_samples: u64,
-    /// Mean time that measuring such an instant took, oracle included, in us.
+    /// Mean time to compute such an instant, with the oracle, in us.
     pub truth_us_mean: f64,
     /// Mean sum rates over those instants.
     pub sum_rate_mbps: SumRatesMbps,
@@ -58,17 +58,18 @@ pub struct Summary {
     pub qos_met: Option<f64>,
     /// The same with the oracle's angles.
     pub qos_met_oracle: Option<f64>,
-    /// Mean number of users whose direct path is off.
+    /// Mean number of users whose direct path is blocked.
     pub blocked_users_mean: f64,
-    /// Lockstep: hash of all commands and of all measured instants; the same seed gives the same.
+    /// Lockstep: hash of all commands and of all computed instants; the same seed gives the same
+    /// hash.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hash: Option<String>,
-    /// The last thing that went wrong; empty when nothing did.
+    /// The last problem; empty if there was none.
     pub last_problem: String,
 }
 
 impl Summary {
-    /// Takes over what the measured instants came to.
+    /// Sets the mean rates and shares from the computed instants.
     pub fn set_rates(&mut self, tally: &Tally) {
         let mean = tally.mean_sum_rates_bps();
         self.truth_samples = tally.samples;
@@ -103,10 +104,10 @@ impl fmt::Display for Summary {
         writeln!(f, "loop, us        p50 {:.0}  p90 {:.0}  p99 {:.0}  max {:.0}", us.p50, us.p90, us.p99, us.max)?;
         writeln!(
             f,
-            "sum rate, Mbps  policy {:.1}  no IRS {:.1}  flat {:.1}  oracle {:.1}",
+            "sum rate Mbit/s policy {:.1}  no IRS {:.1}  flat {:.1}  oracle {:.1}",
             rates.policy, rates.no_irs, rates.flat, rates.oracle
         )?;
-        writeln!(f, "of the oracle   {}", share(self.ratio_to_oracle))?;
+        writeln!(f, "ratio to oracle {}", share(self.ratio_to_oracle))?;
         writeln!(f, "minimum rates   met {} (oracle {})", share(self.qos_met), share(self.qos_met_oracle))?;
         writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?;
         for (name, count) in &self.refused {

@@ -1,19 +1,19 @@
-//! The node on the bus: closed loop, hostile payloads, two simulators, lockstep. Sessions of one process stand for processes.
+//! The simulator on the bus: closed loop, invalid payloads, two simulators, lockstep. Several
+//! sessions of the test process take the place of processes.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_bus::{Bus, BusConfig, Class, Subscription, Token, free_loopback_endpoint};
-use heliostat_driver::lines::LinesError;
+use heliostat_driver::session::SessionError;
 use heliostat_proto::{
     FaultKind, MirrorCommand, MirrorFault, NodeKind, NodeStatus, Room, RoomTruth, SimulatorControl, UserReport, decode,
     encode,
 };
 use heliostat_scenario::Scenario;
 use heliostat_service::{MetricsArgs, Stop};
-use heliostat_sim_node::Summary;
-use heliostat_sim_node::node::{self, NodeError, Pace, Settings};
+use heliostat_sim_node::{NodeError, Pace, Settings, Summary, run as node};
 
 fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
     let scenario = Scenario::builtin("specular").unwrap();
@@ -34,7 +34,7 @@ fn run(settings: &Settings) -> Result<Summary, NodeError> {
     node::run(settings, &Stop::default())
 }
 
-/// A controller in small: answers every report with angles that follow from the report alone.
+/// A minimal controller: answers every report with angles that depend only on the report.
 struct Answerer {
     _bus: Bus,
     _declared: (Subscription, Token),
@@ -72,7 +72,7 @@ fn every_tick_is_answered_in_the_closed_loop() {
     let endpoint = free_loopback_endpoint().unwrap();
     let _controller = Answerer::start("closed", &endpoint, 1);
     let summary = run(&settings("closed", &endpoint, live(2000))).unwrap();
-    // A busy machine leaves ticks out; it never adds any.
+    // On a busy machine ticks are skipped; none are added.
     assert!((100..=201).contains(&summary.ticks), "{summary:?}");
     assert_eq!(summary.commands + summary.unattended_ticks + summary.lost_ticks, summary.ticks, "{summary:?}");
     assert_eq!(summary.lost_ticks, 0, "{summary:?}");
@@ -83,7 +83,7 @@ fn every_tick_is_answered_in_the_closed_loop() {
 }
 
 #[test]
-fn nobody_there_is_no_loss() {
+fn ticks_without_a_controller_are_unattended_and_not_lost() {
     let endpoint = free_loopback_endpoint().unwrap();
     let summary = run(&settings("empty", &endpoint, live(300))).unwrap();
     assert_eq!((summary.lost_ticks, summary.commands, summary.ratio_to_oracle), (0, 0, None));
@@ -91,7 +91,7 @@ fn nobody_there_is_no_loss() {
 }
 
 #[test]
-fn hostile_payloads_are_counted_by_name_and_stop_nothing() {
+fn invalid_payloads_are_counted_by_name_and_do_not_stop_the_room() {
     let endpoint = free_loopback_endpoint().unwrap();
     let settings = settings("hostile", &endpoint, live(2500));
     let node = std::thread::spawn(move || run(&settings));
@@ -136,8 +136,8 @@ fn hostile_payloads_are_counted_by_name_and_stop_nothing() {
     }
     let summary = node.join().unwrap().unwrap();
     for (name, _) in &cases {
-        let wanted = cases.iter().filter(|(other, _)| other == name).count() as u64;
-        assert_eq!(summary.refused.get(&format!("command:{name}")), Some(&wanted), "{name}: {:?}", summary.refused);
+        let expected = cases.iter().filter(|(other, _)| other == name).count() as u64;
+        assert_eq!(summary.refused.get(&format!("command:{name}")), Some(&expected), "{name}: {:?}", summary.refused);
     }
     assert_eq!(summary.commands, 0);
     assert!(!summary.last_problem.is_empty());
@@ -145,7 +145,7 @@ fn hostile_payloads_are_counted_by_name_and_stop_nothing() {
 }
 
 #[test]
-fn orders_of_an_operator_change_the_room_and_unsound_ones_are_counted() {
+fn valid_orders_of_an_operator_change_the_room_and_invalid_ones_are_counted() {
     let endpoint = free_loopback_endpoint().unwrap();
     let settings = settings("orders", &endpoint, live(2500));
     let node = std::thread::spawn(move || run(&settings));
@@ -180,8 +180,8 @@ fn orders_of_an_operator_change_the_room_and_unsound_ones_are_counted() {
     let forced = |truth: &RoomTruth| truth.users.iter().filter(|user| user.forced).count();
     assert_eq!((forced(&truths[0]), forced(truths.last().unwrap())), (0, 2));
     let gauges = &statuses.last().unwrap().gauges;
-    for wanted in [("power_w", 1.5), ("forced_users", 2.0), ("faulty_mirrors", 25.0)] {
-        assert!(gauges.contains(&(wanted.0.to_owned(), wanted.1)), "{wanted:?} in {gauges:?}");
+    for expected in [("power_w", 1.5), ("forced_users", 2.0), ("faulty_mirrors", 25.0)] {
+        assert!(gauges.contains(&(expected.0.to_owned(), expected.1)), "{expected:?} in {gauges:?}");
     }
     assert_eq!(summary.refused.get("control:speed"), Some(&1), "{summary:?}");
     assert_eq!(summary.refused.get("control:truncated"), Some(&1), "{summary:?}");
@@ -198,7 +198,7 @@ fn a_second_simulator_in_the_room_is_refused_by_name() {
         ..settings(room, &endpoint, live(100))
     };
     let error = run(&second("taken")).unwrap_err();
-    assert!(matches!(error, NodeError::Lines(LinesError::RoomTaken { other: NodeKind::SimNode, .. })), "{error}");
+    assert!(matches!(error, NodeError::Session(SessionError::RoomTaken { other: NodeKind::SimNode, .. })), "{error}");
     assert!(run(&second("free")).is_ok(), "another room is another matter");
     let summary = node.join().unwrap().unwrap();
     assert!(summary.ticks > 200, "the first one goes on: {summary:?}");

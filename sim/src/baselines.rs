@@ -1,37 +1,39 @@
-//! What the users get, beside what they would get without the array, with the mirrors left flat, and at best.
+//! The users' rates with the present mirror angles, and three baselines: no array, flat mirrors,
+//! and the oracle.
 //!
-//! All four are computed for the same instant with the same people and obstacles, and summed over the same instants, so that their
-//! ratios compare like with like. The best is the oracle with minimum rates, [`QOS_PENALTY`] bit/s for each bit/s that is missing.
+//! All four are computed for the same instants with the same users and obstacles, so that their
+//! ratios are comparable. The oracle respects the minimum rates with a penalty of [`QOS_PENALTY`]
+//! bit/s for each missing bit/s.
 
 use heliostat_channel::solver::{Method, MinimumRates, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Cylinder, LinkBudget, MirrorAngles, Scene, Vec3};
 use heliostat_proto::SumRates;
 
-use crate::mobility::Walker;
 use crate::world::World;
+use crate::world::walker::Walker;
 
-/// Everything that decides the rates at one instant.
+/// All inputs of the rates at one instant.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     /// The latest tick.
     pub tick: u64,
     /// Room time in ns.
     pub time_ns: u64,
-    /// Whether the array has been commanded at all; instants before that are not counted.
+    /// Whether the array has accepted a command yet; earlier instants are not counted.
     pub commanded: bool,
     /// Positions of the receivers in m.
     pub positions: Vec<Vec3>,
-    /// Way each user faces, in radians from +x towards +y.
+    /// Heading of each user, in radians from +x towards +y.
     pub headings: Vec<f64>,
     /// Obstacles, then bodies.
     pub blockers: Vec<Cylinder>,
-    /// How many of them are obstacles.
+    /// Number of obstacles among them.
     pub obstacles: usize,
-    /// Whose direct path is off.
+    /// For each user, whether the direct path is off.
     pub forced: Vec<bool>,
     /// Minimum rates in bit/s.
     pub min_rate_bps: Vec<f64>,
-    /// Power, noise and band.
+    /// Power, noise and bandwidth.
     pub budget: LinkBudget,
     /// Where the mirrors point.
     pub angles: MirrorAngles,
@@ -56,20 +58,20 @@ impl Snapshot {
     }
 }
 
-/// One instant, measured.
+/// The rates and gains at one instant.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measured {
     /// Sums of all users' rates in bit/s.
     pub sum_rates_bps: SumRates,
-    /// Each user's rate in bit/s, with the mirrors as they are.
+    /// Each user's rate in bit/s, with the present angles.
     pub rates_bps: Vec<f64>,
-    /// Each user's SINR, with the mirrors as they are.
+    /// Each user's SINR (linear), with the present angles.
     pub sinr: Vec<f64>,
-    /// Each user's gain over the direct path.
+    /// Each user's gain over the direct path (dimensionless).
     pub los_gain: Vec<f64>,
-    /// Each user's gain over the mirrors as they are.
+    /// Each user's gain over the mirrors, with the present angles (dimensionless).
     pub irs_gain: Vec<f64>,
-    /// Whose direct path is off.
+    /// For each user, whether the direct path is off.
     pub los_blocked: Vec<bool>,
     /// Users whose minimum rate is met.
     pub met: usize,
@@ -77,9 +79,10 @@ pub struct Measured {
     pub met_oracle: usize,
 }
 
-/// Measures instants; holds its own model, scene and solver, so that it can work beside the room.
+/// Computes the rates of instants; owns a model, scene and solver, so that it can run on another
+/// thread.
 #[derive(Debug)]
-pub struct Yardstick {
+pub struct Baselines {
     model: ChannelModel,
     scene: Scene,
     solver: Solver,
@@ -89,8 +92,8 @@ pub struct Yardstick {
     measured: Measured,
 }
 
-impl Yardstick {
-    /// A yardstick for the room of this world.
+impl Baselines {
+    /// Baselines for the room of this world.
     pub fn new(world: &World) -> Self {
         let model = world.model().clone();
         let (users, mirrors) = (world.users().len(), model.mirrors.len());
@@ -112,13 +115,14 @@ impl Yardstick {
         }
     }
 
-    /// Measures one instant.
+    /// Computes one instant.
     pub fn measure(&mut self, at: &Snapshot) -> &Measured {
         let Self { model, scene, solver, flat, best, rates, measured } = self;
         model.budget.clone_from(&at.budget);
         scene.update(model, &at.positions, &at.blockers, &at.forced);
         measured.los_blocked.copy_from_slice(scene.los_blocked());
-        let met = |rates: &[f64]| rates.iter().zip(&at.min_rate_bps).filter(|(rate, wanted)| rate >= wanted).count();
+        let met =
+            |rates: &[f64]| rates.iter().zip(&at.min_rate_bps).filter(|(rate, required)| rate >= required).count();
 
         measured.los_gain.copy_from_slice(scene.los_gain());
         scene.irs_gain(model, &at.angles, &mut measured.irs_gain);
@@ -155,7 +159,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Adds one instant.
+    /// Adds one instant to the sums.
     pub fn add(&mut self, measured: &Measured) {
         self.samples += 1;
         self.users += measured.rates_bps.len() as u64;
@@ -168,7 +172,7 @@ impl Tally {
         self.blocked += measured.los_blocked.iter().filter(|blocked| **blocked).count() as u64;
     }
 
-    /// Mean sum rates in bit/s; zeros before the first instant.
+    /// Mean sum rates in bit/s; zero before the first instant.
     pub fn mean_sum_rates_bps(&self) -> SumRates {
         let mean = |sum: f64| sum / self.samples.max(1) as f64;
         SumRates {
@@ -179,7 +183,8 @@ impl Tally {
         }
     }
 
-    /// Share of users and instants with the minimum rate met, by the mirrors as they were and by the oracle.
+    /// Share of users and instants with the minimum rate met: with the present angles, and by the
+    /// oracle.
     pub fn qos_met(&self) -> (f64, f64) {
         let share = |count: u64| count as f64 / self.users.max(1) as f64;
         (share(self.met), share(self.met_oracle))

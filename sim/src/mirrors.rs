@@ -1,4 +1,8 @@
-//! The simulated mirrors as a device: what the driver kit turns in a room that does not exist.
+//! The simulated mirrors, as a device of `heliostat-array`.
+//!
+//! - [`actuator`]: the motion of all axes, from commands to mirror angles.
+//! - `drive`, `axis`, `mounting`: its three parts, in the order of the signal.
+//! - [`fault`]: faults of single mirrors.
 
 use heliostat_array::moment::Moment;
 use heliostat_array::{Device, DeviceError};
@@ -6,17 +10,24 @@ use heliostat_channel::{MirrorAngles, MirrorArray};
 use heliostat_proto::{AxisLimits, Capabilities, Feedback};
 use heliostat_scenario::{Actuator as Table, ActuatorParameters};
 
-use crate::actuator::{Actuator, AxisFault};
-use crate::control;
+use self::actuator::Actuator;
+use self::fault::{AxisFault, drawn_share};
 use crate::random::{self, Purpose};
 
-/// How long the last command is held after its validity has ended, in ms.
+pub mod actuator;
+mod axis;
+mod drive;
+pub mod fault;
+mod mounting;
+
+/// Time for which the array holds the last command after its validity ended, in ms.
 pub const HOLD_MS: u32 = 300;
 
-/// The drives go so much further than announced, either side, in rad: room for a calibration's corrections.
+/// Range of the drives beyond the announced limits, on either side, in rad: for the corrections of
+/// a calibration.
 pub const CALIBRATION_RESERVE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// Actuators on a time line of their own.
+/// The actuators of an array, with the time up to which they were advanced.
 #[derive(Clone, Debug)]
 pub struct SimulatedMirrors {
     actuator: Actuator,
@@ -28,13 +39,14 @@ pub struct SimulatedMirrors {
 }
 
 impl SimulatedMirrors {
-    /// Mirrors at rest, at local time 0; mounting, jitter, drift and which of them are stuck come from the seed.
+    /// Mirrors at rest, at local time 0; mounting, jitter, drift and which of them are stuck come
+    /// from the seed.
     pub fn new(table: &Table, grid: &MirrorArray, seed: u64) -> Self {
         let parameters = table.parameters();
         let drive =
             ActuatorParameters { range_rad: parameters.range_rad + CALIBRATION_RESERVE_RAD, ..parameters.clone() };
         let mut actuator = Actuator::new(&drive, grid.len(), random::stream(seed, Purpose::Actuator, 0));
-        for mirror in control::drawn_share(table.stuck_share.unwrap_or(0.0), seed, grid.len()) {
+        for mirror in drawn_share(table.stuck_share.unwrap_or(0.0), seed, grid.len()) {
             actuator.set_fault(mirror, AxisFault::Stuck, AxisFault::Stuck);
         }
         Self {
@@ -47,34 +59,37 @@ impl SimulatedMirrors {
         }
     }
 
-    /// The mirrors themselves.
+    /// The actuators.
     pub fn actuator(&self) -> &Actuator {
         &self.actuator
     }
 
-    /// For faults in a running room.
+    /// The actuators, to set faults in a running room.
     pub fn actuator_mut(&mut self) -> &mut Actuator {
         &mut self.actuator
     }
 
-    /// The time up to which the mirrors were moved, in ns of local time.
+    /// The time up to which the mirrors were advanced, in ns of local time.
     pub fn time_ns(&self) -> u64 {
         self.time_ns
     }
 
-    /// Moves the mirrors to a time; an earlier one changes nothing.
-    pub fn move_to(&mut self, local_ns: u64) {
+    /// Advances the mirrors to a time; an earlier time changes nothing.
+    pub fn advance(&mut self, local_ns: u64) {
         self.actuator.step(local_ns.saturating_sub(self.time_ns) as f64 * 1e-9);
         self.time_ns = self.time_ns.max(local_ns);
     }
 
-    /// Moves the mirrors to the time of a call; an array that is away then does not hear it.
-    fn reach(&mut self, now: Moment) -> Result<(), DeviceError> {
+    /// Advances the mirrors to the time of a call; fails while the array is offline.
+    fn advance_online(&mut self, now: Moment) -> Result<(), DeviceError> {
         if now.local_ns > self.time_ns {
-            self.move_to(now.local_ns);
+            self.advance(now.local_ns);
         }
-        if self.actuator.is_away() {
-            return Err(DeviceError::new("simulated mirrors", "offline or starting, by order of an operator"));
+        if self.actuator.is_offline() {
+            return Err(DeviceError::new(
+                "simulated mirrors",
+                "offline or restarting, as an operator ordered: wait until it is back",
+            ));
         }
         Ok(())
     }
@@ -84,7 +99,7 @@ impl Device for SimulatedMirrors {
     fn capabilities(&self) -> Capabilities {
         let parameters = &self.parameters;
         let range = parameters.range_rad;
-        // Two per cent of a step is left after four time constants of the envelope.
+        // The envelope of a step decays to two per cent after four time constants.
         let settling_s =
             parameters.second_order.map_or(0.0, |(frequency, damping)| 4.0 / (damping.min(1.0) * frequency));
         let steps = parameters.resolution_bits.map(|bits| 2.0_f64.powi(bits as i32));
@@ -114,23 +129,23 @@ impl Device for SimulatedMirrors {
     }
 
     fn connect(&mut self, now: Moment) -> Result<(), DeviceError> {
-        self.reach(now)
+        self.advance_online(now)
     }
 
     fn apply(&mut self, now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
-        self.reach(now)?;
+        self.advance_online(now)?;
         self.actuator.command(angles);
         Ok(())
     }
 
     fn measure(&mut self, now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
-        self.reach(now)?;
+        self.advance_online(now)?;
         into.clone_from(self.actuator.measured());
         Ok(true)
     }
 
     fn stop(&mut self, now: Moment) -> Result<(), DeviceError> {
-        self.reach(now)?;
+        self.advance_online(now)?;
         self.actuator.halt();
         Ok(())
     }

@@ -1,20 +1,21 @@
-//! Seeded random numbers: one independent stream for each purpose, so that a change of one setting does not reshuffle the rest.
+//! Seeded random numbers: one independent stream for each purpose, so that a change of one setting
+//! does not change the rest.
 //!
-//! Uniform numbers are made from the generator's bits with exact arithmetic, so walks and obstacles come out the same on every
-//! platform; normal numbers use the platform's logarithm.
+//! Uniform numbers use exact arithmetic on the generator's bits, so walks and obstacles are the
+//! same on every platform. Normal numbers use the platform's logarithm.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// The generator that everything random in the room uses.
+/// The generator of all random numbers in the room.
 pub type RoomRng = ChaCha8Rng;
 
-/// What a stream of random numbers is for.
+/// The purpose of a stream of random numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     /// The walk of one user.
     Walk,
-    /// Where obstacles stand.
+    /// The positions of the obstacles.
     Obstacles,
     /// Calibration offsets, drift and jitter of the mirrors.
     Actuator,
@@ -22,14 +23,14 @@ pub enum Purpose {
     PositionNoise,
     /// Measurement noise of channel gains.
     ChannelNoise,
-    /// Which mirrors a fault befalls.
+    /// The mirrors that have a fault.
     Faults,
-    /// Measurement noise while an array is calibrated.
+    /// Measurement noise during calibration of an array.
     CalibrationNoise,
 }
 
 impl Purpose {
-    /// The upper half of the stream number; a constant for each purpose, never reused.
+    /// The upper half of the stream number: a constant for each purpose, never reused.
     fn code(self) -> u64 {
         match self {
             Self::Walk => 1,
@@ -43,7 +44,8 @@ impl Purpose {
     }
 }
 
-/// The generator of one purpose; `index` tells apart those of which there are several, such as users.
+/// The generator of one purpose; `index` distinguishes instances of the same purpose, such as
+/// users.
 pub fn stream(seed: u64, purpose: Purpose, index: u32) -> RoomRng {
     let mut rng = RoomRng::seed_from_u64(seed);
     rng.set_stream(purpose.code() << 32 | u64::from(index));
@@ -72,7 +74,7 @@ pub fn normal(rng: &mut RoomRng) -> f64 {
     }
 }
 
-/// A number of events of a Poisson process with this mean: unit-rate exponential gaps are laid end to end until they pass it.
+/// A Poisson number with this mean: the number of unit-rate exponential gaps that fit into it.
 pub fn poisson(rng: &mut RoomRng, mean: f64) -> usize {
     let mut count = 0;
     let mut sum = 0.0;

@@ -1,25 +1,27 @@
-//! The room with its mirrors: people, and the driver kit around the simulated array, moving through the same time.
+//! The simulated room: the world, and the driver kit around the simulated array, on the same time
+//! line.
 
 use heliostat_array::Kit;
+use heliostat_array::calibration::Unfit;
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
-use heliostat_array::refused::Refused;
+use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_array::rules::{Array, Refusal};
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{Calibration, Capabilities, MirrorCommand, MirrorTelemetry, Stamp};
 use heliostat_scenario::Scenario;
 
-use crate::actuator::Actuator;
 use crate::mirrors::SimulatedMirrors;
+use crate::mirrors::actuator::Actuator;
 use crate::world::{World, WorldError};
 
-/// A whole simulated room.
+/// A complete simulated room.
 #[derive(Clone, Debug)]
 pub struct SimulatedRoom {
     world: World,
     kit: Kit<SimulatedMirrors>,
     world_ns: u64,
-    /// Room time less local time, as far as it is known from what arrived.
+    /// Room time minus local time, as of the last arrival.
     room_ahead_ns: u64,
 }
 
@@ -36,54 +38,53 @@ impl SimulatedRoom {
         Ok(room)
     }
 
-    /// Gives a command to the array at the time of its arrival, which may lie a little before the time up to which the world was
-    /// moved: mirrors move on their own time line.
+    /// Gives a command to the array at the time of its arrival.
+    ///
+    /// The arrival may be shortly before the time up to which the world was advanced, because the
+    /// mirrors have their own time line.
     ///
     /// # Errors
-    /// [`Refusal`]: the array goes on as if nothing had come.
-    pub fn receive(&mut self, at: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+    /// [`Refusal`]: the array does not change.
+    pub fn handle_command(&mut self, at: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
         self.keep_time(at);
-        self.kit.command(at, command)
+        self.kit.handle_command(at, command)
     }
 
-    /// Gives the array whatever arrived for it; gives the command where it was one that is followed.
-    pub fn take(&mut self, at: Moment, content: Content, refused: &mut Refused) -> Option<MirrorCommand> {
+    /// Gives an arrival of any kind to the array; returns the command if it was one that was
+    /// accepted.
+    pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
         self.keep_time(at);
-        self.kit.take(at, content, refused)
+        self.kit.handle(at, content, refused)
     }
 
-    /// Corrects the mirrors' mounting.
+    /// Gives the array a calibration of its mirrors' mounting.
     ///
     /// # Errors
-    /// [`Unfit`](heliostat_array::calibration::Unfit): the correction in use stays.
-    pub fn calibrate(
-        &mut self,
-        at: Moment,
-        calibration: &Calibration,
-    ) -> Result<(), heliostat_array::calibration::Unfit> {
+    /// [`Unfit`]: the calibration in use remains.
+    pub fn handle_calibration(&mut self, at: Moment, calibration: &Calibration) -> Result<(), Unfit> {
         self.keep_time(at);
-        self.kit.calibrate(at, calibration)
+        self.kit.handle_calibration(at, calibration)
     }
 
-    /// Moves people and mirrors to a time and computes the scene there.
+    /// Advances users and mirrors to a time and computes the scene.
     pub fn advance(&mut self, to_ns: u64) {
         self.kit.advance(self.moment(to_ns));
-        self.kit.device_mut().move_to(to_ns);
+        self.kit.device_mut().advance(to_ns);
         self.world.step(to_ns.saturating_sub(self.world_ns) as f64 * 1e-9);
         self.world_ns = self.world_ns.max(to_ns);
     }
 
-    /// People, obstacles and the channel.
+    /// Users, obstacles and the channel.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// For changes in a running room.
+    /// The world, for changes in a running room.
     pub fn world_mut(&mut self) -> &mut World {
         &mut self.world
     }
 
-    /// The array's guard.
+    /// The state machine of the array's rules.
     pub fn array(&self) -> &Array {
         self.kit.array()
     }
@@ -93,23 +94,23 @@ impl SimulatedRoom {
         self.actuator().angles()
     }
 
-    /// The mirrors themselves.
+    /// The actuators of the mirrors.
     pub fn actuator(&self) -> &Actuator {
         self.kit.device().actuator()
     }
 
-    /// For faults in a running room.
+    /// The actuators, to set faults in a running room.
     pub fn actuator_mut(&mut self) -> &mut Actuator {
         self.kit.device_mut().actuator_mut()
     }
 
-    /// What the array tells about itself.
+    /// The array's telemetry.
     pub fn telemetry(&mut self, stamp: Stamp) -> MirrorTelemetry {
         let now = Moment { local_ns: self.kit.device().time_ns(), room_ns: stamp.time_ns };
         self.kit.telemetry(now, stamp)
     }
 
-    /// What the array is and can do.
+    /// The array's capabilities.
     pub fn capabilities(&self, stamp: Stamp) -> Capabilities {
         self.kit.capabilities(stamp)
     }

@@ -1,17 +1,27 @@
-//! The room itself: who stands where, what blocks what, and the channel that follows. No clock, no transport, no mirrors' motion.
+//! Users, obstacles and the channel between them, without the motion of the mirrors.
 //!
-//! The trainer steps a world directly; the node steps it in time and publishes what it sees. Everything random comes from the seed,
-//! each purpose from its own stream ([`crate::random`]), so that a change of one setting leaves the rest as it was.
-//! [`World::step`] does not allocate.
+//! Training steps a world directly; `SimulatedRoom` steps it together with the mirrors. All random
+//! numbers come from the seed, one stream for each purpose ([`crate::random`]), so that a change of
+//! one setting does not change the rest. [`World::step`] does not allocate.
+//!
+//! - [`walker`]: the floor and one user's receiver.
+//! - [`mobility`], [`trace`]: random and recorded walks.
+//! - [`obstacles`]: the hard-core process.
 
 use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
 use heliostat_scenario::{Blockage, Scenario};
 use thiserror::Error;
 
-use crate::mobility::{Floor, Mobility, MobilityError, Speeds, Walker};
-use crate::obstacles::{HardCore, ObstacleError};
+use self::mobility::{Mobility, MobilityError, Speeds};
+use self::obstacles::{HardCore, ObstacleError};
+use self::trace::{Trace, TraceError};
+use self::walker::{Floor, Walker};
 use crate::random::{self, Purpose};
-use crate::trace::{Trace, TraceError};
+
+pub mod mobility;
+pub mod obstacles;
+pub mod trace;
+pub mod walker;
 
 /// Why a world cannot be made from a scenario.
 #[derive(Debug, Error)]
@@ -25,13 +35,13 @@ pub enum WorldError {
     /// The obstacles cannot be placed.
     #[error(transparent)]
     Obstacles(#[from] ObstacleError),
-    /// The scenario names a recorded walk, and its text was not given.
-    #[error("users.trace: {path}: expected the text of this recorded walk, found none")]
+    /// The scenario names a recorded walk, and the caller did not pass its text.
+    #[error("users.trace: {path}: no text of this recorded walk: expected the caller to pass it")]
     TraceExpected {
         /// The file that the scenario names.
         path: String,
     },
-    /// The recorded movement is not valid.
+    /// The recorded walk is not valid.
     #[error("users.trace: {path}: {reason}")]
     Trace {
         /// The file.
@@ -52,7 +62,7 @@ pub struct World {
     mobility: Mobility,
     walkers: Vec<Walker>,
     positions: Vec<Vec3>,
-    /// Obstacles first, then one body a user where bodies block.
+    /// Obstacles first, then one body for each user when bodies block.
     blockers: Vec<Cylinder>,
     obstacles: usize,
     forced: Vec<bool>,
@@ -62,10 +72,13 @@ pub struct World {
 }
 
 impl World {
-    /// The world of a scenario; `seed` stands in place of the scenario's own, `trace` is the text of the file `users.trace`.
+    /// The world of a scenario.
+    ///
+    /// `seed` replaces the scenario's own seed; `trace` is the text of the file `users.trace`.
     ///
     /// # Errors
-    /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recording are not valid.
+    /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recorded walk are not
+    /// valid.
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
         let model = scenario.channel_model()?;
         let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
@@ -98,7 +111,9 @@ impl World {
         Ok(world)
     }
 
-    /// Begins again with another seed: new walks and new obstacles in the same room, at time 0. A recording goes on.
+    /// Restarts at time 0 with another seed: new walks and new obstacles in the same room.
+    ///
+    /// A recorded walk continues.
     pub fn restart(&mut self, seed: u64) {
         if let Mobility::RandomWaypoint(_) = self.mobility {
             self.mobility = Mobility::random_waypoint(self.floor, self.speeds, self.walkers.len(), seed);
@@ -108,19 +123,19 @@ impl World {
         self.refresh();
     }
 
-    /// Lets `dt_s` seconds pass and brings the scene up to date.
+    /// Advances by `dt_s` seconds and updates the scene.
     pub fn step(&mut self, dt_s: f64) {
         self.advance(dt_s);
         self.refresh();
     }
 
-    /// Lets `dt_s` seconds pass without computing the scene; [`World::refresh`] does that.
+    /// Advances by `dt_s` seconds without an update of the scene; [`World::refresh`] does that.
     pub fn advance(&mut self, dt_s: f64) {
         self.time_s += dt_s;
         self.mobility.step(dt_s);
     }
 
-    /// Brings positions, blockers and scene up to date.
+    /// Updates positions, blockers and scene.
     pub fn refresh(&mut self) {
         self.mobility.write(&mut self.walkers);
         for (position, walker) in self.positions.iter_mut().zip(&self.walkers) {
@@ -134,7 +149,7 @@ impl World {
         self.scene.update(&self.model, &self.positions, &self.blockers, &self.forced);
     }
 
-    /// The users: where they are, which way they face, how they move.
+    /// The users' receivers: positions, headings and velocities.
     pub fn users(&self) -> &[Walker] {
         &self.walkers
     }
@@ -149,12 +164,12 @@ impl World {
         &self.blockers
     }
 
-    /// What stands in the room without moving.
+    /// The obstacles.
     pub fn obstacles(&self) -> &[Cylinder] {
         &self.blockers[..self.obstacles]
     }
 
-    /// Whose direct path is off, whatever stands there.
+    /// For each user, whether the direct path is forced off.
     pub fn forced(&self) -> &[bool] {
         &self.forced
     }
@@ -179,29 +194,31 @@ impl World {
         self.time_s
     }
 
-    /// Turns the direct path of the first `users` people off and that of the others on; from the next refresh on.
+    /// Forces the direct paths of the first `users` users off and those of the others on, from the
+    /// next refresh on.
     pub fn set_forced(&mut self, users: usize) {
         for (user, forced) in self.forced.iter_mut().enumerate() {
             *forced = user < users;
         }
     }
 
-    /// New walking speeds in m/s; no effect on a recording.
+    /// New walking speeds in m/s; no effect on a recorded walk.
     ///
     /// # Errors
-    /// [`MobilityError`] for speeds that are not valid; the old ones stay.
+    /// [`MobilityError`] for speeds that are not valid; the old speeds remain.
     pub fn set_speed(&mut self, min_m_s: f64, max_m_s: f64) -> Result<(), MobilityError> {
         self.speeds = Speeds::new(min_m_s, max_m_s)?;
         self.mobility.set_speeds(self.speeds);
         Ok(())
     }
 
-    /// Slowest and fastest walking speed in m/s.
+    /// Minimum and maximum walking speed in m/s.
     pub fn speeds_m_s(&self) -> [f64; 2] {
         self.speeds.bounds_m_s()
     }
 
-    /// Another transmitted power in W; false, and no change, when it is not a positive number.
+    /// Sets the transmitted power in W; returns false, without a change, for a value that is not
+    /// positive.
     pub fn set_power(&mut self, power_w: f64) -> bool {
         let valid = power_w.is_finite() && power_w > 0.0;
         if valid {

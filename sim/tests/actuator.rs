@@ -1,8 +1,9 @@
-//! The actuators of the profiles: the same motion whatever the steps, settled where they were told.
+//! The actuators of the profiles: motion, settling, slew limit and faults.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_scenario::{Actuator as Table, ActuatorParameters, ActuatorProfile};
-use heliostat_sim::actuator::Actuator;
+use heliostat_sim::mirrors::actuator::Actuator;
+use heliostat_sim::mirrors::fault::AxisFault;
 use heliostat_sim::random::{Purpose, stream, uniform, uniform_in};
 
 const MIRRORS: usize = 6;
@@ -29,7 +30,8 @@ fn commands() -> Vec<(f64, MirrorAngles)> {
     commands
 }
 
-/// Runs the commands with steps of at most `longest` seconds; gives the angles just before each command.
+/// Runs the commands with steps of at most `longest` seconds; returns the angles just before each
+/// command.
 fn run(parameters: &ActuatorParameters, longest: f64) -> Vec<MirrorAngles> {
     let mut mirrors = actuator(parameters);
     let mut seen = Vec::new();
@@ -47,13 +49,13 @@ fn run(parameters: &ActuatorParameters, longest: f64) -> Vec<MirrorAngles> {
 }
 
 #[test]
-fn the_motion_does_not_depend_on_the_step() {
+fn the_motion_does_not_depend_on_the_step_size() {
     for profile in [ActuatorProfile::Ideal, ActuatorProfile::Mems, ActuatorProfile::Servo] {
         let parameters = ActuatorParameters { hysteresis_rad: 0.05, scale_error_relative: 0.02, ..parameters(profile) };
-        let whole = run(&parameters, 1.0);
-        assert!(whole.iter().any(|angles| angles.roll[0] != 0.0));
+        let single = run(&parameters, 1.0);
+        assert!(single.iter().any(|angles| angles.roll[0] != 0.0));
         for longest in [3e-3, 1e-3, 0.7e-4] {
-            for (a, b) in whole.iter().zip(&run(&parameters, longest)) {
+            for (a, b) in single.iter().zip(&run(&parameters, longest)) {
                 let pairs = a.roll.iter().zip(&b.roll).chain(a.yaw.iter().zip(&b.yaw));
                 let gap = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
                 assert!(gap < 1e-9, "{profile:?} in steps of {longest} s differs by {gap} rad");
@@ -100,8 +102,7 @@ fn the_slew_limit_bounds_the_mean_speed_of_a_long_turn() {
 }
 
 #[test]
-fn each_fault_does_what_its_name_says() {
-    use heliostat_sim::actuator::AxisFault;
+fn each_fault_has_its_effect() {
     for profile in [ActuatorProfile::Ideal, ActuatorProfile::Mems] {
         let mut mirrors = actuator(&ActuatorParameters { resolution_bits: None, ..parameters(profile) });
         let to = |angle: f64| MirrorAngles { roll: vec![angle; MIRRORS], yaw: vec![angle; MIRRORS] };
@@ -112,7 +113,7 @@ fn each_fault_does_what_its_name_says() {
         mirrors.set_fault(2, AxisFault::None, AxisFault::Flipped);
         mirrors.command(&to(0.4));
         mirrors.step(0.1);
-        // In whole urad.
+        // In urad, rounded.
         let at = |mirrors: &Actuator, mirror: usize| {
             let angles = mirrors.angles();
             [angles.roll[mirror], angles.yaw[mirror]].map(|angle| (angle * 1e6).round() as i64)
@@ -124,12 +125,12 @@ fn each_fault_does_what_its_name_says() {
         assert_eq!(mirrors.faulty_mirrors(), 3);
         mirrors.set_fault(0, AxisFault::None, AxisFault::None);
         mirrors.step(0.1);
-        assert_eq!(at(&mirrors, 0), [400000, 400000], "a healed mirror goes where it was told: {profile:?}");
+        assert_eq!(at(&mirrors, 0), [400000, 400000], "a healed mirror follows its command: {profile:?}");
         mirrors.go_offline(0.5);
         mirrors.command(&to(0.1));
         mirrors.step(0.4);
-        assert!(mirrors.is_away());
-        assert_eq!(at(&mirrors, 3), [400000, 400000], "nothing is heard meanwhile: {profile:?}");
+        assert!(mirrors.is_offline());
+        assert_eq!(at(&mirrors, 3), [400000, 400000], "an offline array ignores commands: {profile:?}");
         mirrors.step(0.2);
         mirrors.command(&to(0.1));
         mirrors.step(0.1);
@@ -143,6 +144,6 @@ fn each_fault_does_what_its_name_says() {
         mirrors.reboot(0.2);
         mirrors.step(0.1);
         assert_eq!(at(&mirrors, 3), [0, 0], "{profile:?}");
-        assert!(mirrors.is_away());
+        assert!(mirrors.is_offline());
     }
 }

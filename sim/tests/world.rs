@@ -1,4 +1,5 @@
-//! The world as a whole: what the seed decides, what it leaves alone, and how much stands in the light.
+//! The world: reproducibility from the seed, independence of its settings, and the share of blocked
+//! paths.
 
 use heliostat_channel::blockage::blocks;
 use heliostat_scenario::Scenario;
@@ -14,7 +15,7 @@ fn world(overrides: &[&str], seed: u64) -> World {
     World::new(&scenario(overrides), None, seed).unwrap()
 }
 
-/// Every bit of where people are and what light they get, over a while.
+/// Every bit of the users' positions and gains over 200 steps.
 fn bits(world: &mut World) -> Vec<u64> {
     let mut bits = Vec::new();
     for step in 0..200 {
@@ -27,13 +28,13 @@ fn bits(world: &mut World) -> Vec<u64> {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_world_bit_for_bit_and_another_does_not() {
+fn the_same_seed_gives_the_same_world_bit_for_bit_and_another_seed_does_not() {
     assert_eq!(bits(&mut world(&[], 5)), bits(&mut world(&[], 5)));
     assert_ne!(bits(&mut world(&[], 5)), bits(&mut world(&[], 6)));
 }
 
 #[test]
-fn a_restart_is_a_new_world() {
+fn a_restarted_world_equals_a_new_one() {
     let mut restarted = world(&[], 1);
     restarted.step(17.0);
     restarted.restart(5);
@@ -42,7 +43,7 @@ fn a_restart_is_a_new_world() {
 }
 
 #[test]
-fn one_setting_does_not_reshuffle_the_others() {
+fn one_setting_does_not_change_the_random_numbers_of_the_others() {
     let plain = world(&[], 9);
     let crowded = world(&["users.count=7", "users.speed_max_m_s=1.0", "blockage.bodies=false"], 9);
     assert_eq!(plain.obstacles(), crowded.obstacles());
@@ -64,7 +65,7 @@ fn forced_users_are_the_first_ones_and_can_be_changed() {
 }
 
 #[test]
-fn bodies_stand_behind_their_owners() {
+fn bodies_are_behind_the_receivers_of_their_users() {
     let mut world = world(&["blockage.obstacles_per_m2=0"], 4);
     world.step(12.0);
     assert_eq!(world.blockers().len(), 5);
@@ -72,11 +73,12 @@ fn bodies_stand_behind_their_owners() {
         let behind = [user.position.x - body.x_m, user.position.y - body.y_m];
         assert!((behind[0].hypot(behind[1]) - 0.3).abs() < 1e-12);
         let forwards = behind[0] * user.velocity[0] + behind[1] * user.velocity[1];
-        assert!(forwards > 0.0, "a body walks ahead of its owner");
+        assert!(forwards > 0.0, "a body is ahead of its receiver");
     }
 }
 
-/// Mean number of users of 5 whose path to the LED is blocked, over many rooms: by obstacles, by obstacles or the own body, by anything.
+/// Mean number of users of 5 whose path to the LED is blocked, over many rooms: by obstacles, by
+/// obstacles or the user's own body, by any cylinder.
 fn blocked_users() -> [f64; 3] {
     let mut world = world(&[], 0);
     let rooms = 4000;
@@ -86,9 +88,9 @@ fn blocked_users() -> [f64; 3] {
         world.restart(seed);
         let bodies = &world.blockers()[world.obstacles().len()..];
         for (user, position) in world.positions().iter().enumerate() {
-            let in_the_way = |cylinder| blocks(cylinder, position, &led);
-            let by_obstacle = world.obstacles().iter().any(in_the_way);
-            let by_own_body = in_the_way(&bodies[user]);
+            let is_blocking = |cylinder| blocks(cylinder, position, &led);
+            let by_obstacle = world.obstacles().iter().any(is_blocking);
+            let by_own_body = is_blocking(&bodies[user]);
             let cases = [by_obstacle, by_obstacle || by_own_body, world.scene().los_blocked()[user]];
             blocked.iter_mut().zip(cases).for_each(|(count, case)| *count += u32::from(case));
         }
@@ -97,9 +99,9 @@ fn blocked_users() -> [f64; 3] {
 }
 
 #[test]
-fn as_many_users_are_blocked_as_an_independent_prototype_finds() {
-    // The prototype has 0.21 of 5 for two cylinders and 1.4 with bodies, which is what each user's own body adds; the bodies of the
-    // others bring it to 1.7.
+fn the_number_of_blocked_users_agrees_with_an_independent_prototype() {
+    // The prototype has 0.21 of 5 for two cylinders, 1.4 with each user's own body, and 1.7 with
+    // the bodies of the others.
     let [obstacles, own_body, all] = blocked_users();
     assert!((obstacles - 0.21).abs() < 0.03, "{obstacles}");
     assert!((own_body - 1.4).abs() < 0.1, "{own_body}");
@@ -108,7 +110,7 @@ fn as_many_users_are_blocked_as_an_independent_prototype_finds() {
 }
 
 #[test]
-fn changes_in_a_running_world_take_effect_and_nonsense_does_not() {
+fn valid_changes_in_a_running_world_take_effect_and_invalid_ones_do_not() {
     let mut world = world(&["users.speed_min_m_s=1.0", "users.speed_max_m_s=1.0"], 2);
     assert!(world.set_speed(0.5, 0.5).is_ok());
     assert!(world.set_speed(1.0, 0.5).is_err());
@@ -121,7 +123,7 @@ fn changes_in_a_running_world_take_effect_and_nonsense_does_not() {
 }
 
 #[test]
-fn a_recording_moves_the_users_and_a_bad_one_is_refused_with_its_line() {
+fn a_recorded_walk_moves_the_users_and_an_invalid_one_is_refused_with_its_line() {
     let with = |text| World::new(&scenario(&["users.count=1", "users.trace=walk.csv"]), text, 1);
     let mut recorded = with(Some("time,user,x,y\n0,0,-1,0\n2,0,1,0\n")).unwrap();
     recorded.step(0.5);

@@ -70,7 +70,7 @@ fn the_simulated_array_keeps_every_rule() {
 fn a_check_of_an_empty_room_is_refused() {
     let endpoint = free_loopback_endpoint().unwrap();
     let ended = Process::heliostat(&["driver", "check", "--room", "empty", "--listen", &endpoint]).wait();
-    assert!(ended.refusal().contains("nobody in room \"empty\""), "{}", ended.errors);
+    assert!(ended.refusal().contains("no driver in room \"empty\""), "{}", ended.errors);
 }
 
 #[test]

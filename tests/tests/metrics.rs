@@ -69,7 +69,7 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
     ]);
     wait_until("rates and decisions on both pages", || {
         value(&fetch(controller_at), "heliostat_decisions_total") > 10.0
-            && value(&fetch(room_at), "heliostat_sum_rate_bps{room=\"demo\",hands=\"oracle\"}") > 0.0
+            && value(&fetch(room_at), "heliostat_sum_rate_bps{room=\"demo\",angles=\"oracle\"}") > 0.0
             && value(&fetch(room_at), "heliostat_room_commands_total") > 10.0
     });
     let (room_page, controller_page) = (fetch(room_at), fetch(controller_at));

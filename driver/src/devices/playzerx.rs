@@ -1,30 +1,33 @@
-//! A Mirrorcle PlayzerX at its USB serial port: one mirror, open loop.
+//! A Mirrorcle PlayzerX on its USB serial port: one mirror, open loop.
 //!
-//! Every frame is `p l`, a code, the length of the whole frame, data, and a newline (the maker's page "PlayzerX USB Serial
-//! Protocol"). A sample holds x and y as 12-bit numbers, 0 to 4095 for -1 to +1 of the mirror's range, in three bytes: low eight
-//! bits of x; high four bits of x and low four of y; high eight bits of y. Samples enter a queue that the device plays at the sample
-//! rate and are never acknowledged, so nothing is measured; only a ping is answered, with the line `pl-ok`.
+//! Every frame is `p l`, a code, the length of the frame, data, and a newline. A sample contains x
+//! and y as 12-bit numbers, 0 to 4095 for -1 to +1 of the mirror's range, in three bytes: low eight
+//! bits of x; high four bits of x and low four of y; high eight bits of y. The device applies
+//! queued samples at the sample rate and does not acknowledge them, so no angle is measured. Only a
+//! ping is answered, with the line `pl-ok`.
 //!
-//! Here x is yaw and y is roll. A device at rest holds the last sample of its queue.
+//! Here x is yaw and y is roll. With an empty queue the device holds the last sample.
+//!
+//! Source: the manufacturer's page "PlayzerX USB Serial Protocol".
 
 use std::time::Duration;
 
+use heliostat_array::device::DeviceError;
 use heliostat_proto::AxisLimits;
 
-use crate::devices::Board;
+use crate::devices::board::Board;
 use crate::devices::port::{Address, Port};
-use heliostat_array::device::DeviceError;
 
-/// Speed of the port unless told otherwise; on USB it means nothing.
+/// Default speed of the port in baud; it has no effect on USB.
 pub const BAUD: u32 = 460_800;
 
 /// Largest code of an axis.
 const CODE_MAX: f64 = 4095.0;
 
-/// Rates that the device takes, in samples a second.
+/// Sample rates of the device in Hz.
 const SAMPLE_RATES: std::ops::RangeInclusive<u32> = 50..=50_000;
 
-/// How long the answer to a ping is waited for.
+/// Timeout of the answer to a ping.
 const ANSWER_LIMIT: Duration = Duration::from_secs(1);
 
 /// One device.
@@ -36,16 +39,17 @@ pub struct PlayzerX {
 }
 
 impl PlayzerX {
-    /// The device at an address, whose mirror turns `range_rad` (mechanical) either way at the ends of its codes.
+    /// The device at an address; its largest code is `range_rad` (mechanical), its smallest the
+    /// negative.
     ///
     /// # Errors
     /// A range or a sample rate that the device does not have.
     pub fn new(address: Address, range_rad: f64, sample_rate_hz: u32) -> Result<Self, String> {
         if !(range_rad > 0.0 && range_rad <= std::f64::consts::FRAC_PI_2) {
-            return Err(format!("a range of {range_rad} rad: wanted more than 0 and at most 90 degrees"));
+            return Err(format!("invalid range_deg {}: expected more than 0 and at most 90", range_rad.to_degrees()));
         }
         if !SAMPLE_RATES.contains(&sample_rate_hz) {
-            return Err(format!("{sample_rate_hz} samples a second: the device takes 50 to 50000"));
+            return Err(format!("invalid sample_rate_hz {sample_rate_hz}: expected 50 to 50000"));
         }
         Ok(Self { address, range_rad, sample_rate_hz, port: None })
     }
@@ -81,7 +85,7 @@ impl Board for PlayzerX {
         false
     }
 
-    /// Pings the device, lets it play what comes from USB at the sample rate, and empties its queue.
+    /// Pings the device, selects USB and the sample rate, and clears its queue.
     fn connect(&mut self) -> Result<(), DeviceError> {
         self.port = None;
         let mut port = self.address.open()?;
@@ -89,7 +93,8 @@ impl Board for PlayzerX {
         port.write(&frame(b'p', &[]))?;
         let answer = port.line(ANSWER_LIMIT)?;
         if answer != "pl-ok" {
-            let problem = format!("answered a ping with {answer:?}: wanted \"pl-ok\", is this a PlayzerX?");
+            let problem =
+                format!("answered a ping with {answer:?}: expected \"pl-ok\"; connect a PlayzerX to this port");
             return Err(DeviceError::new(self.address.to_string(), problem));
         }
         let [low, middle, high, _] = self.sample_rate_hz.to_le_bytes();
@@ -111,7 +116,7 @@ impl Board for PlayzerX {
         Err(DeviceError::new(self.address.to_string(), "a PlayzerX does not measure"))
     }
 
-    /// Empties the queue; the mirror stays at the sample played last.
+    /// Clears the queue; the mirror holds the last sample.
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.write(&frame(b'c', &[]))
     }
@@ -133,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_go_from_0_over_2048_to_4095() {
+    fn codes_are_0_2048_and_4095_at_the_ends_and_the_middle() {
         assert_eq!([-1.0, 0.0, 1.0, 7.0].map(code), [0, 2048, 4095, 4095]);
     }
 

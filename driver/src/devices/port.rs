@@ -1,4 +1,4 @@
-//! A serial port or a socket, and lines of bytes over it.
+//! A serial port or a socket, read line by line.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
@@ -6,24 +6,23 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::fs::OpenOptionsExt;
 use std::time::{Duration, Instant};
 
+use heliostat_array::device::DeviceError;
 use nix::fcntl::OFlag;
 use nix::sys::termios::{self, BaudRate, SetArg, SpecialCharacterIndices};
 
-use heliostat_array::device::DeviceError;
-
-/// How long a socket may take to open.
+/// Timeout of a socket connection.
 const CONNECT_LIMIT: Duration = Duration::from_secs(2);
 
-/// How long a write may take.
+/// Timeout of a write to a socket.
 const WRITE_LIMIT: Duration = Duration::from_millis(500);
 
-/// Longest wait of one read of a socket; a line may take several.
+/// Timeout of one read of a socket; a line may need several reads.
 const READ_SLICE: Duration = Duration::from_millis(20);
 
-/// Longest line that is taken.
+/// Largest length of a line in bytes.
 const LINE_MAX: usize = 64 * 1024;
 
-/// Where a device is: `serial:/dev/ttyUSB0`, `serial:/dev/ttyUSB0@115200` or `tcp:HOST:PORT`.
+/// The address of a device: `serial:/dev/ttyUSB0`, `serial:/dev/ttyUSB0@115200` or `tcp:HOST:PORT`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
     /// A serial port and its speed in baud.
@@ -38,36 +37,37 @@ pub enum Address {
 }
 
 impl Address {
-    /// Reads an address; `baud` is the speed of a serial port for which none is given.
+    /// Parses an address; `baud` is the default speed of a serial port.
     ///
     /// # Errors
     /// What is wrong with it.
     pub fn parse(text: &str, baud: u32) -> Result<Self, String> {
-        let wanted = "wanted serial:PATH, serial:PATH@BAUD or tcp:HOST:PORT";
+        let expected = "expected serial:PATH, serial:PATH@BAUD or tcp:HOST:PORT";
         match text.split_once(':') {
             Some(("serial", path)) if !path.is_empty() => match path.rsplit_once('@') {
                 None => Ok(Self::Serial { path: path.to_owned(), baud }),
                 Some((path, speed)) => {
-                    let baud = speed.parse().map_err(|_| format!("\"{text}\": {speed} is no speed; {wanted}"))?;
+                    let baud =
+                        speed.parse().map_err(|_| format!("invalid speed \"{speed}\" in \"{text}\": {expected}"))?;
                     Ok(Self::Serial { path: path.to_owned(), baud })
                 }
             },
             Some(("tcp", host)) if host.contains(':') => Ok(Self::Tcp(host.to_owned())),
-            _ => Err(format!("\"{text}\" is no address: {wanted}")),
+            _ => Err(format!("invalid address \"{text}\": {expected}")),
         }
     }
 
     /// Opens it.
     ///
     /// # Errors
-    /// [`DeviceError`] with what the operating system says.
+    /// [`DeviceError`] with the error of the operating system.
     pub fn open(&self) -> Result<Port, DeviceError> {
         let failed = |problem: &dyn ToString| DeviceError::new(self.to_string(), problem.to_string());
         let stream: Box<dyn Stream> = match self {
             Self::Serial { path, baud } => Box::new(open_serial(path, *baud).map_err(|error| failed(&error))?),
             Self::Tcp(host) => {
                 let mut found = host.to_socket_addrs().map_err(|error| failed(&error))?;
-                let address = found.next().ok_or_else(|| failed(&"no such host"))?;
+                let address = found.next().ok_or_else(|| failed(&"unknown host: check the name in the address"))?;
                 let stream = TcpStream::connect_timeout(&address, CONNECT_LIMIT).map_err(|error| failed(&error))?;
                 let set = stream
                     .set_nodelay(true)
@@ -77,7 +77,8 @@ impl Address {
                 Box::new(stream)
             }
         };
-        // A serial port that has nothing reads as ended; a socket that has nothing times out, and ends when it is closed.
+        // Without data a serial port reads 0 bytes and a socket times out; a socket reads 0 bytes
+        // when it is closed.
         let ends = matches!(self, Self::Tcp(_));
         Ok(Port { stream, ends, name: self.to_string(), pending: Vec::new() })
     }
@@ -92,12 +93,13 @@ impl std::fmt::Display for Address {
     }
 }
 
-/// Opens a serial port for raw bytes, eight bits, no parity, no flow control; a read waits a tenth of a second at most.
+/// Opens a serial port for raw bytes: eight bits, no parity, no flow control, reads of at most 0.1
+/// s.
 fn open_serial(path: &str, baud: u32) -> std::io::Result<File> {
     let speed = SPEEDS.iter().find(|(known, _)| *known == baud).map(|(_, speed)| *speed);
     let known = || SPEEDS.map(|(baud, _)| baud.to_string()).join(", ");
-    let speed =
-        speed.ok_or_else(|| std::io::Error::other(format!("no speed of {baud} baud: wanted one of {}", known())))?;
+    let speed = speed
+        .ok_or_else(|| std::io::Error::other(format!("invalid speed of {baud} baud: expected one of {}", known())))?;
     let port = OpenOptions::new().read(true).write(true).custom_flags(OFlag::O_NOCTTY.bits()).open(path)?;
     let mut settings = termios::tcgetattr(&port)?;
     termios::cfmakeraw(&mut settings);
@@ -108,7 +110,7 @@ fn open_serial(path: &str, baud: u32) -> std::io::Result<File> {
     Ok(port)
 }
 
-/// Speeds that a port may have, in baud.
+/// Speeds of a serial port in baud.
 const SPEEDS: [(u32, BaudRate); 8] = [
     (9_600, BaudRate::B9600),
     (19_200, BaudRate::B19200),
@@ -124,10 +126,10 @@ trait Stream: Read + Write + Send {}
 
 impl<T: Read + Write + Send> Stream for T {}
 
-/// An open way to a device.
+/// An open connection to a device.
 pub struct Port {
     stream: Box<dyn Stream>,
-    /// Whether reading nothing means that the other side is gone.
+    /// Whether a read of 0 bytes means that the device closed the connection.
     ends: bool,
     name: String,
     /// Bytes read beyond the last line.
@@ -138,7 +140,7 @@ impl Port {
     /// Writes all bytes.
     ///
     /// # Errors
-    /// [`DeviceError`] where the device is gone or does not take them.
+    /// [`DeviceError`] if the device is disconnected or does not accept them.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
         let written = self.stream.write_all(bytes).and_then(|()| self.stream.flush());
         written.map_err(|error| DeviceError::new(&self.name, error))
@@ -147,7 +149,7 @@ impl Port {
     /// The next line without its end; waits for it at most `limit`.
     ///
     /// # Errors
-    /// [`DeviceError`] where none comes in time, or the device is gone.
+    /// [`DeviceError`] if no line arrives in time, or the device is disconnected.
     pub fn line(&mut self, limit: Duration) -> Result<String, DeviceError> {
         let deadline = Instant::now() + limit;
         loop {
@@ -162,17 +164,17 @@ impl Port {
         }
     }
 
-    /// Forgets what has come so far.
+    /// Discards all bytes received so far.
     ///
     /// # Errors
-    /// [`DeviceError`] where the device is gone.
+    /// [`DeviceError`] if the device is disconnected.
     pub fn drain(&mut self) -> Result<(), DeviceError> {
         while self.fill()? > 0 {}
         self.pending.clear();
         Ok(())
     }
 
-    /// Reads what is there, waiting a little; gives the number of bytes.
+    /// Reads the available bytes, with a short wait; returns their number.
     fn fill(&mut self) -> Result<usize, DeviceError> {
         let mut bytes = [0; 1024];
         match self.stream.read(&mut bytes) {

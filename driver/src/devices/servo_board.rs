@@ -1,36 +1,39 @@
-//! A board that understands lines of text: servos, steppers, galvanometers behind a microcontroller, over a serial port or a socket.
+//! A microcontroller board for servos, steppers or galvanometers, with a protocol of text lines
+//! over a serial port or a socket.
 //!
-//! The protocol is ours; `driver/reference/servo_board.ino` is a board in about 60 lines. Numbers are whole urad, mechanical, roll
-//! before yaw, mirrors in order. The host speaks, the board answers each line with one line, ended by a newline:
+//! Heliostat defines the protocol; `driver/reference/servo_board.ino` implements the board's side.
+//! Numbers are integers in urad, mechanical, roll before yaw, mirrors in order. The board answers
+//! each line of the host with one line, terminated by a newline:
 //!
 //! | host | board | meaning |
 //! | --- | --- | --- |
-//! | `hello` | `heliostat 1 MIRRORS MIN MAX FEEDBACK` | version 1, mirrors, limits of both axes, 1 where it measures |
+//! | `hello` | `heliostat 1 MIRRORS MIN MAX FEEDBACK` | version 1, mirrors, limits of both axes, 1 if it measures |
 //! | `set R0 Y0 R1 Y1 ...` | `ok` | turn all mirrors at once |
-//! | `get` | `at R0 Y0 R1 Y1 ...` | where they are |
-//! | `stop` | `ok` | stay where they are, at once |
+//! | `get` | `at R0 Y0 R1 Y1 ...` | the measured angles |
+//! | `stop` | `ok` | stop all motion at once |
 //!
-//! A board that cannot do what it is told answers `error` and why. It stops by itself when no line came for a second.
+//! A board that cannot execute a line answers `error` and the reason. It stops all motion when it
+//! has received no line for a second.
 
 use std::fmt::Write as _;
 use std::time::Duration;
 
+use heliostat_array::device::DeviceError;
 use heliostat_proto::AxisLimits;
 
-use crate::devices::Board;
+use crate::devices::board::Board;
 use crate::devices::port::{Address, Port};
-use heliostat_array::device::DeviceError;
 
-/// Speed of a serial port unless told otherwise, in baud.
+/// Default speed of a serial port in baud.
 pub const BAUD: u32 = 115_200;
 
-/// How long an answer is waited for.
+/// Timeout of an answer.
 const ANSWER_LIMIT: Duration = Duration::from_millis(500);
 
-/// A board opened by a microcontroller's reset needs this long for its first answer.
+/// Timeout of the first answer: opening the port may reset the microcontroller.
 const HELLO_LIMIT: Duration = Duration::from_secs(3);
 
-/// urad in a rad.
+/// urad per rad.
 const URAD: f64 = 1e6;
 
 /// One board.
@@ -44,20 +47,20 @@ pub struct ServoBoard {
 }
 
 impl ServoBoard {
-    /// The board at an address, of which so many mirrors and these limits are expected; a board that says otherwise is refused when it
-    /// is connected.
+    /// The board at an address, with the configured mirrors and limits; a board that reports others
+    /// is refused when it is connected.
     pub fn new(address: Address, channels: usize, axis: AxisLimits, measures: bool) -> Self {
         Self { address, channels, axis, measures, port: None, line: String::new() }
     }
 
-    /// One line to the board, one line back.
+    /// Sends one line to the board and returns its answer.
     fn ask(&mut self, line: &str, limit: Duration) -> Result<String, DeviceError> {
         let failed = |problem: String| DeviceError::new(self.address.to_string(), problem);
         let port = self.port.as_mut().ok_or_else(|| failed("not connected".into()))?;
         port.write(line.as_bytes())?;
         let answer = port.line(limit)?;
         match answer.strip_prefix("error") {
-            Some(why) => Err(failed(format!("the board refuses `{}`:{why}", line.trim_end()))),
+            Some(why) => Err(failed(format!("the board refused `{}`:{why}", line.trim_end()))),
             None => Ok(answer),
         }
     }
@@ -65,31 +68,31 @@ impl ServoBoard {
     fn confirm(&mut self, line: &str) -> Result<(), DeviceError> {
         match self.ask(line, ANSWER_LIMIT)? {
             answer if answer == "ok" => Ok(()),
-            answer => Err(DeviceError::new(self.address.to_string(), format!("answered {answer:?}: wanted ok"))),
+            answer => Err(DeviceError::new(self.address.to_string(), format!("answered {answer:?}: expected ok"))),
         }
     }
 
     fn check_hello(&self, answer: &str) -> Result<(), String> {
         let words: Vec<&str> = answer.split_whitespace().collect();
         let ["heliostat", "1", mirrors, min, max, feedback] = words[..] else {
-            return Err(format!("answered hello with {answer:?}: wanted heliostat 1 MIRRORS MIN MAX FEEDBACK"));
+            return Err(format!("answered hello with {answer:?}: expected heliostat 1 MIRRORS MIN MAX FEEDBACK"));
         };
         if mirrors.parse() != Ok(self.channels) {
-            return Err(format!("has {mirrors} mirrors: the configuration says {}", self.channels));
+            return Err(format!("has {mirrors} mirrors: expected {}, as configured", self.channels));
         }
         let urad = |text: &str| text.parse().map(|urad: f64| urad / URAD).unwrap_or(f64::NAN);
         let (min, max) = (urad(min), urad(max));
-        let (wanted_min, wanted_max) = (f64::from(self.axis.min_rad), f64::from(self.axis.max_rad));
-        // NaN, of a word that is no number, is refused here too.
-        if !(min <= wanted_min + 1.0 / URAD && max >= wanted_max - 1.0 / URAD) {
-            let degrees = [min, max, wanted_min, wanted_max].map(f64::to_degrees);
-            let [min, max, wanted_min, wanted_max] = degrees;
+        let (expected_min, expected_max) = (f64::from(self.axis.min_rad), f64::from(self.axis.max_rad));
+        // NaN, from a word that is not a number, is refused here too.
+        if !(min <= expected_min + 1.0 / URAD && max >= expected_max - 1.0 / URAD) {
+            let degrees = [min, max, expected_min, expected_max].map(f64::to_degrees);
+            let [min, max, expected_min, expected_max] = degrees;
             return Err(format!(
-                "turns from {min:.2} to {max:.2} degrees: the configuration wants {wanted_min:.2} to {wanted_max:.2}"
+                "turns from {min:.2} to {max:.2} degrees: expected at least {expected_min:.2} to {expected_max:.2}, as configured"
             ));
         }
         if self.measures && feedback != "1" {
-            return Err("does not measure: the configuration says that it does".into());
+            return Err("does not measure: expected feedback 1, because `measures` is true in the configuration".into());
         }
         Ok(())
     }
@@ -126,7 +129,7 @@ impl Board for ServoBoard {
         line.clear();
         line.push_str("set");
         for angle in angles.iter().flatten() {
-            // A string takes any text.
+            // Writing to a string cannot fail.
             let _ = write!(line, " {}", (angle * URAD).round() as i64);
         }
         line.push('\n');
@@ -148,7 +151,7 @@ impl Board for ServoBoard {
                 Ok(())
             }
             _ => {
-                let problem = format!("answered get with {answer:?}: wanted at and {} numbers", 2 * angles.len());
+                let problem = format!("answered get with {answer:?}: expected at and {} numbers", 2 * angles.len());
                 Err(DeviceError::new(self.address.to_string(), problem))
             }
         }

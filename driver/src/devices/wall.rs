@@ -1,42 +1,43 @@
-//! Many boards as one array: which channel of which board turns which mirror.
+//! Several boards as one array: the assignment of channels to mirrors.
 
+use heliostat_array::device::{Device, DeviceError};
+use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{AxisLimits, Capabilities, Feedback, ValidityClock};
 
-use crate::devices::Board;
-use heliostat_array::device::{Device, DeviceError};
-use heliostat_array::moment::Moment;
+use crate::devices::board::Board;
 
-/// A board and the mirrors that its channels turn, in the order of the channels.
+/// A board and the mirrors of its channels, in the order of the channels.
 pub struct Mounted {
     /// The hardware.
     pub board: Box<dyn Board>,
     /// Index of the mirror at each channel.
     pub mirrors: Vec<usize>,
-    /// The angles of its channels; only a buffer.
+    /// A buffer for the angles of its channels.
     angles: Vec<[f64; 2]>,
 }
 
 impl Mounted {
-    /// A board whose channels turn these mirrors.
+    /// A board and the indices of its mirrors.
     pub fn new(board: Box<dyn Board>, mirrors: Vec<usize>) -> Self {
         let angles = vec![[0.0; 2]; mirrors.len()];
         Self { board, mirrors, angles }
     }
 }
 
-/// How the array as a whole behaves.
+/// The properties of the complete array.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
     /// Rows of mirrors.
     pub rows: usize,
     /// Columns of mirrors.
     pub columns: usize,
-    /// Kept back from the range of the hardware on either side for the corrections of a calibration, in rad.
+    /// Part of the range of the hardware, on either side, that is reserved for the corrections of a
+    /// calibration, in rad.
     pub reserve_rad: f64,
-    /// How long the mirrors hold after validity ended, in ms.
+    /// Time for which the mirrors hold after validity ended, in ms.
     pub park_after_ms: u32,
-    /// From when validity is counted.
+    /// The clock by which validity is counted.
     pub clock: ValidityClock,
 }
 
@@ -47,15 +48,15 @@ pub struct Wall {
 }
 
 impl Wall {
-    /// Puts boards together; each mirror of the layout must be turned by exactly one channel.
+    /// Combines boards; exactly one channel must turn each mirror of the layout.
     ///
     /// # Errors
-    /// Which board, channel or mirror does not fit, and how.
+    /// The board, channel or mirror that does not fit.
     pub fn new(layout: Layout, boards: Vec<Mounted>) -> Result<Self, String> {
         let count = layout.rows * layout.columns;
         if count == 0 {
             return Err(format!(
-                "an array of {} x {} mirrors: wanted at least one row and one column",
+                "an array of {} x {} mirrors: expected at least one row and one column",
                 layout.rows, layout.columns
             ));
         }
@@ -63,27 +64,27 @@ impl Wall {
         for (index, Mounted { board, mirrors, .. }) in boards.iter().enumerate() {
             if board.channels() != mirrors.len() {
                 let (channels, mirrors) = (board.channels(), mirrors.len());
-                return Err(format!("board {index} has {channels} channels and {mirrors} mirrors: wanted as many"));
+                return Err(format!(
+                    "board {index} has {channels} channels but {mirrors} mirrors: expected as many mirrors as channels"
+                ));
             }
             for mirror in mirrors {
-                let place = turned.get_mut(*mirror);
-                *place
-                    .ok_or_else(|| format!("board {index}: no mirror {mirror}, the array has 0 to {}", count - 1))? +=
-                    1;
+                let unknown = || format!("board {index}: unknown mirror {mirror}: expected 0 to {}", count - 1);
+                *turned.get_mut(*mirror).ok_or_else(unknown)? += 1;
             }
         }
         if let Some(mirror) = turned.iter().position(|channels| *channels != 1) {
-            return Err(format!("mirror {mirror} is turned by {} channels: wanted one", turned[mirror]));
+            return Err(format!("mirror {mirror} is turned by {} channels: expected one", turned[mirror]));
         }
         let wall = Self { layout, boards };
         let AxisLimits { min_rad, max_rad, .. } = wall.announced();
         if min_rad >= max_rad {
-            return Err("nothing is left of the boards' common range: lower calibration_reserve_deg".into());
+            return Err("no range is left that all boards have: lower calibration_reserve_deg".into());
         }
         Ok(wall)
     }
 
-    /// What all boards can do.
+    /// The limits that all boards have in common.
     fn common(&self) -> AxisLimits {
         let axes: Vec<AxisLimits> = self.boards.iter().map(|mounted| mounted.board.axis()).collect();
         let slowest = axes.iter().map(|axis| axis.slew_rad_s).filter(|slew| *slew > 0.0).reduce(f32::min);
@@ -137,11 +138,11 @@ impl Device for Wall {
     }
 
     fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
-        for Mounted { board, mirrors, angles: told } in &mut self.boards {
-            for (channel, mirror) in told.iter_mut().zip(mirrors) {
+        for Mounted { board, mirrors, angles: channels } in &mut self.boards {
+            for (channel, mirror) in channels.iter_mut().zip(mirrors) {
                 *channel = [angles.roll[*mirror], angles.yaw[*mirror]];
             }
-            board.set(told)?;
+            board.set(channels)?;
         }
         Ok(())
     }
@@ -159,7 +160,7 @@ impl Device for Wall {
         Ok(true)
     }
 
-    /// Stops every board, also after one that failed.
+    /// Stops every board, also after one has failed.
     fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
         let stopped: Vec<_> = self.boards.iter_mut().map(|mounted| mounted.board.stop()).collect();
         stopped.into_iter().collect()

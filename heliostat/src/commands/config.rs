@@ -6,7 +6,7 @@ use heliostat_decide::observation::{OBSERVATION_VERSION, ObservationEncoder, USE
 use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
-use heliostat_sim_node::node::Pace;
+use heliostat_sim_node::Pace;
 use serde_json::{Map, Value, json};
 
 use super::demo;

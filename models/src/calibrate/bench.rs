@@ -154,7 +154,7 @@ impl Bench {
         let applied = self.mirrors.connect(at).and_then(|()| self.mirrors.apply(at, &self.told));
         self.failure = self.failure.take().or(applied.err());
         self.now_ns += ((turning_s + self.dwell_s) * 1e9) as u64;
-        self.mirrors.move_to(self.now_ns);
+        self.mirrors.advance(self.now_ns);
         self.scene.irs_gain(&self.model, self.mirrors.actuator().angles(), &mut self.gains);
         for gain in &mut self.gains {
             let factor = 1.0 + self.noise_relative * random::normal(&mut self.noise);

@@ -51,7 +51,10 @@ impl Exam {
         let mut now_ns = SETTLED_NS;
         kit.advance(Moment::simulated(now_ns));
         if let Some(corrections) = corrections {
-            kit.calibrate(Moment::simulated(now_ns), &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
+            kit.handle_calibration(
+                Moment::simulated(now_ns),
+                &corrections.message(Stamp { sequence: 1, ..Stamp::default() }),
+            )?;
         }
         let mut sum = 0.0;
         for (index, (world, angles)) in self.states.iter().enumerate() {
@@ -65,9 +68,9 @@ impl Exam {
                 yaw: narrowed(&angles.yaw),
                 ..MirrorCommand::default()
             };
-            kit.command(Moment::simulated(now_ns), &command)?;
+            kit.handle_command(Moment::simulated(now_ns), &command)?;
             now_ns += SETTLED_NS;
-            kit.device_mut().move_to(now_ns);
+            kit.device_mut().advance(now_ns);
             sum += self.judge.judge(world.scene(), kit.device().actuator().angles()).sum_rate_mbps;
         }
         Ok(sum / self.states.len() as f64)

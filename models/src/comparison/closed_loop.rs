@@ -11,11 +11,9 @@ use heliostat_array::moment::Moment;
 use heliostat_channel::solver::Solver;
 use heliostat_decide::core::{Controller, Decision, Departure, Stage};
 use heliostat_decide::inbox::Message;
-use heliostat_proto::Stamp;
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
-use heliostat_sim::schedule::Schedule;
-use heliostat_sim::streams::{Report, Reports};
+use heliostat_sim::episode::{self, Event};
 use heliostat_sim::world::World;
 use indicatif::ProgressBar;
 use rand::{RngExt, SeedableRng};
@@ -34,9 +32,6 @@ const SPACING_NS: u64 = 250_000_000;
 
 /// From the controller's start to the first share of instants in ns.
 const LEAD_NS: u64 = 1_000_000_000;
-
-/// The id of the room in its reports.
-const SOURCE: u64 = 1;
 
 /// One room, and when it is looked at.
 pub(super) struct Episode {
@@ -137,10 +132,7 @@ fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut
 
 /// A room and its controller, moving through the same simulated time.
 pub(super) struct Lockstep {
-    room: SimulatedRoom,
-    reports: Reports,
-    telemetry: Schedule,
-    telemetry_sequence: u64,
+    episode: episode::Episode,
     /// Telemetry names the mirrors that do not follow.
     names_unusable: bool,
     controller: Controller,
@@ -150,29 +142,19 @@ pub(super) struct Lockstep {
 impl Lockstep {
     pub fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
         controller.warm_up(0..2);
-        let mut room = SimulatedRoom::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
-        room.advance(start_ns());
-        controller.meet_array(&room.capabilities(Stamp::default()), Ok(()));
-        let streams = &scenario.streams;
-        Ok(Self {
-            room,
-            reports: Reports::new(streams, scenario.users.count, seed, SOURCE),
-            telemetry: Schedule::new(streams.telemetry.rate_hz, 0),
-            telemetry_sequence: 0,
-            names_unusable: true,
-            controller,
-            decisions_us: Vec::new(),
-        })
+        let episode = episode::Episode::new(scenario, scenario.read_trace()?.as_deref(), seed, start_ns())?;
+        controller.meet_array(&episode.capabilities(), Ok(()));
+        Ok(Self { episode, names_unusable: true, controller, decisions_us: Vec::new() })
     }
 
     /// Runs until the last instant and looks at the room as it stands at each.
     pub fn run(&mut self, instants_ns: &[u64], look: &mut dyn FnMut(&SimulatedRoom)) -> anyhow::Result<()> {
         for instant_ns in instants_ns {
-            while self.next_event_ns() <= *instant_ns {
-                self.event(self.next_event_ns())?;
+            while let Some((now, event)) = self.episode.poll_event(*instant_ns) {
+                self.deliver(now, event)?;
             }
-            self.room.advance(*instant_ns);
-            look(&self.room);
+            self.episode.advance(*instant_ns);
+            look(self.episode.room());
         }
         let failed = self.controller.counters().departures(Departure::PolicyFailed);
         let held = self.controller.counters().departures(Departure::Held);
@@ -182,38 +164,18 @@ impl Lockstep {
         }
     }
 
-    fn next_event_ns(&self) -> u64 {
-        let telemetry_ns = self.telemetry.next_ns().unwrap_or(u64::MAX);
-        let next_ns = telemetry_ns.min(self.reports.next_sample_ns()).min(self.reports.next_release_ns());
-        // Schedules begin at time 0, when nobody listens yet.
-        next_ns.max(start_ns())
-    }
-
-    fn event(&mut self, at_ns: u64) -> anyhow::Result<()> {
-        let now = Moment::simulated(at_ns);
-        self.room.advance(at_ns);
-        self.reports.sample(now, self.room.world(), self.room.angles());
-        if self.telemetry.take(at_ns).is_some() {
-            self.telemetry_sequence += 1;
-            let stamp = Stamp { source: SOURCE, sequence: self.telemetry_sequence, time_ns: at_ns };
-            let mut telemetry = self.room.telemetry(stamp);
-            if !self.names_unusable {
-                telemetry.unusable.clear();
+    /// Gives a message to the controller, and its command to the array.
+    fn deliver(&mut self, now: Moment, mut event: Event) -> anyhow::Result<()> {
+        let message = match &mut event {
+            Event::Telemetry(telemetry) => {
+                if !self.names_unusable {
+                    telemetry.unusable.clear();
+                }
+                Message::Telemetry(telemetry)
             }
-            self.controller.receive(at_ns, Message::Telemetry(&mut telemetry), &mut |_| {});
-        }
-        while let Some(mut report) = self.reports.release(at_ns) {
-            self.deliver(now, &mut report)?;
-        }
-        Ok(())
-    }
-
-    /// Gives a report to the controller, and the command that answers it to the mirrors.
-    fn deliver(&mut self, now: Moment, report: &mut Report) -> anyhow::Result<()> {
-        let message = match report {
-            Report::Obstacles(report) => Message::Obstacles(report),
-            Report::Channel(report) => Message::Channel(report),
-            Report::Users(report) => Message::Users(report),
+            Event::Obstacles(report) => Message::Obstacles(report),
+            Event::Channel(report) => Message::Channel(report),
+            Event::Users(report) => Message::Users(report),
         };
         let mut observed = Instant::now();
         let decisions_us = &mut self.decisions_us;
@@ -224,7 +186,7 @@ impl Lockstep {
         };
         match self.controller.receive(now.room_ns, message, &mut mark) {
             Some(Decision::Move { command, .. }) => {
-                self.room.receive(now, command).context("the array refused a command")?;
+                self.episode.handle_command(now, command).context("the array refused a command")?;
             }
             Some(Decision::Hold(departure)) => {
                 let late = departure == Departure::StaleReport;

@@ -1,28 +1,28 @@
-//! What was refused, counted by name, and the last thing that went wrong, in words.
+//! Counts of refusals by name, and the text of the last problem.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
 
-/// Counts of refusals by name: what it was about, a colon, why.
+/// Counts of refusals by name, which is the kind of message, a colon and the reason.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Refused {
+pub struct RefusalCounts {
     counts: BTreeMap<String, u64>,
     last_problem: String,
 }
 
-impl Refused {
-    /// One refusal.
+impl RefusalCounts {
+    /// Counts one refusal of a message of kind `about`.
     pub fn note(&mut self, about: &str, why: &str, problem: &dyn Display) {
         self.count(&format!("{about}:{why}"), format!("{about}: {problem}"));
     }
 
-    /// One occurrence of anything else, under a name.
+    /// Counts one occurrence of another problem under a name.
     pub fn count(&mut self, name: &str, problem: String) {
         *self.counts.entry(name.to_owned()).or_default() += 1;
         self.last_problem = problem;
     }
 
-    /// Sets a count that is kept elsewhere; none of it is no entry.
+    /// Sets a count that is kept elsewhere; a count of 0 has no entry.
     pub fn set(&mut self, name: &str, count: u64) {
         if count > 0 {
             self.counts.insert(name.to_owned(), count);
@@ -34,7 +34,7 @@ impl Refused {
         &self.counts
     }
 
-    /// The last problem; empty while there was none.
+    /// The text of the last problem; empty before the first.
     pub fn last_problem(&self) -> &str {
         &self.last_problem
     }
@@ -45,8 +45,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_by_name_and_keeps_the_last_words() {
-        let mut refused = Refused::default();
+    fn refusals_are_counted_by_name_and_the_last_problem_is_kept() {
+        let mut refused = RefusalCounts::default();
         refused.note("command", "wrong-version", &"version 9");
         refused.note("command", "wrong-version", &"version 8");
         refused.note("stop", "truncated", &"too short");

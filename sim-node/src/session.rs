@@ -1,54 +1,55 @@
-//! Where the node touches the transport: what it publishes, what it hears, and who else is in the room.
+//! The session of the simulator on the bus: the array's session, the report streams, orders, and
+//! liveliness.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, BusConfig, Class, Presence, Subscription, Token};
 use heliostat_driver::clock::Clock;
-use heliostat_driver::inbox::Inbox;
-use heliostat_driver::lines::{self, ALIVE_LIMIT, Lines, Outlet};
+use heliostat_driver::receive_queue::ReceiveQueue;
+use heliostat_driver::session::{self, ALIVE_LIMIT, ArraySession, MessagePublisher};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{Capabilities, CodecError, MirrorTelemetry, NodeKind, SimulatorControl, Stamp, decode};
 use heliostat_service::source_id;
+use heliostat_sim::reports::Report;
 
-use crate::node::NodeError;
-use heliostat_sim::streams::Report;
+use crate::error::NodeError;
 
-/// From here on everything is declared within milliseconds; time begins after this.
+/// Local time starts after this delay, when all declarations are complete.
 const START_DELAY: Duration = Duration::from_millis(30);
 
-/// Most orders of an operator that wait; beyond it new ones are shed.
+/// Capacity for orders of operators; beyond it new ones are dropped.
 const ORDERS_MAX: usize = 64;
 
-/// What came on the key of orders.
+/// A payload on the key of orders.
 type Order = Result<SimulatorControl, CodecError>;
 
-/// The node's publishers and subscriptions.
-pub(crate) struct Edge {
+/// The publishers and subscriptions of the simulator.
+pub(crate) struct RoomSession {
     bus: Bus,
     clock: Clock,
     source: u64,
-    lines: Lines,
-    rivals: Arc<Mutex<Vec<String>>>,
+    array: ArraySession,
+    other_simulators: Arc<Mutex<Vec<String>>>,
     orders: Arc<Mutex<Vec<Order>>>,
-    users: Outlet,
-    channel: Outlet,
-    obstacles: Outlet,
+    users: MessagePublisher,
+    channel: MessagePublisher,
+    obstacles: MessagePublisher,
     _declared: (Token, [Subscription; 2]),
 }
 
-impl Edge {
-    /// Opens a session and declares everything, unless another simulator is in the room.
+impl RoomSession {
+    /// Opens a session and declares everything, unless another driver or simulator is in the room.
     ///
-    /// `reports` and `telemetry` are the classes of both.
+    /// `reports` and `telemetry` are their classes of transport.
     pub fn open(config: &BusConfig, reports: Class, telemetry: Class) -> Result<Self, NodeError> {
         let bus = Bus::open(config)?;
         let keys = config.room.clone();
-        lines::check_alone(&bus)?;
+        session::check_alone(&bus)?;
         let source = source_id::random();
         let clock = Clock::start_in(START_DELAY);
-        let rivals = Arc::new(Mutex::new(Vec::new()));
-        let seen = Arc::clone(&rivals);
+        let other_simulators = Arc::new(Mutex::new(Vec::new()));
+        let seen = Arc::clone(&other_simulators);
         let watch = bus.watch(&keys.alive_of(NodeKind::SimNode), move |key, presence| {
             let other = parse_alive(key).is_some_and(|(_, id)| id != source);
             if other && presence == Presence::Alive {
@@ -64,20 +65,20 @@ impl Edge {
             }
         })?;
         Ok(Self {
-            users: Outlet::new(&bus, &keys.users(), reports)?,
-            channel: Outlet::new(&bus, &keys.channel(), reports)?,
-            obstacles: Outlet::new(&bus, &keys.obstacles(), reports)?,
-            lines: Lines::open(&bus, clock, telemetry)?,
+            users: MessagePublisher::new(&bus, &keys.users(), reports)?,
+            channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
+            obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
+            array: ArraySession::open(&bus, clock, telemetry)?,
             _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control]),
             bus,
             clock,
             source,
-            rivals,
+            other_simulators,
             orders,
         })
     }
 
-    /// The clock that stamps arrivals.
+    /// The clock that stamps arother_simulators.
     pub fn clock(&self) -> Clock {
         self.clock
     }
@@ -87,22 +88,22 @@ impl Edge {
         self.source
     }
 
-    /// What arrived for the array.
-    pub fn inbox(&self) -> &Inbox {
-        self.lines.inbox()
+    /// The queue of messages for the array.
+    pub fn received(&self) -> &ReceiveQueue {
+        self.array.received()
     }
 
-    /// Outlets for truth and status, to be used from another thread.
-    pub fn viewer_outlets(&self) -> Result<(Outlet, Outlet), NodeError> {
+    /// Publishers of truth and status, for use on another thread.
+    pub fn viewer_publishers(&self) -> Result<(MessagePublisher, MessagePublisher), NodeError> {
         let keys = self.bus.room();
-        let truth = Outlet::new(&self.bus, &keys.truth(), Class::Info)?;
-        let status = Outlet::new(&self.bus, &keys.status(NodeKind::SimNode), Class::Info)?;
+        let truth = MessagePublisher::new(&self.bus, &keys.truth(), Class::Info)?;
+        let status = MessagePublisher::new(&self.bus, &keys.status(NodeKind::SimNode), Class::Info)?;
         Ok((truth, status))
     }
 
-    /// Publishes a report; `before` runs when all is ready and only the publication remains.
+    /// Publishes a report; `before` runs between its encoding and its publication.
     pub fn publish(&mut self, report: &Report, before: impl FnOnce()) -> Result<(), NodeError> {
-        let outlet = match report {
+        let publisher = match report {
             Report::Obstacles(report) => {
                 self.obstacles.encode(report)?;
                 &self.obstacles
@@ -117,17 +118,17 @@ impl Edge {
             }
         };
         before();
-        Ok(outlet.put()?)
+        Ok(publisher.put()?)
     }
 
     /// Publishes telemetry.
     pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), NodeError> {
-        Ok(self.lines.tell(telemetry)?)
+        Ok(self.array.publish_telemetry(telemetry)?)
     }
 
-    /// Publishes the capabilities, and gives them to whoever asks from now on.
+    /// Publishes the capabilities, and answers queries with them from now on.
     pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), NodeError> {
-        Ok(self.lines.announce(capabilities)?)
+        Ok(self.array.publish_capabilities(capabilities)?)
     }
 
     /// The room's name.
@@ -141,21 +142,21 @@ impl Edge {
     }
 
     /// Tokens of other simulators that have appeared in the room since the last call.
-    pub fn new_rivals(&self) -> Vec<String> {
-        std::mem::take(&mut *self.rivals.lock().unwrap_or_else(PoisonError::into_inner))
+    pub fn new_other_simulators(&self) -> Vec<String> {
+        std::mem::take(&mut *self.other_simulators.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// What operators have ordered since the last call, sound or not.
+    /// The orders of operators since the last call, with those that cannot be decoded.
     pub fn new_orders(&self) -> Vec<Order> {
         std::mem::take(&mut *self.orders.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// A stamp of this node.
+    /// A stamp with this process as its source.
     pub fn stamp(&self, sequence: u64, time_ns: u64) -> Stamp {
         Stamp { source: self.source, sequence, time_ns }
     }
 
-    /// Withdraws everything; others see it at once.
+    /// Ends the session; other processes notice it at once.
     pub fn close(self) -> Result<(), NodeError> {
         Ok(self.bus.close()?)
     }

@@ -1,8 +1,11 @@
-//! What the room's trackers and receivers report: each stream with its own rate, latency and noise.
+//! The reports of the room's trackers and receivers: each stream has its own rate, latency and
+//! noise.
 //!
-//! A sample is taken when it is due and released a latency later; its stamp tells when it was taken. Reports that are released at the
-//! same instant come out obstacles first, then channel, then positions, since the positions complete a tick. Pure: time comes in, reports
-//! come out.
+//! A sample is taken when it is due and released one latency later; its stamp has the time of the
+//! sample. Reports that are released at the same instant are ordered: obstacles, channel,
+//! positions, because the positions complete a tick.
+//!
+//! - [`schedule`]: when the samples of a stream are due.
 
 use std::collections::BTreeMap;
 
@@ -11,27 +14,31 @@ use heliostat_channel::{Cylinder, MirrorAngles};
 use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState};
 use heliostat_scenario::Streams;
 
+use self::schedule::Schedule;
 use crate::random::{self, Purpose, RoomRng};
-use crate::schedule::Schedule;
 use crate::world::World;
+use crate::world::walker::Walker;
 
-/// A tick that leaves later than this after it was due counts as late; half a period where that is shorter.
+pub mod schedule;
+
+/// A tick that is sampled later than this after it was due counts as late; half a period if that is
+/// shorter.
 pub const LATE_NS: u64 = 1_000_000;
 
-/// A report on its way out.
+/// A report of one stream.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Report {
-    /// What stands in the room.
+    /// The obstacles in the room.
     Obstacles(ObstacleReport),
-    /// What light the users receive.
+    /// The users' channel gains and SINR.
     Channel(ChannelReport),
-    /// Where the users are; completes a tick.
+    /// The users' positions and velocities; completes a tick.
     Users(UserReport),
 }
 
-/// When a report is released, and its place among those of the same instant.
+/// The order of release: by time, then by rank among the reports of the same instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Place {
+struct ReleaseOrder {
     release_ns: u64,
     rank: u8,
     sequence: u64,
@@ -51,7 +58,7 @@ pub struct Reports {
     channel_sequence: u64,
     obstacle_sequence: u64,
     late_ticks: u64,
-    waiting: BTreeMap<Place, Report>,
+    waiting: BTreeMap<ReleaseOrder, Report>,
     irs_gain: Vec<f64>,
     sinr: Vec<f64>,
 }
@@ -85,12 +92,12 @@ impl Reports {
 
     /// When the next report is released, in local time.
     pub fn next_release_ns(&self) -> u64 {
-        self.waiting.first_key_value().map_or(u64::MAX, |(place, _)| place.release_ns)
+        self.waiting.first_key_value().map_or(u64::MAX, |(order, _)| order.release_ns)
     }
 
     /// Takes the samples that are due. The world must be up to date, with the mirrors at `angles`.
     pub fn sample(&mut self, now: Moment, world: &World, angles: &MirrorAngles) {
-        // The tick's number first, so that a channel report of the same instant carries it.
+        // The tick number advances first: a channel report of the same instant has it too.
         let tick_due = self.positions.take(now.local_ns);
         if let Some(due) = tick_due {
             self.tick += 1;
@@ -117,7 +124,7 @@ impl Reports {
         }
     }
 
-    /// The next report that is released by now, if any.
+    /// The next report whose release time has come.
     pub fn release(&mut self, local_ns: u64) -> Option<Report> {
         self.waiting.first_entry().filter(|first| first.key().release_ns <= local_ns).map(|first| first.remove())
     }
@@ -127,7 +134,7 @@ impl Reports {
         self.tick
     }
 
-    /// Ticks that were taken late, or left out because the next one was already due.
+    /// Ticks that were sampled late, or skipped because the next one was already due.
     pub fn late_ticks(&self) -> u64 {
         self.late_ticks
     }
@@ -135,10 +142,10 @@ impl Reports {
     fn user_report(&mut self, now: Moment, world: &World) -> UserReport {
         let (spread, velocity_spread) = (self.settings.positions.noise_m, self.settings.positions.velocity_noise_m_s);
         let stamp = self.stamp(self.tick, now);
-        // Noise is drawn even where its size is 0, so that switching one on leaves the others as they were.
+        // Noise is drawn even where its size is 0, so that one noise does not change the others.
         let rng = &mut self.position_noise;
         let mut noisy = |value: f64, spread: f64| (value + spread * random::normal(rng)) as f32;
-        let report = |(user, (walker, min_rate)): (usize, (&crate::mobility::Walker, &f64))| UserState {
+        let report = |(user, (walker, min_rate)): (usize, (&Walker, &f64))| UserState {
             user: user as u32,
             position_m: [walker.position.x, walker.position.y, walker.position.z].map(|value| noisy(value, spread)),
             velocity_m_s: walker.velocity.map(|value| noisy(value, velocity_spread)),
@@ -161,7 +168,7 @@ impl Reports {
             let (los_factor, irs_factor) = (factor(), factor());
             let (measured_los, measured_irs) = (los_gain * los_factor, irs_gain * irs_factor);
             let total = los_gain + irs_gain;
-            // SINR goes with the square of the whole gain.
+            // SINR is proportional to the square of the total gain.
             let sinr_factor = if total > 0.0 { ((measured_los + measured_irs) / total).powi(2) } else { 1.0 };
             UserChannel {
                 user: user as u32,
@@ -184,11 +191,11 @@ impl Reports {
             Report::Channel(report) => (1, report.stamp.sequence),
             Report::Users(report) => (2, report.stamp.sequence),
         };
-        self.waiting.insert(Place { release_ns, rank, sequence }, report);
+        self.waiting.insert(ReleaseOrder { release_ns, rank, sequence }, report);
     }
 }
 
-/// A cylinder as the contract tells it.
+/// A cylinder as a message of the contract.
 pub fn obstacle(cylinder: &Cylinder) -> Obstacle {
     Obstacle {
         x_m: cylinder.x_m as f32,

@@ -1,4 +1,4 @@
-//! When the samples of a stream are due: at k / rate seconds, from absolute deadlines, so that lateness never adds up.
+//! When the samples of a stream are due: at k / rate seconds. Absolute deadlines do not drift.
 
 /// The deadlines of one stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,12 +13,13 @@ pub struct Schedule {
 pub struct Due {
     /// When the sample was due, in ns of local time.
     pub due_ns: u64,
-    /// Deadlines after it that have passed as well and are left out.
+    /// Later deadlines that have passed as well and are skipped.
     pub skipped: u64,
 }
 
 impl Schedule {
-    /// Samples at `phase_ns` and every 1 / `rate_hz` seconds after it; a rate of 0 or less never samples.
+    /// Samples at `phase_ns` and every 1 / `rate_hz` seconds after it; a rate of 0 or less has no
+    /// samples.
     pub fn new(rate_hz: f64, phase_ns: u64) -> Self {
         Self { rate_hz, phase_ns, next: 0 }
     }
@@ -28,11 +29,12 @@ impl Schedule {
         (self.rate_hz > 0.0).then(|| self.deadline(self.next))
     }
 
-    /// Whether a deadline has been reached; later ones that have passed too are skipped and counted, never made up for.
+    /// Takes the deadline that has been reached; later ones that have passed too are skipped and
+    /// counted.
     pub fn take(&mut self, now_ns: u64) -> Option<Due> {
         let due_ns = self.next_ns().filter(|due_ns| *due_ns <= now_ns)?;
         let first = self.next + 1;
-        // An estimate from below, corrected against the deadlines themselves.
+        // The estimate is never too large; the loop corrects it against the deadlines.
         let elapsed_s = now_ns.saturating_sub(self.phase_ns) as f64 * 1e-9;
         self.next = first.max((elapsed_s * self.rate_hz) as u64);
         while self.deadline(self.next) <= now_ns {
@@ -70,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_due_before_its_time_and_what_passed_is_counted() {
+    fn no_sample_is_due_early_and_skipped_deadlines_are_counted() {
         let mut schedule = Schedule::new(100.0, 5_000_000);
         assert_eq!(schedule.take(4_999_999), None);
         assert_eq!(schedule.take(5_000_001), Some(Due { due_ns: 5_000_000, skipped: 0 }));

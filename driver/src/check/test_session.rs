@@ -1,4 +1,5 @@
-//! The one who plays: speaks to a driver as a controller and an operator would, and keeps all that it answers.
+//! The session of the check: it sends messages like a controller and an operator, and keeps all
+//! answers.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -9,39 +10,40 @@ use heliostat_proto::{
     Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand, MirrorTelemetry, Nanos,
     NodeKind, Stamp, StopAction, decode, encode,
 };
+
 use heliostat_service::{clock::utc_ns, source_id};
 
-/// How long an answer is waited for; only a driver that never gives it makes this pass.
-pub const PATIENCE: Duration = Duration::from_secs(4);
+/// Timeout of an answer, for a driver that never answers.
+pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// Time until the driver is asked again.
-const ASK_AGAIN: Duration = Duration::from_millis(50);
+/// Time between two queries to the driver.
+const QUERY_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Validity of a command that is not about validity.
+/// Validity of commands in checks that do not concern validity.
 pub const VALIDITY_MS: u32 = 3000;
 
-/// All that was heard.
+/// All messages received.
 #[derive(Default)]
-pub struct Heard {
+pub struct Received {
     /// Telemetry in the order of its arrival.
     pub telemetry: Vec<MirrorTelemetry>,
     /// Telemetry that could not be decoded.
-    pub unsound: Vec<CodecError>,
-    /// Announcements.
+    pub undecodable: Vec<CodecError>,
+    /// Published capabilities.
     pub capabilities: Vec<Capabilities>,
 }
 
 /// A session with one driver.
-pub struct Player {
+pub struct TestSession {
     bus: Bus,
     commands: Publisher,
     stops: Publisher,
     calibrations: Publisher,
-    heard: Arc<(Mutex<Heard>, Condvar)>,
+    received: Arc<(Mutex<Received>, Condvar)>,
     _subscriptions: [Subscription; 2],
-    /// As fetched at the start.
+    /// The capabilities at the start.
     pub capabilities: Capabilities,
-    /// Whether they were given on request.
+    /// Whether the driver answered the query for them.
     pub answered: bool,
     /// Epoch of the next command.
     pub epoch: u64,
@@ -51,45 +53,46 @@ pub struct Player {
     calibrations_sent: u64,
 }
 
-/// What the driver answers when it is asked. A session that has just been opened may not know yet whom to ask.
+/// Queries the driver's capabilities; repeats the query, because a new session may not know the
+/// driver yet.
 fn fetch_capabilities(bus: &Bus) -> Result<Option<Capabilities>> {
     let key = bus.room().capabilities();
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + ANSWER_TIMEOUT;
     loop {
-        let fetched = bus.fetch(&key, PATIENCE)?.iter().find_map(|payload| decode(payload).ok());
+        let fetched = bus.fetch(&key, ANSWER_TIMEOUT)?.iter().find_map(|payload| decode(payload).ok());
         if fetched.is_some() || Instant::now() >= until {
             return Ok(fetched);
         }
-        std::thread::sleep(ASK_AGAIN);
+        std::thread::sleep(QUERY_INTERVAL);
     }
 }
 
-impl Player {
+impl TestSession {
     pub fn start(bus: Bus) -> Result<Self> {
-        let heard = Arc::new((Mutex::new(Heard::default()), Condvar::new()));
+        let received = Arc::new((Mutex::new(Received::default()), Condvar::new()));
         let keys = bus.room().clone();
-        let told = Arc::clone(&heard);
+        let shared = Arc::clone(&received);
         let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
-            let mut heard = lock(&told);
+            let mut received = lock(&shared);
             match decode(payload) {
-                Ok(telemetry) => heard.telemetry.push(telemetry),
-                Err(error) => heard.unsound.push(error),
+                Ok(telemetry) => received.telemetry.push(telemetry),
+                Err(error) => received.undecodable.push(error),
             }
-            told.1.notify_all();
+            shared.1.notify_all();
         })?;
-        let told = Arc::clone(&heard);
+        let shared = Arc::clone(&received);
         let announced = bus.subscribe(&keys.capabilities(), move |payload| {
             if let Ok(capabilities) = decode(payload) {
-                lock(&told).capabilities.push(capabilities);
-                told.1.notify_all();
+                lock(&shared).capabilities.push(capabilities);
+                shared.1.notify_all();
             }
         })?;
         let fetched = fetch_capabilities(&bus)?;
-        let mut player = Self {
+        let mut session = Self {
             commands: bus.publisher(&keys.command(), Class::Order)?,
             stops: bus.publisher(&keys.stop(), Class::Order)?,
             calibrations: bus.publisher(&keys.calibration(), Class::Order)?,
-            heard,
+            received,
             _subscriptions: [telemetry, announced],
             answered: fetched.is_some(),
             capabilities: fetched.unwrap_or_default(),
@@ -99,15 +102,18 @@ impl Player {
             calibrations_sent: 0,
             bus,
         };
-        if !player.answered {
-            let announced = player.wait(PATIENCE, |heard| heard.capabilities.last().cloned());
-            player.capabilities = announced.context("the driver never said what it can do: no sound capabilities")?;
+        if !session.answered {
+            let announced = session.wait(ANSWER_TIMEOUT, |received| received.capabilities.last().cloned());
+            session.capabilities = announced.context(
+                "the driver published no valid capabilities: expected them each second and in answer to queries",
+            )?;
         }
-        let first = player.wait(PATIENCE, |heard| heard.telemetry.last().cloned());
-        let first = first.context("the driver says nothing: no sound telemetry")?;
-        // Above whatever it followed before, as a controller that starts now would be.
-        player.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;
-        Ok(player)
+        let first = session.wait(ANSWER_TIMEOUT, |received| received.telemetry.last().cloned());
+        let first = first.context("the driver published no valid telemetry: expected ten messages per second")?;
+        // Higher than any epoch that it has followed, like the epoch of a controller that starts
+        // now.
+        session.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;
+        Ok(session)
     }
 
     /// Ends the session.
@@ -115,40 +121,42 @@ impl Player {
         self.bus.close()
     }
 
-    /// The state of the driver as it was told last.
+    /// The last telemetry.
     pub fn last(&self) -> MirrorTelemetry {
-        lock(&self.heard).telemetry.last().cloned().unwrap_or_default()
+        lock(&self.received).telemetry.last().cloned().unwrap_or_default()
     }
 
     /// Number of telemetry messages so far.
     pub fn count(&self) -> usize {
-        lock(&self.heard).telemetry.len()
+        lock(&self.received).telemetry.len()
     }
 
-    /// Looks at everything heard.
-    pub fn look<T>(&self, at: impl FnOnce(&Heard) -> T) -> T {
-        at(&lock(&self.heard))
+    /// Applies a function to all messages received.
+    pub fn inspect<T>(&self, at: impl FnOnce(&Received) -> T) -> T {
+        at(&lock(&self.received))
     }
 
-    /// Waits until something is found in what was heard.
-    pub fn wait<T>(&self, limit: Duration, find: impl Fn(&Heard) -> Option<T>) -> Option<T> {
+    /// Waits until `find` returns a value for the messages received.
+    pub fn wait<T>(&self, limit: Duration, find: impl Fn(&Received) -> Option<T>) -> Option<T> {
         let deadline = Instant::now() + limit;
-        let mut heard = lock(&self.heard);
+        let mut received = lock(&self.received);
         loop {
-            if let Some(found) = find(&heard) {
+            if let Some(found) = find(&received) {
                 return Some(found);
             }
             let left = deadline.checked_duration_since(Instant::now())?;
-            heard = self.heard.1.wait_timeout(heard, left).unwrap_or_else(PoisonError::into_inner).0;
+            received = self.received.1.wait_timeout(received, left).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
-    /// Waits for telemetry from index `from` on that fits.
+    /// Waits for telemetry, from index `from` on, for which `fits` is true.
     pub fn telemetry(&self, from: usize, fits: impl Fn(&MirrorTelemetry) -> bool) -> Option<MirrorTelemetry> {
-        self.wait(PATIENCE, |heard| heard.telemetry.iter().skip(from).find(|told| fits(told)).cloned())
+        self.wait(ANSWER_TIMEOUT, |received| {
+            received.telemetry.iter().skip(from).find(|telemetry| fits(telemetry)).cloned()
+        })
     }
 
-    /// A sound command, the next of its sequence, with all mirrors at one place.
+    /// A valid command with the next sequence number and the same angles for all mirrors.
     pub fn command(&mut self, roll: f64, yaw: f64) -> MirrorCommand {
         self.sequence += 1;
         let mirrors = self.capabilities.mirrors();
@@ -163,8 +171,9 @@ impl Player {
         }
     }
 
-    /// A place within the limits, `share` of the way from the lowest to the highest angles.
-    pub fn place(&self, share: f64) -> (f64, f64) {
+    /// Roll and yaw within the limits, at `share` of the range from the lowest to the highest
+    /// angle.
+    pub fn angles_at(&self, share: f64) -> (f64, f64) {
         let Capabilities { roll, yaw, .. } = &self.capabilities;
         let at = |min: f32, max: f32| f64::from(min) + share * f64::from(max - min);
         (at(roll.min_rad, roll.max_rad), at(yaw.min_rad, yaw.max_rad))
@@ -175,28 +184,30 @@ impl Player {
         commands.iter().try_for_each(|command| self.send_bytes(&bytes(command)?))
     }
 
-    /// Publishes anything on the command key.
+    /// Publishes any payload on the command key.
     pub fn send_bytes(&self, payload: &[u8]) -> Result<()> {
         Ok(self.commands.put(payload)?)
     }
 
-    /// Publishes a stop or a re-arm as of a time.
-    pub fn order(&self, action: StopAction, time_ns: Nanos) -> Result<()> {
-        Ok(self.stops.put(&order_of(self.source, action, time_ns)?)?)
+    /// Publishes a stop or a re-arm with this time.
+    pub fn send_stop(&self, action: StopAction, time_ns: Nanos) -> Result<()> {
+        Ok(self.stops.put(&stop_message(self.source, action, time_ns)?)?)
     }
 
-    /// The same by somebody with a liveliness token of their own, which is gone as soon as the driver has shown that it heard.
-    pub fn order_and_leave(&self, action: StopAction, shows: impl Fn(&MirrorTelemetry) -> bool) -> Result<bool> {
+    /// Does the same as another process, whose liveliness token disappears once the driver shows
+    /// the effect.
+    pub fn send_stop_and_leave(&self, action: StopAction, shows: impl Fn(&MirrorTelemetry) -> bool) -> Result<bool> {
         let source = source_id::random();
         let token = self.bus.announce(&self.bus.room().alive(NodeKind::Viewer, source))?;
         let from = self.count();
-        self.stops.put(&order_of(source, action, utc_ns())?)?;
-        let heard = self.telemetry(from, shows).is_some();
+        self.stops.put(&stop_message(source, action, utc_ns())?)?;
+        let received = self.telemetry(from, shows).is_some();
         drop(token);
-        Ok(heard)
+        Ok(received)
     }
 
-    /// Publishes a calibration for `mirrors` mirrors with these offsets and no gain; gives its sequence.
+    /// Publishes a calibration for `mirrors` mirrors with this offset and gain 1; returns its
+    /// sequence.
     pub fn calibrate(&mut self, mirrors: usize, offset_rad: f64) -> Result<u64> {
         self.calibrations_sent += 1;
         let (offsets, gains) = (vec![offset_rad as f32; mirrors], vec![1.0; mirrors]);
@@ -211,19 +222,21 @@ impl Player {
         Ok(self.calibrations_sent)
     }
 
-    /// Publishes payloads and waits until the driver has counted them all; what it counted, and what it told then.
-    pub fn play(&self, payloads: &[Vec<u8>]) -> Result<(Counters, MirrorTelemetry)> {
+    /// Publishes payloads and waits until the driver has counted them; returns the counts and the
+    /// telemetry.
+    pub fn send_and_count(&self, payloads: &[Vec<u8>]) -> Result<(Counters, MirrorTelemetry)> {
         let before = self.settled();
         let from = self.count();
         for payload in payloads {
             self.send_bytes(payload)?;
         }
-        let wanted = total(&before.counters) + payloads.len() as u64;
-        let after = self.telemetry(from, |told| total(&told.counters) >= wanted).unwrap_or_else(|| self.last());
+        let expected = total(&before.counters) + payloads.len() as u64;
+        let after =
+            self.telemetry(from, |telemetry| total(&telemetry.counters) >= expected).unwrap_or_else(|| self.last());
         Ok((difference(&after.counters, &before.counters), after))
     }
 
-    /// The next telemetry, sampled after all that was sent before has been dealt with.
+    /// The next telemetry that was sampled after all earlier messages were handled.
     fn settled(&self) -> MirrorTelemetry {
         let from = self.count() + 1;
         self.telemetry(from, |_| true).unwrap_or_else(|| self.last())
@@ -237,9 +250,9 @@ pub fn bytes<T: Message>(message: &T) -> Result<Vec<u8>> {
     Ok(payload)
 }
 
-fn order_of(source: u64, action: StopAction, time_ns: Nanos) -> Result<Vec<u8>> {
+fn stop_message(source: u64, action: StopAction, time_ns: Nanos) -> Result<Vec<u8>> {
     let stamp = Stamp { source, sequence: 1, time_ns };
-    let (operator, reason) = ("driver check".into(), "check of the contract".into());
+    let (operator, reason) = ("driver check".into(), "conformance check".into());
     bytes(&EmergencyStop { stamp, action, operator, reason })
 }
 
@@ -260,6 +273,6 @@ fn difference(after: &Counters, before: &Counters) -> Counters {
     }
 }
 
-fn lock(heard: &(Mutex<Heard>, Condvar)) -> MutexGuard<'_, Heard> {
-    heard.0.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock(received: &(Mutex<Received>, Condvar)) -> MutexGuard<'_, Received> {
+    received.0.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -4,12 +4,12 @@ use heliostat_array::moment::Moment;
 use heliostat_proto::{ChannelReport, UserReport};
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
-use heliostat_sim::streams::{Report, Reports};
+use heliostat_sim::reports::{Report, Reports};
 
 const MS: u64 = 1_000_000;
 const SOURCE: u64 = 42;
 
-/// Runs the streams in simulated time; gives each report with the time of its release.
+/// Runs the streams in simulated time; returns each report with the time of its release.
 fn run(overrides: &[&str], until_ms: u64) -> Vec<(u64, Report)> {
     let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
     let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
@@ -44,7 +44,7 @@ fn channels(reports: &[(u64, Report)]) -> Vec<(u64, &ChannelReport)> {
 }
 
 #[test]
-fn each_stream_has_its_own_rate_and_latency_and_stamps_tell_the_sample() {
+fn each_stream_has_its_own_rate_and_latency_and_stamps_have_the_sample_time() {
     let settings = [
         "streams.positions.rate_hz=50",
         "streams.positions.latency_ms=30",
@@ -70,7 +70,7 @@ fn each_stream_has_its_own_rate_and_latency_and_stamps_tell_the_sample() {
 }
 
 #[test]
-fn positions_come_last_at_the_same_instant_since_they_complete_the_tick() {
+fn positions_are_the_last_report_of_an_instant() {
     let reports = run(&["streams.obstacles.rate_hz=50"], 100);
     let rank = |report: &Report| match report {
         Report::Obstacles(_) => 0,
@@ -84,7 +84,7 @@ fn positions_come_last_at_the_same_instant_since_they_complete_the_tick() {
 }
 
 #[test]
-fn noise_has_its_size_and_one_noise_leaves_the_others_alone() {
+fn noise_has_its_size_and_does_not_change_the_other_streams() {
     let quiet = run(&[], 20_000);
     let noisy = run(&["streams.positions.noise_m=0.05", "streams.positions.velocity_noise_m_s=0.2"], 20_000);
     let deviation = |pick: fn(&UserReport, usize) -> f32| {
@@ -102,7 +102,7 @@ fn noise_has_its_size_and_one_noise_leaves_the_others_alone() {
 }
 
 #[test]
-fn gain_noise_is_relative_and_blocked_stays_blocked() {
+fn gain_noise_is_relative_and_a_blocked_path_remains_blocked() {
     let quiet = run(&["blockage.forced_users=1"], 20_000);
     let noisy = run(&["blockage.forced_users=1", "streams.channel.noise_relative=0.1"], 20_000);
     let mut ratios = Vec::new();

@@ -1,38 +1,44 @@
-//! Where obstacles stand: a Matérn hard-core process of type II.
+//! Positions of the obstacles: a Matérn hard-core process of type II.
 //!
-//! Points are thrown as a Poisson process, each with a random mark; a point stays when no other within the least distance has a
-//! lower mark. The parents are thrown over the room and a margin of the least distance around it, so that the density is the same
-//! up to the walls. The intensity asked for is the one after thinning, lambda = (1 - exp(-p pi d^2)) / (pi d^2) for parents of
-//! intensity p (Chiu, Stoyan, Kendall and Mecke, Stochastic Geometry and its Applications, section 5.4).
+//! Parent points form a Poisson process, each with a random mark. A point is kept when no other
+//! point within the minimum distance has a lower mark. The parents cover the room and a margin of
+//! the minimum distance around it, so that the density is the same up to the walls. The configured
+//! intensity is the one after thinning, lambda = (1 - exp(-p pi d^2)) / (pi d^2) for parents of
+//! intensity p.
+//!
+//! Source: Chiu, Stoyan, Kendall and Mecke, Stochastic Geometry and its Applications, section 5.4.
 
 use std::f64::consts::PI;
 
 use thiserror::Error;
 
-use crate::mobility::Floor;
 use crate::random::{self, RoomRng};
+use crate::world::walker::Floor;
 
 /// Why obstacles cannot be placed.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ObstacleError {
-    /// The process cannot be denser than 1 / (pi d^2), however many parents are thrown.
+    /// The intensity after thinning stays below 1 / (pi d^2) for any intensity of the parents.
     #[error(
-        "{intensity} obstacles a m2 at least {min_distance_m} m apart: a hard-core process stays below {limit:.4} a m2"
+        "blockage.obstacles_per_m2: {intensity} at a minimum distance of {min_distance_m} m is too dense: \
+         expected less than {limit:.4}, or a shorter distance"
     )]
     TooDense {
-        /// Intensity asked for, in 1/m2.
+        /// Configured intensity in 1/m2.
         intensity: f64,
-        /// Least distance in m.
+        /// Minimum distance in m.
         min_distance_m: f64,
         /// The bound in 1/m2.
         limit: f64,
     },
     /// A negative or infinite setting.
-    #[error("obstacles: intensity {intensity} and least distance {min_distance_m} must be finite and not negative")]
+    #[error(
+        "invalid obstacles: intensity {intensity} 1/m2, minimum distance {min_distance_m} m: expected finite numbers, not negative"
+    )]
     Invalid {
-        /// Intensity asked for, in 1/m2.
+        /// Configured intensity in 1/m2.
         intensity: f64,
-        /// Least distance in m.
+        /// Minimum distance in m.
         min_distance_m: f64,
     },
 }
@@ -51,10 +57,10 @@ struct Parent {
 }
 
 impl HardCore {
-    /// A process that leaves `intensity` points a square metre on average, no two closer than `min_distance_m`.
+    /// A process of `intensity` points per m2 on average, no two closer than `min_distance_m`.
     ///
     /// # Errors
-    /// [`ObstacleError`] for settings that no process meets.
+    /// [`ObstacleError`] for settings that no such process has.
     pub fn new(intensity: f64, min_distance_m: f64) -> Result<Self, ObstacleError> {
         let valid = |value: f64| value.is_finite() && value >= 0.0;
         if !valid(intensity) || !valid(min_distance_m) {
@@ -65,26 +71,26 @@ impl HardCore {
             return Ok(Self { parent_intensity: intensity, min_distance_m });
         }
         let limit = 1.0 / disc;
-        // The last per cent would ask for hundreds of parents that are thrown only to be removed.
+        // Near the limit the number of parents diverges, and nearly all of them would be removed.
         if intensity > 0.99 * limit {
             return Err(ObstacleError::TooDense { intensity, min_distance_m, limit });
         }
         Ok(Self { parent_intensity: -(-intensity * disc).ln_1p() / disc, min_distance_m })
     }
 
-    /// Throws the points on a floor.
+    /// Draws the points on a floor.
     pub fn sample(&self, floor: &Floor, rng: &mut RoomRng) -> Vec<[f64; 2]> {
         let half_x = 0.5 * floor.length_x_m + self.min_distance_m;
         let half_y = 0.5 * floor.length_y_m + self.min_distance_m;
         let count = random::poisson(rng, self.parent_intensity * 4.0 * half_x * half_y);
-        let mut throw = |half: f64| random::uniform_in(rng, -half, half);
+        let mut draw = |half: f64| random::uniform_in(rng, -half, half);
         let parents: Vec<Parent> =
-            (0..count).map(|_| Parent { at: [throw(half_x), throw(half_y)], mark: throw(1.0) }).collect();
-        let stays = |parent: &&Parent| {
+            (0..count).map(|_| Parent { at: [draw(half_x), draw(half_y)], mark: draw(1.0) }).collect();
+        let kept = |parent: &&Parent| {
             floor.contains(parent.at[0], parent.at[1])
                 && parents.iter().all(|other| other.mark >= parent.mark || !self.too_close(other, parent))
         };
-        parents.iter().filter(stays).map(|parent| parent.at).collect()
+        parents.iter().filter(kept).map(|parent| parent.at).collect()
     }
 
     fn too_close(&self, a: &Parent, b: &Parent) -> bool {
@@ -101,7 +107,7 @@ mod tests {
     const FLOOR: Floor = Floor { length_x_m: 5.0, length_y_m: 4.0 };
 
     #[test]
-    fn keeps_the_least_distance() {
+    fn no_two_points_are_closer_than_the_minimum_distance() {
         let process = HardCore::new(0.25, 1.0).unwrap();
         let mut pairs = 0;
         for seed in 0..300 {
@@ -135,9 +141,9 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_cannot_be() {
+    fn impossible_settings_are_refused() {
         let text = |intensity, distance| HardCore::new(intensity, distance).unwrap_err().to_string();
-        assert!(text(0.4, 1.0).contains("stays below 0.3183"));
+        assert!(text(0.4, 1.0).contains("expected less than 0.3183"));
         assert!(text(-1.0, 1.0).contains("not negative"));
         assert!(HardCore::new(0.0, 1.0).unwrap().sample(&FLOOR, &mut stream(1, Purpose::Obstacles, 0)).is_empty());
         assert!(!HardCore::new(3.0, 0.0).unwrap().sample(&FLOOR, &mut stream(1, Purpose::Obstacles, 0)).is_empty());

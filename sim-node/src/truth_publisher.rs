@@ -1,55 +1,56 @@
-//! What viewers see: the truth beside its yardsticks, and the node's status. In live operation this works on a thread of its own, so that
-//! the oracle never delays a tick.
+//! Publishes the truth of the room with its baselines, and the status of the simulator.
+//!
+//! In live operation this runs on a separate thread, so that the oracle does not delay a tick.
 
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-use heliostat_driver::lines::Outlet;
+use heliostat_driver::session::MessagePublisher;
 use heliostat_proto::{NodeStatus, RoomTruth, Stamp, TruthUser};
 use heliostat_service::{Exporter, Page};
-
-use crate::edge::Edge;
-use crate::metrics;
-use crate::node::NodeError;
-use heliostat_sim::baselines::{Measured, Snapshot, Tally, Yardstick};
-use heliostat_sim::streams;
+use heliostat_sim::baselines::{Baselines, Measured, Snapshot, Tally};
+use heliostat_sim::reports;
 use heliostat_sim::world::World;
 
-/// Jobs that may wait for the thread; beyond it an instant is not measured, and counted as skipped.
-const WAITING_MAX: usize = 4;
+use crate::error::NodeError;
+use crate::metrics;
+use crate::session::RoomSession;
 
-/// Measures and publishes.
-pub(crate) struct Reporter {
-    yardstick: Yardstick,
+/// Capacity for jobs of the thread; beyond it a job is skipped and counted.
+const JOBS_MAX: usize = 4;
+
+/// Computes the baselines and publishes truth, status and metrics.
+pub(crate) struct TruthPublisher {
+    baselines: Baselines,
     tally: Tally,
     cost_s: f64,
     source: u64,
-    truth: Outlet,
-    status: Outlet,
+    truth: MessagePublisher,
+    status: MessagePublisher,
     exporter: Option<Exporter>,
-    /// The newest measured instant.
+    /// The latest computed instant.
     measured: Option<Measured>,
     truth_sequence: u64,
     status_sequence: u64,
 }
 
-/// What the measuring came to.
+/// The results of all computed instants.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Measurements {
     pub tally: Tally,
-    /// Mean time that one instant took to measure, in s.
+    /// Mean time to compute one instant, in s.
     pub mean_cost_s: f64,
 }
 
-impl Reporter {
-    pub fn new(world: &World, edge: &Edge, exporter: Option<Exporter>) -> Result<Self, NodeError> {
-        let (truth, status) = edge.viewer_outlets()?;
+impl TruthPublisher {
+    pub fn new(world: &World, session: &RoomSession, exporter: Option<Exporter>) -> Result<Self, NodeError> {
+        let (truth, status) = session.viewer_publishers()?;
         Ok(Self {
-            yardstick: Yardstick::new(world),
+            baselines: Baselines::new(world),
             tally: Tally::default(),
             cost_s: 0.0,
-            source: edge.source(),
+            source: session.source(),
             truth,
             status,
             exporter,
@@ -59,10 +60,11 @@ impl Reporter {
         })
     }
 
-    /// Measures an instant and publishes it; it counts in the tally when the array has been commanded.
+    /// Computes an instant and publishes it; it counts in the tally once the array has accepted a
+    /// command.
     pub fn truth(&mut self, at: &Snapshot) -> Result<&Measured, NodeError> {
         let begun = Instant::now();
-        let measured = self.yardstick.measure(at);
+        let measured = self.baselines.measure(at);
         if at.commanded {
             self.tally.add(measured);
             self.cost_s += begun.elapsed().as_secs_f64();
@@ -77,7 +79,7 @@ impl Reporter {
         Ok(measured)
     }
 
-    /// Publishes a status and, where they are served, metrics, with the present rates added.
+    /// Publishes a status and, if they are served, metrics; adds the present rates to both.
     pub fn status(&mut self, (mut status, page): (NodeStatus, Option<Page>)) -> Result<(), NodeError> {
         if let (Some(exporter), Some(mut page)) = (&self.exporter, page) {
             if let Some(measured) = &self.measured {
@@ -104,11 +106,11 @@ impl Reporter {
         Measurements { tally: self.tally, mean_cost_s: self.cost_s / self.tally.samples.max(1) as f64 }
     }
 
-    /// Goes on with a thread of its own.
-    pub fn into_thread(self) -> ReporterThread {
-        let (sender, jobs) = sync_channel(WAITING_MAX);
+    /// Continues on a separate thread.
+    pub fn into_thread(self) -> PublisherThread {
+        let (sender, jobs) = sync_channel(JOBS_MAX);
         let thread = std::thread::spawn(move || self.work(&jobs));
-        ReporterThread { sender, thread, skipped: 0 }
+        PublisherThread { sender, thread, skipped: 0 }
     }
 
     fn work(mut self, jobs: &Receiver<Job>) -> Result<Measurements, NodeError> {
@@ -124,44 +126,44 @@ impl Reporter {
     }
 }
 
-/// What the thread is asked to do.
+/// A job of the thread.
 enum Job {
     Truth(Box<Snapshot>),
     Status(Box<(NodeStatus, Option<Page>)>),
 }
 
-/// A reporter on its own thread.
-pub(crate) struct ReporterThread {
+/// A truth publisher on its own thread.
+pub(crate) struct PublisherThread {
     sender: SyncSender<Job>,
     thread: JoinHandle<Result<Measurements, NodeError>>,
     skipped: u64,
 }
 
-impl ReporterThread {
-    /// Measures an instant some time soon; never waits.
+impl PublisherThread {
+    /// Queues the computation of an instant; does not wait.
     pub fn truth(&mut self, snapshot: Snapshot) {
         self.send(Job::Truth(Box::new(snapshot)));
     }
 
-    /// Publishes a status some time soon; never waits.
+    /// Queues a status; does not wait.
     pub fn status(&mut self, status: (NodeStatus, Option<Page>)) {
         self.send(Job::Status(Box::new(status)));
     }
 
-    /// Instants and statuses that were left out because the thread was busy.
+    /// Instants and statuses that were skipped because the queue was full.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// Whether the thread has failed; [`ReporterThread::finish`] tells why.
+    /// Whether the thread has failed; [`PublisherThread::finish`] returns the error.
     pub fn has_failed(&self) -> bool {
         self.thread.is_finished()
     }
 
-    /// Finishes what is waiting.
+    /// Finishes the queued jobs and ends the thread.
     pub fn finish(self) -> Result<Measurements, NodeError> {
         drop(self.sender);
-        self.thread.join().map_err(|_| NodeError::ReporterPanicked)?
+        self.thread.join().map_err(|_| NodeError::TruthPublisherPanicked)?
     }
 
     fn send(&mut self, job: Job) {
@@ -189,7 +191,7 @@ fn room_truth(stamp: Stamp, at: &Snapshot, measured: &Measured) -> RoomTruth {
         stamp,
         tick: at.tick,
         users: (0..at.positions.len()).map(user).collect(),
-        obstacles: at.blockers[..at.obstacles].iter().map(streams::obstacle).collect(),
+        obstacles: at.blockers[..at.obstacles].iter().map(reports::obstacle).collect(),
         sum_rate_bps: measured.sum_rates_bps,
     }
 }

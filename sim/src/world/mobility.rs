@@ -1,55 +1,34 @@
-//! How the users move: the random waypoint walk, or a recording in its place ([`crate::trace`]).
+//! How the users move: the random waypoint model, or a recorded walk in its place.
 //!
-//! A walker goes straight to a point drawn uniformly in the room, at a speed drawn uniformly for that leg, and at once draws the next.
-//! The walk starts in its stationary regime (no warm-up) and is exact over any time step: a step may cover many legs.
-//! Only the four operations and square roots are used, so the walk is the same on every platform, bit for bit.
+//! A user walks straight to a point drawn uniformly in the room, at a speed drawn uniformly for
+//! that segment, and then draws the next point without a pause. The walk starts in its stationary
+//! regime, so it needs no warm-up. It is exact over any time step: one step may cover many
+//! segments. It uses only the four operations and square roots, so it is the same on every
+//! platform, bit for bit.
 
-use heliostat_channel::Vec3;
 use thiserror::Error;
 
 use crate::random::{self, Purpose, RoomRng};
-use crate::trace::Trace;
+use crate::world::trace::Trace;
+use crate::world::walker::{Floor, Walker};
 
 /// Why a walk cannot be made.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MobilityError {
-    /// At zero speed a leg never ends, so the slowest speed must be positive unless nobody moves at all.
+    /// At zero speed a segment never ends: the minimum must be positive, or both speeds zero.
     #[error(
-        "speeds from {min} to {max} m/s: the slowest must be above 0 and at most the fastest (or both 0: nobody moves)"
+        "invalid speeds {min} to {max} m/s: expected a minimum above 0 and at most the maximum, \
+         or both 0 for users who stand still"
     )]
     Speed {
-        /// Slowest speed in m/s.
+        /// Minimum speed in m/s.
         min: f64,
-        /// Fastest speed in m/s.
+        /// Maximum speed in m/s.
         max: f64,
     },
 }
 
-/// The rectangle in which people walk, centred on the origin.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Floor {
-    /// Extent along x in m.
-    pub length_x_m: f64,
-    /// Extent along y in m.
-    pub length_y_m: f64,
-}
-
-impl Floor {
-    /// Whether a point lies on the floor.
-    pub fn contains(&self, x: f64, y: f64) -> bool {
-        x.abs() <= 0.5 * self.length_x_m && y.abs() <= 0.5 * self.length_y_m
-    }
-
-    fn draw(&self, rng: &mut RoomRng) -> [f64; 2] {
-        [0.5 * self.length_x_m, 0.5 * self.length_y_m].map(|half| random::uniform_in(rng, -half, half))
-    }
-
-    fn diagonal(&self) -> f64 {
-        (self.length_x_m * self.length_x_m + self.length_y_m * self.length_y_m).sqrt()
-    }
-}
-
-/// The speeds of the legs, uniform between two bounds.
+/// The speeds of the segments, uniform between two bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Speeds {
     min: f64,
@@ -57,7 +36,7 @@ pub struct Speeds {
 }
 
 impl Speeds {
-    /// Speeds from `min` to `max` in m/s; both 0 is a room in which everybody stands.
+    /// Speeds from `min` to `max` in m/s; with both 0 all users stand still.
     ///
     /// # Errors
     /// [`MobilityError::Speed`] for a negative, zero, infinite or inverted pair.
@@ -70,7 +49,7 @@ impl Speeds {
         }
     }
 
-    /// Slowest and fastest in m/s.
+    /// Minimum and maximum in m/s.
     pub fn bounds_m_s(&self) -> [f64; 2] {
         [self.min, self.max]
     }
@@ -79,7 +58,9 @@ impl Speeds {
         random::uniform_in(rng, self.min, self.max)
     }
 
-    /// The speed of the leg that is under way at a random time: a leg lasts as long as 1/v, so the density is uniform times 1/v.
+    /// The speed of the segment that is under way at a random time.
+    ///
+    /// A segment lasts in proportion to 1/v, so the density is uniform times 1/v.
     fn draw_under_way(&self, rng: &mut RoomRng) -> f64 {
         loop {
             let speed = self.draw(rng);
@@ -90,27 +71,9 @@ impl Speeds {
     }
 }
 
-/// One user's receiver: where it is, which way its owner faces, and how it moves.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Walker {
-    /// Position of the detector in m, in the room frame.
-    pub position: Vec3,
-    /// Unit vector on the floor: the way the owner faces; the body stands behind.
-    pub direction: [f64; 2],
-    /// Velocity on the floor in m/s.
-    pub velocity: [f64; 2],
-}
-
-impl Walker {
-    /// The way the owner faces, in radians from +x towards +y.
-    pub fn heading(&self) -> f64 {
-        self.direction[1].atan2(self.direction[0])
-    }
-}
-
-/// A straight leg of the walk.
+/// A straight segment of the walk.
 #[derive(Clone, Copy, Debug)]
-struct Leg {
+struct Segment {
     from: [f64; 2],
     to: [f64; 2],
     length: f64,
@@ -118,21 +81,22 @@ struct Leg {
     speed: f64,
 }
 
-impl Leg {
+impl Segment {
     fn new(from: [f64; 2], to: [f64; 2], speed: f64) -> Self {
         let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
         Self { from, to, length: (dx * dx + dy * dy).sqrt(), travelled: 0.0, speed }
     }
 
-    /// The leg under way at a random time: long legs are met more often, in proportion to their length, at any point of them.
+    /// The segment under way at a random time: its probability is proportional to its length, and
+    /// the position on it is uniform.
     fn under_way(floor: &Floor, speeds: &Speeds, rng: &mut RoomRng) -> Self {
-        let longest = floor.diagonal();
+        let longest = diagonal_m(floor);
         loop {
-            let mut leg = Self::new(floor.draw(rng), floor.draw(rng), 0.0);
-            if random::uniform(rng) * longest < leg.length {
-                leg.travelled = random::uniform(rng) * leg.length;
-                leg.speed = speeds.draw_under_way(rng);
-                return leg;
+            let mut segment = Self::new(draw_point(floor, rng), draw_point(floor, rng), 0.0);
+            if random::uniform(rng) * longest < segment.length {
+                segment.travelled = random::uniform(rng) * segment.length;
+                segment.speed = speeds.draw_under_way(rng);
+                return segment;
             }
         }
     }
@@ -146,54 +110,65 @@ impl Leg {
     }
 }
 
+/// A point drawn uniformly on the floor.
+fn draw_point(floor: &Floor, rng: &mut RoomRng) -> [f64; 2] {
+    [0.5 * floor.length_x_m, 0.5 * floor.length_y_m].map(|half| random::uniform_in(rng, -half, half))
+}
+
+/// The longest straight line on the floor, in m.
+fn diagonal_m(floor: &Floor) -> f64 {
+    (floor.length_x_m * floor.length_x_m + floor.length_y_m * floor.length_y_m).sqrt()
+}
+
 /// The random waypoint walk of one user.
 #[derive(Clone, Debug)]
 pub struct RandomWaypoint {
     floor: Floor,
     speeds: Speeds,
-    leg: Leg,
+    segment: Segment,
     rng: RoomRng,
 }
 
 impl RandomWaypoint {
-    /// A walk in its stationary regime; the generator is the walker's own.
+    /// A walk in its stationary regime; the generator belongs to this user.
     pub fn new(floor: Floor, speeds: Speeds, mut rng: RoomRng) -> Self {
-        let leg = Leg::under_way(&floor, &speeds, &mut rng);
-        Self { floor, speeds, leg, rng }
+        let segment = Segment::under_way(&floor, &speeds, &mut rng);
+        Self { floor, speeds, segment, rng }
     }
 
-    /// Walks on for `dt_s` seconds, through as many legs as that takes.
+    /// Walks on for `dt_s` seconds, over as many segments as that takes.
     pub fn step(&mut self, dt_s: f64) {
-        if self.leg.speed == 0.0 {
+        if self.segment.speed == 0.0 {
             return;
         }
         let mut left = dt_s;
         loop {
-            let until_arrival = (self.leg.length - self.leg.travelled) / self.leg.speed;
+            let until_arrival = (self.segment.length - self.segment.travelled) / self.segment.speed;
             if left < until_arrival {
-                self.leg.travelled += self.leg.speed * left;
+                self.segment.travelled += self.segment.speed * left;
                 return;
             }
             left -= until_arrival;
-            let next = self.floor.draw(&mut self.rng);
-            self.leg = Leg::new(self.leg.to, next, self.speeds.draw(&mut self.rng));
+            let next = draw_point(&self.floor, &mut self.rng);
+            self.segment = Segment::new(self.segment.to, next, self.speeds.draw(&mut self.rng));
         }
     }
 
-    /// New speeds from now on; the leg under way takes a new one too.
+    /// New speeds from now on; the segment under way gets a new one too.
     pub fn set_speeds(&mut self, speeds: Speeds) {
         self.speeds = speeds;
-        self.leg.speed = speeds.draw(&mut self.rng);
+        self.segment.speed = speeds.draw(&mut self.rng);
     }
 
     fn write(&self, walker: &mut Walker) {
-        let share = if self.leg.length > 0.0 { self.leg.travelled / self.leg.length } else { 0.0 };
-        // Between the end points, and so inside the room, whatever the rounding.
-        let between = |axis: usize| self.leg.from[axis] + share.min(1.0) * (self.leg.to[axis] - self.leg.from[axis]);
+        let share = if self.segment.length > 0.0 { self.segment.travelled / self.segment.length } else { 0.0 };
+        // Rounding must not move the user beyond the end point and out of the room.
+        let between =
+            |axis: usize| self.segment.from[axis] + share.min(1.0) * (self.segment.to[axis] - self.segment.from[axis]);
         walker.position.x = between(0);
         walker.position.y = between(1);
-        walker.direction = self.leg.direction();
-        walker.velocity = walker.direction.map(|component| component * self.leg.speed);
+        walker.direction = self.segment.direction();
+        walker.velocity = walker.direction.map(|component| component * self.segment.speed);
     }
 }
 
@@ -202,12 +177,14 @@ impl RandomWaypoint {
 pub enum Mobility {
     /// Each user walks at random.
     RandomWaypoint(Vec<RandomWaypoint>),
-    /// A recording is played.
+    /// A recorded walk is played.
     Trace(Trace),
 }
 
 impl Mobility {
-    /// Random walks for `users` people, each with its own random stream, so that one more user leaves the others' walks alone.
+    /// Random walks for `users` users, each with its own random stream.
+    ///
+    /// One more user does not change the walks of the others.
     pub fn random_waypoint(floor: Floor, speeds: Speeds, users: usize, seed: u64) -> Self {
         let walks = (0..users)
             .map(|user| RandomWaypoint::new(floor, speeds, random::stream(seed, Purpose::Walk, user as u32)))
@@ -223,7 +200,7 @@ impl Mobility {
         }
     }
 
-    /// Writes where everybody is; heights are left as they are.
+    /// Writes the users' positions, headings and velocities; heights do not change.
     pub fn write(&self, walkers: &mut [Walker]) {
         match self {
             Self::RandomWaypoint(walks) => {
@@ -233,7 +210,7 @@ impl Mobility {
         }
     }
 
-    /// New walking speeds; a recording keeps its own.
+    /// New walking speeds; a recorded walk keeps its own.
     pub fn set_speeds(&mut self, speeds: Speeds) {
         if let Self::RandomWaypoint(walks) = self {
             walks.iter_mut().for_each(|walk| walk.set_speeds(speeds));
@@ -243,6 +220,8 @@ impl Mobility {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_channel::Vec3;
+
     use super::*;
 
     const FLOOR: Floor = Floor { length_x_m: 5.0, length_y_m: 5.0 };
@@ -259,7 +238,8 @@ mod tests {
         out
     }
 
-    /// Variance of x and the largest gap between its distribution and that of equation (4), F(x) = 1/2 + 3x/(2L) - 2x^3/L^3.
+    /// Variance of x and the largest gap between its distribution and that of equation (4), F(x) =
+    /// 1/2 + 3x/(2L) - 2x^3/L^3.
     fn against_equation_4(mut xs: Vec<f64>) -> (f64, f64) {
         xs.sort_by(f64::total_cmp);
         let n = xs.len() as f64;
@@ -272,18 +252,18 @@ mod tests {
     }
 
     #[test]
-    fn the_stationary_distribution_is_near_equation_4_from_the_first_moment_on() {
+    fn the_stationary_distribution_is_near_equation_4_from_the_start() {
         for after_s in [0.0, 40.0] {
             let xs = sample(3, 60_000, after_s).iter().map(|walker| walker.position.x).collect();
             let (variance, gap) = against_equation_4(xs);
-            assert!((variance - 1.34).abs() < 0.025, "variance {variance} after {after_s} s; equation (4) says 1.25");
+            assert!((variance - 1.34).abs() < 0.025, "variance {variance} after {after_s} s; equation (4) gives 1.25");
             assert!(gap < 0.03, "largest gap {gap} after {after_s} s");
         }
     }
 
     #[test]
     fn mean_speed_is_the_stationary_one() {
-        // Uniform in [a, b] per leg is log-uniform in time: mean (b - a) / ln(b / a).
+        // Uniform in [a, b] per segment is log-uniform in time: mean (b - a) / ln(b / a).
         let expected = 1.9 / 20.0_f64.ln();
         for after_s in [0.0, 40.0] {
             let out = sample(4, 40_000, after_s);
@@ -293,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn one_long_step_ends_where_many_short_ones_do() {
+    fn one_long_step_equals_many_short_ones() {
         let long = sample(5, 20, 60.0);
         let mut mobility = Mobility::random_waypoint(FLOOR, Speeds::new(0.1, 2.0).unwrap(), 20, 5);
         for _ in 0..6000 {
@@ -307,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn walkers_stay_in_the_room_and_move_as_their_velocity_says() {
+    fn users_stay_in_the_room_and_move_with_their_velocity() {
         let mut mobility = Mobility::random_waypoint(FLOOR, Speeds::new(0.1, 2.0).unwrap(), 10, 6);
         let (mut before, mut after) = (walkers(10), walkers(10));
         for _ in 0..5000 {
@@ -327,12 +307,12 @@ mod tests {
     }
 
     #[test]
-    fn one_more_user_leaves_the_others_alone() {
+    fn one_more_user_does_not_change_the_walks_of_the_others() {
         assert_eq!(sample(7, 3, 10.0), sample(7, 4, 10.0)[..3]);
     }
 
     #[test]
-    fn speeds_are_checked_and_zero_means_standing() {
+    fn invalid_speeds_are_refused_and_zero_means_standing() {
         for (min, max) in [(0.0, 1.0), (-1.0, 1.0), (2.0, 1.0), (0.1, f64::INFINITY), (f64::NAN, 1.0)] {
             assert!(Speeds::new(min, max).is_err(), "{min} {max}");
         }

@@ -1,14 +1,14 @@
-//! The loop's ledger: when each tick went out, when the command that answers it came back, and which ticks nobody answered.
+//! Matches each tick with the command that answers it, and measures the time between them.
 //!
-//! A tick is lost when no accepted command answers it within [`TICK_TIMEOUT_NS`]. Ticks before the first answer of all are
-//! unattended, not lost: nobody was there yet.
+//! A tick is lost when no accepted command answers it within [`TICK_TIMEOUT_NS`]. Ticks before the
+//! first answer count as unattended, not as lost, because no controller was in the room yet.
 
 use std::collections::VecDeque;
 
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-/// A tick that is not answered for this long is lost.
+/// A tick without an answer for this time is lost.
 pub const TICK_TIMEOUT_NS: u64 = 500_000_000;
 
 /// Latencies above this are recorded as this.
@@ -16,7 +16,7 @@ const LONGEST_NS: u64 = 10_000_000_000;
 
 /// Matches ticks with their answers.
 #[derive(Clone, Debug)]
-pub struct Ledger {
+pub struct TickLedger {
     in_flight: VecDeque<InFlight>,
     latency_ns: Histogram<u64>,
     attended: bool,
@@ -35,7 +35,7 @@ struct InFlight {
 /// A distribution of times in microseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Distribution {
-    /// How many were measured.
+    /// Number of measurements.
     pub count: u64,
     /// Median.
     pub p50: f64,
@@ -49,7 +49,7 @@ pub struct Distribution {
     pub max: f64,
 }
 
-impl Default for Ledger {
+impl Default for TickLedger {
     fn default() -> Self {
         let latency_ns =
             Histogram::new_with_bounds(1, LONGEST_NS, 3).expect("the bounds and the precision are constants in range");
@@ -57,15 +57,17 @@ impl Default for Ledger {
     }
 }
 
-impl Ledger {
-    /// A tick goes out; to be called before it is published, since the answer may come before the publication returns.
+impl TickLedger {
+    /// Records a tick; to be called before its publication, because the answer may arrive before
+    /// that returns.
     pub fn published(&mut self, tick: u64, now_ns: u64) {
         self.expire(now_ns);
         self.published += 1;
         self.in_flight.push_back(InFlight { tick, published_ns: now_ns, answered: false });
     }
 
-    /// An accepted command answers a tick; gives the time since its publication when it is the first to do so in time.
+    /// Records the answer to a tick; returns the time since its publication if it is the first
+    /// answer in time.
     pub fn answered(&mut self, tick: u64, now_ns: u64) -> Option<u64> {
         self.expire(now_ns);
         let index = self.in_flight.iter().position(|sent| sent.tick == tick && !sent.answered)?;
@@ -78,7 +80,7 @@ impl Ledger {
         self.mark(index, now_ns)
     }
 
-    /// Gives up on ticks that have waited too long.
+    /// Removes ticks whose timeout has passed.
     pub fn expire(&mut self, now_ns: u64) {
         while let Some(oldest) = self.in_flight.front() {
             if !oldest.answered && now_ns.saturating_sub(oldest.published_ns) <= TICK_TIMEOUT_NS {
@@ -98,7 +100,7 @@ impl Ledger {
         self.in_flight.iter().any(|sent| !sent.answered)
     }
 
-    /// Ticks that went out.
+    /// Ticks that were published.
     pub fn published_count(&self) -> u64 {
         self.published
     }
@@ -108,7 +110,7 @@ impl Ledger {
         self.lost
     }
 
-    /// Ticks before anybody answered.
+    /// Ticks before the first answer.
     pub fn unattended(&self) -> u64 {
         let waiting = if self.attended { 0 } else { self.in_flight.len() as u64 };
         self.unattended + waiting
@@ -119,7 +121,7 @@ impl Ledger {
         &self.latency_ns
     }
 
-    /// The same by quantile.
+    /// Quantiles of the latency.
     pub fn distribution(&self) -> Distribution {
         let histogram = &self.latency_ns;
         let microseconds = |ns: u64| ns as f64 * 1e-3;
@@ -152,12 +154,12 @@ mod tests {
 
     #[test]
     fn matches_answers_out_of_order_and_counts_what_is_lost() {
-        let mut ledger = Ledger::default();
+        let mut ledger = TickLedger::default();
         for tick in 1..=6 {
             ledger.published(tick, tick * 1000);
         }
         assert_eq!((ledger.unattended(), ledger.lost()), (6, 0));
-        // Ticks 1 and 2 went out before anybody was there.
+        // Ticks 1 and 2 were published before the first answer.
         assert_eq!(ledger.answered(3, 4000), Some(1000));
         assert_eq!(ledger.answered(5, 5200), Some(200));
         assert_eq!(ledger.answered(5, 5300), None, "a tick is answered once");
@@ -177,7 +179,7 @@ mod tests {
 
     #[test]
     fn an_answer_after_the_timeout_is_too_late() {
-        let mut ledger = Ledger::default();
+        let mut ledger = TickLedger::default();
         ledger.published(1, 0);
         ledger.published(2, 10);
         assert_eq!(ledger.answered(1, 5), Some(5));

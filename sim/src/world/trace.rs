@@ -1,18 +1,19 @@
-//! Recorded movement in place of the random walk: a CSV text with the header `time,user,x,y`.
+//! Recorded walks in place of the random walk: a CSV text with the header `time,user,x,y`.
 //!
-//! Times in s, users counted from 0, positions in m in the room frame. Between two samples of a user the position is interpolated
-//! linearly; before the first and after the last it holds. When the latest time of the whole recording is reached the recording
-//! starts again from its earliest time: everybody jumps to where they began.
+//! Times are in s, users count from 0, positions are in m in the room frame. Between two samples of
+//! a user the position is interpolated linearly; before the first and after the last sample it is
+//! constant. At its latest time the recording repeats: all users jump back to their first
+//! positions.
 
 use thiserror::Error;
 
-use crate::mobility::{Floor, Walker};
+use crate::world::walker::{Floor, Walker};
 
-/// What is wrong with a recording.
+/// What is wrong with a recorded walk.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum TraceError {
     /// The first line that is neither empty nor a comment is not the header.
-    #[error("line {line}: `{found}` where the header `time,user,x,y` was expected")]
+    #[error("line {line}: invalid header `{found}`: expected `time,user,x,y`")]
     Header {
         /// Line number, from 1.
         line: usize,
@@ -20,7 +21,7 @@ pub enum TraceError {
         found: String,
     },
     /// A line has another number of columns than four.
-    #[error("line {line}: {found} columns where 4 were expected (time,user,x,y)")]
+    #[error("line {line}: {found} columns: expected 4 (time,user,x,y)")]
     Columns {
         /// Line number, from 1.
         line: usize,
@@ -28,17 +29,17 @@ pub enum TraceError {
         found: usize,
     },
     /// A column holds no finite number.
-    #[error("line {line}: `{found}` is no valid {column}")]
+    #[error("line {line}: invalid {column} `{found}`: expected a finite number, for `user` a whole one")]
     Value {
         /// Line number, from 1.
         line: usize,
         /// Name of the column.
         column: &'static str,
-        /// What stands there.
+        /// The text in the column.
         found: String,
     },
     /// A user beyond the number in the scenario.
-    #[error("line {line}: user {user}, but the scenario has users 0 to {last}")]
+    #[error("line {line}: unknown user {user}: expected 0 to {last}, the users of the scenario")]
     User {
         /// Line number, from 1.
         line: usize,
@@ -48,7 +49,10 @@ pub enum TraceError {
         last: usize,
     },
     /// A position outside the room.
-    #[error("line {line}: ({x}, {y}) is outside the room of {length_x_m} m x {length_y_m} m centred on the origin")]
+    #[error(
+        "line {line}: ({x}, {y}) is outside the room: expected a point within {length_x_m} m x {length_y_m} m, \
+         centred on the origin"
+    )]
     Outside {
         /// Line number, from 1.
         line: usize,
@@ -62,7 +66,7 @@ pub enum TraceError {
         length_y_m: f64,
     },
     /// The samples of a user are not in order of time.
-    #[error("line {line}: time {time} of user {user} is not after {previous}")]
+    #[error("line {line}: time {time} of user {user} is not after {previous}: expected ascending times for each user")]
     Order {
         /// Line number, from 1.
         line: usize,
@@ -70,11 +74,11 @@ pub enum TraceError {
         user: usize,
         /// Time in s.
         time: f64,
-        /// The time of the sample before, in s.
+        /// Time of the sample before it, in s.
         previous: f64,
     },
     /// A user has no sample.
-    #[error("user {user} of {users} has no sample")]
+    #[error("user {user} has no sample: expected at least one for each of {users} users")]
     Missing {
         /// The user.
         user: usize,
@@ -89,7 +93,7 @@ struct Sample {
     at: [f64; 2],
 }
 
-/// A recording and the place at which it is played.
+/// A recorded walk and its playback position.
 #[derive(Clone, Debug)]
 pub struct Trace {
     users: Vec<Vec<Sample>>,
@@ -99,7 +103,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Reads a recording for exactly `users` people in a room.
+    /// Parses a recorded walk of exactly `users` users.
     ///
     /// Lines that are empty or begin with `#` are skipped.
     ///
@@ -138,14 +142,16 @@ impl Trace {
         Ok(Self { users: samples, start, duration: end - start, time: 0.0 })
     }
 
-    /// Plays on for `dt_s` seconds.
+    /// Advances the playback by `dt_s` seconds.
     pub fn step(&mut self, dt_s: f64) {
         if self.duration > 0.0 {
             self.time = (self.time + dt_s) % self.duration;
         }
     }
 
-    /// Writes where everybody is; heights are left as they are, and so is the direction of one who stands.
+    /// Writes the users' positions, headings and velocities.
+    ///
+    /// Heights do not change, nor does the heading of a user who stands still.
     pub fn write(&self, walkers: &mut [Walker]) {
         let now = self.start + self.time;
         for (samples, walker) in self.users.iter().zip(walkers) {
@@ -216,7 +222,7 @@ mod tests {
         let now = at(&trace);
         assert_eq!((now[0].position, now[0].velocity), (Vec3::new(0.5, 0.0, 0.85), [1.0, 0.0]));
         assert_eq!(now[0].direction, [1.0, 0.0]);
-        // User 1 has one sample: it stands there and keeps facing where it faced.
+        // User 1 has one sample: it stands still and keeps its heading.
         assert_eq!((now[1].position, now[1].velocity), (Vec3::new(1.0, 1.0, 0.85), [0.0, 0.0]));
         assert_eq!(now[1].direction, [0.0, 1.0]);
         trace.step(2.5);
@@ -229,13 +235,15 @@ mod tests {
     fn errors_name_the_line() {
         let error = |body: &str| Trace::parse(&format!("time,user,x,y\n{body}"), 2, &FLOOR).unwrap_err().to_string();
         assert!(error("0,0,1").contains("line 2: 3 columns"));
-        assert!(error("0,0,1,1\n0,0,x,1").contains("line 3: `x` is no valid x"));
-        assert!(error("0,0,1,NaN").contains("line 2: `NaN` is no valid y"));
-        assert!(error("0,-1,1,1").contains("line 2: `-1` is no valid user"));
-        assert!(error("0,2,1,1").contains("line 2: user 2, but the scenario has users 0 to 1"));
+        assert!(error("0,0,1,1\n0,0,x,1").contains("line 3: invalid x `x`"));
+        assert!(error("0,0,1,NaN").contains("line 2: invalid y `NaN`"));
+        assert!(error("0,-1,1,1").contains("line 2: invalid user `-1`"));
+        assert!(error("0,2,1,1").contains("line 2: unknown user 2: expected 0 to 1"));
         assert!(error("0,0,2.6,1").contains("line 2: (2.6, 1) is outside"));
         assert!(error("1,0,1,1\n1,0,1,1").contains("line 3: time 1 of user 0 is not after 1"));
-        assert!(error("1,0,1,1").contains("user 1 of 2 has no sample"));
-        assert!(Trace::parse("t,u,x,y\n", 1, &FLOOR).unwrap_err().to_string().contains("line 1: `t,u,x,y`"));
+        assert!(error("1,0,1,1").contains("user 1 has no sample"));
+        assert!(
+            Trace::parse("t,u,x,y\n", 1, &FLOOR).unwrap_err().to_string().contains("line 1: invalid header `t,u,x,y`")
+        );
     }
 }

@@ -1,15 +1,17 @@
-//! One axis of a mirror between two instants: exact response to a set-point that moves at a constant speed.
+//! One axis of a mirror between two instants: the exact response to a set-point of constant speed.
 //!
-//! The chain is set-point u -> low-pass z -> second order y, each part optional:
-//! z' = w_c (u - z), y'' + 2 d w y' + w^2 y = w^2 z. For u = a + b t both have closed forms (a straight line, a decaying
-//! exponential from the low-pass, and the free motion of the second order), so a step of any length is exact.
+//! The chain is set-point u -> low-pass z -> second order y, each part optional: z' = w_c (u - z),
+//! y'' + 2 d w y' + w^2 y = w^2 z. For u = a + b t both have closed forms: a straight line, a
+//! decaying exponential from the low-pass, and the free motion of the second order. So a step of
+//! any length is exact.
 
-/// Relative distance kept between the low-pass and a real pole of the second order, where the closed form would divide by 0.
+/// Minimum relative distance between the low-pass and a real pole of the second order, where the
+/// closed form divides by 0.
 const POLE_DISTANCE: f64 = 1e-4;
 
 /// A second-order response.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct SecondOrder {
+pub(super) struct SecondOrder {
     /// Natural frequency w in rad/s.
     pub frequency: f64,
     /// Damping ratio d.
@@ -18,16 +20,16 @@ pub(crate) struct SecondOrder {
 
 /// The linear part of an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Dynamics {
+pub(super) struct Dynamics {
     low_pass: Option<f64>,
     second_order: Option<SecondOrder>,
     /// Amplitude of y for a unit exponential exp(-w_c t) in z.
     exponential_gain: f64,
 }
 
-/// Where an axis is.
+/// The state of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct AxisState {
+pub(super) struct AxisState {
     /// The rate-limited set-point u in rad.
     pub set_point: f64,
     /// Output z of the low-pass in rad.
@@ -38,9 +40,16 @@ pub(crate) struct AxisState {
     pub speed: f64,
 }
 
+impl AxisState {
+    /// An axis that stands still at `angle`.
+    pub fn at_rest(angle: f64) -> Self {
+        Self { set_point: angle, filtered: angle, angle, speed: 0.0 }
+    }
+}
+
 /// The factors of a step of one length, shared by all axes.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Propagator {
+pub(super) struct Propagator {
     duration: f64,
     low_pass_decay: f64,
     /// exp(-d w h) times cos or cosh.
@@ -50,9 +59,10 @@ pub(crate) struct Propagator {
 }
 
 impl Dynamics {
-    /// A low-pass (cut-off in rad/s) and a second order, either of which may be missing.
+    /// A low-pass (cut-off in rad/s) and a second order, both optional.
     ///
-    /// A low-pass that coincides with a pole of an overdamped second order is moved by a ten-thousandth.
+    /// A low-pass that coincides with a pole of an overdamped second order is moved by a
+    /// ten-thousandth.
     pub fn new(low_pass: Option<f64>, second_order: Option<SecondOrder>) -> Self {
         let Some((cut_off, SecondOrder { frequency, damping })) = low_pass.zip(second_order) else {
             return Self { low_pass, second_order, exponential_gain: 0.0 };
@@ -78,7 +88,7 @@ impl Dynamics {
         Propagator { duration, low_pass_decay, even, odd }
     }
 
-    /// Moves an axis on by the propagator's duration while its set-point moves at `rate` rad/s.
+    /// Advances an axis by the propagator's duration while its set-point moves at `rate` rad/s.
     pub fn advance(&self, state: &mut AxisState, rate: f64, by: &Propagator) {
         let (start, duration) = (state.set_point, by.duration);
         let end = start + rate * duration;
@@ -108,7 +118,8 @@ impl Dynamics {
 }
 
 impl SecondOrder {
-    /// exp(-d w h) cos(w_d h) and exp(-d w h) sin(w_d h) / w_d, or their forms at and above critical damping.
+    /// exp(-d w h) cos(w_d h) and exp(-d w h) sin(w_d h) / w_d, or their forms at and above
+    /// critical damping.
     fn free_motion(&self, duration: f64) -> (f64, f64) {
         let drag = self.damping * self.frequency;
         let under = self.frequency * self.frequency - drag * drag;
@@ -121,7 +132,7 @@ impl SecondOrder {
             let decay = (-drag * duration).exp();
             (decay * cos, decay * sin / frequency)
         } else {
-            // As a sum of two decays, since cosh alone would overflow in a long step.
+            // A sum of two decays, because cosh alone overflows in a long step.
             let (slow, fast) = ((-(drag - frequency) * duration).exp(), (-(drag + frequency) * duration).exp());
             (0.5 * (slow + fast), 0.5 * (slow - fast) / frequency)
         }
@@ -132,7 +143,8 @@ impl SecondOrder {
 mod tests {
     use super::*;
 
-    /// The same equations integrated by classical Runge-Kutta in tiny steps: an independent way to the same end.
+    /// The same equations integrated by classical Runge-Kutta in tiny steps: an independent
+    /// implementation.
     fn integrate(dynamics: &Dynamics, state: &AxisState, rate: f64, duration: f64) -> AxisState {
         let cut_off = dynamics.low_pass;
         let SecondOrder { frequency, damping } = dynamics.second_order.expect("the test has one");

@@ -1,0 +1,60 @@
+//! The conformance check: sends valid and invalid messages to any driver and reports which rules it
+//! keeps.
+//!
+//! The check uses only public messages: capabilities, telemetry and liveliness tokens. Each finding
+//! has its evidence; for a rule that could not be judged, that is the reason. A wait ends when the
+//! driver has answered, or after some seconds; so on a busy machine the check is slow, but its
+//! result is correct.
+//!
+//! - [`report`]: findings and their verdicts.
+//! - `rules`: the rules, one function each; `test_session`: the session of the check with the
+//!   driver.
+
+pub mod report;
+mod rules;
+mod test_session;
+
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail, ensure};
+use heliostat_bus::{Bus, BusConfig};
+use heliostat_proto::NodeKind;
+
+pub use self::report::{Finding, Report, Verdict};
+use self::test_session::TestSession;
+
+/// Timeout for the presence of a driver.
+const PRESENCE_LIMIT: Duration = Duration::from_secs(5);
+
+/// Checks the driver of a room.
+///
+/// # Errors
+/// No driver in the room, a controller that would interfere, a transport that fails.
+pub fn run(config: &BusConfig) -> Result<Report> {
+    let bus = Bus::open(config).context("cannot join the room")?;
+    let room = bus.room().clone();
+    let begun = std::time::Instant::now();
+    let present = |kind: NodeKind| Ok::<_, anyhow::Error>(!bus.alive(&room.alive_of(kind), PRESENCE_LIMIT)?.is_empty());
+    while !present(NodeKind::Driver)? && !present(NodeKind::SimNode)? {
+        ensure!(
+            begun.elapsed() < PRESENCE_LIMIT,
+            "no driver in room \"{room}\": expected a liveliness token of a driver (alive/driver/*) or a simulator; \
+             start it with the same room and a matching endpoint"
+        );
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    if present(NodeKind::Controller)? {
+        bail!("a controller is in room \"{room}\": stop it first, because it would interfere with the check");
+    }
+    let mut session = TestSession::start(bus)?;
+    let findings = rules::judge(&mut session)?;
+    let report = Report {
+        room: room.to_string(),
+        hardware: session.capabilities.hardware.clone(),
+        driver: session.capabilities.driver.clone(),
+        mirrors: session.capabilities.mirrors(),
+        findings,
+    };
+    session.close()?;
+    Ok(report)
+}

@@ -1,0 +1,13 @@
+//! Drivers for hardware: boards with two-axis mirrors, and their combination into one array.
+//!
+//! - [`board`]: the trait for one kind of board.
+//! - [`playzerx`]: one mirror of a PlayzerX on a serial port, open loop.
+//! - [`servo_board`]: a microcontroller board with a protocol of text lines.
+//! - [`port`]: serial ports and sockets, behind one type.
+//! - [`wall`]: boards and their channels as one array.
+
+pub mod board;
+pub mod playzerx;
+pub mod port;
+pub mod servo_board;
+pub mod wall;

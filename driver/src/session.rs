@@ -1,0 +1,151 @@
+//! The session of an array on the bus, real or simulated: it receives commands, stops and
+//! calibrations, and publishes telemetry and capabilities.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use heliostat_array::content::Content;
+use heliostat_bus::{Bus, BusError, Class, Publisher, Service, Subscription};
+use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, decode, encode};
+use thiserror::Error;
+
+use crate::clock::Clock;
+use crate::receive_queue::ReceiveQueue;
+
+/// Timeout of a query for liveliness tokens.
+pub const ALIVE_LIMIT: Duration = Duration::from_secs(1);
+
+/// Why a session cannot be opened or used.
+#[derive(Debug, Error)]
+pub enum SessionError {
+    /// The transport failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// An outgoing message violates the contract.
+    #[error("a message cannot be published: {0}")]
+    Codec(#[from] CodecError),
+    /// Another process controls the mirrors of this room.
+    #[error("another {other} is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
+    RoomTaken {
+        /// Name of the room.
+        room: String,
+        /// The kind of the other process.
+        other: NodeKind,
+        /// Its liveliness token.
+        token: String,
+    },
+}
+
+/// Refuses a room in which another driver or simulator controls the mirrors.
+///
+/// # Errors
+/// [`SessionError::RoomTaken`], or a transport that fails.
+pub fn check_alone(bus: &Bus) -> Result<(), SessionError> {
+    for other in [NodeKind::SimNode, NodeKind::Driver] {
+        if let Some(token) = bus.alive(&bus.room().alive_of(other), ALIVE_LIMIT)?.into_iter().next() {
+            return Err(SessionError::RoomTaken { room: bus.room().to_string(), other, token });
+        }
+    }
+    Ok(())
+}
+
+/// A publisher of messages, with its buffer.
+pub struct MessagePublisher {
+    publisher: Publisher,
+    buffer: Vec<u8>,
+}
+
+impl MessagePublisher {
+    /// Declares a publisher.
+    ///
+    /// # Errors
+    /// A transport that fails.
+    pub fn new(bus: &Bus, key: &str, class: Class) -> Result<Self, SessionError> {
+        Ok(Self { publisher: bus.publisher(key, class)?, buffer: Vec::new() })
+    }
+
+    /// Encodes a message; [`MessagePublisher::put`] then publishes it.
+    ///
+    /// # Errors
+    /// A message that violates the contract.
+    pub fn encode<T: Message>(&mut self, message: &T) -> Result<(), SessionError> {
+        Ok(encode(message, &mut self.buffer)?)
+    }
+
+    /// Publishes the message that was encoded last.
+    ///
+    /// # Errors
+    /// A transport that fails.
+    pub fn put(&self) -> Result<(), SessionError> {
+        Ok(self.publisher.put(&self.buffer)?)
+    }
+}
+
+/// The subscriptions and publishers of an array.
+pub struct ArraySession {
+    received: Arc<ReceiveQueue>,
+    telemetry: MessagePublisher,
+    capabilities: MessagePublisher,
+    /// The payload that answers a query for the capabilities: the one published last.
+    answer: Arc<Mutex<Vec<u8>>>,
+    _declared: ([Subscription; 3], Service),
+}
+
+impl ArraySession {
+    /// Declares subscriptions and publishers; `class` is that of telemetry and capabilities.
+    ///
+    /// # Errors
+    /// A transport that fails.
+    pub fn open(bus: &Bus, clock: Clock, class: Class) -> Result<Self, SessionError> {
+        let keys = bus.room();
+        let received = Arc::new(ReceiveQueue::default());
+        let subscribe = |key: String, content: fn(&[u8]) -> Content| {
+            let received = Arc::clone(&received);
+            bus.subscribe(&key, move |payload| {
+                let at = clock.now();
+                received.push(at, content(payload));
+            })
+        };
+        let subscriptions = [
+            subscribe(keys.command(), |payload| Content::Command(decode(payload)))?,
+            subscribe(keys.stop(), |payload| Content::Stop(decode(payload)))?,
+            subscribe(keys.calibration(), |payload| Content::Calibration(decode(payload)))?,
+        ];
+        let answer = Arc::new(Mutex::new(Vec::new()));
+        let latest = Arc::clone(&answer);
+        let service = bus.serve(&keys.capabilities(), move |payload| {
+            payload.extend_from_slice(&latest.lock().unwrap_or_else(PoisonError::into_inner));
+        })?;
+        Ok(Self {
+            received,
+            telemetry: MessagePublisher::new(bus, &keys.telemetry(), class)?,
+            capabilities: MessagePublisher::new(bus, &keys.capabilities(), class)?,
+            answer,
+            _declared: (subscriptions, service),
+        })
+    }
+
+    /// The queue of received messages.
+    pub fn received(&self) -> &ReceiveQueue {
+        &self.received
+    }
+
+    /// Publishes telemetry.
+    ///
+    /// # Errors
+    /// A transport that fails, or telemetry that violates the contract.
+    pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), SessionError> {
+        self.telemetry.encode(telemetry)?;
+        self.telemetry.put()
+    }
+
+    /// Publishes the capabilities, and answers queries with them from now on.
+    ///
+    /// # Errors
+    /// A transport that fails, or capabilities that violate the contract.
+    pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), SessionError> {
+        self.capabilities.encode(capabilities)?;
+        self.answer.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&self.capabilities.buffer);
+        self.capabilities.put()
+    }
+}

@@ -18,14 +18,14 @@
 //! then.
 //!
 //! ```text
-//!              connect succeeded: apply the target, or stop again if the array is stopped
-//!         +------------------------------------------------------------------------+
-//!         |                                                                        v
-//!     +------+   retry at retry_at_ns, after a pause that doubles up to 5 s     +----+
-//! +-->| Down |---------------------------------------------------------+        | Up |
-//! |   +------+<--- connect failed -------------------------------------+        +----+
-//! |       ^                                                                        |
-//! start   +------------------- a call of the device failed ------------------------+
+//!            connect failed: the pause doubles, up to 5 s
+//!                +------+
+//!                |      v
+//!             +------------+   connect succeeded: apply the    +------+
+//! start ----->|    Down    |---------------------------------->|  Up  |
+//!             +------------+   target, or stop the device      +------+
+//!                    ^                                            |
+//!                    +--------- a call of the device failed ------+
 //! ```
 //!
 //! The fail-safe default is the park position: mirrors for which no command is valid are parked,

@@ -10,17 +10,18 @@
 //! [`Array::advance`] next.
 //!
 //! ```text
-//!                          command accepted
-//!              +---------------------------------------------+
-//!              |                                             v
-//!         +--------+     hold_ns after       +---------+   validity   +-----------+
-//! start ->| Parked |<------ validity --------| Holding |<--- ends ----| Following |<--+ command
-//!         +--------+                         +---------+              +-----------+---+ accepted
-//!              ^                                  |    command accepted    ^
-//!              |                                  +------------------------+
-//!              |
-//!              | re-arm later than the stop  +---------+
-//!              +-----------------------------| Stopped |<--- stop, from any state
+//!                 command accepted
+//!           +---------------------------------------------------+
+//!           |                                                   v
+//!      +--------+  hold_ns passed  +---------+  validity  +-----------+<--+
+//! ---->| Parked |<-----------------| Holding |<-----------| Following |   | command accepted
+//!      +--------+                  +---------+   ended    +-----------+---+
+//!           ^                           |                       ^
+//!           |                           +-----------------------+
+//!           |                               command accepted
+//!           |
+//!           |  re-arm, later than the stop   +---------+
+//!           +--------------------------------| Stopped |<---- stop, in any state
 //!                                            +---------+
 //! ```
 //!

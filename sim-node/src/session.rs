@@ -78,7 +78,7 @@ impl RoomSession {
         })
     }
 
-    /// The clock that stamps arother_simulators.
+    /// The clock that stamps arrivals.
     pub fn clock(&self) -> Clock {
         self.clock
     }

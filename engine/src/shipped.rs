@@ -20,25 +20,25 @@ pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) ->
     format!("{}-{mode}-{rows}x{columns}{seed}.onnx", policy.name())
 }
 
-/// The training seeds of which an actor is built in for a scenario, in order.
+/// The training seeds with a built-in actor for a scenario, in ascending order.
 pub fn training_seeds(policy: PolicyKind, scenario: &Scenario) -> Vec<u32> {
     (1..=TRAINING_SEEDS_MAX).filter(|seed| bytes(&file_name(policy, scenario, u64::from(*seed))).is_some()).collect()
 }
 
-/// Largest training seed that is looked for among the built-in actors.
+/// Largest training seed of a built-in actor.
 const TRAINING_SEEDS_MAX: u32 = 10;
 
 /// The built-in actor for a scenario.
 ///
 /// # Errors
-/// [`SourceError::NotShipped`] with the names of those there are.
+/// [`SourceError::NotShipped`] with the names of the built-in actors.
 pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Result<ActorFile, SourceError> {
-    let wanted = file_name(policy, scenario, u64::from(training_seed));
-    match bytes(&wanted) {
-        Some(bytes) => Ok(ActorFile { origin: format!("the built-in actor {wanted}"), bytes: bytes.into() }),
+    let expected = file_name(policy, scenario, u64::from(training_seed));
+    match bytes(&expected) {
+        Some(bytes) => Ok(ActorFile { origin: format!("the built-in actor {expected}"), bytes: bytes.into() }),
         None => {
             let prefix = format!("{}-", policy.name());
-            // Of each room one, and none of policies whose names begin alike.
+            // One per room, and none of policies whose names begin with the same word.
             let of_policy = |name: &&str| {
                 let rest = name.strip_prefix(&prefix);
                 rest.is_some_and(|rest| {
@@ -47,7 +47,7 @@ pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Resu
             };
             let available = names().filter(of_policy).collect::<Vec<_>>().join(", ");
             let available = if available.is_empty() { "none of this policy".into() } else { available };
-            Err(SourceError::NotShipped { policy: policy.name(), wanted, available })
+            Err(SourceError::NotShipped { policy: policy.name(), expected, available })
         }
     }
 }

@@ -4,8 +4,8 @@ use heliostat_channel::solver::{ASSIGNMENTS_MAX, Need, Problem, QOS_PENALTY, Sol
 use heliostat_channel::{ChannelModel, MirrorAngles, decode};
 use heliostat_scenario::{ChannelMode, Scenario};
 
-use super::{Policy, PolicyError};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError};
+use crate::observe::observation::Observation;
 
 /// Tries everything; for arrays of a dozen mirrors at most, and only where mirrors obey the law of reflection.
 pub struct Exhaustive {

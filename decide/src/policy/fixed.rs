@@ -4,8 +4,8 @@ use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Policy, PolicyError};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError};
+use crate::observe::observation::Observation;
 
 /// The same angles for ever.
 pub struct Fixed {

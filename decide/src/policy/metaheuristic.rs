@@ -12,8 +12,8 @@ use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::TimeSource;
-use crate::{observation::Observation, safety::Limits};
+use super::proposal::TimeSource;
+use crate::{observe::observation::Observation, output::safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
 const POPULATION: usize = 20;

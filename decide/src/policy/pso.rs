@@ -15,8 +15,8 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::{Policy, PolicyError, TimeSource};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError, TimeSource};
+use crate::observe::observation::Observation;
 
 /// w: the constriction for c1 + c2 = 4.1.
 const INERTIA: f64 = 0.7298;

@@ -17,8 +17,8 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::{Policy, PolicyError, TimeSource};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError, TimeSource};
+use crate::observe::observation::Observation;
 
 /// r1 at the start; the author's constant.
 const FIRST_REACH: f64 = 2.0;

@@ -63,10 +63,13 @@ fn the_layout_is_version_three() {
     assert_eq!([summary[3], summary[4], summary[5]], [&[0.85, 0.85, 0.85, 0.0], need, &[3.0, 3.0, 3.0, 0.0]]);
     assert_eq!(summary[6], [direct[0].ln_1p(), direct[1].ln_1p(), direct[2].ln_1p(), 0.0]);
     let in_f64 = |values: &[f32]| values.iter().map(|&value| f64::from(value)).collect::<Vec<f64>>();
-    let wanted = balanced(&in_f64(&vector[24..51]), &in_f64(&direct[..3]), &in_f64(&need[..3]));
-    for (column, wanted) in summary[7..].iter().zip(wanted) {
-        for (found, wanted) in column.iter().zip(wanted) {
-            assert!((f64::from(*found) - wanted).abs() < 1e-4 * wanted.abs().max(1.0), "{column:?} for {wanted:?}");
+    let expected = balanced(&in_f64(&vector[24..51]), &in_f64(&direct[..3]), &in_f64(&need[..3]));
+    for (column, expected) in summary[7..].iter().zip(expected) {
+        for (found, expected) in column.iter().zip(expected) {
+            assert!(
+                (f64::from(*found) - expected).abs() < 1e-4 * expected.abs().max(1.0),
+                "{column:?} for {expected:?}"
+            );
         }
         assert_eq!(column[3], 0.0);
     }
@@ -153,8 +156,8 @@ fn what_does_not_fit_is_an_error() {
         ObservationEncoder::new(users_max, mirrors).encode(&model, &observation, &mut vec![0.0; length])
     };
     assert_eq!(encode(2, 9, 68), Err(EncodeError::Users { users: 3, capacity: 2 }));
-    assert_eq!(encode(4, 8, 112), Err(EncodeError::Mirrors { found: 9, wanted: 8 }));
-    assert_eq!(encode(4, 9, 121), Err(EncodeError::Buffer { found: 121, wanted: 122 }));
+    assert_eq!(encode(4, 8, 112), Err(EncodeError::Mirrors { found: 9, expected: 8 }));
+    assert_eq!(encode(4, 9, 121), Err(EncodeError::Buffer { found: 121, expected: 122 }));
 }
 
 #[test]

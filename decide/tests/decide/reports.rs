@@ -1,7 +1,7 @@
 //! Which reports are taken, and under which name the others are refused.
 
 use heliostat_decide::{
-    core::{Controller, Departure},
+    core::{Controller, DegradedMode},
     inbox::Message,
     policy::Fixed,
     refusal::{Refusal, Stream},
@@ -25,7 +25,7 @@ fn a_position_report_completes_a_tick_and_a_channel_report_does_not() {
     let now = Room::time(3);
     assert_eq!(receive(&mut controller, now, Message::Channel(&mut room.gains(3, 1e-6))), Outcome::Nothing);
     let command = receive(&mut controller, now, Message::Users(&mut room.positions(3))).command();
-    assert_eq!((command.answers, command.sequence, command.epoch), (3, 1, 7));
+    assert_eq!((command.answers, command.sequence, command.epoch), (3, 0, 7));
     assert_eq!((command.time_ns, command.validity_ms), (now, 200));
     assert_eq!(controller.inbox().refused().total(), 0);
 }
@@ -35,9 +35,9 @@ fn a_report_that_is_too_old_gets_no_command() {
     let (mut controller, mut room) = flat(&[]);
     let late = Room::time(1) + 501 * MS;
     let outcome = receive(&mut controller, late, Message::Users(&mut room.positions(1)));
-    assert_eq!(outcome, Outcome::Held(Departure::StaleReport));
+    assert_eq!(outcome, Outcome::Held(DegradedMode::StaleReport));
     assert_eq!(refused(&controller, Stream::Users, Refusal::Stale), 1);
-    assert_eq!(controller.counters().departures(Departure::StaleReport), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::StaleReport), 1);
 
     let in_time = Room::time(2) + 500 * MS;
     receive(&mut controller, in_time, Message::Users(&mut room.positions(2))).command();
@@ -91,16 +91,16 @@ fn nothing_of_the_first_source_is_mixed_into_the_second() {
     let now = Room::time(102);
     receive(&mut controller, now, Message::Users(&mut other.positions(102))).command();
     assert!(controller.inbox().channel(now).is_none());
-    assert_eq!(controller.counters().departures(Departure::ChannelMissing), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::ChannelMissing), 1);
 }
 
 #[test]
 fn a_source_that_said_goodbye_frees_the_room_at_once() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
-    controller.source_gone(0x99);
+    controller.handle_source_lost(0x99);
     assert_eq!(controller.inbox().source(), Some(SOURCE));
-    controller.source_gone(SOURCE);
+    controller.handle_source_lost(SOURCE);
     let mut other = Room { source: 0x52, ..room };
     assert_eq!(other.tick(&mut controller, 2).command().answers, 2);
 }
@@ -109,12 +109,12 @@ fn a_source_that_said_goodbye_frees_the_room_at_once() {
 fn a_last_report_of_a_source_that_is_gone_claims_nothing_until_it_is_back() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
-    controller.source_gone(SOURCE);
+    controller.handle_source_lost(SOURCE);
     assert_eq!(room.tick(&mut controller, 2), Outcome::Nothing);
     assert_eq!((controller.inbox().source(), refused(&controller, Stream::Users, Refusal::SourceGone)), (None, 1));
-    controller.source_there(0x99);
+    controller.handle_source_found(0x99);
     assert_eq!(room.tick(&mut controller, 3), Outcome::Nothing);
-    controller.source_there(SOURCE);
+    controller.handle_source_found(SOURCE);
     assert_eq!(room.tick(&mut controller, 4).command().answers, 4);
 }
 

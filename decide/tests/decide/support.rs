@@ -2,7 +2,7 @@
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::{
-    core::{Controller, Decision, Departure},
+    core::{Controller, Decision, DegradedMode},
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
@@ -44,23 +44,23 @@ pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
 pub enum Outcome {
     Nothing,
     Moved(MirrorCommand),
-    Held(Departure),
+    Held(DegradedMode),
 }
 
 impl Outcome {
     pub fn command(self) -> MirrorCommand {
         match self {
             Self::Moved(command) => command,
-            other => panic!("wanted a command, got {other:?}"),
+            other => panic!("expected a command, got {other:?}"),
         }
     }
 }
 
 pub fn receive(controller: &mut Controller, now: Nanos, message: Message<'_>) -> Outcome {
-    match controller.receive(now, message, &mut |_| {}) {
+    match controller.handle_and_poll(now, message, &mut |_| {}) {
         None => Outcome::Nothing,
         Some(Decision::Move { command, .. }) => Outcome::Moved(command.clone()),
-        Some(Decision::Hold(departure)) => Outcome::Held(departure),
+        Some(Decision::Hold(mode)) => Outcome::Held(mode),
     }
 }
 

@@ -214,7 +214,7 @@ impl RoomRuntime {
 
     fn report_stall(&mut self) {
         let (policy, meanwhile) = (&self.summary.policy, self.watchdog.description());
-        let problem = format!("policy {policy} does not return; {meanwhile}");
+        let problem = format!("policy {policy} gives no answer; {meanwhile}");
         tracing::warn!(room = %self.room, "{problem}");
         self.summary.unanswered += 1;
         self.summary.last_problem = problem;

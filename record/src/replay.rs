@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use heliostat_decide::capabilities::{Examiner, Force};
-use heliostat_decide::core::{Accepted, Controller, Decision, Haste, WARM_UP_RUNS};
+use heliostat_decide::core::{Controller, Decision, Due, Timing, WARM_UP_RUNS};
 use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::{Refusal, Stream};
@@ -90,6 +90,8 @@ pub fn run(settings: &Settings) -> Result<Verdict> {
 struct Reign {
     controller: Controller,
     newest_ns: Nanos,
+    /// Number of the last command.
+    sequence: u64,
     /// Decisions so far.
     decided: u64,
     /// Decisions that are not judged.
@@ -157,12 +159,12 @@ impl<'a> Player<'a> {
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(0..WARM_UP_RUNS);
         if let Some(array) = &self.array {
-            controller.meet_array(array, self.examiner.examine(array));
+            controller.handle_capabilities(array, self.examiner.examine(array));
         }
         self.policies.insert(epoch, controller.policy_name().to_owned());
         let known_from_the_start = first == 1 && self.plan.clock == Clock::Lockstep;
         let settle = self.settings.settle.unwrap_or(if known_from_the_start { 0 } else { SETTLE });
-        Ok(Some(Reign { controller, newest_ns: 0, decided: 0, settle }))
+        Ok(Some(Reign { controller, newest_ns: 0, sequence: 0, decided: 0, settle }))
     }
 
     fn take(&mut self, entry: &Entry) -> Result<()> {
@@ -187,7 +189,7 @@ impl<'a> Player<'a> {
         }
         if *topic == room.stop() {
             if let Ok(order) = decode(&entry.data) {
-                self.reigns().for_each(|reign| reign.controller.guard_mut().heed(&order));
+                self.reigns().for_each(|reign| reign.controller.handle_stop_order(&order));
             }
             return Ok(());
         }
@@ -214,7 +216,7 @@ impl<'a> Player<'a> {
             return;
         }
         let verdict = self.examiner.examine(&array);
-        self.reigns().for_each(|reign| reign.controller.meet_array(&array, verdict.clone()));
+        self.reigns().for_each(|reign| reign.controller.handle_capabilities(&array, verdict.clone()));
         self.array = Some(array);
     }
 
@@ -233,13 +235,14 @@ impl<'a> Player<'a> {
     fn unprompted(&mut self, theirs: &MirrorCommand) {
         let Some(reign) = self.reign.as_mut().filter(|reign| reign.controller.epoch() == theirs.epoch) else { return };
         let judged = reign.decided >= reign.settle;
-        let decision = match reign.controller.elapse(theirs.time_ns) {
+        let decision = match reign.controller.poll_timeout_command(theirs.time_ns) {
             Some(decision) => decision,
-            None => reign.controller.answer_stale(theirs.time_ns),
+            None => reign.controller.poll_stale_command(theirs.time_ns),
         };
         match decision {
             Decision::Move { command, .. } => {
-                let ours = command.clone();
+                reign.sequence += 1;
+                let ours = MirrorCommand { sequence: reign.sequence, ..command.clone() };
                 self.compare(&ours, theirs, judged);
             }
             Decision::Hold(_) => self.verdict.held += 1,
@@ -258,7 +261,7 @@ impl<'a> Player<'a> {
                 }
             }
         } else if !presence.alive {
-            self.reigns().for_each(|reign| reign.controller.source_gone(presence.source));
+            self.reigns().for_each(|reign| reign.controller.handle_source_lost(presence.source));
         }
         Ok(())
     }
@@ -290,17 +293,18 @@ impl<'a> Player<'a> {
         let tick = report.tick;
         let repeats = self.plan.scenario.control.when_late == WhenLate::LastGood;
         let late = answer.is_some_and(|answer| answer.is_repeat && self.plan.was_late(answer.epoch));
-        let haste = if late && repeats { Haste::Late } else { Haste::InTime };
-        let decided = match reign.controller.accept(now, Message::Users(&mut report)) {
-            Accepted::Tick => Some(reign.controller.decide(now, haste, &mut |_| {})),
-            Accepted::TooOld => Some(reign.controller.answer_stale(now)),
-            Accepted::Other => None,
+        let timing = if late && repeats { Timing::Late } else { Timing::InTime };
+        let decided = match reign.controller.handle_message(now, Message::Users(&mut report)) {
+            Due::Command => Some(reign.controller.poll_command(now, timing, &mut |_| {})),
+            Due::StaleCommand => Some(reign.controller.poll_stale_command(now)),
+            Due::Nothing => None,
         };
         let Some(Decision::Move { command, .. }) = decided else {
             self.verdict.held += u64::from(answer.is_some());
             return Ok(());
         };
-        let command = command.clone();
+        reign.sequence += 1;
+        let command = MirrorCommand { sequence: reign.sequence, ..command.clone() };
         let judged = reign.decided >= reign.settle;
         reign.decided += 1;
         match self.theirs.remove(&tick) {
@@ -374,20 +378,20 @@ impl Reign {
         let read = match stream {
             Stream::Channel => decode::<ChannelReport>(data).map(|mut report| {
                 let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Channel(&mut report), &mut |_| {});
+                self.controller.handle_and_poll(now, Message::Channel(&mut report), &mut |_| {});
             }),
             Stream::Obstacles => decode::<ObstacleReport>(data).map(|mut report| {
                 let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Obstacles(&mut report), &mut |_| {});
+                self.controller.handle_and_poll(now, Message::Obstacles(&mut report), &mut |_| {});
             }),
             Stream::Telemetry => decode::<MirrorTelemetry>(data).map(|mut telemetry| {
                 let now = now(self, telemetry.stamp.time_ns);
-                self.controller.receive(now, Message::Telemetry(&mut telemetry), &mut |_| {});
+                self.controller.handle_and_poll(now, Message::Telemetry(&mut telemetry), &mut |_| {});
             }),
             Stream::Users => return,
         };
         if let Err(error) = read {
-            self.controller.count_malformed(stream, Refusal::from(&error));
+            self.controller.handle_malformed(stream, Refusal::from(&error));
         }
     }
 }

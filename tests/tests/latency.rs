@@ -125,7 +125,7 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
     assert!(number(&room, "/loop_us/count") >= heard.commands.len() as f64 - 2.0, "{room}");
     // A report that was overtaken on a busy machine is shed, and one that a stalled link cannot take is dropped: no command answers these.
     let dropped = 0.1 * number(&room, "/ticks");
-    assert!(number(&room, "/lost_ticks") <= number(&controller, "/shed") + dropped, "{room} {controller}");
+    assert!(number(&room, "/lost_ticks") <= number(&controller, "/dropped") + dropped, "{room} {controller}");
     assert_eq!(number(&controller, "/unsent"), 0.0, "{controller}");
 
     // No stage is missing, and together they are the decision.
@@ -153,27 +153,27 @@ fn counts_order_and_stages(controller_flags: &[&str]) -> Value {
 fn decided_in_the_callback_nothing_is_missing() {
     let summary =
         counts_order_and_stages(&["--policy", "fixed-point", "--decide-in", "callback", "--keep-warm", "off"]);
-    assert_eq!(number(&summary, "/rehearsals"), 0.0, "{summary}");
+    assert_eq!(number(&summary, "/cache_warm_ups"), 0.0, "{summary}");
 }
 
 #[test]
 fn decided_on_a_thread_that_keeps_warm_nothing_is_missing() {
-    let summary = counts_order_and_stages(&["--policy", "actor", "--decide-in", "thread", "--keep-warm", "1000"]);
-    assert!(number(&summary, "/rehearsals") > 0.0, "{summary}");
+    let summary = counts_order_and_stages(&["--policy", "actor", "--decide-in", "thread", "--keep-warm", "expected"]);
+    assert!(number(&summary, "/cache_warm_ups") > 0.0, "{summary}");
 }
 
 #[test]
-fn decided_in_the_callback_beside_a_thread_that_keeps_warm_nothing_is_missing() {
-    let summary = counts_order_and_stages(&["--policy", "nearest", "--decide-in", "callback", "--keep-warm", "1000"]);
-    assert!(number(&summary, "/rehearsals") > 0.0, "{summary}");
+fn decisions_in_the_callback_are_never_warmed_up() {
+    let summary = counts_order_and_stages(&["--policy", "actor", "--decide-in", "callback", "--keep-warm", "expected"]);
+    assert_eq!(number(&summary, "/cache_warm_ups"), 0.0, "{summary}");
 }
 
 #[test]
-fn a_slow_policy_is_rehearsed_for_each_report_and_nothing_is_missing() {
+fn a_slow_policy_is_warmed_up_before_each_report_and_every_decision_is_counted() {
     let summary = counts_order_and_stages(&["--policy", "actor"]);
-    let (rehearsals, decisions) = (number(&summary, "/rehearsals"), number(&summary, "/decisions"));
+    let (warm_ups, decisions) = (number(&summary, "/cache_warm_ups"), number(&summary, "/decisions"));
     // Two before each report, less where it comes too soon for that.
-    assert!((0.2 * decisions..=2.0 * decisions).contains(&rehearsals), "{summary}");
+    assert!((0.2 * decisions..=2.0 * decisions).contains(&warm_ups), "{summary}");
 }
 
 #[test]
@@ -364,7 +364,7 @@ fn a_policy_that_is_too_slow_is_late_and_what_piles_up_is_shed() {
     let pair = Pair::start(&["--set", "streams.positions.rate_hz=1000"], &slow);
     let witness = pair.witness();
     let counter = |name: &str| witness.counter(NodeKind::Controller, name);
-    wait_until("late decisions and shed reports", || counter("fallback:late") > 20 && counter("shed") > 20);
+    wait_until("late decisions and shed reports", || counter("fallback:late") > 20 && counter("dropped") > 20);
     let (_, controller) = pair.end();
     let (commands, decisions) = (number(&controller, "/commands"), number(&controller, "/decisions"));
     let late = number(&controller, "/fallbacks/late");
@@ -413,6 +413,6 @@ fn a_policy_that_does_not_answer_is_seen_and_the_array_holds_meanwhile() {
     wait_until("mirrors that hold", || {
         witness.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Holding)
     });
-    wait_until("shed reports", || witness.counter(NodeKind::Controller, "shed") > 0);
+    wait_until("shed reports", || witness.counter(NodeKind::Controller, "dropped") > 0);
     pair.end();
 }

@@ -76,7 +76,7 @@ impl PolicyBuilder {
 fn unknown(name: &str) -> String {
     let values = PolicyKind::value_variants().iter().filter_map(ValueEnum::to_possible_value);
     let known = values.map(|value| value.get_name().to_owned()).collect::<Vec<_>>().join(", ");
-    format!("unknown policy \"{name:.64}\": expected one of {known}")
+    format!("there is no policy \"{name:.64}\": expected one of {known}")
 }
 
 /// Replaces the policy of one decision loop.

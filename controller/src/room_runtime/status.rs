@@ -117,7 +117,7 @@ impl Reporter {
     pub fn report_stall(&self, summary: &Summary) -> NodeStatus {
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: utc_ns() },
-            state: "the policy does not return".into(),
+            state: "no answer from the policy".into(),
             policy: summary.policy.clone(),
             counters: vec![("unanswered".into(), summary.unanswered)],
             last_problem: summary.last_problem.clone(),

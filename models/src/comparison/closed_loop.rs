@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::{Context, bail, ensure};
 use heliostat_array::moment::Moment;
 use heliostat_channel::solver::Solver;
-use heliostat_decide::core::{Controller, Decision, Departure, Stage};
+use heliostat_decide::core::{Controller, Decision, DegradedMode, Stage};
 use heliostat_decide::inbox::Message;
 use heliostat_proto::Stamp;
 use heliostat_scenario::Scenario;
@@ -144,6 +144,8 @@ pub(super) struct Lockstep {
     /// Telemetry names the mirrors that do not follow.
     names_unusable: bool,
     controller: Controller,
+    /// Number of the last command.
+    command_sequence: u64,
     decisions_us: Vec<f64>,
 }
 
@@ -152,7 +154,7 @@ impl Lockstep {
         controller.warm_up(0..2);
         let mut room = SimulatedRoom::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
         room.advance(start_ns());
-        controller.meet_array(&room.capabilities(Stamp::default()), Ok(()));
+        controller.handle_capabilities(&room.capabilities(Stamp::default()), Ok(()));
         let streams = &scenario.streams;
         Ok(Self {
             room,
@@ -161,6 +163,7 @@ impl Lockstep {
             telemetry_sequence: 0,
             names_unusable: true,
             controller,
+            command_sequence: 0,
             decisions_us: Vec::new(),
         })
     }
@@ -174,8 +177,8 @@ impl Lockstep {
             self.room.advance(*instant_ns);
             look(&self.room);
         }
-        let failed = self.controller.counters().departures(Departure::PolicyFailed);
-        let held = self.controller.counters().departures(Departure::Held);
+        let failed = self.controller.counters().degraded(DegradedMode::PolicyFailed);
+        let held = self.controller.counters().degraded(DegradedMode::Held);
         match self.controller.last_failure() {
             Some(failure) if failed + held > 0 => bail!("{failed} decisions failed, the last because {failure}"),
             _ => Ok(()),
@@ -200,7 +203,7 @@ impl Lockstep {
             if !self.names_unusable {
                 telemetry.unusable.clear();
             }
-            self.controller.receive(at_ns, Message::Telemetry(&mut telemetry), &mut |_| {});
+            self.controller.handle_and_poll(at_ns, Message::Telemetry(&mut telemetry), &mut |_| {});
         }
         while let Some(mut report) = self.reports.release(at_ns) {
             self.deliver(now, &mut report)?;
@@ -222,12 +225,14 @@ impl Lockstep {
             Stage::Inferred => decisions_us.push(observed.elapsed().as_secs_f64() * 1e6),
             _ => {}
         };
-        match self.controller.receive(now.room_ns, message, &mut mark) {
+        match self.controller.handle_and_poll(now.room_ns, message, &mut mark) {
             Some(Decision::Move { command, .. }) => {
+                self.command_sequence += 1;
+                command.sequence = self.command_sequence;
                 self.room.receive(now, command).context("the array refused a command")?;
             }
-            Some(Decision::Hold(departure)) => {
-                let late = departure == Departure::StaleReport;
+            Some(Decision::Hold(mode)) => {
+                let late = mode == DegradedMode::StaleReport;
                 ensure!(!late, "reports are older than control.report_age_max_ms when they arrive");
             }
             None => {}

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use heliostat_controller::ledger::{Laps, Ledger};
+use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
 use heliostat_decide::core::{Controller, Decision, Stage};
 use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::{Actor, PolicyKind};
@@ -34,7 +34,7 @@ pub struct Args {
     /// Which policy decides; where none is named, the benchmark's own choice
     #[arg(long, value_enum)]
     policy: Option<PolicyKind>,
-    /// Rehearse this often between decisions, in us; 0 never
+    /// Warm up the caches this often between decisions, in us; 0 never
     #[arg(long, value_name = "US", default_value_t = 0)]
     keep_warm: u64,
     /// Print one JSON object
@@ -119,8 +119,8 @@ impl Args {
             Turn::Measured => go_through(&mut decider, block, &mut |_| {}),
             Turn::Reference => go_through(reference, block, &mut |time| compared.record(time)),
         })?;
-        let ledger = &decider.ledger;
-        let decision = ledger.decision_us();
+        let times = &decider.times;
+        let decision = times.decision_us();
         let varied = Varied {
             hz: plan.hz,
             mirrors: scenario.mirror_count(),
@@ -128,9 +128,9 @@ impl Args {
             rooms: 1,
             policy: decider.controller.policy_name().into(),
         };
-        let blamed = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.over_budget_by(stage)));
-        let row = Row::new(varied, (decision.into(), ledger.over_budget(), decision.count), &compared);
-        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.stage_us(stage)));
+        let blamed = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
+        let row = Row::new(varied, (decision.into(), times.over_budget(), decision.count), &compared);
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
         Ok(row.by_stage(blamed.into_iter().filter(|(_, count)| *count > 0).collect(), &stages.into()))
     }
 }
@@ -169,7 +169,7 @@ fn go_through(party: &mut dyn Party, block: Block, record: &mut dyn FnMut(Durati
             }
         };
         party.act(started)?;
-        record(started.elapsed());
+        record(started.estampsed());
         if block.interval.is_none() && Instant::now() > block.until {
             return Ok(report + 1);
         }
@@ -187,7 +187,7 @@ struct Decider {
     payload: Vec<u8>,
     report: UserReport,
     command: Vec<u8>,
-    ledger: Ledger,
+    times: StageTimes,
 }
 
 impl Decider {
@@ -204,13 +204,13 @@ impl Decider {
             payload: Vec::new(),
             report: UserReport::default(),
             command: Vec::new(),
-            ledger: Ledger::new(),
+            times: StageTimes::new(),
         };
         for _ in 0..WARM_UP {
             decider.prepare()?;
             decider.act(Instant::now())?;
         }
-        decider.ledger = Ledger::new();
+        decider.times = StageTimes::new();
         Ok(decider)
     }
 }
@@ -222,34 +222,35 @@ impl Party for Decider {
         let now = self.tick * 10_000_000;
         self.people.walk(1, self.tick, now, self.users);
         if self.tick % 100 == 1 {
-            self.controller.receive(now, Message::Obstacles(&mut self.people.obstacles), &mut |_| {});
+            self.controller.handle_and_poll(now, Message::Obstacles(&mut self.people.obstacles), &mut |_| {});
         }
-        self.controller.receive(now, Message::Channel(&mut self.people.channel), &mut |_| {});
+        self.controller.handle_and_poll(now, Message::Channel(&mut self.people.channel), &mut |_| {});
         Ok(encode(&self.people.users, &mut self.payload)?)
     }
 
     fn pass(&mut self, due: Instant) {
         while let Some(interval) = self.keep_warm.filter(|interval| Instant::now() + *interval < due) {
             std::thread::sleep(interval);
-            self.controller.rehearse();
+            self.controller.warm_cache();
         }
         sleep_until(due);
     }
 
     fn act(&mut self, started: Instant) -> Result<()> {
-        let mut laps = Laps::start(started);
-        laps.mark(Stage::Waited);
+        let mut stamps = StageStamps::start(started);
+        stamps.mark(Stage::Waited);
         decode_into(&mut self.report, &self.payload)?;
-        laps.mark(Stage::Decoded);
+        stamps.mark(Stage::Decoded);
         let now = self.tick * 10_000_000;
         let message = Message::Users(&mut self.report);
-        let decision = self.controller.receive(now, message, &mut |stage| laps.mark(stage));
+        let decision = self.controller.handle_and_poll(now, message, &mut |stage| stamps.mark(stage));
         let Some(Decision::Move { command, age_ns }) = decision else {
             anyhow::bail!("the controller gave no command for tick {}", self.tick);
         };
+        command.sequence = self.tick;
         encode(command, &mut self.command)?;
-        laps.mark(Stage::Published);
-        self.ledger.record(&laps, age_ns);
+        stamps.mark(Stage::Published);
+        self.times.record(&stamps, age_ns);
         Ok(())
     }
 }

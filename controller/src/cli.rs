@@ -26,7 +26,8 @@ const DEFAULT_LOG: &str = "warn,zenoh=error,heliostat_controller=info,heliostat_
 
 /// Run the controller: reports in, mirror commands out.
 ///
-/// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by default.
+/// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by
+/// default.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -45,8 +46,8 @@ pub struct Args {
     /// Where decisions are made
     #[arg(long, value_enum, default_value_t = DecisionSettings::default().decide_in)]
     decide_in: DecideIn,
-    /// Warm up the processor's caches on the room's thread: `expected` (shortly before each report, for a slow policy in a
-    /// process of one room) or `off`
+    /// Warm up the processor's caches on the room's thread: `expected` (shortly before each report,
+    /// for a slow policy in a process of one room) or `off`
     #[arg(long, value_name = "WHEN", default_value_t = DecisionSettings::default().keep_warm)]
     keep_warm: KeepWarm,
     /// Command mirrors whose range does not reach all of the floor
@@ -61,7 +62,8 @@ pub struct Args {
     metrics: MetricsArgs,
     #[command(flatten)]
     log: LogArgs,
-    /// Take time from the reports, for a room that runs in lockstep; the same reports then give the same commands
+    /// Take time from the reports, for a room that runs in lockstep; the same reports then give the
+    /// same commands
     #[arg(long)]
     lockstep: bool,
     /// End after this number of seconds
@@ -105,7 +107,8 @@ impl Args {
     }
 }
 
-/// Runs a controller until Ctrl-C, SIGTERM, the end of its time or of its parent, and prints its summary.
+/// Runs a controller until Ctrl-C, SIGTERM, the end of its time or of its parent, and prints its
+/// summary.
 ///
 /// # Errors
 /// If it cannot start; the message states what to do.

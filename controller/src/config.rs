@@ -16,7 +16,8 @@ pub enum Pace {
     /// UTC; the epoch is the time of the start.
     #[default]
     Live,
-    /// The time of the reports; the epoch is 1. The same reports give the same commands, bit for bit.
+    /// The time of the reports; the epoch is 1. The same reports give the same commands, bit for
+    /// bit.
     Lockstep,
 }
 

@@ -1,7 +1,8 @@
-//! Requests to the operating system that keep other work from delaying decisions: memory locked in RAM, processors of its own,
-//! and real-time priority.
+//! Requests to the operating system that keep other work from delaying decisions: memory locked in
+//! RAM, processors of its own, and real-time priority.
 //!
-//! Each request is made alone. Its result is reported, and the controller continues without what is not granted.
+//! Each request is made alone. Its result is reported, and the controller continues without what is
+//! not granted.
 
 /// The requests.
 #[derive(Clone, Debug, Default, clap::Args)]
@@ -20,7 +21,8 @@ pub struct MachineArgs {
 impl MachineArgs {
     /// Makes each request, and returns the result of each in words.
     ///
-    /// Processors and priority apply to the calling thread and to all threads that it starts later: call this first.
+    /// Processors and priority apply to the calling thread and to all threads that it starts later:
+    /// call this first.
     pub fn obtain(&self) -> Vec<String> {
         let requests = [
             self.lock_memory.then(|| ("memory locked in RAM".to_string(), system::lock_memory())),

@@ -90,7 +90,8 @@ pub fn run(config: &NodeConfig, stopped: &Receiver<()>) -> anyhow::Result<Summar
     Ok(summary)
 }
 
-/// Closes the rooms whose array does not fit or follows another controller; an error where no room is left.
+/// Closes the rooms whose array does not fit or follows another controller; an error where no room
+/// is left.
 fn close_lost_rooms(rooms: &mut Vec<RoomRuntime>, closed: &mut Vec<(RoomRuntime, String)>) -> anyhow::Result<()> {
     for index in (0..rooms.len()).rev() {
         let name = rooms[index].room();

@@ -8,24 +8,30 @@
 //! 2. a `handle_*` method for each input, in the order of arrival:
 //!    [`handle_message`](Controller::handle_message) for a decoded report,
 //!    [`handle_malformed`](Controller::handle_malformed) for a payload that does not decode,
-//!    [`handle_source_lost`](Controller::handle_source_lost) and [`handle_source_found`](Controller::handle_source_found)
-//!    for liveliness, [`handle_capabilities`](Controller::handle_capabilities), [`handle_unfit`](Controller::handle_unfit)
-//!    and [`handle_stop_order`](Controller::handle_stop_order) for the array;
-//! 3. the `poll_*` method that `handle_message` names by [`Due`]: [`poll_command`](Controller::poll_command) or
-//!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled before one poll; the newest tick
-//!    is then answered. [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
-//! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals shorter than the validity of a
-//!    command, so that the absence of reports is answered too;
-//! 5. between reports, if it likes, [`warm_cache`](Controller::warm_cache), which changes no later answer.
+//!    [`handle_source_lost`](Controller::handle_source_lost) and
+//!    [`handle_source_found`](Controller::handle_source_found) for liveliness,
+//!    [`handle_capabilities`](Controller::handle_capabilities),
+//!    [`handle_unfit`](Controller::handle_unfit) and
+//!    [`handle_stop_order`](Controller::handle_stop_order) for the array;
+//! 3. the `poll_*` method that `handle_message` names by [`Due`]:
+//!    [`poll_command`](Controller::poll_command) or
+//!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled
+//!    before one poll; the newest tick is then answered.
+//!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
+//! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
+//!    shorter than the validity of a command, so that the absence of reports is answered too;
+//! 5. between reports, if it likes, [`warm_cache`](Controller::warm_cache), which changes no later
+//!    answer.
 //!
-//! The caller assigns the sequence number of each command when it sends it. Getters may be called at any time. No method waits,
-//! logs, reads a clock or, after the warm-up, allocates in this project's code.
+//! The caller assigns the sequence number of each command when it sends it. Getters may be called
+//! at any time. No method waits, logs, reads a clock or, after the warm-up, allocates in this
+//! project's code.
 //!
 //! # Stages of a decision
 //!
 //! 1. **Inbox**: accept the report or refuse it.
-//! 2. **Observe**: combine the latest report of each stream into one observation, without mirrors that do not follow and
-//!    without pairs of a mirror and a user beyond the mirror's range.
+//! 2. **Observe**: combine the latest report of each stream into one observation, without mirrors
+//!    that do not follow and without pairs of a mirror and a user beyond the mirror's range.
 //! 3. **Infer**: the policy proposes angles; if it fails, the fallback does.
 //! 4. **Make safe**: limit the proposal to range and slew rate.
 //!
@@ -46,9 +52,12 @@
 //!
 //! # Terms
 //!
-//! A *tick* is one sampling of the room. A command *answers* the tick of the position report to which it responds. An *epoch*
-//! is one run of a controller; a later epoch supersedes an earlier one. The array is *parked* when every mirror faces straight
-//! into the room because no command is valid.
+//! A *tick* is one sampling of the room. A command *answers* the tick of the position report to
+//! which it responds. An *epoch* is one run of a controller; a later epoch supersedes an earlier
+//! one. The array is *parked* when every mirror faces straight into the room because no command is
+//! valid.
+
+mod answers;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_proto::{Capabilities, EmergencyStop, MirrorCommand, Nanos};
@@ -66,44 +75,15 @@ use crate::{
     },
     output::{
         capabilities::{Guard, Unfit},
-        safety::{self, Limits},
+        safety::Limits,
     },
-    policy::{self, Policy, PolicyError},
+    policy::{self, Policy, PolicyError, ProposedBy, WithFallback},
 };
+use answers::{Answers, LastReport};
 
-/// Decisions on an invented room before a controller announces itself. They change what a policy remembers, so a replay makes
-/// the same number.
+/// Decisions on an invented room before a controller announces itself. They change what a policy
+/// remembers, so a replay makes the same number.
 pub const WARM_UP_RUNS: usize = 200;
-
-/// The scenario's answers in degraded modes, and when silence begins.
-#[derive(Clone, Copy, Debug)]
-struct Answers {
-    late: Answer,
-    stale: Answer,
-    channel_missing: Answer,
-    silent: Answer,
-    silent_after_ns: Nanos,
-}
-
-impl Answers {
-    fn new(scenario: &Scenario) -> Self {
-        let control = &scenario.control;
-        Self {
-            late: control.when_late,
-            stale: control.when_stale,
-            channel_missing: control.when_channel_missing,
-            silent: control.when_silent,
-            silent_after_ns: (control.report_age_max_ms * 1e6) as Nanos,
-        }
-    }
-}
-
-/// When the last position report was accepted, and whether its absence since then was answered.
-#[derive(Clone, Copy, Debug)]
-struct LastReport {
-    accepted_ns: Nanos,
-    silence_answered: bool,
-}
 
 /// The decision core of one room. The [module](self) describes the calling order.
 pub struct Controller {
@@ -112,8 +92,7 @@ pub struct Controller {
     observer: Observer,
     /// The last observation; its angles are those of the last command.
     observation: Observation,
-    policy: Box<dyn Policy>,
-    fallback: Option<Box<dyn Policy>>,
+    policy: WithFallback,
     answers: Answers,
     limits: Limits,
     guard: Guard,
@@ -128,11 +107,11 @@ pub struct Controller {
     /// Whether `command` was given.
     has_command: bool,
     counters: Counters,
-    last_failure: Option<PolicyError>,
 }
 
 impl Controller {
-    /// A controller of a scenario's room with this policy; `epoch` must exceed that of every earlier controller of the room.
+    /// A controller of a scenario's room with this policy; `epoch` must exceed that of every
+    /// earlier controller of the room.
     pub fn new(scenario: &Scenario, model: ChannelModel, policy: Box<dyn Policy>, epoch: u64) -> Self {
         let observation = Observation::new(&model, scenario.users.count);
         let mirrors = model.mirrors.len();
@@ -142,8 +121,7 @@ impl Controller {
             observer: Observer::new(scenario),
             proposed: observation.angles.clone(),
             observation,
-            policy,
-            fallback: policy::build_fallback(scenario.control.fallback, scenario),
+            policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
             answers: Answers::new(scenario),
             limits: Limits::new(&scenario.control),
             guard: Guard::default(),
@@ -161,7 +139,6 @@ impl Controller {
             },
             has_command: false,
             counters: Counters::default(),
-            last_failure: None,
             model,
         }
     }
@@ -199,7 +176,8 @@ impl Controller {
         self.inbox.handle_source_found(source);
     }
 
-    /// Applies the capabilities of an array that fits the scenario; an array that does not fit receives no commands.
+    /// Applies the capabilities of an array that fits the scenario; an array that does not fit
+    /// receives no commands.
     pub fn handle_capabilities(&mut self, capabilities: &Capabilities, verdict: Result<(), Unfit>) {
         if verdict.is_ok() {
             self.limits.narrow(&capabilities.roll, &capabilities.yaw);
@@ -218,7 +196,8 @@ impl Controller {
         self.guard.handle_stop_order(order);
     }
 
-    /// Handles a message that arrived at `now`, and polls the command that it makes due. `mark` is called as each stage ends.
+    /// Handles a message that arrived at `now`, and polls the command that it makes due. `mark` is
+    /// called as each stage ends.
     pub fn handle_and_poll(
         &mut self,
         now: Nanos,
@@ -275,8 +254,8 @@ impl Controller {
 
     /// Answers the absence of position reports at `now`, if that is due.
     ///
-    /// A silence is counted once. The answer `last-good` is repeated at each call, so call this method at intervals shorter than
-    /// the validity of a command.
+    /// A silence is counted once. The answer `last-good` is repeated at each call, so call this
+    /// method at intervals shorter than the validity of a command.
     pub fn poll_timeout_command(&mut self, now: Nanos) -> Option<Decision<'_>> {
         let LastReport { accepted_ns, silence_answered } = self.last_report?;
         if now.saturating_sub(accepted_ns) <= self.answers.silent_after_ns {
@@ -291,7 +270,8 @@ impl Controller {
         Some(self.answer((self.answers.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
-    /// Repeats observation and inference of the last decision, so that code and data stay in the processor's caches.
+    /// Repeats observation and inference of the last decision, so that code and data stay in the
+    /// processor's caches.
     ///
     /// No later answer depends on it. It does nothing before the first decision.
     pub fn warm_cache(&mut self) {
@@ -305,19 +285,16 @@ impl Controller {
         }
     }
 
-    /// Lets policy and fallback decide for an invented room, once for each item of `runs`, so that the first real decision finds
-    /// buffers sized and caches warm. It changes nothing but what the policies remember.
+    /// Lets policy and fallback decide for an invented room, once for each item of `runs`, so that
+    /// the first real decision finds buffers sized and caches warm. It changes nothing but what the
+    /// policies remember.
     pub fn warm_up(&mut self, runs: impl Iterator) {
-        let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];
-        if let Some(fallback) = self.fallback.as_mut() {
-            policies.push(fallback.as_mut());
-        }
-        policy::warm_up(&mut policies, &self.model, self.observation.users(), runs);
+        self.policy.warm_up(&self.model, self.observation.users(), runs);
     }
 
     /// Replaces the policy, and returns the former one. The new policy should be warmed up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
-        std::mem::replace(&mut self.policy, policy)
+        self.policy.replace_policy(policy)
     }
 
     /// The latest reports, and the counters of refusals.
@@ -332,7 +309,7 @@ impl Controller {
 
     /// Name of the policy.
     pub fn policy_name(&self) -> &str {
-        self.policy.name()
+        self.policy.policy().name()
     }
 
     /// This controller's epoch.
@@ -340,7 +317,8 @@ impl Controller {
         self.command.epoch
     }
 
-    /// The higher epoch whose commands the array follows, if another controller has superseded this one.
+    /// The higher epoch whose commands the array follows, if another controller has superseded this
+    /// one.
     pub fn superseded_by(&self) -> Option<u64> {
         self.inbox.telemetry().map(|telemetry| telemetry.epoch).filter(|epoch| *epoch > self.command.epoch)
     }
@@ -352,7 +330,7 @@ impl Controller {
 
     /// The last failure of the policy.
     pub fn last_failure(&self) -> Option<&PolicyError> {
-        self.last_failure.as_ref()
+        self.policy.last_failure()
     }
 
     /// The last observation, with the angles of the last command.
@@ -375,7 +353,7 @@ impl Controller {
         let elapsed_s = self.settle_angles(now);
         let proposed = match answer {
             Answer::Policy => self.propose(),
-            Answer::Fallback => self.fall_back(),
+            Answer::Fallback => self.policy.fall_back(&self.model, &self.observation, &mut self.proposed),
             Answer::LastGood => self.repeat(),
             Answer::Park => {
                 self.proposed.roll.fill(0.0);
@@ -398,9 +376,11 @@ impl Controller {
         Decision::Move { command: &mut self.command, age_ns: now.saturating_sub(sampled_ns) }
     }
 
-    /// Sets the observation's angles to those of the mirrors, and returns the time in s since the mirrors received them.
+    /// Sets the observation's angles to those of the mirrors, and returns the time in s since the
+    /// mirrors received them.
     ///
-    /// The angles are those of the last command while it is valid, and otherwise those of the last telemetry, or parked.
+    /// The angles are those of the last command while it is valid, and otherwise those of the last
+    /// telemetry, or parked.
     fn settle_angles(&mut self, now: Nanos) -> f64 {
         let since_command_ns = now.saturating_sub(self.command.time_ns);
         if self.has_command && since_command_ns <= self.validity_ns {
@@ -422,21 +402,11 @@ impl Controller {
 
     /// Lets the policy propose, or else the fallback; false where both fail.
     fn propose(&mut self) -> bool {
-        let Err(failure) = attempt(self.policy.as_mut(), &self.model, &self.observation, &mut self.proposed) else {
-            return true;
-        };
-        self.last_failure = Some(failure);
-        let acted = self.fall_back();
-        if acted {
+        let by = self.policy.propose(&self.model, &self.observation, &mut self.proposed);
+        if by == ProposedBy::Fallback {
             self.counters.count_degraded(DegradedMode::PolicyFailed);
         }
-        acted
-    }
-
-    /// Lets the fallback propose; false where there is none, or it fails.
-    fn fall_back(&mut self) -> bool {
-        let Some(fallback) = self.fallback.as_mut() else { return false };
-        attempt(fallback.as_mut(), &self.model, &self.observation, &mut self.proposed).is_ok()
+        by != ProposedBy::None
     }
 
     /// Proposes the last command; false where there is none.
@@ -456,17 +426,6 @@ impl Controller {
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
     }
-}
-
-/// One proposal, with its values checked.
-fn attempt(
-    policy: &mut dyn Policy,
-    model: &ChannelModel,
-    observation: &Observation,
-    out: &mut MirrorAngles,
-) -> Result<(), PolicyError> {
-    policy.act(model, observation, out)?;
-    Ok(safety::check_finite(out)?)
 }
 
 fn copy_widened(from: &[f32], to: &mut [f64]) {

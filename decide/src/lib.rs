@@ -1,15 +1,17 @@
 //! The decision core: reports and time in, mirror commands out.
 //!
-//! The core performs no I/O. It reads no clock, opens no file, starts no thread and logs nothing. The caller owns sockets, clocks
-//! and threads, and drives one [`Controller`](core::Controller) per room; [`core`] describes the calling order. The same core runs
-//! in the controller process, in lockstep, in the closed-loop evaluation and in replay.
+//! The core performs no I/O. It reads no clock, opens no file, starts no thread and logs nothing.
+//! The caller owns sockets, clocks and threads, and drives one [`Controller`](core::Controller) per
+//! room; [`core`] describes the calling order. The same core runs in the controller process, in
+//! lockstep, in the closed-loop evaluation and in replay.
 //!
 //! ```text
 //! input               observe                      policy     output
 //! reports -> inbox -> observer -> observation ->   policy ->  safety -> decision
 //! ```
 //!
-//! - [`inbox`]: the latest report of each stream; refuses stale, foreign and malformed reports ([`refusal`]).
+//! - [`inbox`]: the latest report of each stream; refuses stale, foreign and malformed reports
+//!   ([`refusal`]).
 //! - [`observer`]: turns the inbox into an [`observation`], which a policy reads.
 //! - [`policy`]: proposes angles; [`safety`] limits them.
 //! - [`capabilities`]: compares the array with the scenario, and applies the emergency stop.
@@ -17,7 +19,8 @@
 //!
 //! # Example
 //!
-//! A caller decodes a report, handles it, polls the command that is due, numbers the command and sends it.
+//! A caller decodes a report, handles it, polls the command that is due, numbers the command and
+//! sends it.
 //!
 //! ```
 //! use heliostat_decide::{

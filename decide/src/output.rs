@@ -1,4 +1,5 @@
-//! Output of the core: bounded angles, decisions, counters, and the conditions under which commands are withheld.
+//! Output of the core: bounded angles, decisions, counters, and the conditions under which commands
+//! are withheld.
 
 pub mod capabilities;
 pub mod outcome;

@@ -1,9 +1,11 @@
 //! Policies: from an observation to proposed mirror angles.
 //!
-//! [`Policy`] is the trait; [`build`] makes a policy from its [`PolicyKind`]. A learned policy ([`Actor`]) evaluates an ONNX file
-//! ([`actor_file`]) through an [`Engine`]; the other policies solve the channel model, search, or hold fixed angles.
+//! [`Policy`] is the trait; [`build`] makes a policy from its [`PolicyKind`]. A learned policy
+//! ([`Actor`]) evaluates an ONNX file ([`actor_file`]) through an [`Engine`]; the other policies
+//! solve the channel model, search, or hold fixed angles.
 //!
-//! To add a policy: write its file in `policy/`, list the file here, and add one row to the table in `registry.rs`.
+//! To add a policy: write its file in `policy/`, list the file here, and add one row to the table
+//! in `registry.rs`.
 
 mod actor;
 pub mod actor_file;
@@ -18,6 +20,7 @@ mod pso;
 mod registry;
 mod sine_cosine;
 mod warm_up;
+mod with_fallback;
 
 pub use actor::Actor;
 pub use engine::{Engine, Network};
@@ -25,3 +28,4 @@ pub use fixed::Fixed;
 pub use proposal::{Policy, PolicyError, TimeSource};
 pub use registry::{BuildError, PolicyKind, Resources, build, build_fallback};
 pub use warm_up::warm_up;
+pub use with_fallback::{ProposedBy, WithFallback};

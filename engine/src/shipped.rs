@@ -1,10 +1,11 @@
-//! The actors that are built into the program: every file of `models/actors` at the time of the build.
+//! The actors that are built into the program: every file of `models/actors` at the time of the
+//! build.
 
 use heliostat_scenario::Scenario;
 
 use heliostat_decide::policy::{PolicyKind, actor_file::ActorFile};
 
-use crate::source::SourceError;
+use crate::error::SourceError;
 
 include!(concat!(env!("OUT_DIR"), "/shipped_actors.rs"));
 
@@ -13,7 +14,8 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     SHIPPED_ACTORS.iter().map(|(name, _)| *name)
 }
 
-/// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot for training seeds other than 1.
+/// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot
+/// for training seeds other than 1.
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
     let (mode, rows, columns) = (scenario.channel.mode.name(), scenario.mirrors.rows, scenario.mirrors.columns);
     let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };

@@ -76,7 +76,8 @@ fn only_the_engine_allocates_in_a_decision() {
     assert!(alone > 0 && decision == alone, "engine alone {alone}, a decision {decision}");
 }
 
-/// The engine's own allocations for the shipped actor; a dependency's, and printed for the results page.
+/// The engine's own allocations for the shipped actor; a dependency's, and printed for the results
+/// page.
 #[test]
 fn allocations_for_the_shipped_actor_do_not_grow() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/actors/ddpg-specular-10x10.onnx");

@@ -1,6 +1,8 @@
-//! Duration of each stage of a decision: stamps of the monotonic clock, taken while deciding and recorded after publication.
+//! Duration of each stage of a decision: stamps of the monotonic clock, taken while deciding and
+//! recorded after publication.
 //!
-//! Histograms are allocated once. A reader exchanges them for empty ones, so that no decision waits for a quantile.
+//! Histograms are allocated once. A reader exchanges them for empty ones, so that no decision waits
+//! for a quantile.
 
 use std::time::{Duration, Instant};
 
@@ -144,7 +146,8 @@ impl StageTimes {
         &self.age
     }
 
-    /// Number of decisions that took no longer than each edge, in us. Longer ones appear only in the total.
+    /// Number of decisions that took no longer than each edge, in us. Longer ones appear only in
+    /// the total.
     pub fn decisions_within(&self) -> impl Iterator<Item = (u64, u64)> {
         EDGES_US.map(|edge_us| (edge_us, self.decision.count_between(0, edge_us * 1000))).into_iter()
     }

@@ -42,7 +42,8 @@ pub struct Summary {
     pub sources: u64,
     /// Commands that the transport refused.
     pub unsent: u64,
-    /// Position reports superseded by a newer one before they were answered, and payloads dropped because too many waited.
+    /// Position reports superseded by a newer one before they were answered, and payloads dropped
+    /// because too many waited.
     pub dropped: u64,
     /// Status checks at which the policy had not returned for 0.1 s.
     pub unanswered: u64,

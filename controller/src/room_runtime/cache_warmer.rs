@@ -2,10 +2,12 @@
 //!
 //! # Theory of operation
 //!
-//! Between two reports the processor's caches lose the code and data of a decision, and an idle thread has to be woken. For a slow
-//! policy both cost more than a second run of the policy. So the room's thread repeats the last decision [`WARM_UPS`] times
-//! shortly before the next report is expected. It then spins until the report arrives or is overdue. The section "Where decisions
-//! are made, and keeping warm" of docs/results/latency.md has the measurements from which the constants were chosen.
+//! Between two reports the processor's caches lose the code and data of a decision, and an idle
+//! thread has to be woken. For a slow policy both cost more than a second run of the policy. So the
+//! room's thread repeats the last decision [`WARM_UPS`] times shortly before the next report is
+//! expected. It then spins until the report arrives or is overdue. The section "Where decisions are
+//! made, and keeping warm" of docs/results/latency.md has the measurements from which the constants
+//! were chosen.
 //!
 //! ```text
 //!             on_decision, report expected        start time reached
@@ -15,7 +17,8 @@
 //!                    all warm-ups done (then Spin), or on_arrival
 //! ```
 //!
-//! The caller reports events by `on_*` and executes what [`CacheWarmer::next_action`] returns. Time is an argument.
+//! The caller reports events by `on_*` and executes what [`CacheWarmer::next_action`] returns. Time
+//! is an argument.
 
 use std::{
     fmt,
@@ -24,23 +27,27 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Warm-ups before an expected report: the first loads code and data, the second finds them in the caches.
+/// Warm-ups before an expected report: the first loads code and data, the second finds them in the
+/// caches.
 const WARM_UPS: u32 = 2;
 
-/// Decision times for which warm-ups pay. Below, waking the thread costs more than the caches give; above, the gain is small and
-/// warm-ups would delay reports. Measured: docs/results/latency.md.
+/// Decision times for which warm-ups pay. Below, waking the thread costs more than the caches give;
+/// above, the gain is small and warm-ups would delay reports. Measured: docs/results/latency.md.
 const WORTH_STARTING: RangeInclusive<Duration> = Duration::from_micros(250)..=Duration::from_millis(5);
 
-/// The same for decisions that are warmed up, and therefore faster: half of the lower bound. Measured: docs/results/latency.md.
+/// The same for decisions that are warmed up, and therefore faster: half of the lower bound.
+/// Measured: docs/results/latency.md.
 const WORTH_CONTINUING: RangeInclusive<Duration> = Duration::from_micros(125)..=Duration::from_millis(5);
 
-/// Warm-ups end at least this long before the expected arrival of a report. Measured: docs/results/latency.md.
+/// Warm-ups end at least this long before the expected arrival of a report. Measured:
+/// docs/results/latency.md.
 const MARGIN_BEFORE_REPORT: Duration = Duration::from_micros(50);
 
 /// Time from a report's latest expected sending to its arrival. Measured: docs/results/latency.md.
 const MARGIN_AFTER_REPORT: Duration = Duration::from_micros(100);
 
-/// Longest spin: a twentieth of the interval between reports at 100 Hz, which bounds the processor time it takes.
+/// Longest spin: a twentieth of the interval between reports at 100 Hz, which bounds the processor
+/// time it takes.
 const SPIN_MAX: Duration = Duration::from_micros(500);
 
 /// Whether the room's thread warms up the caches.
@@ -192,7 +199,8 @@ impl CacheWarmer {
         self.phase = start.map_or(Phase::Idle, |start| Phase::Armed { start });
     }
 
-    /// When warm-ups have to begin so as to end before the next report; none where no report is expected.
+    /// When warm-ups have to begin so as to end before the next report; none where no report is
+    /// expected.
     fn start(&self) -> Option<Instant> {
         let one = if self.warm_up.is_known() { self.warm_up.mean() } else { self.decision.mean() };
         self.arrivals.earliest()?.checked_sub(WARM_UPS * one + MARGIN_BEFORE_REPORT)
@@ -203,7 +211,8 @@ impl CacheWarmer {
     }
 }
 
-/// Share of the newest value in a mean, and of its deviation in the mean deviation: alpha of RFC 6298, section 2.
+/// Share of the newest value in a mean, and of its deviation in the mean deviation: alpha of RFC
+/// 6298, section 2.
 const NEWEST_SHARE: f64 = 0.125;
 
 /// Exponentially weighted mean of durations; zero while none is known.
@@ -227,9 +236,11 @@ impl MeanDuration {
     }
 }
 
-/// Estimates when the next report arrives, from the mean and mean deviation of the intervals between reports.
+/// Estimates when the next report arrives, from the mean and mean deviation of the intervals
+/// between reports.
 ///
-/// It follows the round-trip time estimator of RFC 6298, section 2. It skips long intervals, in which a report was lost.
+/// It follows the round-trip time estimator of RFC 6298, section 2. It skips long intervals, in
+/// which a report was lost.
 #[derive(Clone, Copy, Debug, Default)]
 struct ArrivalEstimator {
     last: Option<Instant>,
@@ -241,13 +252,16 @@ struct ArrivalEstimator {
 }
 
 impl ArrivalEstimator {
-    /// After an interval of this length the estimate starts again: the slowest report rate of a scenario is above 0.5 Hz.
+    /// After an interval of this length the estimate starts again: the slowest report rate of a
+    /// scenario is above 0.5 Hz.
     const PAUSE: Duration = Duration::from_secs(2);
-    /// Intervals before the first estimate, and long intervals in a row after which the estimate starts again.
+    /// Intervals before the first estimate, and long intervals in a row after which the estimate
+    /// starts again.
     const ENOUGH: u32 = 4;
     /// An interval longer than this number of means is an outlier: one report more would make it 2.
     const OUTLIER: f64 = 1.5;
-    /// Mean deviations between the mean and the earliest or latest arrival; RFC 6298 uses 4 for a timeout that must rarely expire.
+    /// Mean deviations between the mean and the earliest or latest arrival; RFC 6298 uses 4 for a
+    /// timeout that must rarely expire.
     const DEVIATIONS: f64 = 2.0;
 
     fn on_report(&mut self, at: Instant) {
@@ -355,7 +369,8 @@ mod tests {
 
     const US: Duration = Duration::from_micros(1);
 
-    /// A warmer after regular reports and decisions of this length, each right after its report, and the time of the last decision.
+    /// A warmer after regular reports and decisions of this length, each right after its report,
+    /// and the time of the last decision.
     fn warmer_after(decision: Duration) -> (CacheWarmer, Instant) {
         let (mut warmer, start) = (CacheWarmer::new(true), Instant::now());
         let mut end = start;
@@ -372,7 +387,8 @@ mod tests {
     fn a_slow_decision_is_warmed_up_twice_before_the_next_report_and_then_the_thread_spins() {
         let (mut warmer, decided) = warmer_after(400 * US);
         let Action::Wait(Some(pause)) = warmer.next_action(decided) else { panic!("not armed: {warmer:?}") };
-        // The next report is due 9.6 ms after the decision; two warm-ups of 0.4 ms and the margin precede it.
+        // The next report is due 9.6 ms after the decision; two warm-ups of 0.4 ms and the margin
+        // precede it.
         assert!(pause.abs_diff(8750 * US) < US, "{pause:?}");
         let mut now = decided + pause;
         for _ in 0..WARM_UPS {

@@ -1,7 +1,8 @@
 //! Numbers, encodes and publishes the commands of one room.
 //!
-//! The sender owns the publisher, the sequence number, the payload buffer and a copy of the last command behind one lock. The decision
-//! loop holds the lock for one publication. The watchdog shares the sender, and gives way if the lock is held.
+//! The sender owns the publisher, the sequence number, the payload buffer and a copy of the last
+//! command behind one lock. The decision loop holds the lock for one publication. The watchdog
+//! shares the sender, and gives way if the lock is held.
 
 use std::sync::Mutex;
 
@@ -38,7 +39,8 @@ impl CommandSender {
         Self { state: Mutex::new(State { publisher, payload, last: LastCommand::default() }) }
     }
 
-    /// Numbers and publishes a command; false where the transport refuses it. Does not allocate after the first command.
+    /// Numbers and publishes a command; false where the transport refuses it. Does not allocate
+    /// after the first command.
     pub fn send(&self, command: &mut MirrorCommand) -> bool {
         let State { publisher, payload, last } = &mut *lock(&self.state);
         last.number(command);
@@ -47,7 +49,8 @@ impl CommandSender {
 
     /// Publishes a command on behalf of the policy at `now`; false where the transport refuses it.
     ///
-    /// Sends nothing before the first command, while another command is being sent, and to park a second time.
+    /// Sends nothing before the first command, while another command is being sent, and to park a
+    /// second time.
     pub fn send_on_behalf(&self, action: OnBehalf, now: Nanos) -> bool {
         let Some(mut state) = try_lock(&self.state) else { return true };
         let State { publisher, payload, last } = &mut *state;
@@ -73,7 +76,8 @@ struct LastCommand {
 }
 
 impl LastCommand {
-    /// Assigns the next sequence number to a command of the policy, and keeps a copy. Does not allocate after the first command.
+    /// Assigns the next sequence number to a command of the policy, and keeps a copy. Does not
+    /// allocate after the first command.
     fn number(&mut self, command: &mut MirrorCommand) {
         command.sequence = self.command.sequence + 1;
         let MirrorCommand { roll, yaw, .. } = &mut self.command;

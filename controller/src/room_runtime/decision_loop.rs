@@ -1,15 +1,17 @@
-//! From payloads to published commands: decodes, calls the core, passes commands to the sender, and records stage times.
+//! From payloads to published commands: decodes, calls the core, passes commands to the sender, and
+//! records stage times.
 //!
 //! There is one decision loop per room, behind a mutex. Two threads may run it:
 //!
-//! - the transport's callback, which needs no other thread to be woken. While it decides, further payloads wait in the transport,
-//!   and the oldest is answered first;
-//! - the room's thread ([`run`]), which empties the [receive queue](super::receive_queue) before it answers. A tick that a newer one
-//!   supersedes then costs no decision. This thread also warms up the caches for a slow policy (see
-//!   [cache warmer](super::cache_warmer)).
+//! - the transport's callback, which needs no other thread to be woken. While it decides, further
+//!   payloads wait in the transport, and the oldest is answered first;
+//! - the room's thread ([`run`]), which empties the [receive queue](super::receive_queue) before it
+//!   answers. A tick that a newer one supersedes then costs no decision. This thread also warms up
+//!   the caches for a slow policy (see [cache warmer](super::cache_warmer)).
 //!
-//! [`PayloadHandler::handle`] chooses: by default the callback, and the room's thread when reports arrive faster than they are answered or the
-//! policy is kept warm. Other threads hold the lock only to exchange stage times, to copy counters and to replace the policy.
+//! [`PayloadHandler::handle`] chooses: by default the callback, and the room's thread when reports
+//! arrive faster than they are answered or the policy is kept warm. Other threads hold the lock
+//! only to exchange stage times, to copy counters and to replace the policy.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard},
@@ -33,15 +35,18 @@ use super::{
 };
 use crate::report::stage_times::{StageStamps, StageTimes};
 
-/// A report that arrives sooner after the last decision had been waiting: reports arrive faster than they are answered.
+/// A report that arrives sooner after the last decision had been waiting: reports arrive faster
+/// than they are answered.
 const BACKLOG_GAP: Duration = Duration::from_micros(50);
 
 /// Where a room's decisions are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum DecideIn {
-    /// In the callback; on the room's thread when reports arrive faster than they are answered, or a slow policy is kept warm
+    /// In the callback; on the room's thread when reports arrive faster than they are answered, or
+    /// a slow policy is kept warm
     Auto,
-    /// In the callback that receives the report, on the transport's thread; a backlog waits in the transport
+    /// In the callback that receives the report, on the transport's thread; a backlog waits in the
+    /// transport
     Callback,
     /// On the room's thread
     Thread,
@@ -57,8 +62,8 @@ pub struct DecisionSettings {
 }
 
 impl DecisionSettings {
-    /// The settings in a process of this number of rooms: with several, their decisions keep the caches warm, and warm-ups would
-    /// take their time.
+    /// The settings in a process of this number of rooms: with several, their decisions keep the
+    /// caches warm, and warm-ups would take their time.
     pub fn among(self, rooms: usize) -> Self {
         Self { keep_warm: if rooms > 1 { KeepWarm::Off } else { self.keep_warm }, ..self }
     }
@@ -123,7 +128,8 @@ impl Buffers {
 }
 
 impl DecisionLoop {
-    /// A loop around a core that is warmed up; a decision that takes longer than `deadline` is late. It warms up no caches.
+    /// A loop around a core that is warmed up; a decision that takes longer than `deadline` is
+    /// late. It warms up no caches.
     pub fn new(
         controller: Controller,
         clock: RoomClock,
@@ -254,8 +260,8 @@ impl DecisionLoop {
         self.warmer.on_warm_up(started.elapsed());
     }
 
-    /// A decision is late if it is expected to end after the deadline. Two late decisions never follow one another, so that the policy
-    /// decides again. In lockstep the room waits.
+    /// A decision is late if it is expected to end after the deadline. Two late decisions never
+    /// follow one another, so that the policy decides again. In lockstep the room waits.
     fn timing(&mut self, waited: Duration) -> Timing {
         let expected = waited + self.warmer.expected_decision();
         let is_late = self.clock == RoomClock::Utc && !self.was_late && expected > self.deadline;
@@ -289,7 +295,8 @@ impl PayloadHandler {
         let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
             DecideIn::Callback => Some(lock(&self.decision_loop)),
             DecideIn::Thread => None,
-            // The room's thread holds the lock while it empties the queue, so no payload overtakes a waiting one.
+            // The room's thread holds the lock while it empties the queue, so no payload overtakes
+            // a waiting one.
             DecideIn::Auto if !self.queue.is_empty() => None,
             DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(stream, entered)),
         };
@@ -303,7 +310,8 @@ impl PayloadHandler {
     }
 }
 
-/// The room's thread: answers what is in the queue, and warms up the caches in between. Ends when the queue is closed.
+/// The room's thread: answers what is in the queue, and warms up the caches in between. Ends when
+/// the queue is closed.
 pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
     loop {
         let action = lock(decision_loop).warmer.next_action(Instant::now());

@@ -1,6 +1,7 @@
 //! Locks that survive a panic of another thread.
 //!
-//! The data behind each lock is consistent between any two operations, so a panic elsewhere does not invalidate it.
+//! The data behind each lock is consistent between any two operations, so a panic elsewhere does
+//! not invalidate it.
 
 use std::{
     sync::{Mutex, MutexGuard, PoisonError, TryLockError},

@@ -1,8 +1,9 @@
 //! Replaces the policy while the controller runs, by order of an operator.
 //!
-//! The order arrives on a thread of the bus, which puts it into a short queue. A thread of its own builds the policy and warms it up. It
-//! then holds the decision loop for the exchange of one pointer, between two decisions. An unknown policy, or one that does not fit
-//! the room, is refused by name, and the present policy continues.
+//! The order arrives on a thread of the bus, which puts it into a short queue. A thread of its own
+//! builds the policy and warms it up. It then holds the decision loop for the exchange of one
+//! pointer, between two decisions. An unknown policy, or one that does not fit the room, is refused
+//! by name, and the present policy continues.
 
 use std::{
     sync::{
@@ -54,7 +55,8 @@ pub struct PolicyBuilder {
     pub scenario: Scenario,
     /// Its optics.
     pub model: ChannelModel,
-    /// The policy of the command line and the source of its actor; other policies use built-in actors.
+    /// The policy of the command line and the source of its actor; other policies use built-in
+    /// actors.
     pub configured: (PolicyKind, ActorSource),
 }
 

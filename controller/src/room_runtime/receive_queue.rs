@@ -1,7 +1,7 @@
 //! The bounded queue between the transport's callbacks and the room's thread.
 //!
-//! It holds at most [`CAPACITY`] payloads; beyond that the oldest is dropped. Buffers are reused, so passing a payload on does not
-//! allocate once the buffers have grown.
+//! It holds at most [`CAPACITY`] payloads; beyond that the oldest is dropped. Buffers are reused,
+//! so passing a payload on does not allocate once the buffers have grown.
 
 use std::{
     collections::VecDeque,
@@ -132,7 +132,8 @@ impl ReceiveQueue {
         self.has_arrival.load(Ordering::Relaxed)
     }
 
-    /// Waits for an arrival without idling, at most until `until`: an idle processor lets its caches go cold.
+    /// Waits for an arrival without idling, at most until `until`: an idle processor lets its
+    /// caches go cold.
     ///
     /// Other threads that are ready to run get the processor.
     pub fn spin(&self, until: Instant) {

@@ -9,7 +9,8 @@ use heliostat_proto::Nanos;
 pub enum RoomClock {
     /// UTC.
     Utc,
-    /// The time of the newest report: the room runs faster or slower than real time, and waits for the answers.
+    /// The time of the newest report: the room runs faster or slower than real time, and waits for
+    /// the answers.
     Lockstep {
         /// Time of the newest report.
         newest_ns: Nanos,

@@ -49,7 +49,8 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
     Ok(subscriptions)
 }
 
-/// Subscribes to the capabilities of the array, to stop orders, and to the kind of node that drives the mirrors.
+/// Subscribes to the capabilities of the array, to stop orders, and to the kind of node that drives
+/// the mirrors.
 ///
 /// None of this is in the decision path.
 ///

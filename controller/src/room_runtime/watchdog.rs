@@ -2,10 +2,12 @@
 //!
 //! # Theory of operation
 //!
-//! A thread that decides holds the lock of the decision loop. The watchdog counts the begin and end of each decision. If the lock is held
-//! and the count has not changed for [`UNANSWERED_AFTER`], the policy does not return. The watchdog then names the command of the
-//! scenario's `control.when_unanswered`, unless the array is stopped. Operators' stop orders reach the watchdog directly, because the decision
-//! loop cannot handle them meanwhile. When the policy returns, the command sender continues the numbering.
+//! A thread that decides holds the lock of the decision loop. The watchdog counts the begin and end
+//! of each decision. If the lock is held and the count has not changed for [`UNANSWERED_AFTER`],
+//! the policy does not return. The watchdog then names the command of the scenario's
+//! `control.when_unanswered`, unless the array is stopped. Operators' stop orders reach the
+//! watchdog directly, because the decision loop cannot handle them meanwhile. When the policy
+//! returns, the command sender continues the numbering.
 
 use std::{
     sync::{
@@ -60,7 +62,8 @@ impl Watchdog {
         *lock(&self.stall) = StallDetector::default();
     }
 
-    /// The decision loop was busy at `at`: the command to send on behalf of the policy, if one is due.
+    /// The decision loop was busy at `at`: the command to send on behalf of the policy, if one is
+    /// due.
     pub fn on_busy(&self, at: Instant) -> Option<OnBehalf> {
         let is_stalled = lock(&self.stall).is_stalled(at, self.progress.load(Ordering::Relaxed));
         self.action.filter(|_| is_stalled && !lock(&self.stop).is_stopped())

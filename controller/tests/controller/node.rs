@@ -1,4 +1,5 @@
-//! The node on a real bus, in one process: commands come back, and hostile payloads are counted by name.
+//! The node on a real bus, in one process: commands come back, and hostile payloads are counted by
+//! name.
 
 use std::{
     sync::mpsc,

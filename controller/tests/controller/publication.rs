@@ -6,7 +6,8 @@ use allocation_counter::measure;
 use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
 use heliostat_proto::Room as RoomName;
 
-/// Allocations of the transport, on the thread that decides, for one command; printed for the results page.
+/// Allocations of the transport, on the thread that decides, for one command; printed for the
+/// results page.
 #[test]
 fn a_publication_allocates_little() {
     let room = RoomName::new("allocations").unwrap();

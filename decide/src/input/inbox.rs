@@ -1,8 +1,9 @@
 //! The latest report of each stream, and the rules for accepting or refusing a report.
 //!
-//! - The first source that reports owns the room. Reports of another source are refused until the owner has been silent for
-//!   `control.source_timeout_ms`. When the owner changes, the former owner's reports are discarded, so two rooms are never mixed.
-//!   The array has an owner of its own, because another process may drive it.
+//! - The first source that reports owns the room. Reports of another source are refused until the
+//!   owner has been silent for `control.source_timeout_ms`. When the owner changes, the former
+//!   owner's reports are discarded, so two rooms are never mixed. The array has an owner of its
+//!   own, because another process may drive it.
 //! - A sequence number must be higher than the last of its stream.
 //! - A report must be neither older than `control.report_age_max_ms` nor from the future.
 //! - Counts must equal those of the scenario, and values must be physically possible in the room.
@@ -17,7 +18,8 @@ use crate::input::refusal::{Refusal, Refused, Stream};
 /// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;
 
-/// A decoded message. The inbox swaps an accepted message with the former one, whose memory the caller decodes into next.
+/// A decoded message. The inbox swaps an accepted message with the former one, whose memory the
+/// caller decodes into next.
 #[derive(Debug)]
 pub enum Message<'a> {
     /// The users' positions; completes a tick.
@@ -149,7 +151,8 @@ impl Inbox {
         self.channel.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
     }
 
-    /// The latest survey of the obstacles, valid until the next survey or until the room has a new owner.
+    /// The latest survey of the obstacles, valid until the next survey or until the room has a new
+    /// owner.
     pub fn obstacles(&self) -> Option<&ObstacleReport> {
         self.obstacles.get()
     }
@@ -174,7 +177,8 @@ impl Inbox {
         self.sources
     }
 
-    /// A source has left: it owns nothing, its reports are discarded, and its late reports are refused.
+    /// A source has left: it owns nothing, its reports are discarded, and its late reports are
+    /// refused.
     pub fn handle_source_lost(&mut self, source: u64) {
         self.lost = Some(source);
         if self.room.is_some_and(|owner| owner.source == source) {

@@ -1,7 +1,9 @@
-//! The input of a policy: the known state of the room, and its encoding as a flat vector for a network.
+//! The input of a policy: the known state of the room, and its encoding as a flat vector for a
+//! network.
 //!
-//! Training and serving fill the same [`Observation`] and encode it with the same [`ObservationEncoder`]. Serving fills it from
-//! reports (see [`crate::observer`]), training from the true state of a simulated room.
+//! Training and serving fill the same [`Observation`] and encode it with the same
+//! [`ObservationEncoder`]. Serving fills it from reports (see [`crate::observer`]), training from
+//! the true state of a simulated room.
 //!
 //! # Layout of the vector, version 3
 //! For a capacity of U users and M mirrors, all in f32; slots beyond the users present hold 0:
@@ -16,8 +18,9 @@
 //! | angles | 2 M | roll of each mirror, then yaw of each mirror, as last commanded, rad |
 //! | summary | 11 U | features of each user, column by column: see [`Summary`] |
 //!
-//! s is [`LinkBudget::amplitude_scale`](heliostat_channel::link::LinkBudget::amplitude_scale), in which power, noise and responsivity
-//! multiply the gains. So amplitudes are dimensionless, and one actor serves other powers and noise levels.
+//! s is [`LinkBudget::amplitude_scale`](heliostat_channel::link::LinkBudget::amplitude_scale), in
+//! which power, noise and responsivity multiply the gains. So amplitudes are dimensionless, and one
+//! actor serves other powers and noise levels.
 
 use std::ops::Range;
 
@@ -26,7 +29,8 @@ use thiserror::Error;
 
 /// Version of the vector's layout; an actor made for another version is refused.
 ///
-/// Version 2 added the summary at the end; version 3 has it column by column, with balanced weights.
+/// Version 2 added the summary at the end; version 3 has it column by column, with balanced
+/// weights.
 pub const OBSERVATION_VERSION: u32 = 3;
 
 /// Largest number of users of the shipped actors.
@@ -34,8 +38,9 @@ pub const USERS_CAPACITY: usize = 10;
 
 /// Columns of the summary, each with a value for every slot.
 ///
-/// a_km is the steering amplitude of mirror m towards user k. p_k = sqrt(M) / sum_m a_km is the weight that gives all users equal
-/// shares. A shared amplitude is that of [`heliostat_channel::sharing`].
+/// a_km is the steering amplitude of mirror m towards user k. p_k = sqrt(M) / sum_m a_km is the
+/// weight that gives all users equal shares. A shared amplitude is that of
+/// [`heliostat_channel::sharing`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Summary {
     /// 1 where the slot holds a user.
@@ -54,7 +59,8 @@ pub enum Summary {
     LogShared,
     /// ln(1 + shared amplitude with the weights q).
     LogBalanced,
-    /// ln q_k: q is the result of [`heliostat_channel::sharing::balance`] for p, scaled so that the mean of ln q is that of ln p.
+    /// ln q_k: q is the result of [`heliostat_channel::sharing::balance`] for p, scaled so that the
+    /// mean of ln q is that of ln p.
     LogWeight,
 }
 
@@ -63,7 +69,8 @@ impl Summary {
     pub const COLUMNS: usize = 11;
 }
 
-/// Keeps the weight finite for a user without a path to any mirror; far below any amplitude that carries data.
+/// Keeps the weight finite for a user without a path to any mirror; far below any amplitude that
+/// carries data.
 const NO_AMPLITUDE: f32 = 1e-6;
 
 /// One snapshot of the room: K users and M mirrors. Its buffers are reused from tick to tick.
@@ -82,7 +89,8 @@ pub struct Observation {
     pub angles: MirrorAngles,
 }
 
-/// The state of a room from which an [`Observation`] is filled: all slices but `blockers` hold K entries.
+/// The state of a room from which an [`Observation`] is filled: all slices but `blockers` hold K
+/// entries.
 #[derive(Clone, Copy, Debug)]
 pub struct RoomState<'a> {
     /// The tick that the state belongs to.

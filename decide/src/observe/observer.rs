@@ -1,12 +1,13 @@
 //! From reports to an observation: reported values are copied, the others are inferred.
 //!
-//! Bodies are inferred: a user stands behind the device, opposite to the direction of walking. A user who has not walked yet has
-//! no body. Obstacles are those of the latest survey. Measured gains of the direct path replace modelled gains, because they
-//! include blockage that no survey reports.
+//! Bodies are inferred: a user stands behind the device, opposite to the direction of walking. A
+//! user who has not walked yet has no body. Obstacles are those of the latest survey. Measured
+//! gains of the direct path replace modelled gains, because they include blockage that no survey
+//! reports.
 //!
-//! With `control.prediction = "constant-velocity"` each user is assumed to walk on at the reported velocity. The prediction
-//! covers the age of the report and half of the interval until the next report, during which the command holds. No user is
-//! predicted to leave the room.
+//! With `control.prediction = "constant-velocity"` each user is assumed to walk on at the reported
+//! velocity. The prediction covers the age of the report and half of the interval until the next
+//! report, during which the command holds. No user is predicted to leave the room.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, Nanos, UserReport, UserState};
@@ -17,7 +18,8 @@ use crate::{
     observe::observation::{Observation, RoomState},
 };
 
-/// Below this speed in m/s a velocity does not show the direction that a user faces; half of the slowest walk.
+/// Below this speed in m/s a velocity does not show the direction that a user faces; half of the
+/// slowest walk.
 const WALKING_M_S: f64 = 0.05;
 
 /// Dimensions of a body, and its distance from the device.

@@ -1,6 +1,8 @@
-//! Whether the array may be commanded: its capabilities compared with the scenario, and the operator's stop.
+//! Whether the array may be commanded: its capabilities compared with the scenario, and the
+//! operator's stop.
 //!
-//! [`Examiner`] compares when an announcement arrives, outside the decision path. A decision reads only the flags of [`Guard`].
+//! [`Examiner`] compares when an announcement arrives, outside the decision path. A decision reads
+//! only the flags of [`Guard`].
 
 use heliostat_channel::specular::bisector;
 use heliostat_channel::{ChannelModel, Vec3};
@@ -121,9 +123,11 @@ impl Examiner {
         }
     }
 
-    /// Shares of the floor that at least one mirror can light, and of all pairs of a mirror and a floor point.
+    /// Shares of the floor that at least one mirror can light, and of all pairs of a mirror and a
+    /// floor point.
     ///
-    /// A mirror reaches a point if the bisector of the directions to the first LED and to the point is within its range.
+    /// A mirror reaches a point if the bisector of the directions to the first LED and to the point
+    /// is within its range.
     pub fn reach(&self, roll: &AxisLimits, yaw: &AxisLimits) -> (f64, f64) {
         let within = |angle: f64, axis: &AxisLimits| {
             (f64::from(axis.min_rad) - 1e-6..=f64::from(axis.max_rad) + 1e-6).contains(&angle)
@@ -195,7 +199,8 @@ impl Guard {
     }
 }
 
-/// The latch of the emergency stop, by the rules of a driver: only a re-arm later than the last stop releases it.
+/// The latch of the emergency stop, by the rules of a driver: only a re-arm later than the last
+/// stop releases it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StopLatch {
     stopped: bool,

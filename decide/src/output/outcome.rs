@@ -44,7 +44,8 @@ impl Stage {
 pub enum Due {
     /// The message completes a tick: `Controller::poll_command` answers it.
     Command,
-    /// The message is a position report that is too old: `Controller::poll_stale_command` answers it.
+    /// The message is a position report that is too old: `Controller::poll_stale_command` answers
+    /// it.
     StaleCommand,
     /// Nothing.
     Nothing,
@@ -73,7 +74,8 @@ pub enum Decision<'a> {
     Hold(DegradedMode),
 }
 
-/// Why a tick was not answered in normal operation. The table at the head of [`crate::core`] lists the answers.
+/// Why a tick was not answered in normal operation. The table at the head of [`crate::core`] lists
+/// the answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DegradedMode {
     /// The decision would have been late.

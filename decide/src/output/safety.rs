@@ -1,6 +1,8 @@
-//! The last check before the mirrors: commanded angles are finite, within range and within the slew limit.
+//! The last check before the mirrors: commanded angles are finite, within range and within the slew
+//! limit.
 //!
-//! It does not judge whether angles are useful, and it does not replace the limits that a driver enforces.
+//! It does not judge whether angles are useful, and it does not replace the limits that a driver
+//! enforces.
 
 use std::ops::RangeInclusive;
 
@@ -14,7 +16,8 @@ use thiserror::Error;
 pub struct Limits {
     /// Largest angle of each axis, plus and minus, in rad.
     range_rad: f64,
-    /// Smallest and largest roll, then yaw, in rad: within the range and the capabilities of the array.
+    /// Smallest and largest roll, then yaw, in rad: within the range and the capabilities of the
+    /// array.
     axes_rad: [[f64; 2]; 2],
     /// Largest angular rate of each axis in rad/s.
     slew_rad_per_s: Option<f64>,
@@ -63,14 +66,16 @@ impl Limits {
 
     /// Smallest and largest roll, then yaw, in rad.
     ///
-    /// `None` where both axes turn by 90 degrees or more in either direction, which is all that a mirror on a wall can use.
+    /// `None` where both axes turn by 90 degrees or more in either direction, which is all that a
+    /// mirror on a wall can use.
     pub fn narrow_axes_rad(&self) -> Option<[RangeInclusive<f64>; 2]> {
         let quarter = f64::from(largest_f32_within(std::f64::consts::FRAC_PI_2));
         let narrow = self.axes_rad.iter().any(|[min, max]| *min > -quarter || *max < quarter);
         narrow.then(|| self.axes_rad.map(|[min, max]| min..=max))
     }
 
-    /// Limits proposed angles to the range, and to what the slew rate allows from `from` in `elapsed_s` seconds.
+    /// Limits proposed angles to the range, and to what the slew rate allows from `from` in
+    /// `elapsed_s` seconds.
     pub fn bound(&self, from: &MirrorAngles, elapsed_s: f64, angles: &mut MirrorAngles) -> Clipped {
         let reach_rad = self.slew_rad_per_s.map_or(f64::INFINITY, |slew| slew * elapsed_s.max(0.0));
         let mut clipped = Clipped::default();
@@ -101,7 +106,8 @@ pub fn check_finite(angles: &MirrorAngles) -> Result<(), NotFinite> {
     }
 }
 
-/// Commands carry f32, in which 90 degrees rounds up: an array that checks its range would refuse the rounded value.
+/// Commands carry f32, in which 90 degrees rounds up: an array that checks its range would refuse
+/// the rounded value.
 fn largest_f32_within(value: f64) -> f32 {
     let nearest = value as f32;
     if f64::from(nearest) > value { nearest.next_down() } else { nearest }

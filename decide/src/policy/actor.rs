@@ -1,7 +1,8 @@
-//! The learned policy: an ONNX network whose last layers are the geometric decoder, so that its output is angles.
+//! The learned policy: an ONNX network whose last layers are the geometric decoder, so that its
+//! output is angles.
 //!
-//! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run. The actor writes into one input
-//! buffer that it keeps.
+//! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run. The
+//! actor writes into one input buffer that it keeps.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
@@ -61,8 +62,8 @@ impl Actor {
         self.run(out)
     }
 
-    /// Runs the network on its last input and discards the output: the cost of the engine alone, for benchmarks and for the
-    /// count of its allocations.
+    /// Runs the network on its last input and discards the output: the cost of the engine alone,
+    /// for benchmarks and for the count of its allocations.
     ///
     /// # Errors
     /// [`PolicyError`] where the engine fails.

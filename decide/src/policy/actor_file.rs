@@ -1,7 +1,8 @@
-//! The metadata of an actor's ONNX file, and whether the actor fits a room; read before the network is built.
+//! The metadata of an actor's ONNX file, and whether the actor fits a room; read before the network
+//! is built.
 //!
-//! The inference engine returns no metadata, so the file is parsed with its protobuf types. Every refusal names the file, the
-//! value found, the value expected and what to do.
+//! The inference engine returns no metadata, so the file is parsed with its protobuf types. Every
+//! refusal names the file, the value found, the value expected and what to do.
 
 use std::borrow::Cow;
 

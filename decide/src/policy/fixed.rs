@@ -19,7 +19,8 @@ impl Fixed {
         Self::uniform("flat", mirrors, 0.0)
     }
 
-    /// Every mirror looks up as far as its range lets it, so that it sends nothing to anybody below.
+    /// Every mirror looks up as far as its range lets it, so that it sends nothing to anybody
+    /// below.
     pub fn no_irs(mirrors: usize, range_rad: f64) -> Self {
         Self::uniform("no-irs", mirrors, -range_rad)
     }

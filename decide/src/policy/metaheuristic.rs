@@ -1,11 +1,13 @@
 //! What the metaheuristics share: a population of candidate angles, the objective, and the budget.
 //!
-//! A candidate is the roll and yaw of every mirror, within the range of commands. Its worth is problem P on the observation: the sum
-//! of rates by the true evaluation, less [`QOS_PENALTY`] bit/s for each bit/s that a user is short of the minimum rate.
+//! A candidate is the roll and yaw of every mirror, within the range of commands. Its worth is
+//! problem P on the observation: the sum of rates by the true evaluation, less [`QOS_PENALTY`]
+//! bit/s for each bit/s that a user is short of the minimum rate.
 //!
-//! Each decision starts anew from uniform draws, except that the first candidate starts where the mirrors stand, so that no answer is
-//! worse than to leave them. It ends with the trials or the time, whichever runs out first. Time comes from
-//! the caller: without a time limit (`control.search_time_us = 0`) the answers depend on the seed alone.
+//! Each decision starts anew from uniform draws, except that the first candidate starts where the
+//! mirrors stand, so that no answer is worse than to leave them. It ends with the trials or the
+//! time, whichever runs out first. Time comes from the caller: without a time limit
+//! (`control.search_time_us = 0`) the answers depend on the seed alone.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::QOS_PENALTY};
 use heliostat_scenario::{Control, Scenario};

@@ -9,11 +9,12 @@ use heliostat_channel::{
 use super::proposal::{Policy, PolicyError};
 use crate::observe::observation::Observation;
 
-/// Passes of single mirror moves after the fixed point; docs/evaluation.md compares the result with the oracle.
+/// Passes of single mirror moves after the fixed point; docs/evaluation.md compares the result with
+/// the oracle.
 const GREEDY_PASSES: usize = 3;
 
-/// The damped fixed point over the users' weights, started from the last answer, with or without single mirror moves after it;
-/// or the oracle.
+/// The damped fixed point over the users' weights, started from the last answer, with or without
+/// single mirror moves after it; or the oracle.
 pub struct ModelBased {
     name: &'static str,
     method: Method,

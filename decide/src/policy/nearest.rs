@@ -5,7 +5,8 @@ use heliostat_channel::{ChannelModel, Mode, decode, mirrors::MirrorAngles};
 use super::proposal::{Policy, PolicyError};
 use crate::observe::observation::Observation;
 
-/// Mirror m is aimed at argmax_k a_km, the user with its largest steering gain, regardless of that user's rate.
+/// Mirror m is aimed at argmax_k a_km, the user with its largest steering gain, regardless of that
+/// user's rate.
 ///
 /// A baseline; docs/evaluation.md compares it with the optimum.
 pub struct Nearest {
@@ -20,7 +21,8 @@ impl Nearest {
     }
 }
 
-/// Turns each mirror straight towards the user it serves: the best that the paper's equations allow for one user.
+/// Turns each mirror straight towards the user it serves: the best that the paper's equations allow
+/// for one user.
 fn face_served(model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
     let (users, mirrors) = (observation.users(), observation.mirrors());
     let gains = observation.scene.steering_gain();

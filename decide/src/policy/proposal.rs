@@ -1,7 +1,8 @@
 //! The policy trait: from an observation to proposed mirror angles.
 //!
-//! A policy only proposes. [`crate::safety`] limits and checks its angles. A policy does not log, and reads time only through a
-//! [`TimeSource`]. After the first few calls it does not allocate in this project's code.
+//! A policy only proposes. [`crate::safety`] limits and checks its angles. A policy does not log,
+//! and reads time only through a [`TimeSource`]. After the first few calls it does not allocate in
+//! this project's code.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::SolverError};
 use thiserror::Error;
@@ -19,7 +20,8 @@ pub trait Policy: Send {
     /// Writes the angles for an observation; `out` has the size of the model's array.
     ///
     /// # Errors
-    /// [`PolicyError`] where the policy gives no angles; the contents of `out` are then unspecified.
+    /// [`PolicyError`] where the policy gives no angles; the contents of `out` are then
+    /// unspecified.
     fn act(
         &mut self,
         model: &ChannelModel,
@@ -27,9 +29,11 @@ pub trait Policy: Send {
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError>;
 
-    /// Runs the code of [`act`](Self::act) so that code and data stay in the processor's caches, without an effect on later answers.
+    /// Runs the code of [`act`](Self::act) so that code and data stay in the processor's caches,
+    /// without an effect on later answers.
     ///
-    /// The contents of `out` are then unspecified. The default does nothing, as suits a policy with memory that it cannot restore.
+    /// The contents of `out` are then unspecified. The default does nothing, as suits a policy with
+    /// memory that it cannot restore.
     fn warm_cache(&mut self, _: &ChannelModel, _: &Observation, _out: &mut MirrorAngles) {}
 }
 

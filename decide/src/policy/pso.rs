@@ -1,13 +1,16 @@
-//! Particle swarm optimisation with constriction (Clerc and Kennedy, IEEE Trans. Evolutionary Computation 6, 2002).
+//! Particle swarm optimisation with constriction (Clerc and Kennedy, IEEE Trans. Evolutionary
+//! Computation 6, 2002).
 //!
-//! Every coordinate x of every particle is drawn to the best place p that the particle has seen and to the best g of all,
+//! Every coordinate x of every particle is drawn to the best place p that the particle has seen and
+//! to the best g of all,
 //!
 //! ```text
 //! v <- w v + c r1 (p - x) + c r2 (g - x),   x <- x + v,
 //! ```
 //!
-//! with r1 and r2 uniform in [0, 1]. Departures: the budget is counted in trials or in time instead of rounds, one particle starts at the present
-//! angles (see the module that it shares with the sine cosine algorithm), and particles start at rest.
+//! with r1 and r2 uniform in [0, 1]. Departures: the budget is counted in trials or in time instead
+//! of rounds, one particle starts at the present angles (see the module that it shares with the
+//! sine cosine algorithm), and particles start at rest.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;

@@ -48,7 +48,8 @@ pub struct Resources<'a> {
     pub monotonic_ns: TimeSource,
 }
 
-/// Declares the policies: one row yields the name on the command line, the help text, and how the policy is built.
+/// Declares the policies: one row yields the name on the command line, the help text, and how the
+/// policy is built.
 macro_rules! policies {
     ($($(#[$attribute:meta])* $kind:ident: $recipe:expr,)*) => {
         /// The policies by name.
@@ -159,7 +160,8 @@ impl PolicyKind {
 /// Builds a policy for a room.
 ///
 /// # Errors
-/// [`BuildError`] where a learned policy's actor is missing or does not fit the room, or the search space is too large.
+/// [`BuildError`] where a learned policy's actor is missing or does not fit the room, or the search
+/// space is too large.
 pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -> Result<Box<dyn Policy>, BuildError> {
     match kind.recipe() {
         Learned => {

@@ -1,4 +1,5 @@
-//! The sine cosine algorithm (Mirjalili, Knowledge-Based Systems 96, 2016), which the literature on mirror arrays turns them with.
+//! The sine cosine algorithm (Mirjalili, Knowledge-Based Systems 96, 2016), which the literature on
+//! mirror arrays turns them with.
 //!
 //! Every coordinate x of every candidate swings around the best candidate's p,
 //!
@@ -6,8 +7,9 @@
 //! x <- x + r1 sin(r2) |r3 p - x|   or   x + r1 cos(r2) |r3 p - x|,   each with probability 1/2,
 //! ```
 //!
-//! with r2 uniform in [0, 2 pi], r3 in [0, 2], and r1 falling from 2 to 0 as the budget is spent. Departures: the budget is counted in trials or
-//! in time instead of rounds, and one candidate starts at the present angles (see the module that it shares with the particle swarm).
+//! with r2 uniform in [0, 2 pi], r3 in [0, 2], and r1 falling from 2 to 0 as the budget is spent.
+//! Departures: the budget is counted in trials or in time instead of rounds, and one candidate
+//! starts at the present angles (see the module that it shares with the particle swarm).
 
 use std::f64::consts::TAU;
 

@@ -1,4 +1,5 @@
-//! Decisions on an invented room, so that the first real decision finds buffers sized and caches warm.
+//! Decisions on an invented room, so that the first real decision finds buffers sized and caches
+//! warm.
 
 use heliostat_channel::{ChannelModel, Vec3};
 

@@ -93,7 +93,8 @@ fn an_actor_of_another_observation_version_is_refused() {
     let scenario = scenario(&[]);
     let error = refusal(&ActorRecipe::fitting(&scenario).with_metadata(key::OBSERVATION_VERSION, "1"), &scenario);
     assert_contains(&error, &["observation version 1", "expected 3", "train it again"]);
-    // As long as these versions were, 4 * (6 + 9) + 18 and 4 * (16 + 9) + 18: it is the version that is wrong, not the shape.
+    // As long as these versions were, 4 * (6 + 9) + 18 and 4 * (16 + 9) + 18: it is the version
+    // that is wrong, not the shape.
     for (version, input_length) in [("1", 78), ("2", 118)] {
         let former = ActorRecipe { input_length, ..ActorRecipe::fitting(&scenario) };
         let error = refusal(&former.with_metadata(key::OBSERVATION_VERSION, version), &scenario);

@@ -1,4 +1,5 @@
-//! What the core answers when there is no time, no report or no actor; and that warm_ups leave no trace.
+//! What the core answers when there is no time, no report or no actor; and that warm_ups leave no
+//! trace.
 
 use heliostat_decide::{
     core::{Controller, Decision, DegradedMode, Timing},

@@ -178,7 +178,8 @@ fn stages_are_marked_in_order_and_once() {
     assert_eq!(marks, [Stage::Observed, Stage::Inferred, Stage::MadeSafe]);
 }
 
-/// The same reports at the same times give the same commands, bit for bit, whatever happened elsewhere in the process.
+/// The same reports at the same times give the same commands, bit for bit, whatever happened
+/// elsewhere in the process.
 #[test]
 fn the_core_is_deterministic() {
     for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest, PolicyKind::Random, PolicyKind::Ddpg]

@@ -182,7 +182,8 @@ fn measured_gains_replace_modelled_ones() {
     }
 }
 
-/// Somebody walks straight towards the light, so that their body, behind them, leaves it free; on the way back it is in between.
+/// Somebody walks straight towards the light, so that their body, behind them, leaves it free; on
+/// the way back it is in between.
 #[test]
 fn bodies_stand_behind_the_walkers() {
     let scenario = scenario(&["users.count=1", "receiver.height_m=1.0"]);
@@ -231,7 +232,8 @@ fn surveyed_obstacles_stand_in_the_light() {
     assert!(free > 0.0 && shaded == 0.0 && cleared > 0.0, "{free} {shaded} {cleared}");
 }
 
-/// A report of 20 ms ago, in a room that reports every 10 ms: 25 ms lie between the sample and the middle of the command's time.
+/// A report of 20 ms ago, in a room that reports every 10 ms: 25 ms lie between the sample and the
+/// middle of the command's time.
 #[test]
 fn users_are_predicted_to_walk_on_but_not_through_walls() {
     let place = |prediction: &str, x: f32| {

@@ -134,7 +134,8 @@ impl Policy for Scripted {
     }
 }
 
-/// An ONNX file to order: a network of one layer whose weights are zero, so that it answers its bias.
+/// An ONNX file to order: a network of one layer whose weights are zero, so that it answers its
+/// bias.
 pub struct ActorRecipe {
     pub input_name: &'static str,
     pub output_name: &'static str,

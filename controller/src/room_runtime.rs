@@ -5,7 +5,7 @@
 //! | --- | --- | --- |
 //! | [`receive_queue`] | holds payloads between callbacks and the room's thread | |
 //! | [`decision_loop`] | decodes, decides, records stage times | the transport's callback or the room's thread |
-//! | [`cache_warmer`] | says when the room's thread warms up the caches | the room's thread |
+//! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
 //! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
 //! | [`watchdog`] | acts for a policy that does not return | the main thread |
 //!

@@ -146,7 +146,7 @@ impl CacheWarmer {
         self.arm(at);
     }
 
-    /// A decision without the policy ended at `at`; its duration tells nothing about the next one.
+    /// A decision without the policy ended at `at`; its duration does not predict the next one.
     pub fn on_late_decision(&mut self, at: Instant) {
         self.arm(at);
     }

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_command_is_repeated_and_the_policy_continues_the_numbering() {
+    fn repeated_commands_and_later_commands_share_one_numbering() {
         let mut last = LastCommand::default();
         assert_eq!(last.on_behalf(OnBehalf::RepeatLast, 6), None, "there is no last command yet");
         number(&mut last, 7);

@@ -155,7 +155,7 @@ impl DecisionLoop {
         }
     }
 
-    /// Warms up caches where the settings say so. In lockstep there is no deadline, and no need.
+    /// Warms up caches if the settings ask for it, except in lockstep, which has no deadline.
     pub fn with_cache_warm_up(mut self, keep_warm: KeepWarm) -> Self {
         self.warmer = CacheWarmer::new(keep_warm == KeepWarm::Expected && self.clock == RoomClock::Utc);
         self
@@ -295,7 +295,7 @@ impl PayloadHandler {
         let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
             DecideIn::Callback => Some(lock(&self.decision_loop)),
             DecideIn::Thread => None,
-            // The room's thread holds the lock while it empties the queue, so no payload overtakes
+            // The room's thread holds the lock while it empties the queue, so no payload passes
             // a waiting one.
             DecideIn::Auto if !self.queue.is_empty() => None,
             DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(stream, entered)),

@@ -79,7 +79,7 @@ impl Watchdog {
     }
 }
 
-/// Tells one long decision from several short ones.
+/// Distinguishes one long decision from several short ones.
 #[derive(Clone, Copy, Debug, Default)]
 struct StallDetector {
     /// Since when the loop has been busy, and the progress then.

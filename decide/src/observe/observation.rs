@@ -158,7 +158,7 @@ impl Observation {
     }
 }
 
-/// Why an observation does not fit a vector.
+/// Why an observation does not fit the vector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum EncodeError {
     /// More users than slots.

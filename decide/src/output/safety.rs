@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_is_not_a_number_is_named() {
+    fn the_mirror_of_a_value_that_is_not_finite_is_named() {
         let proposed = MirrorAngles { roll: vec![0.0, 0.0], yaw: vec![0.0, f64::NAN] };
         assert_eq!(check_finite(&proposed), Err(NotFinite { mirror: 1 }));
         assert_eq!(check_finite(&angles(0.0, f64::INFINITY)), Err(NotFinite { mirror: 0 }));

@@ -1,4 +1,4 @@
-//! Which actors are refused, and with which words.
+//! Actors that are refused, and the text of the refusals.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_decide::{
@@ -23,7 +23,7 @@ fn refusal(recipe: &ActorRecipe, scenario: &Scenario) -> ActorError {
 fn assert_contains(error: &dyn std::error::Error, words: &[&str]) {
     let text = error.to_string();
     for word in words {
-        assert!(text.contains(word), "\"{text}\" does not say \"{word}\"");
+        assert!(text.contains(word), "\"{text}\" does not contain \"{word}\"");
     }
 }
 
@@ -39,7 +39,7 @@ fn an_actor_that_fits_acts() {
 }
 
 #[test]
-fn bytes_that_are_no_onnx_are_refused() {
+fn bytes_that_are_not_onnx_are_refused() {
     let scenario = scenario(&[]);
     for bytes in [&b"not a network"[..], b"", &[0xff; 64]] {
         let file = ActorFile { origin: "junk.onnx".into(), bytes: bytes.to_vec().into() };
@@ -123,7 +123,7 @@ fn an_actor_of_another_mode_is_refused() {
 }
 
 #[test]
-fn an_actor_of_another_geometry_is_refused_but_other_noise_is_not_geometry() {
+fn an_actor_of_another_geometry_is_refused_and_one_of_another_noise_is_not() {
     let recipe = ActorRecipe::fitting(&scenario(&[]));
     let error = refusal(&recipe, &scenario(&["mirrors.centre_height_m=1.8"]));
     assert_contains(&error, &["optical geometry", "heliostat train"]);
@@ -132,7 +132,7 @@ fn an_actor_of_another_geometry_is_refused_but_other_noise_is_not_geometry() {
 }
 
 #[test]
-fn what_an_actor_gives_that_is_no_number_is_an_error() {
+fn an_output_that_is_not_finite_is_an_error() {
     let scenario = scenario(&[]);
     let recipe = ActorRecipe { bias: f32::INFINITY, ..ActorRecipe::fitting(&scenario) };
     let mut actor = load_actor(&recipe.file(), &scenario).unwrap();

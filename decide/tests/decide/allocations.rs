@@ -78,11 +78,11 @@ fn allocations(scenario: &Scenario, kind: PolicyKind) -> Vec<u64> {
 }
 
 #[test]
-fn no_policy_of_our_own_allocates() {
+fn no_policy_without_a_network_allocates() {
     let scenario = large();
     // The exhaustive search cannot run in a large room, and is no policy for a tick anywhere.
-    let ours = |kind: &&PolicyKind| !kind.is_learned() && **kind != PolicyKind::Exhaustive;
-    for kind in PolicyKind::value_variants().iter().filter(ours) {
+    let without_network = |kind: &&PolicyKind| !kind.is_learned() && **kind != PolicyKind::Exhaustive;
+    for kind in PolicyKind::value_variants().iter().filter(without_network) {
         let counts = allocations(&scenario, *kind);
         assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
     }

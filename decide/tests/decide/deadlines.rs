@@ -29,7 +29,7 @@ fn late_answer(answer: &str) -> (MirrorCommand, Outcome, Controller) {
 }
 
 #[test]
-fn a_late_decision_has_the_answer_that_is_configured() {
+fn a_late_decision_has_the_configured_answer() {
     let (good, outcome, _) = late_answer("last-good");
     let again = outcome.command();
     assert_eq!((&again.roll, &again.yaw), (&good.roll, &good.yaw));
@@ -44,12 +44,12 @@ fn a_late_decision_has_the_answer_that_is_configured() {
 
     let decided = late_answer("policy").1.command();
     let by_model = late_answer("fallback").1.command();
-    assert_ne!(decided.yaw, good.yaw, "people have moved on");
+    assert_ne!(decided.yaw, good.yaw, "the users have moved on");
     assert_ne!(by_model.yaw, good.yaw);
 }
 
 #[test]
-fn the_last_good_of_nothing_is_to_hold() {
+fn without_a_last_command_the_array_holds() {
     let scenario = scenario(&["control.when_stale=last-good"]);
     let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     assert_eq!(controller.poll_stale_command(Room::time(1)), Decision::Hold(DegradedMode::Held));
@@ -57,7 +57,7 @@ fn the_last_good_of_nothing_is_to_hold() {
 }
 
 #[test]
-fn an_actor_that_fails_may_be_answered_by_the_last_good() {
+fn a_failing_policy_may_be_replaced_by_the_last_command() {
     let scenario = scenario(&["control.fallback=last-good"]);
     let once = Scripted(|observation, out| {
         if observation.tick > 1 {
@@ -79,7 +79,7 @@ fn an_actor_that_fails_may_be_answered_by_the_last_good() {
 fn silence(answer: &str) -> (Vec<MirrorCommand>, Controller) {
     let scenario = scenario(&[&format!("control.when_silent={answer}"), "control.report_age_max_ms=100"]);
     let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
-    assert!(controller.poll_timeout_command(Room::time(1)).is_none(), "nobody was ever heard");
+    assert!(controller.poll_timeout_command(Room::time(1)).is_none(), "no report has arrived yet");
     let mut room = Room::new(&scenario);
     room.tick(&mut controller, 1);
     let mut commands = Vec::new();

@@ -1,4 +1,4 @@
-//! What the core answers when all is well, and when it is not.
+//! Answers of the core in normal operation and in degraded modes.
 
 use heliostat_decide::{
     core::{DegradedMode, Stage},
@@ -24,7 +24,7 @@ fn a_failing_policy_is_replaced_and_counted() {
 }
 
 #[test]
-fn a_value_that_is_no_number_never_leaves() {
+fn a_value_that_is_not_finite_is_never_commanded() {
     let scenario = scenario(&["control.fallback=flat"]);
     let mut controller = controller(
         &scenario,
@@ -41,7 +41,7 @@ fn a_value_that_is_no_number_never_leaves() {
 }
 
 #[test]
-fn an_actor_that_gives_no_numbers_falls_back() {
+fn an_actor_with_values_that_are_not_finite_falls_back() {
     let scenario = scenario(&[]);
     let file = ActorRecipe { bias: f32::NAN, ..ActorRecipe::fitting(&scenario) }.file();
     let actor = build_with(PolicyKind::Ddpg, &scenario, &file).unwrap();

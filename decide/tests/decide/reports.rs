@@ -1,4 +1,4 @@
-//! Which reports are taken, and under which name the others are refused.
+//! Accepted reports, and the named reasons for refusing others.
 
 use heliostat_decide::{
     core::{Controller, DegradedMode},
@@ -84,7 +84,7 @@ fn a_second_source_is_refused_and_named_until_the_first_is_silent() {
 }
 
 #[test]
-fn nothing_of_the_first_source_is_mixed_into_the_second() {
+fn reports_of_two_sources_are_never_mixed() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
     let mut other = Room { source: 0x52, ..room };
@@ -95,7 +95,7 @@ fn nothing_of_the_first_source_is_mixed_into_the_second() {
 }
 
 #[test]
-fn a_source_that_said_goodbye_frees_the_room_at_once() {
+fn a_source_that_has_left_frees_the_room_at_once() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
     controller.handle_source_lost(0x99);
@@ -106,7 +106,7 @@ fn a_source_that_said_goodbye_frees_the_room_at_once() {
 }
 
 #[test]
-fn a_last_report_of_a_source_that_is_gone_claims_nothing_until_it_is_back() {
+fn a_late_report_of_a_source_that_has_left_is_refused_until_the_source_returns() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
     controller.handle_source_lost(SOURCE);
@@ -129,7 +129,7 @@ fn a_report_about_another_number_of_users_is_refused() {
 }
 
 #[test]
-fn values_that_no_room_gives_are_refused() {
+fn physically_impossible_values_are_refused() {
     let (mut controller, mut room) = flat(&[]);
     let now = Room::time(1);
     let mut outside = room.positions(1);

@@ -64,7 +64,7 @@ pub fn receive(controller: &mut Controller, now: Nanos, message: Message<'_>) ->
     }
 }
 
-/// A room with people who walk in circles and report every 10 ms.
+/// A room with users who walk in circles and report every 10 ms.
 pub struct Room {
     pub source: u64,
     pub users: usize,
@@ -92,7 +92,7 @@ impl Room {
         UserReport { stamp, tick, users }
     }
 
-    /// Everybody measures the same gain of the direct path.
+    /// All users measure the same gain of the direct path.
     pub fn gains(&mut self, tick: u64, los_gain: f32) -> ChannelReport {
         let stamp = self.stamp(tick);
         let one = |user: usize| UserChannel { user: user as u32, los_gain, irs_gain: 0.0, sinr: 0.0 };
@@ -121,7 +121,7 @@ fn walker(user: usize, users: usize, tick: u64) -> UserState {
     }
 }
 
-/// A policy that does as it is told.
+/// A policy that calls a function.
 pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> Result<(), PolicyError>);
 
 impl Policy for Scripted {

@@ -169,7 +169,7 @@ fn go_through(party: &mut dyn Party, block: Block, record: &mut dyn FnMut(Durati
             }
         };
         party.act(started)?;
-        record(started.estampsed());
+        record(started.elapsed());
         if block.interval.is_none() && Instant::now() > block.until {
             return Ok(report + 1);
         }

@@ -1,13 +1,10 @@
-//! ONNX inference for learned policies, behind [`Engine`](heliostat_decide::policy::Engine) of the
-//! decision core.
+//! ONNX inference for learned policies, behind [`Engine`](heliostat_decide::policy::Engine) of the decision core.
 //!
-//! This is the only crate that names ort. The embedded engine is tract; the cargo feature
-//! `onnxruntime` selects ONNX Runtime instead. The engine copies its input and allocates at each
-//! run.
+//! This is the only crate that names ort. The embedded engine is tract; the cargo feature `onnxruntime` selects ONNX Runtime instead. The
+//! engine copies its input and allocates at each run.
 //!
 //! - [`Ort`]: the engine.
-//! - [`source`]: where the file of a learned policy comes from; [`shipped`] holds the actors that
-//!   are built in.
+//! - [`source`]: where the file of a learned policy comes from; [`shipped`] holds the actors that are built in.
 //! - [`build`]: any policy by its name, with this engine.
 
 mod error;
@@ -38,8 +35,7 @@ pub use source::{ActorSource, BuildError, SourceError};
 /// Builds a policy for a room; a learned one reads its file from `source`.
 ///
 /// # Errors
-/// [`BuildError`] where the file is missing, does not fit the room, or is given for a policy that
-/// reads none.
+/// [`BuildError`] where the file is missing, does not fit the room, or is given for a policy that reads none.
 pub fn build(kind: PolicyKind, scenario: &Scenario, source: &ActorSource) -> Result<Box<dyn Policy>, BuildError> {
     source.check_used_by(kind)?;
     let actor = if kind.is_learned() { Some(source.fetch(kind, scenario)?) } else { None };

@@ -1,4 +1,5 @@
-//! Lists the actors in `models/actors`, so that they are built into the program and a new one needs no edit here.
+//! Lists the actors in `models/actors`, so that they are built into the program and a new one needs
+//! no edit here.
 
 use std::{env, error::Error, fmt::Write, fs, path::Path};
 

@@ -2,50 +2,55 @@
 
 use std::{io::Write, path::PathBuf};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use heliostat_bus::BusArgs;
-use heliostat_proto::Room;
-use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
-
-use crate::{
-    intake::{Deciding, KeepWarm, Place},
-    machine::MachineArgs,
-    node::{self, NodeConfig, Pace},
-    summary::Summary,
-};
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
 use heliostat_engine::ActorSource;
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_proto::Room;
+use heliostat_scenario::ScenarioArgs;
 
-/// Run the central unit: reports in, mirror commands out.
+use crate::{
+    config::{NodeConfig, Pace},
+    machine::MachineArgs,
+    node,
+    report::summary::Summary,
+    room_runtime::{
+        cache_warmer::KeepWarm,
+        decision_loop::{DecideIn, DecisionSettings},
+    },
+};
+
+/// Run the controller: reports in, mirror commands out.
 ///
-/// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by default.
+/// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by
+/// default.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
     #[command(flatten)]
     bus: BusArgs,
-    /// Which policy turns the mirrors
+    /// Policy that decides the mirror angles
     #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
     policy: PolicyKind,
     /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Serve these rooms too (comma-separated), by the same scenario and over the same session
+    /// Serve these rooms too (comma-separated), with the same scenario and over the same session
     #[arg(long, value_name = "ROOM", value_delimiter = ',')]
     also_room: Vec<String>,
     /// Where decisions are made
-    #[arg(long, value_enum, default_value_t = Deciding::default().place)]
-    decide_in: Place,
-    /// Rehearse on the room's thread, so that caches stay warm: `expected` (shortly before each report, for a slow policy in a process of one room),
-    /// `off`, or a pause in us between rehearsals of any policy
-    #[arg(long, value_name = "WHEN", default_value_t = Deciding::default().keep_warm)]
+    #[arg(long, value_enum, default_value_t = DecisionSettings::default().decide_in)]
+    decide_in: DecideIn,
+    /// Warm up the processor's caches on the room's thread: `expected` (shortly before each report,
+    /// for a slow policy in a process of one room) or `off`
+    #[arg(long, value_name = "WHEN", default_value_t = DecisionSettings::default().keep_warm)]
     keep_warm: KeepWarm,
-    /// Command mirrors that cannot reach all of the floor
+    /// Command mirrors whose range does not reach all of the floor
     #[arg(long)]
     accept_small_range: bool,
-    /// Send angles of a `paper` channel mode to real mirrors, where they gain nothing
+    /// Send angles of a `paper` channel mode to real mirrors, which they do not aim
     #[arg(long)]
     force_paper_angles: bool,
     #[command(flatten)]
@@ -54,7 +59,8 @@ pub struct Args {
     metrics: MetricsArgs,
     #[command(flatten)]
     log: LogArgs,
-    /// Take time from the reports, for a room that runs in lockstep; the same room then gets the same commands
+    /// Take time from the reports, for a room that runs in lockstep; the same reports then give the
+    /// same commands
     #[arg(long)]
     lockstep: bool,
     #[command(flatten)]
@@ -68,18 +74,19 @@ impl Args {
     /// The configuration that the flags describe.
     ///
     /// # Errors
-    /// Whatever is wrong with a flag or with the scenario.
+    /// If a flag or the scenario is invalid.
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
-        self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path).check_used_by(self.policy)?;
+        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        source.check_used_by(self.policy).context("--model names the file of a learned policy")?;
         let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
-            bail!("--also-room {}: this room is served already; name each room once", twice.1);
+            bail!("--also-room {}: this room is already named; name each room once", twice.1);
         }
         Ok(NodeConfig {
             scenario: self.scenario.load()?,
             bus: self.bus.config_or_connect()?,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
-            deciding: Deciding { place: self.decide_in, keep_warm: self.keep_warm },
+            decisions: DecisionSettings { decide_in: self.decide_in, keep_warm: self.keep_warm },
             policy: self.policy,
             model: self.model.clone(),
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
@@ -90,19 +97,20 @@ impl Args {
     }
 }
 
-/// Runs a controller until Ctrl-C, SIGTERM, the end of its time or of its parent, and prints its summary.
+/// Runs a controller until Ctrl-C, SIGTERM, the end of its time or of its parent, and prints its
+/// summary.
 ///
 /// # Errors
-/// Whatever keeps it from starting, with what to do about it.
+/// If it cannot start; the message states what to do.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let config = args.node_config()?;
     args.log.start();
     let stop = args.end.stop()?;
-    // Before any other thread is there: those that follow inherit it.
+    // Before any other thread starts: later threads inherit the settings.
     let machine = args.machine.obtain();
     machine.iter().for_each(|granted| tracing::info!("{granted}"));
     let summary = Summary { machine, ..node::run(&config, &stop)? };
-    // Not println!, which panics when the reader is gone.
+    // println! would panic when standard output is closed.
     let mut out = std::io::stdout();
     if args.json {
         writeln!(out, "{}", serde_json::to_string(&summary)?)?;

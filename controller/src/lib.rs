@@ -1,17 +1,17 @@
 //! The controller process: the decision core of `heliostat-decide` on the bus, within the deadline.
 //!
-//! It knows nothing of simulators: a real room that follows the contract takes their place without a change here.
+//! It depends on no simulator: a real room that follows the contract takes the place of the
+//! simulated one without a change here.
+//!
+//! - [`cli`], [`config`], [`machine`]: flags, and what they configure.
+//! - [`node`]: the process, with any number of rooms.
+//! - [`room_runtime`]: one room with its decision loop, receive queue, cache warmer, command sender
+//!   and watchdog.
+//! - [`report`]: stage times, summary and metrics.
 
 pub mod cli;
-mod control;
-mod desk;
-pub mod intake;
-pub mod ledger;
+pub mod config;
 pub mod machine;
-mod metrics;
 pub mod node;
-mod post;
-mod rhythm;
-mod standby;
-mod status;
-pub mod summary;
+pub mod report;
+pub mod room_runtime;

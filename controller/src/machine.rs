@@ -1,9 +1,10 @@
-//! What a controller asks of the operating system, so that the deciding threads are not kept waiting: memory that stays in RAM,
-//! processors of its own, precedence over ordinary processes.
+//! Requests to the operating system that keep other work from delaying decisions: memory locked in
+//! RAM, processors of its own, and real-time priority.
 //!
-//! Each is asked for alone, said plainly whether granted or not, and done without where it is not.
+//! Each request is made alone. Its result is reported, and the controller continues without what is
+//! not granted.
 
-/// What to ask for.
+/// The requests.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct MachineArgs {
     /// Keep all memory of the process in RAM, where that is permitted
@@ -12,26 +13,27 @@ pub struct MachineArgs {
     /// Run on these processors only, such as 1 or 0,1
     #[arg(long, value_name = "CPU", value_delimiter = ',')]
     pin: Vec<usize>,
-    /// Run ahead of all ordinary processes (SCHED_FIFO) with this priority, 1 to 99, where that is permitted
+    /// Run with this real-time priority (SCHED_FIFO), 1 to 99, where that is permitted
     #[arg(long, value_name = "PRIORITY", num_args = 0..=1, default_missing_value = "50", value_parser = clap::value_parser!(u8).range(1..=99))]
     realtime: Option<u8>,
 }
 
 impl MachineArgs {
-    /// Asks for each, and tells of each whether it was granted.
+    /// Makes each request, and returns the result of each in words.
     ///
-    /// Processors and precedence are those of the calling thread and of all threads that it starts from then on: call this first.
+    /// Processors and priority apply to the calling thread and to all threads that it starts later:
+    /// call this first.
     pub fn obtain(&self) -> Vec<String> {
-        let asked = [
+        let requests = [
             self.lock_memory.then(|| ("memory locked in RAM".to_string(), system::lock_memory())),
             (!self.pin.is_empty()).then(|| (format!("on processors {:?} only", self.pin), system::pin(&self.pin))),
             self.realtime.map(|priority| (format!("SCHED_FIFO, priority {priority}"), system::realtime(priority))),
         ];
-        let told = |(what, granted): (String, Result<(), String>)| match granted {
+        let describe = |(what, granted): (String, Result<(), String>)| match granted {
             Ok(()) => format!("granted: {what}"),
-            Err(problem) => format!("not granted, going on without: {what}: {problem}"),
+            Err(problem) => format!("not granted, continuing without: {what}: {problem}"),
         };
-        asked.into_iter().flatten().map(told).collect()
+        requests.into_iter().flatten().map(describe).collect()
     }
 }
 
@@ -58,7 +60,7 @@ mod system {
         for processor in processors {
             set.set(*processor).map_err(|_| format!("there is no processor {processor}"))?;
         }
-        sched_setaffinity(Pid::from_raw(0), &set).map_err(|error| explain(error, "name processors that are there"))
+        sched_setaffinity(Pid::from_raw(0), &set).map_err(|error| explain(error, "name processors that exist"))
     }
 
     pub fn realtime(priority: u8) -> Result<(), String> {
@@ -75,7 +77,7 @@ mod system {
 
 #[cfg(not(target_os = "linux"))]
 mod system {
-    const HERE: &str = "only Linux is asked";
+    const HERE: &str = "supported on Linux only";
 
     pub fn lock_memory() -> Result<(), String> {
         Err(HERE.into())
@@ -95,14 +97,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_asked_nothing_told() {
+    fn no_request_gives_no_result() {
         assert!(MachineArgs::default().obtain().is_empty());
     }
 
     #[test]
-    fn a_processor_that_is_not_there_is_told_and_done_without() {
-        let asked = MachineArgs { pin: vec![1 << 20], ..MachineArgs::default() };
-        let told = asked.obtain();
-        assert!(told.len() == 1 && told[0].starts_with("not granted, going on without: on processors"), "{told:?}");
+    fn a_missing_processor_is_reported_and_the_controller_continues() {
+        let requests = MachineArgs { pin: vec![1 << 20], ..MachineArgs::default() };
+        let results = requests.obtain();
+        assert!(
+            results.len() == 1 && results[0].starts_with("not granted, continuing without: on processors"),
+            "{results:?}"
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! The controller as a program of its own, for deployment.
+//! The controller as a separate program, for deployment.
 
 use std::process::ExitCode;
 

@@ -1,95 +1,117 @@
-//! The deciding core: (now, message) in, decision out. No socket, no clock, no log, no waiting, no allocation of our own.
+//! The decision core of one room: messages and time in, mirror commands out.
 //!
-//! Duties, in this order, each time a position report completes a tick:
+//! # Calling order
 //!
-//! 1. **Inbox**: take the report or refuse it.
-//! 2. **Observe**: bring the latest of each stream into one observation, without mirrors that do not follow or whose range does not reach somebody.
-//! 3. **Infer**: let the policy propose angles; where it fails, let the fallback.
-//! 4. **Make safe**: bring the proposal within range and reach.
+//! The caller owns the transport, the clock and the threads. It calls
 //!
-//! Every situation in which the plain way is left has one defined answer, and is counted:
+//! 1. [`Controller::new`], then [`Controller::warm_up`] before the first report;
+//! 2. a `handle_*` method for each input, in the order of arrival:
+//!    [`handle_message`](Controller::handle_message) for a decoded report,
+//!    [`handle_malformed`](Controller::handle_malformed) for a payload that does not decode,
+//!    [`handle_source_lost`](Controller::handle_source_lost) and
+//!    [`handle_source_found`](Controller::handle_source_found) for liveliness,
+//!    [`handle_capabilities`](Controller::handle_capabilities),
+//!    [`handle_unfit`](Controller::handle_unfit) and
+//!    [`handle_stop_order`](Controller::handle_stop_order) for the array;
+//! 3. the `poll_*` method that `handle_message` names by [`Due`]:
+//!    [`poll_command`](Controller::poll_command) or
+//!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled
+//!    before one poll; the newest tick is then answered.
+//!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
+//! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
+//!    shorter than the validity of a command, so that the absence of reports is answered too;
+//! 5. between reports, if it likes, [`warm_cache`](Controller::warm_cache), which changes no later
+//!    answer.
 //!
-//! | situation | answer: a key of the scenario's `control` table | unless set otherwise | counter |
+//! The caller assigns the sequence number of each command when it sends it. Getters may be called
+//! at any time. No method waits, logs, reads a clock or, after the warm-up, allocates in this
+//! project's code.
+//!
+//! # Stages of a decision
+//!
+//! 1. **Inbox**: accept the report or refuse it.
+//! 2. **Observe**: combine the latest report of each stream into one observation, without mirrors
+//!    that do not follow and without pairs of a mirror and a user beyond the mirror's range.
+//! 3. **Infer**: the policy proposes angles; if it fails, the fallback does.
+//! 4. **Make safe**: limit the proposal to range and slew rate.
+//!
+//! # Degraded modes
+//!
+//! Each condition outside normal operation has one defined answer, and is counted:
+//!
+//! | condition | answer: a key of the scenario's `control` table | default | counter |
 //! | --- | --- | --- | --- |
-//! | the decision would be late, as its caller says | `when_late` | the last command again | `late` |
+//! | the caller expects the decision to be late | `when_late` | repeat the last command | `late` |
 //! | the position report is too old | `when_stale` | no command: the array holds, then parks | `stale-report` |
 //! | no channel report of acceptable age | `when_channel_missing` | the policy acts on modelled direct gains | `channel-missing` |
 //! | no position report for as long | `when_silent` | no command | `silence` |
-//! | the policy gives no answer for 0.1 s, as its caller sees | `when_unanswered` | no command | `unanswered` |
+//! | the policy does not return within 0.1 s (the caller's watchdog) | `when_unanswered` | no command | `unanswered` |
 //! | the policy fails, or gives a value that is not finite | `fallback` | the fixed point | `policy-failed` |
-//! | nothing can act: the fallback fails too or is `hold`, or there is no last command | no command | | `held` |
-//! | the array is stopped, or does not fit | no command | | `withheld` |
+//! | the fallback fails too or is `hold`, or there is no last command | no command | | `held` |
+//! | the array is stopped, or does not fit the scenario | no command | | `withheld` |
 //!
-//! Glossary: a *tick* is one sampling of the room; a command *answers* the tick of the position report that it responds to;
-//! an *epoch* is one life of a controller, and a later one deposes an earlier one; the array is *parked* when every mirror faces
-//! straight into the room because no command is valid any more.
+//! # Terms
+//!
+//! A *tick* is one sampling of the room. A command *answers* the tick of the position report to
+//! which it responds. An *epoch* is one run of a controller; a later epoch supersedes an earlier
+//! one. The array is *parked* when every mirror faces straight into the room because no command is
+//! valid.
 
-use heliostat_channel::{ChannelModel, Vec3, mirrors::MirrorAngles};
-use heliostat_proto::{Capabilities, MirrorCommand, Nanos};
+mod answers;
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use heliostat_proto::{Capabilities, EmergencyStop, MirrorCommand, Nanos};
 use heliostat_scenario::{Answer, Scenario};
 
-pub use crate::outcome::{Accepted, Counters, Decision, Departure, Haste, Stage};
+pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{
-    capabilities::{Guard, Unfit},
-    inbox::{Inbox, Message},
-    observation::{Observation, RoomState},
-    observer::{LosSource, Observer},
-    policy::{Policy, PolicyError, build_fallback},
-    refusal::{Refusal, Stream},
-    safety::{self, Limits},
+    input::{
+        inbox::{Inbox, Message},
+        refusal::{Refusal, Stream},
+    },
+    observe::{
+        observation::Observation,
+        observer::{LosSource, Observer},
+    },
+    output::{
+        capabilities::{Guard, Unfit},
+        safety::Limits,
+    },
+    policy::{self, Policy, PolicyError, ProposedBy, WithFallback},
 };
+use answers::{Answers, LastReport};
 
-/// Decisions on an invented room before a controller announces itself. A policy remembers them, so a replay makes as many.
+/// Decisions on an invented room before a controller announces itself. They change what a policy
+/// remembers, so a replay makes the same number.
 pub const WARM_UP_RUNS: usize = 200;
 
-/// The scenario's answers, and when silence begins.
-#[derive(Clone, Copy, Debug)]
-struct Answers {
-    late: Answer,
-    stale: Answer,
-    channel_missing: Answer,
-    silent: Answer,
-    silent_after_ns: Nanos,
-}
-
-impl Answers {
-    fn new(scenario: &Scenario) -> Self {
-        let control = &scenario.control;
-        Self {
-            late: control.when_late,
-            stale: control.when_stale,
-            channel_missing: control.when_channel_missing,
-            silent: control.when_silent,
-            silent_after_ns: (control.report_age_max_ms * 1e6) as Nanos,
-        }
-    }
-}
-
-/// The controller of one room.
+/// The decision core of one room. The [module](self) describes the calling order.
 pub struct Controller {
     model: ChannelModel,
     inbox: Inbox,
     observer: Observer,
-    /// Its angles are the last commanded ones.
+    /// The last observation; its angles are those of the last command.
     observation: Observation,
-    policy: Box<dyn Policy>,
-    fallback: Option<Box<dyn Policy>>,
+    policy: WithFallback,
     answers: Answers,
     limits: Limits,
     guard: Guard,
     validity_ns: Nanos,
-    /// When the last position report was accepted, and whether its absence since was answered.
-    heard: Option<(Nanos, bool)>,
+    /// The last accepted position report; absent before the first.
+    last_report: Option<LastReport>,
     /// Nominal time between position reports in s.
     interval_s: f64,
     proposed: MirrorAngles,
+    /// The last command; its sequence number is the sender's.
     command: MirrorCommand,
+    /// Whether `command` was given.
+    has_command: bool,
     counters: Counters,
-    last_failure: Option<PolicyError>,
 }
 
 impl Controller {
-    /// A controller of a scenario's room that lets `policy` decide; `epoch` must exceed that of every controller before it.
+    /// A controller of a scenario's room with this policy; `epoch` must exceed that of every
+    /// earlier controller of the room.
     pub fn new(scenario: &Scenario, model: ChannelModel, policy: Box<dyn Policy>, epoch: u64) -> Self {
         let observation = Observation::new(&model, scenario.users.count);
         let mirrors = model.mirrors.len();
@@ -99,12 +121,11 @@ impl Controller {
             observer: Observer::new(scenario),
             proposed: observation.angles.clone(),
             observation,
-            policy,
-            fallback: build_fallback(scenario.control.fallback, scenario),
+            policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
             answers: Answers::new(scenario),
             limits: Limits::new(&scenario.control),
             guard: Guard::default(),
-            heard: None,
+            last_report: None,
             validity_ns: Nanos::from(validity_ms) * 1_000_000,
             interval_s: 1.0 / scenario.streams.positions.rate_hz,
             command: MirrorCommand {
@@ -116,23 +137,14 @@ impl Controller {
                 roll: vec![0.0; mirrors],
                 yaw: vec![0.0; mirrors],
             },
+            has_command: false,
             counters: Counters::default(),
-            last_failure: None,
             model,
         }
     }
 
-    /// Takes a message that arrived at `now`, and answers at once where it completes a tick. `mark` is called as each stage ends.
-    pub fn receive(&mut self, now: Nanos, message: Message<'_>, mark: &mut dyn FnMut(Stage)) -> Option<Decision<'_>> {
-        match self.accept(now, message) {
-            Accepted::Tick => Some(self.decide(now, Haste::InTime, mark)),
-            Accepted::TooOld => Some(self.answer_stale(now)),
-            Accepted::Other => None,
-        }
-    }
-
-    /// Takes a message that arrived at `now`, and says what is to be answered.
-    pub fn accept(&mut self, now: Nanos, message: Message<'_>) -> Accepted {
+    /// Handles a message that arrived at `now`; the result names the `poll_*` method to call.
+    pub fn handle_message(&mut self, now: Nanos, message: Message<'_>) -> Due {
         let stream = message.stream();
         let sources = self.inbox.sources();
         let accepted = self.inbox.accept(now, message);
@@ -141,33 +153,83 @@ impl Controller {
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
-                self.heard = Some((now, false));
-                Accepted::Tick
+                self.last_report = Some(LastReport { accepted_ns: now, silence_answered: false });
+                Due::Command
             }
-            Err(Refusal::Stale) if stream == Stream::Users => Accepted::TooOld,
-            _ => Accepted::Other,
+            Err(Refusal::Stale) if stream == Stream::Users => Due::StaleCommand,
+            _ => Due::Nothing,
         }
     }
 
-    /// Answers the tick that was accepted last. `mark` is called as each stage ends.
-    pub fn decide(&mut self, now: Nanos, haste: Haste, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
-        let mut answer = (Answer::Policy, Departure::Held);
-        if haste == Haste::Late {
-            self.counters.depart(Departure::Late);
-            answer = (self.answers.late, Departure::Late);
+    /// Counts a payload that does not decode.
+    pub fn handle_malformed(&mut self, stream: Stream, refusal: Refusal) {
+        self.inbox.count_malformed(stream, refusal);
+    }
+
+    /// A source has left: another source may own the room at once.
+    pub fn handle_source_lost(&mut self, source: u64) {
+        self.inbox.handle_source_lost(source);
+    }
+
+    /// A source is alive, perhaps again.
+    pub fn handle_source_found(&mut self, source: u64) {
+        self.inbox.handle_source_found(source);
+    }
+
+    /// Applies the capabilities of an array that fits the scenario; an array that does not fit
+    /// receives no commands.
+    pub fn handle_capabilities(&mut self, capabilities: &Capabilities, verdict: Result<(), Unfit>) {
+        if verdict.is_ok() {
+            self.limits.narrow(&capabilities.roll, &capabilities.yaw);
+            self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
+        }
+        self.guard.set_verdict(verdict);
+    }
+
+    /// Gives no more commands in this room, whatever the array announces.
+    pub fn handle_unfit(&mut self, unfit: Unfit) {
+        self.guard.forbid(unfit);
+    }
+
+    /// Applies an operator's stop or re-arm order.
+    pub fn handle_stop_order(&mut self, order: &EmergencyStop) {
+        self.guard.handle_stop_order(order);
+    }
+
+    /// Handles a message that arrived at `now`, and polls the command that it makes due. `mark` is
+    /// called as each stage ends.
+    pub fn handle_and_poll(
+        &mut self,
+        now: Nanos,
+        message: Message<'_>,
+        mark: &mut dyn FnMut(Stage),
+    ) -> Option<Decision<'_>> {
+        match self.handle_message(now, message) {
+            Due::Command => Some(self.poll_command(now, Timing::InTime, mark)),
+            Due::StaleCommand => Some(self.poll_stale_command(now)),
+            Due::Nothing => None,
+        }
+    }
+
+    /// Answers the tick of the last accepted position report. `mark` is called as each stage ends.
+    pub fn poll_command(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
+        let mut answer = (Answer::Policy, DegradedMode::Held);
+        if timing == Timing::Late {
+            self.counters.count_degraded(DegradedMode::Late);
+            answer = (self.answers.late, DegradedMode::Late);
         }
         if matches!(answer.0, Answer::Policy | Answer::Fallback) {
             match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
                 Some(LosSource::Measured) => {}
                 Some(LosSource::Modelled) => {
-                    self.counters.depart(Departure::ChannelMissing);
+                    self.counters.count_degraded(DegradedMode::ChannelMissing);
                     if answer.0 == Answer::Policy {
-                        answer = (self.answers.channel_missing, Departure::ChannelMissing);
+                        answer = (self.answers.channel_missing, DegradedMode::ChannelMissing);
                     }
                 }
                 None => {
-                    self.counters.depart(Departure::Held);
-                    answer = (Answer::Hold, Departure::Held);
+                    self.counters.count_degraded(DegradedMode::Held);
+                    answer = (Answer::Hold, DegradedMode::Held);
                 }
             }
             if let Some(telemetry) = self.inbox.telemetry() {
@@ -180,94 +242,74 @@ impl Controller {
         }
         self.counters.decisions += 1;
         let tick = self.inbox.users().map_or(0, |report| report.tick);
-        self.give(answer, tick, now, mark)
+        self.answer(answer, tick, now, mark)
     }
 
     /// Answers a position report that was too old.
-    pub fn answer_stale(&mut self, now: Nanos) -> Decision<'_> {
+    pub fn poll_stale_command(&mut self, now: Nanos) -> Decision<'_> {
         self.counters.decisions += 1;
-        self.counters.depart(Departure::StaleReport);
-        self.give((self.answers.stale, Departure::StaleReport), 0, now, &mut |_| {})
+        self.counters.count_degraded(DegradedMode::StaleReport);
+        self.answer((self.answers.stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
     }
 
-    /// Lets time pass without a position report; a decision where their absence is to be answered, to be published like any other.
+    /// Answers the absence of position reports at `now`, if that is due.
     ///
-    /// Counted once a silence. `last-good` is repeated at each call, so call it more often than commands lose their validity.
-    pub fn elapse(&mut self, now: Nanos) -> Option<Decision<'_>> {
-        let (heard_ns, answered) = self.heard?;
-        if now.saturating_sub(heard_ns) <= self.answers.silent_after_ns {
+    /// A silence is counted once. The answer `last-good` is repeated at each call, so call this
+    /// method at intervals shorter than the validity of a command.
+    pub fn poll_timeout_command(&mut self, now: Nanos) -> Option<Decision<'_>> {
+        let LastReport { accepted_ns, silence_answered } = self.last_report?;
+        if now.saturating_sub(accepted_ns) <= self.answers.silent_after_ns {
             return None;
         }
-        self.heard = Some((heard_ns, true));
-        if !answered {
-            self.counters.depart(Departure::Silence);
+        self.last_report = Some(LastReport { accepted_ns, silence_answered: true });
+        if !silence_answered {
+            self.counters.count_degraded(DegradedMode::Silence);
         } else if self.answers.silent != Answer::LastGood {
             return None;
         }
-        Some(self.give((self.answers.silent, Departure::Silence), 0, now, &mut |_| {}))
+        Some(self.answer((self.answers.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
-    /// Goes through observation and inference again as at the last decision, and leaves nothing behind on which a later answer
-    /// depends: it keeps code and data in the caches while reports are sparse. Does nothing before the first decision.
-    pub fn rehearse(&mut self) {
+    /// Repeats observation and inference of the last decision, so that code and data stay in the
+    /// processor's caches.
+    ///
+    /// No later answer depends on it. It does nothing before the first decision.
+    pub fn warm_cache(&mut self) {
         if self.command.answers == 0 {
             return;
         }
-        let seen = self.observer.observe(&self.model, &self.inbox, self.command.time_ns, &mut self.observation);
-        if seen.is_some() {
-            // What it proposes is overwritten by the next decision before anything looks at it.
-            self.policy.rehearse(&self.model, &self.observation, &mut self.proposed);
+        let observed = self.observer.observe(&self.model, &self.inbox, self.command.time_ns, &mut self.observation);
+        if observed.is_some() {
+            // The next decision overwrites this proposal before it reads it.
+            self.policy.warm_cache(&self.model, &self.observation, &mut self.proposed);
         }
     }
 
-    /// A source is known to be gone: another may take the room at once.
-    pub fn source_gone(&mut self, source: u64) {
-        self.inbox.release(source);
-    }
-
-    /// A source is known to be there, perhaps again.
-    pub fn source_there(&mut self, source: u64) {
-        self.inbox.welcome(source);
-    }
-
-    /// Counts a payload that is no message.
-    pub fn count_malformed(&mut self, stream: Stream, refusal: Refusal) {
-        self.inbox.count_malformed(stream, refusal);
-    }
-
-    /// Lets policy and fallback decide for an invented room, once for each item of `runs`, so that the first real decision finds buffers
-    /// sized and caches warm. Only what a policy remembers is left behind.
+    /// Lets policy and fallback decide for an invented room, once for each item of `runs`, so that
+    /// the first real decision finds buffers sized and caches warm. It changes nothing but what the
+    /// policies remember.
     pub fn warm_up(&mut self, runs: impl Iterator) {
-        let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];
-        if let Some(fallback) = self.fallback.as_mut() {
-            policies.push(fallback.as_mut());
-        }
-        warm_up(&mut policies, &self.model, self.observation.users(), runs);
+        self.policy.warm_up(&self.model, self.observation.users(), runs);
     }
 
-    /// Numbers the next command beyond those that were given in this controller's stead.
-    pub fn skip_to(&mut self, sequence: u64) {
-        self.command.sequence = self.command.sequence.max(sequence);
-    }
-
-    /// Lets another policy decide from now on, and gives back the one that did. The new one should be warm.
+    /// Replaces the policy, and returns the former one. The new policy should be warmed up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
-        std::mem::replace(&mut self.policy, policy)
+        self.policy.replace_policy(policy)
     }
 
-    /// The reports and what was refused.
+    /// The latest reports, and the counters of refusals.
     pub fn inbox(&self) -> &Inbox {
         &self.inbox
     }
 
-    /// What was done so far.
+    /// Counters since the start.
     pub fn counters(&self) -> &Counters {
         &self.counters
     }
 
     /// Name of the policy.
     pub fn policy_name(&self) -> &str {
-        self.policy.name()
+        self.policy.policy().name()
     }
 
     /// This controller's epoch.
@@ -275,67 +317,54 @@ impl Controller {
         self.command.epoch
     }
 
-    /// The higher epoch that the array obeys, where this controller was deposed.
-    pub fn deposed_by(&self) -> Option<u64> {
+    /// The higher epoch whose commands the array follows, if another controller has superseded this
+    /// one.
+    pub fn superseded_by(&self) -> Option<u64> {
         self.inbox.telemetry().map(|telemetry| telemetry.epoch).filter(|epoch| *epoch > self.command.epoch)
     }
 
-    /// Whether and how the array may be commanded.
-    pub fn guard(&self) -> &Guard {
-        &self.guard
+    /// Why the array receives no commands, if it does not fit the scenario.
+    pub fn unfit(&self) -> Option<&Unfit> {
+        self.guard.unfit()
     }
 
-    /// For announcements of the array and orders of an operator.
-    pub fn guard_mut(&mut self) -> &mut Guard {
-        &mut self.guard
-    }
-
-    /// Takes over what the array can do, where it was found to fit; where not, it is not commanded.
-    pub fn meet_array(&mut self, capabilities: &Capabilities, verdict: Result<(), Unfit>) {
-        if verdict.is_ok() {
-            self.limits.narrow(&capabilities.roll, &capabilities.yaw);
-            self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
-        }
-        self.guard.set_verdict(verdict);
-    }
-
-    /// Why the policy failed last.
+    /// The last failure of the policy.
     pub fn last_failure(&self) -> Option<&PolicyError> {
-        self.last_failure.as_ref()
+        self.policy.last_failure()
     }
 
-    /// What the policy saw last, and the angles commanded last.
+    /// The last observation, with the angles of the last command.
     pub fn observation(&self) -> &Observation {
         &self.observation
     }
 
-    /// Proposes angles in the way that the answer says, makes them safe and completes the command.
-    fn give(
+    /// Proposes angles as `answer` says, limits them and completes the command.
+    fn answer(
         &mut self,
-        (answer, cause): (Answer, Departure),
+        (answer, mode): (Answer, DegradedMode),
         tick: u64,
         now: Nanos,
         mark: &mut dyn FnMut(Stage),
     ) -> Decision<'_> {
         if !self.guard.may_command(self.inbox.telemetry()) {
-            self.counters.depart(Departure::Withheld);
-            return Decision::Hold(Departure::Withheld);
+            self.counters.count_degraded(DegradedMode::Withheld);
+            return Decision::Hold(DegradedMode::Withheld);
         }
         let elapsed_s = self.settle_angles(now);
         let proposed = match answer {
             Answer::Policy => self.propose(),
-            Answer::Fallback => self.fall_back(),
+            Answer::Fallback => self.policy.fall_back(&self.model, &self.observation, &mut self.proposed),
             Answer::LastGood => self.repeat(),
             Answer::Park => {
                 self.proposed.roll.fill(0.0);
                 self.proposed.yaw.fill(0.0);
                 true
             }
-            Answer::Hold => return Decision::Hold(cause),
+            Answer::Hold => return Decision::Hold(mode),
         };
         if !proposed {
-            self.counters.depart(Departure::Held);
-            return Decision::Hold(Departure::Held);
+            self.counters.count_degraded(DegradedMode::Held);
+            return Decision::Hold(DegradedMode::Held);
         }
         mark(Stage::Inferred);
         let clipped = self.limits.bound(&self.observation.angles, elapsed_s, &mut self.proposed);
@@ -344,15 +373,17 @@ impl Controller {
         self.complete_command(tick, now);
         mark(Stage::MadeSafe);
         let sampled_ns = self.inbox.users().map_or(now, |report| report.stamp.time_ns);
-        Decision::Move { command: &self.command, age_ns: now.saturating_sub(sampled_ns) }
+        Decision::Move { command: &mut self.command, age_ns: now.saturating_sub(sampled_ns) }
     }
 
-    /// Sees to it that the observation's angles are where the mirrors are, and gives the time in s that they had to turn.
+    /// Sets the observation's angles to those of the mirrors, and returns the time in s since the
+    /// mirrors received them.
     ///
-    /// While our last command is valid, that is what it says; otherwise what the array last reported, or parked.
+    /// The angles are those of the last command while it is valid, and otherwise those of the last
+    /// telemetry, or parked.
     fn settle_angles(&mut self, now: Nanos) -> f64 {
         let since_command_ns = now.saturating_sub(self.command.time_ns);
-        if self.command.sequence > 0 && since_command_ns <= self.validity_ns {
+        if self.has_command && since_command_ns <= self.validity_ns {
             return since_command_ns as f64 * 1e-9;
         }
         let angles = &mut self.observation.angles;
@@ -369,81 +400,32 @@ impl Controller {
         self.interval_s
     }
 
-    /// Lets the policy propose, or else the fallback; false where neither could.
+    /// Lets the policy propose, or else the fallback; false where both fail.
     fn propose(&mut self) -> bool {
-        let Err(failure) = attempt(self.policy.as_mut(), &self.model, &self.observation, &mut self.proposed) else {
-            return true;
-        };
-        self.last_failure = Some(failure);
-        let acted = self.fall_back();
-        if acted {
-            self.counters.depart(Departure::PolicyFailed);
+        let by = self.policy.propose(&self.model, &self.observation, &mut self.proposed);
+        if by == ProposedBy::Fallback {
+            self.counters.count_degraded(DegradedMode::PolicyFailed);
         }
-        acted
-    }
-
-    /// Lets the fallback propose; false where there is none, or it fails too.
-    fn fall_back(&mut self) -> bool {
-        let Some(fallback) = self.fallback.as_mut() else { return false };
-        attempt(fallback.as_mut(), &self.model, &self.observation, &mut self.proposed).is_ok()
+        by != ProposedBy::None
     }
 
     /// Proposes the last command; false where there is none.
     fn repeat(&mut self) -> bool {
         copy_widened(&self.command.roll, &mut self.proposed.roll);
         copy_widened(&self.command.yaw, &mut self.proposed.yaw);
-        self.command.sequence > 0
+        self.has_command
     }
 
     fn complete_command(&mut self, tick: u64, now: Nanos) {
         self.counters.commands += 1;
-        self.command.sequence += 1;
+        self.has_command = true;
+        self.command.sequence = 0;
         self.command.answers = tick;
         self.command.time_ns = now;
         copy_narrowed(&self.proposed.roll, &mut self.command.roll);
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
     }
-}
-
-/// Lets policies decide for an invented room of so many users, once for each item of `runs`.
-pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: usize, runs: impl Iterator) {
-    let positions: Vec<Vec3> = (0..users).map(|user| invented_position(user, users)).collect();
-    let state = RoomState {
-        tick: 0,
-        positions: &positions,
-        velocities: &vec![Vec3::zeros(); users],
-        min_rate_bps: &vec![1e6; users],
-        blockers: &[],
-        forced: &vec![false; users],
-        measured_los_gain: None,
-    };
-    let mut observation = Observation::new(model, users);
-    let mut proposed = observation.angles.clone();
-    for _ in runs {
-        observation.set_state(model, &state);
-        for policy in policies.iter_mut() {
-            // A failure shows, and is counted, when it matters.
-            let _ = policy.act(model, &observation, &mut proposed);
-        }
-    }
-}
-
-/// One proposal, with its values checked.
-fn attempt(
-    policy: &mut dyn Policy,
-    model: &ChannelModel,
-    observation: &Observation,
-    out: &mut MirrorAngles,
-) -> Result<(), PolicyError> {
-    policy.act(model, observation, out)?;
-    Ok(safety::check_finite(out)?)
-}
-
-/// A place on a circle around the centre, at the height of a held device.
-fn invented_position(user: usize, users: usize) -> Vec3 {
-    let angle = std::f64::consts::TAU * user as f64 / users as f64;
-    Vec3::new(1.5 * angle.cos(), 1.5 * angle.sin(), 0.85)
 }
 
 fn copy_widened(from: &[f32], to: &mut [f64]) {

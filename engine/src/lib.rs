@@ -6,6 +6,7 @@
 //! The embedded engine is tract, called directly: it is Rust alone. The cargo feature `onnxruntime` selects ONNX Runtime through ort
 //! instead. Only one module names each of them.
 
+mod error;
 #[cfg(feature = "onnxruntime")]
 mod onnxruntime;
 pub mod shipped;
@@ -26,7 +27,8 @@ use onnxruntime::OnnxRuntime as ThisEngine;
 #[cfg(not(feature = "onnxruntime"))]
 use tract::Tract as ThisEngine;
 
-pub use source::{ActorSource, BuildError, SourceError};
+pub use error::{BuildError, SourceError};
+pub use source::ActorSource;
 
 /// Builds a policy for a room; a learned one reads its file from `source`.
 ///

@@ -1,10 +1,11 @@
-//! The actors that are built into the program: every file of `models/actors` at the time of the build.
+//! The actors that are built into the program: every file of `models/actors` at the time of the
+//! build.
 
 use heliostat_scenario::Scenario;
 
 use heliostat_decide::policy::{PolicyKind, actor_file::ActorFile};
 
-use crate::source::SourceError;
+use crate::error::SourceError;
 
 include!(concat!(env!("OUT_DIR"), "/shipped_actors.rs"));
 
@@ -13,32 +14,33 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     SHIPPED_ACTORS.iter().map(|(name, _)| *name)
 }
 
-/// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot for training seeds other than 1.
+/// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot
+/// for training seeds other than 1.
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
     let (mode, rows, columns) = (scenario.channel.mode.name(), scenario.mirrors.rows, scenario.mirrors.columns);
     let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
     format!("{}-{mode}-{rows}x{columns}{seed}.onnx", policy.name())
 }
 
-/// The training seeds of which an actor is built in for a scenario, in order.
+/// The training seeds with a built-in actor for a scenario, in ascending order.
 pub fn training_seeds(policy: PolicyKind, scenario: &Scenario) -> Vec<u32> {
     (1..=TRAINING_SEEDS_MAX).filter(|seed| bytes(&file_name(policy, scenario, u64::from(*seed))).is_some()).collect()
 }
 
-/// Largest training seed that is looked for among the built-in actors.
+/// Largest training seed of a built-in actor.
 const TRAINING_SEEDS_MAX: u32 = 10;
 
 /// The built-in actor for a scenario.
 ///
 /// # Errors
-/// [`SourceError::NotShipped`] with the names of those there are.
+/// [`SourceError::NotShipped`] with the names of the built-in actors.
 pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Result<ActorFile, SourceError> {
-    let wanted = file_name(policy, scenario, u64::from(training_seed));
-    match bytes(&wanted) {
-        Some(bytes) => Ok(ActorFile { origin: format!("the built-in actor {wanted}"), bytes: bytes.into() }),
+    let expected = file_name(policy, scenario, u64::from(training_seed));
+    match bytes(&expected) {
+        Some(bytes) => Ok(ActorFile { origin: format!("the built-in actor {expected}"), bytes: bytes.into() }),
         None => {
             let prefix = format!("{}-", policy.name());
-            // Of each room one, and none of policies whose names begin alike.
+            // One per room, and none of policies whose names begin with the same word.
             let of_policy = |name: &&str| {
                 let rest = name.strip_prefix(&prefix);
                 rest.is_some_and(|rest| {
@@ -47,7 +49,7 @@ pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Resu
             };
             let available = names().filter(of_policy).collect::<Vec<_>>().join(", ");
             let available = if available.is_empty() { "none of this policy".into() } else { available };
-            Err(SourceError::NotShipped { policy: policy.name(), wanted, available })
+            Err(SourceError::NotShipped { policy: policy.name(), expected, available })
         }
     }
 }

@@ -2,66 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use heliostat_decide::policy::{self, PolicyKind, actor_file::ActorFile};
+use heliostat_decide::policy::{PolicyKind, actor_file::ActorFile};
 use heliostat_scenario::Scenario;
-use thiserror::Error;
 
+pub use crate::error::{BuildError, SourceError};
 use crate::shipped;
-
-/// Why the file of an actor cannot be had.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum SourceError {
-    /// There is no such file.
-    #[error(
-        "no actor at {}: train one with `heliostat train` (`--help` lists the algorithms), give another file with --model, \
-         or choose --policy fixed-point, which needs none", path.display()
-    )]
-    Missing {
-        /// Where it was looked for.
-        path: PathBuf,
-    },
-    /// No actor is built in for this array and mode.
-    #[error(
-        "no built-in actor {wanted}; built in: {available}. Train one with `heliostat train {policy}` for this scenario and give its \
-         file (--model FILE; eval: --policies FILE.onnx), or choose --policy fixed-point, which needs none"
-    )]
-    NotShipped {
-        /// The learned policy's name.
-        policy: String,
-        /// File name of the actor that would fit.
-        wanted: String,
-        /// The built-in ones.
-        available: String,
-    },
-    /// The file is there but cannot be read.
-    #[error("cannot read the actor {}: {message}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's words.
-        message: String,
-    },
-}
-
-/// Why there is no such policy for a room.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum BuildError {
-    /// The file of the actor cannot be had.
-    #[error(transparent)]
-    Source(#[from] SourceError),
-    /// The policy does not fit the room.
-    #[error(transparent)]
-    Policy(#[from] policy::BuildError),
-    /// A file was given for a policy that reads none.
-    #[error(
-        "--model is the file of a learned policy, and {policy} reads none: leave it out, or take --policy {}",
-        PolicyKind::learned_names()
-    )]
-    NoUseForModel {
-        /// The policy's name.
-        policy: String,
-    },
-}
 
 /// Where the file of a learned policy comes from.
 #[derive(Clone, Debug, Default)]
@@ -69,7 +14,7 @@ pub enum ActorSource {
     /// The built-in actor for the scenario's mode and array, of training seed 1.
     #[default]
     Shipped,
-    /// The same of another training seed.
+    /// The built-in actor of another training seed.
     ShippedSeed(u32),
     /// A file.
     Path(PathBuf),
@@ -81,7 +26,7 @@ impl ActorSource {
     /// Fetches the bytes.
     ///
     /// # Errors
-    /// [`SourceError`] where there is no such actor or it cannot be read.
+    /// [`SourceError`] where the actor does not exist or cannot be read.
     pub fn fetch(&self, policy: PolicyKind, scenario: &Scenario) -> Result<ActorFile, SourceError> {
         match self {
             Self::Shipped => shipped::find(policy, scenario, 1),
@@ -96,8 +41,8 @@ impl ActorSource {
     /// # Errors
     /// [`BuildError::NoUseForModel`].
     pub fn check_used_by(&self, policy: PolicyKind) -> Result<(), BuildError> {
-        let useless = matches!(self, Self::Path(_)) && !policy.is_learned();
-        if useless { Err(BuildError::NoUseForModel { policy: policy.name() }) } else { Ok(()) }
+        let unused = matches!(self, Self::Path(_)) && !policy.is_learned();
+        if unused { Err(BuildError::NoUseForModel { policy: policy.name() }) } else { Ok(()) }
     }
 }
 

@@ -31,7 +31,7 @@ fn a_missing_file_says_how_to_get_one() {
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &source) else { panic!("accepted") };
     assert_eq!(error, BuildError::Source(SourceError::Missing { path: "/nowhere/actor.onnx".into() }));
     let text = error.to_string();
-    assert!(["/nowhere/actor.onnx", "heliostat train", "--policy fixed-point"].iter().all(|word| text.contains(word)));
+    assert!(["/nowhere/actor.onnx", "heliostat train", "policy fixed-point"].iter().all(|word| text.contains(word)));
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn a_folder_is_no_file() {
 fn an_array_without_a_built_in_actor_is_told_what_to_do() {
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
     let text = error.to_string();
-    let words = ["ddpg-specular-3x3.onnx", "heliostat train", "--model", "--policy fixed-point"];
+    let words = ["ddpg-specular-3x3.onnx", "heliostat train", "give its file", "policy fixed-point"];
     assert!(words.iter().all(|word| text.contains(word)), "{text}");
 }
 
@@ -52,7 +52,7 @@ fn an_array_without_a_built_in_actor_is_told_what_to_do() {
 fn a_file_for_a_policy_that_reads_none_is_refused() {
     let file = ActorSource::Path("actor.onnx".into());
     let refusal = build(PolicyKind::FixedPoint, &Scenario::default(), &file).err().expect("a refusal").to_string();
-    assert!(refusal.contains("fixed-point reads none"), "{refusal}");
+    assert!(refusal.contains("fixed-point, which reads none"), "{refusal}");
 }
 
 /// Allocations of one run of the engine on a network, and their bytes.
@@ -76,7 +76,8 @@ fn only_the_engine_allocates_in_a_decision() {
     assert!(alone > 0 && decision == alone, "engine alone {alone}, a decision {decision}");
 }
 
-/// The engine's own allocations for the shipped actor; a dependency's, and printed for the results page.
+/// The engine's own allocations for the shipped actor; a dependency's, and printed for the results
+/// page.
 #[test]
 fn allocations_for_the_shipped_actor_do_not_grow() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/actors/ddpg-specular-10x10.onnx");

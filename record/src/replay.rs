@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use heliostat_decide::capabilities::{Examiner, Force};
-use heliostat_decide::core::{Accepted, Controller, Decision, Haste, WARM_UP_RUNS};
+use heliostat_decide::core::{Controller, Decision, Due, Timing, WARM_UP_RUNS};
 use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::Stream;
@@ -146,12 +146,12 @@ impl<'a> Player<'a> {
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(0..WARM_UP_RUNS);
         if let Some(array) = &self.array {
-            controller.meet_array(array, self.examiner.examine(array));
+            controller.handle_capabilities(array, self.examiner.examine(array));
         }
         self.policies.insert(epoch, controller.policy_name().to_owned());
         let recorded_from_start = first == 1 && self.plan.clock == Clock::Lockstep;
         let settle = self.settings.settle.unwrap_or(if recorded_from_start { 0 } else { SETTLE });
-        Ok(Some(EpochReplay { controller, newest_ns: 0, decided: 0, settle }))
+        Ok(Some(EpochReplay { controller, newest_ns: 0, sequence: 0, decided: 0, settle }))
     }
 
     fn take(&mut self, entry: &Entry) -> Result<()> {
@@ -176,7 +176,7 @@ impl<'a> Player<'a> {
         }
         if *topic == room.stop() {
             if let Ok(order) = decode(&entry.data) {
-                self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.guard_mut().heed(&order));
+                self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_stop_order(&order));
             }
             return Ok(());
         }
@@ -204,7 +204,7 @@ impl<'a> Player<'a> {
             return;
         }
         let verdict = self.examiner.examine(&array);
-        self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.meet_array(&array, verdict.clone()));
+        self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_capabilities(&array, verdict.clone()));
         self.array = Some(array);
     }
 
@@ -227,13 +227,14 @@ impl<'a> Player<'a> {
             return;
         };
         let counts = epoch_replay.decided >= epoch_replay.settle;
-        let decision = match epoch_replay.controller.elapse(theirs.time_ns) {
+        let decision = match epoch_replay.controller.poll_timeout_command(theirs.time_ns) {
             Some(decision) => decision,
-            None => epoch_replay.controller.answer_stale(theirs.time_ns),
+            None => epoch_replay.controller.poll_stale_command(theirs.time_ns),
         };
         match decision {
             Decision::Move { command, .. } => {
-                let ours = command.clone();
+                epoch_replay.sequence += 1;
+                let ours = MirrorCommand { sequence: epoch_replay.sequence, ..command.clone() };
                 self.compare(&ours, theirs, counts);
             }
             Decision::Hold(_) => self.verdict.held += 1,
@@ -256,7 +257,7 @@ impl<'a> Player<'a> {
                 }
             }
         } else if !presence.alive {
-            self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.source_gone(presence.source));
+            self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_source_lost(presence.source));
         }
         Ok(())
     }
@@ -288,17 +289,18 @@ impl<'a> Player<'a> {
         let tick = report.tick;
         let repeats = self.plan.scenario.control.when_late == WhenLate::LastGood;
         let late = answer.is_some_and(|answer| answer.is_repeat && self.plan.was_late(answer.epoch));
-        let haste = if late && repeats { Haste::Late } else { Haste::InTime };
-        let decided = match epoch_replay.controller.accept(now, Message::Users(&mut report)) {
-            Accepted::Tick => Some(epoch_replay.controller.decide(now, haste, &mut |_| {})),
-            Accepted::TooOld => Some(epoch_replay.controller.answer_stale(now)),
-            Accepted::Other => None,
+        let timing = if late && repeats { Timing::Late } else { Timing::InTime };
+        let decided = match epoch_replay.controller.handle_message(now, Message::Users(&mut report)) {
+            Due::Command => Some(epoch_replay.controller.poll_command(now, timing, &mut |_| {})),
+            Due::StaleCommand => Some(epoch_replay.controller.poll_stale_command(now)),
+            Due::Nothing => None,
         };
         let Some(Decision::Move { command, .. }) = decided else {
             self.verdict.held += u64::from(answer.is_some());
             return Ok(());
         };
-        let command = command.clone();
+        epoch_replay.sequence += 1;
+        let command = MirrorCommand { sequence: epoch_replay.sequence, ..command.clone() };
         let counts = epoch_replay.decided >= epoch_replay.settle;
         epoch_replay.decided += 1;
         match self.theirs.remove(&tick) {

@@ -1,4 +1,5 @@
-//! The node on a real bus, in one process: commands come back, and hostile payloads are counted by name.
+//! The node on a real bus, in one process: commands come back, and hostile payloads are counted by
+//! name.
 
 use std::{
     sync::mpsc,
@@ -8,9 +9,10 @@ use std::{
 
 use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
 use heliostat_controller::{
-    intake::Deciding,
-    node::{self, NodeConfig, Pace},
-    summary::Summary,
+    config::{NodeConfig, Pace},
+    node,
+    report::summary::Summary,
+    room_runtime::decision_loop::DecisionSettings,
 };
 use heliostat_decide::policy::PolicyKind;
 use heliostat_proto::{MirrorCommand, Room as RoomName, UserReport, decode, encode};
@@ -46,7 +48,7 @@ impl Rig {
             scenario,
             bus: BusConfig::new(name).connect_to(&endpoint),
             also_rooms: Vec::new(),
-            deciding: Deciding::default(),
+            decisions: DecisionSettings::default(),
             policy: PolicyKind::Nearest,
             model: None,
             pace: Pace::Lockstep,
@@ -65,8 +67,8 @@ impl Rig {
         payload
     }
 
-    /// Reports ticks until one is answered: nobody hears those before the node has subscribed.
-    fn meet(&mut self) -> u64 {
+    /// Reports ticks until one is answered: those before the node has subscribed are lost.
+    fn connect(&mut self) -> u64 {
         let users = self.bus.publisher(&self.bus.room().users(), Class::Control).unwrap();
         let deadline = Instant::now() + PATIENCE;
         for tick in 1.. {
@@ -74,7 +76,7 @@ impl Rig {
             if let Ok(command) = self.commands.recv_timeout(Duration::from_millis(50)) {
                 return command.answers;
             }
-            assert!(Instant::now() < deadline, "nobody answers");
+            assert!(Instant::now() < deadline, "no command arrives");
         }
         unreachable!("the deadline comes first")
     }
@@ -86,9 +88,9 @@ impl Rig {
 }
 
 #[test]
-fn hostile_payloads_are_counted_by_name_and_stop_nothing() {
+fn hostile_payloads_are_counted_by_name_and_decisions_continue() {
     let mut rig = Rig::start();
-    let answered = rig.meet();
+    let answered = rig.connect();
     let name = rig.bus.room().clone();
     let sound = rig.report(answered + 100);
     let (mut other_version, mut trailing) = (sound.clone(), sound.clone());

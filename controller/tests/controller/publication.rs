@@ -1,4 +1,4 @@
-//! What the transport allocates for one command.
+//! Allocations of the transport for one command.
 
 use std::{sync::mpsc, time::Duration};
 
@@ -6,19 +6,20 @@ use allocation_counter::measure;
 use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
 use heliostat_proto::Room as RoomName;
 
-/// What the transport allocates on the deciding thread for one command, told for who wants to know; it is not ours to change.
+/// Allocations of the transport, on the thread that decides, for one command; printed for the
+/// results page.
 #[test]
 fn a_publication_allocates_little() {
     let room = RoomName::new("allocations").unwrap();
     let endpoint = free_loopback_endpoint().unwrap();
     let here = Bus::open(&BusConfig::new(room.clone()).listen_at(&endpoint)).unwrap();
     let there = Bus::open(&BusConfig::new(room.clone()).connect_to(&endpoint)).unwrap();
-    let (heard, hears) = mpsc::channel();
+    let (sender, received) = mpsc::channel();
     let _subscription =
-        there.subscribe(&room.command(), move |payload| heard.send(payload.len()).unwrap_or_default()).unwrap();
+        there.subscribe(&room.command(), move |payload| sender.send(payload.len()).unwrap_or_default()).unwrap();
     let publisher = here.publisher(&room.command(), Class::Control).unwrap();
     let payload = vec![0; 820];
-    while hears.recv_timeout(Duration::from_millis(50)).is_err() {
+    while received.recv_timeout(Duration::from_millis(50)).is_err() {
         publisher.put(&payload).unwrap();
     }
     let counted = measure(|| publisher.put(&payload).unwrap());

@@ -1,22 +1,23 @@
-//! The trained policy: an ONNX network whose last layers are the geometric decoder, so that it gives angles itself.
+//! The learned policy: an ONNX network whose last layers are the geometric decoder, so that its
+//! output is angles.
 //!
-//! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run; our part writes into one input that lives as
-//! long as the actor.
+//! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run. The
+//! actor writes into one input buffer that it keeps.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
 
 use super::{
-    Policy, PolicyError,
     actor_file::{ActorError, ActorFile, ActorInfo},
-    network::{Engine, Network},
+    engine::{Engine, Network},
+    proposal::{Policy, PolicyError},
 };
 use crate::{
-    observation::{Observation, ObservationEncoder},
-    safety::check_finite,
+    observe::observation::{Observation, ObservationEncoder},
+    output::safety::check_finite,
 };
 
-/// An actor that was found to fit the room, ready to run.
+/// An actor that fits the room, ready to run.
 pub struct Actor {
     name: String,
     info: ActorInfo,
@@ -28,7 +29,7 @@ impl Actor {
     /// Checks that an actor fits the room, and builds its network.
     ///
     /// # Errors
-    /// [`ActorError`] that names what does not fit, and what to do.
+    /// [`ActorError`] with the value found and the value expected.
     pub fn load(file: &ActorFile, scenario: &Scenario, engine: &dyn Engine) -> Result<Self, ActorError> {
         let info = ActorInfo::read(file)?;
         info.check_fits(scenario)?;
@@ -44,7 +45,7 @@ impl Actor {
         Self { name, ..self }
     }
 
-    /// What the actor says about itself.
+    /// The metadata of the actor.
     pub fn info(&self) -> &ActorInfo {
         &self.info
     }
@@ -55,14 +56,14 @@ impl Actor {
     /// [`PolicyError`] where the engine fails or an output is not finite.
     ///
     /// # Panics
-    /// Where `vector` has not the encoder's length.
+    /// If the length of `vector` is not that of the encoder.
     pub fn answer(&mut self, vector: &[f32], out: &mut MirrorAngles) -> Result<(), PolicyError> {
         self.network.input_mut().copy_from_slice(vector);
         self.run(out)
     }
 
-    /// Runs the network on its last input and throws the answer away: what the engine costs without anything of ours, for
-    /// benchmarks and for the count of its allocations.
+    /// Runs the network on its last input and discards the output: the cost of the engine alone,
+    /// for benchmarks and for the count of its allocations.
     ///
     /// # Errors
     /// [`PolicyError`] where the engine fails.
@@ -70,13 +71,13 @@ impl Actor {
         self.network.run().map(drop)
     }
 
-    /// Runs the network on its input as it stands.
+    /// Runs the network on its present input.
     fn run(&mut self, out: &mut MirrorAngles) -> Result<(), PolicyError> {
         let angles = self.network.run()?;
-        let (roll, yaw) = angles
-            .split_at_checked(self.info.mirrors)
-            .filter(|(_, yaw)| yaw.len() == self.info.mirrors)
-            .ok_or_else(|| PolicyError::Inference { message: format!("the network gave {} values", angles.len()) })?;
+        let (roll, yaw) =
+            angles.split_at_checked(self.info.mirrors).filter(|(_, yaw)| yaw.len() == self.info.mirrors).ok_or_else(
+                || PolicyError::Inference { message: format!("the network returned {} values", angles.len()) },
+            )?;
         widen(roll, &mut out.roll);
         widen(yaw, &mut out.yaw);
         Ok(check_finite(out)?)
@@ -98,8 +99,8 @@ impl Policy for Actor {
         self.run(out)
     }
 
-    fn rehearse(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        // It remembers nothing, and a failure shows when it matters.
+    fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
+        // An actor has no memory, and the next decision reports a failure.
         let _ = self.act(model, observation, out);
     }
 }

@@ -1,7 +1,8 @@
-//! What an actor's ONNX file says about itself, and whether it fits a room; read before the network is built.
+//! The metadata of an actor's ONNX file, and whether the actor fits a room; read before the network
+//! is built.
 //!
-//! The inference engine gives no metadata, so the file is parsed by its protobuf types. Every refusal names the file, the
-//! value found, the value wanted and the way out.
+//! The inference engine returns no metadata, so the file is parsed with its protobuf types. Every
+//! refusal names the file, the value found, the value expected and what to do.
 
 use std::borrow::Cow;
 
@@ -12,7 +13,7 @@ use heliostat_scenario::Scenario;
 use prost::Message;
 use thiserror::Error;
 
-use crate::observation::{OBSERVATION_VERSION, ObservationEncoder};
+use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder};
 
 /// Name of the network's only input.
 pub const INPUT_NAME: &str = "observation";
@@ -23,9 +24,9 @@ pub const OUTPUT_NAME: &str = "angles";
 pub mod key {
     /// Version of the observation's layout.
     pub const OBSERVATION_VERSION: &str = "heliostat.observation_version";
-    /// How many users the actor can see.
+    /// Largest number of users.
     pub const USERS_MAX: &str = "heliostat.users_max";
-    /// How many mirrors the actor turns.
+    /// Number of mirrors.
     pub const MIRRORS: &str = "heliostat.mirrors";
     /// Channel mode that the actor was trained in.
     pub const MODE: &str = "heliostat.mode";
@@ -46,16 +47,16 @@ pub mod key {
 /// Why an actor cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ActorError {
-    /// The bytes are no ONNX model.
+    /// The bytes are not an ONNX model.
     #[error("{origin} is not an ONNX model: {message}")]
     NotOnnx {
         /// The file.
         origin: String,
-        /// What gave it away.
+        /// Why.
         message: String,
     },
     /// Inputs or outputs have other names or another number.
-    #[error("{origin} has {side} {found:?}; an actor has exactly one, \"{wanted}\"")]
+    #[error("{origin} has {side} {found:?}, expected exactly one, \"{expected}\"")]
     Ports {
         /// The file.
         origin: String,
@@ -63,12 +64,12 @@ pub enum ActorError {
         side: &'static str,
         /// The names found.
         found: Vec<String>,
-        /// The name wanted.
-        wanted: &'static str,
+        /// The name expected.
+        expected: &'static str,
     },
     /// The input or output has another shape or element type.
     #[error(
-        "{origin}: \"{port}\" is {found}, but {users_max} users and {mirrors} mirrors make it f32 [1, {wanted}]; \
+        "{origin}: \"{port}\" is {found}, expected f32 [1, {expected}] for {users_max} users and {mirrors} mirrors; \
          export the actor again with `heliostat train`"
     )]
     Shape {
@@ -78,25 +79,27 @@ pub enum ActorError {
         port: &'static str,
         /// Type and shape found.
         found: String,
-        /// Length wanted.
-        wanted: usize,
+        /// Length expected.
+        expected: usize,
         /// Users by the metadata.
         users_max: usize,
         /// Mirrors by the metadata.
         mirrors: usize,
     },
     /// A metadata entry is missing or unreadable.
-    #[error("{origin} has no usable metadata \"{key}\" (found {found:?}); export the actor with `heliostat train`")]
+    #[error(
+        "{origin} has no usable metadata \"{key}\" (found {found:?}); export the actor again with `heliostat train`"
+    )]
     Metadata {
         /// The file.
         origin: String,
         /// The entry.
         key: &'static str,
-        /// What stands there.
+        /// The value found.
         found: Option<String>,
     },
     /// The actor was made for something else.
-    #[error("{origin} was made for {what} {found}, but this room has {wanted}; {advice}")]
+    #[error("{origin} was made for {what} {found}, expected {expected} as in this room; {advice}")]
     Unfit {
         /// The file.
         origin: String,
@@ -105,7 +108,7 @@ pub enum ActorError {
         /// The actor's value.
         found: String,
         /// The room's value.
-        wanted: String,
+        expected: String,
         /// What to do.
         advice: &'static str,
     },
@@ -114,7 +117,7 @@ pub enum ActorError {
     Engine {
         /// The file.
         origin: String,
-        /// The engine's words.
+        /// The engine's message.
         message: String,
     },
 }
@@ -128,15 +131,15 @@ pub struct ActorFile {
     pub bytes: Cow<'static, [u8]>,
 }
 
-/// What an actor says about itself.
+/// The metadata of an actor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActorInfo {
     origin: String,
     /// Version of the observation's layout.
     pub observation_version: u32,
-    /// How many users the actor can see.
+    /// Largest number of users.
     pub users_max: usize,
-    /// How many mirrors it turns.
+    /// Number of mirrors.
     pub mirrors: usize,
     /// Channel mode it was trained in.
     pub mode: String,
@@ -150,7 +153,7 @@ impl ActorInfo {
     /// Reads metadata and shapes, and checks that they agree with each other.
     ///
     /// # Errors
-    /// [`ActorError`] where the bytes are no ONNX model, or one that no controller can run.
+    /// [`ActorError`] where the bytes are not an ONNX model, or a model that no controller can run.
     pub fn read(file: &ActorFile) -> Result<Self, ActorError> {
         let origin = file.origin.clone();
         let not_onnx = |message: String| ActorError::NotOnnx { origin: origin.clone(), message };
@@ -171,7 +174,7 @@ impl ActorInfo {
         let is_weight = |port: &&ValueInfoProto| graph.initializer.iter().any(|weight| weight.name == port.name);
         let inputs: Vec<_> = graph.input.iter().filter(|port| !is_weight(port)).collect();
         let outputs: Vec<_> = graph.output.iter().collect();
-        // An input of another version has another length, and no room takes it.
+        // An input of another version has another length. `check_fits` refuses it by its version.
         if info.observation_version == OBSERVATION_VERSION {
             info.check_port("inputs", INPUT_NAME, &inputs, info.encoder().len())?;
         }
@@ -189,19 +192,18 @@ impl ActorInfo {
     /// # Errors
     /// [`ActorError::Unfit`] with the first difference.
     pub fn check_fits(&self, scenario: &Scenario) -> Result<(), ActorError> {
-        let unfit = |what, found: String, wanted: String, advice| {
-            Err(ActorError::Unfit { origin: self.origin.clone(), what, found, wanted, advice })
+        let unfit = |what, found: String, expected: String, advice| {
+            Err(ActorError::Unfit { origin: self.origin.clone(), what, found, expected, advice })
         };
-        let train =
-            "train an actor for it with `heliostat train ALGORITHM --scenario FILE`, or choose --policy fixed-point";
+        let train = "train an actor for this scenario with `heliostat train`, or choose the policy fixed-point, which needs no file";
         if self.observation_version != OBSERVATION_VERSION {
-            let (found, wanted) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
-            return unfit("observation version", found, wanted, "train it again with this release of heliostat");
+            let (found, expected) = (self.observation_version.to_string(), OBSERVATION_VERSION.to_string());
+            return unfit("observation version", found, expected, "train it again with this release of heliostat");
         }
         if self.mirrors != scenario.mirror_count() {
-            let wanted =
+            let expected =
                 format!("{} ({} x {})", scenario.mirror_count(), scenario.mirrors.rows, scenario.mirrors.columns);
-            return unfit("a number of mirrors of", self.mirrors.to_string(), wanted, train);
+            return unfit("a number of mirrors of", self.mirrors.to_string(), expected, train);
         }
         if scenario.users.count > self.users_max {
             let found = self.users_max.to_string();
@@ -214,7 +216,7 @@ impl ActorInfo {
         let geometry = scenario.geometry_hash();
         if self.geometry != geometry {
             let advice = "room, access points, array or receiver differ from those of the training; \
-                          train an actor for them with `heliostat train ALGORITHM --scenario FILE`, or choose --policy fixed-point";
+                          train an actor for them with `heliostat train`, or choose the policy fixed-point, which needs no file";
             return unfit("the optical geometry", self.geometry.clone(), geometry, advice);
         }
         Ok(())
@@ -223,25 +225,25 @@ impl ActorInfo {
     fn check_port(
         &self,
         side: &'static str,
-        wanted: &'static str,
+        expected: &'static str,
         ports: &[&ValueInfoProto],
         length: usize,
     ) -> Result<(), ActorError> {
-        let [port] = ports else { return Err(self.wrong_ports(side, wanted, ports)) };
-        if port.name != wanted {
-            return Err(self.wrong_ports(side, wanted, ports));
+        let [port] = ports else { return Err(self.wrong_ports(side, expected, ports)) };
+        if port.name != expected {
+            return Err(self.wrong_ports(side, expected, ports));
         }
         let found = describe(port);
         if found == format!("f32 [1, {length}]") {
             return Ok(());
         }
         let (origin, users_max, mirrors) = (self.origin.clone(), self.users_max, self.mirrors);
-        Err(ActorError::Shape { origin, port: wanted, found, wanted: length, users_max, mirrors })
+        Err(ActorError::Shape { origin, port: expected, found, expected: length, users_max, mirrors })
     }
 
-    fn wrong_ports(&self, side: &'static str, wanted: &'static str, ports: &[&ValueInfoProto]) -> ActorError {
+    fn wrong_ports(&self, side: &'static str, expected: &'static str, ports: &[&ValueInfoProto]) -> ActorError {
         let found = ports.iter().map(|port| port.name.clone()).collect();
-        ActorError::Ports { origin: self.origin.clone(), side, found, wanted }
+        ActorError::Ports { origin: self.origin.clone(), side, found, expected }
     }
 }
 

@@ -1,13 +1,15 @@
-//! Every assignment of mirrors to users: the best there is by the table of gains, where it can be found at all.
+//! Every assignment of mirrors to users: the best there is by the table of gains, where it can be
+//! found at all.
 
 use heliostat_channel::solver::{ASSIGNMENTS_MAX, MinimumRates, Problem, QOS_PENALTY, Solver, SolverError};
 use heliostat_channel::{ChannelModel, MirrorAngles, decode};
 use heliostat_scenario::{ChannelMode, Scenario};
 
-use super::{Policy, PolicyError};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError};
+use crate::observe::observation::Observation;
 
-/// Tries everything; for arrays of a dozen mirrors at most, and only where mirrors obey the law of reflection.
+/// Tries everything; for arrays of a dozen mirrors at most, and only where mirrors obey the law of
+/// reflection.
 pub struct Exhaustive {
     solver: Solver,
 }
@@ -16,7 +18,8 @@ impl Exhaustive {
     /// For the room of a scenario.
     ///
     /// # Errors
-    /// [`SolverError`] where there are more than [`ASSIGNMENTS_MAX`] assignments, or angles are continuous.
+    /// [`SolverError`] where there are more than [`ASSIGNMENTS_MAX`] assignments, or angles are
+    /// continuous.
     pub fn new(scenario: &Scenario) -> Result<Self, SolverError> {
         let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
         let assignments = (users as f64).powf(mirrors as f64);

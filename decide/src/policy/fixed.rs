@@ -1,13 +1,13 @@
-//! Policies that look at nobody: baselines, and what is left when all else fails.
+//! Policies that do not depend on the users: baselines, and answers in degraded modes.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Policy, PolicyError};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError};
+use crate::observe::observation::Observation;
 
-/// The same angles for ever.
+/// The same angles at each decision.
 pub struct Fixed {
     name: &'static str,
     angles: MirrorAngles,
@@ -19,12 +19,12 @@ impl Fixed {
         Self::uniform("flat", mirrors, 0.0)
     }
 
-    /// Every mirror looks up as far as its range lets it, so that it sends nothing to anybody below.
+    /// Every mirror turns up to the end of its range, so that it reflects no light to the users.
     pub fn no_irs(mirrors: usize, range_rad: f64) -> Self {
         Self::uniform("no-irs", mirrors, -range_rad)
     }
 
-    /// One uniform draw an axis within the range, held for the run.
+    /// One uniform draw per axis within the range, held for the run.
     pub fn random(mirrors: usize, range_rad: f64, seed: u64) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = || (0..mirrors).map(|_| generator.random_range(-range_rad..=range_rad)).collect();
@@ -47,7 +47,7 @@ impl Policy for Fixed {
     }
 }
 
-/// Repeats what was commanded last.
+/// Repeats the last commanded angles.
 pub struct Hold;
 
 impl Policy for Hold {

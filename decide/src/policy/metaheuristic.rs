@@ -1,38 +1,40 @@
-//! What the metaheuristics share: a population of candidate angles, the objective, and the budget.
+//! The common part of the metaheuristics: a population of candidate angles, the objective, and the budget.
 //!
-//! A candidate is the roll and yaw of every mirror, within the range of commands. Its worth is problem P on the observation: the sum
-//! of rates by the true evaluation, less [`QOS_PENALTY`] bit/s for each bit/s that a user is short of the minimum rate.
+//! A candidate is the roll and yaw of every mirror, within the range of commands. Its objective is
+//! problem P on the observation: the sum of rates by the true evaluation, less [`QOS_PENALTY`]
+//! bit/s for each bit/s that a user is short of the minimum rate.
 //!
-//! Each decision starts anew from uniform draws, except that the first candidate starts where the mirrors stand, so that no answer is
-//! worse than to leave them. It ends with the trials or the time, whichever runs out first. Time comes from
-//! the caller: without a time limit (`control.search_time_us = 0`) the answers depend on the seed alone.
+//! Each decision draws new uniform candidates, except that the first candidate has the present
+//! angles, so that no answer is worse than these. It ends with the trials or the time, whichever
+//! runs out first. Time comes from the caller: without a time limit (`control.search_time_us = 0`)
+//! the answers depend on the seed alone.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::QOS_PENALTY};
 use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::TimeSource;
-use crate::{observation::Observation, safety::Limits};
+use super::proposal::TimeSource;
+use crate::{observe::observation::Observation, output::safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
 const POPULATION: usize = 20;
 
 /// How a candidate moves from round to round.
 pub(super) trait Rule {
-    /// The first round was judged; what is remembered of the last decision is to be forgotten.
-    fn begin(&mut self, places: &[MirrorAngles], worths: &[f64]);
+    /// The first round was evaluated: discard the memory of the last decision.
+    fn begin(&mut self, places: &[MirrorAngles], objectives: &[f64]);
 
-    /// Moves a candidate; what leaves the range is brought back by the caller.
-    fn turn(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng);
+    /// Moves a candidate; the caller clamps it to the range.
+    fn step(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng);
 
-    /// A moved candidate was judged.
-    fn judged(&mut self, index: usize, place: &MirrorAngles, worth: f64);
+    /// A moved candidate was evaluated.
+    fn evaluated(&mut self, index: usize, place: &MirrorAngles, objective: f64);
 }
 
-/// Where a search stands when a candidate moves.
+/// The state of a search when a candidate moves.
 pub(super) struct Round<'a> {
-    /// Which candidate moves.
+    /// Index of the candidate that moves.
     pub index: usize,
     /// The best of all so far.
     pub best: &'a MirrorAngles,
@@ -40,7 +42,7 @@ pub(super) struct Round<'a> {
     pub spent: f64,
 }
 
-/// How much a decision may cost.
+/// The budget of one decision.
 struct Budget {
     evaluations: u32,
     time_ns: Option<f64>,
@@ -53,15 +55,15 @@ impl Budget {
     }
 }
 
-/// A population with its buffers, for all decisions.
+/// A population with its buffers, reused at each decision.
 pub(super) struct Population {
     budget: Budget,
     range_rad: f64,
     generator: ChaCha8Rng,
     places: Vec<MirrorAngles>,
-    worths: Vec<f64>,
+    objectives: Vec<f64>,
     best: MirrorAngles,
-    best_worth: f64,
+    best_objective: f64,
     rates_bps: Vec<f64>,
     monotonic_ns: TimeSource,
     begun_ns: u64,
@@ -76,9 +78,9 @@ impl Population {
             range_rad: Limits::new(&scenario.control).range_rad(),
             generator: ChaCha8Rng::seed_from_u64(scenario.seed),
             places: vec![flat.clone(); POPULATION],
-            worths: vec![f64::NEG_INFINITY; POPULATION],
+            objectives: vec![f64::NEG_INFINITY; POPULATION],
             best: flat,
-            best_worth: f64::NEG_INFINITY,
+            best_objective: f64::NEG_INFINITY,
             rates_bps: vec![0.0; scenario.users.count],
             monotonic_ns,
             begun_ns: 0,
@@ -86,7 +88,7 @@ impl Population {
         }
     }
 
-    /// The candidates, for a rule that remembers something of each.
+    /// The candidates, for a rule that keeps a memory of each.
     pub fn places(&self) -> &[MirrorAngles] {
         &self.places
     }
@@ -102,10 +104,10 @@ impl Population {
         self.draw(observation);
         for index in 0..POPULATION {
             if self.spent() < 1.0 {
-                self.judge(model, observation, index);
+                self.evaluate(model, observation, index);
             }
         }
-        rule.begin(&self.places, &self.worths);
+        rule.begin(&self.places, &self.objectives);
         'search: loop {
             for index in 0..POPULATION {
                 let spent = self.spent();
@@ -113,12 +115,12 @@ impl Population {
                     break 'search;
                 }
                 let place = &mut self.places[index];
-                rule.turn(place, &Round { index, best: &self.best, spent }, &mut self.generator);
+                rule.step(place, &Round { index, best: &self.best, spent }, &mut self.generator);
                 for angle in axes_mut(place) {
                     *angle = angle.clamp(-self.range_rad, self.range_rad);
                 }
-                self.judge(model, observation, index);
-                rule.judged(index, &self.places[index], self.worths[index]);
+                self.evaluate(model, observation, index);
+                rule.evaluated(index, &self.places[index], self.objectives[index]);
             }
         }
         out.roll.copy_from_slice(&self.best.roll);
@@ -128,8 +130,8 @@ impl Population {
     fn draw(&mut self, observation: &Observation) {
         self.begun_ns = (self.monotonic_ns)();
         self.evaluations = 0;
-        self.best_worth = f64::NEG_INFINITY;
-        self.worths.fill(f64::NEG_INFINITY);
+        self.best_objective = f64::NEG_INFINITY;
+        self.objectives.fill(f64::NEG_INFINITY);
         let (first, others) = self.places.split_at_mut(1);
         first[0].roll.copy_from_slice(&observation.angles.roll);
         first[0].yaw.copy_from_slice(&observation.angles.yaw);
@@ -149,15 +151,15 @@ impl Population {
         trials.max(time)
     }
 
-    fn judge(&mut self, model: &ChannelModel, observation: &Observation, index: usize) {
+    fn evaluate(&mut self, model: &ChannelModel, observation: &Observation, index: usize) {
         self.evaluations += 1;
         let place = &self.places[index];
         observation.scene.rates_bps(model, place, &mut self.rates_bps);
         let users = self.rates_bps.iter().zip(&observation.min_rate_bps);
-        let worth = users.map(|(rate, need)| rate - QOS_PENALTY * (need - rate).max(0.0)).sum();
-        self.worths[index] = worth;
-        if worth > self.best_worth {
-            self.best_worth = worth;
+        let objective = users.map(|(rate, need)| rate - QOS_PENALTY * (need - rate).max(0.0)).sum();
+        self.objectives[index] = objective;
+        if objective > self.best_objective {
+            self.best_objective = objective;
             self.best.roll.copy_from_slice(&place.roll);
             self.best.yaw.copy_from_slice(&place.yaw);
         }
@@ -169,7 +171,7 @@ pub(super) fn axes(angles: &MirrorAngles) -> impl Iterator<Item = &f64> {
     angles.roll.iter().chain(&angles.yaw)
 }
 
-/// The same, to be changed.
+/// The mutable form of [`axes`].
 pub(super) fn axes_mut(angles: &mut MirrorAngles) -> impl Iterator<Item = &mut f64> {
     angles.roll.iter_mut().chain(&mut angles.yaw)
 }

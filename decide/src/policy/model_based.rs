@@ -1,4 +1,4 @@
-//! Policies that solve the channel model at every tick; they need no training and no file.
+//! Policies that solve the channel model at every tick, without training and without a file.
 
 use heliostat_channel::{
     ChannelModel,
@@ -6,20 +6,21 @@ use heliostat_channel::{
     solver::{Method, MinimumRates, QOS_PENALTY, Solver},
 };
 
-use super::{Policy, PolicyError};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError};
+use crate::observe::observation::Observation;
 
-/// Passes of single mirror moves after the fixed point: three reach 0.998 of the oracle with two blocked users.
+/// Passes of single mirror moves after the fixed point; docs/evaluation.md compares the result with
+/// the oracle.
 const GREEDY_PASSES: usize = 3;
 
-/// The damped fixed point over the users' weights, with or without single mirror moves after it, started from the last answer; or
-/// the oracle.
+/// The damped fixed point over the users' weights, started from the last answer, with or without
+/// single mirror moves after it; or the oracle.
 pub struct ModelBased {
     name: &'static str,
     method: Method,
     solver: Solver,
-    /// The solver's memory during a rehearsal.
-    remembered: Vec<f64>,
+    /// A copy of the solver's weights during a cache warm-up.
+    saved_weights: Vec<f64>,
 }
 
 impl ModelBased {
@@ -33,13 +34,13 @@ impl ModelBased {
         Self::new("greedy", Method::Greedy { passes: GREEDY_PASSES }, users, mirrors)
     }
 
-    /// The yardstick itself, on what the observation says.
+    /// The baseline search, on the observation.
     pub fn oracle(users: usize, mirrors: usize) -> Self {
         Self::new("oracle", Method::Oracle, users, mirrors)
     }
 
     fn new(name: &'static str, method: Method, users: usize, mirrors: usize) -> Self {
-        Self { name, method, solver: Solver::new(users, mirrors), remembered: Vec::with_capacity(users) }
+        Self { name, method, solver: Solver::new(users, mirrors), saved_weights: Vec::with_capacity(users) }
     }
 }
 
@@ -59,14 +60,14 @@ impl Policy for ModelBased {
         Ok(())
     }
 
-    fn rehearse(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
+    fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
         if self.method == Method::Oracle {
-            // Longer than a tick: it would be in the way of the report that it prepares for.
+            // The search takes longer than a tick, so it would delay the next report.
             return;
         }
-        self.remembered.clear();
-        self.remembered.extend_from_slice(self.solver.weights());
+        self.saved_weights.clear();
+        self.saved_weights.extend_from_slice(self.solver.weights());
         let _ = self.act(model, observation, out);
-        self.solver.set_weights(&self.remembered);
+        self.solver.set_weights(&self.saved_weights);
     }
 }

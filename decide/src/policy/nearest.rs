@@ -1,26 +1,28 @@
-//! Each mirror for itself: it serves the user to whom it can give the most light.
+//! Each mirror serves the user with its largest steering gain.
 
 use heliostat_channel::{ChannelModel, Mode, decode, mirrors::MirrorAngles};
 
-use super::{Policy, PolicyError};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError};
+use crate::observe::observation::Observation;
 
-/// Mirror m is aimed at argmax_k a_km, the user with its largest steering gain, whatever that user's rate is already.
+/// Mirror m is aimed at argmax_k a_km, the user with its largest steering gain, regardless of that
+/// user's rate.
 ///
-/// A baseline: about .86 of the optimum with two blocked users of five and .74 with five.
+/// A baseline; docs/evaluation.md compares it with the optimum.
 pub struct Nearest {
-    /// One a user: nobody's light counts more.
+    /// 1 for each user: all users have the same weight.
     weights: Vec<f64>,
 }
 
 impl Nearest {
-    /// For so many users.
+    /// For this number of users.
     pub fn new(users: usize) -> Self {
         Self { weights: vec![1.0; users] }
     }
 }
 
-/// Turns each mirror straight towards the user it serves: the best that the paper's equations allow for one user.
+/// Turns each mirror straight towards the user it serves: the best that the paper's equations allow
+/// for one user.
 fn face_served(model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
     let (users, mirrors) = (observation.users(), observation.mirrors());
     let gains = observation.scene.steering_gain();
@@ -54,8 +56,8 @@ impl Policy for Nearest {
         Ok(())
     }
 
-    fn rehearse(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        // It remembers nothing, and a failure shows when it matters.
+    fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
+        // The policy has no memory, and the next decision reports a failure.
         let _ = self.act(model, observation, out);
     }
 }

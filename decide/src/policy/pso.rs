@@ -1,13 +1,16 @@
-//! Particle swarm optimisation with constriction (Clerc and Kennedy, IEEE Trans. Evolutionary Computation 6, 2002).
+//! Particle swarm optimisation with constriction (Clerc and Kennedy, IEEE Trans. Evolutionary
+//! Computation 6, 2002).
 //!
-//! Every coordinate x of every particle is drawn to the best place p that the particle has seen and to the best g of all,
+//! Every coordinate x of every particle is drawn to the best place p that the particle has seen and
+//! to the best g of all,
 //!
 //! ```text
 //! v <- w v + c r1 (p - x) + c r2 (g - x),   x <- x + v,
 //! ```
 //!
-//! with r1 and r2 uniform in [0, 1]. Departures: the budget is counted in trials or in time instead of rounds, one particle starts at the present
-//! angles (see the module that it shares with the sine cosine algorithm), and particles start at rest.
+//! with r1 and r2 uniform in [0, 1]. Differences from the source: the budget is counted in trials or in time instead
+//! of rounds, one particle starts at the present angles (see the module that it shares with the
+//! sine cosine algorithm), and particles start at rest.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
@@ -15,8 +18,8 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::{Policy, PolicyError, TimeSource};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError, TimeSource};
+use crate::observe::observation::Observation;
 
 /// w: the constriction for c1 + c2 = 4.1.
 const INERTIA: f64 = 0.7298;
@@ -34,7 +37,7 @@ impl Pso {
     pub fn new(scenario: &Scenario, monotonic_ns: TimeSource) -> Self {
         let population = Population::new(scenario, monotonic_ns);
         let places = population.places().to_vec();
-        let memory = Memory { worths: vec![f64::NEG_INFINITY; places.len()], velocities: places.clone(), places };
+        let memory = Memory { objectives: vec![f64::NEG_INFINITY; places.len()], velocities: places.clone(), places };
         Self { population, memory }
     }
 }
@@ -55,32 +58,32 @@ impl Policy for Pso {
     }
 }
 
-/// What each particle remembers.
+/// The memory of each particle.
 struct Memory {
-    /// In rad a round.
+    /// In rad per round.
     velocities: Vec<MirrorAngles>,
-    /// The best that it has seen.
+    /// The best place of each particle.
     places: Vec<MirrorAngles>,
-    worths: Vec<f64>,
+    objectives: Vec<f64>,
 }
 
 impl Memory {
-    fn remember(&mut self, index: usize, place: &MirrorAngles, worth: f64) {
-        self.worths[index] = worth;
+    fn remember(&mut self, index: usize, place: &MirrorAngles, objective: f64) {
+        self.objectives[index] = objective;
         self.places[index].roll.copy_from_slice(&place.roll);
         self.places[index].yaw.copy_from_slice(&place.yaw);
     }
 }
 
 impl Rule for Memory {
-    fn begin(&mut self, places: &[MirrorAngles], worths: &[f64]) {
-        for (index, (place, worth)) in places.iter().zip(worths).enumerate() {
-            self.remember(index, place, *worth);
+    fn begin(&mut self, places: &[MirrorAngles], objectives: &[f64]) {
+        for (index, (place, objective)) in places.iter().zip(objectives).enumerate() {
+            self.remember(index, place, *objective);
             axes_mut(&mut self.velocities[index]).for_each(|velocity| *velocity = 0.0);
         }
     }
 
-    fn turn(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
+    fn step(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
         let velocities = axes_mut(&mut self.velocities[round.index]);
         let drawn_to = axes(&self.places[round.index]).zip(axes(round.best));
         for ((angle, velocity), (own, best)) in axes_mut(place).zip(velocities).zip(drawn_to) {
@@ -90,9 +93,9 @@ impl Rule for Memory {
         }
     }
 
-    fn judged(&mut self, index: usize, place: &MirrorAngles, worth: f64) {
-        if worth > self.worths[index] {
-            self.remember(index, place, worth);
+    fn evaluated(&mut self, index: usize, place: &MirrorAngles, objective: f64) {
+        if objective > self.objectives[index] {
+            self.remember(index, place, objective);
         }
     }
 }

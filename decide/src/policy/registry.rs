@@ -1,4 +1,4 @@
-//! The policies by name, and how each is built for a room.
+//! The table of policies: names, help texts, and how each policy is built for a room.
 
 use clap::ValueEnum;
 use heliostat_channel::solver::SolverError;
@@ -7,24 +7,27 @@ use thiserror::Error;
 
 use super::actor::Actor;
 use super::actor_file::{ActorError, ActorFile};
+use super::engine::Engine;
 use super::exhaustive::Exhaustive;
 use super::fixed::{Fixed, Hold};
 use super::model_based::ModelBased;
 use super::nearest::Nearest;
-use super::network::Engine;
+use super::proposal::{Policy, TimeSource};
 use super::pso::Pso;
 use super::sine_cosine::SineCosine;
-use super::{Policy, TimeSource};
-use crate::safety::Limits;
+use crate::output::safety::Limits;
+use Recipe::{Direct, Learned};
 
-/// Why there is no such policy for a room.
+/// Why a policy cannot be built for a room.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum BuildError {
     /// The actor is missing or does not fit.
     #[error(transparent)]
     Actor(#[from] ActorError),
-    /// There is too much to search.
-    #[error("an exhaustive search cannot run here: {0}; take --policy oracle, whose answers equal it where it can run")]
+    /// The search space is too large, or continuous.
+    #[error(
+        "an exhaustive search cannot run here: {0}; use the policy oracle, which gives the same answers in small rooms"
+    )]
     Search(SolverError),
     /// A learned policy was to be built without its file.
     #[error("policy {policy} is learned: expected the file of its actor, found none")]
@@ -45,61 +48,109 @@ pub struct Resources<'a> {
     pub monotonic_ns: TimeSource,
 }
 
-/// The policies by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum PolicyKind {
-    /// Learned: DDPG with one weight a user (ONNX, as all that is learned)
+/// Declares the policies: one row yields the name on the command line, the help text, and how the
+/// policy is built.
+macro_rules! policies {
+    ($($(#[$attribute:meta])* $kind:ident: $recipe:expr,)*) => {
+        /// The policies by name.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+        pub enum PolicyKind {
+            $($(#[$attribute])* $kind,)*
+        }
+
+        impl PolicyKind {
+            fn recipe(self) -> Recipe {
+                match self {
+                    $(Self::$kind => $recipe,)*
+                }
+            }
+        }
+    };
+}
+
+policies! {
+    /// Learned: DDPG with one weight per user (ONNX, as all learned policies)
     #[value(alias = "actor")]
-    Ddpg,
-    /// Learned: DDPG on the angles of all mirrors, as the paper has it
-    DdpgRaw,
-    /// Learned: the same, with a critic that sees smooth patterns of the angles
-    DdpgBasis,
-    /// Learned: by the gradient through the channel itself
-    Analytic,
+    Ddpg: Learned,
+    /// Learned: DDPG on the angles of all mirrors, as in the paper
+    DdpgRaw: Learned,
+    /// Learned: as ddpg-raw, with a critic that reads smooth patterns of the angles
+    DdpgBasis: Learned,
+    /// Learned: by the gradient through the channel model
+    Analytic: Learned,
     /// Learned: deep Q-learning on a codebook of angles
-    Dql,
+    Dql: Learned,
     /// Learned: Q-learning with a table
-    QLearning,
+    QLearning: Learned,
     /// Learned: SARSA with a table
-    Sarsa,
+    Sarsa: Learned,
     /// Model-based: damped fixed point over the users' weights
-    FixedPoint,
+    FixedPoint: Direct(|room| ModelBased::fixed_point(room.users, room.mirrors).boxed()),
     /// Model-based: the fixed point, then passes of single mirror moves
-    Greedy,
-    /// Model-based: the search that everything is measured by, from many starts; far slower than a tick
-    Oracle,
+    Greedy: Direct(|room| ModelBased::greedy(room.users, room.mirrors).boxed()),
+    /// Model-based: the baseline search from many starts; far slower than a tick
+    Oracle: Direct(|room| ModelBased::oracle(room.users, room.mirrors).boxed()),
     /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
-    Exhaustive,
+    Exhaustive: Direct(|room| Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),
     /// Metaheuristic: the sine cosine algorithm on the angles of all mirrors
-    SineCosine,
+    SineCosine: Direct(|room| SineCosine::new(room.scenario, room.monotonic_ns).boxed()),
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
-    Pso,
-    /// Each mirror serves the user to whom it can give most
-    Nearest,
-    /// One random draw a mirror, held for the run
-    Random,
+    Pso: Direct(|room| Pso::new(room.scenario, room.monotonic_ns).boxed()),
+    /// Each mirror serves the user with the largest steering gain
+    Nearest: Direct(|room| Nearest::new(room.users).boxed()),
+    /// One random draw per mirror, held for the run
+    Random: Direct(|room| Fixed::random(room.mirrors, room.range_rad, room.scenario.seed).boxed()),
     /// Every mirror faces straight into the room
-    Flat,
-    /// Every mirror is turned away from everybody
-    NoIrs,
-    /// Every mirror stays as it was commanded last
-    Hold,
+    Flat: Direct(|room| Fixed::flat(room.mirrors).boxed()),
+    /// Every mirror is turned away from all users
+    NoIrs: Direct(|room| Fixed::no_irs(room.mirrors, room.range_rad).boxed()),
+    /// Every mirror keeps its last commanded angles
+    Hold: Direct(|_| Hold.boxed()),
+}
+
+/// How a policy is built.
+enum Recipe {
+    /// From the file of an actor.
+    Learned,
+    /// From the scenario alone.
+    Direct(fn(&RoomFacts<'_>) -> Built),
+}
+
+type Built = Result<Box<dyn Policy>, BuildError>;
+
+/// What the recipes read.
+struct RoomFacts<'a> {
+    scenario: &'a Scenario,
+    users: usize,
+    mirrors: usize,
+    /// Largest angle of each axis, plus and minus, in rad.
+    range_rad: f64,
+    monotonic_ns: TimeSource,
+}
+
+/// Boxes a policy, for the rows of the table.
+trait Boxed {
+    fn boxed(self) -> Built;
+}
+
+impl<T: Policy + 'static> Boxed for T {
+    fn boxed(self) -> Built {
+        Ok(Box::new(self))
+    }
 }
 
 impl PolicyKind {
     /// The name on the command line and in file names.
     pub fn name(self) -> String {
-        self.to_possible_value().map(|value| value.get_name().to_owned()).expect("no policy is hidden")
+        self.to_possible_value().map(|value| value.get_name().to_owned()).expect("every policy has a name")
     }
 
-    /// Whether the policy is a trained network, to be had as an ONNX file.
+    /// Whether the policy is a trained network, stored as an ONNX file.
     pub fn is_learned(self) -> bool {
-        use PolicyKind::{Analytic, Ddpg, DdpgBasis, DdpgRaw, Dql, QLearning, Sarsa};
-        matches!(self, Ddpg | DdpgRaw | DdpgBasis | Analytic | Dql | QLearning | Sarsa)
+        matches!(self.recipe(), Learned)
     }
 
-    /// The names of all learned policies, with commas between them.
+    /// The names of all learned policies, separated by commas.
     pub fn learned_names() -> String {
         let learned = Self::value_variants().iter().filter(|kind| kind.is_learned());
         learned.map(|kind| kind.name()).collect::<Vec<_>>().join(", ")
@@ -109,36 +160,25 @@ impl PolicyKind {
 /// Builds a policy for a room.
 ///
 /// # Errors
-/// [`BuildError`] where the policy is learned and its actor is missing or does not fit, or where it searches more than can be searched.
+/// [`BuildError`] where a learned policy's actor is missing or does not fit the room, or the search
+/// space is too large.
 pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -> Result<Box<dyn Policy>, BuildError> {
-    let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
-    let range_rad = Limits::new(&scenario.control).range_rad();
-    Ok(match kind {
-        PolicyKind::Ddpg
-        | PolicyKind::DdpgRaw
-        | PolicyKind::DdpgBasis
-        | PolicyKind::Analytic
-        | PolicyKind::Dql
-        | PolicyKind::QLearning
-        | PolicyKind::Sarsa => {
+    match kind.recipe() {
+        Learned => {
             let actor = resources.actor.ok_or_else(|| BuildError::ActorExpected { policy: kind.name() })?;
-            Box::new(Actor::load(actor, scenario, resources.engine)?.named(kind.name()))
+            Actor::load(actor, scenario, resources.engine)?.named(kind.name()).boxed()
         }
-        PolicyKind::FixedPoint => Box::new(ModelBased::fixed_point(users, mirrors)),
-        PolicyKind::Greedy => Box::new(ModelBased::greedy(users, mirrors)),
-        PolicyKind::Oracle => Box::new(ModelBased::oracle(users, mirrors)),
-        PolicyKind::Exhaustive => Box::new(Exhaustive::new(scenario).map_err(BuildError::Search)?),
-        PolicyKind::SineCosine => Box::new(SineCosine::new(scenario, resources.monotonic_ns)),
-        PolicyKind::Pso => Box::new(Pso::new(scenario, resources.monotonic_ns)),
-        PolicyKind::Nearest => Box::new(Nearest::new(users)),
-        PolicyKind::Random => Box::new(Fixed::random(mirrors, range_rad, scenario.seed)),
-        PolicyKind::Flat => Box::new(Fixed::flat(mirrors)),
-        PolicyKind::NoIrs => Box::new(Fixed::no_irs(mirrors, range_rad)),
-        PolicyKind::Hold => Box::new(Hold),
-    })
+        Direct(build) => build(&RoomFacts {
+            scenario,
+            users: scenario.users.count,
+            mirrors: scenario.mirror_count(),
+            range_rad: Limits::new(&scenario.control).range_rad(),
+            monotonic_ns: resources.monotonic_ns,
+        }),
+    }
 }
 
-/// Builds the policy that answers when another fails; `None` where no command is to be sent then.
+/// Builds the policy that answers when another fails; `None` where no command is sent then.
 pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn Policy>> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {

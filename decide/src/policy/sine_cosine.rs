@@ -1,4 +1,5 @@
-//! The sine cosine algorithm (Mirjalili, Knowledge-Based Systems 96, 2016), which the literature on mirror arrays turns them with.
+//! The sine cosine algorithm (Mirjalili, Knowledge-Based Systems 96, 2016), which the literature on
+//! mirror arrays turns them with.
 //!
 //! Every coordinate x of every candidate swings around the best candidate's p,
 //!
@@ -6,8 +7,9 @@
 //! x <- x + r1 sin(r2) |r3 p - x|   or   x + r1 cos(r2) |r3 p - x|,   each with probability 1/2,
 //! ```
 //!
-//! with r2 uniform in [0, 2 pi], r3 in [0, 2], and r1 falling from 2 to 0 as the budget is spent. Departures: the budget is counted in trials or
-//! in time instead of rounds, and one candidate starts at the present angles (see the module that it shares with the particle swarm).
+//! with r2 uniform in [0, 2 pi], r3 in [0, 2], and r1 falling from 2 to 0 as the budget is spent.
+//! Differences from the source: the budget is counted in trials or in time instead of rounds, and one candidate
+//! starts at the present angles (see the module that it shares with the particle swarm).
 
 use std::f64::consts::TAU;
 
@@ -17,10 +19,10 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::{Policy, PolicyError, TimeSource};
-use crate::observation::Observation;
+use super::proposal::{Policy, PolicyError, TimeSource};
+use crate::observe::observation::Observation;
 
-/// r1 at the start; the author's constant.
+/// r1 at the start, as in the source.
 const FIRST_REACH: f64 = 2.0;
 
 /// The sine cosine algorithm on the angles of all mirrors.
@@ -51,13 +53,13 @@ impl Policy for SineCosine {
     }
 }
 
-/// Remembers nothing.
+/// Has no memory.
 struct Swing;
 
 impl Rule for Swing {
     fn begin(&mut self, _: &[MirrorAngles], _: &[f64]) {}
 
-    fn turn(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
+    fn step(&mut self, place: &mut MirrorAngles, round: &Round<'_>, generator: &mut ChaCha8Rng) {
         let reach = FIRST_REACH * (1.0 - round.spent);
         for (angle, best) in axes_mut(place).zip(axes(round.best)) {
             let (sin, cos) = generator.random_range(0.0..TAU).sin_cos();
@@ -66,5 +68,5 @@ impl Rule for Swing {
         }
     }
 
-    fn judged(&mut self, _: usize, _: &MirrorAngles, _: f64) {}
+    fn evaluated(&mut self, _: usize, _: &MirrorAngles, _: f64) {}
 }

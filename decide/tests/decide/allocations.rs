@@ -55,13 +55,13 @@ struct Scratch {
 fn tick(controller: &mut Controller, scratch: &mut Scratch, tick: u64, [survey, gains, users]: &[Vec<u8>; 3]) {
     let now = Room::time(tick);
     decode_into(&mut scratch.obstacles, survey).unwrap();
-    controller.receive(now, Message::Obstacles(&mut scratch.obstacles), &mut |_| {});
+    controller.handle_and_poll(now, Message::Obstacles(&mut scratch.obstacles), &mut |_| {});
     decode_into(&mut scratch.channel, gains).unwrap();
-    controller.receive(now, Message::Channel(&mut scratch.channel), &mut |_| {});
+    controller.handle_and_poll(now, Message::Channel(&mut scratch.channel), &mut |_| {});
     decode_into(&mut scratch.users, users).unwrap();
-    match controller.receive(now, Message::Users(&mut scratch.users), &mut |_| {}) {
+    match controller.handle_and_poll(now, Message::Users(&mut scratch.users), &mut |_| {}) {
         Some(Decision::Move { command, .. }) => encode(command, &mut scratch.payload).unwrap(),
-        other => panic!("wanted a command, got {other:?}"),
+        other => panic!("expected a command, got {other:?}"),
     }
 }
 
@@ -78,18 +78,18 @@ fn allocations(scenario: &Scenario, kind: PolicyKind) -> Vec<u64> {
 }
 
 #[test]
-fn no_policy_of_our_own_allocates() {
+fn no_policy_without_a_network_allocates() {
     let scenario = large();
     // The exhaustive search cannot run in a large room, and is no policy for a tick anywhere.
-    let ours = |kind: &&PolicyKind| !kind.is_learned() && **kind != PolicyKind::Exhaustive;
-    for kind in PolicyKind::value_variants().iter().filter(ours) {
+    let without_network = |kind: &&PolicyKind| !kind.is_learned() && **kind != PolicyKind::Exhaustive;
+    for kind in PolicyKind::value_variants().iter().filter(without_network) {
         let counts = allocations(&scenario, *kind);
         assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
     }
 }
 
 #[test]
-fn rehearsals_do_not_allocate() {
+fn cache_warm_ups_do_not_allocate() {
     let scenario = large();
     for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
         let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
@@ -97,8 +97,8 @@ fn rehearsals_do_not_allocate() {
         for (index, payloads) in payloads(&scenario).iter().enumerate().take(5) {
             tick(&mut controller, &mut scratch, index as u64 + 1, payloads);
         }
-        controller.rehearse();
-        assert_eq!(measure(|| controller.rehearse()).count_total, 0, "{kind:?}");
+        controller.warm_cache();
+        assert_eq!(measure(|| controller.warm_cache()).count_total, 0, "{kind:?}");
     }
 }
 

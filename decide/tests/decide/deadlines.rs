@@ -1,7 +1,8 @@
-//! What the core answers when there is no time, no report or no actor; and that rehearsals leave no trace.
+//! What the core answers when there is no time, no report or no actor; and that warm_ups leave no
+//! trace.
 
 use heliostat_decide::{
-    core::{Controller, Decision, Departure, Haste},
+    core::{Controller, Decision, DegradedMode, Timing},
     inbox::Message,
     policy::{PolicyError, PolicyKind},
 };
@@ -17,46 +18,46 @@ fn late_answer(answer: &str) -> (MirrorCommand, Outcome, Controller) {
     let mut room = Room::new(&scenario);
     room.tick(&mut controller, 1);
     let good = room.tick(&mut controller, 2).command();
-    controller.accept(Room::time(30), Message::Channel(&mut room.gains(30, 1e-6)));
-    controller.accept(Room::time(30), Message::Users(&mut room.positions(30)));
-    let outcome = match controller.decide(Room::time(30), Haste::Late, &mut |_| {}) {
+    controller.handle_message(Room::time(30), Message::Channel(&mut room.gains(30, 1e-6)));
+    controller.handle_message(Room::time(30), Message::Users(&mut room.positions(30)));
+    let outcome = match controller.poll_command(Room::time(30), Timing::Late, &mut |_| {}) {
         Decision::Move { command, .. } => Outcome::Moved(command.clone()),
-        Decision::Hold(departure) => Outcome::Held(departure),
+        Decision::Hold(mode) => Outcome::Held(mode),
     };
-    assert_eq!(controller.counters().departures(Departure::Late), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::Late), 1);
     (good, outcome, controller)
 }
 
 #[test]
-fn a_late_decision_has_the_answer_that_is_configured() {
+fn a_late_decision_has_the_configured_answer() {
     let (good, outcome, _) = late_answer("last-good");
     let again = outcome.command();
     assert_eq!((&again.roll, &again.yaw), (&good.roll, &good.yaw));
-    assert_eq!((again.sequence, again.answers, again.time_ns), (good.sequence + 1, 30, Room::time(30)));
+    assert_eq!((again.sequence, again.answers, again.time_ns), (0, 30, Room::time(30)));
 
     let parked = late_answer("park").1.command();
     assert!(parked.roll.iter().chain(&parked.yaw).all(|angle| *angle == 0.0));
 
     let (_, held, controller) = late_answer("hold");
-    assert_eq!(held, Outcome::Held(Departure::Late));
+    assert_eq!(held, Outcome::Held(DegradedMode::Late));
     assert_eq!((controller.counters().decisions, controller.counters().commands), (3, 2));
 
     let decided = late_answer("policy").1.command();
     let by_model = late_answer("fallback").1.command();
-    assert_ne!(decided.yaw, good.yaw, "people have moved on");
+    assert_ne!(decided.yaw, good.yaw, "the users have moved on");
     assert_ne!(by_model.yaw, good.yaw);
 }
 
 #[test]
-fn the_last_good_of_nothing_is_to_hold() {
+fn without_a_last_command_the_array_holds() {
     let scenario = scenario(&["control.when_stale=last-good"]);
     let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
-    assert_eq!(controller.answer_stale(Room::time(1)), Decision::Hold(Departure::Held));
-    assert_eq!(controller.counters().departures(Departure::StaleReport), 1);
+    assert_eq!(controller.poll_stale_command(Room::time(1)), Decision::Hold(DegradedMode::Held));
+    assert_eq!(controller.counters().degraded(DegradedMode::StaleReport), 1);
 }
 
 #[test]
-fn an_actor_that_fails_may_be_answered_by_the_last_good() {
+fn a_failing_policy_may_be_replaced_by_the_last_command() {
     let scenario = scenario(&["control.fallback=last-good"]);
     let once = Scripted(|observation, out| {
         if observation.tick > 1 {
@@ -71,19 +72,19 @@ fn an_actor_that_fails_may_be_answered_by_the_last_good() {
     let good = room.tick(&mut controller, 1).command();
     let again = room.tick(&mut controller, 2).command();
     assert_eq!((again.roll, again.yaw), (good.roll, good.yaw));
-    assert_eq!(controller.counters().departures(Departure::PolicyFailed), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
 }
 
 /// Commands given over a silence of one second, looked at every 50 ms.
 fn silence(answer: &str) -> (Vec<MirrorCommand>, Controller) {
     let scenario = scenario(&[&format!("control.when_silent={answer}"), "control.report_age_max_ms=100"]);
     let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
-    assert!(controller.elapse(Room::time(1)).is_none(), "nobody was ever heard");
+    assert!(controller.poll_timeout_command(Room::time(1)).is_none(), "no report has arrived yet");
     let mut room = Room::new(&scenario);
     room.tick(&mut controller, 1);
     let mut commands = Vec::new();
     for step in 1..=20 {
-        if let Some(Decision::Move { command, .. }) = controller.elapse(Room::time(1) + step * 50 * MS) {
+        if let Some(Decision::Move { command, .. }) = controller.poll_timeout_command(Room::time(1) + step * 50 * MS) {
             commands.push(command.clone());
         }
     }
@@ -94,15 +95,15 @@ fn silence(answer: &str) -> (Vec<MirrorCommand>, Controller) {
 fn silence_is_counted_once_and_answered_as_configured() {
     let (held, controller) = silence("hold");
     assert!(held.is_empty());
-    assert_eq!(controller.counters().departures(Departure::Silence), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::Silence), 1);
 
     let (parked, controller) = silence("park");
-    assert_eq!((parked.len(), controller.counters().departures(Departure::Silence)), (1, 1));
+    assert_eq!((parked.len(), controller.counters().degraded(DegradedMode::Silence)), (1, 1));
     assert!(parked[0].roll.iter().chain(&parked[0].yaw).all(|angle| *angle == 0.0));
 
     let (repeated, controller) = silence("last-good");
-    assert_eq!((repeated.len(), controller.counters().departures(Departure::Silence)), (18, 1));
-    assert!(repeated.windows(2).all(|pair| pair[0].yaw == pair[1].yaw && pair[0].sequence < pair[1].sequence));
+    assert_eq!((repeated.len(), controller.counters().degraded(DegradedMode::Silence)), (18, 1));
+    assert!(repeated.windows(2).all(|pair| pair[0].yaw == pair[1].yaw && pair[0].time_ns < pair[1].time_ns));
     assert!(repeated[0].yaw.iter().any(|angle| *angle != 0.0));
     assert_eq!(controller.counters().decisions, 1, "only a report makes a decision");
 }
@@ -114,28 +115,28 @@ fn a_report_ends_the_silence() {
     let mut room = Room::new(&scenario);
     for (tick, silences) in [(1, 1), (100, 2)] {
         room.tick(&mut controller, tick).command();
-        assert!(controller.elapse(Room::time(tick) + 50 * MS).is_none());
-        controller.elapse(Room::time(tick) + 150 * MS);
-        assert_eq!(controller.counters().departures(Departure::Silence), silences);
+        assert!(controller.poll_timeout_command(Room::time(tick) + 50 * MS).is_none());
+        controller.poll_timeout_command(Room::time(tick) + 150 * MS);
+        assert_eq!(controller.counters().degraded(DegradedMode::Silence), silences);
     }
 }
 
-/// The commands of a walk, with so many rehearsals after each.
-fn walk(scenario: &Scenario, kind: PolicyKind, rehearsals: usize) -> Vec<MirrorCommand> {
+/// The commands of a walk, with so many warm_ups after each.
+fn walk(scenario: &Scenario, kind: PolicyKind, warm_ups: usize) -> Vec<MirrorCommand> {
     let source = ActorRecipe::fitting(scenario).file();
     let mut controller = controller(scenario, build_with(kind, scenario, &source).unwrap());
-    controller.rehearse();
+    controller.warm_cache();
     let mut room = Room::new(scenario);
     let one = |tick: Nanos| {
         let command = room.tick(&mut controller, 7 * tick).command();
-        (0..rehearsals).for_each(|_| controller.rehearse());
+        (0..warm_ups).for_each(|_| controller.warm_cache());
         command
     };
     (1..=30).map(one).collect()
 }
 
 #[test]
-fn rehearsals_leave_no_trace() {
+fn cache_warm_ups_change_no_later_answer() {
     let ahead = scenario(&["control.prediction=constant-velocity", "control.slew_deg_per_s=600"]);
     for scenario in [scenario(&[]), ahead] {
         for kind in [PolicyKind::Ddpg, PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {

@@ -1,7 +1,7 @@
-//! What the core answers when all is well, and when it is not.
+//! Answers of the core in normal operation and in degraded modes.
 
 use heliostat_decide::{
-    core::{Departure, Stage},
+    core::{DegradedMode, Stage},
     inbox::Message,
     policy::{Fixed, PolicyError, PolicyKind},
 };
@@ -16,15 +16,15 @@ fn a_failing_policy_is_replaced_and_counted() {
     let mut broken = controller(&scenario, Box::new(failing));
     let mut nearest = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     let (mut one, mut other) = (Room::new(&scenario), Room::new(&scenario));
-    let (answer, wanted) = (one.tick(&mut broken, 1).command(), other.tick(&mut nearest, 1).command());
-    assert_eq!((answer.roll, answer.yaw), (wanted.roll, wanted.yaw));
-    assert_eq!(broken.counters().departures(Departure::PolicyFailed), 1);
+    let (answer, expected) = (one.tick(&mut broken, 1).command(), other.tick(&mut nearest, 1).command());
+    assert_eq!((answer.roll, answer.yaw), (expected.roll, expected.yaw));
+    assert_eq!(broken.counters().degraded(DegradedMode::PolicyFailed), 1);
     assert!(broken.last_failure().unwrap().to_string().contains("broken"));
-    assert_eq!(nearest.counters().departures(Departure::PolicyFailed), 0);
+    assert_eq!(nearest.counters().degraded(DegradedMode::PolicyFailed), 0);
 }
 
 #[test]
-fn a_value_that_is_no_number_never_leaves() {
+fn a_value_that_is_not_finite_is_never_commanded() {
     let scenario = scenario(&["control.fallback=flat"]);
     let mut controller = controller(
         &scenario,
@@ -36,18 +36,18 @@ fn a_value_that_is_no_number_never_leaves() {
     );
     let command = Room::new(&scenario).tick(&mut controller, 1).command();
     assert!(command.roll.iter().chain(&command.yaw).all(|angle| *angle == 0.0), "the fallback is flat");
-    assert_eq!(controller.counters().departures(Departure::PolicyFailed), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
     assert!(controller.last_failure().unwrap().to_string().contains("mirror 4"));
 }
 
 #[test]
-fn an_actor_that_gives_no_numbers_falls_back() {
+fn an_actor_with_values_that_are_not_finite_falls_back() {
     let scenario = scenario(&[]);
     let file = ActorRecipe { bias: f32::NAN, ..ActorRecipe::fitting(&scenario) }.file();
     let actor = build_with(PolicyKind::Ddpg, &scenario, &file).unwrap();
     let mut controller = controller(&scenario, actor);
     Room::new(&scenario).tick(&mut controller, 1).command();
-    assert_eq!(controller.counters().departures(Departure::PolicyFailed), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
 }
 
 #[test]
@@ -55,8 +55,8 @@ fn without_a_fallback_the_array_is_left_to_hold() {
     let scenario = scenario(&["control.fallback=hold"]);
     let failing = Scripted(|_, _| Err(PolicyError::Inference { message: "broken".into() }));
     let mut controller = controller(&scenario, Box::new(failing));
-    assert_eq!(Room::new(&scenario).tick(&mut controller, 1), Outcome::Held(Departure::Held));
-    assert_eq!(controller.counters().departures(Departure::Held), 1);
+    assert_eq!(Room::new(&scenario).tick(&mut controller, 1), Outcome::Held(DegradedMode::Held));
+    assert_eq!(controller.counters().degraded(DegradedMode::Held), 1);
     assert_eq!((controller.counters().decisions, controller.counters().commands), (1, 0));
 }
 
@@ -66,13 +66,13 @@ fn missing_and_outdated_gains_are_modelled_and_counted() {
     let mut controller = controller(&scenario, Box::new(Fixed::flat(scenario.mirror_count())));
     let mut room = Room::new(&scenario);
     receive(&mut controller, Room::time(1), Message::Users(&mut room.positions(1))).command();
-    assert_eq!(controller.counters().departures(Departure::ChannelMissing), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::ChannelMissing), 1);
     room.tick(&mut controller, 2).command();
-    assert_eq!(controller.counters().departures(Departure::ChannelMissing), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::ChannelMissing), 1);
     receive(&mut controller, Room::time(12), Message::Users(&mut room.positions(12))).command();
-    assert_eq!(controller.counters().departures(Departure::ChannelMissing), 1, "100 ms is not too old");
+    assert_eq!(controller.counters().degraded(DegradedMode::ChannelMissing), 1, "100 ms is not too old");
     receive(&mut controller, Room::time(13), Message::Users(&mut room.positions(13))).command();
-    assert_eq!(controller.counters().departures(Departure::ChannelMissing), 2);
+    assert_eq!(controller.counters().degraded(DegradedMode::ChannelMissing), 2);
 }
 
 #[test]
@@ -125,7 +125,7 @@ fn no_mirror_is_offered_to_a_user_beyond_its_range() {
         if let Some(range_deg) = array {
             let end = range_deg.to_radians() as f32;
             let axis = AxisLimits { min_rad: -end, max_rad: end, ..AxisLimits::default() };
-            controller.meet_array(&Capabilities { roll: axis, yaw: axis, ..Capabilities::default() }, Ok(()));
+            controller.handle_capabilities(&Capabilities { roll: axis, yaw: axis, ..Capabilities::default() }, Ok(()));
         }
         Room::new(&scenario).tick(&mut controller, 1).command();
         controller.observation().scene.steering_gain().iter().filter(|gain| **gain > 0.0).count()
@@ -150,11 +150,11 @@ fn a_new_controller_starts_from_where_the_array_is() {
     receive(&mut controller, Room::time(1), Message::Telemetry(&mut telemetry));
     let command = Room::new(&scenario).tick(&mut controller, 1).command();
     assert!((f64::from(command.roll[0]) - (0.4 - 1f64.to_radians())).abs() < 1e-6, "it turns from there");
-    assert_eq!(controller.deposed_by(), None);
+    assert_eq!(controller.superseded_by(), None);
 }
 
 #[test]
-fn a_deposed_controller_knows_it() {
+fn a_superseded_controller_reports_the_later_epoch() {
     let scenario = scenario(&[]);
     let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
     let mut telemetry = MirrorTelemetry {
@@ -165,7 +165,7 @@ fn a_deposed_controller_knows_it() {
         ..MirrorTelemetry::default()
     };
     receive(&mut controller, Room::time(1), Message::Telemetry(&mut telemetry));
-    assert_eq!(controller.deposed_by(), Some(8));
+    assert_eq!(controller.superseded_by(), Some(8));
 }
 
 #[test]
@@ -174,11 +174,12 @@ fn stages_are_marked_in_order_and_once() {
     let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
     let mut marks = Vec::new();
     let mut report = Room::new(&scenario).positions(1);
-    controller.receive(Room::time(1) + MS, Message::Users(&mut report), &mut |stage| marks.push(stage));
+    controller.handle_and_poll(Room::time(1) + MS, Message::Users(&mut report), &mut |stage| marks.push(stage));
     assert_eq!(marks, [Stage::Observed, Stage::Inferred, Stage::MadeSafe]);
 }
 
-/// The same reports at the same times give the same commands, bit for bit, whatever happened elsewhere in the process.
+/// The same reports at the same times give the same commands, bit for bit, whatever happened
+/// elsewhere in the process.
 #[test]
 fn the_core_is_deterministic() {
     for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest, PolicyKind::Random, PolicyKind::Ddpg]

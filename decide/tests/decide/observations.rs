@@ -1,4 +1,4 @@
-//! The observation's layout, and what is inferred from reports.
+//! The layout of the observation, and values inferred from reports.
 
 use heliostat_channel::{MirrorAngles, Vec3};
 use heliostat_decide::{
@@ -63,10 +63,13 @@ fn the_layout_is_version_three() {
     assert_eq!([summary[3], summary[4], summary[5]], [&[0.85, 0.85, 0.85, 0.0], need, &[3.0, 3.0, 3.0, 0.0]]);
     assert_eq!(summary[6], [direct[0].ln_1p(), direct[1].ln_1p(), direct[2].ln_1p(), 0.0]);
     let in_f64 = |values: &[f32]| values.iter().map(|&value| f64::from(value)).collect::<Vec<f64>>();
-    let wanted = balanced(&in_f64(&vector[24..51]), &in_f64(&direct[..3]), &in_f64(&need[..3]));
-    for (column, wanted) in summary[7..].iter().zip(wanted) {
-        for (found, wanted) in column.iter().zip(wanted) {
-            assert!((f64::from(*found) - wanted).abs() < 1e-4 * wanted.abs().max(1.0), "{column:?} for {wanted:?}");
+    let expected = balanced(&in_f64(&vector[24..51]), &in_f64(&direct[..3]), &in_f64(&need[..3]));
+    for (column, expected) in summary[7..].iter().zip(expected) {
+        for (found, expected) in column.iter().zip(expected) {
+            assert!(
+                (f64::from(*found) - expected).abs() < 1e-4 * expected.abs().max(1.0),
+                "{column:?} for {expected:?}"
+            );
         }
         assert_eq!(column[3], 0.0);
     }
@@ -105,9 +108,9 @@ fn balanced(steering: &[f64], direct: &[f64], needs: &[f64]) -> [Vec<f64>; 4] {
     [logs(&totals), logs(&equal), logs(&amplitudes), weights]
 }
 
-/// Where nobody sees a mirror, or somebody sees none, nothing is divided by zero.
+/// Nothing is divided by zero where some or all mirrors have no path to any user.
 #[test]
-fn whoever_sees_no_mirror_gets_nothing_of_them() {
+fn users_without_a_path_to_a_mirror_have_finite_features() {
     let scenario = scenario(&[]);
     let model = model(&scenario);
     let mut observation = Observation::new(&model, 3);
@@ -145,7 +148,7 @@ fn the_parts_cover_the_vector_without_gap() {
 }
 
 #[test]
-fn what_does_not_fit_is_an_error() {
+fn an_observation_that_does_not_fit_the_vector_is_an_error() {
     let scenario = scenario(&[]);
     let model = model(&scenario);
     let observation = Observation::new(&model, 3);
@@ -153,8 +156,8 @@ fn what_does_not_fit_is_an_error() {
         ObservationEncoder::new(users_max, mirrors).encode(&model, &observation, &mut vec![0.0; length])
     };
     assert_eq!(encode(2, 9, 68), Err(EncodeError::Users { users: 3, capacity: 2 }));
-    assert_eq!(encode(4, 8, 112), Err(EncodeError::Mirrors { found: 9, wanted: 8 }));
-    assert_eq!(encode(4, 9, 121), Err(EncodeError::Buffer { found: 121, wanted: 122 }));
+    assert_eq!(encode(4, 8, 112), Err(EncodeError::Mirrors { found: 9, expected: 8 }));
+    assert_eq!(encode(4, 9, 121), Err(EncodeError::Buffer { found: 121, expected: 122 }));
 }
 
 #[test]
@@ -168,7 +171,7 @@ fn measured_gains_replace_modelled_ones() {
     for (index, user) in gains.users.iter_mut().enumerate() {
         user.los_gain = index as f32 * 1e-7;
     }
-    // Entries are told apart by their user, not by their place.
+    // Entries are identified by their user, not by their index.
     gains.users.reverse();
     receive(&mut controller, Room::time(2), Message::Channel(&mut gains));
     receive(&mut controller, Room::time(2), Message::Users(&mut room.positions(2)));
@@ -179,9 +182,10 @@ fn measured_gains_replace_modelled_ones() {
     }
 }
 
-/// Somebody walks straight towards the light, so that their body, behind them, leaves it free; on the way back it is in between.
+/// A user walks towards the LED: the body behind the device blocks no path. On the way back the body
+/// is between LED and device.
 #[test]
-fn bodies_stand_behind_the_walkers() {
+fn bodies_stand_behind_walking_users() {
     let scenario = scenario(&["users.count=1", "receiver.height_m=1.0"]);
     let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
     let mut room = Room::new(&scenario);
@@ -192,9 +196,9 @@ fn bodies_stand_behind_the_walkers() {
         receive(&mut controller, Room::time(tick), Message::Users(&mut report)).command();
         controller.observation().scene.los_gain()[0]
     };
-    assert!(gain_when_walking(1, 0.0) > 0.0, "nobody knows yet where they face");
+    assert!(gain_when_walking(1, 0.0) > 0.0, "the direction is unknown before the first step");
     assert_eq!(gain_when_walking(2, 1.0), 0.0, "the body stands between the light and the device");
-    assert_eq!(gain_when_walking(3, 0.0), 0.0, "whoever stops still faces the same way");
+    assert_eq!(gain_when_walking(3, 0.0), 0.0, "a user who stops keeps the direction");
     assert!(gain_when_walking(4, -1.0) > 0.0);
 }
 
@@ -228,7 +232,8 @@ fn surveyed_obstacles_stand_in_the_light() {
     assert!(free > 0.0 && shaded == 0.0 && cleared > 0.0, "{free} {shaded} {cleared}");
 }
 
-/// A report of 20 ms ago, in a room that reports every 10 ms: 25 ms lie between the sample and the middle of the command's time.
+/// A report of 20 ms ago, in a room that reports every 10 ms: 25 ms lie between the sample and the
+/// middle of the command's time.
 #[test]
 fn users_are_predicted_to_walk_on_but_not_through_walls() {
     let place = |prediction: &str, x: f32| {

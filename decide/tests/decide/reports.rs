@@ -1,7 +1,7 @@
-//! Which reports are taken, and under which name the others are refused.
+//! Accepted reports, and the named reasons for refusing others.
 
 use heliostat_decide::{
-    core::{Controller, Departure},
+    core::{Controller, DegradedMode},
     inbox::Message,
     policy::Fixed,
     refusal::{Refusal, Stream},
@@ -25,7 +25,7 @@ fn a_position_report_completes_a_tick_and_a_channel_report_does_not() {
     let now = Room::time(3);
     assert_eq!(receive(&mut controller, now, Message::Channel(&mut room.gains(3, 1e-6))), Outcome::Nothing);
     let command = receive(&mut controller, now, Message::Users(&mut room.positions(3))).command();
-    assert_eq!((command.answers, command.sequence, command.epoch), (3, 1, 7));
+    assert_eq!((command.answers, command.sequence, command.epoch), (3, 0, 7));
     assert_eq!((command.time_ns, command.validity_ms), (now, 200));
     assert_eq!(controller.inbox().refused().total(), 0);
 }
@@ -35,9 +35,9 @@ fn a_report_that_is_too_old_gets_no_command() {
     let (mut controller, mut room) = flat(&[]);
     let late = Room::time(1) + 501 * MS;
     let outcome = receive(&mut controller, late, Message::Users(&mut room.positions(1)));
-    assert_eq!(outcome, Outcome::Held(Departure::StaleReport));
+    assert_eq!(outcome, Outcome::Held(DegradedMode::StaleReport));
     assert_eq!(refused(&controller, Stream::Users, Refusal::Stale), 1);
-    assert_eq!(controller.counters().departures(Departure::StaleReport), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::StaleReport), 1);
 
     let in_time = Room::time(2) + 500 * MS;
     receive(&mut controller, in_time, Message::Users(&mut room.positions(2))).command();
@@ -84,37 +84,37 @@ fn a_second_source_is_refused_and_named_until_the_first_is_silent() {
 }
 
 #[test]
-fn nothing_of_the_first_source_is_mixed_into_the_second() {
+fn reports_of_two_sources_are_never_mixed() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
     let mut other = Room { source: 0x52, ..room };
     let now = Room::time(102);
     receive(&mut controller, now, Message::Users(&mut other.positions(102))).command();
     assert!(controller.inbox().channel(now).is_none());
-    assert_eq!(controller.counters().departures(Departure::ChannelMissing), 1);
+    assert_eq!(controller.counters().degraded(DegradedMode::ChannelMissing), 1);
 }
 
 #[test]
-fn a_source_that_said_goodbye_frees_the_room_at_once() {
+fn a_source_that_has_left_frees_the_room_at_once() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
-    controller.source_gone(0x99);
+    controller.handle_source_lost(0x99);
     assert_eq!(controller.inbox().source(), Some(SOURCE));
-    controller.source_gone(SOURCE);
+    controller.handle_source_lost(SOURCE);
     let mut other = Room { source: 0x52, ..room };
     assert_eq!(other.tick(&mut controller, 2).command().answers, 2);
 }
 
 #[test]
-fn a_last_report_of_a_source_that_is_gone_claims_nothing_until_it_is_back() {
+fn a_late_report_of_a_source_that_has_left_is_refused_until_the_source_returns() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
-    controller.source_gone(SOURCE);
+    controller.handle_source_lost(SOURCE);
     assert_eq!(room.tick(&mut controller, 2), Outcome::Nothing);
     assert_eq!((controller.inbox().source(), refused(&controller, Stream::Users, Refusal::SourceGone)), (None, 1));
-    controller.source_there(0x99);
+    controller.handle_source_found(0x99);
     assert_eq!(room.tick(&mut controller, 3), Outcome::Nothing);
-    controller.source_there(SOURCE);
+    controller.handle_source_found(SOURCE);
     assert_eq!(room.tick(&mut controller, 4).command().answers, 4);
 }
 
@@ -129,7 +129,7 @@ fn a_report_about_another_number_of_users_is_refused() {
 }
 
 #[test]
-fn values_that_no_room_gives_are_refused() {
+fn physically_impossible_values_are_refused() {
     let (mut controller, mut room) = flat(&[]);
     let now = Room::time(1);
     let mut outside = room.positions(1);

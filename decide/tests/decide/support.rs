@@ -2,7 +2,7 @@
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::{
-    core::{Controller, Decision, Departure},
+    core::{Controller, Decision, DegradedMode},
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
@@ -44,27 +44,27 @@ pub fn controller(scenario: &Scenario, policy: Box<dyn Policy>) -> Controller {
 pub enum Outcome {
     Nothing,
     Moved(MirrorCommand),
-    Held(Departure),
+    Held(DegradedMode),
 }
 
 impl Outcome {
     pub fn command(self) -> MirrorCommand {
         match self {
             Self::Moved(command) => command,
-            other => panic!("wanted a command, got {other:?}"),
+            other => panic!("expected a command, got {other:?}"),
         }
     }
 }
 
 pub fn receive(controller: &mut Controller, now: Nanos, message: Message<'_>) -> Outcome {
-    match controller.receive(now, message, &mut |_| {}) {
+    match controller.handle_and_poll(now, message, &mut |_| {}) {
         None => Outcome::Nothing,
         Some(Decision::Move { command, .. }) => Outcome::Moved(command.clone()),
-        Some(Decision::Hold(departure)) => Outcome::Held(departure),
+        Some(Decision::Hold(mode)) => Outcome::Held(mode),
     }
 }
 
-/// A room with people who walk in circles and report every 10 ms.
+/// A room with users who walk in circles and report every 10 ms.
 pub struct Room {
     pub source: u64,
     pub users: usize,
@@ -92,7 +92,7 @@ impl Room {
         UserReport { stamp, tick, users }
     }
 
-    /// Everybody measures the same gain of the direct path.
+    /// All users measure the same gain of the direct path.
     pub fn gains(&mut self, tick: u64, los_gain: f32) -> ChannelReport {
         let stamp = self.stamp(tick);
         let one = |user: usize| UserChannel { user: user as u32, los_gain, irs_gain: 0.0, sinr: 0.0 };
@@ -121,7 +121,7 @@ fn walker(user: usize, users: usize, tick: u64) -> UserState {
     }
 }
 
-/// A policy that does as it is told.
+/// A policy that calls a function.
 pub struct Scripted(pub fn(&Observation, &mut MirrorAngles) -> Result<(), PolicyError>);
 
 impl Policy for Scripted {
@@ -134,7 +134,8 @@ impl Policy for Scripted {
     }
 }
 
-/// An ONNX file to order: a network of one layer whose weights are zero, so that it answers its bias.
+/// An ONNX file to order: a network of one layer whose weights are zero, so that it answers its
+/// bias.
 pub struct ActorRecipe {
     pub input_name: &'static str,
     pub output_name: &'static str,

@@ -54,8 +54,8 @@ pub fn run(args: Args) -> Result<()> {
                 "policy": config.policy.name(),
                 "model": config.model,
                 "pace": match config.pace {
-                    heliostat_controller::node::Pace::Live => "live",
-                    heliostat_controller::node::Pace::Lockstep => "lockstep",
+                    heliostat_controller::config::Pace::Live => "live",
+                    heliostat_controller::config::Pace::Lockstep => "lockstep",
                 },
                 "seconds": config.run_for.map(|duration| duration.as_secs_f64()),
             });

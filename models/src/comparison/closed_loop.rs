@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::{Context, bail, ensure};
 use heliostat_array::moment::Moment;
 use heliostat_channel::solver::Solver;
-use heliostat_decide::core::{Controller, Decision, Departure, Stage};
+use heliostat_decide::core::{Controller, Decision, DegradedMode, Stage};
 use heliostat_decide::inbox::Message;
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
@@ -136,6 +136,8 @@ pub(super) struct Lockstep {
     /// Telemetry names the mirrors that do not follow.
     names_unusable: bool,
     controller: Controller,
+    /// Number of the last command.
+    command_sequence: u64,
     decisions_us: Vec<f64>,
 }
 
@@ -156,8 +158,8 @@ impl Lockstep {
             self.episode.advance(*instant_ns);
             look(self.episode.room());
         }
-        let failed = self.controller.counters().departures(Departure::PolicyFailed);
-        let held = self.controller.counters().departures(Departure::Held);
+        let failed = self.controller.counters().degraded(DegradedMode::PolicyFailed);
+        let held = self.controller.counters().degraded(DegradedMode::Held);
         match self.controller.last_failure() {
             Some(failure) if failed + held > 0 => bail!("{failed} decisions failed, the last because {failure}"),
             _ => Ok(()),
@@ -184,12 +186,14 @@ impl Lockstep {
             Stage::Inferred => decisions_us.push(observed.elapsed().as_secs_f64() * 1e6),
             _ => {}
         };
-        match self.controller.receive(now.room_ns, message, &mut mark) {
+        match self.controller.handle_and_poll(now.room_ns, message, &mut mark) {
             Some(Decision::Move { command, .. }) => {
+                self.command_sequence += 1;
+                command.sequence = self.command_sequence;
                 self.episode.handle_command(now, command).context("the array refused a command")?;
             }
-            Some(Decision::Hold(departure)) => {
-                let late = departure == Departure::StaleReport;
+            Some(Decision::Hold(mode)) => {
+                let late = mode == DegradedMode::StaleReport;
                 ensure!(!late, "reports are older than control.report_age_max_ms when they arrive");
             }
             None => {}

@@ -11,6 +11,8 @@ use super::plan::Clock;
 pub(super) struct EpochReplay {
     pub controller: Controller,
     pub newest_ns: Nanos,
+    /// Number of the last command.
+    pub sequence: u64,
     /// Decisions so far.
     pub decided: u64,
     /// Decisions at the start that are not compared.
@@ -32,20 +34,20 @@ impl EpochReplay {
         let read = match stream {
             Stream::Channel => decode::<ChannelReport>(data).map(|mut report| {
                 let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Channel(&mut report), &mut |_| {});
+                self.controller.handle_and_poll(now, Message::Channel(&mut report), &mut |_| {});
             }),
             Stream::Obstacles => decode::<ObstacleReport>(data).map(|mut report| {
                 let now = now(self, report.stamp.time_ns);
-                self.controller.receive(now, Message::Obstacles(&mut report), &mut |_| {});
+                self.controller.handle_and_poll(now, Message::Obstacles(&mut report), &mut |_| {});
             }),
             Stream::Telemetry => decode::<MirrorTelemetry>(data).map(|mut telemetry| {
                 let now = now(self, telemetry.stamp.time_ns);
-                self.controller.receive(now, Message::Telemetry(&mut telemetry), &mut |_| {});
+                self.controller.handle_and_poll(now, Message::Telemetry(&mut telemetry), &mut |_| {});
             }),
             Stream::Users => return,
         };
         if let Err(error) = read {
-            self.controller.count_malformed(stream, Refusal::from(&error));
+            self.controller.handle_malformed(stream, Refusal::from(&error));
         }
     }
 }

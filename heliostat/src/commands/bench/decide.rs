@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::ValueEnum;
-use heliostat_controller::ledger::{Laps, Ledger};
+use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
 use heliostat_decide::core::{Controller, Decision, Stage};
 use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::{Actor, PolicyKind};
@@ -134,8 +134,8 @@ impl Args {
             Turn::Measured => go_through(&mut decider, block, &mut |_| {}),
             Turn::Reference => go_through(reference, block, &mut |time| compared.record(time)),
         })?;
-        let ledger = &decider.ledger;
-        let decision = ledger.decision_us();
+        let times = &decider.times;
+        let decision = times.decision_us();
         let varied = Varied {
             hz: plan.hz,
             mirrors: scenario.mirror_count(),
@@ -143,9 +143,9 @@ impl Args {
             rooms: 1,
             policy: decider.controller.policy_name().into(),
         };
-        let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.over_budget_by(stage)));
-        let row = Row::new(varied, (decision.into(), ledger.over_budget(), decision.count), &compared);
-        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.stage_us(stage)));
+        let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
+        let row = Row::new(varied, (decision.into(), times.over_budget(), decision.count), &compared);
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
         Ok(row.by_stage(by_stage.into_iter().filter(|(_, count)| *count > 0).collect(), &stages.into()))
     }
 }
@@ -204,7 +204,7 @@ struct Decider {
     payload: Vec<u8>,
     report: UserReport,
     command: Vec<u8>,
-    ledger: Ledger,
+    times: StageTimes,
 }
 
 impl Decider {
@@ -222,13 +222,13 @@ impl Decider {
             payload: Vec::new(),
             report: UserReport::default(),
             command: Vec::new(),
-            ledger: Ledger::new(),
+            times: StageTimes::new(),
         };
         for _ in 0..WARM_UP {
             decider.prepare()?;
             decider.act(Instant::now())?;
         }
-        decider.ledger = Ledger::new();
+        decider.times = StageTimes::new();
         Ok(decider)
     }
 }
@@ -240,9 +240,9 @@ impl Side for Decider {
         let now = self.tick * 10_000_000;
         self.walkers.walk(1, self.tick, now, self.users);
         if self.tick % 100 == 1 {
-            self.controller.receive(now, Message::Obstacles(&mut self.walkers.obstacles), &mut |_| {});
+            self.controller.handle_and_poll(now, Message::Obstacles(&mut self.walkers.obstacles), &mut |_| {});
         }
-        self.controller.receive(now, Message::Channel(&mut self.walkers.channel), &mut |_| {});
+        self.controller.handle_and_poll(now, Message::Channel(&mut self.walkers.channel), &mut |_| {});
         Ok(encode(&self.walkers.users, &mut self.payload)?)
     }
 
@@ -253,7 +253,7 @@ impl Side for Decider {
         {
             sleep_until(start);
             let start = Instant::now();
-            (0..WARM_UPS).for_each(|_| self.controller.rehearse());
+            (0..WARM_UPS).for_each(|_| self.controller.warm_cache());
             self.warm_up_took = start.elapsed();
             while Instant::now() < due {
                 std::hint::spin_loop();
@@ -263,19 +263,20 @@ impl Side for Decider {
     }
 
     fn act(&mut self, started: Instant) -> Result<()> {
-        let mut laps = Laps::start(started);
-        laps.mark(Stage::Waited);
+        let mut stamps = StageStamps::start(started);
+        stamps.mark(Stage::Waited);
         decode_into(&mut self.report, &self.payload)?;
-        laps.mark(Stage::Decoded);
+        stamps.mark(Stage::Decoded);
         let now = self.tick * 10_000_000;
         let message = Message::Users(&mut self.report);
-        let decision = self.controller.receive(now, message, &mut |stage| laps.mark(stage));
+        let decision = self.controller.handle_and_poll(now, message, &mut |stage| stamps.mark(stage));
         let Some(Decision::Move { command, age_ns }) = decision else {
             anyhow::bail!("the controller gave no command for tick {}", self.tick);
         };
+        command.sequence = self.tick;
         encode(command, &mut self.command)?;
-        laps.mark(Stage::Published);
-        self.ledger.record(&laps, age_ns);
+        stamps.mark(Stage::Published);
+        self.times.record(&stamps, age_ns);
         Ok(())
     }
 }

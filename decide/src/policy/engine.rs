@@ -1,6 +1,6 @@
-//! The seam to the inference engine: what a learned policy needs of it.
+//! The interface to the inference engine of learned policies.
 
-use super::PolicyError;
+use super::proposal::PolicyError;
 
 /// Builds networks from ONNX files.
 pub trait Engine {

@@ -1,7 +1,8 @@
-//! How long each stage of a decision took: stamps on the monotonic clock, collected while deciding, recorded after the publish.
+//! Duration of each stage of a decision: stamps of the monotonic clock, taken while deciding and
+//! recorded after publication.
 //!
-//! Histograms are allocated once. A reader takes them by exchanging them for empty ones, so that nobody computes a quantile
-//! while a decision waits.
+//! Histograms are allocated once. A reader exchanges them for empty ones, so that no decision waits
+//! for a quantile.
 
 use std::time::{Duration, Instant};
 
@@ -10,10 +11,10 @@ use heliostat_proto::{Nanos, Quantiles};
 
 use heliostat_decide::core::Stage;
 
-/// A decision should take no longer, from the entry of the callback to the return of the put.
+/// Budget of a decision, from the entry of the callback to the end of the publication.
 pub const BUDGET: Duration = Duration::from_micros(500);
 
-/// Longest time told apart from longer ones: a minute, in ns.
+/// Longest time that the histograms distinguish from longer ones: a minute, in ns.
 const LONGEST_NS: u64 = 60_000_000_000;
 /// Significant decimal digits of a recorded time.
 const DIGITS: u8 = 3;
@@ -23,13 +24,13 @@ const EDGES_US: [u64; 14] = [25, 50, 75, 100, 150, 200, 250, 300, 400, 500, 700,
 
 /// The stamps of one decision.
 #[derive(Clone, Copy, Debug)]
-pub struct Laps {
+pub struct StageStamps {
     entered: Instant,
     last: Instant,
     stage_ns: [u64; Stage::ALL.len()],
 }
 
-impl Laps {
+impl StageStamps {
     /// Starts at the entry of the callback.
     pub fn start(entered: Instant) -> Self {
         Self { entered, last: entered, stage_ns: [0; Stage::ALL.len()] }
@@ -65,7 +66,7 @@ impl Laps {
 
 /// Distributions over decisions.
 #[derive(Clone, Debug)]
-pub struct Ledger {
+pub struct StageTimes {
     decision: Histogram<u64>,
     stages: [Histogram<u64>; Stage::ALL.len()],
     age: Histogram<u64>,
@@ -73,14 +74,14 @@ pub struct Ledger {
     over_budget_by: [u64; Stage::ALL.len()],
 }
 
-impl Default for Ledger {
+impl Default for StageTimes {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Ledger {
-    /// An empty ledger with all the memory it will need.
+impl StageTimes {
+    /// Empty distributions, with all memory allocated.
     pub fn new() -> Self {
         let empty = Histogram::new_with_bounds(1, LONGEST_NS, DIGITS)
             .expect("the bounds are in order and the digits at most 5");
@@ -93,20 +94,20 @@ impl Ledger {
         }
     }
 
-    /// Records one published decision and the age of the positions it acted on. Does not allocate.
-    pub fn record(&mut self, laps: &Laps, age_ns: Nanos) {
-        self.decision.saturating_record(nanoseconds(laps.total()).max(1));
+    /// Records one published decision and the age of its positions. Does not allocate.
+    pub fn record(&mut self, stamps: &StageStamps, age_ns: Nanos) {
+        self.decision.saturating_record(nanoseconds(stamps.total()).max(1));
         for stage in Stage::ALL {
-            self.stages[stage as usize].saturating_record(laps.stage_ns(stage).max(1));
+            self.stages[stage as usize].saturating_record(stamps.stage_ns(stage).max(1));
         }
         self.age.saturating_record(age_ns.max(1));
-        if laps.total() > BUDGET {
+        if stamps.total() > BUDGET {
             self.over_budget += 1;
-            self.over_budget_by[laps.longest() as usize] += 1;
+            self.over_budget_by[stamps.longest() as usize] += 1;
         }
     }
 
-    /// Moves everything from `other` here, and leaves it empty.
+    /// Moves all counts from `other` here, and leaves it empty.
     pub fn absorb(&mut self, other: &mut Self) {
         let pairs = self.stages.iter_mut().zip(&mut other.stages);
         let single = [(&mut self.decision, &mut other.decision), (&mut self.age, &mut other.age)];
@@ -130,7 +131,7 @@ impl Ledger {
         self.over_budget_by[stage as usize]
     }
 
-    /// Times from the entry of the callback to the return of the put, in ns.
+    /// Times from the entry of the callback to the end of the publication, in ns.
     pub fn decision(&self) -> &Histogram<u64> {
         &self.decision
     }
@@ -140,17 +141,18 @@ impl Ledger {
         &self.stages[stage as usize]
     }
 
-    /// Ages of the positions acted on, in ns.
+    /// Ages of the positions on which decisions are based, in ns.
     pub fn age(&self) -> &Histogram<u64> {
         &self.age
     }
 
-    /// How many decisions took no longer than each edge, in us; what took longer than the last is in the count of all.
+    /// Number of decisions that took no longer than each edge, in us. Longer ones appear only in
+    /// the total.
     pub fn decisions_within(&self) -> impl Iterator<Item = (u64, u64)> {
         EDGES_US.map(|edge_us| (edge_us, self.decision.count_between(0, edge_us * 1000))).into_iter()
     }
 
-    /// Times from the entry of the callback to the return of the put, in us.
+    /// Times from the entry of the callback to the end of the publication, in us.
     pub fn decision_us(&self) -> Quantiles {
         quantiles_us(&self.decision)
     }
@@ -160,7 +162,7 @@ impl Ledger {
         quantiles_us(&self.stages[stage as usize])
     }
 
-    /// Ages of the positions acted on, in us.
+    /// Ages of the positions on which decisions are based, in us.
     pub fn age_us(&self) -> Quantiles {
         quantiles_us(&self.age)
     }
@@ -180,51 +182,51 @@ fn quantiles_us(histogram: &Histogram<u64>) -> Quantiles {
 mod tests {
     use super::*;
 
-    fn laps(stage_us: [u64; 6]) -> Laps {
+    fn stamps(stage_us: [u64; 6]) -> StageStamps {
         let entered = Instant::now();
         let total = Duration::from_micros(stage_us.iter().sum());
-        Laps { entered, last: entered + total, stage_ns: stage_us.map(|us| us * 1000) }
+        StageStamps { entered, last: entered + total, stage_ns: stage_us.map(|us| us * 1000) }
     }
 
     #[test]
-    fn quantiles_are_those_of_what_was_recorded() {
-        let mut ledger = Ledger::new();
+    fn quantiles_match_the_recorded_times() {
+        let mut times = StageTimes::new();
         for us in 1..=100 {
-            ledger.record(&laps([0, 0, us, 0, 0, 0]), 7_000_000);
+            times.record(&stamps([0, 0, us, 0, 0, 0]), 7_000_000);
         }
-        let decision = ledger.decision_us();
+        let decision = times.decision_us();
         assert_eq!(decision.count, 100);
         assert!((decision.p50 - 50.0).abs() < 0.1 && (decision.p99 - 99.0).abs() < 0.1);
         assert!((decision.max - 100.0).abs() < 0.1);
-        assert!((ledger.age_us().p50 - 7000.0).abs() < 7.1);
-        assert!((ledger.stage_us(Stage::Observed).p90 - 90.0).abs() < 0.1);
+        assert!((times.age_us().p50 - 7000.0).abs() < 7.1);
+        assert!((times.stage_us(Stage::Observed).p90 - 90.0).abs() < 0.1);
     }
 
     #[test]
-    fn decisions_are_sorted_by_how_long_they_took() {
-        let mut ledger = Ledger::new();
+    fn decisions_are_counted_by_duration() {
+        let mut times = StageTimes::new();
         for us in [20, 60, 60, 450, 9000] {
-            ledger.record(&laps([0, 0, us, 0, 0, 0]), 0);
+            times.record(&stamps([0, 0, us, 0, 0, 0]), 0);
         }
-        let within: Vec<_> = ledger.decisions_within().collect();
+        let within: Vec<_> = times.decisions_within().collect();
         let counts =
             [25, 50, 75, 500, 5000].map(|edge| within.iter().find(|(of, _)| *of == edge).map(|(_, count)| *count));
         assert_eq!(counts, [1, 1, 3, 4, 4].map(Some));
     }
 
     #[test]
-    fn what_is_over_budget_is_laid_on_the_longest_stage() {
-        let mut ledger = Ledger::new();
-        ledger.record(&laps([0, 10, 10, 400, 10, 60]), 0);
-        assert_eq!(ledger.over_budget(), 0);
-        ledger.record(&laps([0, 10, 10, 400, 10, 90]), 0);
-        assert_eq!((ledger.over_budget(), ledger.over_budget_by(Stage::Inferred)), (1, 1));
+    fn a_decision_over_budget_is_attributed_to_its_longest_stage() {
+        let mut times = StageTimes::new();
+        times.record(&stamps([0, 10, 10, 400, 10, 60]), 0);
+        assert_eq!(times.over_budget(), 0);
+        times.record(&stamps([0, 10, 10, 400, 10, 90]), 0);
+        assert_eq!((times.over_budget(), times.over_budget_by(Stage::Inferred)), (1, 1));
     }
 
     #[test]
-    fn absorbing_moves_everything() {
-        let (mut total, mut fresh) = (Ledger::new(), Ledger::new());
-        fresh.record(&laps([600, 0, 0, 0, 0, 0]), 5);
+    fn absorbing_moves_all_counts() {
+        let (mut total, mut fresh) = (StageTimes::new(), StageTimes::new());
+        fresh.record(&stamps([600, 0, 0, 0, 0, 0]), 5);
         total.absorb(&mut fresh);
         assert_eq!((total.decision_us().count, fresh.decision_us().count), (1, 0));
         assert_eq!((total.over_budget(), fresh.over_budget()), (1, 0));

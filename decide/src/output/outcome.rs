@@ -1,21 +1,21 @@
-//! The words of the deciding core: stages, answers, departures from the plain way, and the counters of all that.
+//! Results of the core: what is due after an input, decisions, degraded modes, and counters.
 
 use heliostat_proto::{MirrorCommand, Nanos};
 
-use crate::safety::Clipped;
+use crate::output::safety::Clipped;
 
-/// What was just finished, for a ledger at the edge.
+/// A stage of a decision that has just ended; a caller may record its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// It was this message's turn.
+    /// The report's waiting time has ended.
     Waited,
-    /// The payload became a message.
+    /// The payload is decoded.
     Decoded,
     /// The observation is complete.
     Observed,
-    /// The policy, or its fallback, proposed angles.
+    /// The policy, or its fallback, has proposed angles.
     Inferred,
-    /// The proposal is within its limits, and the command complete.
+    /// The proposal is within its limits, and the command is complete.
     MadeSafe,
     /// The command was handed to the transport.
     Published,
@@ -39,61 +39,63 @@ impl Stage {
     }
 }
 
-/// What a message meant.
+/// What the caller has to poll after a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Accepted {
-    /// It completes a tick, which `Controller::decide` answers.
-    Tick,
-    /// It would complete a tick, but is too old; `Controller::answer_stale` answers it.
-    TooOld,
-    /// Nothing is to be answered.
-    Other,
+pub enum Due {
+    /// The message completes a tick: `Controller::poll_command` answers it.
+    Command,
+    /// The message is a position report that is too old: `Controller::poll_stale_command` answers
+    /// it.
+    StaleCommand,
+    /// Nothing.
+    Nothing,
 }
 
-/// Whether a decision is in time.
+/// Whether there is time for the policy before the deadline of a decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Haste {
-    /// There is time for the policy.
+pub enum Timing {
+    /// The policy is expected to answer before the deadline.
     InTime,
-    /// The policy's answer would come too late.
+    /// The policy is expected to answer after the deadline.
     Late,
 }
 
 /// The answer to a tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub enum Decision<'a> {
-    /// The mirrors are to turn.
+    /// The mirrors turn.
     Move {
-        /// What to send.
-        command: &'a MirrorCommand,
-        /// Age of the positions acted on, in ns.
+        /// What to send. Its sequence number is 0: the sender assigns it.
+        command: &'a mut MirrorCommand,
+        /// Age of the positions on which the decision is based, in ns.
         age_ns: Nanos,
     },
     /// No command: the array holds the last one, and parks when its validity ends.
-    Hold(Departure),
+    Hold(DegradedMode),
 }
 
-/// How a tick left the plain way; the table of the module has the answer to each.
+/// Why a tick was not answered in normal operation. The table at the head of [`crate::core`] lists
+/// the answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Departure {
+pub enum DegradedMode {
     /// The decision would have been late.
     Late,
     /// The position report was too old.
     StaleReport,
     /// The gains of the direct paths are modelled, not measured.
     ChannelMissing,
-    /// No position report came any more.
+    /// No position report arrives.
     Silence,
     /// The policy failed and the fallback acted.
     PolicyFailed,
-    /// Nothing could act.
+    /// Neither policy nor fallback gave angles.
     Held,
-    /// The array is stopped, or does not fit.
+    /// The array is stopped, or does not fit the scenario.
     Withheld,
 }
 
-impl Departure {
-    /// All departures, in the order of their counters.
+impl DegradedMode {
+    /// All modes, in the order of their counters.
     pub const ALL: [Self; 7] = [
         Self::Late,
         Self::StaleReport,
@@ -118,25 +120,25 @@ impl Departure {
     }
 }
 
-/// What a controller did so far.
+/// Counters of a controller since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Position reports that got an answer, be it to hold.
+    /// Position reports answered by a command or by the decision to hold.
     pub decisions: u64,
     /// Commands among the answers.
     pub commands: u64,
     /// Axis values that the limits changed.
     pub clipped: Clipped,
-    departures: [u64; Departure::ALL.len()],
+    degraded: [u64; DegradedMode::ALL.len()],
 }
 
 impl Counters {
-    /// How often a tick left the plain way like this.
-    pub fn departures(&self, departure: Departure) -> u64 {
-        self.departures[departure as usize]
+    /// How often a tick was answered in this degraded mode.
+    pub fn degraded(&self, mode: DegradedMode) -> u64 {
+        self.degraded[mode as usize]
     }
 
-    pub(crate) fn depart(&mut self, departure: Departure) {
-        self.departures[departure as usize] += 1;
+    pub(crate) fn count_degraded(&mut self, mode: DegradedMode) {
+        self.degraded[mode as usize] += 1;
     }
 }

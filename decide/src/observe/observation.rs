@@ -1,7 +1,9 @@
-//! What a policy sees: the state of the room as far as it is known, and its form as a flat vector for a network.
+//! The input of a policy: the known state of the room, and its encoding as a flat vector for a
+//! network.
 //!
-//! Training and serving fill the same [`Observation`] and encode it by the same [`ObservationEncoder`]; there is no second
-//! encoder. Serving fills it from reports (see [`crate::observer`]), training from the true state of a simulated room.
+//! Training and serving fill the same [`Observation`] and encode it with the same
+//! [`ObservationEncoder`]. Serving fills it from reports (see [`crate::observer`]), training from
+//! the true state of a simulated room.
 //!
 //! # Layout of the vector, version 3
 //! For a capacity of U users and M mirrors, all in f32; slots beyond the users present hold 0:
@@ -14,10 +16,11 @@
 //! | need | U | minimum rate times users over bandwidth, bit/s/Hz |
 //! | steering amplitude | U M, user by user | s times the gain of each mirror if it were aimed at the user |
 //! | angles | 2 M | roll of each mirror, then yaw of each mirror, as last commanded, rad |
-//! | summary | 11 U | what a network needs to know of each user, one column after the other: see [`Summary`] |
+//! | summary | 11 U | features of each user, column by column: see [`Summary`] |
 //!
-//! s is [`LinkBudget::amplitude_scale`](heliostat_channel::link::LinkBudget::amplitude_scale): it folds power, noise and responsivity
-//! into the gains, so that the vector is dimensionless where it matters and one actor serves other powers and noises.
+//! s is [`LinkBudget::amplitude_scale`](heliostat_channel::link::LinkBudget::amplitude_scale), in
+//! which power, noise and responsivity multiply the gains. So amplitudes are dimensionless, and one
+//! actor serves other powers and noise levels.
 
 use std::ops::Range;
 
@@ -26,16 +29,18 @@ use thiserror::Error;
 
 /// Version of the vector's layout; an actor made for another version is refused.
 ///
-/// Version 2 added the summary at the end; version 3 has it column by column, with balanced weights.
+/// Version 2 added the summary at the end; version 3 has it column by column, with balanced
+/// weights.
 pub const OBSERVATION_VERSION: u32 = 3;
 
-/// How many users the shipped actors can see.
+/// Largest number of users of the shipped actors.
 pub const USERS_CAPACITY: usize = 10;
 
 /// Columns of the summary, each with a value for every slot.
 ///
-/// a_km is the steering amplitude of mirror m towards user k, and p_k = sqrt(M) / sum_m a_km the weight with which all users would get equal shares. A shared
-/// amplitude is that of [`heliostat_channel::sharing`].
+/// a_km is the steering amplitude of mirror m towards user k. p_k = sqrt(M) / sum_m a_km is the
+/// weight that gives all users equal shares. A shared amplitude is that of
+/// [`heliostat_channel::sharing`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Summary {
     /// 1 where the slot holds a user.
@@ -44,26 +49,28 @@ pub enum Summary {
     Place,
     /// Minimum rate times users over bandwidth, bit/s/Hz.
     Need = 4,
-    /// How many users there are.
+    /// Number of users.
     Users,
     /// ln(1 + direct amplitude).
     LogDirect,
-    /// ln(1 + sum_m a_km): were all mirrors the user's own, without the direct path.
+    /// ln(1 + sum_m a_km): all mirrors serve the user, without the direct path.
     LogSteering,
     /// ln(1 + shared amplitude with the weights p).
     LogShared,
     /// ln(1 + shared amplitude with the weights q).
     LogBalanced,
-    /// ln q_k, where q is what [`heliostat_channel::sharing::balance`] makes of p, times a factor for all by which the mean of ln q is that of ln p.
+    /// ln q_k: q is the result of [`heliostat_channel::sharing::balance`] for p, scaled so that the
+    /// mean of ln q is that of ln p.
     LogWeight,
 }
 
 impl Summary {
-    /// How many columns there are.
+    /// Number of columns.
     pub const COLUMNS: usize = 11;
 }
 
-/// Keeps the weight of a user finite who sees no mirror; far below any amplitude that carries data.
+/// Keeps the weight finite for a user without a path to any mirror; far below any amplitude that
+/// carries data.
 const NO_AMPLITUDE: f32 = 1e-6;
 
 /// One snapshot of the room: K users and M mirrors. Its buffers are reused from tick to tick.
@@ -76,13 +83,14 @@ pub struct Observation {
     pub velocities: Vec<Vec3>,
     /// K minimum rates in bit/s.
     pub min_rate_bps: Vec<f64>,
-    /// Blockage, LoS gains (measured where a report brought them) and steering gains at these positions.
+    /// Blockage, LoS gains (measured where reported) and steering gains at these positions.
     pub scene: Scene,
     /// M angles as last commanded.
     pub angles: MirrorAngles,
 }
 
-/// The state of a room from which an [`Observation`] is filled: all slices but `blockers` hold K entries.
+/// The state of a room from which an [`Observation`] is filled: all slices but `blockers` hold K
+/// entries.
 #[derive(Clone, Copy, Debug)]
 pub struct RoomState<'a> {
     /// The tick that the state belongs to.
@@ -93,9 +101,9 @@ pub struct RoomState<'a> {
     pub velocities: &'a [Vec3],
     /// Minimum rates in bit/s.
     pub min_rate_bps: &'a [f64],
-    /// All that stands in the light: obstacles and bodies.
+    /// Cylinders that block paths: obstacles and bodies.
     pub blockers: &'a [Cylinder],
-    /// Whose direct path is known to be off, whatever stands there.
+    /// Users whose direct path is forced to be blocked.
     pub forced: &'a [bool],
     /// Gains of the direct path as measured; they replace the modelled ones.
     pub measured_los_gain: Option<&'a [f64]>,
@@ -125,10 +133,10 @@ impl Observation {
         self.angles.roll.len()
     }
 
-    /// Takes over a state and recomputes blockage and gains for it. Does not allocate.
+    /// Copies a state and recomputes blockage and gains for it. Does not allocate.
     ///
     /// # Panics
-    /// Where a slice of the state does not hold as many entries as the observation has users.
+    /// If the length of a slice is not the number of users.
     pub fn set_state(&mut self, model: &ChannelModel, state: &RoomState<'_>) {
         self.tick = state.tick;
         self.positions.copy_from_slice(state.positions);
@@ -140,21 +148,21 @@ impl Observation {
         }
     }
 
-    /// Takes over the angles that were commanded last. Does not allocate.
+    /// Copies the angles of the last command. Does not allocate.
     ///
     /// # Panics
-    /// Where the number of mirrors differs.
+    /// If the number of mirrors differs.
     pub fn set_angles(&mut self, angles: &MirrorAngles) {
         self.angles.roll.copy_from_slice(&angles.roll);
         self.angles.yaw.copy_from_slice(&angles.yaw);
     }
 }
 
-/// Why an observation does not fit a vector.
+/// Why an observation does not fit the vector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum EncodeError {
     /// More users than slots.
-    #[error("{users} users, but the actor sees at most {capacity}")]
+    #[error("{users} users, expected at most {capacity} as in the actor")]
     Users {
         /// Users in the observation.
         users: usize,
@@ -162,24 +170,24 @@ pub enum EncodeError {
         capacity: usize,
     },
     /// Another number of mirrors.
-    #[error("{found} mirrors, but the actor was made for {wanted}")]
+    #[error("{found} mirrors, expected {expected} as in the actor")]
     Mirrors {
         /// Mirrors in the observation.
         found: usize,
         /// Mirrors of the vector.
-        wanted: usize,
+        expected: usize,
     },
     /// The buffer has another length than the vector.
-    #[error("a buffer of {found} values, but the vector has {wanted}")]
+    #[error("a buffer of {found} values, expected {expected} as in the vector")]
     Buffer {
         /// Length of the buffer.
         found: usize,
         /// Length of the vector.
-        wanted: usize,
+        expected: usize,
     },
 }
 
-/// Where each part of the vector lies, and how it is filled. See the module for the layout.
+/// Position and encoding of each part of the vector. The [module](self) has the layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ObservationEncoder {
     users_max: usize,
@@ -192,12 +200,12 @@ impl ObservationEncoder {
         Self { users_max, mirrors }
     }
 
-    /// How many users fit.
+    /// Largest number of users.
     pub fn users_max(&self) -> usize {
         self.users_max
     }
 
-    /// How many mirrors the vector describes.
+    /// Number of mirrors.
     pub fn mirrors(&self) -> usize {
         self.mirrors
     }
@@ -223,7 +231,7 @@ impl ObservationEncoder {
         following(&self.positions(), self.users_max)
     }
 
-    /// The users' needs.
+    /// The users' minimum rates.
     pub fn need(&self) -> Range<usize> {
         following(&self.los_amplitude(), self.users_max)
     }
@@ -280,7 +288,7 @@ impl ObservationEncoder {
         Ok(())
     }
 
-    /// Writes the summary of so many users from the other parts.
+    /// Writes the summary of `users` users from the other parts.
     fn summarise(&self, users: usize, out: &mut [f32]) {
         let (parts, summary) = out.split_at_mut(self.summary().start);
         summary.fill(0.0);
@@ -319,10 +327,10 @@ impl ObservationEncoder {
             return Err(EncodeError::Users { users: observation.users(), capacity: self.users_max });
         }
         if observation.mirrors() != self.mirrors {
-            return Err(EncodeError::Mirrors { found: observation.mirrors(), wanted: self.mirrors });
+            return Err(EncodeError::Mirrors { found: observation.mirrors(), expected: self.mirrors });
         }
         if out.len() != self.len() {
-            return Err(EncodeError::Buffer { found: out.len(), wanted: self.len() });
+            return Err(EncodeError::Buffer { found: out.len(), expected: self.len() });
         }
         Ok(())
     }
@@ -333,7 +341,7 @@ fn mean_log(values: &[f32]) -> f32 {
     values.iter().map(|value| value.ln()).sum::<f32>() / values.len() as f32
 }
 
-/// Sum of a list in eight interleaved parts: an order that the compiler can vectorise.
+/// Sum of a list in eight interleaved parts, an order that the compiler can vectorise.
 fn interleaved_sum(values: &[f32]) -> f32 {
     let (full, rest) = values.as_chunks::<8>();
     let mut parts = [0.0; 8];

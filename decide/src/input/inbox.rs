@@ -1,24 +1,25 @@
-//! The latest report of each stream, and the rules by which a report is taken or refused.
+//! The latest report of each stream, and the rules for accepting or refusing a report.
 //!
-//! - The first source that is heard owns the room: reports of another one are refused until the owner has been silent for
-//!   `control.source_timeout_ms`. Two rooms are never mixed; with a new owner everything that the old one said is forgotten.
-//!   The array is owned in the same way, apart from the room, since it may be driven by another process.
+//! - The first source that reports owns the room. Reports of another source are refused until the
+//!   owner has been silent for `control.source_timeout_ms`. When the owner changes, the former
+//!   owner's reports are discarded, so two rooms are never mixed. The array has an owner of its
+//!   own, because another process may drive it.
 //! - A sequence number must be higher than the last of its stream.
 //! - A report must be neither older than `control.report_age_max_ms` nor from the future.
-//! - Counts must be those of the scenario, and values such as a room can give.
+//! - Counts must equal those of the scenario, and values must be physically possible in the room.
 //!
-//! Each refusal is counted by stream and reason; none stops the controller.
+//! Each refusal is counted by stream and reason. No refusal stops the controller.
 
 use heliostat_proto::{CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, Stamp, UserReport};
 use heliostat_scenario::Scenario;
 
-use crate::refusal::{Refusal, Refused, Stream};
+use crate::input::refusal::{Refusal, Refused, Stream};
 
-/// How far outside the room a position may be reported, in m; a tracker's noise may carry it beyond a wall.
+/// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;
 
-/// A decoded message. The inbox takes an accepted one by swapping it with the one before, whose memory the caller decodes
-/// into next time.
+/// A decoded message. The inbox swaps an accepted message with the former one, whose memory the
+/// caller decodes into next.
 #[derive(Debug)]
 pub enum Message<'a> {
     /// The users' positions; completes a tick.
@@ -27,7 +28,7 @@ pub enum Message<'a> {
     Channel(&'a mut ChannelReport),
     /// A survey of the obstacles.
     Obstacles(&'a mut ObstacleReport),
-    /// What the mirrors do.
+    /// The state of the array.
     Telemetry(&'a mut MirrorTelemetry),
 }
 
@@ -53,14 +54,14 @@ impl Message<'_> {
     }
 }
 
-/// Who is listened to, and when it was heard last.
+/// The source whose reports are accepted, and the arrival of its last report.
 #[derive(Clone, Copy, Debug)]
 struct Owner {
     source: u64,
-    heard_ns: Nanos,
+    last_report_ns: Nanos,
 }
 
-/// A place for the latest report of a stream; its memory stays when the report is forgotten.
+/// The latest report of a stream; the memory stays allocated when the report is discarded.
 #[derive(Debug, Default)]
 struct Slot<T> {
     report: T,
@@ -87,8 +88,8 @@ pub struct Inbox {
     rules: Rules,
     room: Option<Owner>,
     array: Option<Owner>,
-    /// The source that was last known to be gone, and is not known to be back.
-    gone: Option<u64>,
+    /// The source that left last and has not come back.
+    lost: Option<u64>,
     users: Slot<UserReport>,
     channel: Slot<ChannelReport>,
     obstacles: Slot<ObstacleReport>,
@@ -104,7 +105,7 @@ impl Inbox {
             rules: Rules::new(scenario),
             room: None,
             array: None,
-            gone: None,
+            lost: None,
             users: Slot::default(),
             channel: Slot::default(),
             obstacles: Slot::default(),
@@ -114,7 +115,7 @@ impl Inbox {
         }
     }
 
-    /// Takes a message that arrived at `now`, or says why not.
+    /// Accepts or refuses a message that arrived at `now`.
     ///
     /// # Errors
     /// The [`Refusal`], already counted.
@@ -135,7 +136,7 @@ impl Inbox {
         checked
     }
 
-    /// Counts a payload that is no message.
+    /// Counts a payload that does not decode.
     pub fn count_malformed(&mut self, stream: Stream, refusal: Refusal) {
         self.refused.count(stream, refusal);
     }
@@ -145,12 +146,13 @@ impl Inbox {
         self.users.get()
     }
 
-    /// The latest measured gains, if they are not too old at `now`.
+    /// The latest measured gains, unless they are too old at `now`.
     pub fn channel(&self, now: Nanos) -> Option<&ChannelReport> {
         self.channel.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
     }
 
-    /// The latest survey of the obstacles; it holds until the next one, or until the room has a new source.
+    /// The latest survey of the obstacles, valid until the next survey or until the room has a new
+    /// owner.
     pub fn obstacles(&self) -> Option<&ObstacleReport> {
         self.obstacles.get()
     }
@@ -160,7 +162,7 @@ impl Inbox {
         self.telemetry.get()
     }
 
-    /// What was refused so far.
+    /// Counters of refusals.
     pub fn refused(&self) -> &Refused {
         &self.refused
     }
@@ -170,14 +172,15 @@ impl Inbox {
         self.room.map(|owner| owner.source)
     }
 
-    /// How many times a source came to own the room: 1 while the first one does.
+    /// How many sources have owned the room, in succession.
     pub fn sources(&self) -> u64 {
         self.sources
     }
 
-    /// A source is known to be gone: what it owned is free at once, what it said is forgotten, and what of it still arrives claims nothing.
-    pub fn release(&mut self, source: u64) {
-        self.gone = Some(source);
+    /// A source has left: it owns nothing, its reports are discarded, and its late reports are
+    /// refused.
+    pub fn handle_source_lost(&mut self, source: u64) {
+        self.lost = Some(source);
         if self.room.is_some_and(|owner| owner.source == source) {
             self.room = None;
             self.forget_room();
@@ -188,26 +191,26 @@ impl Inbox {
         }
     }
 
-    /// A source is known to be there.
-    pub fn welcome(&mut self, source: u64) {
-        self.gone = self.gone.filter(|gone| *gone != source);
+    /// A source is alive.
+    pub fn handle_source_found(&mut self, source: u64) {
+        self.lost = self.lost.filter(|lost| *lost != source);
     }
 
     fn check_source(&mut self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
-        if self.gone == Some(source) {
+        if self.lost == Some(source) {
             return Err(Refusal::SourceGone);
         }
         let is_array = stream == Stream::Telemetry;
         let slot = if is_array { &mut self.array } else { &mut self.room };
         match slot {
             Some(owner) if owner.source == source => {
-                owner.heard_ns = now;
+                owner.last_report_ns = now;
                 return Ok(());
             }
-            Some(owner) if now.saturating_sub(owner.heard_ns) <= self.rules.source_timeout_ns => {
+            Some(owner) if now.saturating_sub(owner.last_report_ns) <= self.rules.source_timeout_ns => {
                 return Err(Refusal::ForeignSource);
             }
-            _ => *slot = Some(Owner { source, heard_ns: now }),
+            _ => *slot = Some(Owner { source, last_report_ns: now }),
         }
         if is_array {
             self.telemetry.forget();
@@ -251,7 +254,7 @@ fn check_sequence(last: Option<&Stamp>, stamp: &Stamp) -> Result<(), Refusal> {
     }
 }
 
-/// What a scenario says about its reports.
+/// What a scenario states about its reports.
 #[derive(Clone, Debug)]
 struct Rules {
     users: usize,

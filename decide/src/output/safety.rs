@@ -1,6 +1,8 @@
-//! The last gate before the mirrors: whatever a policy proposes, what leaves here is finite, in range and slow enough.
+//! The last check before the mirrors: commanded angles are finite, within range and within the slew
+//! limit.
 //!
-//! It does not judge whether angles are useful, and it does not replace the limits that a driver enforces for itself.
+//! It does not judge whether angles are useful, and it does not replace the limits that a driver
+//! enforces.
 
 use std::ops::RangeInclusive;
 
@@ -9,14 +11,15 @@ use heliostat_proto::AxisLimits;
 use heliostat_scenario::Control;
 use thiserror::Error;
 
-/// What a command may ask of a mirror.
+/// Limits of a command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Largest angle of each axis, plus and minus, in rad.
     range_rad: f64,
-    /// Smallest and largest roll, then yaw, in rad: within the range, and within what the array can do.
+    /// Smallest and largest roll, then yaw, in rad: within the range and the capabilities of the
+    /// array.
     axes_rad: [[f64; 2]; 2],
-    /// Fastest turn of each axis in rad/s.
+    /// Largest angular rate of each axis in rad/s.
     slew_rad_per_s: Option<f64>,
 }
 
@@ -48,7 +51,7 @@ impl Limits {
         }
     }
 
-    /// Keeps within what the array can do, too.
+    /// Narrows the limits to the capabilities of the array.
     pub fn narrow(&mut self, roll: &AxisLimits, yaw: &AxisLimits) {
         let ends = |axis: &AxisLimits| {
             [axis.min_rad, axis.max_rad].map(|end| f64::from(end).clamp(-self.range_rad, self.range_rad))
@@ -61,21 +64,25 @@ impl Limits {
         self.range_rad
     }
 
-    /// Smallest and largest roll, then yaw, in rad; nothing where both go a quarter turn either way, which is all that a mirror on a wall can use.
+    /// Smallest and largest roll, then yaw, in rad.
+    ///
+    /// `None` where both axes turn by 90 degrees or more in either direction, which is all that a
+    /// mirror on a wall can use.
     pub fn narrow_axes_rad(&self) -> Option<[RangeInclusive<f64>; 2]> {
         let quarter = f64::from(largest_f32_within(std::f64::consts::FRAC_PI_2));
         let narrow = self.axes_rad.iter().any(|[min, max]| *min > -quarter || *max < quarter);
         narrow.then(|| self.axes_rad.map(|[min, max]| min..=max))
     }
 
-    /// Brings proposed angles within range, and within reach of `from` in `elapsed_s` seconds.
+    /// Limits proposed angles to the range, and to what the slew rate allows from `from` in
+    /// `elapsed_s` seconds.
     pub fn bound(&self, from: &MirrorAngles, elapsed_s: f64, angles: &mut MirrorAngles) -> Clipped {
         let reach_rad = self.slew_rad_per_s.map_or(f64::INFINITY, |slew| slew * elapsed_s.max(0.0));
         let mut clipped = Clipped::default();
         let axes = [(&from.roll, &mut angles.roll), (&from.yaw, &mut angles.yaw)];
         for ((from, angles), [min, max]) in axes.into_iter().zip(self.axes_rad) {
             for (&from, angle) in from.iter().zip(angles) {
-                // A clamp checks its bounds for each angle, which keeps the compiler from treating several at a time.
+                // clamp() checks its bounds for each angle, which prevents vectorisation.
                 let in_range = angle.max(min).min(max);
                 let in_reach = in_range.max(from - reach_rad).min(from + reach_rad);
                 clipped.range += u64::from(in_range != *angle);
@@ -99,7 +106,8 @@ pub fn check_finite(angles: &MirrorAngles) -> Result<(), NotFinite> {
     }
 }
 
-/// Commands carry f32, and 90 degrees rounds up in it: an array that checks its range must not find us beyond it.
+/// Commands carry f32, in which 90 degrees rounds up: an array that checks its range would refuse
+/// the rounded value.
 fn largest_f32_within(value: f64) -> f32 {
     let nearest = value as f32;
     if f64::from(nearest) > value { nearest.next_down() } else { nearest }
@@ -118,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn range_is_kept_and_counted() {
+    fn angles_beyond_the_range_are_clipped_and_counted() {
         let mut proposed = angles(1.0, -1.0);
         let clipped = limits(30.0, 0.0).bound(&angles(0.0, 0.0), 0.01, &mut proposed);
         assert_eq!(clipped, Clipped { range: 2, slew: 0 });
@@ -127,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_array_can_do_narrows_the_range_and_never_widens_it() {
+    fn capabilities_narrow_the_range_and_never_widen_it() {
         let mut limits = limits(30.0, 0.0);
         let axis = |min_rad, max_rad| AxisLimits { min_rad, max_rad, ..AxisLimits::default() };
         limits.narrow(&axis(-0.125, 0.25), &axis(-3.0, 3.0));
@@ -155,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_is_not_a_number_is_named() {
+    fn the_mirror_of_a_value_that_is_not_finite_is_named() {
         let proposed = MirrorAngles { roll: vec![0.0, 0.0], yaw: vec![0.0, f64::NAN] };
         assert_eq!(check_finite(&proposed), Err(NotFinite { mirror: 1 }));
         assert_eq!(check_finite(&angles(0.0, f64::INFINITY)), Err(NotFinite { mirror: 0 }));

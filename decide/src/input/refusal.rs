@@ -1,10 +1,10 @@
-//! Every reason for which something received is not used, counted by stream. Counting does not allocate.
+//! The reasons for refusing a message, counted by stream. Counting does not allocate.
 
 use std::fmt;
 
 use heliostat_proto::CodecError;
 
-/// What arrives.
+/// A stream of reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream {
     /// The users' positions; a report completes a tick.
@@ -13,7 +13,7 @@ pub enum Stream {
     Channel,
     /// A survey of the obstacles.
     Obstacles,
-    /// What the mirrors do.
+    /// The state of the array.
     Telemetry,
 }
 
@@ -32,12 +32,12 @@ impl Stream {
     }
 }
 
-/// Why something received is not used.
+/// Why a message is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// The payload speaks another version of the contract.
+    /// The payload has another version of the contract.
     WrongVersion,
-    /// The payload is another kind of message than its key says.
+    /// The payload is another kind of message than its key states.
     WrongKind,
     /// The payload ends too early.
     Truncated,
@@ -49,13 +49,13 @@ pub enum Refusal {
     BadLength,
     /// A value is not a finite number.
     NotFinite,
-    /// The payload is no message for another reason.
+    /// The payload does not decode for another reason.
     Malformed,
     /// Another source owns the room.
     ForeignSource,
-    /// The source is known to be gone: word of its end overtook what it said last.
+    /// The source has left: its liveliness token ended before its last report arrived.
     SourceGone,
-    /// The sequence number was seen last.
+    /// The sequence number equals the last.
     Repeated,
     /// The sequence number is lower than the last.
     OutOfOrder,
@@ -69,7 +69,7 @@ pub enum Refusal {
     WrongMirrorCount,
     /// A position outside the room.
     OutsideRoom,
-    /// A value that no room can give, such as a negative gain.
+    /// A value that is physically impossible, such as a negative gain.
     Implausible,
 }
 
@@ -145,7 +145,7 @@ impl fmt::Display for Refusal {
     }
 }
 
-/// The counters, and what was refused last.
+/// The counters of refusals, and the last refusal.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
     counts: [[u64; Refusal::ALL.len()]; Stream::ALL.len()],
@@ -160,13 +160,13 @@ impl Refused {
         self.last = Some((stream, refusal));
     }
 
-    /// Counts a report of a source that does not own the room, and remembers which.
+    /// Counts a report of a source that does not own the room, and keeps its id.
     pub(crate) fn count_foreign(&mut self, stream: Stream, source: u64) {
         self.count(stream, Refusal::ForeignSource);
         self.last_foreign_source = Some(source);
     }
 
-    /// How often this was refused.
+    /// How often messages of the stream were refused for this reason.
     pub fn get(&self, stream: Stream, refusal: Refusal) -> u64 {
         self.counts[stream as usize][refusal as usize]
     }
@@ -176,7 +176,7 @@ impl Refused {
         self.counts.iter().flatten().sum()
     }
 
-    /// What was refused last.
+    /// The last refusal.
     pub fn last(&self) -> Option<(Stream, Refusal)> {
         self.last
     }
@@ -202,13 +202,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counters_stand_in_the_order_of_the_lists() {
+    fn counters_have_the_order_of_the_lists() {
         assert!(Stream::ALL.iter().enumerate().all(|(index, stream)| *stream as usize == index));
         assert!(Refusal::ALL.iter().enumerate().all(|(index, refusal)| *refusal as usize == index));
     }
 
     #[test]
-    fn only_what_happened_is_named() {
+    fn only_counters_above_zero_are_listed() {
         let mut refused = Refused::default();
         refused.count(Stream::Channel, Refusal::Stale);
         refused.count(Stream::Channel, Refusal::Stale);

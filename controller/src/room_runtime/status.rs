@@ -1,15 +1,16 @@
-//! What a controller says about itself twice a second, for people; nothing is decided by it.
+//! The status report of one room, twice a second, for operators. No decision depends on it.
 
-use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
-use heliostat_service::clock::utc_ns;
-
-use crate::{control::ControlAccount, desk::Desk, ledger::Ledger, summary::Summary};
 use heliostat_decide::{
-    core::{Controller, Departure},
+    core::{Controller, DegradedMode},
     refusal::Refusal,
 };
+use heliostat_service::clock::utc_ns;
+use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
 
-/// Who reports.
+use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
+use crate::report::{stage_times::StageTimes, summary::Summary};
+
+/// The reporting node.
 #[derive(Clone, Debug)]
 pub struct Identity {
     /// Random id of this instance.
@@ -20,7 +21,7 @@ pub struct Identity {
     pub scenario: String,
 }
 
-/// Composes reports, and remembers what was said last.
+/// Composes reports, and keeps the counters of the last one.
 pub struct Reporter {
     identity: Identity,
     sequence: u64,
@@ -32,7 +33,7 @@ pub struct Reporter {
     last_problem: String,
 }
 
-/// What is copied from the desk while it is held.
+/// A copy of the counters, taken while the decision loop is locked.
 pub struct Snapshot {
     /// Counters and names.
     pub summary: Summary,
@@ -40,11 +41,11 @@ pub struct Snapshot {
     pub problem: Option<String>,
     now: Nanos,
     state: String,
-    control: ControlAccount,
+    swaps: SwapCounters,
 }
 
 impl Reporter {
-    /// A reporter that has said nothing yet.
+    /// A reporter before its first report.
     pub fn new(identity: Identity) -> Self {
         Self {
             identity,
@@ -58,25 +59,25 @@ impl Reporter {
         }
     }
 
-    /// Copies what changed; the desk is held meanwhile.
-    pub fn look(&mut self, desk: &Desk) -> Snapshot {
-        let controller = &desk.controller;
+    /// Copies the counters; the decision loop is locked meanwhile.
+    pub fn take_snapshot(&mut self, decision_loop: &DecisionLoop, swaps: SwapCounters) -> Snapshot {
+        let controller = &decision_loop.controller;
         let mut summary = Summary::of(controller);
-        summary.unsent = desk.unsent;
-        summary.shed = desk.shed;
-        summary.rehearsals = desk.rehearsals;
-        let problem = self.new_problem(desk);
+        summary.unsent = decision_loop.unsent();
+        summary.dropped = decision_loop.superseded();
+        summary.cache_warm_ups = decision_loop.cache_warm_ups();
+        let problem = self.new_problem(decision_loop, &swaps);
         if let Some(problem) = &problem {
             self.last_problem.clone_from(problem);
         }
         summary.last_problem.clone_from(&self.last_problem);
         let state = self.state(controller);
         self.decisions = summary.decisions;
-        Snapshot { summary, problem, now: desk.clock.now(), state, control: desk.control.clone() }
+        Snapshot { summary, problem, now: decision_loop.room_time_ns(), state, swaps }
     }
 
     /// The report for a snapshot, with the times since the start.
-    pub fn report(&mut self, snapshot: &Snapshot, times: &Ledger) -> NodeStatus {
+    pub fn report(&mut self, snapshot: &Snapshot, times: &StageTimes) -> NodeStatus {
         self.sequence += 1;
         let summary = &snapshot.summary;
         let own = [
@@ -84,14 +85,14 @@ impl Reporter {
             ("commands", summary.commands),
             ("over_budget", times.over_budget()),
             ("unsent", summary.unsent),
-            ("shed", summary.shed),
+            ("dropped", summary.dropped),
             ("unanswered", summary.unanswered),
             ("clipped_range", summary.clipped.range),
             ("clipped_slew", summary.clipped.slew),
             ("sources", summary.sources),
             ("epoch", summary.epoch),
-            ("policies_switched", snapshot.control.switched),
-            ("policies_refused", snapshot.control.refused),
+            ("policies_switched", snapshot.swaps.replaced),
+            ("policies_refused", snapshot.swaps.refused),
         ];
         let own = own.into_iter().map(|(name, count)| (name.to_string(), count));
         let within = times.decisions_within().map(|(edge_us, count)| (format!("decision_us_le:{edge_us}"), count));
@@ -101,20 +102,20 @@ impl Reporter {
         let mut timed = summary.clone();
         timed.add_times(times);
         let stages = timed.stages_us.iter().map(|(name, times)| (name.clone(), *times));
-        let whole = [("decision".to_string(), timed.decision_us), ("age".to_string(), timed.age_us)];
+        let totals = [("decision".to_string(), timed.decision_us), ("age".to_string(), timed.age_us)];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
             policy: summary.policy.clone(),
             counters: own.chain(within).chain(fallbacks).chain(refused).collect(),
-            timings: whole.into_iter().chain(stages).collect(),
+            timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
         }
     }
 
-    /// The report while the policy gives no answer: what was known before.
-    pub fn silent(&self, summary: &Summary) -> NodeStatus {
+    /// The report while the policy does not return, from the last summary.
+    pub fn report_stall(&self, summary: &Summary) -> NodeStatus {
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: utc_ns() },
             state: "no answer from the policy".into(),
@@ -138,43 +139,44 @@ impl Reporter {
 
     fn state(&self, controller: &Controller) -> String {
         let counters = controller.counters();
-        match controller.deposed_by() {
-            Some(epoch) => format!("deposed by epoch {epoch}"),
+        match controller.superseded_by() {
+            Some(epoch) => format!("superseded by epoch {epoch}"),
             None if counters.decisions == 0 => "waiting for position reports".into(),
             None if counters.decisions == self.decisions => "position reports stopped".into(),
             None => "running".into(),
         }
     }
 
-    /// What went wrong since the last look, the gravest first.
-    fn new_problem(&mut self, desk: &Desk) -> Option<String> {
-        let counters = desk.controller.counters();
-        let failed = counters.departures(Departure::PolicyFailed) + counters.departures(Departure::Held);
-        let refused = desk.controller.inbox().refused().total();
+    /// The most serious problem since the last snapshot.
+    fn new_problem(&mut self, decision_loop: &DecisionLoop, swaps: &SwapCounters) -> Option<String> {
+        let controller = &decision_loop.controller;
+        let counters = controller.counters();
+        let failed = counters.degraded(DegradedMode::PolicyFailed) + counters.degraded(DegradedMode::Held);
         let rose = |before: &mut u64, after: u64| std::mem::replace(before, after) < after;
-        let (unsent_rose, failed_rose, refused_rose) =
-            (rose(&mut self.unsent, desk.unsent), rose(&mut self.failed, failed), rose(&mut self.refused, refused));
-        let order_refused = rose(&mut self.orders_refused, desk.control.refused);
-        if failed_rose && let Some(failure) = desk.controller.last_failure() {
-            return Some(format!("policy {}: {failure}", desk.controller.policy_name()));
+        let failed_rose = rose(&mut self.failed, failed);
+        let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
+        let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
+        let order_refused = rose(&mut self.orders_refused, swaps.refused);
+        if failed_rose && let Some(failure) = controller.last_failure() {
+            return Some(format!("policy {}: {failure}", controller.policy_name()));
         }
         if unsent_rose {
             return Some("a command could not be sent: the session is closed".into());
         }
         if order_refused {
-            return desk.control.last_refusal.clone();
+            return swaps.last_refusal.clone();
         }
-        refused_rose.then(|| describe_refusal(desk)).flatten()
+        refused_rose.then(|| describe_refusal(decision_loop)).flatten()
     }
 }
 
-fn describe_refusal(desk: &Desk) -> Option<String> {
-    let inbox = desk.controller.inbox();
+fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
+    let inbox = decision_loop.controller.inbox();
     let (stream, refusal) = inbox.refused().last()?;
     let name = stream.name();
-    Some(match (refusal, &desk.last_malformed) {
+    Some(match (refusal, decision_loop.last_malformed()) {
         (Refusal::ForeignSource, _) => format!(
-            "a second source {:016x} reports {name} in this room, which belongs to {:016x}; it is refused",
+            "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
             inbox.refused().last_foreign_source().unwrap_or_default(),
             inbox.source().unwrap_or_default()
         ),

@@ -1,7 +1,8 @@
-//! What the array is and can do, held against the scenario before it is commanded; and who may stop it.
+//! Whether the array may be commanded: its capabilities compared with the scenario, and the
+//! operator's stop.
 //!
-//! Everything here is worked out when an announcement or an order arrives, off the way from a report to its command. What the
-//! decision then looks at is a flag, two ranges and a list: [`Guard`].
+//! [`Examiner`] compares when an announcement arrives, outside the decision path. A decision reads
+//! only the flags of [`Guard`].
 
 use heliostat_channel::specular::bisector;
 use heliostat_channel::{ChannelModel, Vec3};
@@ -9,15 +10,15 @@ use heliostat_proto::{AxisLimits, Capabilities, EmergencyStop, MirrorTelemetry, 
 use heliostat_scenario::{ChannelMode, Scenario};
 use thiserror::Error;
 
-/// Distance between the points of the floor whose reach is tried, in m.
+/// Distance between the points of the floor whose reachability is tested, in m.
 const FLOOR_STEP_M: f64 = 0.25;
 
-/// Why an array is not commanded.
+/// Why an array receives no commands.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Unfit {
-    /// An array of another shape.
+    /// The array has another shape than the scenario.
     #[error(
-        "the array \"{hardware}\" has {found_rows} x {found_columns} mirrors, the scenario {rows} x {columns}: set mirrors.rows and mirrors.columns to those of the array"
+        "the array \"{hardware}\" has {found_rows} x {found_columns} mirrors, expected {rows} x {columns} as in the scenario: set mirrors.rows and mirrors.columns to those of the array"
     )]
     Shape {
         /// Hardware, as announced.
@@ -31,9 +32,9 @@ pub enum Unfit {
         /// Columns of the scenario.
         columns: usize,
     },
-    /// Mirrors that cannot turn far enough.
+    /// The range of the mirrors does not reach all of the floor.
     #[error(
-        "the array \"{hardware}\" turns from {min_deg:.1} to {max_deg:.1} degrees at most: {:.0} % of the floor stays reachable by any mirror, {:.0} % of all pairs of a mirror and a place; --accept-small-range goes on with that", .floor * 100.0, .pairs * 100.0
+        "the array \"{hardware}\" turns from {min_deg:.1} to {max_deg:.1} degrees at most: {:.0} % of the floor is within reach of at least one mirror, and {:.0} % of all pairs of a mirror and a floor point, expected 100 % of the floor", .floor * 100.0, .pairs * 100.0
     )]
     Range {
         /// Hardware, as announced.
@@ -44,26 +45,26 @@ pub enum Unfit {
         max_deg: f64,
         /// Share of the floor that at least one mirror can light.
         floor: f64,
-        /// Share of the pairs of a mirror and a place on the floor.
+        /// Share of the pairs of a mirror and a floor point.
         pairs: f64,
     },
-    /// Angles that mean nothing to a real mirror.
+    /// Real mirrors in a channel mode whose angles do not follow the law of reflection.
     #[error(
-        "a driver turns real mirrors in this room, and the scenario's channel mode gives angles of the paper's equations (2) and (3), under which a mirror that reflects light gains nothing: use channel.mode = \"specular\", or force it with --force-paper-angles"
+        "a driver turns real mirrors in this room, and the scenario's channel mode gives angles of the paper's equations (2) and (3), which aim no real mirror: use channel.mode = \"specular\""
     )]
     PaperAngles,
 }
 
-/// What of an array that does not fit is accepted all the same.
+/// Mismatches that the operator accepts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Force {
-    /// Mirrors that cannot reach all of the floor.
+    /// A range that does not reach all of the floor.
     pub small_range: bool,
     /// Angles of the paper's equations on real mirrors.
     pub paper_angles: bool,
 }
 
-/// Holds announcements against a scenario.
+/// Compares announcements of an array with a scenario.
 #[derive(Clone, Debug)]
 pub struct Examiner {
     model: ChannelModel,
@@ -88,7 +89,7 @@ impl Examiner {
     /// Whether the array can be commanded in this scenario.
     ///
     /// # Errors
-    /// [`Unfit`], by name.
+    /// [`Unfit`] where the shape differs or the range is too small.
     pub fn examine(&self, capabilities: &Capabilities) -> Result<(), Unfit> {
         let hardware = capabilities.hardware.clone();
         let (rows, columns) = (self.model.mirrors.rows(), self.model.mirrors.columns());
@@ -110,11 +111,11 @@ impl Examiner {
         Ok(())
     }
 
-    /// Whether the one who turns the mirrors may be told these angles.
+    /// Whether a node of this kind may receive angles of the scenario's channel mode.
     ///
     /// # Errors
-    /// [`Unfit::PaperAngles`] where a driver of real mirrors meets a mode for comparison with the paper.
-    pub fn meet(&self, node: NodeKind) -> Result<(), Unfit> {
+    /// [`Unfit::PaperAngles`] for a driver of real mirrors in a mode for comparison with the paper.
+    pub fn examine_node(&self, node: NodeKind) -> Result<(), Unfit> {
         if node == NodeKind::Driver && self.paper && !self.force.paper_angles {
             Err(Unfit::PaperAngles)
         } else {
@@ -122,8 +123,11 @@ impl Examiner {
         }
     }
 
-    /// Shares of the floor that at least one mirror can light, and of all pairs of a mirror and a place: those where the bisector of the
-    /// ways to the first LED and to the place is within the range.
+    /// Shares of the floor that at least one mirror can light, and of all pairs of a mirror and a
+    /// floor point.
+    ///
+    /// A mirror reaches a point if the bisector of the directions to the first LED and to the point
+    /// is within its range.
     pub fn reach(&self, roll: &AxisLimits, yaw: &AxisLimits) -> (f64, f64) {
         let within = |angle: f64, axis: &AxisLimits| {
             (f64::from(axis.min_rad) - 1e-6..=f64::from(axis.max_rad) + 1e-6).contains(&angle)
@@ -146,7 +150,7 @@ impl Examiner {
         (lit / places, pairs / places)
     }
 
-    /// The middles of equal squares that cover the floor, at the height of the receivers.
+    /// The centres of equal squares that cover the floor, at the height of the receivers.
     fn floor(&self) -> impl Iterator<Item = Vec3> {
         let middles = |half: f64| {
             let count = (2.0 * half / FLOOR_STEP_M).round().max(1.0);
@@ -158,46 +162,60 @@ impl Examiner {
     }
 }
 
-/// What the decision looks at.
+/// The flags that a decision reads before it gives a command.
 #[derive(Clone, Debug, Default)]
 pub struct Guard {
     unfit: Option<Unfit>,
-    /// Whatever the array announces.
+    /// Holds whatever the array announces.
     forbidden: Option<Unfit>,
+    stop: StopLatch,
+}
+
+impl Guard {
+    /// Stores the result of an examination of the array.
+    pub(crate) fn set_verdict(&mut self, verdict: Result<(), Unfit>) {
+        self.unfit = verdict.err();
+    }
+
+    /// Withholds all commands from now on.
+    pub(crate) fn forbid(&mut self, unfit: Unfit) {
+        self.forbidden = Some(unfit);
+    }
+
+    /// Why the array does not fit the scenario, if it does not.
+    pub(crate) fn unfit(&self) -> Option<&Unfit> {
+        self.forbidden.as_ref().or(self.unfit.as_ref())
+    }
+
+    /// Whether commands may be sent, by the operator's orders and by the array's own state.
+    pub(crate) fn may_command(&self, telemetry: Option<&MirrorTelemetry>) -> bool {
+        let array_stopped = telemetry.is_some_and(|report| report.state == heliostat_proto::ArrayState::Stopped);
+        self.unfit().is_none() && !self.stop.is_stopped() && !array_stopped
+    }
+
+    /// Applies a stop or re-arm order.
+    pub(crate) fn handle_stop_order(&mut self, order: &EmergencyStop) {
+        self.stop.handle(order);
+    }
+}
+
+/// The latch of the emergency stop, by the rules of a driver: only a re-arm later than the last
+/// stop releases it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StopLatch {
     stopped: bool,
     /// Time of the last stop.
     stopped_ns: Nanos,
 }
 
-impl Guard {
-    /// Takes a verdict over.
-    pub fn set_verdict(&mut self, verdict: Result<(), Unfit>) {
-        self.unfit = verdict.err();
-    }
-
-    /// Never sends anything here.
-    pub fn forbid(&mut self, unfit: Unfit) {
-        self.forbidden = Some(unfit);
-    }
-
-    /// Why the array is not commanded; nothing where it is.
-    pub fn unfit(&self) -> Option<&Unfit> {
-        self.forbidden.as_ref().or(self.unfit.as_ref())
-    }
-
-    /// Whether commands may be sent, by the operator's orders and by what the array says of itself.
-    pub fn may_command(&self, telemetry: Option<&MirrorTelemetry>) -> bool {
-        let array_stopped = telemetry.is_some_and(|told| told.state == heliostat_proto::ArrayState::Stopped);
-        self.unfit().is_none() && !self.stopped && !array_stopped
-    }
-
-    /// Whether an operator's stop is latched.
+impl StopLatch {
+    /// Whether a stop is latched.
     pub fn is_stopped(&self) -> bool {
         self.stopped
     }
 
-    /// Heeds a stop or a re-arm by the rules of a driver.
-    pub fn heed(&mut self, order: &EmergencyStop) {
+    /// Applies a stop or re-arm order.
+    pub fn handle(&mut self, order: &EmergencyStop) {
         match order.action {
             StopAction::Stop => {
                 self.stopped = true;
@@ -224,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn an_array_of_another_shape_is_refused_by_both_shapes() {
+    fn an_array_of_another_shape_is_refused_and_both_shapes_are_named() {
         let examiner = examiner("specular", Force::default());
         assert_eq!(examiner.examine(&array(10, 10, 90.0)), Ok(()));
         let problem = examiner.examine(&array(7, 10, 90.0)).unwrap_err().to_string();
@@ -232,19 +250,19 @@ mod tests {
     }
 
     #[test]
-    fn a_small_range_is_refused_with_what_stays_reachable() {
+    fn a_small_range_is_refused_with_the_reachable_share() {
         let examiner_of = |force| examiner("specular", force);
         let problem = examiner_of(Force::default()).examine(&array(10, 10, 5.0)).unwrap_err();
         let Unfit::Range { floor, pairs, .. } = &problem else { panic!("{problem}") };
         assert!(*floor > 0.0 && *floor < 1.0 && pairs < floor, "{problem}");
-        assert!(problem.to_string().contains("--accept-small-range"));
+        assert!(problem.to_string().contains("expected 100 % of the floor"));
         let forced = Force { small_range: true, ..Force::default() };
         assert_eq!(examiner_of(forced).examine(&array(10, 10, 5.0)), Ok(()));
     }
 
-    /// docs/physics.md: +-10 degrees reaches 23 % of mirror-point pairs, +-20 53 %, +-30 76 %.
+    /// The shares of mirror-point pairs for a range are those of docs/physics.md.
     #[test]
-    fn the_reach_of_a_range_is_that_of_the_physics() {
+    fn the_reach_of_a_range_matches_the_documented_shares() {
         let examiner = examiner("specular", Force::default());
         for (range_deg, expected) in [(10.0, 0.23), (20.0, 0.53), (30.0, 0.76), (60.0, 1.0)] {
             let array = array(10, 10, range_deg);
@@ -257,26 +275,26 @@ mod tests {
     fn paper_angles_are_for_simulated_mirrors_only() {
         for mode in ["paper", "paper-calibrated"] {
             let plain = examiner(mode, Force::default());
-            assert_eq!(plain.meet(NodeKind::SimNode), Ok(()));
-            assert_eq!(plain.meet(NodeKind::Driver), Err(Unfit::PaperAngles));
+            assert_eq!(plain.examine_node(NodeKind::SimNode), Ok(()));
+            assert_eq!(plain.examine_node(NodeKind::Driver), Err(Unfit::PaperAngles));
             let forced = Force { paper_angles: true, ..Force::default() };
-            assert_eq!(examiner(mode, forced).meet(NodeKind::Driver), Ok(()));
+            assert_eq!(examiner(mode, forced).examine_node(NodeKind::Driver), Ok(()));
         }
-        assert_eq!(examiner("specular", Force::default()).meet(NodeKind::Driver), Ok(()));
+        assert_eq!(examiner("specular", Force::default()).examine_node(NodeKind::Driver), Ok(()));
     }
 
     #[test]
-    fn a_stop_is_latched_here_too_and_the_array_may_say_so_itself() {
+    fn a_stop_is_latched_and_a_stopped_array_receives_no_commands() {
         let mut guard = Guard::default();
         assert!(guard.may_command(None));
         let order = |action, time_ns| {
             let stamp = heliostat_proto::Stamp { time_ns, ..Default::default() };
             EmergencyStop { stamp, action, ..EmergencyStop::default() }
         };
-        guard.heed(&order(StopAction::Stop, 10));
-        guard.heed(&order(StopAction::Rearm, 10));
-        assert!(!guard.may_command(None) && guard.is_stopped());
-        guard.heed(&order(StopAction::Rearm, 11));
+        guard.handle_stop_order(&order(StopAction::Stop, 10));
+        guard.handle_stop_order(&order(StopAction::Rearm, 10));
+        assert!(!guard.may_command(None) && guard.stop.is_stopped());
+        guard.handle_stop_order(&order(StopAction::Rearm, 11));
         assert!(guard.may_command(None));
         let stopped = MirrorTelemetry { state: heliostat_proto::ArrayState::Stopped, ..MirrorTelemetry::default() };
         assert!(!guard.may_command(Some(&stopped)));

@@ -1,25 +1,28 @@
-//! From reports to an observation: what is reported is taken over, what is not is inferred.
+//! From reports to an observation: reported values are copied, the others are inferred.
 //!
-//! Bodies are inferred: a person stands behind the device that they hold, and behind is where they do not walk to. Somebody who
-//! has never been seen walking has no body yet. Obstacles are those of the latest survey. Measured gains of the direct path
-//! replace modelled ones, since they know of what no survey mentions.
+//! Bodies are inferred: a user stands behind the device, opposite to the direction of walking. A
+//! user who has not walked yet has no body. Obstacles are those of the latest survey. Measured
+//! gains of the direct path replace modelled gains, because they include blockage that no survey
+//! reports.
 //!
-//! Where `control.prediction` says so, users are taken to have walked on at their reported velocity since the report's sample, and through
-//! half of the time until the next report, since the command stands that long; nobody is predicted to leave the room.
+//! With `control.prediction = "constant-velocity"` each user is assumed to walk on at the reported
+//! velocity. The prediction covers the age of the report and half of the interval until the next
+//! report, during which the command holds. No user is predicted to leave the room.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, Nanos, UserReport, UserState};
 use heliostat_scenario::{Prediction, Scenario};
 
 use crate::{
-    inbox::Inbox,
-    observation::{Observation, RoomState},
+    input::inbox::Inbox,
+    observe::observation::{Observation, RoomState},
 };
 
-/// Below this speed in m/s a velocity says nothing about where somebody faces; half of the slowest walk.
+/// Below this speed in m/s a velocity does not show the direction that a user faces; half of the
+/// slowest walk.
 const WALKING_M_S: f64 = 0.05;
 
-/// Where a body stands relative to its device.
+/// Dimensions of a body, and its distance from the device.
 #[derive(Clone, Copy, Debug)]
 struct Body {
     radius_m: f64,
@@ -27,12 +30,12 @@ struct Body {
     offset_m: f64,
 }
 
-/// How far ahead users are predicted, and where they cannot be.
+/// How far ahead users are predicted, and the bounds of their positions.
 #[derive(Clone, Copy, Debug)]
 struct Lead {
     /// Half of the time between reports in s.
     half_interval_s: f64,
-    /// Until the mirrors are there, in s.
+    /// Settling time of the mirrors in s.
     settling_s: f64,
     half_room_m: [f64; 2],
 }
@@ -49,7 +52,7 @@ impl Lead {
         }
     }
 
-    /// Where somebody is, who walks on.
+    /// The position of a user who walks on.
     fn predict(&self, position: Vec3, velocity: &Vec3, age_s: f64) -> Vec3 {
         let ahead = position + velocity * (age_s + self.half_interval_s + self.settling_s);
         let [half_x, half_y] = self.half_room_m;
@@ -69,7 +72,7 @@ pub struct Observer {
     min_rate_bps: Vec<f64>,
     measured_los_gain: Vec<f64>,
     blockers: Vec<Cylinder>,
-    /// Nobody's path is known to be forced off: measured gains tell.
+    /// All false: blockage of unknown cause shows in measured gains.
     forced: Vec<bool>,
 }
 
@@ -78,7 +81,7 @@ pub struct Observer {
 pub enum LosSource {
     /// A channel report.
     Measured,
-    /// The model, because no channel report of acceptable age is there.
+    /// The model, because there is no channel report of acceptable age.
     Modelled,
 }
 
@@ -105,21 +108,21 @@ impl Observer {
         }
     }
 
-    /// Where users are predicted, lets the prediction reach as much further as the mirrors take to get there, in s.
+    /// Extends the prediction by the settling time of the mirrors, in s, where users are predicted.
     pub fn set_settling(&mut self, settling_s: f64) {
         if let Some(lead) = &mut self.lead {
             lead.settling_s = settling_s;
         }
     }
 
-    /// Forgets which way everybody faced.
+    /// Discards the directions that the users face.
     pub fn forget(&mut self) {
         self.headings.fill(Vec3::zeros());
     }
 
     /// Fills an observation from the latest reports at `now`; `None` without a position report.
     ///
-    /// Does not allocate once it has seen as many obstacles as there are.
+    /// Does not allocate after an observation with the same number of obstacles.
     pub fn observe(
         &mut self,
         model: &ChannelModel,
@@ -158,7 +161,7 @@ impl Observer {
         Some(if measured { LosSource::Measured } else { LosSource::Modelled })
     }
 
-    /// Takes each user's measured gain; false where somebody is missing from the channel report.
+    /// Copies each user's measured gain; false where a user is missing from the channel report.
     fn take_gains(&mut self, users: &UserReport, channel: &ChannelReport) -> bool {
         let gain_of = |(slot, user): (usize, &UserState)| {
             let same_place = channel.users.get(slot).filter(|entry| entry.user == user.user);

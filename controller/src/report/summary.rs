@@ -1,21 +1,21 @@
-//! What a controller has to say at the end, as one JSON object or as a table.
+//! The final report of a controller, as one JSON object or as a table.
 
 use std::{collections::BTreeMap, fmt};
 
-use heliostat_proto::Quantiles;
+use heliostat_decide::core::{Controller, DegradedMode, Stage};
+use heliostat_proto::{Quantiles, Room};
 use serde::{Deserialize, Serialize};
 
-use crate::{ledger::Ledger, post::Post};
-use heliostat_decide::core::{Controller, Departure, Stage};
+use super::stage_times::StageTimes;
 
-/// The account of one run.
+/// The report on one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// The policy.
     pub policy: String,
     /// The epoch of the commands.
     pub epoch: u64,
-    /// Position reports that got an answer, be it to hold.
+    /// Position reports answered by a command or by the decision to hold.
     pub decisions: u64,
     /// Commands among the answers.
     pub commands: u64,
@@ -23,49 +23,61 @@ pub struct Summary {
     pub over_budget: u64,
     /// The same, by the stage that took longest.
     pub over_budget_by: BTreeMap<String, u64>,
-    /// From the entry of the callback to the return of the put.
+    /// From the entry of the callback to the end of the publication.
     pub decision_us: Quantiles,
     /// The same, stage by stage.
     pub stages_us: BTreeMap<String, Quantiles>,
     /// From the sampling of the positions to the decision.
     pub age_us: Quantiles,
-    /// Ticks that left the plain way, by how.
+    /// Ticks answered in a degraded mode, by mode.
     pub fallbacks: BTreeMap<String, u64>,
-    /// What was received and not used, by stream and reason.
+    /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
     /// Axis values that the limits changed.
     pub clipped: ClippedSummary,
-    /// What the array said last about itself; absent before it spoke.
+    /// From the last telemetry of the array; absent before the first.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub array: Option<ArraySummary>,
-    /// How many sources owned the room, one after the other.
+    /// Sources that owned the room, in succession.
     pub sources: u64,
-    /// Commands that the transport did not take.
+    /// Commands that the transport refused.
     pub unsent: u64,
-    /// Reports that were shed because a newer one was there, or too many waited.
-    pub shed: u64,
-    /// Looks at which the policy had not answered for 0.1 s.
+    /// Position reports superseded by a newer one before they were answered, and payloads dropped
+    /// because too many waited.
+    pub dropped: u64,
+    /// Status checks at which the policy had not returned for 0.1 s.
     pub unanswered: u64,
-    /// Rehearsals between sparse reports.
-    pub rehearsals: u64,
-    /// What the operating system granted of what was asked for, and what not.
+    /// Cache warm-ups between reports.
+    pub cache_warm_ups: u64,
+    /// Requests to the operating system, granted or not.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub machine: Vec<String>,
-    /// Room by room, where there are several; the rest is then their sum.
+    /// Room by room, where there are several; the other fields are then their sums.
     #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
     pub rooms: BTreeMap<String, Summary>,
-    /// The last thing that went wrong; empty while nothing did.
+    /// The last problem; empty while there is none.
     pub last_problem: String,
 }
 
-/// What an array says about itself.
+/// One room's part of a report.
+#[derive(Clone, Copy)]
+pub struct RoomReport<'a> {
+    /// The room.
+    pub room: &'a Room,
+    /// Its report.
+    pub summary: &'a Summary,
+    /// Its times since the start.
+    pub times: &'a StageTimes,
+}
+
+/// The state of an array by its telemetry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ArraySummary {
     /// Bits of [`heliostat_proto::messages::fault`].
     pub faults: u32,
-    /// Mirrors known not to follow.
+    /// Mirrors that do not follow commands.
     pub unusable: u64,
-    /// Commands that it refused since it started.
+    /// Commands that it has refused since its start.
     pub refused: u64,
 }
 
@@ -74,21 +86,21 @@ pub struct ArraySummary {
 pub struct ClippedSummary {
     /// Values outside the range.
     pub range: u64,
-    /// Values out of reach within the tick.
+    /// Values beyond the slew limit.
     pub slew: u64,
 }
 
 impl Summary {
-    /// The controller's part of the account; the ledger's follows by [`Summary::add_times`].
+    /// The counters of the core; [`Summary::add_times`] adds the times.
     pub fn of(controller: &Controller) -> Self {
         let counters = controller.counters();
-        let departures = Departure::ALL.map(|departure| (departure.name().to_string(), counters.departures(departure)));
+        let degraded = DegradedMode::ALL.map(|mode| (mode.name().to_string(), counters.degraded(mode)));
         Self {
             policy: controller.policy_name().into(),
             epoch: controller.epoch(),
             decisions: counters.decisions,
             commands: counters.commands,
-            fallbacks: departures.into_iter().filter(|(_, count)| *count > 0).collect(),
+            fallbacks: degraded.into_iter().filter(|(_, count)| *count > 0).collect(),
             refused: controller.inbox().refused().named().collect(),
             clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
             array: controller.inbox().telemetry().map(|telemetry| ArraySummary {
@@ -101,16 +113,16 @@ impl Summary {
         }
     }
 
-    /// The account of all rooms.
-    pub(crate) fn of_posts(posts: &[Post]) -> Self {
-        if let [post] = posts {
-            return post.summary().clone();
+    /// The report on all rooms, from the report and the times of each.
+    pub fn of_rooms(rooms: &[RoomReport<'_>]) -> Self {
+        if let [room] = rooms {
+            return room.summary.clone();
         }
-        let (mut all, mut times) = (Self::default(), Ledger::new());
-        for post in posts {
-            all.add(post.summary());
-            times.absorb(&mut post.times().clone());
-            all.rooms.insert(post.room().to_string(), post.summary().clone());
+        let (mut all, mut times) = (Self::default(), StageTimes::new());
+        for room in rooms {
+            all.add(room.summary);
+            times.absorb(&mut room.times.clone());
+            all.rooms.insert(room.room.to_string(), room.summary.clone());
         }
         all.add_times(&times);
         all
@@ -124,9 +136,9 @@ impl Summary {
             (&mut self.decisions, other.decisions),
             (&mut self.commands, other.commands),
             (&mut self.unsent, other.unsent),
-            (&mut self.shed, other.shed),
+            (&mut self.dropped, other.dropped),
             (&mut self.unanswered, other.unanswered),
-            (&mut self.rehearsals, other.rehearsals),
+            (&mut self.cache_warm_ups, other.cache_warm_ups),
             (&mut self.sources, other.sources),
             (&mut self.clipped.range, other.clipped.range),
             (&mut self.clipped.slew, other.clipped.slew),
@@ -142,13 +154,13 @@ impl Summary {
     }
 
     /// Adds the times.
-    pub fn add_times(&mut self, ledger: &Ledger) {
-        let blamed = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.over_budget_by(stage)));
-        self.over_budget = ledger.over_budget();
-        self.over_budget_by = blamed.into_iter().filter(|(_, count)| *count > 0).collect();
-        self.decision_us = ledger.decision_us();
-        self.stages_us = Stage::ALL.map(|stage| (stage.name().to_string(), ledger.stage_us(stage))).into();
-        self.age_us = ledger.age_us();
+    pub fn add_times(&mut self, times: &StageTimes) {
+        let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
+        self.over_budget = times.over_budget();
+        self.over_budget_by = by_stage.into_iter().filter(|(_, count)| *count > 0).collect();
+        self.decision_us = times.decision_us();
+        self.stages_us = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage))).into();
+        self.age_us = times.age_us();
     }
 }
 
@@ -157,8 +169,8 @@ impl fmt::Display for Summary {
         writeln!(formatter, "policy {}, epoch {}", self.policy, self.epoch)?;
         writeln!(
             formatter,
-            "decisions {}, commands {}, unsent {}, shed {}, rehearsals {}",
-            self.decisions, self.commands, self.unsent, self.shed, self.rehearsals
+            "decisions {}, commands {}, unsent {}, dropped {}, cache warm-ups {}",
+            self.decisions, self.commands, self.unsent, self.dropped, self.cache_warm_ups
         )?;
         writeln!(formatter, "over 0.5 ms: {}, by longest stage:{}", self.over_budget, list(&self.over_budget_by))?;
         writeln!(formatter, "{:<12}{:>10}{:>10}{:>10}{:>10}{:>10}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
@@ -179,7 +191,7 @@ impl fmt::Display for Summary {
             write!(formatter, "\nroom {room}: decisions {}, p50 {p50:.1} us, p99 {p99:.1} us", summary.decisions)?;
         }
         if self.unanswered > 0 {
-            write!(formatter, "\nthe policy had not answered for 0.1 s at {} looks", self.unanswered)?;
+            write!(formatter, "\nthe policy had not returned for 0.1 s at {} status checks", self.unanswered)?;
         }
         if !self.last_problem.is_empty() {
             write!(formatter, "\nlast problem: {}", self.last_problem)?;

@@ -1,0 +1,47 @@
+//! What a controller process needs to start.
+
+use std::{path::PathBuf, time::Duration};
+
+use heliostat_bus::BusConfig;
+use heliostat_decide::{capabilities::Force, policy::PolicyKind};
+use heliostat_service::MetricsArgs;
+use heliostat_proto::Room;
+use heliostat_scenario::Scenario;
+
+use crate::room_runtime::decision_loop::DecisionSettings;
+
+/// The source of time and epochs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Pace {
+    /// UTC; the epoch is the time of the start.
+    #[default]
+    Live,
+    /// The time of the reports; the epoch is 1. The same reports give the same commands, bit for
+    /// bit.
+    Lockstep,
+}
+
+/// The configuration of a controller process.
+#[derive(Clone, Debug)]
+pub struct NodeConfig {
+    /// The room.
+    pub scenario: Scenario,
+    /// The endpoints, and the name of the first room.
+    pub bus: BusConfig,
+    /// Further rooms to serve, all with the same scenario and over the same session.
+    pub also_rooms: Vec<Room>,
+    /// Where decisions are made, and whether the caches are kept warm.
+    pub decisions: DecisionSettings,
+    /// The policy.
+    pub policy: PolicyKind,
+    /// The actor's file in place of the built-in one.
+    pub model: Option<PathBuf>,
+    /// Live or lockstep.
+    pub pace: Pace,
+    /// Mismatches between array and scenario that the operator accepts.
+    pub force: Force,
+    /// When to end without a signal.
+    pub run_for: Option<Duration>,
+    /// Where metrics are served.
+    pub metrics: MetricsArgs,
+}

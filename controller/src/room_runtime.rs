@@ -1,0 +1,254 @@
+//! One room of the process: builds and owns the four parts that serve it, its subscriptions, and
+//! its reports.
+//!
+//! | part | duty | runs on |
+//! | --- | --- | --- |
+//! | [`receive_queue`] | holds payloads between callbacks and the room's thread | |
+//! | [`decision_loop`] | decodes, decides, records stage times | the transport's callback or the room's thread |
+//! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
+//! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
+//! | [`watchdog`] | acts for a policy that does not return | the main thread |
+//!
+//! [`policy_swap`] replaces the policy on a thread of its own. Rooms share a session and nothing
+//! else, so a room that floods, fails or is superseded leaves the others alone. No thread waits for
+//! the lock of a decision loop longer than it must: the main thread gives up when a decision does
+//! not end.
+
+pub mod cache_warmer;
+pub mod command_sender;
+pub mod decision_loop;
+mod locks;
+mod policy_swap;
+pub mod receive_queue;
+pub mod room_clock;
+mod status;
+mod subscriptions;
+pub mod watchdog;
+
+use std::{
+    sync::{Arc, Mutex},
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context;
+use heliostat_bus::{Bus, Class, Publisher, Subscription, Token};
+use heliostat_decide::{
+    capabilities::{Examiner, Unfit},
+    core::Controller,
+};
+use heliostat_engine::ActorSource;
+use heliostat_service::{clock::utc_ns, source_id};
+use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
+
+use crate::{
+    config::{NodeConfig, Pace},
+    report::{
+        stage_times::StageTimes,
+        summary::{RoomReport, Summary},
+    },
+};
+use command_sender::CommandSender;
+use decision_loop::{DecisionLoop, PayloadHandler};
+use locks::{lock_within, try_lock};
+use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
+use receive_queue::ReceiveQueue;
+use room_clock::RoomClock;
+use status::{Identity, Reporter};
+use watchdog::{UNANSWERED_AFTER, Watchdog};
+
+/// A room that is being served.
+pub struct RoomRuntime {
+    room: Room,
+    decision_loop: Arc<Mutex<DecisionLoop>>,
+    queue: Arc<ReceiveQueue>,
+    sender: Arc<CommandSender>,
+    watchdog: Arc<Watchdog>,
+    policy_swap: PolicySwap,
+    /// The room's thread, if decisions need one.
+    thread: Option<JoinHandle<()>>,
+    /// Dropped when the room is closed.
+    declared: Option<(Vec<Subscription>, Token)>,
+    status: Publisher,
+    reporter: Reporter,
+    /// Exchanged with the decision loop's times, so that its lock is held only for an instant.
+    spare_times: StageTimes,
+    /// Since the start.
+    times: StageTimes,
+    /// As of the last status check.
+    summary: Summary,
+}
+
+impl RoomRuntime {
+    /// Builds the policy, warms it up, and begins to serve the bus's room.
+    ///
+    /// # Errors
+    /// If the policy does not fit the scenario, or the session is closed.
+    pub fn open(bus: &Bus, config: &NodeConfig) -> anyhow::Result<Self> {
+        let scenario = &config.scenario;
+        let started_ns = utc_ns();
+        let (clock, epoch, class) = match config.pace {
+            Pace::Live => (RoomClock::Utc, started_ns / 1_000_000, Class::Control),
+            // The room waits for each command, so a dropped command would stop it.
+            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1, Class::Order),
+        };
+        let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let policy = heliostat_engine::build(config.policy, scenario, &actor)?;
+        let model = scenario.channel_model()?;
+        let examiner = Examiner::new(scenario, &model, config.force);
+        let mut controller = Controller::new(scenario, model.clone(), policy, epoch);
+        controller.warm_up(warm_up_runs());
+        let room = bus.room().clone();
+        tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
+
+        let settings = config.decisions.among(1 + config.also_rooms.len());
+        let sender = CommandSender::new(bus.publisher(&room.command(), class)?, scenario.mirror_count());
+        let (sender, watchdog) = (Arc::new(sender), Arc::new(Watchdog::new(scenario.control.when_unanswered)));
+        let shared = (Arc::clone(&sender), Arc::clone(&watchdog));
+        let decision_loop = DecisionLoop::new(controller, clock, deadline(config), shared.0, shared.1);
+        let decision_loop = Arc::new(Mutex::new(decision_loop.with_cache_warm_up(settings.keep_warm)));
+        let queue = Arc::new(ReceiveQueue::default());
+        let thread = settings.has_thread().then(|| spawn(&room, &decision_loop, &queue)).transpose()?;
+
+        let handler = PayloadHandler {
+            decision_loop: Arc::clone(&decision_loop),
+            queue: Arc::clone(&queue),
+            decide_in: settings.decide_in,
+        };
+        let mut subscriptions = subscriptions::subscribe_to_reports(bus, &handler)?;
+        subscriptions.extend(subscriptions::subscribe_to_array(bus, &decision_loop, &watchdog, examiner)?);
+        let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
+        let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
+        subscriptions.push(orders);
+        let source = source_id::random();
+        let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
+        let identity = Identity { source, started_ns, scenario: scenario.hash() };
+        Ok(Self {
+            status: bus.publisher(&room.status(NodeKind::Controller), Class::Info)?,
+            room,
+            decision_loop,
+            queue,
+            sender,
+            watchdog,
+            policy_swap,
+            thread,
+            declared: Some((subscriptions, token)),
+            reporter: Reporter::new(identity),
+            spare_times: StageTimes::new(),
+            times: StageTimes::new(),
+            summary: Summary::default(),
+        })
+    }
+
+    /// The room.
+    pub fn room(&self) -> &Room {
+        &self.room
+    }
+
+    /// Counters and names as of the last status check.
+    pub fn summary(&self) -> &Summary {
+        &self.summary
+    }
+
+    /// The room's report as of the last status check.
+    pub fn report(&self) -> RoomReport<'_> {
+        RoomReport { room: &self.room, summary: &self.summary, times: &self.times }
+    }
+
+    /// The epoch of the controller that has superseded this one, if one has.
+    pub fn superseded_by(&self) -> Option<u64> {
+        try_lock(&self.decision_loop).and_then(|held| held.controller.superseded_by())
+    }
+
+    /// Why the array of this room receives no commands, if it does not fit.
+    pub fn unfit(&self) -> Option<Unfit> {
+        try_lock(&self.decision_loop).and_then(|held| held.controller.unfit().cloned())
+    }
+
+    /// Answers the absence of reports, or of the policy's answer, if that is due.
+    pub fn answer_timeouts(&mut self) {
+        if let Some(mut decision_loop) = try_lock(&self.decision_loop) {
+            self.watchdog.on_idle();
+            decision_loop.answer_timeout();
+            return;
+        }
+        let Some(action) = self.watchdog.on_busy(Instant::now()) else { return };
+        if !self.sender.send_on_behalf(action, utc_ns()) {
+            tracing::warn!(room = %self.room, "the command on behalf of the policy could not be sent");
+        }
+    }
+
+    /// Takes the new stage times, publishes a status report, and updates the summary.
+    pub fn check_status(&mut self) {
+        let Some(mut decision_loop) = lock_within(&self.decision_loop, UNANSWERED_AFTER) else {
+            self.report_stall();
+            return;
+        };
+        std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
+        let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters());
+        drop(decision_loop);
+        self.times.absorb(&mut self.spare_times);
+        if let Some(problem) = &snapshot.problem {
+            tracing::warn!(room = %self.room, "{problem}");
+        }
+        snapshot.summary.dropped += self.queue.dropped();
+        snapshot.summary.unanswered = self.summary.unanswered;
+        let report = self.reporter.report(&snapshot, &self.times);
+        self.publish_status(&report);
+        self.summary = snapshot.summary;
+        self.summary.add_times(&self.times);
+    }
+
+    /// Stops serving: unsubscribes, ends the room's thread, and withdraws the liveliness token.
+    pub fn close(&mut self) {
+        let Some((subscriptions, token)) = self.declared.take() else { return };
+        drop(subscriptions);
+        self.queue.close();
+        self.check_status();
+        if let Some(thread) = self.thread.take()
+            && lock_within(&self.decision_loop, UNANSWERED_AFTER).is_some()
+        {
+            // An error means that the thread panicked, which the panic hook has reported.
+            let _ = thread.join();
+        }
+        drop(token);
+    }
+
+    fn report_stall(&mut self) {
+        let (policy, meanwhile) = (&self.summary.policy, self.watchdog.description());
+        let problem = format!("policy {policy} gives no answer; {meanwhile}");
+        tracing::warn!(room = %self.room, "{problem}");
+        self.summary.unanswered += 1;
+        self.summary.last_problem = problem;
+        self.publish_status(&self.reporter.report_stall(&self.summary));
+    }
+
+    fn publish_status(&self, report: &NodeStatus) {
+        let mut payload = Vec::new();
+        match encode(report, &mut payload) {
+            // A closed session shows in the count of commands that could not be sent.
+            Ok(()) => drop(self.status.put(&payload)),
+            Err(error) => tracing::warn!("the status report cannot be encoded: {error}"),
+        }
+    }
+}
+
+/// Starts the room's thread.
+fn spawn(
+    room: &Room,
+    decision_loop: &Arc<Mutex<DecisionLoop>>,
+    queue: &Arc<ReceiveQueue>,
+) -> anyhow::Result<JoinHandle<()>> {
+    let (decision_loop, queue) = (Arc::clone(decision_loop), Arc::clone(queue));
+    let run = move || decision_loop::run(&decision_loop, &queue);
+    std::thread::Builder::new().name(format!("decide-{room}")).spawn(run).context("cannot start the room's thread")
+}
+
+/// How long a decision may take before it is late.
+fn deadline(config: &NodeConfig) -> Duration {
+    let seconds = match config.scenario.control.deadline_ms {
+        0.0 => 1.0 / config.scenario.streams.positions.rate_hz,
+        milliseconds => milliseconds * 1e-3,
+    };
+    Duration::from_secs_f64(seconds)
+}

@@ -1,0 +1,470 @@
+//! When to warm up the caches between reports: a state machine without thread or clock.
+//!
+//! # Theory of operation
+//!
+//! Between two reports the processor's caches lose the code and data of a decision, and an idle
+//! thread has to be woken. For a slow policy both cost more than a second run of the policy. So the
+//! room's thread repeats the last decision [`WARM_UPS`] times shortly before the next report is
+//! expected. It then spins until the report arrives or is overdue. The section "Where decisions are
+//! made, and keeping warm" of docs/results/latency.md has the measurements from which the constants
+//! were chosen.
+//!
+//! ```text
+//!             on_decision, report expected        start time reached
+//!     Idle ─────────────────────────────▶ Armed ─────────────────────▶ WarmingUp
+//!      ▲                                                                   │
+//!      └───────────────────────────────────────────────────────────────────┘
+//!                    all warm-ups done (then Spin), or on_arrival
+//! ```
+//!
+//! The caller reports events by `on_*` and executes what [`CacheWarmer::next_action`] returns. Time
+//! is an argument.
+
+use std::{
+    fmt,
+    ops::RangeInclusive,
+    str::FromStr,
+    time::{Duration, Instant},
+};
+
+/// Warm-ups before an expected report: the first loads code and data, the second finds them in the
+/// caches.
+const WARM_UPS: u32 = 2;
+
+/// Decision times for which warm-ups pay. Below, waking the thread costs more than the caches give;
+/// above, the gain is small and warm-ups would delay reports. Measured: docs/results/latency.md.
+const WORTH_STARTING: RangeInclusive<Duration> = Duration::from_micros(250)..=Duration::from_millis(5);
+
+/// The same for decisions that are warmed up, and therefore faster: half of the lower bound.
+/// Measured: docs/results/latency.md.
+const WORTH_CONTINUING: RangeInclusive<Duration> = Duration::from_micros(125)..=Duration::from_millis(5);
+
+/// Warm-ups end at least this long before the expected arrival of a report. Measured:
+/// docs/results/latency.md.
+const MARGIN_BEFORE_REPORT: Duration = Duration::from_micros(50);
+
+/// Time from a report's latest expected sending to its arrival. Measured: docs/results/latency.md.
+const MARGIN_AFTER_REPORT: Duration = Duration::from_micros(100);
+
+/// Longest spin: a twentieth of the interval between reports at 100 Hz, which bounds the processor
+/// time it takes.
+const SPIN_MAX: Duration = Duration::from_micros(500);
+
+/// Whether the room's thread warms up the caches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum KeepWarm {
+    /// Never.
+    Off,
+    /// Before each expected report.
+    Expected,
+}
+
+impl FromStr for KeepWarm {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "off" => Ok(Self::Off),
+            "expected" => Ok(Self::Expected),
+            _ if text.parse::<f64>().is_ok() => {
+                Err("a pause between warm-ups is no longer accepted: use \"expected\" or \"off\"".into())
+            }
+            _ => Err("expected \"expected\" or \"off\"".into()),
+        }
+    }
+}
+
+impl fmt::Display for KeepWarm {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Off => "off",
+            Self::Expected => "expected",
+        })
+    }
+}
+
+/// What the room's thread does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Wait for an arrival; with a duration, at most so long, and ask again.
+    Wait(Option<Duration>),
+    /// Warm up the caches once, unless something has arrived.
+    WarmUp,
+    /// Wait for an arrival without idling, at most until this time.
+    Spin(Instant),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// No warm-up is planned.
+    Idle,
+    /// Warm-ups begin at a planned time.
+    Armed { start: Instant },
+    /// Warm-ups are under way.
+    WarmingUp { left: u32 },
+}
+
+/// Decides when to warm up the caches of one room.
+#[derive(Clone, Debug)]
+pub struct CacheWarmer {
+    enabled: bool,
+    arrivals: ArrivalEstimator,
+    decision: MeanDuration,
+    warm_up: MeanDuration,
+    warm_ups: u64,
+    phase: Phase,
+}
+
+impl CacheWarmer {
+    /// A warmer without any estimate; it never warms up unless `enabled`.
+    pub fn new(enabled: bool) -> Self {
+        Self {
+            enabled,
+            arrivals: ArrivalEstimator::default(),
+            decision: MeanDuration::default(),
+            warm_up: MeanDuration::default(),
+            warm_ups: 0,
+            phase: Phase::Idle,
+        }
+    }
+
+    /// A position report arrived.
+    pub fn on_report(&mut self, at: Instant) {
+        self.arrivals.on_report(at);
+    }
+
+    /// Something arrived for the room's thread: warm-ups that are under way end.
+    pub fn on_arrival(&mut self) {
+        if let Phase::WarmingUp { .. } = self.phase {
+            self.phase = Phase::Idle;
+        }
+    }
+
+    /// A decision ended at `at`, after `took`.
+    pub fn on_decision(&mut self, took: Duration, at: Instant) {
+        self.decision.add(took);
+        self.arm(at);
+    }
+
+    /// A decision without the policy ended at `at`; its duration does not predict the next one.
+    pub fn on_late_decision(&mut self, at: Instant) {
+        self.arm(at);
+    }
+
+    /// A warm-up ended after `took`.
+    pub fn on_warm_up(&mut self, took: Duration) {
+        self.warm_up.add(took);
+        self.warm_ups += 1;
+    }
+
+    /// What the room's thread does at `now`.
+    pub fn next_action(&mut self, now: Instant) -> Action {
+        match self.phase {
+            Phase::Idle => Action::Wait(None),
+            Phase::Armed { start } if now < start => Action::Wait(Some(start - now)),
+            Phase::Armed { .. } => {
+                self.phase = Phase::WarmingUp { left: WARM_UPS - 1 };
+                Action::WarmUp
+            }
+            Phase::WarmingUp { left: 0 } => {
+                self.phase = Phase::Idle;
+                Action::Spin(self.spin_until(now))
+            }
+            Phase::WarmingUp { left } => {
+                self.phase = Phase::WarmingUp { left: left - 1 };
+                Action::WarmUp
+            }
+        }
+    }
+
+    /// Whether decisions take so long that they belong on the thread that is kept warm.
+    pub fn is_worthwhile(&self) -> bool {
+        let worth = if self.warm_up.is_known() { WORTH_CONTINUING } else { WORTH_STARTING };
+        self.enabled && worth.contains(&self.decision.mean())
+    }
+
+    /// Expected duration of the next decision; zero before the first.
+    pub fn expected_decision(&self) -> Duration {
+        self.decision.mean()
+    }
+
+    /// Warm-ups so far.
+    pub fn warm_ups(&self) -> u64 {
+        self.warm_ups
+    }
+
+    /// Plans warm-ups for the next report, unless it is too late for that at `now`.
+    fn arm(&mut self, now: Instant) {
+        let start = self.start().filter(|start| self.is_worthwhile() && *start >= now);
+        self.phase = start.map_or(Phase::Idle, |start| Phase::Armed { start });
+    }
+
+    /// When warm-ups have to begin so as to end before the next report; none where no report is
+    /// expected.
+    fn start(&self) -> Option<Instant> {
+        let one = if self.warm_up.is_known() { self.warm_up.mean() } else { self.decision.mean() };
+        self.arrivals.earliest()?.checked_sub(WARM_UPS * one + MARGIN_BEFORE_REPORT)
+    }
+
+    fn spin_until(&self, now: Instant) -> Instant {
+        self.arrivals.latest().map_or(now, |latest| (latest + MARGIN_AFTER_REPORT).min(now + SPIN_MAX))
+    }
+}
+
+/// Share of the newest value in a mean, and of its deviation in the mean deviation: alpha of RFC
+/// 6298, section 2.
+const NEWEST_SHARE: f64 = 0.125;
+
+/// Exponentially weighted mean of durations; zero while none is known.
+#[derive(Clone, Copy, Debug, Default)]
+struct MeanDuration(Duration);
+
+impl MeanDuration {
+    fn add(&mut self, newest: Duration) {
+        self.0 = match self.is_known() {
+            true => self.0.mul_f64(1.0 - NEWEST_SHARE) + newest.mul_f64(NEWEST_SHARE),
+            false => newest,
+        };
+    }
+
+    fn mean(&self) -> Duration {
+        self.0
+    }
+
+    fn is_known(&self) -> bool {
+        !self.0.is_zero()
+    }
+}
+
+/// Estimates when the next report arrives, from the mean and mean deviation of the intervals
+/// between reports.
+///
+/// It follows the round-trip time estimator of RFC 6298, section 2. It skips long intervals, in
+/// which a report was lost.
+#[derive(Clone, Copy, Debug, Default)]
+struct ArrivalEstimator {
+    last: Option<Instant>,
+    intervals: u32,
+    /// Long intervals in a row.
+    outliers: u32,
+    mean_s: f64,
+    deviation_s: f64,
+}
+
+impl ArrivalEstimator {
+    /// After an interval of this length the estimate starts again: the slowest report rate of a
+    /// scenario is above 0.5 Hz.
+    const PAUSE: Duration = Duration::from_secs(2);
+    /// Intervals before the first estimate, and long intervals in a row after which the estimate
+    /// starts again.
+    const ENOUGH: u32 = 4;
+    /// An interval longer than this number of means is an outlier: one report more would make it 2.
+    const OUTLIER: f64 = 1.5;
+    /// Mean deviations between the mean and the earliest or latest arrival; RFC 6298 uses 4 for a
+    /// timeout that must rarely expire.
+    const DEVIATIONS: f64 = 2.0;
+
+    fn on_report(&mut self, at: Instant) {
+        let interval = self.last.replace(at).map(|last| at.saturating_duration_since(last));
+        let Some(interval) = interval.filter(|interval| *interval < Self::PAUSE) else {
+            *self = Self { last: self.last, ..Self::default() };
+            return;
+        };
+        let interval_s = interval.as_secs_f64();
+        let is_outlier = self.intervals >= Self::ENOUGH && interval_s > Self::OUTLIER * self.mean_s;
+        self.outliers = if is_outlier { self.outliers + 1 } else { 0 };
+        if self.outliers > Self::ENOUGH {
+            *self = Self { last: self.last, ..Self::default() };
+        } else if is_outlier {
+            return;
+        }
+        if self.intervals == 0 {
+            self.mean_s = interval_s;
+        }
+        let error_s = interval_s - self.mean_s;
+        self.mean_s += NEWEST_SHARE * error_s;
+        self.deviation_s += NEWEST_SHARE * (error_s.abs() - self.deviation_s);
+        self.intervals = self.intervals.saturating_add(1);
+    }
+
+    /// The earliest likely arrival of the next report; none before enough intervals.
+    fn earliest(&self) -> Option<Instant> {
+        self.after(self.mean_s - Self::DEVIATIONS * self.deviation_s)
+    }
+
+    /// The latest likely arrival of the next report; none before enough intervals.
+    fn latest(&self) -> Option<Instant> {
+        self.after(self.mean_s + Self::DEVIATIONS * self.deviation_s)
+    }
+
+    fn after(&self, ahead_s: f64) -> Option<Instant> {
+        let ahead = Duration::from_secs_f64(ahead_s.max(0.0));
+        self.last.filter(|_| self.intervals >= Self::ENOUGH).map(|last| last + ahead)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK: Duration = Duration::from_millis(10);
+
+    /// The estimate after reports this many ms after the start.
+    fn estimate(start: Instant, at_ms: &[f64]) -> ArrivalEstimator {
+        let mut estimator = ArrivalEstimator::default();
+        at_ms.iter().for_each(|ms| estimator.on_report(start + Duration::from_secs_f64(ms * 1e-3)));
+        estimator
+    }
+
+    #[test]
+    fn the_next_of_regular_reports_is_expected_after_the_same_interval() {
+        let start = Instant::now();
+        let estimator = estimate(start, &[0.0, 10.0, 20.0, 30.0, 40.0, 50.0]);
+        let error = estimator.earliest().unwrap().duration_since(start).abs_diff(6 * TICK);
+        assert!(error < Duration::from_micros(1), "{error:?}");
+    }
+
+    #[test]
+    fn irregular_reports_are_expected_within_a_wider_window() {
+        let start = Instant::now();
+        let estimator = estimate(start, &[0.0, 11.0, 20.0, 31.0, 40.0, 51.0, 60.0, 71.0, 80.0]);
+        let ahead = estimator.earliest().unwrap().duration_since(start + 8 * TICK);
+        assert!(ahead < TICK - Duration::from_millis(1) && ahead > TICK / 2, "{ahead:?}");
+        let ahead = estimator.latest().unwrap().duration_since(start + 8 * TICK);
+        assert!(ahead > TICK + Duration::from_millis(1) && ahead < 3 * TICK / 2, "{ahead:?}");
+    }
+
+    #[test]
+    fn a_lost_report_and_a_short_pause_do_not_change_the_interval() {
+        let start = Instant::now();
+        let estimator = estimate(start, &[0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 70.0, 80.0, 580.0]);
+        let error = estimator.earliest().unwrap().duration_since(start).abs_diff(59 * TICK);
+        assert!(error < Duration::from_micros(1), "{error:?}");
+    }
+
+    #[test]
+    fn a_slower_report_rate_is_estimated_again() {
+        let start = Instant::now();
+        let slower = (1..=10).map(|tick| 40.0 + 50.0 * f64::from(tick));
+        let times: Vec<f64> = [0.0, 10.0, 20.0, 30.0, 40.0].into_iter().chain(slower).collect();
+        assert!(estimate(start, &times[..7]).earliest().unwrap() < start + 16 * TICK, "not yet");
+        let error = estimate(start, &times).earliest().unwrap().duration_since(start).abs_diff(59 * TICK);
+        assert!(error < Duration::from_micros(1), "{error:?}");
+    }
+
+    #[test]
+    fn without_enough_intervals_no_report_is_expected() {
+        let start = Instant::now();
+        assert_eq!((ArrivalEstimator::default().earliest(), ArrivalEstimator::default().latest()), (None, None));
+        assert_eq!(estimate(start, &[0.0, 10.0, 20.0]).earliest(), None, "too few");
+        assert_eq!(
+            estimate(start, &[0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 5000.0, 5010.0]).earliest(),
+            None,
+            "after a pause"
+        );
+        let after_pause = estimate(start, &[0.0, 50.0, 100.0, 150.0, 200.0, 5000.0, 5010.0, 5020.0, 5030.0, 5040.0]);
+        let error = after_pause.earliest().unwrap().duration_since(start).abs_diff(Duration::from_millis(5050));
+        assert!(error < Duration::from_micros(1), "the new interval: {error:?}");
+    }
+
+    const US: Duration = Duration::from_micros(1);
+
+    /// A warmer after regular reports and decisions of this length, each right after its report,
+    /// and the time of the last decision.
+    fn warmer_after(decision: Duration) -> (CacheWarmer, Instant) {
+        let (mut warmer, start) = (CacheWarmer::new(true), Instant::now());
+        let mut end = start;
+        for tick in 0..10 {
+            let report = start + tick * TICK;
+            end = report + decision;
+            warmer.on_report(report);
+            warmer.on_decision(decision, end);
+        }
+        (warmer, end)
+    }
+
+    #[test]
+    fn a_slow_decision_is_warmed_up_twice_before_the_next_report_and_then_the_thread_spins() {
+        let (mut warmer, decided) = warmer_after(400 * US);
+        let Action::Wait(Some(pause)) = warmer.next_action(decided) else { panic!("not armed: {warmer:?}") };
+        // The next report is due 9.6 ms after the decision; two warm-ups of 0.4 ms and the margin
+        // precede it.
+        assert!(pause.abs_diff(8750 * US) < US, "{pause:?}");
+        let mut now = decided + pause;
+        for _ in 0..WARM_UPS {
+            assert_eq!(warmer.next_action(now), Action::WarmUp);
+            now += 300 * US;
+            warmer.on_warm_up(300 * US);
+        }
+        let Action::Spin(until) = warmer.next_action(now) else { panic!("no spin: {warmer:?}") };
+        assert!(until > now && until <= now + SPIN_MAX);
+        assert_eq!(warmer.next_action(until), Action::Wait(None));
+        assert_eq!(warmer.warm_ups(), 2);
+    }
+
+    #[test]
+    fn an_arrival_ends_warm_ups_that_are_under_way_and_leaves_planned_ones() {
+        let (mut warmer, decided) = warmer_after(400 * US);
+        warmer.on_arrival();
+        let Action::Wait(Some(pause)) = warmer.next_action(decided) else { panic!("not armed: {warmer:?}") };
+        assert_eq!(warmer.next_action(decided + pause), Action::WarmUp);
+        warmer.on_arrival();
+        assert_eq!(warmer.next_action(decided + pause), Action::Wait(None));
+    }
+
+    #[test]
+    fn without_an_expected_report_nothing_is_warmed_up() {
+        let (mut warmer, now) = (CacheWarmer::new(true), Instant::now());
+        warmer.on_report(now);
+        warmer.on_decision(400 * US, now);
+        assert_eq!(warmer.next_action(now), Action::Wait(None));
+    }
+
+    #[test]
+    fn a_decision_that_ends_too_late_for_warm_ups_is_followed_by_none() {
+        let (mut warmer, _) = warmer_after(400 * US);
+        let report = Instant::now() + 10 * TICK;
+        warmer.on_report(report);
+        warmer.on_late_decision(report + TICK);
+        assert_eq!(warmer.next_action(report + TICK), Action::Wait(None));
+    }
+
+    #[test]
+    fn a_warmer_that_is_off_never_acts_and_still_estimates_decisions() {
+        let (mut warmer, now) = (CacheWarmer::new(false), Instant::now());
+        for tick in 0..10 {
+            warmer.on_report(now + tick * TICK);
+            warmer.on_decision(400 * US, now + tick * TICK);
+        }
+        assert!(!warmer.is_worthwhile());
+        assert_eq!(warmer.next_action(now), Action::Wait(None));
+        assert_eq!(warmer.expected_decision(), 400 * US);
+    }
+
+    #[test]
+    fn warm_ups_continue_for_decisions_that_they_have_made_fast() {
+        let worthwhile = |decision: Duration, warmed_up: bool| {
+            let mut warmer = warmer_after(decision).0;
+            if warmed_up {
+                warmer.on_warm_up(100 * US);
+            }
+            warmer.is_worthwhile()
+        };
+        assert_eq!([200, 300, 6000].map(|us| worthwhile(us * US, false)), [false, true, false]);
+        assert_eq!([100, 200, 6000].map(|us| worthwhile(us * US, true)), [false, true, false]);
+    }
+
+    #[test]
+    fn keep_warm_is_parsed_and_a_removed_value_is_refused_with_advice() {
+        for keep_warm in [KeepWarm::Off, KeepWarm::Expected] {
+            assert_eq!(keep_warm.to_string().parse(), Ok(keep_warm));
+        }
+        for removed in ["0", "50", "1000", "-1"] {
+            let refusal = removed.parse::<KeepWarm>().unwrap_err();
+            assert!(refusal.contains("no longer accepted") && refusal.contains("use \"expected\""), "{refusal}");
+        }
+        for wrong in ["often", ""] {
+            assert!(wrong.parse::<KeepWarm>().is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,362 @@
+//! From payloads to published commands: decodes, calls the core, passes commands to the sender, and
+//! records stage times.
+//!
+//! There is one decision loop per room, behind a mutex. Two threads may run it:
+//!
+//! - the transport's callback, which needs no other thread to be woken. While it decides, further
+//!   payloads wait in the transport, and the oldest is answered first;
+//! - the room's thread ([`run`]), which empties the [receive queue](super::receive_queue) before it
+//!   answers. A tick that a newer one supersedes then costs no decision. This thread also warms up
+//!   the caches for a slow policy (see [cache warmer](super::cache_warmer)).
+//!
+//! [`PayloadHandler::handle`] chooses: by default the callback, and the room's thread when reports
+//! arrive faster than they are answered or the policy is kept warm. Other threads hold the lock
+//! only to exchange stage times, to copy counters and to replace the policy.
+
+use std::{
+    sync::{Arc, Mutex, MutexGuard},
+    time::{Duration, Instant},
+};
+
+use heliostat_decide::{
+    core::{Controller, Decision, Due, Stage, Timing},
+    inbox::Message,
+    refusal::{Refusal, Stream},
+};
+use heliostat_proto::{ChannelReport, CodecError, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode_into};
+
+use super::{
+    cache_warmer::{Action, CacheWarmer, KeepWarm},
+    command_sender::CommandSender,
+    locks::{lock, try_lock},
+    receive_queue::{ReceiveQueue, Wake},
+    room_clock::RoomClock,
+    watchdog::Watchdog,
+};
+use crate::report::stage_times::{StageStamps, StageTimes};
+
+/// A report that arrives sooner after the last decision had been waiting: reports arrive faster
+/// than they are answered.
+const BACKLOG_GAP: Duration = Duration::from_micros(50);
+
+/// Where a room's decisions are made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum DecideIn {
+    /// In the callback; on the room's thread when reports arrive faster than they are answered, or
+    /// a slow policy is kept warm
+    Auto,
+    /// In the callback that receives the report, on the transport's thread; a backlog waits in the
+    /// transport
+    Callback,
+    /// On the room's thread
+    Thread,
+}
+
+/// Where decisions are made, and whether the caches are kept warm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DecisionSettings {
+    /// Where.
+    pub decide_in: DecideIn,
+    /// Whether the room's thread warms up the caches.
+    pub keep_warm: KeepWarm,
+}
+
+impl DecisionSettings {
+    /// The settings in a process of this number of rooms: with several, their decisions keep the
+    /// caches warm, and warm-ups would take their time.
+    pub fn among(self, rooms: usize) -> Self {
+        Self { keep_warm: if rooms > 1 { KeepWarm::Off } else { self.keep_warm }, ..self }
+    }
+
+    /// Whether a room needs a thread.
+    pub fn has_thread(self) -> bool {
+        self.decide_in != DecideIn::Callback
+    }
+}
+
+impl Default for DecisionSettings {
+    fn default() -> Self {
+        Self { decide_in: DecideIn::Auto, keep_warm: KeepWarm::Expected }
+    }
+}
+
+/// The decision loop of one room.
+pub struct DecisionLoop {
+    /// The decision core.
+    pub controller: Controller,
+    /// Stage times since the status loop last took them.
+    pub times: StageTimes,
+    clock: RoomClock,
+    sender: Arc<CommandSender>,
+    watchdog: Arc<Watchdog>,
+    warmer: CacheWarmer,
+    /// Decoded into, and swapped with the core's former reports.
+    buffers: Buffers,
+    /// The stamps of the tick that is due.
+    due: Option<StageStamps>,
+    /// A decision that takes longer is late.
+    deadline: Duration,
+    /// Whether the last decision was made without the policy.
+    was_late: bool,
+    last_decision: Option<Instant>,
+    unsent: u64,
+    superseded: u64,
+    last_malformed: Option<CodecError>,
+}
+
+#[derive(Default)]
+struct Buffers {
+    users: UserReport,
+    channel: ChannelReport,
+    obstacles: ObstacleReport,
+    telemetry: MirrorTelemetry,
+}
+
+impl Buffers {
+    fn decode(&mut self, stream: Stream, payload: &[u8]) -> Result<Message<'_>, CodecError> {
+        match stream {
+            Stream::Users => decode_into(&mut self.users, payload).map(|()| Message::Users(&mut self.users)),
+            Stream::Channel => decode_into(&mut self.channel, payload).map(|()| Message::Channel(&mut self.channel)),
+            Stream::Obstacles => {
+                decode_into(&mut self.obstacles, payload).map(|()| Message::Obstacles(&mut self.obstacles))
+            }
+            Stream::Telemetry => {
+                decode_into(&mut self.telemetry, payload).map(|()| Message::Telemetry(&mut self.telemetry))
+            }
+        }
+    }
+}
+
+impl DecisionLoop {
+    /// A loop around a core that is warmed up; a decision that takes longer than `deadline` is
+    /// late. It warms up no caches.
+    pub fn new(
+        controller: Controller,
+        clock: RoomClock,
+        deadline: Duration,
+        sender: Arc<CommandSender>,
+        watchdog: Arc<Watchdog>,
+    ) -> Self {
+        Self {
+            controller,
+            times: StageTimes::new(),
+            clock,
+            sender,
+            watchdog,
+            warmer: CacheWarmer::new(false),
+            buffers: Buffers::default(),
+            due: None,
+            deadline,
+            was_late: false,
+            last_decision: None,
+            unsent: 0,
+            superseded: 0,
+            last_malformed: None,
+        }
+    }
+
+    /// Warms up caches if the settings ask for it, except in lockstep, which has no deadline.
+    pub fn with_cache_warm_up(mut self, keep_warm: KeepWarm) -> Self {
+        self.warmer = CacheWarmer::new(keep_warm == KeepWarm::Expected && self.clock == RoomClock::Utc);
+        self
+    }
+
+    /// Decodes a payload and passes it to the core; `entered` is when its callback was entered.
+    pub fn handle_payload(&mut self, stream: Stream, payload: &[u8], entered: Instant) {
+        let mut stamps = StageStamps::start(entered);
+        stamps.mark(Stage::Waited);
+        let message = match self.buffers.decode(stream, payload) {
+            Ok(message) => message,
+            Err(error) => {
+                self.controller.handle_malformed(stream, Refusal::from(&error));
+                self.last_malformed = Some(error);
+                return;
+            }
+        };
+        let now = self.clock.at_arrival(message.stamp().time_ns);
+        match self.controller.handle_message(now, message) {
+            Due::Command => {
+                self.warmer.on_report(entered);
+                stamps.mark(Stage::Decoded);
+                self.superseded += u64::from(self.due.replace(stamps).is_some());
+            }
+            Due::StaleCommand => {
+                let decision = self.controller.poll_stale_command(now);
+                self.unsent += u64::from(!send(&self.sender, decision));
+            }
+            Due::Nothing => {}
+        }
+    }
+
+    /// Answers the newest tick that is due, if one is.
+    pub fn answer(&mut self) {
+        let Some(mut stamps) = self.due.take() else { return };
+        self.watchdog.on_progress();
+        let started = Instant::now();
+        let timing = self.timing(stamps.waited(started));
+        let decision = self.controller.poll_command(self.clock.now(), timing, &mut |stage| stamps.mark(stage));
+        let age_ns = match &decision {
+            Decision::Move { age_ns, .. } => Some(*age_ns),
+            Decision::Hold(_) => None,
+        };
+        let sent = send(&self.sender, decision);
+        stamps.mark(Stage::Published);
+        self.watchdog.on_progress();
+        self.unsent += u64::from(!sent);
+        if let Some(age_ns) = age_ns {
+            self.times.record(&stamps, age_ns);
+        }
+        let ended = Instant::now();
+        match timing {
+            Timing::InTime => self.warmer.on_decision(ended - started, ended),
+            Timing::Late => self.warmer.on_late_decision(ended),
+        }
+        self.last_decision = Some(ended);
+    }
+
+    /// Answers the absence of position reports, if that is due.
+    pub fn answer_timeout(&mut self) {
+        if let Some(decision) = self.controller.poll_timeout_command(self.clock.now()) {
+            self.unsent += u64::from(!send(&self.sender, decision));
+        }
+    }
+
+    /// Room time now.
+    pub fn room_time_ns(&self) -> Nanos {
+        self.clock.now()
+    }
+
+    /// Commands that the transport refused.
+    pub fn unsent(&self) -> u64 {
+        self.unsent
+    }
+
+    /// Ticks that a newer one superseded before they were answered.
+    pub fn superseded(&self) -> u64 {
+        self.superseded
+    }
+
+    /// Cache warm-ups so far.
+    pub fn cache_warm_ups(&self) -> u64 {
+        self.warmer.warm_ups()
+    }
+
+    /// The error of the last payload that did not decode.
+    pub fn last_malformed(&self) -> Option<&CodecError> {
+        self.last_malformed.as_ref()
+    }
+
+    /// Whether a callback has to leave a payload to the room's thread.
+    fn is_for_thread(&self, stream: Stream, entered: Instant) -> bool {
+        let is_kept_warm = stream == Stream::Users && self.warmer.is_worthwhile();
+        let is_backlog = self.last_decision.is_some_and(|ended| entered.saturating_duration_since(ended) < BACKLOG_GAP);
+        is_kept_warm || is_backlog
+    }
+
+    /// Repeats the last decision without a command.
+    fn warm_cache(&mut self) {
+        let started = Instant::now();
+        self.controller.warm_cache();
+        self.warmer.on_warm_up(started.elapsed());
+    }
+
+    /// A decision is late if it is expected to end after the deadline. Two late decisions never
+    /// follow one another, so that the policy decides again. In lockstep the room waits.
+    fn timing(&mut self, waited: Duration) -> Timing {
+        let expected = waited + self.warmer.expected_decision();
+        let is_late = self.clock == RoomClock::Utc && !self.was_late && expected > self.deadline;
+        self.was_late = is_late;
+        if is_late { Timing::Late } else { Timing::InTime }
+    }
+}
+
+/// Sends the command of a decision, if it has one; false where the transport refuses it.
+fn send(sender: &CommandSender, decision: Decision<'_>) -> bool {
+    match decision {
+        Decision::Move { command, .. } => sender.send(command),
+        Decision::Hold(_) => true,
+    }
+}
+
+/// The entry of payloads: answers in the callback, or leaves the payload to the room's thread.
+#[derive(Clone)]
+pub struct PayloadHandler {
+    /// The loop that answers.
+    pub decision_loop: Arc<Mutex<DecisionLoop>>,
+    /// The queue of the room's thread.
+    pub queue: Arc<ReceiveQueue>,
+    /// Where decisions are made.
+    pub decide_in: DecideIn,
+}
+
+impl PayloadHandler {
+    /// Handles a payload in the callback that was entered at `entered`.
+    pub fn handle(&self, stream: Stream, payload: &[u8], entered: Instant) {
+        let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
+            DecideIn::Callback => Some(lock(&self.decision_loop)),
+            DecideIn::Thread => None,
+            // The room's thread holds the lock while it empties the queue, so no payload passes
+            // a waiting one.
+            DecideIn::Auto if !self.queue.is_empty() => None,
+            DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(stream, entered)),
+        };
+        match at_once {
+            Some(mut decision_loop) => {
+                decision_loop.handle_payload(stream, payload, entered);
+                decision_loop.answer();
+            }
+            None => self.queue.push(stream, payload, entered),
+        }
+    }
+}
+
+/// The room's thread: answers what is in the queue, and warms up the caches in between. Ends when
+/// the queue is closed.
+pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
+    loop {
+        let action = lock(decision_loop).warmer.next_action(Instant::now());
+        match action {
+            Action::Wait(limit) => match queue.wait(limit) {
+                Wake::Closed => return,
+                Wake::TimedOut => {}
+                Wake::Filled => empty(queue, &mut lock(decision_loop)),
+            },
+            Action::WarmUp if queue.has_arrival() => lock(decision_loop).warmer.on_arrival(),
+            Action::WarmUp => {
+                // A thread that holds the lock is deciding, which warms more than a warm-up.
+                if let Some(mut decision_loop) = try_lock(decision_loop) {
+                    decision_loop.warm_cache();
+                }
+            }
+            Action::Spin(until) => queue.spin(until),
+        }
+    }
+}
+
+/// Handles all waiting payloads, then answers the newest tick.
+fn empty(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
+    decision_loop.warmer.on_arrival();
+    while let Some(arrival) = queue.pop() {
+        decision_loop.handle_payload(arrival.stream, &arrival.payload, arrival.entered);
+        queue.recycle(arrival.payload);
+    }
+    decision_loop.answer();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rooms_that_share_a_process_do_not_warm_up_caches() {
+        let settings = DecisionSettings::default();
+        let kept_warm = [1, 2].map(|rooms| settings.among(rooms).keep_warm);
+        assert_eq!(kept_warm, [KeepWarm::Expected, KeepWarm::Off]);
+    }
+
+    #[test]
+    fn only_decisions_in_the_callback_need_no_thread() {
+        let has_thread = |decide_in| DecisionSettings { decide_in, ..DecisionSettings::default() }.has_thread();
+        assert_eq!([DecideIn::Auto, DecideIn::Callback, DecideIn::Thread].map(has_thread), [true, false, true]);
+    }
+}

@@ -1,0 +1,156 @@
+//! Detects a policy that does not return, and names the command to send on its behalf.
+//!
+//! # Theory of operation
+//!
+//! A thread that decides holds the lock of the decision loop. The watchdog counts the begin and end
+//! of each decision. If the lock is held and the count has not changed for [`UNANSWERED_AFTER`],
+//! the policy does not return. The watchdog then names the command of the scenario's
+//! `control.when_unanswered`, unless the array is stopped. Operators' stop orders reach the
+//! watchdog directly, because the decision loop cannot handle them meanwhile. When the policy
+//! returns, the command sender continues the numbering.
+
+use std::{
+    sync::{
+        Mutex,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use heliostat_decide::capabilities::StopLatch;
+use heliostat_proto::EmergencyStop;
+use heliostat_scenario::Answer;
+
+use super::{command_sender::OnBehalf, locks::lock};
+
+/// A decision that takes longer is unanswered: no policy for a room with a deadline takes so long.
+pub const UNANSWERED_AFTER: Duration = Duration::from_millis(100);
+
+/// Watches the decision loop of one room.
+pub struct Watchdog {
+    /// Absent where the answer is to hold.
+    action: Option<OnBehalf>,
+    /// Counts the begin and end of each decision.
+    progress: AtomicU64,
+    stop: Mutex<StopLatch>,
+    stall: Mutex<StallDetector>,
+}
+
+impl Watchdog {
+    /// A watchdog that answers like this: with the last command, by parking, or not at all.
+    pub fn new(answer: Answer) -> Self {
+        let action = match answer {
+            Answer::LastGood => Some(OnBehalf::RepeatLast),
+            Answer::Park => Some(OnBehalf::Park),
+            Answer::Policy | Answer::Fallback | Answer::Hold => None,
+        };
+        Self { action, progress: AtomicU64::new(0), stop: Mutex::default(), stall: Mutex::default() }
+    }
+
+    /// A decision begins or ends.
+    pub fn on_progress(&self) {
+        self.progress.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Applies a stop or re-arm order.
+    pub fn handle_stop_order(&self, order: &EmergencyStop) {
+        lock(&self.stop).handle(order);
+    }
+
+    /// The decision loop was free.
+    pub fn on_idle(&self) {
+        *lock(&self.stall) = StallDetector::default();
+    }
+
+    /// The decision loop was busy at `at`: the command to send on behalf of the policy, if one is
+    /// due.
+    pub fn on_busy(&self, at: Instant) -> Option<OnBehalf> {
+        let is_stalled = lock(&self.stall).is_stalled(at, self.progress.load(Ordering::Relaxed));
+        self.action.filter(|_| is_stalled && !lock(&self.stop).is_stopped())
+    }
+
+    /// What happens while the policy does not return, for messages.
+    pub fn description(&self) -> &'static str {
+        match self.action {
+            Some(OnBehalf::RepeatLast) => "the last command is repeated",
+            Some(OnBehalf::Park) => "the array is parked",
+            None => "the array holds, then parks",
+        }
+    }
+}
+
+/// Distinguishes one long decision from several short ones.
+#[derive(Clone, Copy, Debug, Default)]
+struct StallDetector {
+    /// Since when the loop has been busy, and the progress then.
+    busy: Option<(Instant, u64)>,
+}
+
+impl StallDetector {
+    /// Whether the loop, busy at `at`, has made no progress for [`UNANSWERED_AFTER`].
+    fn is_stalled(&mut self, at: Instant, progress: u64) -> bool {
+        match self.busy.filter(|(_, then)| *then == progress) {
+            Some((since, _)) => at.saturating_duration_since(since) >= UNANSWERED_AFTER,
+            None => {
+                self.busy = Some((at, progress));
+                false
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::{Stamp, StopAction};
+
+    use super::*;
+
+    /// What the watchdog names when one decision has lasted for too long.
+    fn after_a_stall(watchdog: &Watchdog) -> Option<OnBehalf> {
+        let start = Instant::now();
+        watchdog.on_progress();
+        assert_eq!(watchdog.on_busy(start), None);
+        watchdog.on_busy(start + UNANSWERED_AFTER)
+    }
+
+    #[test]
+    fn each_answer_has_its_command() {
+        let commands =
+            [Answer::LastGood, Answer::Park, Answer::Hold].map(|answer| after_a_stall(&Watchdog::new(answer)));
+        assert_eq!(commands, [Some(OnBehalf::RepeatLast), Some(OnBehalf::Park), None]);
+    }
+
+    #[test]
+    fn no_command_is_due_while_the_array_is_stopped() {
+        let watchdog = Watchdog::new(Answer::LastGood);
+        let order = |action, time_ns| {
+            let stamp = Stamp { time_ns, ..Stamp::default() };
+            watchdog.handle_stop_order(&EmergencyStop { stamp, action, ..EmergencyStop::default() });
+        };
+        order(StopAction::Stop, 5);
+        assert_eq!(after_a_stall(&watchdog), None);
+        order(StopAction::Rearm, 5);
+        assert_eq!(after_a_stall(&watchdog), None, "a re-arm as old as the stop");
+        order(StopAction::Rearm, 6);
+        assert!(after_a_stall(&watchdog).is_some());
+    }
+
+    #[test]
+    fn a_loop_that_was_free_in_between_is_not_stalled() {
+        let (watchdog, start) = (Watchdog::new(Answer::LastGood), Instant::now());
+        assert_eq!(watchdog.on_busy(start), None);
+        watchdog.on_idle();
+        assert_eq!(watchdog.on_busy(start + UNANSWERED_AFTER), None);
+    }
+
+    #[test]
+    fn only_one_decision_that_lasts_too_long_is_a_stall() {
+        let (mut detector, start) = (StallDetector::default(), Instant::now());
+        assert!(!detector.is_stalled(start, 1));
+        assert!(!detector.is_stalled(start + UNANSWERED_AFTER / 2, 1));
+        assert!(detector.is_stalled(start + UNANSWERED_AFTER, 1));
+        assert!(!detector.is_stalled(start + UNANSWERED_AFTER, 2), "another decision");
+        assert!(!detector.is_stalled(start + UNANSWERED_AFTER * 3 / 2, 2));
+        assert!(detector.is_stalled(start + UNANSWERED_AFTER * 2, 2));
+    }
+}

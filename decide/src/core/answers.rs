@@ -1,0 +1,34 @@
+//! The configured answers in degraded modes, and the detection of silence.
+
+use heliostat_proto::Nanos;
+use heliostat_scenario::{Answer, Scenario};
+
+/// The scenario's answers in degraded modes, and when silence begins.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Answers {
+    pub late: Answer,
+    pub stale: Answer,
+    pub channel_missing: Answer,
+    pub silent: Answer,
+    pub silent_after_ns: Nanos,
+}
+
+impl Answers {
+    pub fn new(scenario: &Scenario) -> Self {
+        let control = &scenario.control;
+        Self {
+            late: control.when_late,
+            stale: control.when_stale,
+            channel_missing: control.when_channel_missing,
+            silent: control.when_silent,
+            silent_after_ns: (control.report_age_max_ms * 1e6) as Nanos,
+        }
+    }
+}
+
+/// When the last position report was accepted, and whether its absence since then was answered.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LastReport {
+    pub accepted_ns: Nanos,
+    pub silence_answered: bool,
+}

@@ -1,0 +1,4 @@
+//! From the inbox to the observation that a policy reads.
+
+pub mod observation;
+pub mod observer;

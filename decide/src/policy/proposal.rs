@@ -1,0 +1,61 @@
+//! The policy trait: from an observation to proposed mirror angles.
+//!
+//! A policy only proposes. [`crate::safety`] limits and checks its angles. A policy does not log,
+//! and reads time only through a [`TimeSource`]. After the first few calls it does not allocate in
+//! this project's code.
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::SolverError};
+use thiserror::Error;
+
+use crate::{
+    observe::observation::{EncodeError, Observation},
+    output::safety::NotFinite,
+};
+
+/// A rule that turns observations into mirror angles.
+pub trait Policy: Send {
+    /// The name on the command line and in summaries.
+    fn name(&self) -> &str;
+
+    /// Writes the angles for an observation; `out` has the size of the model's array.
+    ///
+    /// # Errors
+    /// [`PolicyError`] where the policy gives no angles; the contents of `out` are then
+    /// unspecified.
+    fn act(
+        &mut self,
+        model: &ChannelModel,
+        observation: &Observation,
+        out: &mut MirrorAngles,
+    ) -> Result<(), PolicyError>;
+
+    /// Runs the code of [`act`](Self::act) so that code and data stay in the processor's caches,
+    /// without an effect on later answers.
+    ///
+    /// The contents of `out` are then unspecified. The default does nothing, as suits a policy with
+    /// memory that it cannot restore.
+    fn warm_cache(&mut self, _: &ChannelModel, _: &Observation, _out: &mut MirrorAngles) {}
+}
+
+/// Why a policy gave no angles.
+#[derive(Debug, Error)]
+pub enum PolicyError {
+    /// The observation does not fit the network's input.
+    #[error(transparent)]
+    Observation(#[from] EncodeError),
+    /// An angle is not a number, or infinite.
+    #[error(transparent)]
+    NotFinite(#[from] NotFinite),
+    /// The search does not fit the room.
+    #[error(transparent)]
+    Search(#[from] SolverError),
+    /// The inference engine failed.
+    #[error("the inference engine failed: {message}")]
+    Inference {
+        /// The engine's own message.
+        message: String,
+    },
+}
+
+/// Monotonic time in ns, from any origin.
+pub type TimeSource = fn() -> u64;

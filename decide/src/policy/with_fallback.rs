@@ -1,0 +1,87 @@
+//! A policy with the fallback that proposes when the policy fails.
+
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+
+use super::{
+    proposal::{Policy, PolicyError},
+    warm_up::warm_up,
+};
+use crate::{observe::observation::Observation, output::safety};
+
+/// The policy of a room, its fallback, and its last failure.
+pub struct WithFallback {
+    policy: Box<dyn Policy>,
+    fallback: Option<Box<dyn Policy>>,
+    last_failure: Option<PolicyError>,
+}
+
+/// Which policy has proposed angles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProposedBy {
+    /// The policy.
+    Policy,
+    /// The fallback, because the policy failed.
+    Fallback,
+    /// None: both failed, or there is no fallback.
+    None,
+}
+
+impl WithFallback {
+    /// A policy, with or without a fallback.
+    pub fn new(policy: Box<dyn Policy>, fallback: Option<Box<dyn Policy>>) -> Self {
+        Self { policy, fallback, last_failure: None }
+    }
+
+    /// The policy.
+    pub fn policy(&self) -> &dyn Policy {
+        self.policy.as_ref()
+    }
+
+    /// The last failure of the policy.
+    pub fn last_failure(&self) -> Option<&PolicyError> {
+        self.last_failure.as_ref()
+    }
+
+    /// Replaces the policy, and returns the former one.
+    pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
+        std::mem::replace(&mut self.policy, policy)
+    }
+
+    /// Lets the policy propose angles, or the fallback if the policy fails.
+    pub fn propose(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> ProposedBy {
+        let Err(failure) = attempt(self.policy.as_mut(), model, observation, out) else { return ProposedBy::Policy };
+        self.last_failure = Some(failure);
+        if self.fall_back(model, observation, out) { ProposedBy::Fallback } else { ProposedBy::None }
+    }
+
+    /// Lets the fallback propose angles; false if it fails, or there is none.
+    pub fn fall_back(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> bool {
+        let Some(fallback) = self.fallback.as_mut() else { return false };
+        attempt(fallback.as_mut(), model, observation, out).is_ok()
+    }
+
+    /// Runs the policy's code without an effect on later answers.
+    pub fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
+        self.policy.warm_cache(model, observation, out);
+    }
+
+    /// Lets both decide for an invented room of `users` users, once for each item of `runs`.
+    pub fn warm_up(&mut self, model: &ChannelModel, users: usize, runs: impl Iterator) {
+        let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];
+        if let Some(fallback) = self.fallback.as_mut() {
+            policies.push(fallback.as_mut());
+        }
+        warm_up(&mut policies, model, users, runs);
+    }
+}
+
+/// One proposal, checked for values that are not finite.
+fn attempt(
+    policy: &mut dyn Policy,
+    model: &ChannelModel,
+    observation: &Observation,
+    out: &mut MirrorAngles,
+) -> Result<(), PolicyError> {
+    policy.act(model, observation, out)?;
+    Ok(safety::check_finite(out)?)
+}

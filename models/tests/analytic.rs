@@ -1,12 +1,12 @@
-//! The channel in tensors against the channel itself: values, and gradients by finite differences.
+//! The channel in tensors compared with the channel itself: values, and gradients by finite differences.
 
 use candle_core::{Device, Tensor, Var};
 use heliostat_channel::decode;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_controller::observation::Summary;
-use heliostat_models::analytic::{Channel, Settings};
-use heliostat_models::env::{Environment, Reward, RewardForm, Rooms};
-use heliostat_models::features::{Head, Layout};
+use heliostat_models::environment::features::{Head, Layout};
+use heliostat_models::environment::{Environment, Reward, RewardForm, Rooms};
+use heliostat_models::learners::analytic::{Channel, Settings};
 use heliostat_scenario::Scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

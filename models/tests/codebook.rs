@@ -5,18 +5,18 @@ use heliostat_controller::observation::OBSERVATION_VERSION;
 use heliostat_controller::policy::Actor as Served;
 use heliostat_controller::policy::actor_file::{ActorFile, key};
 use heliostat_controller::safety::Limits;
-use heliostat_models::algorithm::{Algorithm, Preset};
-use heliostat_models::codebook::{Codebook, objective_bps};
-use heliostat_models::env::{Environment, Rooms};
-use heliostat_models::evaluate::HeldOut;
-use heliostat_models::learner::Learner;
-use heliostat_models::needy::Needy;
+use heliostat_models::environment::codebook::{Codebook, objective_bps};
+use heliostat_models::environment::target_user::TargetUser;
+use heliostat_models::environment::{Environment, Rooms};
+use heliostat_models::evaluation::HeldOut;
+use heliostat_models::learners::{dql, q_learning, sarsa};
 use heliostat_models::networks::on_one_thread;
+use heliostat_models::training::{Algorithm, Preset, Training};
 use heliostat_scenario::Scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-const ALGORITHMS: [Algorithm; 3] = [Algorithm::Dql, Algorithm::QLearning, Algorithm::Sarsa];
+const ALGORITHMS: [Algorithm; 3] = [dql::ALGORITHM, q_learning::ALGORITHM, sarsa::ALGORITHM];
 const OBSERVATIONS: usize = 500;
 
 /// A few mirrors, so that rooms are quick.
@@ -26,7 +26,7 @@ fn small(name: &str, overrides: &[&str]) -> Scenario {
     Scenario::builtin(name).and_then(|scenario| scenario.with_overrides(&all)).expect("a valid scenario")
 }
 
-fn trained(algorithm: Algorithm, scenario: &Scenario, options: &[&str]) -> Box<dyn Learner> {
+fn trained(algorithm: Algorithm, scenario: &Scenario, options: &[&str]) -> Training {
     let options: Vec<String> = options.iter().map(|&text| text.into()).collect();
     let mut learner = algorithm.begin(scenario.clone(), Preset::Tuned, &options).expect("a valid run");
     while learner.episodes_done() < learner.run().episodes {
@@ -35,7 +35,7 @@ fn trained(algorithm: Algorithm, scenario: &Scenario, options: &[&str]) -> Box<d
     learner
 }
 
-fn served(learner: &dyn Learner) -> Served {
+fn served(learner: &Training) -> Served {
     let scenario = learner.scenario();
     let entries = [
         (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
@@ -57,7 +57,7 @@ fn near_tie(needy: &Needy, vector: &[f32]) -> bool {
 }
 
 /// In how many rooms the served policy gives other angles than the trainer, apart from near ties.
-fn differences(learner: &dyn Learner) -> usize {
+fn differences(learner: &Training) -> usize {
     let (scenario, mut served) = (learner.scenario(), served(learner));
     let (needy, mut rng) = (Needy::of(scenario), ChaCha8Rng::seed_from_u64(11));
     let mut got = MirrorAngles::flat(scenario.mirror_count());

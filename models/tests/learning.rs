@@ -1,10 +1,10 @@
 //! A short run learns something, and its numbers stay numbers.
 
-use heliostat_models::ddpg::{Settings, Trainer};
-use heliostat_models::evaluate::HeldOut;
-use heliostat_models::features::{Head, Prior};
-use heliostat_models::learner::{Learner, RunSettings};
+use heliostat_models::environment::features::{Head, Prior};
+use heliostat_models::evaluation::HeldOut;
+use heliostat_models::learners::ddpg::{Ddpg, Settings};
 use heliostat_models::networks::on_one_thread;
+use heliostat_models::training::{RunSettings, Training};
 use heliostat_scenario::{ChannelMode, Scenario};
 
 #[test]

@@ -4,7 +4,7 @@ use std::time::SystemTime;
 
 use cpu_time::ProcessTime;
 
-pub use heliostat_models::card::hardware;
+pub use heliostat_models::training::card::hardware;
 
 /// The commit that was built; `+changes` follows where the working copy had others.
 pub const COMMIT: &str = env!("HELIOSTAT_COMMIT");

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_controller::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use heliostat_controller::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
-use heliostat_models::onnx::{Ends, Graph};
+use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, Room, UserReport, codec};
 use heliostat_scenario::Scenario;
 use heliostat_tests::{Process, Witness, wait_until};

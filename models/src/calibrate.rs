@@ -1,20 +1,21 @@
-//! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured gains.
+//! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured
+//! gains.
 //!
 //! Detectors stand at five known positions of an empty room. One mirror at a time is aimed at each
 //! detector, and all others at the ceiling:
 //!
-//! 1. **Find** the light. The search starts at the aim by the law of reflection and goes outwards until
-//!    the detector is lit.
-//! 2. **Centre** it. Scans along yaw and roll, in both directions, have centroids at the angles at which
-//!    the light is centred. The same scans in the model of an exact mirror give the true angles, so that
-//!    an asymmetry of the lit region cancels.
-//! 3. **Fit** drive = gain * true + offset for each axis over the detectors, which is the contract's
-//!    calibration.
+//! 1. **Find** the light. The search starts at the aim by the law of reflection and goes outwards
+//!    until the detector is lit.
+//! 2. **Centre** it. Scans along yaw and roll, in both directions, have centroids at the angles at
+//!    which the light is centred. The same scans in the model of an exact mirror give the true
+//!    angles, so that an asymmetry of the lit region cancels.
+//! 3. **Fit** drive = gain * true + offset for each axis over the detectors, which is the
+//!    contract's calibration.
 //!
-//! A mirror whose light is found at no detector keeps gain 1 and offset 0. Corrections are limited to
-//! the travel of the drives beyond the range that they announce. The simulator takes the place of the
-//! room ([`mod@bench`]). The estimate does not read the mounting that the simulator drew; [`Study`]
-//! compares the two.
+//! A mirror whose light is found at no detector keeps gain 1 and offset 0. Corrections are limited
+//! to the travel of the drives beyond the range that they announce. The simulator takes the place
+//! of the room ([`mod@bench`]). The estimate does not read the mounting that the simulator drew;
+//! [`Study`] compares the two.
 
 pub mod bench;
 pub mod locate;
@@ -63,7 +64,8 @@ pub struct Outcome {
 /// Calibrates the array of a scenario and a seed.
 ///
 /// # Errors
-/// The scenario describes no room, its channel mode has no spot of light, or the drives do not answer.
+/// The scenario describes no room, its channel mode has no spot of light, or the drives do not
+/// answer.
 pub fn calibrate(scenario: &Scenario, seed: u64, method: &Method, bar: &ProgressBar) -> anyhow::Result<Outcome> {
     ensure!(
         scenario.channel.mode == ChannelMode::Specular,
@@ -108,7 +110,8 @@ struct Aim {
     drive: [f64; 2],
 }
 
-/// Finds the light of a mirror at each detector; the mean error so far is the start of the next search.
+/// Finds the light of a mirror at each detector; the mean error so far is the start of the next
+/// search.
 fn measure(bench: &mut Bench, mirror: usize, search_rad: f64) -> Vec<Aim> {
     let mut aims: Vec<Aim> = Vec::new();
     for pair in bench.pairs(mirror) {
@@ -130,7 +133,8 @@ fn rounded(value: f64) -> f64 {
     (value * 1e5).round() / 1e5
 }
 
-/// The correction with its offset limited to the drives' travel at both ends of the announced range.
+/// The correction with its offset limited to the drives' travel at both ends of the announced
+/// range.
 fn within((gain, offset): (f64, f64), range: &AxisLimits, [least, most]: [f64; 2]) -> (f64, f64) {
     let (low, high) = (least - gain * f64::from(range.min_rad), most - gain * f64::from(range.max_rad));
     if low <= high { (gain, offset.clamp(low, high)) } else { within((1.0, offset), range, [least, most]) }
@@ -200,7 +204,8 @@ pub struct Row {
 /// One array: its sum rates without error, as mounted and after calibration, and its calibration.
 type OneArray = ([f64; 3], Outcome);
 
-/// Runs a study with a progress bar on standard error; returns the calibration of the first array too.
+/// Runs a study with a progress bar on standard error; returns the calibration of the first array
+/// too.
 ///
 /// # Errors
 /// As [`calibrate`]; the policy cannot be built for the room.

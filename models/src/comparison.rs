@@ -1,20 +1,21 @@
-//! Policies on the same states of one scenario, with the oracle as the reference: the results of `heliostat eval`.
+//! Policies on the same states of one scenario, with the oracle as the reference: the results of
+//! `heliostat eval`.
 //!
 //! Two kinds of comparison use the same evaluation and the same statistics:
 //!
-//! - **static**: each policy receives the same held-out states, without delay or error, and its angles
-//!   take effect at once;
-//! - **closed loop**: each policy runs in the controller's core in simulated time. It observes reports
-//!   that are sparse, late and noisy, and its commands turn mirrors with their dynamics. The oracle
-//!   observes the true state, and its mirrors turn at once.
+//! - **static**: each policy receives the same held-out states, without delay or error, and its
+//!   angles take effect at once;
+//! - **closed loop**: each policy runs in the controller's core in simulated time. It observes
+//!   reports that are sparse, late and noisy, and its commands turn mirrors with their dynamics.
+//!   The oracle observes the true state, and its mirrors turn at once.
 //!
-//! A learned policy with several built-in training seeds takes part with all of them. Each meets every
-//! state, and the interval includes the spread over states and over training seeds.
+//! A learned policy with several built-in training seeds takes part with all of them. Each meets
+//! every state, and the interval includes the spread over states and over training seeds.
 //!
 //! The denominator of a ratio is the sum rate of the oracle with minimum rates under the true
-//! evaluation. That includes the spill of each spot onto other users, which the oracle ignores, so a
-//! ratio slightly above 1 is possible. Policies have the controller's names. The measured time is that
-//! of the policy alone, encoding included.
+//! evaluation. That includes the spill of each spot onto other users, which the oracle ignores, so
+//! a ratio slightly above 1 is possible. Policies have the controller's names. The measured time is
+//! that of the policy alone, encoding included.
 
 mod closed_loop;
 mod entrant;
@@ -71,7 +72,8 @@ pub fn compare(settings: &Settings) -> anyhow::Result<Report> {
     compare_under(settings, &progress_bar()?)
 }
 
-/// A progress bar on standard error: items done, items in all, the kind of item, and the remaining time.
+/// A progress bar on standard error: items done, items in all, the kind of item, and the remaining
+/// time.
 pub(crate) fn progress_bar() -> anyhow::Result<ProgressBar> {
     let bar = ProgressBar::new(0);
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} {msg}, {eta} left")?);

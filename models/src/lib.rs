@@ -1,8 +1,8 @@
 //! Training, evaluation and export of the learned policies.
 //!
 //! A learner acts in a simulated room through the same observation encoder and the same decoder as
-//! the controller. The result is one ONNX file in which features, network and decoder are one graph.
-//! This crate uses no transport, and nothing in it runs in the decision path.
+//! the controller. The result is one ONNX file in which features, network and decoder are one
+//! graph. This crate uses no transport, and nothing in it runs in the decision path.
 //!
 //! # Modules, in the order of the data flow
 //! - [`environment`]: rooms, observations as inputs of a network, actions, and the reward.

@@ -1,4 +1,5 @@
-//! The networks that learners train: layers, initialisation, optimiser, and the actor of `ddpg` and `analytic`.
+//! The networks that learners train: layers, initialisation, optimiser, and the actor of `ddpg` and
+//! `analytic`.
 
 pub mod actor;
 pub mod adam;

@@ -34,7 +34,8 @@ pub struct TrainArgs {
     /// Steps in an episode, instead of the preset's
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     steps: Option<u32>,
-    /// Change a number of the preset, for example --option exploration.start=0.2 (repeatable); an unknown key lists all keys
+    /// Change a number of the preset, for example --option exploration.start=0.2 (repeatable); an
+    /// unknown key lists all keys
     #[arg(long = "option", value_name = "KEY=VALUE")]
     options: Vec<String>,
     /// Folder for the actor, its card, the learning curve and the checkpoint
@@ -43,7 +44,8 @@ pub struct TrainArgs {
     /// Resume from the checkpoint in the folder
     #[arg(long)]
     resume: bool,
-    /// Episodes between two checkpoints with an evaluation each; the default is a tenth of all, at most 100
+    /// Episodes between two checkpoints with an evaluation each; the default is a tenth of all, at
+    /// most 100
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     every: Option<u32>,
     /// Held-out states for each row of the final scores
@@ -140,7 +142,8 @@ fn learn(training: &mut Training, args: &TrainArgs, checkpoint: &Path) -> anyhow
     Ok(())
 }
 
-/// The held-out states of the scores during training: rooms of the scenario with several blockage counts.
+/// The held-out states of the scores during training: rooms of the scenario with several blockage
+/// counts.
 fn training_states(scenario: &Scenario) -> anyhow::Result<HeldOut> {
     let mut all = HeldOut::default();
     for forced in forced_counts(scenario.users.count) {

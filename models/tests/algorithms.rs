@@ -1,5 +1,5 @@
-//! Properties of every algorithm: the same seed gives the same actor, a resumed run equals an uninterrupted one, and the
-//! exported graph gives the learner's angles.
+//! Properties of every algorithm: the same seed gives the same actor, a resumed run equals an
+//! uninterrupted one, and the exported graph gives the learner's angles.
 
 use clap::ValueEnum;
 use heliostat_channel::MirrorAngles;
@@ -16,7 +16,8 @@ const EPISODES: usize = 4;
 
 const OBSERVATIONS: usize = 200;
 
-/// Share of the mirrors whose angles may differ: two users or two actions with values equal except for rounding.
+/// Share of the mirrors whose angles may differ: two users or two actions with values equal except
+/// for rounding.
 const TIES_MAX: f64 = 1e-3;
 
 fn begin(algorithm: Algorithm, mode: &str, seed: u64) -> Training {

@@ -1,4 +1,5 @@
-//! The channel in tensors compared with the channel itself: values, and gradients by finite differences.
+//! The channel in tensors compared with the channel itself: values, and gradients by finite
+//! differences.
 
 use candle_core::{Device, Tensor, Var};
 use heliostat_channel::decode;
@@ -39,7 +40,8 @@ impl Bench {
         (0..count).map(|_| room()).collect()
     }
 
-    /// The mean of the users' parts of the reward by decoder and channel, in bit/s/Hz of a user's band.
+    /// The mean of the users' parts of the reward by decoder and channel, in bit/s/Hz of a user's
+    /// band.
     fn truth(&self, room: &Environment, logits: &[f64]) -> f64 {
         let (model, seen) = (room.model(), room.observation());
         let balanced = &room.vector()[self.layout.encoder.column(Summary::LogWeight as usize)];

@@ -1,4 +1,5 @@
-//! Learners that choose among the entries of a codebook: graph and learner, the ceiling, and learning.
+//! Learners that choose among the entries of a codebook: graph and learner, the ceiling, and
+//! learning.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_controller::observation::OBSERVATION_VERSION;
@@ -56,7 +57,8 @@ fn near_tie(target_user: &TargetUser, vector: &[f32]) -> bool {
     benefits[0] > 0.0 && benefits[0] - benefits[1] < 1e-5 * benefits[0]
 }
 
-/// Number of rooms in which the served policy gives other angles than the learner, near ties excepted.
+/// Number of rooms in which the served policy gives other angles than the learner, near ties
+/// excepted.
 fn differences(training: &Training) -> usize {
     let (scenario, mut served) = (training.scenario(), served(training));
     let (target_user, mut rng) = (TargetUser::of(scenario), ChaCha8Rng::seed_from_u64(11));
@@ -131,7 +133,8 @@ fn no_policy_is_above_the_ceiling() {
     }
 }
 
-/// One user in shadow: the best entry aims at this user, and every learner finds it far more often than by chance.
+/// One user in shadow: the best entry aims at this user, and every learner finds it far more often
+/// than by chance.
 #[test]
 fn a_learner_aims_at_the_user_in_shadow() {
     on_one_thread(aims_at_the_user_in_shadow).expect("a thread");

@@ -13,7 +13,8 @@ use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Two scores of one mirror that differ by less than this, relative to the larger, may be ordered either way in f32 and f64.
+/// Two scores of one mirror that differ by less than this, relative to the larger, may be ordered
+/// either way in f32 and f64.
 const NEAR_TIE: f64 = 1e-5;
 
 /// Largest share of the served mirrors that may be near ties.

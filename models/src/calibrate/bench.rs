@@ -1,8 +1,9 @@
-//! The simulated room as a test bench: no user, detectors at known positions, an array of unknown mounting.
+//! The simulated room as a test bench: no user, detectors at known positions, an array of unknown
+//! mounting.
 //!
-//! A reading turns the mirrors, waits until they have settled, and averages the light. Its value is the
-//! gain of the simulated channel at the true angles of the mirrors, with the receiver's noise and the
-//! relative noise of `streams.channel`.
+//! A reading turns the mirrors, waits until they have settled, and averages the light. Its value is
+//! the gain of the simulated channel at the true angles of the mirrors, with the receiver's noise
+//! and the relative noise of `streams.channel`.
 
 use heliostat_channel::specular::{self, Plate, bisector};
 use heliostat_channel::{ChannelModel, MirrorAngles, Scene, Vec3};
@@ -51,8 +52,9 @@ pub struct Bench {
 impl Bench {
     /// The array of a scenario and a seed, at rest. `dwell_s`: averaging time of a reading in s.
     ///
-    /// The noise of a gain is that of the link budget over an equivalent bandwidth of 1 / (2 dwell):
-    /// sigma_H = 1 / sqrt(2 dwell B SINR(1)), where SINR(1) is that of a gain of 1 over the bandwidth B.
+    /// The noise of a gain is that of the link budget over an equivalent bandwidth of 1 / (2
+    /// dwell): sigma_H = 1 / sqrt(2 dwell B SINR(1)), where SINR(1) is that of a gain of 1 over the
+    /// bandwidth B.
     ///
     /// # Errors
     /// The scenario describes no channel.
@@ -94,11 +96,12 @@ impl Bench {
         pairs.filter(|pair| pair.gain > 0.0 && within(pair.aim[0], &roll) && within(pair.aim[1], &yaw)).collect()
     }
 
-    /// A mirror and a detector by the law of reflection; `None` where no light can reach the detector.
+    /// A mirror and a detector by the law of reflection; `None` where no light can reach the
+    /// detector.
     ///
-    /// With distances D1 to the LED and D2 to the detector, a turn by x moves the ray on the mirror by
-    /// 2 x D1 D2 / (D1 + D2). The light therefore leaves the detector at x = a (1 / D1 + 1 / D2) / 2 for
-    /// half a side of a. The LED's panel of half side p adds p / (2 D1).
+    /// With distances D1 to the LED and D2 to the detector, a turn by x moves the ray on the mirror
+    /// by 2 x D1 D2 / (D1 + D2). The light therefore leaves the detector at x = a (1 / D1 + 1 / D2)
+    /// / 2 for half a side of a. The LED's panel of half side p adds p / (2 D1).
     fn pair(&self, mirror: usize, spot: usize) -> Option<Pair> {
         let (mirrors, led) = (&self.model.mirrors, &self.model.leds[self.scene.serving()[spot]]);
         let (centre, position) = (mirrors.positions()[mirror], self.scene.positions()[spot]);

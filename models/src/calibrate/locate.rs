@@ -1,4 +1,5 @@
-//! The search for a mirror's light: from readings of a detector to the angles at which the light is centred on it.
+//! The search for a mirror's light: from readings of a detector to the angles at which the light is
+//! centred on it.
 
 /// Steps of a scan on each side of its middle.
 const STEPS: i32 = 6;
@@ -7,7 +8,8 @@ const STEPS: i32 = 6;
 const WIDE: f64 = 2.0;
 const NARROW: f64 = 1.5;
 
-/// Distance between two points of the search in half widths of the lit region: at least one point is well inside it.
+/// Distance between two points of the search in half widths of the lit region: at least one point
+/// is well inside it.
 const SEARCH_STEP: f64 = 1.2;
 
 /// Share of the expected gain above which the light counts as found.
@@ -15,8 +17,8 @@ const FOUND: f64 = 0.4;
 
 /// An array, and detectors at known positions.
 pub trait Instrument {
-    /// The gain of one mirror at a detector when its drive is commanded to these angles (roll and yaw in rad)
-    /// and every other mirror is turned away. Dimensionless.
+    /// The gain of one mirror at a detector when its drive is commanded to these angles (roll and
+    /// yaw in rad) and every other mirror is turned away. Dimensionless.
     fn read(&mut self, mirror: usize, spot: usize, angles: [f64; 2]) -> f64;
 }
 
@@ -35,7 +37,8 @@ pub struct Pair {
     pub gain: f64,
 }
 
-/// Searches for the light around `start`, the nearest points first, up to `most` rad away on each axis.
+/// Searches for the light around `start`, the nearest points first, up to `most` rad away on each
+/// axis.
 pub fn find(instrument: &mut dyn Instrument, pair: &Pair, start: [f64; 2], most: f64) -> Option<[f64; 2]> {
     let step = pair.half_width.map(|half| SEARCH_STEP * half);
     let [rolls, yaws] = step.map(|step| (most / step).ceil() as i32);
@@ -49,10 +52,12 @@ pub fn find(instrument: &mut dyn Instrument, pair: &Pair, start: [f64; 2], most:
         .find(|point| instrument.read(pair.mirror, pair.spot, *point) > FOUND * pair.gain)
 }
 
-/// The angles at which the light is centred on the detector, from angles at which the detector is lit.
+/// The angles at which the light is centred on the detector, from angles at which the detector is
+/// lit.
 ///
-/// Along one axis, then the other: sum(x g(x)) / sum(g(x)) over a scan of angles x with gains g. After
-/// a first pass the result is the mean of scans in both directions, so that hysteresis cancels.
+/// Along one axis, then the other: sum(x g(x)) / sum(g(x)) over a scan of angles x with gains g.
+/// After a first pass the result is the mean of scans in both directions, so that hysteresis
+/// cancels.
 pub fn centre(instrument: &mut dyn Instrument, pair: &Pair, start: [f64; 2]) -> [f64; 2] {
     let mut at = start;
     let mut pass = |length: f64, direction: f64| {
@@ -66,7 +71,8 @@ pub fn centre(instrument: &mut dyn Instrument, pair: &Pair, start: [f64; 2]) -> 
     [0.5 * (up[0] + down[0]), 0.5 * (up[1] + down[1])]
 }
 
-/// The centroid along one axis of a scan that ends `reach` from its middle; the middle without light.
+/// The centroid along one axis of a scan that ends `reach` from its middle; the middle without
+/// light.
 fn centroid(instrument: &mut dyn Instrument, pair: &Pair, middle: [f64; 2], (axis, reach): (usize, f64)) -> f64 {
     let (mut sum, mut moment) = (0.0, 0.0);
     for step in -STEPS..=STEPS {
@@ -81,9 +87,11 @@ fn centroid(instrument: &mut dyn Instrument, pair: &Pair, middle: [f64; 2], (axi
     middle[axis] + off.clamp(-reach.abs(), reach.abs())
 }
 
-/// Least squares of drive angles over true angles: drive = gain * true + offset, in rad; one entry for each detector.
+/// Least squares of drive angles over true angles: drive = gain * true + offset, in rad; one entry
+/// for each detector.
 ///
-/// With fewer than three detectors, or a standard deviation of the true angles below `spread` rad, the gain is 1.
+/// With fewer than three detectors, or a standard deviation of the true angles below `spread` rad,
+/// the gain is 1.
 pub fn fit(truth: &[f64], drive: &[f64], spread: f64) -> (f64, f64) {
     let count = truth.len() as f64;
     let mean = |values: &[f64]| values.iter().sum::<f64>() / count;

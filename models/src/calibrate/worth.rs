@@ -1,4 +1,5 @@
-//! The effect of a calibration: the sum rate of the same decisions on the same states, with the mounting of the mirrors.
+//! The effect of a calibration: the sum rate of the same decisions on the same states, with the
+//! mounting of the mirrors.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_driver::Kit;
@@ -36,7 +37,8 @@ impl Evaluation {
         Ok(Self { states, judge: Judge::new(scenario.channel_model()?, scenario.min_rate_bps()) })
     }
 
-    /// Mean sum rate in Mbit/s with the array of a scenario and a seed, with or without corrections.
+    /// Mean sum rate in Mbit/s with the array of a scenario and a seed, with or without
+    /// corrections.
     ///
     /// # Errors
     /// The array refuses the corrections or a command.

@@ -1,9 +1,10 @@
-//! Closed loop in simulated time: the room's reports, the controller's core and the room's mirrors, without transport.
+//! Closed loop in simulated time: the room's reports, the controller's core and the room's mirrors,
+//! without transport.
 //!
-//! An episode is a separate room in which users have walked for a while. Its sampling times have equal
-//! mean spacing, each at a random offset within its interval, so that they fall anywhere between two
-//! reports. The controller decides in zero simulated time. `streams.positions.latency_ms` gives the age
-//! of a report.
+//! An episode is a separate room in which users have walked for a while. Its sampling times have
+//! equal mean spacing, each at a random offset within its interval, so that they fall anywhere
+//! between two reports. The controller decides in zero simulated time.
+//! `streams.positions.latency_ms` gives the age of a report.
 
 use std::time::Instant;
 

@@ -1,4 +1,5 @@
-//! The policies of a comparison: by the controller's name, by the path of an ONNX file, or the ceiling of the codebook.
+//! The policies of a comparison: by the controller's name, by the path of an ONNX file, or the
+//! ceiling of the codebook.
 
 use std::path::PathBuf;
 
@@ -48,7 +49,8 @@ pub struct Entrant {
 }
 
 impl Entrant {
-    /// Finds a policy by its name or by the path of its ONNX file; `ddpg` is the actor of the policy of that name.
+    /// Finds a policy by its name or by the path of its ONNX file; `ddpg` is the actor of the
+    /// policy of that name.
     ///
     /// # Errors
     /// [`UnknownPolicy`], which lists the known names.
@@ -71,8 +73,8 @@ impl Entrant {
         names.chain([CODEBOOK.into()]).collect()
     }
 
-    /// The same policy with constant-velocity prediction of the users, for closed loop; it replaces the
-    /// scenario's. `None` for policies that do not observe the users.
+    /// The same policy with constant-velocity prediction of the users, for closed loop; it replaces
+    /// the scenario's. `None` for policies that do not observe the users.
     pub fn predicted(&self) -> Option<Self> {
         use PolicyKind::{Flat, Hold, NoIrs, Random};
         let blind = matches!(self.origin, Origin::Kind(Flat | Hold | NoIrs | Random, _));
@@ -98,8 +100,8 @@ impl Entrant {
         &self.name
     }
 
-    /// The same policy once for each training seed with a built-in actor, or for the given seed only.
-    /// A policy that is not learned, or comes from a file, is returned unchanged.
+    /// The same policy once for each training seed with a built-in actor, or for the given seed
+    /// only. A policy that is not learned, or comes from a file, is returned unchanged.
     pub(super) fn trainings(&self, scenario: &Scenario, only: Option<u32>) -> Vec<Self> {
         let Origin::Kind(kind, ActorSource::Shipped) = self.origin else { return vec![self.clone()] };
         let seeds = match only {

@@ -1,8 +1,8 @@
 //! From samples to means with intervals.
 //!
-//! States form groups that are independent of each other. In a static comparison a group is one state.
-//! In closed loop it is one episode, because the sampling times of an episode are not independent.
-//! Intervals come from the means of the groups.
+//! States form groups that are independent of each other. In a static comparison a group is one
+//! state. In closed loop it is one episode, because the sampling times of an episode are not
+//! independent. Intervals come from the means of the groups.
 
 use serde::Serialize;
 
@@ -11,7 +11,8 @@ use super::judge::{Run, Sample};
 use super::settings::Loop;
 use crate::evaluation::Estimate;
 
-/// A quantity over all states. In JSON a missing number, such as the rate of blocked users without such a user, is null.
+/// A quantity over all states. In JSON a missing number, such as the rate of blocked users without
+/// such a user, is null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
     /// The mean.
@@ -23,10 +24,11 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// The quantity from values in independent groups, of one run or of several runs on the same groups; NaN is a missing value.
+    /// The quantity from values in independent groups, of one run or of several runs on the same
+    /// groups; NaN is a missing value.
     ///
-    /// The variance of the mean is that over groups plus, with several runs, that over runs. The two
-    /// overlap, so the interval is conservative.
+    /// The variance of the mean is that over groups plus, with several runs, that over runs. The
+    /// two overlap, so the interval is conservative.
     pub fn of(runs: &[Vec<Vec<f64>>]) -> Self {
         let count = runs.iter().map(Vec::len).max().unwrap_or(0);
         let values = |group: &[f64]| group.iter().copied().filter(|value| !value.is_nan()).collect::<Vec<_>>();
@@ -60,7 +62,8 @@ pub(super) type Rows = (Row, Vec<Row>);
 pub struct Row {
     /// Sum rate in Mbit/s.
     pub sum_rate_mbps: Spread,
-    /// Ratio of the sum rate to that of the oracle with minimum rates, state by state; missing where no user can be served.
+    /// Ratio of the sum rate to that of the oracle with minimum rates, state by state; missing
+    /// where no user can be served.
     pub ratio_to_oracle: Spread,
     /// Share of users whose minimum rate is met.
     pub qos_met: Spread,
@@ -82,7 +85,8 @@ pub struct Row {
 }
 
 impl Row {
-    /// The results of an entrant's runs, one for each training seed, relative to the oracle's on the same states.
+    /// The results of an entrant's runs, one for each training seed, relative to the oracle's on
+    /// the same states.
     pub(super) fn new(runs: &[Run], oracle: &[Vec<Sample>], (entrant, mode): (&Entrant, Loop)) -> Self {
         let samples: Vec<&[Vec<Sample>]> = runs.iter().map(|run| run.groups.as_slice()).collect();
         let mut decisions_us: Vec<f64> = runs.iter().flat_map(|run| &run.decisions_us).copied().collect();
@@ -148,7 +152,7 @@ mod tests {
 
     /// 97.5 % quantiles of Student's t with one and three degrees of freedom.
     const T_1: f64 = 12.706204736174694;
-    const T_3: f64 = 3.182446305283710;
+    const T_3: f64 = 3.18244630528371;
 
     #[test]
     fn quantiles_are_linear_between_neighbours() {

@@ -9,15 +9,17 @@ use super::closed_loop::{Episode, Lockstep};
 use super::entrant::Entrant;
 use crate::evaluation::held_out::{best_angles, held_out_seed};
 
-/// SINR over the SINR at perfect aim for each user, at `instants` sampling times of one walk in closed loop; dimensionless.
+/// SINR over the SINR at perfect aim for each user, at `instants` sampling times of one walk in
+/// closed loop; dimensionless.
 ///
-/// The sampling times are a quarter of a second apart on average. Reports, their age, the controller's
-/// decisions and the mirrors' motion are those of the scenario. Perfect aim is that of the oracle, which
-/// observes the true positions and whose mirrors turn at once. Users with zero SINR under the oracle
-/// are left out.
+/// The sampling times are a quarter of a second apart on average. Reports, their age, the
+/// controller's decisions and the mirrors' motion are those of the scenario. Perfect aim is that of
+/// the oracle, which observes the true positions and whose mirrors turn at once. Users with zero
+/// SINR under the oracle are left out.
 ///
 /// # Errors
-/// The scenario describes no room, the policy does not fit it or fails, or reports are too old for a decision.
+/// The scenario describes no room, the policy does not fit it or fails, or reports are too old for
+/// a decision.
 pub fn kept_sinr(scenario: &Scenario, entrant: &Entrant, instants: usize) -> anyhow::Result<Vec<f64>> {
     let (users, seed) = (scenario.users.count, scenario.seed);
     let scenario = entrant.scenario(scenario);

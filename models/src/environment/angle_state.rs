@@ -1,4 +1,5 @@
-//! The state of learners that read positions, gains and needs directly, and actions that are mirror angles.
+//! The state of learners that read positions, gains and needs directly, and actions that are mirror
+//! angles.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_controller::observation::{ObservationEncoder, USERS_CAPACITY};

@@ -1,18 +1,19 @@
-//! Codebooks of quantised angles: the actions of the learners that choose among a fixed number of entries.
+//! Codebooks of quantised angles: the actions of the learners that choose among a fixed number of
+//! entries.
 //!
 //! The paper's deep Q-learning acts by "the quantization of the angle values" and gives no further
 //! detail. Quantised angles of each mirror are too many: five values an axis make 25^100 actions.
-//! Here an entry of a codebook turns the complete array, so that a table or a network's output layer
-//! can hold all entries:
+//! Here an entry of a codebook turns the complete array, so that a table or a network's output
+//! layer can hold all entries:
 //!
 //! - **paper modes**: 5 x 5 angles that all mirrors share, roll from 0 to 60 and yaw from -60 to 60
 //!   degrees ([`ROLLS_DEG`], [`YAWS_DEG`]).
-//! - **`specular`**: mirrors with the same angles send their spots to as many positions, and no user
-//!   gets a rate. Each entry aims the complete array at one point of a grid of 12 x 12 over the
-//!   floor ([`GRID`]), at the height of the receivers.
+//! - **`specular`**: mirrors with the same angles send their spots to as many positions, and no
+//!   user gets a rate. Each entry aims the complete array at one point of a grid of 12 x 12 over
+//!   the floor ([`GRID`]), at the height of the receivers.
 //!
 //! The ceiling of a codebook is the score of a policy that evaluates every entry in each state
-//! ([`BestEntry`]; `codebook` in comparisons).
+//! ([`BestEntry`]; `codebook` in comparisons). `models/experiments.md` compares several codebooks.
 
 use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode};
@@ -24,8 +25,8 @@ use heliostat_scenario::{ChannelMode, Scenario};
 
 use super::room::{Environment, Outcome, Reward};
 
-/// Points of the grid along each side of the room, in `specular`. With fewer points the ceiling is
-/// lower; with 16 or 20 it rises little, and the codebook has up to three times the entries.
+/// Points of the grid along each side of the room, in `specular`; `models/experiments.md` has other
+/// numbers.
 pub const GRID: usize = 12;
 
 /// Rolls common to all mirrors in degrees, in the paper's modes.
@@ -43,7 +44,8 @@ pub struct Codebook {
 }
 
 impl Codebook {
-    /// The codebook for a scenario's mode and geometry; every angle lies within the range of its mirrors.
+    /// The codebook for a scenario's mode and geometry; every angle lies within the range of its
+    /// mirrors.
     ///
     /// # Errors
     /// The scenario describes no channel.
@@ -82,8 +84,8 @@ impl Codebook {
         self.kind
     }
 
-    /// Applies an entry in a room. Returns the reward minus that of flat mirrors, over the bandwidth, and
-    /// the entry's own outcome.
+    /// Applies an entry in a room. Returns the reward minus that of flat mirrors, over the
+    /// bandwidth, and the entry's own outcome.
     pub fn act(&self, environment: &mut Environment, entry: usize, reward: Reward) -> (f32, Outcome) {
         let (users, mirrors) = (environment.users(), environment.observation().mirrors());
         let mut parts = vec![0.0; users];
@@ -110,7 +112,8 @@ impl Codebook {
         best.0
     }
 
-    /// Adds the nodes that choose the entry with the largest of `values` (1, entries): its angles, (1, 2 mirrors).
+    /// Adds the nodes that choose the entry with the largest of `values` (1, entries): its angles,
+    /// (1, 2 mirrors).
     pub fn choose_nodes(&self, graph: &mut Graph, values: &str) -> Value {
         let angles = |entry: &MirrorAngles| entry.roll.iter().chain(&entry.yaw).map(|angle| *angle as f32).collect();
         let rows: Vec<Vec<f32>> = self.entries.iter().map(angles).collect();
@@ -156,7 +159,8 @@ impl BestEntry {
     }
 }
 
-/// The objective of the oracle in bit/s: sum_k [R_k - p max(0, R_min,k - R_k)] with p = [`QOS_PENALTY`].
+/// The objective of the oracle in bit/s: sum_k [R_k - p max(0, R_min,k - R_k)] with p =
+/// [`QOS_PENALTY`].
 pub fn objective_bps(rates_bps: &[f64], min_rate_bps: &[f64]) -> f64 {
     let pairs = rates_bps.iter().zip(min_rate_bps);
     pairs.map(|(rate, need)| rate - QOS_PENALTY * (need - rate).max(0.0)).sum()

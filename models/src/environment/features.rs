@@ -2,8 +2,8 @@
 //!
 //! All features are dimensionless. Gains enter as amplitudes whose square is the effective
 //! signal-to-noise ratio, so one actor serves any transmit power and noise. The observation encoder
-//! computes the values ([`Summary`]); this module scales them. The exported graph scales them in the
-//! weights of its first layer ([`crate::export`]).
+//! computes the values ([`Summary`]); this module scales them. The exported graph scales them in
+//! the weights of its first layer ([`crate::export`]).
 //!
 //! # Features of a user
 //! 1. present

@@ -24,7 +24,8 @@ pub enum RewardForm {
     AsPrinted,
 }
 
-/// The reward over the bandwidth B, which makes it of order one: user k's part is (K / B) [R_k - penalty].
+/// The reward over the bandwidth B, which makes it of order one: user k's part is (K / B) [R_k -
+/// penalty].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reward {
     /// The penalty.
@@ -119,7 +120,8 @@ impl Environment {
         &self.rates_bps
     }
 
-    /// Turns the mirrors and evaluates the result; `rewards` receives each user's part, 0 in empty slots.
+    /// Turns the mirrors and evaluates the result; `rewards` receives each user's part, 0 in empty
+    /// slots.
     pub fn act(&mut self, angles: &MirrorAngles, reward: Reward, rewards: &mut [f32]) -> Outcome {
         self.rates_bps(angles);
         rewards.fill(0.0);
@@ -155,7 +157,8 @@ pub(crate) fn observe(world: &World, seen: &mut Observation) {
 pub enum Rooms {
     /// The scenario as it stands; each episode draws new walks and obstacles.
     Fixed,
-    /// Each episode also draws users, forced blockage, noise and minimum rates around the scenario's.
+    /// Each episode also draws users, forced blockage, noise and minimum rates around the
+    /// scenario's.
     Randomised,
     /// As `Randomised`, but bodies block light in half of the rooms only, and obstacles are up to
     /// twice as dense as the scenario's. Some of these rooms allow all minimum rates to be met.

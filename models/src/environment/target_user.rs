@@ -1,4 +1,5 @@
-//! The target user: the user whom the mirrors can help most, and the cell of the floor in which that user stands.
+//! The target user: the user whom the mirrors can help most, and the cell of the floor in which
+//! that user stands.
 //!
 //! The target user k maximises the benefit, the quotient of the amplitude that all mirrors together
 //! could give and of one plus the direct amplitude:

@@ -1,8 +1,8 @@
 //! Held-out states, and the score of a policy on them relative to the oracle.
 //!
-//! The reference is the oracle with minimum rates. The same true evaluation applies to its angles and
-//! to the policy's. The oracle ignores the spill of a spot onto other users, so a ratio slightly above
-//! 1 is possible.
+//! The reference is the oracle with minimum rates. The same true evaluation applies to its angles
+//! and to the policy's. The oracle ignores the spill of a spot onto other users, so a ratio
+//! slightly above 1 is possible.
 
 use anyhow::Context;
 use heliostat_channel::mirrors::MirrorAngles;
@@ -15,14 +15,15 @@ use serde::Serialize;
 use super::statistics::Estimate;
 use crate::environment::room::Environment;
 
-/// Seconds that users walk before a state is taken, so that positions and headings are those of a continuing walk.
+/// Seconds that users walk before a state is taken, so that positions and headings are those of a
+/// continuing walk.
 pub(crate) const SETTLE_S: f64 = 20.0;
 
 /// Separates held-out rooms from those of training, whose seeds come from the run's generator.
 const HELD_OUT_SEED: u64 = 0x4e1d_0000_0000;
 
-/// The seed of a held-out room: `set` separates rooms of different comparisons, `index` those of one.
-/// The scores during training use set 0.
+/// The seed of a held-out room: `set` separates rooms of different comparisons, `index` those of
+/// one. The scores during training use set 0.
 pub(crate) fn held_out_seed(set: u64, index: u64) -> u64 {
     HELD_OUT_SEED.wrapping_add(set << 20).wrapping_add(index)
 }

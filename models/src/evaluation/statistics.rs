@@ -47,7 +47,8 @@ mod tests {
         for (degrees, expected) in [(3.0, 3.182446), (10.0, 2.228139), (30.0, 2.042272), (60.0, 2.000298)] {
             assert!((quantile(degrees) - expected).abs() < 1e-6, "{degrees}: {}", quantile(degrees));
         }
-        // Many degrees: z + (z^3 + z) / 4n + (5 z^5 + 16 z^3 + 3 z) / 96 n^2 with the normal quantile z.
+        // Many degrees: z + (z^3 + z) / 4n + (5 z^5 + 16 z^3 + 3 z) / 96 n^2 with the normal
+        // quantile z.
         let z = 1.959963984540054_f64;
         for (degrees, tolerance) in [(1e3, 1e-8), (1e4, 1e-10), (1e5, 1e-5)] {
             let first = (z.powi(3) + z) / (4.0 * degrees);

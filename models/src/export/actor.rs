@@ -1,9 +1,9 @@
 //! The exported actor: one ONNX graph from the observation to the mirror angles.
 //!
 //! The graph has three parts: the scaling of the features (in the weights of the first layer), the
-//! trained network, and the geometric decoder of `heliostat_channel::decode`. A controller therefore
-//! needs no knowledge of the training, and no actor can turn a mirror to an angle that the geometry
-//! does not allow.
+//! trained network, and the geometric decoder of `heliostat_channel::decode`. A controller
+//! therefore needs no knowledge of the training, and no actor can turn a mirror to an angle that
+//! the geometry does not allow.
 
 use candle_core::Result;
 use heliostat_channel::mirrors::MirrorArray;
@@ -19,8 +19,8 @@ use crate::networks::actor::{Actor, EXPONENT, SQUARINGS};
 
 /// Writes an actor for the room of a channel as an ONNX file with the given metadata.
 ///
-/// The start of a node costs an engine more than its arithmetic, so the graph has few nodes on large
-/// tensors, of kinds that engines run fast.
+/// The start of a node costs an engine more than its arithmetic, so the graph has few nodes on
+/// large tensors, of kinds that engines run fast.
 ///
 /// # Errors
 /// Errors of candle, when a parameter cannot be read.
@@ -46,7 +46,8 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
             let exponents = graph.node("Mul", &[&logits, &sharpness]);
             let amplitude = claims.amplitude(&mut graph, &exponents);
             let input = graph.concat(&[&users, &exponents, &amplitude], 1);
-            // Zeroes empty slots. Without this node tract splits the product that follows into one for each part.
+            // Zeroes empty slots. Without this node tract splits the product that follows into one
+            // for each part.
             let input = graph.node("Mul", &[&input, &present]);
             logits = network.apply(&mut graph, &entry, &input);
         }
@@ -67,7 +68,8 @@ const LOGIT: usize = FEATURES;
 /// Index of ln(1 + amplitude) under that logit.
 const AMPLITUDE: usize = FEATURES + 1;
 
-/// Replaces [`NO_CLAIM`](crate::networks::actor::NO_CLAIM): claims are not divided by their sum here and can be small.
+/// Replaces [`NO_CLAIM`](crate::networks::actor::NO_CLAIM): claims are not divided by their sum
+/// here and can be small.
 const NOTHING: f32 = 1e-35;
 
 /// The network's inputs that each column of the summary gives.
@@ -142,7 +144,8 @@ impl Claims {
         Self { claims, gains, raised_direct }
     }
 
-    /// ln(1 + amplitude) of each user from [`EXPONENT`] times the logarithms of the weights; (slots, 1).
+    /// ln(1 + amplitude) of each user from [`EXPONENT`] times the logarithms of the weights;
+    /// (slots, 1).
     fn amplitude(&self, graph: &mut Graph, exponents: &str) -> Value {
         let weights = graph.node("Exp", &[exponents]);
         let claims = graph.node("Mul", &[&self.claims, &weights]);
@@ -200,7 +203,8 @@ fn positions(graph: &mut Graph, observed: &Observed, mirrors: &MirrorArray) -> V
     graph.node("MatMul", &[&turn, &positions])
 }
 
-/// Normals, not normalised, (3, mirrors): each mirror is at the bisector for the user with the largest weighted amplitude.
+/// Normals, not normalised, (3, mirrors): each mirror is at the bisector for the user with the
+/// largest weighted amplitude.
 ///
 /// A mirror that reaches no user takes the first.
 fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores: &str) -> Value {
@@ -220,7 +224,8 @@ fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores
     graph.node("Add", &[&scaled, &towards_user])
 }
 
-/// Normals, not normalised, (3, mirrors): the sum over users of weight, coefficient and direction; flat where it is zero.
+/// Normals, not normalised, (3, mirrors): the sum over users of weight, coefficient and direction;
+/// flat where it is zero.
 fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weighted: &str) -> Value {
     let mirrors = &model.mirrors;
     let squares = [0, 1, 2].map(|axis| {

@@ -5,7 +5,8 @@ use heliostat_onnx::graph::{Graph, Value};
 
 use crate::networks::layers::{Encoder, Network, Shape};
 
-/// The network's inputs that a column of the graph's input gives, each with its factor; empty for an unused column.
+/// The network's inputs that a column of the graph's input gives, each with its factor; empty for
+/// an unused column.
 pub type Column = Vec<(usize, f32)>;
 
 /// The parameters of a network as constants of the graph, which all rounds share.
@@ -83,7 +84,8 @@ fn constant(graph: &mut Graph, name: &str, rows: &[Vec<f32>]) -> Value {
     graph.constant(name, &[rows.len(), rows[0].len()], &rows.concat())
 }
 
-/// The rows of the first layer's weight in the order of the columns, slot by slot; zero for an unused column.
+/// The rows of the first layer's weight in the order of the columns, slot by slot; zero for an
+/// unused column.
 fn arranged(weight: &[Vec<f32>], inputs: usize, columns: &[Column]) -> Vec<Vec<f32>> {
     let row = |slot: &[Vec<f32>], column: &Column| {
         let mut row = vec![0.0; slot[0].len()];

@@ -1,27 +1,28 @@
 //! Training without reinforcement: gradient ascent of the reward through the channel.
 //!
 //! The paper has no such algorithm. This learner shows what the network can reach without trial and
-//! error. Features, rounds, weights and decoder are those of [`super::ddpg`]; critic, exploration and
-//! replay do not exist. [`Analytic::step`] and [`Analytic::update`] are the complete algorithm. Each
-//! step takes a batch of rooms, computes the reward as a differentiable function of the network's
-//! outputs, and follows its gradient.
+//! error. Features, rounds, weights and decoder are those of [`super::ddpg`]; critic, exploration
+//! and replay do not exist. [`Analytic::step`] and [`Analytic::update`] are the complete algorithm.
+//! Each step takes a batch of rooms, computes the reward as a differentiable function of the
+//! network's outputs, and follows its gradient.
 //!
 //! # The channel as a function of the weights
-//! - **Paper modes**: eqs. (2) and (3) as printed. The decoder's normal is n_m ~ sum_k w_k c_km u_km,
-//!   and user k gets sum_m c_km max(0, n_m . u_km). This is smooth except for the kink at zero.
-//! - **`specular`**: a mirror serves one user, and a choice has no gradient. The choice is softened:
-//!   user j has the share (w_j a_jm)^beta / sum_i (w_i a_im)^beta of mirror m, and user k gets
-//!   sum_j share_jm g_jkm. Here g_jkm is the channel's amplitude for k when m is aimed at j, with the
-//!   true edges of the mirror, the spill onto others, the LED's panel and all shadows. beta rises from
-//!   8 to 64 over the run, towards the true decoder. The softened quantity is the share of a mirror,
-//!   not its edge: with free angles as outputs nearly every mirror misses every user, and the gradient
-//!   is zero.
+//! - **Paper modes**: eqs. (2) and (3) as printed. The decoder's normal is n_m ~ sum_k w_k c_km
+//!   u_km, and user k gets sum_m c_km max(0, n_m . u_km). This is smooth except for the kink at
+//!   zero.
+//! - **`specular`**: a mirror serves one user, and a choice has no gradient. The choice is
+//!   softened: user j has the share (w_j a_jm)^beta / sum_i (w_i a_im)^beta of mirror m, and user k
+//!   gets sum_j share_jm g_jkm. Here g_jkm is the channel's amplitude for k when m is aimed at j,
+//!   with the true edges of the mirror, the spill onto others, the LED's panel and all shadows.
+//!   beta rises from 8 to 64 over the run, towards the true decoder. The softened quantity is the
+//!   share of a mirror, not its edge: with free angles as outputs nearly every mirror misses every
+//!   user, and the gradient is zero.
 //!
 //! # Differences from [`super::ddpg`] in the numbers
 //! Batches of 16 rooms, newly drawn in each episode; a rate of 1e-3 that decays to a twentieth; 60
 //! episodes; lambda = 30 on minimum rates half as large again; half of the rooms without bodies.
-//! Minimum rates that no policy can meet teach the policy to leave those users unserved, and a policy
-//! that aims at the minimum rate itself misses it in about half of the states.
+//! Minimum rates that no policy can meet teach the policy to leave those users unserved, and a
+//! policy that aims at the minimum rate itself misses it in about half of the states.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles, Mode, decode};
@@ -121,7 +122,8 @@ impl Analytic {
         Ok(Self { adam: Adam::new(&actor.network), actor, settings })
     }
 
-    /// One step up the gradient of the mean reward in the rooms; returns the logits before the step, room by room.
+    /// One step up the gradient of the mean reward in the rooms; returns the logits before the
+    /// step, room by room.
     fn update(&mut self, rooms: &[Environment], progress: f64) -> Result<Vec<Vec<f32>>> {
         let Settings { rate, rate_end, exponent: [first, last], .. } = self.settings;
         let exponent = first * (last / first).powf(progress);
@@ -227,7 +229,8 @@ impl Channel {
         })
     }
 
-    /// Amplitude of each user under these logits, (batch, slots); `exponent` is beta of the softened choice.
+    /// Amplitude of each user under these logits, (batch, slots); `exponent` is beta of the
+    /// softened choice.
     ///
     /// # Errors
     /// Errors of candle.
@@ -243,7 +246,8 @@ impl Channel {
                 let normal: Vec<Tensor> =
                     directions.iter().map(|along| along.mul(&weighted)?.sum_keepdim(1)).collect::<Result<_>>()?;
                 let squared = ((normal[0].sqr()? + normal[1].sqr()?)? + normal[2].sqr()?)?;
-                // Far below any weighted coefficient that matters. A mirror without one gives no amplitude either.
+                // Far below any weighted coefficient that matters. A mirror without one gives no
+                // amplitude either.
                 let length = (squared + 1e-24)?.sqrt()?;
                 let mut tilt = self.steering.zeros_like()?;
                 for (along, normal) in directions.iter().zip(&normal) {
@@ -287,7 +291,8 @@ impl Channel {
     }
 }
 
-/// Amplitude of user k from each mirror when it is aimed at user j, by the channel: (k, j, mirrors), zero in empty slots.
+/// Amplitude of user k from each mirror when it is aimed at user j, by the channel: (k, j,
+/// mirrors), zero in empty slots.
 fn crossed(room: &Environment, slots: usize) -> Vec<f32> {
     let (model, scene) = (room.model(), &room.observation().scene);
     let (users, mirrors, scale) = (room.users(), model.mirrors.len(), model.budget.amplitude_scale());

@@ -5,19 +5,19 @@
 //! # Deviations from the paper
 //!
 //! Both presets:
-//! 1. **Action.** One logit in [-1, 1] for each user. It becomes a weight and then, by the geometric
-//!    decoder, the angles of all mirrors. The paper's action is 200 raw angles, almost all of which
-//!    saturate at their bounds during training.
-//! 2. **State.** Features of positions, direct gains, steering gains, equal and balanced shares, and
-//!    minimum rates ([`crate::environment::features`]). The current angles are no feature: without
-//!    actuator dynamics the best angles do not depend on them.
-//! 3. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the shortfall
-//!    is penalised; option `reward.form` has the printed form. The reward is divided by the
-//!    bandwidth, so that values are of order one.
-//! 4. **Exploration.** Additive noise, as in Algorithm 1, with a standard deviation that decays from
-//!    0.4 to 0.05. The paper's text names epsilon-greedy; option `exploration.kind` has it.
-//! 5. **Episodes.** The paper gives no number of steps; here there are 40, of one second each. Every
-//!    episode has a new room with another number of users, blockage, noise and minimum rates
+//! 1. **Action.** One logit in [-1, 1] for each user. It becomes a weight and then, by the
+//!    geometric decoder, the angles of all mirrors. The paper's action is 200 raw angles, almost
+//!    all of which saturate at their bounds during training.
+//! 2. **State.** Features of positions, direct gains, steering gains, equal and balanced shares,
+//!    and minimum rates ([`crate::environment::features`]). The current angles are no feature:
+//!    without actuator dynamics the best angles do not depend on them.
+//! 3. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the
+//!    shortfall is penalised; option `reward.form` has the printed form. The reward is divided by
+//!    the bandwidth, so that values are of order one.
+//! 4. **Exploration.** Additive noise, as in Algorithm 1, with a standard deviation that decays
+//!    from 0.4 to 0.05. The paper's text names epsilon-greedy; option `exploration.kind` has it.
+//! 5. **Episodes.** The paper gives no number of steps; here there are 40, of one second each.
+//!    Every episode has a new room with another number of users, blockage, noise and minimum rates
 //!    (`rooms=fixed` has the scenario's). The first update waits for 500 transitions.
 //! 6. **Several users.** Slots for 1 to 10 users with a mask, so that one actor serves any of these
 //!    numbers.
@@ -26,18 +26,18 @@
 //! batches of 32, replay of 10000, rates of 1e-3 and 1e-2, 1000 episodes. Preset `tuned`, the
 //! default, also deviates in these points; `models/experiments.md` has what each of them changes:
 //!
-//! 7. **One network for each user.** The same widths, shared by all users, so that the output does not
-//!    depend on the order of users. Users interact through the shares and weights of the observation
-//!    and through the decoder.
+//! 7. **One network for each user.** The same widths, shared by all users, so that the output does
+//!    not depend on the order of users. Users interact through the shares and weights of the
+//!    observation and through the decoder.
 //! 8. **Value of each user.** The critic predicts each user's part of the reward, and the value is
 //!    their mean. Each transition then gives several training targets.
 //! 9. **gamma = 0.** An action does not influence later states here, so their values are only noise
 //!    in the target.
-//! 10. **Balanced prior.** Weights are relative to those that four damped steps of a model-based fixed
-//!     point find ([`heliostat_channel::sharing`]), so that the network learns a correction.
-//! 11. **Critic with decoded actions.** In addition to the logits, the critic reads the amplitude that
-//!     each user has under them, by a smooth copy of the decoder ([`crate::networks::actor`]). The
-//!     effect of weights on amplitudes is known and need not be learned.
+//! 10. **Balanced prior.** Weights are relative to those that four damped steps of a model-based
+//!     fixed point find ([`heliostat_channel::sharing`]), so that the network learns a correction.
+//! 11. **Critic with decoded actions.** In addition to the logits, the critic reads the amplitude
+//!     that each user has under them, by a smooth copy of the decoder ([`crate::networks::actor`]).
+//!     The effect of weights on amplitudes is known and need not be learned.
 //! 12. **Rounds.** The network is applied once, as in the paper. Option `rounds=2` applies it again
 //!     with the amplitudes that its first output gives.
 //! 13. **Centred logits** in the critic: weights that differ by a common factor decode to the same

@@ -1,25 +1,26 @@
 //! DDPG with the angles of all mirrors as the action, and a critic of smooth patterns of angles.
 //!
-//! The learner is that of [`super::ddpg_raw`], with its deviations from the paper. It learns under the
-//! paper's equations, where each angle has a smooth effect.
+//! The learner is that of [`super::ddpg_raw`], with its deviations from the paper. It learns under
+//! the paper's equations, where each angle has a smooth effect.
 //!
 //! # Further deviations from the paper
-//! 1. **Critic of patterns.** One mirror changes the reward by far less than the exploration does, so a
-//!    critic of 200 separate angles learns noise. The best angles of neighbouring mirrors are close.
-//!    The critic therefore reads the coefficients of the lowest 2 x 2 cosine modes of roll and of yaw,
-//!    and the actor's gradient is smooth over the array too. The actor still has 200 outputs.
+//! 1. **Critic of patterns.** One mirror changes the reward by far less than the exploration does,
+//!    so a critic of 200 separate angles learns noise. The best angles of neighbouring mirrors are
+//!    close. The critic therefore reads the coefficients of the lowest 2 x 2 cosine modes of roll
+//!    and of yaw, and the actor's gradient is smooth over the array too. The actor still has 200
+//!    outputs.
 //! 2. **Smooth exploration.** The noise has the same patterns. Independent noise of each mirror
 //!    averages out over the array.
-//! 3. **No saturated outputs.** Gradients are scaled down to a norm of 1, and the mean square of the
-//!    outputs before tanh is part of the actor's loss.
+//! 3. **No saturated outputs.** Gradients are scaled down to a norm of 1, and the mean square of
+//!    the outputs before tanh is part of the actor's loss.
 //! 4. **Slow actor.** Rates of 2e-4 and 1e-3 that decay to a tenth, the first update after 1500
 //!    transitions, batches of 64. With a rate of 1e-3 for both, the actor follows the errors of a
 //!    critic that has seen little. 400 episodes.
 //! 5. **gamma = 0, and no current angles in the state.** An action does not influence later states
 //!    here, and the best angles do not depend on the current ones.
 //!
-//! As in the paper, lambda is 1 and all rooms have the scenario's users, noise and blockage. In rooms
-//! drawn as for [`super::ddpg`] most of the reward's variance does not depend on the action.
+//! As in the paper, lambda is 1 and all rooms have the scenario's users, noise and blockage. In
+//! rooms drawn as for [`super::ddpg`] most of the reward's variance does not depend on the action.
 //! `models/experiments.md` has the result.
 
 use heliostat_controller::policy::PolicyKind;

@@ -1,27 +1,28 @@
 //! Algorithm 1 of the paper as printed: DDPG whose action is the roll and yaw of every mirror.
 //!
 //! [`DdpgRaw::step`] and [`DdpgRaw::update`] are the complete algorithm. State, networks of 128/64
-//! and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, rates of 1e-3 and 1e-2, additive
-//! noise and 1000 episodes are the paper's. The actor's output is tanh times the range of an axis.
+//! and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, rates of 1e-3 and 1e-2,
+//! additive noise and 1000 episodes are the paper's. The actor's output is tanh times the range of
+//! an axis.
 //!
 //! # Deviations from the paper
-//! 1. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the shortfall
-//!    is penalised; option `reward.form` has the printed form. The reward is divided by the
-//!    bandwidth, so that values are of order one.
+//! 1. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the
+//!    shortfall is penalised; option `reward.form` has the printed form. The reward is divided by
+//!    the bandwidth, so that values are of order one.
 //! 2. **Steps.** The paper gives no number of steps; here there are 40, of one second each.
-//! 3. **Gains in the state.** The gain of the direct path enters as ln(1 + amplitude). The gain over
-//!    the mirrors is no entry, because positions and current angles determine it.
+//! 3. **Gains in the state.** The gain of the direct path enters as ln(1 + amplitude). The gain
+//!    over the mirrors is no entry, because positions and current angles determine it.
 //! 4. **Slots.** The state has ten slots for users; a room's users take the first ones.
 //! 5. **Exploration.** Additive noise, as in Algorithm 1, where the text names epsilon-greedy from
 //!    0.995 to 1e-4. The paper gives no standard deviation; here it decays from 0.4 to 0.05 of the
 //!    range. The first update waits for 500 transitions.
 //!
-//! Almost all outputs saturate at their bounds, and the sum rate is below that of flat mirrors. This
-//! learner is a reference for the paper's description; [`super::ddpg_basis`] and [`super::ddpg`]
-//! list the changes that help.
+//! Almost all outputs saturate at their bounds, and the sum rate is below that of flat mirrors.
+//! This learner is a reference for the paper's description; [`super::ddpg_basis`] and
+//! [`super::ddpg`] list the changes that help.
 //!
-//! Option `td3` adds the three changes of TD3 (Fujimoto and others, 2018): the smaller of two critics
-//! as the target, noise on the target's action, and a delayed update of the actor.
+//! Option `td3` adds the three changes of TD3 (Fujimoto and others, 2018): the smaller of two
+//! critics as the target, noise on the target's action, and a delayed update of the actor.
 
 use candle_core::{Device, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -95,7 +96,8 @@ pub struct Settings {
     pub rate_end: f64,
     /// Largest norm of a gradient; 0 is no limit.
     pub clip: f64,
-    /// Weight of the mean squared output before tanh in the actor's loss; it keeps outputs off their bounds.
+    /// Weight of the mean squared output before tanh in the actor's loss; it keeps outputs off
+    /// their bounds.
     pub saturation: f64,
     /// The three changes of TD3.
     pub td3: bool,

@@ -1,27 +1,27 @@
 //! Deep Q-learning on a codebook of quantised angles: the paper's baseline.
 //!
-//! [`Dql::step`] and [`Dql::update`] are the complete algorithm. The paper says that DQL quantises the
-//! angles and uses replay and a target network, and gives no numbers for it. These numbers are those
-//! of the paper's own algorithm: replay of 10000, batches of 32, tau 0.01, a rate of 1e-3 with Adam,
-//! two hidden layers of 128 and 64 with ReLU, 1000 episodes, and epsilon-greedy exploration that
-//! decays from 0.995 to 0.0001.
+//! [`Dql::step`] and [`Dql::update`] are the complete algorithm. The paper says that DQL quantises
+//! the angles and uses replay and a target network, and gives no numbers for it. These numbers are
+//! those of the paper's own algorithm: replay of 10000, batches of 32, tau 0.01, a rate of 1e-3
+//! with Adam, two hidden layers of 128 and 64 with ReLU, 1000 episodes, and epsilon-greedy
+//! exploration that decays from 0.995 to 0.0001.
 //!
 //! # Deviations from the paper
-//! 1. **Action.** An entry of the [codebook](crate::environment::codebook) for the complete array. The
-//!    quantised angles of each mirror would be 25^100 actions.
-//! 2. **Network.** The entry is an input, as in the paper's critic, and the value Q(s, a) is the only
-//!    output. All entries are evaluated at once, because the first layer is linear in state and entry.
-//!    A value learned for one entry then carries over to entries nearby.
+//! 1. **Action.** An entry of the [codebook](crate::environment::codebook) for the complete array.
+//!    The quantised angles of each mirror would be 25^100 actions.
+//! 2. **Network.** The entry is an input, as in the paper's critic, and the value Q(s, a) is the
+//!    only output. All entries are evaluated at once, because the first layer is linear in state
+//!    and entry. A value learned for one entry then carries over to entries nearby.
 //! 3. **State.** Presence, positions, direct gains and minimum rates
-//!    ([`crate::environment::angle_state`]), after the position of the
-//!    [target user](crate::environment::target_user) in the codebook's steps. The current angles are
-//!    no entry: without actuator dynamics the best entry does not depend on them.
-//! 4. **Reward.** The reward minus that of flat mirrors, over the bandwidth. The shortfall is penalised
-//!    instead of the met minimum rate, as in [`super::ddpg`].
-//! 5. **gamma = 0.3** instead of 0.9: an action does not influence later states here, so their values
-//!    are only noise in the target.
-//! 6. **Steps.** 40 of one second in an episode, and an update after every eighth, because each update
-//!    evaluates all entries of all next states.
+//!    ([`crate::environment::angle_state`]), after the position of the [target
+//!    user](crate::environment::target_user) in the codebook's steps. The current angles are no
+//!    entry: without actuator dynamics the best entry does not depend on them.
+//! 4. **Reward.** The reward minus that of flat mirrors, over the bandwidth. The shortfall is
+//!    penalised instead of the met minimum rate, as in [`super::ddpg`].
+//! 5. **gamma = 0.3** instead of 0.9: an action does not influence later states here, so their
+//!    values are only noise in the target.
+//! 6. **Steps.** 40 of one second in an episode, and an update after every eighth, because each
+//!    update evaluates all entries of all next states.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -182,7 +182,8 @@ impl Dql {
         hidden.matmul(&head.weight)?.broadcast_add(&head.bias)?.reshape((batch, entries))
     }
 
-    /// One update from a minibatch: Q(s, a) towards r + gamma max_b Q'(s', b), with the target network Q'.
+    /// One update from a minibatch: Q(s, a) towards r + gamma max_b Q'(s', b), with the target
+    /// network Q'.
     fn update(&mut self, rng: &mut impl Rng) -> Result<()> {
         let (batch, inputs) = (self.settings.batch, self.layout.inputs());
         let [states, actions, rewards, next] = self.replay.sample(batch, rng);
@@ -235,7 +236,8 @@ impl Learner for Dql {
         ]
     }
 
-    /// In the graph: the state, the values of all entries, the index of the largest, and that entry's angles.
+    /// In the graph: the state, the values of all entries, the index of the largest, and that
+    /// entry's angles.
     fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
         let (mut graph, inputs) = (Graph::default(), self.layout.inputs());
         let state = self.layout.state_nodes(&mut graph);

@@ -4,27 +4,27 @@
 //! Q(s, a) <- Q(s, a) + alpha [r + gamma max_b Q(s', b) - Q(s, a)]
 //! ```
 //!
-//! [`QLearning::step`] is the complete algorithm. The paper names Q-learning and SARSA as earlier work
-//! and says that tables cannot hold large spaces of states and actions; it gives none of their
-//! numbers. [`super::sarsa`] is this learner with the value of the action that is taken next instead of
-//! the largest value.
+//! [`QLearning::step`] is the complete algorithm. The paper names Q-learning and SARSA as earlier
+//! work and says that tables cannot hold large spaces of states and actions; it gives none of their
+//! numbers. [`super::sarsa`] is this learner with the value of the action that is taken next
+//! instead of the largest value.
 //!
 //! # Deviations from the paper
 //! 1. **State.** Positions of five users in quadrants are 1024 states with 144 actions each, and
-//!    quadrants are far coarser than a spot. The state is the cell of the
-//!    [target user](crate::environment::target_user): 12 x 12 cells in `specular`, as the codebook's
+//!    quadrants are far coarser than a spot. The state is the cell of the [target
+//!    user](crate::environment::target_user): 12 x 12 cells in `specular`, as the codebook's
 //!    points; 6 x 6 in the paper's modes, whose light is spread widely.
 //! 2. **Action.** An entry of the [codebook](crate::environment::codebook).
-//! 3. **Reward.** The reward minus that of flat mirrors, over the bandwidth, so that a room with much
-//!    direct light does not raise the value of an entry. The shortfall is penalised instead of the met
-//!    minimum rate, as in [`super::ddpg`].
-//! 4. **gamma = 0.3** instead of 0.9. An action does not influence later states here. With 0.9 a value
-//!    is ten times the reward, and the error of a pair that was not visited for long exceeds the
-//!    differences between entries.
-//! 5. **alpha = 0.05**, the learning rate of the paper's text. The first visits of a pair form a mean:
-//!    alpha = max(0.05, 1 / n).
-//! 6. **Exploration.** Epsilon-greedy from 0.995, as in the paper, to 0.05: a table does not generalise
-//!    to entries nearby.
+//! 3. **Reward.** The reward minus that of flat mirrors, over the bandwidth, so that a room with
+//!    much direct light does not raise the value of an entry. The shortfall is penalised instead of
+//!    the met minimum rate, as in [`super::ddpg`].
+//! 4. **gamma = 0.3** instead of 0.9. An action does not influence later states here. With 0.9 a
+//!    value is ten times the reward, and the error of a pair that was not visited for long exceeds
+//!    the differences between entries.
+//! 5. **alpha = 0.05**, the learning rate of the paper's text. The first visits of a pair form a
+//!    mean: alpha = max(0.05, 1 / n).
+//! 6. **Exploration.** Epsilon-greedy from 0.995, as in the paper, to 0.05: a table does not
+//!    generalise to entries nearby.
 //! 7. **Episodes.** 1000 of 80 steps of one second.
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -199,7 +199,8 @@ impl Learner for QLearning {
         vec![part("table", &mut self.table)]
     }
 
-    /// In the graph: the target user's cell, that row of the table, the index of the largest value, and that entry's angles.
+    /// In the graph: the target user's cell, that row of the table, the index of the largest value,
+    /// and that entry's angles.
     fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
         let mut graph = Graph::default();
         let position = self.target_user.position_nodes(&mut graph);

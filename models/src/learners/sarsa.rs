@@ -4,8 +4,8 @@
 //! Q(s, a) <- Q(s, a) + alpha [r + gamma Q(s', a') - Q(s, a)]
 //! ```
 //!
-//! The epsilon-greedy rule draws a' once, and the next step takes it. All deviations listed at the head
-//! of [`super::q_learning`] apply here too.
+//! The epsilon-greedy rule draws a' once, and the next step takes it. All deviations listed at the
+//! head of [`super::q_learning`] apply here too.
 
 use heliostat_controller::policy::PolicyKind;
 use heliostat_scenario::ChannelMode;

@@ -54,7 +54,8 @@ impl Table {
         (1..row.len()).fold(0, |best, entry| if row[entry] > row[best] { entry } else { best })
     }
 
-    /// Moves the value of a pair (state, entry) towards a target: Q <- Q + max(alpha, 1 / n) (target - Q) in its n-th update.
+    /// Moves the value of a pair (state, entry) towards a target: Q <- Q + max(alpha, 1 / n)
+    /// (target - Q) in its n-th update.
     pub fn learn(&mut self, (state, entry): (usize, usize), target: f32, alpha: f32) {
         let pair = state * self.entries + entry;
         self.visits[pair] += 1.0;

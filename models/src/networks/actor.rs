@@ -1,4 +1,5 @@
-//! The actor of `ddpg` and `analytic`: from the state of a room to one logit for each user, in one or several rounds.
+//! The actor of `ddpg` and `analytic`: from the state of a room to one logit for each user, in one
+//! or several rounds.
 //!
 //! In each round the network reads three inputs for each user: the features, the logit of the round
 //! before, and the amplitude that the user would get under the logits of all users. The first round
@@ -15,7 +16,8 @@ use super::layers::Network;
 use crate::environment::features::{FEATURES, Head, LOG_BALANCED, LOG_DIRECT, LOG_WEIGHT, Layout, Prior, WEIGHT_SCALE};
 use crate::environment::room::Environment;
 
-/// Inputs of the actor's network for each user: the features, the logit of the round before, and ln(1 + amplitude).
+/// Inputs of the actor's network for each user: the features, the logit of the round before, and
+/// ln(1 + amplitude).
 pub const ACTOR_INPUTS: usize = FEATURES + 2;
 
 /// Number of squarings that raise a claim to [`EXPONENT`].
@@ -44,7 +46,8 @@ pub struct States {
 }
 
 impl States {
-    /// Length of the row of one state: features of all slots, then steering amplitudes of all slots.
+    /// Length of the row of one state: features of all slots, then steering amplitudes of all
+    /// slots.
     pub fn width(layout: Layout) -> usize {
         layout.slots() * (FEATURES + layout.encoder.mirrors())
     }
@@ -99,9 +102,11 @@ impl States {
     /// Errors of candle, when shapes differ.
     pub fn amplitude(&self, logits: &Tensor, range: f32) -> Result<Tensor> {
         let weight = (logits * f64::from(EXPONENT * range))?.exp()?.mul(&self.present)?;
-        // The power of w_k a_km is a product: the large tables, with the prior, are raised once for all rounds.
+        // The power of w_k a_km is a product: the large tables, with the prior, are raised once for
+        // all rounds.
         let total = (weight.unsqueeze(1)?.matmul(&self.claims)? + f64::from(NO_CLAIM))?;
-        // Through the logarithm: the gradient of a quotient squares its divisor, which underflows in f32.
+        // Through the logarithm: the gradient of a quotient squares its divisor, which underflows
+        // in f32.
         let inverse = total.log()?.neg()?.exp()?.transpose(1, 2)?.contiguous()?;
         let given = self.gains.matmul(&inverse)?.mul(&weight.unsqueeze(2)?)?;
         ((&self.direct + given)? + 1.0)?.log()?.squeeze(2)

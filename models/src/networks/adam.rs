@@ -24,7 +24,8 @@ impl Adam {
         Self { clip: 0.0, step: 0, first_moment: zeros.clone(), second_moment: zeros }
     }
 
-    /// The same optimiser, which scales gradients down to this norm over all parameters; 0 is no limit.
+    /// The same optimiser, which scales gradients down to this norm over all parameters; 0 is no
+    /// limit.
     pub fn clipped(self, clip: f64) -> Self {
         Self { clip, ..self }
     }

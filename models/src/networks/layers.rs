@@ -1,8 +1,8 @@
 //! The networks of actor and critic, and their initialisation.
 //!
-//! A [`Network`] reads one row of features for each user slot. [`Encoder::Mlp`] is the paper's plain
-//! network over all slots in a row. [`Encoder::PerUser`] applies the same layers to each user, so
-//! its output does not depend on the order or the number of users.
+//! A [`Network`] reads one row of features for each user slot. [`Encoder::Mlp`] is the paper's
+//! plain network over all slots in a row. [`Encoder::PerUser`] applies the same layers to each
+//! user, so its output does not depend on the order or the number of users.
 //!
 //! Every random number comes from a generator that the caller passes; candle's own is never used.
 
@@ -36,8 +36,8 @@ pub struct Shape {
     pub outputs: usize,
 }
 
-/// Largest magnitude of the initial weights of an output layer: first actions and first values are near zero.
-/// DDPG's own choice (Lillicrap and others, 2015, section 7).
+/// Largest magnitude of the initial weights of an output layer: first actions and first values are
+/// near zero. DDPG's own choice (Lillicrap and others, 2015, section 7).
 const HEAD_INITIAL: f32 = 3e-3;
 
 /// One fully connected layer: `y = x W + b`, with W of shape (inputs, outputs).
@@ -114,7 +114,8 @@ impl Network {
         self.layers.iter().flat_map(|layer| [&layer.weight, &layer.bias]).collect()
     }
 
-    /// The same parameters without gradients. It shares its memory with the original, later changes included.
+    /// The same parameters without gradients. It shares its memory with the original, later changes
+    /// included.
     pub fn frozen(&self) -> Self {
         let freeze =
             |layer: &Linear| Linear { name: layer.name, weight: layer.weight.detach(), bias: layer.bias.detach() };
@@ -133,8 +134,8 @@ impl Network {
         Ok(Self { shape: self.shape, layers: self.layers.iter().map(layer).collect::<Result<_>>()? })
     }
 
-    /// Outputs before any activation. Shape: (batch, outputs) of [`Encoder::Mlp`]; (batch, slots) of
-    /// [`Encoder::PerUser`], without meaning in empty slots.
+    /// Outputs before any activation. Shape: (batch, outputs) of [`Encoder::Mlp`]; (batch, slots)
+    /// of [`Encoder::PerUser`], without meaning in empty slots.
     ///
     /// `input` is (batch, slots, inputs), zero in empty slots.
     ///

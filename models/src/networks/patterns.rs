@@ -1,4 +1,5 @@
-//! Smooth patterns of angles over the array: the cosine modes that the critic and the exploration of `ddpg-basis` use.
+//! Smooth patterns of angles over the array: the cosine modes that the critic and the exploration
+//! of `ddpg-basis` use.
 
 use std::f64::consts::PI;
 
@@ -6,8 +7,9 @@ use candle_core::{Device, Result, Tensor};
 
 /// The lowest two-dimensional cosine modes over the grid of mirrors, for roll and for yaw.
 ///
-/// Mode (i, j) at row r and column c is n_i n_j cos(pi i (r + 1/2) / rows) cos(pi j (c + 1/2) / columns),
-/// with n_0 = 1 and n_i = sqrt 2 otherwise. Each mode has a mean square of 1, and modes are orthogonal.
+/// Mode (i, j) at row r and column c is n_i n_j cos(pi i (r + 1/2) / rows) cos(pi j (c + 1/2) /
+/// columns), with n_0 = 1 and n_i = sqrt 2 otherwise. Each mode has a mean square of 1, and modes
+/// are orthogonal.
 #[derive(Clone, Debug)]
 pub struct Basis {
     /// (2 modes, 2 mirrors): the patterns of roll act on roll, those of yaw on yaw.
@@ -75,7 +77,7 @@ mod tests {
             let action = Tensor::from_vec(action, (1, 40), &Device::Cpu).expect("an action");
             let found =
                 basis.project(&action).and_then(|found| found.squeeze(0)?.to_vec1::<f32>()).expect("coefficients");
-            assert!(found.iter().zip(&coefficients).all(|(found, wanted)| (found - wanted).abs() < 1e-5), "{found:?}");
+            assert!(found.iter().zip(&coefficients).all(|(found, expected)| (found - expected).abs() < 1e-5), "{found:?}");
         }
     }
 

@@ -20,7 +20,8 @@ pub struct ScoreRow {
     pub states: usize,
     /// The score.
     pub score: Score,
-    /// Ratio to the oracle and share of minimum rates met of the learner's best action in each state, where it is known.
+    /// Ratio to the oracle and share of minimum rates met of the learner's best action in each
+    /// state, where it is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ceiling: Option<(Estimate, f64)>,
 }

@@ -1,9 +1,10 @@
-//! Checkpoints: one safetensors file with everything that a run needs to continue as if it had not stopped.
+//! Checkpoints: one safetensors file with everything that a run needs to continue as if it had not
+//! stopped.
 //!
 //! Networks, moments of the optimiser and replay are tensors of that file. Other parts of the state
 //! are JSON in a tensor of bytes named `state`. The new file is written beside the old one and then
-//! renamed, so a crash during the write loses nothing. A run with other settings or another scenario
-//! cannot be resumed from it.
+//! renamed, so a crash during the write loses nothing. A run with other settings or another
+//! scenario cannot be resumed from it.
 
 use std::path::Path;
 
@@ -44,7 +45,8 @@ pub fn save(training: &mut Training, path: &Path) -> anyhow::Result<()> {
 /// Restores the state of a run from a file.
 ///
 /// # Errors
-/// The file is missing, damaged, of another version, or of a run with other settings or another scenario.
+/// The file is missing, damaged, of another version, or of a run with other settings or another
+/// scenario.
 pub fn load(training: &mut Training, path: &Path) -> anyhow::Result<()> {
     let tensors = safetensors::load(path, &Device::Cpu)
         .with_context(|| format!("cannot read the checkpoint {}", path.display()))?;

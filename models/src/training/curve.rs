@@ -18,8 +18,8 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Opens the curve of a run with this number of finished episodes. Rows of later episodes, from an
-    /// interrupted run, are dropped.
+    /// Opens the curve of a run with this number of finished episodes. Rows of later episodes, from
+    /// an interrupted run, are dropped.
     ///
     /// # Errors
     /// The file cannot be read or written.

@@ -52,7 +52,8 @@ impl Exploration {
         }
     }
 
-    /// Epsilon-greedy among `count` entries: a random one with probability `epsilon`, otherwise `None`, for the greedy one.
+    /// Epsilon-greedy among `count` entries: a random one with probability `epsilon`, otherwise
+    /// `None`, for the greedy one.
     pub fn draw(epsilon: f64, count: usize, rng: &mut impl Rng) -> Option<usize> {
         (rng.random::<f64>() < epsilon).then(|| rng.random_range(0..count))
     }

@@ -36,7 +36,8 @@ pub struct Training {
 }
 
 impl Training {
-    /// A run before its first episode. `build` makes the learner from scenario, settings and the run's generator.
+    /// A run before its first episode. `build` makes the learner from scenario, settings and the
+    /// run's generator.
     ///
     /// # Errors
     /// Errors of `build`.

@@ -22,7 +22,8 @@ pub struct RunSettings {
     pub seed: u64,
 }
 
-/// The numbers that every learner defines alike: path in the settings, smallest and largest value, and both in words.
+/// The numbers that every learner defines alike: path in the settings, smallest and largest value,
+/// and both in words.
 const DOMAINS: [(&str, f64, f64, &str); 20] = [
     ("/episodes", 1.0, 1e9, "at least 1"),
     ("/steps", 1.0, 1e6, "1 to 1e6"),
@@ -46,7 +47,8 @@ const DOMAINS: [(&str, f64, f64, &str); 20] = [
     ("/reward/margin", f64::MIN_POSITIVE, 1e3, "above 0"),
 ];
 
-/// Refuses numbers outside their domain, and a replay buffer that is too small for the first update.
+/// Refuses numbers outside their domain, and a replay buffer that is too small for the first
+/// update.
 fn check(tree: &serde_json::Value) -> anyhow::Result<()> {
     let number = |pointer: &str| tree.pointer(pointer).and_then(serde_json::Value::as_f64);
     for (pointer, least, most, domain) in DOMAINS {
@@ -64,10 +66,12 @@ fn check(tree: &serde_json::Value) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Settings with changes of the form `key=value`; a dot names a member, as in `exploration.start=0.2`.
+/// Settings with changes of the form `key=value`; a dot names a member, as in
+/// `exploration.start=0.2`.
 ///
 /// # Errors
-/// A key does not exist, a value has another type, or a number lies outside its domain. The message names the change.
+/// A key does not exist, a value has another type, or a number lies outside its domain. The message
+/// names the change.
 pub fn with_options<S: Serialize + DeserializeOwned>(settings: S, options: &[String]) -> anyhow::Result<S> {
     let mut tree = serde_json::to_value(&settings)?;
     for option in options {

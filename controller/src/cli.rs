@@ -6,9 +6,9 @@ use anyhow::{Context, bail};
 use heliostat_bus::BusArgs;
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
 use heliostat_engine::ActorSource;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
 
 use crate::{
     config::{NodeConfig, Pace},

@@ -4,9 +4,9 @@ use std::{path::PathBuf, time::Duration};
 
 use heliostat_bus::BusConfig;
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
-use heliostat_service::MetricsArgs;
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
+use heliostat_service::MetricsArgs;
 
 use crate::room_runtime::decision_loop::DecisionSettings;
 

@@ -38,8 +38,8 @@ use heliostat_decide::{
     core::Controller,
 };
 use heliostat_engine::ActorSource;
-use heliostat_service::{clock::utc_ns, source_id};
 use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
+use heliostat_service::{clock::utc_ns, source_id};
 
 use crate::{
     config::{NodeConfig, Pace},

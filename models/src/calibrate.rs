@@ -1,14 +1,21 @@
-//! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured gains.
+//! `heliostat calibrate`: the mounting of each mirror, estimated from commanded angles and measured
+//! gains.
 //!
-//! Detectors stand at five known spots of an empty room. One mirror at a time is aimed at each spot, all others at the ceiling:
+//! Detectors stand at five known positions of an empty room. One mirror at a time is aimed at each
+//! detector, and all others at the ceiling:
 //!
-//! 1. **Find** the light: about the aim of the law of reflection, nearest places first, until the spot is lit.
-//! 2. **Centre** it: lines along yaw and roll, upwards and downwards, whose centroids are the angles at which the light is centred. The same lines, gone
-//!    through in the model of an exact mirror, give the true angles; so what is asymmetric in the lit region cancels.
-//! 3. **Fit** drive = gain * true + offset for each axis over the spots, which is the contract's calibration.
+//! 1. **Find** the light. The search starts at the aim by the law of reflection and goes outwards
+//!    until the detector is lit.
+//! 2. **Centre** it. Scans along yaw and roll, in both directions, have centroids at the angles at
+//!    which the light is centred. The same scans in the model of an exact mirror give the true
+//!    angles, so that an asymmetry of the lit region cancels.
+//! 3. **Fit** drive = gain * true + offset for each axis over the detectors, which is the
+//!    contract's calibration.
 //!
-//! A mirror whose light is found at no spot keeps gain 1 and offset 0. Corrections are held to what the drives can do beyond the range that
-//! they announce. The simulator plays the room ([`mod@bench`]); nothing here looks at the mounting that it drew, but [`Study`] compares with it.
+//! A mirror whose light is found at no detector keeps gain 1 and offset 0. Corrections are limited
+//! to the travel of the drives beyond the range that they announce. The simulator takes the place
+//! of the room ([`mod@bench`]). The estimate does not read the mounting that the simulator drew;
+//! [`Study`] compares the two.
 
 pub mod bench;
 pub mod locate;
@@ -22,46 +29,47 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use crate::comparison::{Entrant, progress_bar};
-use crate::evaluate::Estimate;
+use crate::evaluation::Estimate;
 use bench::Bench;
 use locate::{centre, find, fit};
-use worth::Exam;
+use worth::Evaluation;
 
-/// Standard deviation of the true angles of a mirror's spots below which only an offset is estimated, in rad.
+/// Standard deviation of a mirror's true angles below which only an offset is estimated, in rad.
 const SPREAD_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
-/// How a measurement is made.
+/// The method of a measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct Method {
-    /// How long the light is averaged for a reading, in s.
+    /// Averaging time of a reading in s.
     pub dwell_s: f64,
-    /// How far off the light is looked for on either axis, in rad.
+    /// Half the width of the search on each axis in rad.
     pub search_rad: f64,
 }
 
-/// What came out for one array.
+/// The calibration of one array.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// The corrections.
     pub file: CalibrationFile,
-    /// Readings of the detectors.
+    /// Number of readings.
     pub readings: u64,
-    /// How long it took in s, as it would in a real room.
+    /// Time in s that the readings take in a real room.
     pub seconds: f64,
-    /// Mirrors whose light was found at no spot, ascending.
+    /// Mirrors whose light was found at no detector, ascending.
     pub unfound: Vec<usize>,
-    /// Mirrors whose correction was cut to what the drives can do, ascending.
+    /// Mirrors whose correction was limited to the travel of the drives, ascending.
     pub limited: Vec<usize>,
 }
 
-/// Calibrates the array that a scenario and a seed make.
+/// Calibrates the array of a scenario and a seed.
 ///
 /// # Errors
-/// A scenario that makes no room or gives angles that mean nothing to a real mirror, drives that do not answer.
+/// The scenario describes no room, its channel mode has no spot of light, or the drives do not
+/// answer.
 pub fn calibrate(scenario: &Scenario, seed: u64, method: &Method, bar: &ProgressBar) -> anyhow::Result<Outcome> {
     ensure!(
         scenario.channel.mode == ChannelMode::Specular,
-        "channel.mode = \"{}\" knows no spot of light to look for: use \"specular\"",
+        "channel.mode = \"{}\" has no spot of light: expected \"specular\"",
         scenario.channel.mode.name()
     );
     let mut bench = Bench::new(scenario, seed, method.dwell_s)?;
@@ -69,14 +77,14 @@ pub fn calibrate(scenario: &Scenario, seed: u64, method: &Method, bar: &Progress
     let mut axes = [AxisCorrections::none(mirrors), AxisCorrections::none(mirrors)];
     let (mut unfound, mut limited) = (Vec::new(), Vec::new());
     for mirror in 0..mirrors {
-        let places = measure(&mut bench, mirror, method.search_rad);
-        if places.is_empty() {
+        let aims = measure(&mut bench, mirror, method.search_rad);
+        if aims.is_empty() {
             unfound.push(mirror);
         }
         let ranges = [bench.capabilities().roll, bench.capabilities().yaw];
-        for (axis, corrections) in axes.iter_mut().enumerate().filter(|_| !places.is_empty()) {
-            let of = |which: fn(&Place) -> [f64; 2]| places.iter().map(|place| which(place)[axis]).collect::<Vec<_>>();
-            let (gain, offset) = fit(&of(|place| place.truth), &of(|place| place.drive), SPREAD_RAD);
+        for (axis, corrections) in axes.iter_mut().enumerate().filter(|_| !aims.is_empty()) {
+            let of = |which: fn(&Aim) -> [f64; 2]| aims.iter().map(|aim| which(aim)[axis]).collect::<Vec<_>>();
+            let (gain, offset) = fit(&of(|aim| aim.truth), &of(|aim| aim.drive), SPREAD_RAD);
             let fitted = (rounded(gain), offset);
             let (gain, offset) = within(fitted, &ranges[axis], bench.travel_rad()[axis]);
             if (gain, offset) != fitted && limited.last() != Some(&mirror) {
@@ -94,112 +102,115 @@ pub fn calibrate(scenario: &Scenario, seed: u64, method: &Method, bar: &Progress
     Ok(Outcome { file, readings: bench.readings(), seconds: bench.seconds(), unfound, limited })
 }
 
-/// Angles at which a mirror's light is centred on a spot: roll and yaw in rad.
-struct Place {
-    /// Of an exact mirror.
+/// Angles at which a mirror's light is centred on a detector: roll and yaw in rad.
+struct Aim {
+    /// The angles of an exact mirror.
     truth: [f64; 2],
-    /// As the drive has to be told.
+    /// The angles of the drive's command.
     drive: [f64; 2],
 }
 
-/// Finds the light of a mirror at each spot; what is off at one spot is where the next is looked for.
-fn measure(bench: &mut Bench, mirror: usize, search_rad: f64) -> Vec<Place> {
-    let mut places: Vec<Place> = Vec::new();
+/// Finds the light of a mirror at each detector; the mean error so far is the start of the next
+/// search.
+fn measure(bench: &mut Bench, mirror: usize, search_rad: f64) -> Vec<Aim> {
+    let mut aims: Vec<Aim> = Vec::new();
     for pair in bench.pairs(mirror) {
         let off = |axis: usize| {
-            let sum: f64 = places.iter().map(|place| place.drive[axis] - place.truth[axis]).sum();
-            sum / places.len().max(1) as f64
+            let sum: f64 = aims.iter().map(|aim| aim.drive[axis] - aim.truth[axis]).sum();
+            sum / aims.len().max(1) as f64
         };
         let start = [pair.aim[0] + off(0), pair.aim[1] + off(1)];
         let Some(lit) = find(bench, &pair, start, search_rad) else { continue };
         let drive = centre(bench, &pair, lit);
         let truth = centre(&mut bench.expected(), &pair, pair.aim);
-        places.push(Place { truth, drive });
+        aims.push(Aim { truth, drive });
     }
-    places
+    aims
 }
 
-/// To five decimals, far finer than any drive.
+/// Rounds to five decimals, far finer than any drive.
 fn rounded(value: f64) -> f64 {
     (value * 1e5).round() / 1e5
 }
 
-/// The correction with its offset cut to what the drives can do at either end of the announced range.
+/// The correction with its offset limited to the drives' travel at both ends of the announced
+/// range.
 fn within((gain, offset): (f64, f64), range: &AxisLimits, [least, most]: [f64; 2]) -> (f64, f64) {
     let (low, high) = (least - gain * f64::from(range.min_rad), most - gain * f64::from(range.max_rad));
     if low <= high { (gain, offset.clamp(low, high)) } else { within((1.0, offset), range, [least, most]) }
 }
 
-/// What to study: arrays of several mounting errors, and what is lost and won back.
+/// The settings of a study: the loss by mounting errors, and the gain by calibration.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// The room; its seed is the first one.
     pub scenario: Scenario,
-    /// Standard deviations of each axis' mounting in degrees.
+    /// Standard deviations of each axis' mounting error in degrees.
     pub mounting_deg: Vec<f64>,
-    /// Consecutive seeds; each is an array of its own.
+    /// Number of consecutive seeds; each is a separate array.
     pub seeds: usize,
     /// States of each seed.
     pub states: usize,
-    /// Who decides.
+    /// The policy.
     pub entrant: Entrant,
-    /// How it is measured.
+    /// The method of the measurement.
     pub method: Method,
 }
 
-/// What came out.
+/// The result of a study.
 #[derive(Clone, Debug, Serialize)]
 pub struct Study {
     /// Name of the scenario.
     pub scenario: String,
     /// Hash of the effective scenario.
     pub configuration: String,
-    /// Who decides.
+    /// Name of the policy.
     pub policy: String,
     /// The first seed.
     pub seed: u64,
-    /// How many seeds, each an array of its own.
+    /// Number of seeds, each a separate array.
     pub seeds: usize,
     /// States of each seed.
     pub states: usize,
-    /// One for each mounting error.
+    /// One row for each mounting error.
     pub rows: Vec<Row>,
 }
 
 /// One mounting error: means over arrays with 95 % intervals.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Standard deviation of each axis' mounting in degrees.
+    /// Standard deviation of each axis' mounting error in degrees.
     pub mounting_deg: f64,
     /// Sum rate in Mbit/s without mounting error.
     pub exact_mbps: Estimate,
-    /// As mounted.
+    /// Sum rate in Mbit/s with the mounting error.
     pub uncalibrated_mbps: Estimate,
-    /// Calibrated.
+    /// Sum rate in Mbit/s after calibration.
     pub calibrated_mbps: Estimate,
-    /// As mounted, over without error, array by array.
+    /// Sum rate with the mounting error over that without, array by array.
     pub uncalibrated_ratio: Estimate,
-    /// Calibrated, over without error, array by array.
+    /// Sum rate after calibration over that without error, array by array.
     pub calibrated_ratio: Estimate,
     /// Readings for an array.
     pub readings: f64,
-    /// Seconds for an array, as they would pass in a real room.
+    /// Time for an array in a real room, in s.
     pub seconds: f64,
-    /// Mirrors of an array whose light was found nowhere.
+    /// Mirrors of an array whose light was found at no detector.
     pub unfound: f64,
-    /// Mirrors of an array whose correction was cut to what the drives can do.
+    /// Mirrors of an array whose correction was limited to the travel of the drives.
     pub limited: f64,
 }
 
-/// One array: its sum rates exact, as mounted and calibrated, and its calibration.
+/// One array: its sum rates without error, as mounted and after calibration, and its calibration.
 type OneArray = ([f64; 3], Outcome);
 
-/// Studies; gives the calibration of the first array too. A progress bar on standard error shows how far it is.
+/// Runs a study with a progress bar on standard error; returns the calibration of the first array
+/// too.
 ///
 /// # Errors
-/// As [`calibrate`], and a policy that cannot be had for the room.
+/// As [`calibrate`]; the policy cannot be built for the room.
 pub fn study(settings: &Settings) -> anyhow::Result<(Study, CalibrationFile)> {
-    ensure!(settings.seeds > 0 && settings.states > 0, "a study needs a seed and a state at least");
+    ensure!(settings.seeds > 0 && settings.states > 0, "a study needs at least one seed and one state");
     let scenario = &settings.scenario;
     let bar = progress_bar()?;
     bar.set_length((settings.mounting_deg.len() * settings.seeds * scenario.mirror_count()) as u64);
@@ -223,7 +234,7 @@ pub fn study(settings: &Settings) -> anyhow::Result<(Study, CalibrationFile)> {
         states: settings.states,
         rows,
     };
-    Ok((study, first.context("no mounting error to study")?))
+    Ok((study, first.context("a study needs at least one mounting error")?))
 }
 
 fn mounted(scenario: &Scenario, offset_deg: f64, scale_error: Option<f64>) -> anyhow::Result<Scenario> {
@@ -232,15 +243,15 @@ fn mounted(scenario: &Scenario, offset_deg: f64, scale_error: Option<f64>) -> an
     Ok(scenario.with_overrides(&keys.map(|(key, value)| format!("actuator.{key}={value:?}")))?)
 }
 
-fn one(settings: &Settings, mounted_so: &Scenario, set: u64, bar: &ProgressBar) -> anyhow::Result<OneArray> {
+fn one(settings: &Settings, mounted: &Scenario, set: u64, bar: &ProgressBar) -> anyhow::Result<OneArray> {
     let seed = settings.scenario.seed.wrapping_add(set);
-    let exact = mounted(&settings.scenario, 0.0, None)?;
-    let mut exam = Exam::new(&exact, &settings.entrant, seed, settings.states)?;
-    let outcome = calibrate(mounted_so, seed, &settings.method, bar)?;
+    let exact = self::mounted(&settings.scenario, 0.0, None)?;
+    let mut evaluation = Evaluation::new(&exact, &settings.entrant, seed, settings.states)?;
+    let outcome = calibrate(mounted, seed, &settings.method, bar)?;
     let rates = [
-        exam.sum_rate_mbps(&exact, seed, None)?,
-        exam.sum_rate_mbps(mounted_so, seed, None)?,
-        exam.sum_rate_mbps(mounted_so, seed, Some(&outcome.file))?,
+        evaluation.sum_rate_mbps(&exact, seed, None)?,
+        evaluation.sum_rate_mbps(mounted, seed, None)?,
+        evaluation.sum_rate_mbps(mounted, seed, Some(&outcome.file))?,
     ];
     Ok((rates, outcome))
 }

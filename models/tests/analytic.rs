@@ -1,12 +1,13 @@
-//! The channel in tensors against the channel itself: values, and gradients by finite differences.
+//! The channel in tensors compared with the channel itself: values, and gradients by finite
+//! differences.
 
 use candle_core::{Device, Tensor, Var};
 use heliostat_channel::decode;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_decide::observation::Summary;
-use heliostat_models::analytic::{Channel, Settings};
-use heliostat_models::env::{Environment, Reward, RewardForm, Rooms};
-use heliostat_models::features::{Head, Layout};
+use heliostat_models::environment::features::{Head, Layout};
+use heliostat_models::environment::{Environment, Reward, RewardForm, Rooms};
+use heliostat_models::learners::analytic::{Channel, Settings};
 use heliostat_scenario::Scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -39,7 +40,8 @@ impl Bench {
         (0..count).map(|_| room()).collect()
     }
 
-    /// The mean of the users' parts of the reward by the decoder and the channel, in bit/s/Hz of a user's band.
+    /// The mean of the users' parts of the reward by decoder and channel, in bit/s/Hz of a user's
+    /// band.
     fn truth(&self, room: &Environment, logits: &[f64]) -> f64 {
         let (model, seen) = (room.model(), room.observation());
         let balanced = &room.vector()[self.layout.encoder.column(Summary::LogWeight as usize)];
@@ -57,7 +59,7 @@ impl Bench {
         parts.sum::<f64>() / model.budget.bandwidth_hz
     }
 
-    /// The same in tensors, with its gradient by the logits.
+    /// The mean in tensors, with its gradient with respect to the logits.
     fn found(&self, room: Environment, logits: &[f64], exponent: f64) -> (f64, Vec<f32>) {
         let mut slots = vec![0.0_f32; self.layout.slots()];
         slots.iter_mut().zip(logits).for_each(|(slot, logit)| *slot = *logit as f32);
@@ -72,12 +74,12 @@ impl Bench {
 }
 
 #[test]
-fn the_papers_channel_and_its_gradient_are_those_of_the_channel() {
+fn the_tensors_of_the_papers_channel_match_values_and_gradients() {
     let bench = Bench::new("paper-calibrated");
     let mut compared = 0;
     for (room, logits) in bench.rooms(30) {
         let truth = |logits: &[f64]| bench.truth(&room, logits);
-        let wanted = truth(&logits);
+        let expected = truth(&logits);
         let slopes: Vec<[f64; 2]> = (0..logits.len())
             .map(|user| {
                 let moved = |by: f64| {
@@ -89,9 +91,9 @@ fn the_papers_channel_and_its_gradient_are_those_of_the_channel() {
             })
             .collect();
         let (found, gradient) = bench.found(room, &logits, 8.0);
-        assert!((found - wanted).abs() < 1e-4 * wanted.abs().max(1.0), "{found} for {wanted}");
+        assert!((found - expected).abs() < 1e-4 * expected.abs().max(1.0), "{found} for {expected}");
         for (slope, found) in slopes.iter().zip(&gradient) {
-            // At a kink of the reward two steps give two slopes.
+            // At a kink of the reward two step sizes give two slopes.
             if (slope[0] - slope[1]).abs() < 1e-4 {
                 assert!((f64::from(*found) - slope[1]).abs() < 1e-3, "{found} for {slope:?}");
                 compared += 1;
@@ -103,17 +105,17 @@ fn the_papers_channel_and_its_gradient_are_those_of_the_channel() {
 }
 
 #[test]
-fn the_softened_choice_becomes_the_true_decoder() {
+fn the_softened_choice_converges_to_the_true_decoder() {
     let bench = Bench::new("specular");
     for (room, logits) in bench.rooms(30) {
-        let wanted = bench.truth(&room, &logits);
+        let expected = bench.truth(&room, &logits);
         let (found, _) = bench.found(room, &logits, 4000.0);
-        assert!((found - wanted).abs() < 2e-3 * wanted.abs().max(1.0), "{found} for {wanted}");
+        assert!((found - expected).abs() < 2e-3 * expected.abs().max(1.0), "{found} for {expected}");
     }
 }
 
 #[test]
-fn the_gradient_of_the_softened_choice_is_its_slope() {
+fn the_gradient_of_the_softened_choice_matches_finite_differences() {
     let bench = Bench::new("specular");
     let mut compared = 0;
     for index in 0..20 {

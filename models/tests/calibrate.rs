@@ -1,4 +1,4 @@
-//! Calibration from measured gains: what a mounting error costs, and what is won back.
+//! Calibration from measured gains: the loss by mounting errors, and the gain by calibration.
 
 use heliostat_engine::ActorSource;
 use heliostat_models::calibrate::{Method, Settings, calibrate, study};
@@ -22,29 +22,29 @@ fn room(changes: &[&str]) -> Scenario {
     Scenario::builtin("specular").unwrap().with_overrides(&changes).unwrap()
 }
 
-/// How far the mirrors of an array stand from where corrected commands want them, root mean square over axes and places, in degrees.
+/// Root mean square error of an array's angles over axes and commanded angles, in degrees.
 fn residual_deg(scenario: &Scenario, seed: u64, corrected: bool) -> f64 {
     let file = calibrate(scenario, seed, &METHOD, &ProgressBar::hidden()).unwrap().file;
     let mut parameters = scenario.actuator.parameters();
     parameters.jitter_rad = 0.0;
     let mirrors = scenario.mirror_count();
     let mut squares = Vec::new();
-    for wanted_deg in [-8.0, 0.0, 8.0] {
-        let told = |axis: &heliostat_array::calibration_file::AxisCorrections| {
-            let correct = |mirror: usize| axis.gain[mirror] * wanted_deg + axis.offset_deg[mirror];
-            (0..mirrors).map(|mirror| if corrected { correct(mirror) } else { wanted_deg }.to_radians()).collect()
+    for commanded_deg in [-8.0, 0.0, 8.0] {
+        let drive = |axis: &heliostat_array::calibration_file::AxisCorrections| {
+            let correct = |mirror: usize| axis.gain[mirror] * commanded_deg + axis.offset_deg[mirror];
+            (0..mirrors).map(|mirror| if corrected { correct(mirror) } else { commanded_deg }.to_radians()).collect()
         };
         let mut array = Actuator::new(&parameters, mirrors, stream(seed, Purpose::Actuator, 0));
-        array.command(&heliostat_channel::MirrorAngles { roll: told(&file.roll), yaw: told(&file.yaw) });
+        array.command(&heliostat_channel::MirrorAngles { roll: drive(&file.roll), yaw: drive(&file.yaw) });
         array.step(1.0);
         let angles = array.angles().roll.iter().chain(&array.angles().yaw);
-        squares.extend(angles.map(|angle| (angle.to_degrees() - wanted_deg).powi(2)));
+        squares.extend(angles.map(|angle| (angle.to_degrees() - commanded_deg).powi(2)));
     }
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
 #[test]
-fn a_mounting_error_is_found_to_a_small_part_of_itself() {
+fn a_calibration_removes_most_of_a_mounting_error() {
     let plain = room(&[]);
     let (before, after) = (residual_deg(&plain, 3, false), residual_deg(&plain, 3, true));
     assert!(before > 0.7 && after < 0.15, "from {before} to {after} degrees");
@@ -54,7 +54,7 @@ fn a_mounting_error_is_found_to_a_small_part_of_itself() {
 }
 
 #[test]
-fn a_calibration_wins_back_what_a_degree_of_mounting_loses() {
+fn a_calibration_restores_the_sum_rate_lost_by_one_degree_of_mounting_error() {
     let settings = Settings {
         scenario: room(&["actuator.offset_deg=0"]),
         mounting_deg: vec![1.0],
@@ -70,18 +70,18 @@ fn a_calibration_wins_back_what_a_degree_of_mounting_loses() {
     assert_eq!((row.unfound, row.limited, file.roll.gain.len()), (0.0, 0.0, 16));
     assert!(row.readings > 100.0 && row.seconds > 1.0, "{row:?}");
     let again = calibrate(&room(&[]), settings.scenario.seed, &METHOD, &ProgressBar::hidden()).unwrap();
-    assert_eq!(again.file, file, "the seed decides all of it");
+    assert_eq!(again.file, file, "the seed determines the calibration");
 }
 
 #[test]
-fn what_cannot_be_calibrated_is_told() {
+fn arrays_that_cannot_be_calibrated_are_reported() {
     let paper = Scenario::builtin("paper").unwrap();
     let refusal = calibrate(&paper, 1, &METHOD, &ProgressBar::hidden()).unwrap_err().to_string();
     assert!(refusal.contains("channel.mode = \"paper\"") && refusal.contains("specular"), "{refusal}");
-    // A stuck mirror's light is nowhere to be found, and it is left as it is.
+    // The light of a stuck mirror is found at no detector, and its correction stays neutral.
     let stuck = calibrate(&room(&["actuator.stuck_share=1"]), 1, &METHOD, &ProgressBar::hidden()).unwrap();
     assert!(stuck.unfound.len() > 12, "{:?}", stuck.unfound);
     let far = room(&["actuator.offset_deg=4"]);
     let outcome = calibrate(&far, 2, &METHOD, &ProgressBar::hidden()).unwrap();
-    assert!(!outcome.limited.is_empty(), "a correction beyond the drives' reserve is cut");
+    assert!(!outcome.limited.is_empty(), "a correction beyond the travel of the drives is limited");
 }

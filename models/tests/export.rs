@@ -1,22 +1,23 @@
-//! The exported graph against the trainer's own forward pass and the channel's decoder.
+//! The exported graph compared with the learner's forward pass and the channel's decoder.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_decide::observation::OBSERVATION_VERSION;
 use heliostat_decide::policy::Actor as Served;
 use heliostat_decide::policy::actor_file::{ActorFile, key};
-use heliostat_models::actor::{Actor, States};
-use heliostat_models::ddpg::{Settings, Trainer};
-use heliostat_models::env::{Environment, Rooms};
-use heliostat_models::export::export;
+use heliostat_models::environment::{Environment, Rooms};
+use heliostat_models::export::actor::export;
+use heliostat_models::learners::ddpg::{Ddpg, Settings};
+use heliostat_models::networks::actor::{Actor, States};
 use heliostat_models::networks::assign;
 use heliostat_scenario::{ChannelMode, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Two scores of one mirror that differ by less than this, relative to the larger, may be ordered either way in f32 and f64.
+/// Two scores of one mirror that differ by less than this, relative to the larger, may be ordered
+/// either way in f32 and f64.
 const NEAR_TIE: f64 = 1e-5;
 
-/// A served mirror may be a near tie as rarely as this.
+/// Largest share of the served mirrors that may be near ties.
 const NEAR_TIES_MAX: f64 = 1e-3;
 
 const OBSERVATIONS: usize = 1000;
@@ -25,10 +26,11 @@ fn tuned(scenario: &Scenario) -> Settings {
     Settings::tuned(5, scenario.channel.mode)
 }
 
-/// An actor whose logits spread over [-1, 1], as a trained one's do.
-fn lively_actor(scenario: &Scenario, settings: Settings) -> Actor {
-    let trainer = Trainer::new(scenario.clone(), settings).expect("a valid run");
-    let actor = trainer.actor().clone();
+/// An actor whose logits spread over [-1, 1], as those of a trained one.
+fn spread_actor(scenario: &Scenario, settings: Settings) -> Actor {
+    let mut rng = ChaCha8Rng::seed_from_u64(settings.run.seed);
+    let learner = Ddpg::new(scenario, settings, &mut rng).expect("valid settings");
+    let actor = learner.actor().clone();
     let head = actor.network.layer("head");
     assign(&head.weight, &(head.weight.detach() * 300.0).expect("a product")).expect("the same shape");
     actor
@@ -57,9 +59,9 @@ fn near_tie(weights: &[f32], steering: impl Fn(usize) -> f32) -> bool {
     scores[0] > 0.0 && scores[0] - scores[1] < NEAR_TIE * scores[0]
 }
 
-/// The largest difference in angle over all mirrors that are no near tie, and the share of those that are.
+/// The largest difference in angle over all mirrors except near ties, and the share of near ties.
 fn compare(scenario: &Scenario, settings: Settings) -> (f64, f64) {
-    let actor = lively_actor(scenario, settings);
+    let actor = spread_actor(scenario, settings);
     let mut served = served(&actor, scenario);
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mirrors = scenario.mirror_count();
@@ -70,8 +72,8 @@ fn compare(scenario: &Scenario, settings: Settings) -> (f64, f64) {
         let environment = Environment::new(&room, rng.random()).expect("a valid room");
         let vector = environment.vector();
         let logits = actor.logits(&States::row(actor.layout, vector)).expect("logits");
-        assert!(logits.iter().all(|logit| logit.is_finite()), "what is no number compares with nothing: {logits:?}");
-        let wanted = actor.decode(&environment, &logits);
+        assert!(logits.iter().all(|logit| logit.is_finite()), "expected finite logits, found {logits:?}");
+        let expected = actor.decode(&environment, &logits);
         served.answer(vector, &mut got).expect("angles");
         let weights = actor.layout.weights(vector, &logits, actor.head);
         for mirror in 0..mirrors {
@@ -80,8 +82,8 @@ fn compare(scenario: &Scenario, settings: Settings) -> (f64, f64) {
                 ties += 1;
                 continue;
             }
-            let roll = (wanted.roll[mirror] - got.roll[mirror]).abs();
-            let yaw = (wanted.yaw[mirror] - got.yaw[mirror]).abs();
+            let roll = (expected.roll[mirror] - got.roll[mirror]).abs();
+            let yaw = (expected.yaw[mirror] - got.yaw[mirror]).abs();
             worst = worst.max(roll).max(yaw);
         }
     }
@@ -95,18 +97,18 @@ fn check(scenario: &Scenario, settings: Settings) {
 }
 
 #[test]
-fn specular_graph_is_the_trainers_forward_pass() {
+fn specular_graph_matches_the_learners_forward_pass() {
     let scenario = Scenario::builtin("specular").expect("built in");
     check(&scenario, tuned(&scenario));
 }
 
 #[test]
-fn specular_graph_of_the_plain_network_is_the_trainers_forward_pass() {
+fn specular_graph_of_the_plain_network_matches_the_learners_forward_pass() {
     check(&Scenario::builtin("specular").expect("built in"), Settings::paper(5));
 }
 
 #[test]
-fn graphs_of_several_rounds_are_the_trainers_forward_pass() {
+fn graphs_of_several_rounds_match_the_learners_forward_pass() {
     for (name, rounds) in [("specular", 2), ("specular", 3), ("paper", 2)] {
         let scenario = Scenario::builtin(name).expect("built in");
         check(&scenario, Settings { rounds, ..tuned(&scenario) });
@@ -114,13 +116,13 @@ fn graphs_of_several_rounds_are_the_trainers_forward_pass() {
 }
 
 #[test]
-fn paper_graph_is_the_trainers_forward_pass() {
+fn paper_graph_matches_the_learners_forward_pass() {
     let scenario = Scenario::builtin("paper").expect("built in");
     check(&scenario, tuned(&scenario));
 }
 
 #[test]
-fn other_walls_and_arrays_work_too() {
+fn graphs_for_other_walls_and_arrays_match_too() {
     for (name, wall) in [("specular", "+x"), ("specular", "-x"), ("specular", "-y"), ("paper", "-x"), ("paper", "-y")] {
         let overrides = ["mirrors.rows=3".into(), "mirrors.columns=4".into(), format!("mirrors.wall={wall}")];
         let scenario = Scenario::builtin(name).and_then(|scenario| scenario.with_overrides(&overrides));
@@ -130,9 +132,9 @@ fn other_walls_and_arrays_work_too() {
 }
 
 #[test]
-fn an_actor_does_not_mind_the_order_of_users() {
+fn the_logits_do_not_depend_on_the_order_of_users() {
     let scenario = Scenario::builtin("specular").expect("built in");
-    let actor = lively_actor(&scenario, tuned(&scenario));
+    let actor = spread_actor(&scenario, tuned(&scenario));
     let environment = Environment::new(&scenario, 3).expect("a valid room");
     let slots = actor.layout.slots();
     let state = &States::row(actor.layout, environment.vector());
@@ -145,7 +147,7 @@ fn an_actor_does_not_mind_the_order_of_users() {
     let swapped = [swap(head, features), swap(tail, scenario.mirror_count())].concat();
     let before = actor.logits(state).expect("logits");
     let after = actor.logits(&swapped).expect("logits");
-    assert!((before[0] - before[3]).abs() > 1e-3, "users 0 and 3 must differ for the test to mean anything");
+    assert!((before[0] - before[3]).abs() > 1e-3, "users 0 and 3 must differ for the test to be valid");
     for (slot, other) in [(0, 3), (1, 1), (2, 2), (3, 0)] {
         assert!((before[slot] - after[other]).abs() < 1e-5, "slot {slot}: {} and {}", before[slot], after[other]);
     }

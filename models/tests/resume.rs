@@ -1,18 +1,17 @@
-//! A run that was stopped and resumed is the run that was not.
+//! A resumed run equals an uninterrupted one, and checkpoints that do not fit are refused.
 
 use std::path::Path;
 
-use heliostat_models::checkpoint;
-use heliostat_models::ddpg::{Settings, Trainer};
-use heliostat_models::learner::{Learner, RunSettings};
+use heliostat_models::learners::ddpg::{Ddpg, Settings};
+use heliostat_models::training::{RunSettings, Training, checkpoint};
 use heliostat_scenario::{ChannelMode, Scenario};
 
 const EPISODES: usize = 6;
 
-fn trainer(settings: Settings) -> Trainer {
+fn training(settings: Settings) -> Training {
     let overrides = ["mirrors.rows=3", "mirrors.columns=3"].map(String::from);
     let scenario = Scenario::builtin("specular").and_then(|scenario| scenario.with_overrides(&overrides));
-    Trainer::new(scenario.expect("a valid scenario"), settings).expect("a valid run")
+    Training::new(scenario.expect("a valid scenario"), settings, Ddpg::new).expect("a valid run")
 }
 
 fn short(preset: Settings) -> Settings {
@@ -20,32 +19,32 @@ fn short(preset: Settings) -> Settings {
     Settings { run, warm_up: 20, batch: 8, replay: 50, ..preset }
 }
 
-fn run(trainer: &mut Trainer, until: usize) {
-    while trainer.episodes_done() < until {
-        trainer.run_episode().expect("an episode");
+fn run(training: &mut Training, until: usize) {
+    while training.episodes_done() < until {
+        training.run_episode().expect("an episode");
     }
 }
 
-fn checkpoint(trainer: &Trainer, path: &Path) -> Vec<u8> {
-    checkpoint::save(trainer, path).expect("a checkpoint");
+fn checkpoint(training: &mut Training, path: &Path) -> Vec<u8> {
+    checkpoint::save(training, path).expect("a checkpoint");
     std::fs::read(path).expect("the file")
 }
 
 fn check(settings: Settings) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("checkpoint.safetensors");
-    let mut whole = trainer(settings.clone());
-    run(&mut whole, EPISODES);
-    let wanted = checkpoint(&whole, &path);
+    let mut uninterrupted = training(settings.clone());
+    run(&mut uninterrupted, EPISODES);
+    let expected = checkpoint(&mut uninterrupted, &path);
 
-    let mut first = trainer(settings.clone());
+    let mut first = training(settings.clone());
     run(&mut first, EPISODES / 2);
-    let half = checkpoint(&first, &path);
-    assert_ne!(half, wanted, "the second half of the run must change something");
-    let mut second = trainer(settings);
+    let half = checkpoint(&mut first, &path);
+    assert_ne!(half, expected, "the second half of the run must change something");
+    let mut second = training(settings);
     checkpoint::load(&mut second, &path).expect("the checkpoint fits");
     run(&mut second, EPISODES);
-    assert!(checkpoint(&second, &path) == wanted, "the resumed run differs from the one that was not stopped");
+    assert!(checkpoint(&mut second, &path) == expected, "the resumed run differs from the uninterrupted one");
 }
 
 #[test]
@@ -62,13 +61,13 @@ fn paper_runs_resume_bit_for_bit() {
 fn another_seed_is_another_run() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("checkpoint.safetensors");
-    let mut one = trainer(short(Settings::tuned(1, ChannelMode::Specular)));
+    let mut one = training(short(Settings::tuned(1, ChannelMode::Specular)));
     run(&mut one, 1);
-    let mut two = trainer(short(Settings::tuned(2, ChannelMode::Specular)));
+    let mut two = training(short(Settings::tuned(2, ChannelMode::Specular)));
     run(&mut two, 1);
-    let parameters = |run: &Trainer| run.actor().network.layers()[0].bias.to_vec1::<f32>().expect("a vector");
-    assert_ne!(parameters(&one), parameters(&two));
-    checkpoint::save(&one, &path).expect("a checkpoint");
+    let file = |training: &Training| training.export(&[]).expect("an actor");
+    assert_ne!(file(&one), file(&two));
+    checkpoint::save(&mut one, &path).expect("a checkpoint");
     let refusal = checkpoint::load(&mut two, &path).expect_err("other settings").to_string();
     assert!(refusal.contains("other settings"), "{refusal}");
 }
@@ -77,8 +76,8 @@ fn another_seed_is_another_run() {
 fn a_damaged_checkpoint_is_refused() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("checkpoint.safetensors");
-    let mut run = trainer(short(Settings::tuned(1, ChannelMode::Specular)));
-    let bytes = checkpoint(&run, &path);
+    let mut run = training(short(Settings::tuned(1, ChannelMode::Specular)));
+    let bytes = checkpoint(&mut run, &path);
     std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("the file");
     assert!(checkpoint::load(&mut run, &path).is_err());
 }
@@ -87,9 +86,10 @@ fn a_damaged_checkpoint_is_refused() {
 fn a_run_that_diverged_writes_nothing() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("checkpoint.safetensors");
-    let mut lost = trainer(short(Settings { critic_rate: f64::INFINITY, ..Settings::tuned(1, ChannelMode::Specular) }));
-    run(&mut lost, EPISODES);
-    let refusal = checkpoint::save(&lost, &path).expect_err("there is no number left").to_string();
+    let diverging = Settings { critic_rate: f64::INFINITY, ..Settings::tuned(1, ChannelMode::Specular) };
+    let mut diverged = training(short(diverging));
+    run(&mut diverged, EPISODES);
+    let refusal = checkpoint::save(&mut diverged, &path).expect_err("no value is finite").to_string();
     assert!(refusal.contains("not finite") && refusal.contains("after 6 episodes"), "{refusal}");
     assert!(!path.exists());
 }

@@ -78,7 +78,8 @@ impl Graph {
         self.node_with("ReduceSum", &[input, &axes], vec![integer("keepdims", 1)])
     }
 
-    /// For each column of a table, the row with the largest value, the first of equal ones; (columns).
+    /// For each column of a table, the row with the largest value, the first of equal ones;
+    /// (columns).
     ///
     /// Computed by pooling, which tract runs faster than ArgMax along this axis.
     pub fn best_row(&mut self, input: &str, [rows, columns]: [usize; 2]) -> Value {

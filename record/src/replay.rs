@@ -204,7 +204,8 @@ impl<'a> Player<'a> {
             return;
         }
         let verdict = self.examiner.examine(&array);
-        self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_capabilities(&array, verdict.clone()));
+        self.epochs_running()
+            .for_each(|epoch_replay| epoch_replay.controller.handle_capabilities(&array, verdict.clone()));
         self.array = Some(array);
     }
 

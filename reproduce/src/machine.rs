@@ -4,7 +4,7 @@ use std::time::SystemTime;
 
 use cpu_time::ProcessTime;
 
-pub use heliostat_models::card::hardware;
+pub use heliostat_models::training::card::hardware;
 
 /// The commit of this build, followed by `+changes` if the working copy was modified.
 pub const COMMIT: &str = env!("HELIOSTAT_COMMIT");

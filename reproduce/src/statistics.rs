@@ -1,21 +1,21 @@
-//! From the values of several seeds to a mean with its interval.
+//! From the values of several seeds to a mean with its interval; [`Estimate`] computes the interval.
 
-use heliostat_models::evaluate::Estimate;
+use heliostat_models::evaluation::Estimate;
 
 use crate::figure::{Point, Series};
 use crate::part::Curve;
 
-/// The mean of independent values, and half the width of its 95 % interval by Student's t; none for a single value.
+/// The mean of independent values, and half the width of its 95 % interval; `None` for a single value.
 ///
 /// # Panics
-/// Without a value.
+/// There is no value.
 pub fn mean(values: &[f64]) -> (f64, Option<f64>) {
-    assert!(!values.is_empty(), "a mean of nothing");
+    assert!(!values.is_empty(), "a mean needs at least one value");
     let estimate = Estimate::of(values);
     (estimate.mean, (values.len() > 1).then_some(estimate.ci95))
 }
 
-/// The mean curve over seeds: at each place of the first curve, of all curves that have a value there.
+/// The mean curve over seeds: at each x of the first curve, the mean of all curves that have a value there.
 pub fn over_seeds(name: &str, curves: &[&Curve]) -> Option<Series> {
     let first = curves.first()?;
     let value = |curve: &Curve, x: f64| curve.points.iter().find(|point| point[0] == x).map(|point| point[1]);
@@ -36,12 +36,12 @@ mod tests {
         assert_eq!(mean(&[3.0]), (3.0, None));
         let (centre, half) = mean(&[1.0, 2.0, 3.0]);
         assert_eq!(centre, 2.0);
-        // t of 2 degrees of freedom times 1 / sqrt(3).
-        assert!((half.unwrap() - 4.303 / 3.0_f64.sqrt()).abs() < 1e-12);
+        // The 97.5 % quantile of Student's t with 2 degrees of freedom, times 1 / sqrt(3).
+        assert!((half.unwrap() - 4.302652729749464 / 3.0_f64.sqrt()).abs() < 1e-9);
     }
 
     #[test]
-    fn a_mean_curve_takes_the_values_that_there_are() {
+    fn a_mean_curve_uses_the_values_that_exist() {
         let curve = |points: &[[f64; 2]]| Curve { group: String::new(), name: "flat".into(), points: points.to_vec() };
         let (one, other) = (curve(&[[0.0, 1.0], [1.0, 4.0]]), curve(&[[0.0, 3.0]]));
         let series = over_seeds("flat", &[&one, &other]).unwrap();

@@ -1,8 +1,8 @@
 //! The controller's metrics, made by the status loop.
 
 use heliostat_decide::core::Stage;
-use heliostat_service::{Histogram, Page};
 use heliostat_proto::messages::fault;
+use heliostat_service::{Histogram, Page};
 
 use super::summary::RoomReport;
 

@@ -4,8 +4,8 @@ use heliostat_decide::{
     core::{Controller, DegradedMode},
     refusal::Refusal,
 };
-use heliostat_service::clock::utc_ns;
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
+use heliostat_service::clock::utc_ns;
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
 use crate::report::{stage_times::StageTimes, summary::Summary};

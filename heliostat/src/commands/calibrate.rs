@@ -7,7 +7,7 @@ use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::calibrate::{Method, Row, Settings, Study, study};
 use heliostat_models::comparison::Entrant;
-use heliostat_models::evaluate::Estimate;
+use heliostat_models::evaluation::Estimate;
 use heliostat_scenario::ScenarioArgs;
 
 use crate::output::outln;

@@ -1,58 +1,63 @@
-//! Where a mirror's light is: from readings of a detector to the angles at which the light is centred on it.
+//! The search for a mirror's light: from readings of a detector to the angles at which the light is
+//! centred on it.
 
-/// Steps of a line scan to either side of its middle.
+/// Steps of a scan on each side of its middle.
 const STEPS: i32 = 6;
 
-/// Half the length of the first scans and of those that follow, in half widths of the lit region.
+/// Half the length of the first scans and of the later ones, in half widths of the lit region.
 const WIDE: f64 = 2.0;
 const NARROW: f64 = 1.5;
 
-/// Distance between two places of the search, in half widths of the lit region: one place at least is well inside it.
+/// Distance between two points of the search in half widths of the lit region: at least one point
+/// is well inside it.
 const SEARCH_STEP: f64 = 1.2;
 
-/// Share of the expected gain above which the light is taken to have been found.
+/// Share of the expected gain above which the light counts as found.
 const FOUND: f64 = 0.4;
 
-/// An array, and detectors at known spots.
+/// An array, and detectors at known positions.
 pub trait Instrument {
-    /// The gain that one mirror brings to a spot when its drive is told these angles (roll and yaw in rad) and every other mirror is turned
-    /// away. Dimensionless.
+    /// The gain of one mirror at a detector when its drive is commanded to these angles (roll and
+    /// yaw in rad) and every other mirror is turned away. Dimensionless.
     fn read(&mut self, mirror: usize, spot: usize, angles: [f64; 2]) -> f64;
 }
 
-/// A mirror and a spot, and what is known of the two.
+/// A mirror and a detector, with the expected light.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair {
     /// Index of the mirror.
     pub mirror: usize,
-    /// Index of the spot.
+    /// Index of the detector.
     pub spot: usize,
-    /// Roll and yaw of the law of reflection, in rad.
+    /// Roll and yaw by the law of reflection in rad.
     pub aim: [f64; 2],
-    /// By how much roll and yaw may be off before the light leaves the spot, in rad.
+    /// Error of roll and of yaw at which the light leaves the detector, in rad.
     pub half_width: [f64; 2],
     /// The gain at the aim. Dimensionless.
     pub gain: f64,
 }
 
-/// Looks for the light about `start`, the nearest places first, no further than `most` rad off on either axis.
+/// Searches for the light around `start`, the nearest points first, up to `most` rad away on each
+/// axis.
 pub fn find(instrument: &mut dyn Instrument, pair: &Pair, start: [f64; 2], most: f64) -> Option<[f64; 2]> {
     let step = pair.half_width.map(|half| SEARCH_STEP * half);
     let [rolls, yaws] = step.map(|step| (most / step).ceil() as i32);
-    let mut places: Vec<[f64; 2]> = (-rolls..=rolls)
+    let mut points: Vec<[f64; 2]> = (-rolls..=rolls)
         .flat_map(|roll| (-yaws..=yaws).map(move |yaw| [f64::from(roll) * step[0], f64::from(yaw) * step[1]]))
         .collect();
-    places.sort_by(|a, b| a[0].hypot(a[1]).total_cmp(&b[0].hypot(b[1])));
-    places
+    points.sort_by(|a, b| a[0].hypot(a[1]).total_cmp(&b[0].hypot(b[1])));
+    points
         .into_iter()
         .map(|off| [start[0] + off[0], start[1] + off[1]])
-        .find(|place| instrument.read(pair.mirror, pair.spot, *place) > FOUND * pair.gain)
+        .find(|point| instrument.read(pair.mirror, pair.spot, *point) > FOUND * pair.gain)
 }
 
-/// The angles at which the light is centred on the spot, found from angles at which it is there.
+/// The angles at which the light is centred on the detector, from angles at which the detector is
+/// lit.
 ///
-/// Along one axis, then the other: sum(x g(x)) / sum(g(x)) over a line of angles x with gains g. After a first pass the lines are gone
-/// through upwards and downwards, and the mean is taken, so that hysteresis cancels.
+/// Along one axis, then the other: sum(x g(x)) / sum(g(x)) over a scan of angles x with gains g.
+/// After a first pass the result is the mean of scans in both directions, so that hysteresis
+/// cancels.
 pub fn centre(instrument: &mut dyn Instrument, pair: &Pair, start: [f64; 2]) -> [f64; 2] {
     let mut at = start;
     let mut pass = |length: f64, direction: f64| {
@@ -66,7 +71,8 @@ pub fn centre(instrument: &mut dyn Instrument, pair: &Pair, start: [f64; 2]) -> 
     [0.5 * (up[0] + down[0]), 0.5 * (up[1] + down[1])]
 }
 
-/// The centroid along one axis of a line that ends `reach` from its middle; the middle where there is no light.
+/// The centroid along one axis of a scan that ends `reach` from its middle; the middle without
+/// light.
 fn centroid(instrument: &mut dyn Instrument, pair: &Pair, middle: [f64; 2], (axis, reach): (usize, f64)) -> f64 {
     let (mut sum, mut moment) = (0.0, 0.0);
     for step in -STEPS..=STEPS {
@@ -81,9 +87,11 @@ fn centroid(instrument: &mut dyn Instrument, pair: &Pair, middle: [f64; 2], (axi
     middle[axis] + off.clamp(-reach.abs(), reach.abs())
 }
 
-/// Least squares of drive angles over true angles: drive = gain * true + offset, in rad. Shape of both: one entry a spot.
+/// Least squares of drive angles over true angles: drive = gain * true + offset, in rad; one entry
+/// for each detector.
 ///
-/// With fewer than three spots, or true angles whose standard deviation is below `spread` rad, the gain is 1.
+/// With fewer than three detectors, or a standard deviation of the true angles below `spread` rad,
+/// the gain is 1.
 pub fn fit(truth: &[f64], drive: &[f64], spread: f64) -> (f64, f64) {
     let count = truth.len() as f64;
     let mean = |values: &[f64]| values.iter().sum::<f64>() / count;
@@ -99,7 +107,7 @@ pub fn fit(truth: &[f64], drive: &[f64], spread: f64) -> (f64, f64) {
 mod tests {
     use super::*;
 
-    /// A lit rectangle whose centre is off, seen through a drive with play.
+    /// A lit rectangle with a displaced centre, and a drive with backlash.
     struct Lobe {
         centre: [f64; 2],
         half: [f64; 2],
@@ -109,12 +117,12 @@ mod tests {
 
     impl Instrument for Lobe {
         fn read(&mut self, _: usize, _: usize, angles: [f64; 2]) -> f64 {
-            for (held, told) in self.held.iter_mut().zip(angles) {
-                *held = held.clamp(told - 0.5 * self.play, told + 0.5 * self.play);
+            for (held, commanded) in self.held.iter_mut().zip(angles) {
+                *held = held.clamp(commanded - 0.5 * self.play, commanded + 0.5 * self.play);
             }
             let lit = |axis: usize| {
                 let off: f64 = (self.held[axis] - self.centre[axis]).abs();
-                // Soft edges, as a panel of finite size makes them.
+                // Soft edges, as from a panel of finite size.
                 ((self.half[axis] - off) / (0.4 * self.half[axis]) + 0.5).clamp(0.0, 1.0)
             };
             1e-7 * lit(0) * lit(1)

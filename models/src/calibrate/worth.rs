@@ -1,4 +1,5 @@
-//! What a calibration is worth: the sum rate of the same decisions on the same states, with mirrors that stand where their mounting puts them.
+//! The effect of a calibration: the sum rate of the same decisions on the same states, with the
+//! mounting of the mirrors.
 
 use heliostat_array::Kit;
 use heliostat_array::calibration_file::CalibrationFile;
@@ -10,22 +11,22 @@ use heliostat_sim::World;
 use heliostat_sim::mirrors::SimulatedMirrors;
 
 use crate::comparison::{Entrant, judge::Judge};
-use crate::evaluate::held_out_world;
+use crate::evaluation::held_out::held_out_world;
 
-/// From a command to the look at the mirrors in ns: long enough for a servo to get there.
+/// Time from a command to the evaluation of the mirrors in ns, longer than a servo needs.
 const SETTLED_NS: u64 = 2_000_000_000;
 
-/// States of a room, and what a policy commands in each.
-pub struct Exam {
+/// States of a room, and the angles that a policy commands in each.
+pub struct Evaluation {
     states: Vec<(World, MirrorAngles)>,
     judge: Judge,
 }
 
-impl Exam {
-    /// `count` held-out states of a set of their own.
+impl Evaluation {
+    /// `count` held-out states of one set.
     ///
     /// # Errors
-    /// A scenario that makes no room, a policy that cannot be had for it.
+    /// The scenario describes no room, or the policy cannot be built for it.
     pub fn new(scenario: &Scenario, entrant: &Entrant, set: u64, count: usize) -> anyhow::Result<Self> {
         let state = |index: usize| {
             let world = held_out_world(scenario, set, index as u64)?;
@@ -36,10 +37,11 @@ impl Exam {
         Ok(Self { states, judge: Judge::new(scenario.channel_model()?, scenario.min_rate_bps()) })
     }
 
-    /// Mean sum rate in Mbit/s with the array of a scenario and a seed, corrected or as it was mounted.
+    /// Mean sum rate in Mbit/s with the array of a scenario and a seed, with or without
+    /// corrections.
     ///
     /// # Errors
-    /// Corrections or commands that the array refuses.
+    /// The array refuses the corrections or a command.
     pub fn sum_rate_mbps(
         &mut self,
         scenario: &Scenario,

@@ -1,8 +1,10 @@
-//! Closed loop in simulated time: the room's own reports, the controller's own core, the room's own mirrors, and no transport.
+//! Closed loop in simulated time: the room's reports, the controller's core and the room's mirrors,
+//! without transport.
 //!
-//! An episode is a room of its own in which people have walked for a while. Its instants are spread evenly, each at a random place within
-//! its share of the time, so that they fall anywhere between two reports. The controller answers in no time; what a report's age
-//! costs is in `streams.positions.latency_ms`.
+//! An episode is a separate room in which users have walked for a while. Its sampling times have
+//! equal mean spacing, each at a random offset within its interval, so that they fall anywhere
+//! between two reports. The controller decides in zero simulated time.
+//! `streams.positions.latency_ms` gives the age of a report.
 
 use std::time::Instant;
 
@@ -20,23 +22,24 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::entrant::Entrant;
-use super::judge::{Judge, Sample};
-use super::{Loop, RANDOM_DRAWS, Row, Rows, Run, Settings};
-use crate::evaluate::{SETTLE_S, best_angles, held_out_seed};
+use super::judge::{Judge, Run, Sample};
+use super::row::{Row, Rows};
+use super::settings::{Loop, RANDOM_DRAWS, Settings};
+use crate::evaluation::held_out::{SETTLE_S, best_angles, held_out_seed};
 
-/// Instants of an episode.
+/// Sampling times of an episode.
 const INSTANTS: usize = 20;
 
-/// Mean time between two instants in ns.
+/// Mean time between two samples in ns.
 const SPACING_NS: u64 = 250_000_000;
 
-/// From the controller's start to the first share of instants in ns.
+/// From the controller's start to the first sampling interval in ns.
 const LEAD_NS: u64 = 1_000_000_000;
 
-/// One room, and when it is looked at.
+/// One room and its sampling times.
 pub(super) struct Episode {
     pub seed: u64,
-    /// Which of the compared seeds it belongs to.
+    /// Index of its seed among those compared.
     set: u64,
     pub instants_ns: Vec<u64>,
 }
@@ -49,12 +52,12 @@ impl Episode {
     }
 }
 
-/// When the controller starts: people have settled by then.
+/// The controller's start, after the users have walked for [`SETTLE_S`].
 fn start_ns() -> u64 {
     (SETTLE_S * 1e9) as u64
 }
 
-/// Compares on `states` instants of each seed.
+/// Compares at `states` sampling times of each seed.
 pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Rows> {
     let scenario = &settings.scenario;
     let episodes = episodes(settings);
@@ -91,7 +94,7 @@ fn episodes(settings: &Settings) -> Vec<Episode> {
     episodes
 }
 
-/// What the oracle gets, who knows the true state and whose mirrors turn at once.
+/// The oracle's samples: it observes the true state, and its mirrors turn at once.
 fn solve(scenario: &Scenario, episode: &Episode, judge: &mut Judge) -> anyhow::Result<Vec<Sample>> {
     let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), episode.seed)?;
     let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
@@ -108,7 +111,7 @@ fn solve(scenario: &Scenario, episode: &Episode, judge: &mut Judge) -> anyhow::R
 
 fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut Judge) -> anyhow::Result<Run> {
     let scenario = entrant.scenario(&settings.scenario);
-    // Each seed has draws of its own, so that there are enough of them in all.
+    // The draws are divided among the seeds.
     let draws = if entrant.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) as u64 } else { 1 };
     let runs = (0..draws).map(|draw| {
         let mut run = Run::default();
@@ -116,21 +119,21 @@ fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut
             let seed = scenario.seed.wrapping_add(episode.set * draws + draw);
             let policy = entrant.build(&scenario, seed)?;
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
-            let mut bench = Lockstep::new(&scenario, episode.seed, controller)?;
-            bench.names_unusable = entrant.is_aware();
+            let mut lockstep = Lockstep::new(&scenario, episode.seed, controller)?;
+            lockstep.names_unusable = entrant.is_aware();
             let mut samples = Vec::new();
             let mut look = |room: &SimulatedRoom| samples.push(judge.judge(room.world().scene(), room.angles()));
-            let done = bench.run(&episode.instants_ns, &mut look);
+            let done = lockstep.run(&episode.instants_ns, &mut look);
             done.with_context(|| format!("policy {}", entrant.name()))?;
             run.groups.push(samples);
-            run.decisions_us.append(&mut bench.decisions_us);
+            run.decisions_us.append(&mut lockstep.decisions_us);
         }
         Ok(run)
     });
     Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
 }
 
-/// A room and its controller, moving through the same simulated time.
+/// A room and its controller in the same simulated time.
 pub(super) struct Lockstep {
     episode: episode::Episode,
     /// Telemetry names the mirrors that do not follow.
@@ -145,11 +148,11 @@ impl Lockstep {
     pub fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
         controller.warm_up(0..2);
         let episode = episode::Episode::new(scenario, scenario.read_trace()?.as_deref(), seed, start_ns())?;
-        controller.meet_array(&episode.capabilities(), Ok(()));
-        Ok(Self { episode, names_unusable: true, controller, decisions_us: Vec::new() })
+        controller.handle_capabilities(&episode.capabilities(), Ok(()));
+        Ok(Self { episode, names_unusable: true, controller, command_sequence: 0, decisions_us: Vec::new() })
     }
 
-    /// Runs until the last instant and looks at the room as it stands at each.
+    /// Runs until the last sampling time and calls `look` with the room at each.
     pub fn run(&mut self, instants_ns: &[u64], look: &mut dyn FnMut(&SimulatedRoom)) -> anyhow::Result<()> {
         for instant_ns in instants_ns {
             while let Some((now, event)) = self.episode.poll_event(*instant_ns) {

@@ -1,4 +1,5 @@
-//! Who takes part: a policy of the controller by its name, an ONNX file by its path, or the ceiling of the learners' codebook.
+//! The policies of a comparison: by the controller's name, by the path of an ONNX file, or the
+//! ceiling of the codebook.
 
 use std::path::PathBuf;
 
@@ -12,28 +13,28 @@ use heliostat_scenario::{Prediction, Scenario};
 use heliostat_sim::World;
 use thiserror::Error;
 
-use crate::codebook::BestEntry;
-use crate::env::observe;
+use crate::environment::codebook::BestEntry;
+use crate::environment::room::observe;
 
-/// The name of the best possible policy of the codebook.
+/// The name of the policy that evaluates every entry of the codebook.
 const CODEBOOK: &str = "codebook";
 
-/// Added to the name of an entrant that predicts the users.
+/// Suffix of an entrant that predicts the users' positions.
 const PREDICTION_SUFFIX: &str = "+prediction";
 
-/// Added to the name of an entrant that is not told which mirrors do not follow.
+/// Suffix of an entrant without telemetry of unusable mirrors.
 const UNAWARE_SUFFIX: &str = "-unaware";
 
 /// No policy has this name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("no policy \"{name}\"; there are {}, and any FILE.onnx", Entrant::names().join(", "))]
+#[error("unknown policy \"{name}\": expected {}, or the path of a file FILE.onnx", Entrant::names().join(", "))]
 pub struct UnknownPolicy {
-    /// The name that was given.
+    /// The unknown name.
     pub name: String,
 }
 
 #[derive(Clone, Debug)]
-enum Way {
+enum Origin {
     Kind(PolicyKind, ActorSource),
     Codebook,
 }
@@ -42,27 +43,28 @@ enum Way {
 #[derive(Clone, Debug)]
 pub struct Entrant {
     name: String,
-    way: Way,
+    origin: Origin,
     prediction: Option<Prediction>,
-    /// Telemetry does not name the mirrors that do not follow.
+    /// Whether telemetry leaves the unusable mirrors unnamed.
     unaware: bool,
 }
 
 impl Entrant {
-    /// Finds a policy by its name or by the path of its ONNX file; `ddpg` is the file of the policy of that name, if not the built-in one.
+    /// Finds a policy by its name or by the path of its ONNX file; `ddpg` is the actor of the
+    /// policy of that name.
     ///
     /// # Errors
-    /// [`UnknownPolicy`], which lists those there are.
+    /// [`UnknownPolicy`], which lists the known names.
     pub fn parse(name: &str, ddpg: &ActorSource) -> Result<Self, UnknownPolicy> {
-        let way = if name == CODEBOOK {
-            Way::Codebook
+        let origin = if name == CODEBOOK {
+            Origin::Codebook
         } else if name.ends_with(".onnx") {
-            Way::Kind(PolicyKind::Ddpg, ActorSource::Path(PathBuf::from(name)))
+            Origin::Kind(PolicyKind::Ddpg, ActorSource::Path(PathBuf::from(name)))
         } else {
             let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
-            Way::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
+            Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
-        Ok(Self { name: name.into(), way, prediction: None, unaware: false })
+        Ok(Self { name: name.into(), origin, prediction: None, unaware: false })
     }
 
     /// The names of all policies.
@@ -72,11 +74,11 @@ impl Entrant {
         names.chain([CODEBOOK.into()]).collect()
     }
 
-    /// The same policy with constant-velocity prediction of the users, whatever the scenario says; for a closed loop. `None` for
-    /// policies that look at nobody.
+    /// The same policy with constant-velocity prediction of the users, for closed loop; it replaces
+    /// the scenario's. `None` for policies that do not observe the users.
     pub fn predicted(&self) -> Option<Self> {
         use PolicyKind::{Flat, Hold, NoIrs, Random};
-        let blind = matches!(self.way, Way::Kind(Flat | Hold | NoIrs | Random, _));
+        let blind = matches!(self.origin, Origin::Kind(Flat | Hold | NoIrs | Random, _));
         (!blind).then(|| Self {
             name: format!("{}{PREDICTION_SUFFIX}", self.name),
             prediction: Some(Prediction::ConstantVelocity),
@@ -84,12 +86,12 @@ impl Entrant {
         })
     }
 
-    /// The same policy without being told which mirrors do not follow; for a closed loop.
+    /// The same policy without telemetry of unusable mirrors, for closed loop.
     pub fn unaware(&self) -> Self {
         Self { name: format!("{}{UNAWARE_SUFFIX}", self.name), unaware: true, ..self.clone() }
     }
 
-    /// Whether it is told which mirrors do not follow.
+    /// Whether telemetry names the unusable mirrors.
     pub(super) fn is_aware(&self) -> bool {
         !self.unaware
     }
@@ -99,10 +101,10 @@ impl Entrant {
         &self.name
     }
 
-    /// The same policy once for each training seed of which an actor is built in, or only for the one given; itself where it was not
-    /// learned or comes from a file.
+    /// The same policy once for each training seed with a built-in actor, or for the given seed
+    /// only. A policy that is not learned, or comes from a file, is returned unchanged.
     pub(super) fn trainings(&self, scenario: &Scenario, only: Option<u32>) -> Vec<Self> {
-        let Way::Kind(kind, ActorSource::Shipped) = self.way else { return vec![self.clone()] };
+        let Origin::Kind(kind, ActorSource::Shipped) = self.origin else { return vec![self.clone()] };
         let seeds = match only {
             _ if !kind.is_learned() => vec![],
             Some(seed) => vec![seed],
@@ -111,24 +113,24 @@ impl Entrant {
         if seeds.is_empty() {
             return vec![self.clone()];
         }
-        let of_seed = |seed| Self { way: Way::Kind(kind, ActorSource::ShippedSeed(seed)), ..self.clone() };
+        let of_seed = |seed| Self { origin: Origin::Kind(kind, ActorSource::ShippedSeed(seed)), ..self.clone() };
         seeds.into_iter().map(of_seed).collect()
     }
 
-    /// Whether the policy was learned.
+    /// Whether the policy is learned.
     pub(super) fn is_learned(&self) -> bool {
-        matches!(self.way, Way::Kind(kind, _) if kind.is_learned())
+        matches!(self.origin, Origin::Kind(kind, _) if kind.is_learned())
     }
 
-    /// Whether the policy can be had for a room.
+    /// Whether the policy can be built for a room.
     pub fn fits(&self, scenario: &Scenario) -> bool {
         self.build(scenario, scenario.seed).is_ok()
     }
 
-    /// The angles for a room as it truly stands, within the controller's limits.
+    /// The angles for the true state of a room, within the controller's limits.
     ///
     /// # Errors
-    /// A policy that cannot be had for the room, or that fails in it.
+    /// The policy cannot be built for the room, or it fails.
     pub fn angles(&self, scenario: &Scenario, world: &World) -> anyhow::Result<MirrorAngles> {
         let mut seen = Observation::new(world.model(), scenario.users.count);
         seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
@@ -139,23 +141,23 @@ impl Entrant {
         Ok(angles)
     }
 
-    /// Whether the policy is a random draw, to be averaged over many.
+    /// Whether the policy is a random draw, which is averaged over several.
     pub(super) fn is_random(&self) -> bool {
-        matches!(self.way, Way::Kind(PolicyKind::Random, _))
+        matches!(self.origin, Origin::Kind(PolicyKind::Random, _))
     }
 
-    /// The scenario as the entrant's controller has it.
+    /// The scenario of the entrant's controller.
     pub(super) fn scenario(&self, scenario: &Scenario) -> Scenario {
         let mut scenario = scenario.clone();
         scenario.control.prediction = self.prediction.unwrap_or(scenario.control.prediction);
         scenario
     }
 
-    /// A fresh policy; what it draws comes from `seed`.
+    /// A new policy; its random choices come from `seed`.
     pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> anyhow::Result<Box<dyn Policy>> {
-        match &self.way {
-            Way::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
-            Way::Codebook => Ok(Box::new(BestEntry::new(scenario)?)),
+        match &self.origin {
+            Origin::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
+            Origin::Codebook => Ok(Box::new(BestEntry::new(scenario)?)),
         }
     }
 }
@@ -165,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_and_aliases_and_files_are_found_and_others_are_told_what_there_is() {
+    fn names_aliases_and_files_are_found_and_the_error_lists_the_names() {
         let parse = |name: &str| Entrant::parse(name, &ActorSource::Shipped);
         for name in Entrant::names() {
             assert_eq!(parse(&name).unwrap().name(), name);

@@ -1,20 +1,20 @@
-//! What angles are truly worth in a state.
+//! The true evaluation of angles in a state.
 
 use heliostat_channel::link::{ber_ook, jain};
 use heliostat_channel::{ChannelModel, MirrorAngles, Scene};
 
-use crate::evaluate::met;
+use crate::evaluation::held_out::met;
 
-/// The worth of some angles in one state.
+/// The evaluation of angles in one state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Sample {
     /// Sum of the users' rates in Mbit/s.
     pub sum_rate_mbps: f64,
     /// Share of users whose minimum rate is met.
     pub met: f64,
-    /// Jain's index of the rates.
+    /// Jain's fairness index of the rates.
     pub jain: f64,
-    /// Mean rate of the users without a direct path, in Mbit/s; NaN where there is none.
+    /// Mean rate of the users without a direct path, in Mbit/s; NaN without such a user.
     pub blocked_rate_mbps: f64,
     /// Mean bit error rate of the users with on-off keying.
     pub ber: f64,
@@ -34,7 +34,30 @@ impl Sample {
     }
 }
 
-/// Judges angles by the true evaluation: spill, the light's panel, blocked legs.
+/// A policy's samples in all states, group by group, and the time of each decision in us.
+#[derive(Default)]
+pub(super) struct Run {
+    pub groups: Vec<Vec<Sample>>,
+    pub decisions_us: Vec<f64>,
+}
+
+impl Run {
+    /// One run whose samples are the means over several runs on the same states.
+    pub fn mean(mut runs: Vec<Self>) -> Self {
+        let decisions_us = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.decisions_us)).collect();
+        let same = |group: usize, state: usize| {
+            Sample::mean(&runs.iter().map(|run| run.groups[group][state]).collect::<Vec<_>>())
+        };
+        let groups = runs.first().map_or(&[][..], |run| &run.groups);
+        let groups = groups.iter().enumerate();
+        Self {
+            groups: groups.map(|(group, states)| (0..states.len()).map(|state| same(group, state)).collect()).collect(),
+            decisions_us,
+        }
+    }
+}
+
+/// Evaluates angles with spill, the LED's panel and blocked paths.
 pub(crate) struct Judge {
     model: ChannelModel,
     min_rate_bps: Vec<f64>,
@@ -64,7 +87,7 @@ impl Judge {
             sum_rate_mbps: 1e-6 * self.rates_bps.iter().sum::<f64>(),
             met: met(&self.rates_bps, &self.min_rate_bps),
             jain: jain(&self.rates_bps),
-            // Nobody blocked is 0 / 0, which is what it is to say.
+            // Without a blocked user this is 0 / 0, NaN as documented.
             blocked_rate_mbps: 1e-6 * sum / count,
             ber: self.sinr.iter().map(|sinr| ber_ook(*sinr)).sum::<f64>() / users as f64,
         }

@@ -1,16 +1,18 @@
-//! From samples to figures with intervals.
+//! From samples to means with intervals.
 //!
-//! States come in groups that are independent of each other: a group is one state in static comparison, and one episode in a closed
-//! loop, whose instants are not. Intervals are computed from the means of the groups.
+//! States form groups that are independent of each other. In a static comparison a group is one
+//! state. In closed loop it is one episode, because the sampling times of an episode are not
+//! independent. Intervals come from the means of the groups.
 
 use serde::Serialize;
 
 use super::entrant::Entrant;
-use super::judge::Sample;
-use super::{Loop, Run};
-use crate::evaluate::Estimate;
+use super::judge::{Run, Sample};
+use super::settings::Loop;
+use crate::evaluation::Estimate;
 
-/// A figure over all states. In JSON a number that does not exist, such as the rate of blocked users where nobody is, is null.
+/// A quantity over all states. In JSON a missing number, such as the rate of blocked users without
+/// such a user, is null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
     /// The mean.
@@ -22,15 +24,16 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// The figure of values in independent groups, from one run or from several on the same groups; values that are NaN do not exist.
+    /// The quantity from values in independent groups, of one run or of several runs on the same
+    /// groups; NaN is a missing value.
     ///
-    /// The variance of the mean is that over groups plus, with several runs, that over runs; what both hold is counted twice, so the
-    /// interval is rather too wide than too narrow.
+    /// The variance of the mean is that over groups plus, with several runs, that over runs. The
+    /// two overlap, so the interval is conservative.
     pub fn of(runs: &[Vec<Vec<f64>>]) -> Self {
         let count = runs.iter().map(Vec::len).max().unwrap_or(0);
         let values = |group: &[f64]| group.iter().copied().filter(|value| !value.is_nan()).collect::<Vec<_>>();
-        let together = |index: usize| runs.iter().flat_map(|run| values(&run[index])).collect::<Vec<_>>();
-        let groups: Vec<Vec<f64>> = (0..count).map(together).filter(|group| !group.is_empty()).collect();
+        let pooled = |index: usize| runs.iter().flat_map(|run| values(&run[index])).collect::<Vec<_>>();
+        let groups: Vec<Vec<f64>> = (0..count).map(pooled).filter(|group| !group.is_empty()).collect();
         let means: Vec<f64> = groups.iter().map(|group| mean(group)).collect();
         let of_runs: Vec<f64> = runs.iter().map(|run| mean(&values(&run.concat()))).collect();
         let mut all = groups.concat();
@@ -45,18 +48,22 @@ impl Spread {
 /// Quantiles of a policy's decision time in us.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Times {
-    /// Half of the decisions took at most this long.
+    /// Median.
     pub p50: f64,
-    /// 99 of 100 took at most this long.
+    /// 99th percentile.
     pub p99: f64,
 }
 
-/// The figures of one policy.
+/// Rows of the oracle and of each entrant.
+pub(super) type Rows = (Row, Vec<Row>);
+
+/// The results of one policy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Row {
     /// Sum rate in Mbit/s.
     pub sum_rate_mbps: Spread,
-    /// Sum rate over that of the oracle with minimum rates, state by state; states in which nobody can be served have none.
+    /// Ratio of the sum rate to that of the oracle with minimum rates, state by state; missing
+    /// where no user can be served.
     pub ratio_to_oracle: Spread,
     /// Share of users whose minimum rate is met.
     pub qos_met: Spread,
@@ -69,16 +76,17 @@ pub struct Row {
     /// Closed loop: share of the users' time below their minimum rate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub outage_time: Option<Spread>,
-    /// How long the policy took; `None` for the yardstick.
+    /// Decision time; `None` for the oracle as the reference.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub decision_us: Option<Times>,
-    /// How many training seeds stand behind the figures of a learned policy.
+    /// Number of training seeds of a learned policy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub training_seeds: Option<usize>,
 }
 
 impl Row {
-    /// The figures of an entrant's runs, one for each training seed, beside the oracle's of the same states.
+    /// The results of an entrant's runs, one for each training seed, relative to the oracle's on
+    /// the same states.
     pub(super) fn new(runs: &[Run], oracle: &[Vec<Sample>], (entrant, mode): (&Entrant, Loop)) -> Self {
         let samples: Vec<&[Vec<Sample>]> = runs.iter().map(|run| run.groups.as_slice()).collect();
         let mut decisions_us: Vec<f64> = runs.iter().flat_map(|run| &run.decisions_us).copied().collect();
@@ -91,7 +99,7 @@ impl Row {
         }
     }
 
-    /// The figures of the yardstick itself.
+    /// The results of the reference itself.
     pub(super) fn of_oracle(oracle: &[Vec<Sample>], mode: Loop) -> Self {
         Self::of_samples(&[oracle], oracle, mode)
     }
@@ -129,7 +137,7 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// The quantile of sorted values, linear between them; NaN of none.
+/// The quantile of sorted values, linear between them; NaN without values.
 fn quantile(sorted: &[f64], share: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = share * last as f64;
@@ -142,8 +150,12 @@ fn quantile(sorted: &[f64], share: f64) -> f64 {
 mod tests {
     use super::*;
 
+    /// 97.5 % quantiles of Student's t with one and three degrees of freedom.
+    const T_1: f64 = 12.706204736174694;
+    const T_3: f64 = 3.18244630528371;
+
     #[test]
-    fn quantiles_lie_between_their_neighbours() {
+    fn quantiles_are_linear_between_neighbours() {
         assert_eq!(quantile(&[1.0, 2.0, 3.0], 0.5), 2.0);
         assert_eq!(quantile(&[0.0, 10.0], 0.05), 0.5);
         assert_eq!(quantile(&[4.0], 0.99), 4.0);
@@ -151,15 +163,15 @@ mod tests {
     }
 
     #[test]
-    fn intervals_come_from_groups_and_absent_values_do_not_count() {
+    fn intervals_come_from_groups_and_missing_values_are_ignored() {
         let alone: Vec<Vec<f64>> = [1.0, 2.0, 3.0, 4.0].map(|value| vec![value]).into();
-        let together = vec![vec![1.0, 2.0], vec![3.0, 4.0]];
+        let pairs = vec![vec![1.0, 2.0], vec![3.0, 4.0]];
         let of = |groups: &[Vec<f64>]| Spread::of(&[groups.to_vec()]);
-        let (alone, together) = (of(&alone), of(&together));
-        assert_eq!((alone.mean, together.mean, alone.p5), (2.5, 2.5, together.p5));
+        let (alone, pairs) = (of(&alone), of(&pairs));
+        assert_eq!((alone.mean, pairs.mean, alone.p5), (2.5, 2.5, pairs.p5));
         // Standard errors: sqrt(5/3) / 2 of four values, sqrt(2) / sqrt(2) of two means.
-        assert!((alone.ci95 - 3.182 * (5.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-12);
-        assert!((together.ci95 - 12.706).abs() < 1e-12);
+        assert!((alone.ci95 - T_3 * (5.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-9);
+        assert!((pairs.ci95 - T_1).abs() < 1e-9);
         let gap = of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
         assert_eq!(gap.mean, 3.0);
         assert!(of(&[vec![f64::NAN]]).mean.is_nan() && of(&[vec![1.0, 2.0]]).ci95.is_nan());
@@ -173,6 +185,6 @@ mod tests {
         assert_eq!((one.mean, one.ci95), (same.mean, same.ci95));
         // Over runs: a standard error of sqrt(2) / sqrt(2).
         assert_eq!(apart.mean, 2.5);
-        assert!((apart.ci95 - one.ci95.hypot(12.706)).abs() < 1e-12 && apart.p5 < one.p5);
+        assert!((apart.ci95 - one.ci95.hypot(T_1)).abs() < 1e-9 && apart.p5 < one.p5);
     }
 }

@@ -1,4 +1,4 @@
-//! What is left of the light when mirrors are aimed at where people were.
+//! The SINR that remains when mirrors are aimed at past positions of the users.
 
 use heliostat_channel::solver::Solver;
 use heliostat_decide::core::Controller;
@@ -7,15 +7,19 @@ use heliostat_sim::SimulatedRoom;
 
 use super::closed_loop::{Episode, Lockstep};
 use super::entrant::Entrant;
-use crate::evaluate::{best_angles, held_out_seed};
+use crate::evaluation::held_out::{best_angles, held_out_seed};
 
-/// SINR over the SINR at perfect aim, for each user at each of so many instants of one walk in closed loop, a quarter of a second apart on average.
+/// SINR over the SINR at perfect aim for each user, at `instants` sampling times of one walk in
+/// closed loop; dimensionless.
 ///
-/// Reports, their age, the controller's decisions and the mirrors' motion are those of the scenario; perfect aim is that of the oracle, who
-/// knows where people are and whose mirrors turn at once. Users to whom even the oracle gives nothing do not count. Dimensionless.
+/// The sampling times are a quarter of a second apart on average. Reports, their age, the
+/// controller's decisions and the mirrors' motion are those of the scenario. Perfect aim is that of
+/// the oracle, which observes the true positions and whose mirrors turn at once. Users with zero
+/// SINR under the oracle are left out.
 ///
 /// # Errors
-/// A scenario that makes no room, a policy that does not fit it or fails, or reports too old to act on.
+/// The scenario describes no room, the policy does not fit it or fails, or reports are too old for
+/// a decision.
 pub fn kept_sinr(scenario: &Scenario, entrant: &Entrant, instants: usize) -> anyhow::Result<Vec<f64>> {
     let (users, seed) = (scenario.users.count, scenario.seed);
     let scenario = entrant.scenario(scenario);

@@ -1,4 +1,4 @@
-//! Static comparison: the same held-out states for everybody, seen as they are.
+//! Static comparison: the same held-out states for all policies, observed without error.
 
 use std::time::Instant;
 
@@ -10,12 +10,13 @@ use heliostat_decide::safety::{Limits, check_finite};
 use indicatif::ProgressBar;
 
 use super::entrant::Entrant;
-use super::judge::{Judge, Sample};
-use super::{Loop, RANDOM_DRAWS, Row, Rows, Run, Settings};
-use crate::env::observe;
-use crate::evaluate::{best_angles, held_out_world};
+use super::judge::{Judge, Run, Sample};
+use super::row::{Row, Rows};
+use super::settings::{Loop, RANDOM_DRAWS, Settings};
+use crate::environment::room::observe;
+use crate::evaluation::held_out::{best_angles, held_out_world};
 
-/// Decisions that a policy makes before it is timed, so that buffers are sized and caches warm.
+/// Decisions before the timed ones, so that buffers have their size and caches are warm.
 const WARM_UP: usize = 8;
 
 /// Compares on `states` states of each seed.
@@ -56,7 +57,7 @@ fn states(settings: &Settings, bar: &ProgressBar, judge: &Judge) -> anyhow::Resu
     Ok(states)
 }
 
-/// What the oracle makes of each state.
+/// The oracle's sample in each state.
 fn solve(states: &[Observation], bar: &ProgressBar, judge: &mut Judge) -> Vec<Vec<Sample>> {
     bar.reset();
     bar.set_message("states solved by the oracle");
@@ -97,7 +98,7 @@ fn run_once(
         policy.act(judge.model(), seen, &mut angles)?;
         run.decisions_us.push(begun.elapsed().as_secs_f64() * 1e6);
         check_finite(&angles)?;
-        // People stand still: the mirrors have all the time there is.
+        // The users do not move, so the mirrors have unlimited time to turn.
         limits.bound(&seen.angles, f64::INFINITY, &mut angles);
         run.groups.push(vec![judge.judge(&seen.scene, &angles)]);
     }

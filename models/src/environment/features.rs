@@ -1,13 +1,14 @@
-//! From the controller's observation vector to the actor's inputs, and from its logits to the decoder's weights.
+//! From the observation vector to the actor's inputs, and from its logits to the decoder's weights.
 //!
-//! Everything is dimensionless: gains enter as amplitudes whose square is the effective signal-to-noise ratio, so one actor
-//! serves any transmit power and noise. The observation encoder computes all of it ([`Summary`]); what is done here is to scale, which the exported graph
-//! does in the weights of the first layer ([`crate::export`]).
+//! All features are dimensionless. Gains enter as amplitudes whose square is the effective
+//! signal-to-noise ratio, so one actor serves any transmit power and noise. The observation encoder
+//! computes the values ([`Summary`]); this module scales them. The exported graph scales them in
+//! the weights of its first layer ([`crate::export`]).
 //!
 //! # Features of a user
 //! 1. present
-//! 2. x over half the room
-//! 3. y over half the room
+//! 2. x over half the room's extent
+//! 3. y over half the room's extent
 //! 4. ln(1 + direct amplitude)
 //! 5. ln(1 + sum over mirrors of the steering amplitude)
 //! 6. minimum rate in bit/s/Hz of the user's band
@@ -16,7 +17,7 @@
 //! 9. ln(1 + amplitude at balanced shares)
 //! 10. ln(balanced weight) / 4
 //!
-//! All are zero in an absent slot.
+//! All are zero in an empty slot.
 
 use heliostat_decide::observation::{ObservationEncoder, Summary, USERS_CAPACITY};
 use heliostat_scenario::Scenario;
@@ -25,51 +26,51 @@ use serde::{Deserialize, Serialize};
 /// Features of one user.
 pub const FEATURES: usize = 10;
 
-/// The place of what is 1 for every user present, and 0 in an absent slot, among them.
+/// Index of the feature that is 1 for a present user and 0 in an empty slot.
 pub const PRESENT: usize = 0;
 
-/// The place of ln(1 + direct amplitude) among them.
+/// Index of ln(1 + direct amplitude).
 pub const LOG_DIRECT: usize = 3;
 
-/// The place of ln(1 + amplitude at balanced shares) among them.
+/// Index of ln(1 + amplitude at balanced shares).
 pub const LOG_BALANCED: usize = 8;
 
-/// The place of ln(balanced weight), times [`WEIGHT_SCALE`], among them.
+/// Index of ln(balanced weight) times [`WEIGHT_SCALE`].
 pub const LOG_WEIGHT: usize = 9;
 
-/// Brings the logarithms of weights to the size of the other features.
+/// Scales the logarithms of weights to the magnitude of the other features.
 pub const WEIGHT_SCALE: f32 = 0.25;
 
-/// What the weights are at logits of zero.
+/// The weights at logits of zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Prior {
-    /// One: w_k = exp(c u_k).
+    /// Equal weights: w_k = exp(c u_k).
     Uniform,
-    /// Those that balance the users: w_k = exp(c u_k) q_k, see [`Summary::LogWeight`].
+    /// Weights that balance the users: w_k = exp(c u_k) q_k, with q of [`Summary::LogWeight`].
     Balanced,
 }
 
-/// How logits in [-1, 1] become weights.
+/// The map from logits u_k in [-1, 1] to weights w_k.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Head {
-    /// The weights at zero.
+    /// The weights at logits of zero.
     pub prior: Prior,
     /// The constant c.
     pub range: f32,
 }
 
-/// The observation vector as the actor reads it: the controller's layout and the size of the room.
+/// The layout of the observation vector, and the size of the room.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
-    /// Where each part of the vector lies.
+    /// The range of each part of the vector.
     pub encoder: ObservationEncoder,
-    /// Half the room's extent along x and y in m.
+    /// Half the room's extent along x and y, in m.
     pub half_room_m: [f32; 2],
 }
 
 impl Layout {
-    /// The layout for a scenario's array and room, with the shipped actors' number of slots.
+    /// The layout for a scenario's array and room, with [`USERS_CAPACITY`] slots.
     pub fn of(scenario: &Scenario) -> Self {
         Self {
             encoder: ObservationEncoder::new(USERS_CAPACITY, scenario.mirror_count()),
@@ -82,7 +83,7 @@ impl Layout {
         self.encoder.users_max()
     }
 
-    /// Which column of the summary makes each feature, and by what factor.
+    /// The column of the summary and the factor that give each feature.
     pub fn sources(&self) -> [(usize, f32); FEATURES] {
         let [half_x, half_y] = self.half_room_m.map(|half| 1.0 / half);
         let place = Summary::Place as usize;
@@ -103,10 +104,10 @@ impl Layout {
     /// Features of all slots, (slots, [`FEATURES`]).
     ///
     /// # Panics
-    /// When a slice has another length than this layout says.
+    /// A slice has another length than this layout gives.
     pub fn features(&self, observation: &[f32], out: &mut [f32]) {
-        assert_eq!(observation.len(), self.encoder.len(), "observation of another layout");
-        assert_eq!(out.len(), self.slots() * FEATURES, "features of another layout");
+        assert_eq!(observation.len(), self.encoder.len(), "the observation has another layout");
+        assert_eq!(out.len(), self.slots() * FEATURES, "the features have another layout");
         for (slot, row) in out.chunks_exact_mut(FEATURES).enumerate() {
             for (feature, (column, factor)) in row.iter_mut().zip(self.sources()) {
                 *feature = observation[self.encoder.column(column)][slot] * factor;
@@ -114,7 +115,7 @@ impl Layout {
         }
     }
 
-    /// The weights of all slots; zero where no user is.
+    /// The weights of all slots; zero in empty slots.
     pub fn weights(&self, observation: &[f32], logits: &[f32], head: Head) -> Vec<f32> {
         let column = |column: Summary| &observation[self.encoder.column(column as usize)];
         let (present, balanced) = (column(Summary::Present), column(Summary::LogWeight));
@@ -137,7 +138,7 @@ mod tests {
         Layout { encoder: ObservationEncoder::new(3, 2), half_room_m: [2.5, 2.5] }
     }
 
-    /// Two users, the second in the direct light; each mirror suits one of them.
+    /// Two users, the second with a direct path; each mirror has the larger gain for one of them.
     fn observation() -> Vec<f32> {
         let layout = layout();
         let mut vector = vec![0.0; layout.encoder.len()];
@@ -152,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn features_are_what_the_table_says() {
+    fn features_have_the_listed_order_and_scale() {
         let layout = layout();
         let mut out = vec![9.0; 3 * FEATURES];
         layout.features(&observation(), &mut out);
@@ -163,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_follow_the_prior_and_vanish_in_absent_slots() {
+    fn weights_follow_the_prior_and_are_zero_in_empty_slots() {
         let layout = layout();
         let uniform = layout.weights(&observation(), &[0.0, 1.0, 1.0], Head { prior: Prior::Uniform, range: 2.0 });
         assert_eq!(uniform[0], 1.0);

@@ -1,8 +1,9 @@
-//! The room as a learner sees it: a simulated world, the controller's observation, the decoder and the reward.
+//! The simulated room in which a learner acts: world, observation, decoder and reward.
 //!
-//! No transport, delay, noise or actuator is in between: an action is judged in the very state in which it was chosen. The
-//! reward is computed from the true evaluation of the decoded angles, with the spill of each spot onto other users and the average over
-//! the light's panel, not from the steering table that the decoder chooses by.
+//! An action is evaluated in the state in which it was chosen, without transport, delay, noise or
+//! actuator dynamics. The reward comes from the true evaluation of the decoded angles. It includes
+//! the spill of each spot onto other users and the average over the LED's panel, which the steering
+//! table of the decoder ignores.
 
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::{ChannelModel, Vec3};
@@ -12,25 +13,27 @@ use heliostat_sim::world::World;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
-/// How a missed or met minimum rate enters the reward.
+/// The penalty for minimum rates in the reward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RewardForm {
-    /// sum_k [R_k - lambda max(0, R_min,k - R_k)]: the shortfall is punished.
+    /// sum_k [R_k - lambda max(0, R_min,k - R_k)]: a shortfall is penalised.
     Shortfall,
-    /// As printed: lambda counts for users whose need **is** met. What it multiplies is not defined there; R_min,k is taken.
+    /// As printed: the penalty applies to users whose minimum rate **is** met. The paper does not
+    /// define the quantity that lambda multiplies; here it is R_min,k.
     AsPrinted,
 }
 
-/// The reward, in units of the bandwidth so that it is of order one: user k's part is (K / B) [R_k - penalty].
+/// The reward over the bandwidth B, which makes it of order one: user k's part is (K / B) [R_k -
+/// penalty].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reward {
-    /// Which penalty.
+    /// The penalty.
     pub form: RewardForm,
-    /// Its weight lambda.
+    /// The penalty's weight lambda.
     pub lambda: f64,
-    /// Factor on the minimum rates in the penalty; 1 is the paper's. A user who falls short by a little is not served either, so a policy that
-    /// aims at the need itself, as well as it can, misses it half of the time.
+    /// Factor on the minimum rates in the penalty; 1 is the paper's. A policy that aims at the
+    /// minimum rate itself, with a small error, misses it in about half of the states.
     pub margin: f64,
 }
 
@@ -46,7 +49,7 @@ impl Reward {
     }
 }
 
-/// What came of an action.
+/// The result of an action.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// sum_k [R_k - penalty] in Mbit/s.
@@ -65,10 +68,10 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// A fresh room, already observed.
+    /// A new room with its first observation.
     ///
     /// # Errors
-    /// A scenario that makes no room, or one with more than [`USERS_CAPACITY`] users.
+    /// The scenario describes no room, or it has more than [`USERS_CAPACITY`] users.
     pub fn new(scenario: &Scenario, seed: u64) -> anyhow::Result<Self> {
         let world = World::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
         let users = scenario.users.count;
@@ -91,17 +94,17 @@ impl Environment {
         self.world.model()
     }
 
-    /// What a policy sees now.
+    /// The present observation.
     pub fn observation(&self) -> &Observation {
         &self.observation
     }
 
-    /// The same as a network's input vector.
+    /// The present observation as a network's input vector.
     pub fn vector(&self) -> &[f32] {
         &self.vector
     }
 
-    /// Lets time pass and looks again.
+    /// Advances the world by `dt_s` seconds and observes it.
     ///
     /// # Errors
     /// As [`Environment::new`].
@@ -117,7 +120,8 @@ impl Environment {
         &self.rates_bps
     }
 
-    /// The same, judged: `rewards` takes each user's part, 0 in absent slots.
+    /// Turns the mirrors and evaluates the result; `rewards` receives each user's part, 0 in empty
+    /// slots.
     pub fn act(&mut self, angles: &MirrorAngles, reward: Reward, rewards: &mut [f32]) -> Outcome {
         self.rates_bps(angles);
         rewards.fill(0.0);
@@ -138,7 +142,7 @@ impl Environment {
     }
 }
 
-/// Takes over the true state of a world of the same size.
+/// Copies the true state of a world into an observation of the same size.
 pub(crate) fn observe(world: &World, seen: &mut Observation) {
     for (user, walker) in world.users().iter().enumerate() {
         seen.positions[user] = walker.position;
@@ -147,16 +151,17 @@ pub(crate) fn observe(world: &World, seen: &mut Observation) {
     seen.scene.clone_from(world.scene());
 }
 
-/// Which rooms an actor is trained in.
+/// The rooms in which a policy is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rooms {
-    /// Always the scenario as it stands; only walks and obstacles are drawn anew each episode.
+    /// The scenario as it stands; each episode draws new walks and obstacles.
     Fixed,
-    /// Users, forced blockage, noise and needs are drawn anew each episode around the scenario.
+    /// Each episode also draws users, forced blockage, noise and minimum rates around the
+    /// scenario's.
     Randomised,
-    /// The same, and bodies block light in half of the rooms only, with up to twice the scenario's obstacles: there are rooms in which everybody
-    /// can be served.
+    /// As `Randomised`, but bodies block light in half of the rooms only, and obstacles are up to
+    /// twice as dense as the scenario's. Some of these rooms allow all minimum rates to be met.
     Mixed,
 }
 
@@ -166,9 +171,12 @@ const FORCED_MAX: usize = 5;
 impl Rooms {
     /// The scenario of one episode.
     ///
-    /// Randomised: in half the episodes as many users as the scenario has, otherwise 1 to [`USERS_CAPACITY`]; 0 to 5 of them forced off;
-    /// noise log-uniform from 0.5 to 25 times the scenario's (2e-15 to 1e-13 A2 by default; from 0.25 to 4 times in the paper's
-    /// modes, where more noise leaves nothing to see); needs uniform from 0 to twice the scenario's.
+    /// `Randomised` draws:
+    /// - users: the scenario's number in half of the episodes, otherwise 1 to [`USERS_CAPACITY`];
+    /// - users with the direct path forced off: 0 to 5;
+    /// - noise: log-uniform, 0.5 to 25 times the scenario's. In the paper's modes 0.25 to 4 times,
+    ///   because more noise leaves no measurable gain there;
+    /// - minimum rates: uniform, 0 to twice the scenario's.
     pub fn draw(self, scenario: &Scenario, rng: &mut impl Rng) -> Scenario {
         let mut room = scenario.clone();
         if self == Self::Fixed {
@@ -207,12 +215,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn as_printed_the_penalty_falls_on_users_whose_need_is_met() {
+    fn the_printed_penalty_applies_to_users_whose_minimum_rate_is_met() {
         let reward = |form, rate_bps| Reward { form, lambda: 1.0, margin: 1.0 }.of(rate_bps, 1e6);
-        let [starved, served] = [0.4e6, 3e6];
-        assert_eq!(reward(RewardForm::AsPrinted, starved), starved);
-        assert_eq!(reward(RewardForm::AsPrinted, served), served - 1e6);
-        assert_eq!(reward(RewardForm::Shortfall, starved), starved - 0.6e6);
-        assert_eq!(reward(RewardForm::Shortfall, served), served);
+        let [below, above] = [0.4e6, 3e6];
+        assert_eq!(reward(RewardForm::AsPrinted, below), below);
+        assert_eq!(reward(RewardForm::AsPrinted, above), above - 1e6);
+        assert_eq!(reward(RewardForm::Shortfall, below), below - 0.6e6);
+        assert_eq!(reward(RewardForm::Shortfall, above), above);
     }
 }

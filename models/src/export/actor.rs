@@ -1,10 +1,9 @@
-//! The exported actor: observation in, mirror angles out, all in one ONNX graph.
+//! The exported actor: one ONNX graph from the observation to the mirror angles.
 //!
-//! Three parts follow each other in the graph: the scaling of the features (in the weights of the first layer), the trained network, and the
-//! geometric decoder, the same that `heliostat_channel::decode` computes in Rust. A controller therefore needs no knowledge of how an
-//! actor was trained, and no actor can point a mirror where the geometry does not allow.
-
-mod network;
+//! The graph has three parts: the scaling of the features (in the weights of the first layer), the
+//! trained network, and the geometric decoder of `heliostat_channel::decode`. A controller
+//! therefore needs no knowledge of the training, and no actor can turn a mirror to an angle that
+//! the geometry does not allow.
 
 use candle_core::Result;
 use heliostat_channel::mirrors::MirrorArray;
@@ -12,18 +11,19 @@ use heliostat_channel::{ChannelModel, Mode, Vec3};
 use heliostat_decide::observation::Summary;
 use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 
-use crate::actor::{Actor, EXPONENT, SQUARINGS};
-use crate::features::{FEATURES, Head, Layout, Prior};
-use crate::onnx::{Ends, Graph, Value};
+use heliostat_onnx::graph::{Ends, Graph, Value};
 
-pub use network::{Column, Entry, NetworkNodes};
+use super::network::{Column, NetworkNodes};
+use crate::environment::features::{FEATURES, Head, Layout, Prior};
+use crate::networks::actor::{Actor, EXPONENT, SQUARINGS};
 
 /// Writes an actor for the room of a channel as an ONNX file with the given metadata.
 ///
-/// An engine spends more on starting a node than on the arithmetic in it, so the graph has few nodes that do much, of those kinds that engines do quickly.
+/// The start of a node costs an engine more than its arithmetic, so the graph has few nodes on
+/// large tensors, of kinds that engines run fast.
 ///
 /// # Errors
-/// Those of candle, when a parameter cannot be read.
+/// Errors of candle, when a parameter cannot be read.
 pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]) -> Result<Vec<u8>> {
     let mut graph = Graph::default();
     let observed = observe(&mut graph, actor);
@@ -31,7 +31,7 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
     let sharpness = EXPONENT * actor.head.range;
     let mut columns = columns(&actor.layout);
     let mut first = columns.clone();
-    // Before the first round nobody has a logit, and so everybody the balanced share.
+    // The first round has logits of zero and so the amplitude at balanced shares.
     first[Summary::LogBalanced as usize].push((AMPLITUDE, 1.0));
     let entry = network.entry(&mut graph, &first)?;
     let users = graph.transpose(&observed.summary);
@@ -46,31 +46,33 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
             let exponents = graph.node("Mul", &[&logits, &sharpness]);
             let amplitude = claims.amplitude(&mut graph, &exponents);
             let input = graph.concat(&[&users, &exponents, &amplitude], 1);
-            // Empties absent slots, and keeps tract from splitting the product that follows into one for each part.
+            // Zeroes empty slots. Without this node tract splits the product that follows into one
+            // for each part.
             let input = graph.node("Mul", &[&input, &present]);
             logits = network.apply(&mut graph, &entry, &input);
         }
     }
-    let weighed = weigh(&mut graph, &observed, &logits, actor.head);
+    let weighted = weigh(&mut graph, &observed, &logits, actor.head);
     let normal = match model.mode {
-        Mode::Specular => specular(&mut graph, model, &observed, &weighed),
-        Mode::Paper { .. } => paper(&mut graph, model, &observed, &weighed),
+        Mode::Specular => specular(&mut graph, model, &observed, &weighted),
+        Mode::Paper { .. } => paper(&mut graph, model, &observed, &weighted),
     };
     angles(&mut graph, &normal);
     let input = (INPUT_NAME, actor.layout.encoder.len());
     Ok(graph.finish(&Ends { name: "heliostat-actor", input, output: (OUTPUT_NAME, 2 * model.mirrors.len()) }, metadata))
 }
 
-/// The place of the logit of the round before among the inputs of the actor's network.
+/// Index of the previous round's logit among the inputs of the actor's network.
 const LOGIT: usize = FEATURES;
 
-/// The place of ln(1 + amplitude) under that logit.
+/// Index of ln(1 + amplitude) under that logit.
 const AMPLITUDE: usize = FEATURES + 1;
 
-/// In the place of [`NO_CLAIM`](crate::actor::NO_CLAIM): claims are not divided by their sum here, and may be small.
+/// Replaces [`NO_CLAIM`](crate::networks::actor::NO_CLAIM): claims are not divided by their sum
+/// here and can be small.
 const NOTHING: f32 = 1e-35;
 
-/// Which of the network's inputs each column of the summary makes.
+/// The network's inputs that each column of the summary gives.
 fn columns(layout: &Layout) -> Vec<Column> {
     let mut columns = vec![Vec::new(); Summary::COLUMNS];
     for (input, (column, factor)) in layout.sources().into_iter().enumerate() {
@@ -109,7 +111,7 @@ fn column(graph: &mut Graph, observed: &Observed, column: usize) -> Value {
 struct Claims {
     /// (s p_k a_km)^8 with the weights p of logits of zero and one s for all, (slots, mirrors).
     claims: Value,
-    /// The same times a_km.
+    /// The claims times a_km.
     gains: Value,
     /// 1 + direct amplitude, (slots, 1).
     raised_direct: Value,
@@ -119,10 +121,10 @@ impl Claims {
     fn new(graph: &mut Graph, observed: &Observed, head: Head) -> Self {
         let nothing = graph.scalar(NOTHING);
         let mut claims = match head.prior {
-            // Of any size: only beside each other do their powers stay within f32.
+            // Relative to their sum, so that their powers stay within f32.
             Prior::Uniform => {
-                let something = graph.node("Add", &[&observed.steering, &nothing]);
-                let share = over_all(graph, &something);
+                let positive = graph.node("Add", &[&observed.steering, &nothing]);
+                let share = inverse_sum(graph, &positive);
                 graph.node("Mul", &[&observed.steering, &share])
             }
             Prior::Balanced => {
@@ -142,11 +144,12 @@ impl Claims {
         Self { claims, gains, raised_direct }
     }
 
-    /// ln(1 + amplitude) of each user, from [`EXPONENT`] times what the weights are the exponential of; (slots, 1).
+    /// ln(1 + amplitude) of each user from [`EXPONENT`] times the logarithms of the weights;
+    /// (slots, 1).
     fn amplitude(&self, graph: &mut Graph, exponents: &str) -> Value {
         let weights = graph.node("Exp", &[exponents]);
         let claims = graph.node("Mul", &[&self.claims, &weights]);
-        let share = over_all(graph, &claims);
+        let share = inverse_sum(graph, &claims);
         let share = graph.transpose(&share);
         let given = graph.node("MatMul", &[&self.gains, &share]);
         let given = graph.node("Mul", &[&given, &weights]);
@@ -156,12 +159,12 @@ impl Claims {
 }
 
 /// One over the sum of each mirror's column, (1, mirrors).
-fn over_all(graph: &mut Graph, table: &str) -> Value {
-    let all = graph.sum(table, 0);
-    graph.node("Reciprocal", &[&all])
+fn inverse_sum(graph: &mut Graph, table: &str) -> Value {
+    let total = graph.sum(table, 0);
+    graph.node("Reciprocal", &[&total])
 }
 
-/// What each user asks of each mirror: steering amplitudes times weights, up to a factor for all; (slots, mirrors).
+/// Steering amplitudes times weights, up to a common factor; (slots, mirrors).
 fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Value {
     let range = graph.scalar(head.range);
     let mut exponent = graph.node("Mul", &[logits, &range]);
@@ -173,8 +176,8 @@ fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Va
     graph.node("Mul", &[&observed.steering, &weight])
 }
 
-/// A point or direction as the graph has it: along the wall, into the wall, and down.
-fn seen(mirrors: &MirrorArray, vector: &Vec3) -> Vec3 {
+/// A point or direction in the graph's frame: along the wall, into the wall, and down.
+fn in_graph_frame(mirrors: &MirrorArray, vector: &Vec3) -> Vec3 {
     let turned = mirrors.wall_from_room(vector);
     Vec3::new(turned.x, turned.y, -turned.z)
 }
@@ -186,31 +189,34 @@ fn rows(graph: &mut Graph, name: &str, vectors: impl Iterator<Item = Vec3> + Clo
     graph.constant(name, &[3, values.len() / 3], &values)
 }
 
-/// The mirrors' centres.
+/// The centres of the mirrors.
 fn centres(mirrors: &MirrorArray) -> impl Iterator<Item = Vec3> + Clone {
-    mirrors.positions().iter().map(|centre| seen(mirrors, centre))
+    mirrors.positions().iter().map(|centre| in_graph_frame(mirrors, centre))
 }
 
-/// Where the users are, (3, slots).
-fn places(graph: &mut Graph, observed: &Observed, mirrors: &MirrorArray) -> Value {
+/// Positions of the users, (3, slots).
+fn positions(graph: &mut Graph, observed: &Observed, mirrors: &MirrorArray) -> Value {
     let first = Summary::Place as usize;
-    let places = graph.slice(&observed.summary, 0, first..first + 3);
+    let positions = graph.slice(&observed.summary, 0, first..first + 3);
     let axes = [Vec3::x(), Vec3::y(), Vec3::z()];
-    let turn = rows(graph, "turn", axes.iter().map(|axis| seen(mirrors, axis)));
-    graph.node("MatMul", &[&turn, &places])
+    let turn = rows(graph, "turn", axes.iter().map(|axis| in_graph_frame(mirrors, axis)));
+    graph.node("MatMul", &[&turn, &positions])
 }
 
-/// Each mirror serves the user with the largest weighted amplitude, the first where nobody sees it, at the bisector; normals of any length, (3, mirrors).
+/// Normals, not normalised, (3, mirrors): each mirror is at the bisector for the user with the
+/// largest weighted amplitude.
+///
+/// A mirror that reaches no user takes the first.
 fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores: &str) -> Value {
     let (mirrors, led) = (&model.mirrors, model.leds[0].position);
     let served = graph.best_row(scores, [observed.slots, observed.mirrors]);
-    let places = places(graph, observed, mirrors);
-    let target = graph.gather(&places, &served, 1);
+    let positions = positions(graph, observed, mirrors);
+    let target = graph.gather(&positions, &served, 1);
     let from = rows(graph, "centres", centres(mirrors));
     let towards_user = graph.node("Sub", &[&target, &from]);
-    let towards_led = centres(mirrors).map(|centre| (seen(mirrors, &led) - centre).normalize());
+    let towards_led = centres(mirrors).map(|centre| (in_graph_frame(mirrors, &led) - centre).normalize());
     let towards_led = rows(graph, "towards_led", towards_led);
-    // The bisector of two directions, times the distance to the user: its length does not matter.
+    // The bisector of two directions, times the distance to the user. Its length has no effect.
     let squares = graph.node("Mul", &[&towards_user, &towards_user]);
     let distance = graph.sum(&squares, 0);
     let distance = graph.node("Sqrt", &[&distance]);
@@ -218,27 +224,28 @@ fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores
     graph.node("Add", &[&scaled, &towards_user])
 }
 
-/// The sum over users of weight, coefficient and direction, flat where it is zero; normals of any length, (3, mirrors).
-fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, pull: &str) -> Value {
+/// Normals, not normalised, (3, mirrors): the sum over users of weight, coefficient and direction;
+/// flat where it is zero.
+fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weighted: &str) -> Value {
     let mirrors = &model.mirrors;
     let squares = [0, 1, 2].map(|axis| {
         let place = column(graph, observed, Summary::Place as usize + axis);
         let centre: Vec<f32> = mirrors.positions().iter().map(|centre| centre[axis] as f32).collect();
         let centre = graph.constant(&format!("centre_{axis}"), &[1, centre.len()], &centre);
-        let way = graph.node("Sub", &[&place, &centre]);
-        graph.node("Mul", &[&way, &way])
+        let offset = graph.node("Sub", &[&place, &centre]);
+        graph.node("Mul", &[&offset, &offset])
     });
     let squared = graph.node("Add", &[&squares[0], &squares[1]]);
     let squared = graph.node("Add", &[&squared, &squares[2]]);
     let distance = graph.node("Sqrt", &[&squared]);
-    let pull = graph.node("Div", &[pull, &distance]);
-    let places = places(graph, observed, mirrors);
-    let towards_users = graph.node("MatMul", &[&places, &pull]);
+    let pull = graph.node("Div", &[weighted, &distance]);
+    let positions = positions(graph, observed, mirrors);
+    let towards_users = graph.node("MatMul", &[&positions, &pull]);
     let from = rows(graph, "centres", centres(mirrors));
-    let all = graph.sum(&pull, 0);
-    let from = graph.node("Mul", &[&from, &all]);
+    let total = graph.sum(&pull, 0);
+    let from = graph.node("Mul", &[&from, &total]);
     let normal = graph.node("Sub", &[&towards_users, &from]);
-    // Far below any pull that carries data; it decides only where there is none.
+    // Far below any weighted coefficient that matters. It decides only where there is none.
     let inward = graph.constant("inward", &[3, 1], &[0.0, -1e-12, 0.0]);
     graph.node("Add", &[&normal, &inward])
 }

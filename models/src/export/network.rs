@@ -1,14 +1,15 @@
-//! A trained network as nodes of an ONNX graph; what [`Network::forward`] computes for one state.
+//! A trained network as nodes of an ONNX graph: [`Network::forward`] for one state.
 
 use candle_core::Result;
+use heliostat_onnx::graph::{Graph, Value};
 
-use crate::networks::{Encoder, Network, Shape};
-use crate::onnx::{Graph, Value};
+use crate::networks::layers::{Encoder, Network, Shape};
 
-/// Which of the network's inputs a column of what it is given makes, and by what factor each; none where it is left out.
+/// The network's inputs that a column of the graph's input gives, each with its factor; empty for
+/// an unused column.
 pub type Column = Vec<(usize, f32)>;
 
-/// The parameters of a network as constants of the graph, so that every round uses the same.
+/// The parameters of a network as constants of the graph, which all rounds share.
 pub struct NetworkNodes<'a> {
     network: &'a Network,
     bias: Value,
@@ -23,10 +24,10 @@ pub struct Entry {
 }
 
 impl<'a> NetworkNodes<'a> {
-    /// Adds the parameters to a graph, but for the first layer's weights.
+    /// Adds the parameters to a graph, except the first layer's weights.
     ///
     /// # Errors
-    /// Those of candle, when a parameter cannot be read.
+    /// Errors of candle, when a parameter cannot be read.
     pub fn new(graph: &mut Graph, network: &'a Network) -> Result<Self> {
         let bias = |graph: &mut Graph, name: &str| {
             let bias = network.layer(name).bias.to_vec1::<f32>()?;
@@ -39,10 +40,10 @@ impl<'a> NetworkNodes<'a> {
         Ok(Self { network, bias: bias(graph, "first")?, second: layer(graph, "second")?, head: layer(graph, "head")? })
     }
 
-    /// Adds the first layer's weights for inputs in these columns, slot by slot.
+    /// Adds the first layer's weights for these columns, slot by slot.
     ///
     /// # Errors
-    /// Those of candle, when a parameter cannot be read.
+    /// Errors of candle, when a parameter cannot be read.
     pub fn entry(&self, graph: &mut Graph, columns: &[Column]) -> Result<Entry> {
         let weight = self.network.layer("first").weight.to_vec2::<f32>()?;
         let name = format!("first_of_{}.weight", columns.len());
@@ -59,7 +60,7 @@ impl<'a> NetworkNodes<'a> {
         linear(graph, &second, (&self.head.0, &self.head.1))
     }
 
-    /// Logits in [-1, 1] from inputs (slots, columns); (slots, 1), of no meaning in absent slots.
+    /// Logits in [-1, 1] from inputs (slots, columns); (slots, 1), without meaning in empty slots.
     pub fn apply(&self, graph: &mut Graph, entry: &Entry, input: &str) -> Value {
         let Shape { encoder, slots, .. } = self.network.shape();
         let outputs = match encoder {
@@ -83,7 +84,8 @@ fn constant(graph: &mut Graph, name: &str, rows: &[Vec<f32>]) -> Value {
     graph.constant(name, &[rows.len(), rows[0].len()], &rows.concat())
 }
 
-/// The rows of a first layer's weight in the order of the columns that it will be given, slot by slot; zero for a column without an input.
+/// The rows of the first layer's weight in the order of the columns, slot by slot; zero for an
+/// unused column.
 fn arranged(weight: &[Vec<f32>], inputs: usize, columns: &[Column]) -> Vec<Vec<f32>> {
     let row = |slot: &[Vec<f32>], column: &Column| {
         let mut row = vec![0.0; slot[0].len()];

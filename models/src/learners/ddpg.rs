@@ -1,97 +1,122 @@
-//! Algorithm 1 of the paper: DDPG, with one weight a user as the action.
+//! Algorithm 1 of the paper: DDPG, with one weight for each user as the action.
 //!
-//! # Departures from the paper, and why
-//! 1. **Action.** One logit in [-1, 1] for each user, turned into a weight and then, by the geometric decoder, into all angles;
-//!    not 200 raw angles. With raw angles almost every output ends stuck at its bound and the result is worse than flat mirrors.
-//! 2. **State.** Features of positions, direct gains, steering gains, equal and balanced shares, and needs ([`crate::features`]); the current angles are part of the
-//!    observation vector but no feature, since without actuator dynamics the best angles do not depend on them.
-//! 3. **Reward.** The printed penalty falls on users whose need is met. The shortfall is punished instead; `reward` has the printed
-//!    form. The reward is divided by the bandwidth, so that values are of order one.
-//! 4. **Exploration.** Additive noise, as Algorithm 1 says, of a deviation that falls from 0.4 to 0.05; the text says epsilon-greedy, which
-//!    `exploration` has too.
-//! 5. **Episodes.** Steps an episode are not given in the paper: 40, of one second each. Every episode has a new room, of another number of users,
-//!    blockage, noise and needs (`rooms=fixed` has the scenario's). The first update waits for 500 transitions.
-//! 6. **Several users.** Slots for 1 to 10 users with a mask, so that one actor serves any of these numbers.
+//! [`Ddpg::step`] and [`Ddpg::update`] are the complete algorithm.
 //!
-//! Preset `paper` departs in nothing else: plain 128/64 and 256/128 networks, gamma 0.9, tau 0.01, batch 32, replay 10000, rates 1e-3
-//! and 1e-2, 1000 episodes. Preset `tuned` (the default) departs further. Ratios to the oracle are means over rooms with 0, 2 and 5 of 5 users forced
-//! off, seed 1; the `paper` preset reaches 0.84 to 0.88:
-//! 7. **One network for each user.** The same widths, shared by all users: the answer cannot depend on the users' order. They meet in the
-//!    shares and weights that the observation encoder balances among all of them, and in the decoder. Pooled hidden layers as context besides gained
-//!    nothing: in two rounds on equal shares (see 10 and 12) 0.992, 0.988 and 0.972 with them (0, 2 and 5 of 5 users forced off), 0.993, 0.988 and
-//!    0.973 without. The figures of 8, 9, 11 and 14 are with them.
-//! 8. **Value of each user.** The critic predicts every user's part of the reward, and its value is their mean: several times the
-//!    learning signal from each transition.
-//! 9. **gamma = 0.** An action does not influence later states here, so their values are only noise in the target.
-//! 10. **Balanced prior.** Weights are relative to those that four damped steps of a model-based fixed point find ([`heliostat_channel::sharing`]), so
-//!     the network corrects what is known. Untrained this gives 0.997, 0.994 and 0.981, but 0.745 of the needs at 5 of 5 forced off; trained 0.995,
-//!     0.991 and 0.974 with 0.792 (the oracle: 0.797). Relative to equal shares, 1 / sum_m a_km, it was 0.94 and 0.90 untrained and 0.987, 0.982
-//!     and 0.965 with 0.786 trained.
-//! 11. **Critic that sees decoded actions.** Besides the logits it gets the amplitude that each user has under them, by a smooth copy of
-//!     the decoder ([`crate::actor`]): what the weights do is known and need not be learned, only what it is worth. 0.96 becomes 0.99.
-//! 12. **Rounds.** The network is applied once, as in the paper. Option `rounds=2` applies it again with the amplitudes that its first answer leads to,
-//!     for half as much time again: on equal shares it gained 0.006, 0.006 and 0.007, on balanced ones nearly nothing (without reinforcement, [`crate::analytic`],
-//!     0.998, 0.995 and 0.988 for 0.998, 0.995 and 0.985).
-//! 13. **Centred logits** in the critic: weights that differ by a common factor decode to the same angles.
-//! 14. **lambda = 10; in `specular` 30, on needs a quarter larger, in rooms of which half have no bodies.** With the paper's 1 the policy gives up
-//!     users in deep shadow: at 5 of 5 forced off, 0.68 of needs are met in place of 0.78 (the oracle: 0.80). With 10 it is 0.777 there, but 0.91 of the
-//!     oracle's 0.998 in an empty room: it aims at the need and misses by what it cannot resolve. With the margin it is 0.787 and 0.975; the ratio falls
-//!     from 0.987 to 0.972.
-//! 15. **Rates** of 5e-4 and 1e-3 that fall to a tenth over the run, and 300 episodes.
+//! # Deviations from the paper
+//!
+//! Both presets:
+//! 1. **Action.** One logit in [-1, 1] for each user. It becomes a weight and then, by the
+//!    geometric decoder, the angles of all mirrors. The paper's action is 200 raw angles, almost
+//!    all of which saturate at their bounds during training.
+//! 2. **State.** Features of positions, direct gains, steering gains, equal and balanced shares,
+//!    and minimum rates ([`crate::environment::features`]). The current angles are no feature:
+//!    without actuator dynamics the best angles do not depend on them.
+//! 3. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the
+//!    shortfall is penalised; option `reward.form` has the printed form. The reward is divided by
+//!    the bandwidth, so that values are of order one.
+//! 4. **Exploration.** Additive noise, as in Algorithm 1, with a standard deviation that decays
+//!    from 0.4 to 0.05. The paper's text names epsilon-greedy; option `exploration.kind` has it.
+//! 5. **Episodes.** The paper gives no number of steps; here there are 40, of one second each.
+//!    Every episode has a new room with another number of users, blockage, noise and minimum rates
+//!    (`rooms=fixed` has the scenario's). The first update waits for 500 transitions.
+//! 6. **Several users.** Slots for 1 to 10 users with a mask, so that one actor serves any of these
+//!    numbers.
+//!
+//! Preset `paper` has no further deviation: plain 128/64 and 256/128 networks, gamma 0.9, tau 0.01,
+//! batches of 32, replay of 10000, rates of 1e-3 and 1e-2, 1000 episodes. Preset `tuned`, the
+//! default, also deviates in these points; `models/experiments.md` has what each of them changes:
+//!
+//! 7. **One network for each user.** The same widths, shared by all users, so that the output does
+//!    not depend on the order of users. Users interact through the shares and weights of the
+//!    observation and through the decoder.
+//! 8. **Value of each user.** The critic predicts each user's part of the reward, and the value is
+//!    their mean. Each transition then gives several training targets.
+//! 9. **gamma = 0.** An action does not influence later states here, so their values are only noise
+//!    in the target.
+//! 10. **Balanced prior.** Weights are relative to those that four damped steps of a model-based
+//!     fixed point find ([`heliostat_channel::sharing`]), so that the network learns a correction.
+//! 11. **Critic with decoded actions.** In addition to the logits, the critic reads the amplitude
+//!     that each user has under them, by a smooth copy of the decoder ([`crate::networks::actor`]).
+//!     The effect of weights on amplitudes is known and need not be learned.
+//! 12. **Rounds.** The network is applied once, as in the paper. Option `rounds=2` applies it again
+//!     with the amplitudes that its first output gives.
+//! 13. **Centred logits** in the critic: weights that differ by a common factor decode to the same
+//!     angles.
+//! 14. **lambda = 10**; in `specular` 30, on minimum rates a quarter larger, in rooms of which half
+//!     have no bodies. With the paper's 1 the policy does not serve users in deep shadow.
+//! 15. **Rates** of 5e-4 and 1e-3 that decay to a tenth over the run, and 300 episodes.
 
 use candle_core::{Device, Tensor};
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::{ChannelMode, Scenario};
-use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::actor::{ACTOR_INPUTS, Actor, States};
-use crate::checkpoint::Store;
-use crate::env::{Environment, Reward, RewardForm, Rooms};
-use crate::explore::{Exploration, Kind};
-use crate::export::export;
-use crate::features::{Head, Layout, Prior};
-use crate::learner::{Episode, Learner, RunSettings};
-use crate::networks::{Adam, Encoder, Network, Shape, soft_update};
-use crate::replay::Replay;
+use crate::environment::features::{Head, Layout, Prior};
+use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
+use crate::export::actor::export;
+use crate::networks::actor::{ACTOR_INPUTS, Actor, States};
+use crate::networks::adam::Adam;
+use crate::networks::layers::{Encoder, Network, Shape, soft_update};
+use crate::training::algorithm::{Algorithm, Preset, start};
+use crate::training::exploration::{Exploration, Kind};
+use crate::training::learner::{Episode, Learner, Part, part};
+use crate::training::replay::Replay;
+use crate::training::settings::RunSettings;
 
-/// What the critic learns to predict.
+/// The entry in the table of algorithms.
+pub const ALGORITHM: Algorithm = Algorithm {
+    name: "ddpg",
+    policy: PolicyKind::Ddpg,
+    help: "Algorithm 1 of the paper with one weight a user as the action",
+    summary: "DDPG with one weight a user; deviations from the paper at the head of `models/src/learners/ddpg.rs`",
+    has_paper_preset: true,
+    start: |scenario, preset, options| {
+        let settings = match preset {
+            Preset::Tuned => Settings::tuned(scenario.seed, scenario.channel.mode),
+            Preset::Paper => Settings::paper(scenario.seed),
+        };
+        start(scenario, settings, options, Ddpg::new)
+    },
+};
+
+/// The quantity that the critic predicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Value {
-    /// The whole reward, as in the paper.
+    /// The total reward, as in the paper.
     Total,
-    /// Each user's part; for networks for each user.
+    /// Each user's part of the reward; for [`Encoder::PerUser`].
     EachUser,
 }
 
-/// What the critic sees of an action, besides the logits themselves.
+/// The critic's inputs that depend on the action, in addition to the logits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sight {
-    /// Nothing.
+    /// None.
     Logits,
-    /// The amplitude that each user gets, by the smooth copy of the decoder.
+    /// The amplitude that each user gets under the logits, by the smooth copy of the decoder.
     Decoded,
 }
 
-/// Every number of a training run.
+/// All numbers of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// How the networks read the users.
+    /// The way in which the networks read the users.
     pub encoder: Encoder,
-    /// From logits to weights.
+    /// The map from logits to weights.
     pub head: Head,
-    /// How often the actor's network is applied.
+    /// Number of rounds of the actor's network.
     pub rounds: usize,
-    /// What the critic predicts.
+    /// The quantity that the critic predicts.
     pub value: Value,
-    /// What the critic sees of an action.
+    /// The critic's inputs that depend on the action.
     pub sight: Sight,
-    /// Discount factor.
+    /// Discount factor gamma.
     pub gamma: f64,
-    /// Share of the new parameters in each update of a target network.
+    /// Weight tau of the trained network in each update of its target network.
     pub tau: f64,
     /// Learning rate of the actor.
     pub actor_rate: f64,
@@ -99,15 +124,15 @@ pub struct Settings {
     pub critic_rate: f64,
     /// Learning rates at the end of the run, relative to the start.
     pub rate_end: f64,
-    /// Transitions in an update.
+    /// Transitions in a minibatch.
     pub batch: usize,
-    /// Transitions kept.
+    /// Capacity of the replay buffer.
     pub replay: usize,
     /// Transitions before the first update.
     pub warm_up: usize,
-    /// How actions are disturbed.
+    /// Exploration.
     pub exploration: Exploration,
-    /// What every algorithm has.
+    /// The numbers that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
@@ -169,10 +194,15 @@ impl Settings {
     }
 }
 
-/// The state of a training run between two episodes; a checkpoint holds all of it.
-pub struct Trainer {
+impl AsRef<RunSettings> for Settings {
+    fn as_ref(&self) -> &RunSettings {
+        &self.run
+    }
+}
+
+/// DDPG with its state between two steps.
+pub struct Ddpg {
     settings: Settings,
-    scenario: Scenario,
     actor: Actor,
     critic: Network,
     actor_target: Actor,
@@ -180,86 +210,81 @@ pub struct Trainer {
     actor_adam: Adam,
     critic_adam: Adam,
     replay: Replay,
-    rng: ChaCha8Rng,
-    episode: usize,
 }
 
-impl Trainer {
-    /// A run at its beginning.
+impl Ddpg {
+    /// The learner before its first episode.
     ///
     /// # Errors
-    /// A setting without sense.
-    pub fn new(scenario: Scenario, settings: Settings) -> anyhow::Result<Self> {
-        let per_user = settings.value == Value::EachUser;
+    /// Two settings contradict each other.
+    pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
         anyhow::ensure!(
-            !per_user || settings.encoder == Encoder::PerUser,
-            "only networks for each user value each user"
+            settings.value == Value::Total || settings.encoder == Encoder::PerUser,
+            "value = \"each-user\" needs encoder = \"per-user\": expected that, or value = \"total\""
         );
-        let kind = settings.exploration.kind;
-        anyhow::ensure!(kind != Kind::Patterns, "exploration.kind: patterns are for actions that are angles");
-        let mut rng = ChaCha8Rng::seed_from_u64(settings.run.seed);
-        let layout = Layout::of(&scenario);
-        let slots = layout.slots();
-        let encoder = settings.encoder;
+        anyhow::ensure!(
+            settings.exploration.kind != Kind::Patterns,
+            "exploration.kind = \"patterns\" applies to actions that are angles: expected additive or epsilon-greedy"
+        );
+        let layout = Layout::of(scenario);
+        let (encoder, slots) = (settings.encoder, layout.slots());
         let actor = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: [128, 64], outputs: slots };
         let critic = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: [256, 128], outputs: 1 };
-        let actor =
-            Actor { network: Network::new(actor, &mut rng)?, layout, head: settings.head, rounds: settings.rounds };
-        let critic = Network::new(critic, &mut rng)?;
+        let network = Network::new(actor, rng)?;
+        let actor = Actor { network, layout, head: settings.head, rounds: settings.rounds };
+        let critic = Network::new(critic, rng)?;
         let width = States::width(layout);
         let next = if settings.gamma > 0.0 { width } else { 0 };
+        let needed = settings.warm_up.max(settings.batch);
         Ok(Self {
             actor_target: actor.copy()?,
             critic_target: critic.copy()?,
-            actor_adam: Adam::new(&actor.network, settings.actor_rate),
-            critic_adam: Adam::new(&critic, settings.critic_rate),
-            replay: Replay::new(settings.replay, [width, slots, slots, next]),
+            actor_adam: Adam::new(&actor.network),
+            critic_adam: Adam::new(&critic),
+            replay: Replay::new(settings.replay, needed, [width, slots, slots, next]),
             actor,
             critic,
-            rng,
-            scenario,
             settings,
-            episode: 0,
         })
     }
 
-    /// The actor as it is now.
+    /// The actor in its present state.
     pub fn actor(&self) -> &Actor {
         &self.actor
     }
 
-    fn networks(&self) -> [(&'static str, &Network); 4] {
-        [
-            ("actor", &self.actor.network),
-            ("critic", &self.critic),
-            ("actor_target", &self.actor_target.network),
-            ("critic_target", &self.critic_target),
-        ]
-    }
-
     /// One update of critic, actor and targets from a minibatch.
-    fn update(&mut self) -> candle_core::Result<()> {
-        let (batch, layout, prior) = (self.settings.batch, self.actor.layout, self.settings.head.prior);
-        let [states, action, rewards, next] = self.replay.sample(batch, &mut self.rng);
+    fn update(&mut self, episode: &mut Episode<'_>) -> candle_core::Result<()> {
+        let Settings { batch, gamma, tau, actor_rate, critic_rate, rate_end, .. } = self.settings;
+        let (layout, prior) = (self.actor.layout, self.settings.head.prior);
+        // Both learning rates decay geometrically over the run.
+        let decay = rate_end.powf(episode.progress());
+
+        // Critic: minimise the mean of [Q(s, a) - r - gamma Q'(s', mu'(s'))]^2.
+        let [states, action, rewards, next] = self.replay.sample(batch, episode.rng);
         let states = States::new(states, batch, layout, prior)?;
         let action = Tensor::from_vec(action, (batch, layout.slots()), &Device::Cpu)?;
         let rewards = Tensor::from_vec(rewards, (batch, layout.slots()), &Device::Cpu)?;
         let mut target = self.reduce(&rewards, &states.present)?;
-        if self.settings.gamma > 0.0 {
+        if gamma > 0.0 {
             let next = States::new(next, batch, layout, prior)?;
             let next_value = self.value(&self.critic_target, &next, &self.actor_target.forward(&next)?)?;
-            target = (target + (next_value.detach() * self.settings.gamma)?)?;
+            target = (target + (next_value.detach() * gamma)?)?;
         }
         let error = (self.value(&self.critic, &states, &action)? - target)?;
-        self.critic_adam.step(&self.critic, &error.sqr()?.mean_all()?.backward()?)?;
+        let gradients = error.sqr()?.mean_all()?.backward()?;
+        self.critic_adam.step(&self.critic, &gradients, critic_rate * decay)?;
 
+        // Actor: maximise the mean of Q(s, mu(s)).
         let value = self.value(&self.critic.frozen(), &states, &self.actor.forward(&states)?)?;
         let value = if value.rank() == 2 { mean_present(&value, &states.present)? } else { value };
-        self.actor_adam.step(&self.actor.network, &value.mean_all()?.neg()?.backward()?)?;
+        let gradients = value.mean_all()?.neg()?.backward()?;
+        self.actor_adam.step(&self.actor.network, &gradients, actor_rate * decay)?;
 
-        if self.settings.gamma > 0.0 {
-            soft_update(&self.actor_target.network, &self.actor.network, self.settings.tau)?;
-            soft_update(&self.critic_target, &self.critic, self.settings.tau)?;
+        // Targets: without a discounted value they are not used.
+        if gamma > 0.0 {
+            soft_update(&self.actor_target.network, &self.actor.network, tau)?;
+            soft_update(&self.critic_target, &self.critic, tau)?;
         }
         Ok(())
     }
@@ -272,7 +297,7 @@ impl Trainer {
         }
     }
 
-    /// What a critic predicts: (batch, slots), zero in absent slots, or (batch).
+    /// The prediction of a critic: (batch, slots), zero in empty slots, or (batch).
     fn value(&self, critic: &Network, states: &States, action: &Tensor) -> candle_core::Result<Tensor> {
         let present = &states.present;
         let amplitude = match self.settings.sight {
@@ -291,92 +316,50 @@ impl Trainer {
             Encoder::Mlp => output.squeeze(1),
         }
     }
-
-    /// Both learning rates fall geometrically over the run.
-    fn set_learning_rates(&mut self) {
-        let progress = self.episode as f64 / self.settings.run.episodes.max(1) as f64;
-        let factor = self.settings.rate_end.powf(progress);
-        self.actor_adam.set_learning_rate(self.settings.actor_rate * factor);
-        self.critic_adam.set_learning_rate(self.settings.critic_rate * factor);
-    }
 }
 
-impl Learner for Trainer {
-    fn scenario(&self) -> &Scenario {
-        &self.scenario
-    }
-
-    fn run(&self) -> &RunSettings {
-        &self.settings.run
-    }
-
-    fn settings(&self) -> serde_json::Value {
-        serde_json::json!(self.settings)
-    }
-
-    fn episodes_done(&self) -> usize {
-        self.episode
-    }
-
-    fn run_episode(&mut self) -> anyhow::Result<Episode> {
-        let (layout, run) = (self.actor.layout, self.settings.run.clone());
-        let room = run.rooms.draw(&self.scenario, &mut self.rng);
-        let mut environment = Environment::new(&room, self.rng.random())?;
-        let magnitude = self.settings.exploration.magnitude(self.episode, run.episodes);
-        self.set_learning_rates();
-        let mut summary = Episode::default();
+impl Learner for Ddpg {
+    fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
+        let Settings { exploration, run, .. } = &self.settings;
+        let (layout, room) = (self.actor.layout, &mut episode.rooms[0]);
+        let state = States::row(layout, room.vector());
+        let mut action = self.actor.logits(&state)?;
+        let magnitude = exploration.magnitude(episode.index, episode.count);
+        exploration.apply(magnitude, &mut action[..room.users()], episode.rng);
         let mut rewards = vec![0.0; layout.slots()];
-        let mut state = States::row(layout, environment.vector());
-        for _ in 0..run.steps {
-            let mut action = self.actor.logits(&state)?;
-            self.settings.exploration.disturb(magnitude, &mut action[..environment.users()], &mut self.rng);
-            let angles = self.actor.decode(&environment, &action);
-            let outcome = environment.act(&angles, run.reward, &mut rewards);
-            environment.step(run.step_s)?;
-            let next = States::row(layout, environment.vector());
-            let kept = if self.settings.gamma > 0.0 { &next[..] } else { &[] };
-            self.replay.push([&state, &action, &rewards, kept]);
-            state = next;
-            if self.replay.len() >= self.settings.warm_up.max(self.settings.batch) {
-                self.update()?;
-            }
-            summary.reward_mbps += outcome.reward_mbps / run.steps as f64;
-            summary.sum_rate_mbps += outcome.sum_rate_mbps / run.steps as f64;
+        let outcome = room.act(&self.actor.decode(room, &action), run.reward, &mut rewards);
+        room.step(run.step_s)?;
+        let next = if self.settings.gamma > 0.0 { States::row(layout, room.vector()) } else { Vec::new() };
+        self.replay.push([&state, &action, &rewards, &next]);
+        if self.replay.is_ready() {
+            self.update(episode)?;
         }
-        self.episode += 1;
-        Ok(Episode { number: self.episode, steps: self.episode * run.steps, ..summary })
+        Ok(vec![outcome])
     }
 
-    fn act(&self, environment: &Environment) -> anyhow::Result<MirrorAngles> {
-        let logits = self.actor.logits(&States::row(self.actor.layout, environment.vector()))?;
-        Ok(self.actor.decode(environment, &logits))
+    fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
+        let logits = self.actor.logits(&States::row(self.actor.layout, room.vector()))?;
+        Ok(self.actor.decode(room, &logits))
     }
 
-    fn save(&self, store: &mut Store) -> anyhow::Result<()> {
-        self.networks().into_iter().for_each(|(name, network)| store.put_network(name, network));
-        store.put_adam("actor", &self.actor_adam)?;
-        store.put_adam("critic", &self.critic_adam)?;
-        store.put_replay(&self.replay)?;
-        store.put_generator(&self.rng)?;
-        store.put("episode", &self.episode)
+    fn state(&mut self) -> Vec<Part<'_>> {
+        vec![
+            part("actor", &mut self.actor.network),
+            part("critic", &mut self.critic),
+            part("actor_target", &mut self.actor_target.network),
+            part("critic_target", &mut self.critic_target),
+            part("actor", &mut self.actor_adam),
+            part("critic", &mut self.critic_adam),
+            part("replay", &mut self.replay),
+        ]
     }
 
-    fn restore(&mut self, store: &Store) -> anyhow::Result<()> {
-        self.networks().into_iter().try_for_each(|(name, network)| store.restore_network(name, network))?;
-        store.restore_adam("actor", &mut self.actor_adam)?;
-        store.restore_adam("critic", &mut self.critic_adam)?;
-        store.restore_replay(&mut self.replay)?;
-        self.rng = store.generator()?;
-        self.episode = store.get("episode")?;
-        Ok(())
-    }
-
-    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        Ok(export(&self.actor, &self.scenario.channel_model()?, metadata)?)
+    fn export(&self, model: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        Ok(export(&self.actor, model, metadata)?)
     }
 }
 
-/// The mean over the users present, (batch).
+/// The mean over the present users, (batch).
 fn mean_present(values: &Tensor, present: &Tensor) -> candle_core::Result<Tensor> {
     values.mul(present)?.sum(1)?.div(&present.sum(1)?)
 }

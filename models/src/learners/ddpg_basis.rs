@@ -1,22 +1,48 @@
-//! Algorithm 1 with the angles of all mirrors as the action, made to work where angles have an effect at all: under the paper's equations.
+//! DDPG with the angles of all mirrors as the action, and a critic of smooth patterns of angles.
 //!
-//! The trainer is [`crate::ddpg_raw`]'s, and so are its departures. Further ones, and why:
-//! 1. **Critic that sees patterns.** A single mirror changes the reward by a hundredth of what exploration does, so a critic of 200 separate
-//!    angles learns noise. Neighbouring mirrors want nearly the same angles: the critic sees the strengths of the lowest 2 x 2 cosine modes of roll
-//!    and of yaw over the array, and the gradient that the actor gets is smooth over the array too. The actor still has 200 outputs.
-//! 2. **Smooth exploration.** The noise is drawn in the same patterns; noise of each mirror alone averages out and explores nothing.
-//! 3. **No saturated outputs.** Gradients are cut to a norm of 1, and the mean square of the outputs before tanh is part of the actor's loss.
-//! 4. **An actor that waits for its critic**: rates of 2e-4 and 1e-3 that fall to a tenth, the first update after 1500 transitions, batches of 64. With a
-//!    rate of 1e-3 for both the actor follows the errors of a young critic. 400 episodes.
-//! 5. **gamma = 0, and no current angles in the state.** An action does not influence later states here, and the best angles do not depend on the
-//!    current ones.
+//! The learner is that of [`super::ddpg_raw`], with its deviations from the paper. It learns under
+//! the paper's equations, where each angle has a smooth effect.
 //!
-//! As in the paper, lambda is 1 and all rooms have the scenario's users, noise and blockage: in rooms drawn as for [`crate::ddpg`] most of the
-//! reward's variation has nothing to do with the action. The result in `paper-calibrated` is 1.008 of the oracle with minimum rates, seed 1.
+//! # Further deviations from the paper
+//! 1. **Critic of patterns.** One mirror changes the reward by far less than the exploration does,
+//!    so a critic of 200 separate angles learns noise. The best angles of neighbouring mirrors are
+//!    close. The critic therefore reads the coefficients of the lowest 2 x 2 cosine modes of roll
+//!    and of yaw, and the actor's gradient is smooth over the array too. The actor still has 200
+//!    outputs.
+//! 2. **Smooth exploration.** The noise has the same patterns. Independent noise of each mirror
+//!    averages out over the array.
+//! 3. **No saturated outputs.** Gradients are scaled down to a norm of 1, and the mean square of
+//!    the outputs before tanh is part of the actor's loss.
+//! 4. **Slow actor.** Rates of 2e-4 and 1e-3 that decay to a tenth, the first update after 1500
+//!    transitions, batches of 64. With a rate of 1e-3 for both, the actor follows the errors of a
+//!    critic that has seen little. 400 episodes.
+//! 5. **gamma = 0, and no current angles in the state.** An action does not influence later states
+//!    here, and the best angles do not depend on the current ones.
+//!
+//! As in the paper, lambda is 1 and all rooms have the scenario's users, noise and blockage. In
+//! rooms drawn as for [`super::ddpg`] most of the reward's variance does not depend on the action.
+//! `models/experiments.md` has the result.
 
-use crate::ddpg_raw::{Settings, Sight};
-use crate::explore::{Exploration, Kind};
-use crate::learner::RunSettings;
+use heliostat_decide::policy::PolicyKind;
+
+use super::ddpg_raw::{DdpgRaw, Settings, Sight};
+use crate::training::algorithm::{Algorithm, start};
+use crate::training::exploration::{Exploration, Kind};
+use crate::training::settings::RunSettings;
+
+/// The entry in the table of algorithms.
+pub const ALGORITHM: Algorithm = Algorithm {
+    name: "ddpg-basis",
+    policy: PolicyKind::DdpgBasis,
+    help: "DDPG on all angles, with a critic of smooth patterns of the angles",
+    summary: "DDPG on all angles, with a critic of smooth patterns; deviations from the paper at the heads of \
+              `models/src/learners/ddpg_basis.rs` and `models/src/learners/ddpg_raw.rs`",
+    has_paper_preset: false,
+    start: |scenario, _, options| {
+        let settings = settings(scenario.seed);
+        start(scenario, settings, options, DdpgRaw::new)
+    },
+};
 
 /// The numbers of the shipped actors.
 pub fn settings(seed: u64) -> Settings {

@@ -1,65 +1,92 @@
-//! Algorithm 1 of the paper to the letter: DDPG whose action is the roll and yaw of every mirror.
+//! Algorithm 1 of the paper as printed: DDPG whose action is the roll and yaw of every mirror.
 //!
-//! State, networks of 128/64 and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, rates of 1e-3 and 1e-2, additive noise and 1000
-//! episodes are the paper's. The actor's last layer is tanh times the range of an axis.
+//! [`DdpgRaw::step`] and [`DdpgRaw::update`] are the complete algorithm. State, networks of 128/64
+//! and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, rates of 1e-3 and 1e-2,
+//! additive noise and 1000 episodes are the paper's. The actor's output is tanh times the range of
+//! an axis.
 //!
-//! # Departures from the paper, and why
-//! 1. **Reward.** The printed penalty falls on users whose need is met; the shortfall is punished instead (`--option reward.form=as-printed` has the printed form).
-//!    It is divided by the bandwidth, so that values are of order one.
-//! 2. **Steps.** Their number in an episode is not given in the paper: 40, of one second each.
-//! 3. **Gains of the state.** The gain of the direct path, as ln(1 + amplitude); the gain over the mirrors follows from positions and current
-//!    angles, which are both there.
-//! 4. **Slots.** The state has places for ten users; a room's users take the first ones.
-//! 5. **Exploration.** Additive noise, as Algorithm 1 says, where the text says epsilon-greedy from 0.995 to 1e-4; its deviation, which the paper does not
-//!    give, falls from 0.4 to 0.05 of the range. The first update waits for 500 transitions.
+//! # Deviations from the paper
+//! 1. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the
+//!    shortfall is penalised; option `reward.form` has the printed form. The reward is divided by
+//!    the bandwidth, so that values are of order one.
+//! 2. **Steps.** The paper gives no number of steps; here there are 40, of one second each.
+//! 3. **Gains in the state.** The gain of the direct path enters as ln(1 + amplitude). The gain
+//!    over the mirrors is no entry, because positions and current angles determine it.
+//! 4. **Slots.** The state has ten slots for users; a room's users take the first ones.
+//! 5. **Exploration.** Additive noise, as in Algorithm 1, where the text names epsilon-greedy from
+//!    0.995 to 1e-4. The paper gives no standard deviation; here it decays from 0.4 to 0.05 of the
+//!    range. The first update waits for 500 transitions.
 //!
-//! Nearly all outputs end at their bounds, and the result is below that of mirrors that nobody turns. This is what the paper describes, and it
-//! is here to be seen, not to be used; [`crate::ddpg_basis`] and [`crate::ddpg`] say what helps.
+//! Almost all outputs saturate at their bounds, and the sum rate is below that of flat mirrors.
+//! This learner is a reference for the paper's description; [`super::ddpg_basis`] and
+//! [`super::ddpg`] list the changes that help.
 //!
-//! Option `td3` adds the three changes of TD3 (Fujimoto and others, 2018): the smaller of two critics as target, noise on the target's action, and an
-//! actor that is updated every second time.
+//! Option `td3` adds the three changes of TD3 (Fujimoto and others, 2018): the smaller of two
+//! critics as the target, noise on the target's action, and a delayed update of the actor.
 
 use candle_core::{Device, Tensor};
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_decide::policy::PolicyKind;
+use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
+use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_scenario::Scenario;
-use rand::{RngExt, SeedableRng};
+use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::Store;
-use crate::env::{Environment, Reward, RewardForm, Rooms};
-use crate::explore::{Exploration, Kind, normal};
-use crate::learner::{Episode, Learner, RunSettings};
-use crate::networks::{Adam, Encoder, Network, Shape, soft_update};
-use crate::raw::{Basis, RawLayout};
-use crate::replay::Replay;
+use crate::environment::angle_state::AngleState;
+use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
+use crate::export::network::{Column, NetworkNodes};
+use crate::networks::adam::Adam;
+use crate::networks::layers::{Encoder, Network, Shape, soft_update};
+use crate::networks::patterns::Basis;
+use crate::training::algorithm::{Algorithm, start};
+use crate::training::exploration::{Exploration, Kind, normal};
+use crate::training::learner::{Episode, Learner, Part, part};
+use crate::training::replay::Replay;
+use crate::training::settings::RunSettings;
 
-/// TD3: standard deviation and bound of the noise on the target's action, and updates of the critic for one of the actor.
+/// The entry in the table of algorithms.
+pub const ALGORITHM: Algorithm = Algorithm {
+    name: "ddpg-raw",
+    policy: PolicyKind::DdpgRaw,
+    help: "Algorithm 1 as printed: the angles of all mirrors as the action",
+    summary: "DDPG on all angles, as in the paper; deviations at the head of `models/src/learners/ddpg_raw.rs`",
+    has_paper_preset: false,
+    start: |scenario, _, options| {
+        let settings = Settings::new(scenario.seed);
+        start(scenario, settings, options, DdpgRaw::new)
+    },
+};
+
+/// TD3: standard deviation and bound of the noise on the target's action.
 const TARGET_NOISE: (f64, f64) = (0.2, 0.5);
+
+/// TD3: updates of the critics for one update of the actor.
 const ACTOR_DELAY: usize = 2;
 
-/// What the critic sees of an action.
+/// The critic's view of an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sight {
-    /// Every angle.
+    /// All angles.
     Angles,
-    /// The strengths of smooth patterns of angles ([`Basis`]).
+    /// The coefficients of smooth patterns of angles ([`Basis`]).
     Patterns,
 }
 
-/// Every number of a training run.
+/// All numbers of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// What the critic sees of an action.
+    /// The critic's view of an action.
     pub sight: Sight,
-    /// Patterns along each side of the array, where the critic or the exploration uses them.
+    /// Patterns along each side of the array, for critic and exploration.
     pub patterns: usize,
     /// Whether the current angles are part of the state.
     pub angles_in_state: bool,
-    /// Discount factor.
+    /// Discount factor gamma.
     pub gamma: f64,
-    /// Share of the new parameters in each update of a target network.
+    /// Weight tau of the trained network in each update of its target network.
     pub tau: f64,
     /// Learning rate of the actor.
     pub actor_rate: f64,
@@ -69,19 +96,20 @@ pub struct Settings {
     pub rate_end: f64,
     /// Largest norm of a gradient; 0 is no limit.
     pub clip: f64,
-    /// Weight of the mean squared output before tanh in the actor's loss; keeps outputs off their bounds.
+    /// Weight of the mean squared output before tanh in the actor's loss; it keeps outputs off
+    /// their bounds.
     pub saturation: f64,
     /// The three changes of TD3.
     pub td3: bool,
-    /// Transitions in an update.
+    /// Transitions in a minibatch.
     pub batch: usize,
-    /// Transitions kept.
+    /// Capacity of the replay buffer.
     pub replay: usize,
     /// Transitions before the first update.
     pub warm_up: usize,
-    /// How actions are disturbed.
+    /// Exploration.
     pub exploration: Exploration,
-    /// What every algorithm has.
+    /// The numbers that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
@@ -117,92 +145,135 @@ impl Settings {
     }
 }
 
-/// A training run; also that of [`crate::ddpg_basis`].
-pub struct Trainer {
+impl AsRef<RunSettings> for Settings {
+    fn as_ref(&self) -> &RunSettings {
+        &self.run
+    }
+}
+
+/// DDPG on all angles with its state between two steps; also the learner of [`super::ddpg_basis`].
+pub struct DdpgRaw {
     settings: Settings,
-    scenario: Scenario,
-    layout: RawLayout,
+    layout: AngleState,
     basis: Basis,
     actor: Network,
     actor_target: Network,
     actor_adam: Adam,
     critics: Vec<Critic>,
     replay: Replay,
-    rng: ChaCha8Rng,
+    /// Updates of the critics.
     updates: usize,
-    episode: usize,
 }
 
-/// One critic of one or two.
+/// One of one or two critics.
 struct Critic {
     network: Network,
     target: Network,
     adam: Adam,
 }
 
-impl Trainer {
-    /// A run at its beginning.
+impl DdpgRaw {
+    /// The learner before its first episode.
     ///
     /// # Errors
-    /// Those of candle.
-    pub fn new(scenario: Scenario, settings: Settings) -> anyhow::Result<Self> {
-        let mut rng = ChaCha8Rng::seed_from_u64(settings.run.seed);
-        let layout = RawLayout::of(&scenario, settings.angles_in_state);
+    /// Errors of candle.
+    pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
+        let layout = AngleState::of(scenario, settings.angles_in_state);
         let basis = Basis::new(scenario.mirrors.rows, scenario.mirrors.columns, settings.patterns)?;
         let (inputs, outputs) = (layout.inputs(), layout.outputs());
         let plain = |inputs, hidden, outputs| Shape { encoder: Encoder::Mlp, slots: 1, inputs, hidden, outputs };
-        let actor = Network::new(plain(inputs, [128, 64], outputs), &mut rng)?;
+        let actor = Network::new(plain(inputs, [128, 64], outputs), rng)?;
         let seen = if settings.sight == Sight::Angles { outputs } else { basis.modes() };
         let critic = |rng: &mut ChaCha8Rng| {
             let network = Network::new(plain(inputs + seen, [256, 128], 1), rng)?;
-            let adam = Adam::new(&network, settings.critic_rate).clipped(settings.clip);
+            let adam = Adam::new(&network).clipped(settings.clip);
             Ok::<_, candle_core::Error>(Critic { target: network.copy()?, network, adam })
         };
-        let critics = (0..if settings.td3 { 2 } else { 1 }).map(|_| critic(&mut rng)).collect::<Result<_, _>>()?;
+        let critics = (0..if settings.td3 { 2 } else { 1 }).map(|_| critic(rng)).collect::<Result<_, _>>()?;
         let next = if settings.gamma > 0.0 { inputs } else { 0 };
+        let needed = settings.warm_up.max(settings.batch);
         Ok(Self {
             actor_target: actor.copy()?,
-            actor_adam: Adam::new(&actor, settings.actor_rate).clipped(settings.clip),
+            actor_adam: Adam::new(&actor).clipped(settings.clip),
             critics,
-            replay: Replay::new(settings.replay, [inputs, outputs, 1, next]),
+            replay: Replay::new(settings.replay, needed, [inputs, outputs, 1, next]),
             actor,
             layout,
             basis,
-            rng,
-            scenario,
             settings,
             updates: 0,
-            episode: 0,
         })
     }
 
-    /// Actions in [-1, 1] from a batch of states, and the outputs before tanh.
+    /// Actions in [-1, 1] for a batch of states, and the outputs before tanh.
     fn actions(network: &Network, states: &Tensor) -> candle_core::Result<(Tensor, Tensor)> {
         let raw = network.forward_rows(states)?;
         Ok((raw.tanh()?, raw))
     }
 
-    fn answer(&self, state: &[f32]) -> candle_core::Result<Vec<f32>> {
+    /// The action for one state, without exploration.
+    fn action(&self, state: &[f32]) -> candle_core::Result<Vec<f32>> {
         let states = Tensor::from_slice(state, (1, state.len()), &Device::Cpu)?;
         Self::actions(&self.actor, &states)?.0.squeeze(0)?.to_vec1()
     }
 
-    fn explore(&mut self, action: &mut [f32]) -> candle_core::Result<()> {
-        let exploration = self.settings.exploration;
-        let magnitude = exploration.magnitude(self.episode, self.settings.run.episodes);
-        if exploration.kind != Kind::Patterns {
-            exploration.disturb(magnitude, action, &mut self.rng);
+    fn explore(&self, magnitude: f64, action: &mut [f32], rng: &mut impl Rng) -> candle_core::Result<()> {
+        if self.settings.exploration.kind != Kind::Patterns {
+            self.settings.exploration.apply(magnitude, action, rng);
             return Ok(());
         }
         let each = magnitude / ((self.basis.modes() / 2) as f64).sqrt();
-        let strengths: Vec<f32> = (0..self.basis.modes()).map(|_| (each * normal(&mut self.rng)) as f32).collect();
-        for (value, noise) in action.iter_mut().zip(self.basis.sum(&strengths)?) {
+        let coefficients: Vec<f32> = (0..self.basis.modes()).map(|_| (each * normal(rng)) as f32).collect();
+        for (value, noise) in action.iter_mut().zip(self.basis.sum(&coefficients)?) {
             *value = (*value + noise).clamp(-1.0, 1.0);
         }
         Ok(())
     }
 
-    /// What a critic makes of actions: (batch).
+    /// One update of critics, actor and targets from a minibatch.
+    fn update(&mut self, episode: &mut Episode<'_>) -> candle_core::Result<()> {
+        let Settings { batch, gamma, tau, actor_rate, critic_rate, rate_end, saturation, td3, .. } = self.settings;
+        let inputs = self.layout.inputs();
+        // Both learning rates decay geometrically over the run.
+        let decay = rate_end.powf(episode.progress());
+
+        // Critics: minimise the mean of [Q(s, a) - r - gamma Q'(s', mu'(s'))]^2.
+        let [states, actions, rewards, next] = self.replay.sample(batch, episode.rng);
+        let states = Tensor::from_vec(states, (batch, inputs), &Device::Cpu)?;
+        let actions = Tensor::from_vec(actions, (batch, self.layout.outputs()), &Device::Cpu)?;
+        let mut target = Tensor::from_vec(rewards, batch, &Device::Cpu)?;
+        if gamma > 0.0 {
+            let next = self.next_value(&Tensor::from_vec(next, (batch, inputs), &Device::Cpu)?, episode.rng)?;
+            target = (target + (next.detach() * gamma)?)?;
+        }
+        for index in 0..self.critics.len() {
+            let error = (self.value(&self.critics[index].network, &states, &actions)? - &target)?;
+            let gradients = error.sqr()?.mean_all()?.backward()?;
+            let Critic { network, adam, .. } = &mut self.critics[index];
+            adam.step(network, &gradients, critic_rate * decay)?;
+        }
+        self.updates += 1;
+        if td3 && !self.updates.is_multiple_of(ACTOR_DELAY) {
+            return Ok(());
+        }
+
+        // Actor: maximise the mean of Q(s, mu(s)).
+        let (actions, raw) = Self::actions(&self.actor, &states)?;
+        let value = self.value(&self.critics[0].network.frozen(), &states, &actions)?.mean_all()?;
+        let loss = ((raw.sqr()?.mean_all()? * saturation)? - value)?;
+        self.actor_adam.step(&self.actor, &loss.backward()?, actor_rate * decay)?;
+
+        // Targets: without a discounted value they are not used.
+        if gamma > 0.0 {
+            soft_update(&self.actor_target, &self.actor, tau)?;
+            for Critic { network, target, .. } in &self.critics {
+                soft_update(target, network, tau)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The prediction of a critic, (batch).
     fn value(&self, critic: &Network, states: &Tensor, actions: &Tensor) -> candle_core::Result<Tensor> {
         let seen = match self.settings.sight {
             Sight::Angles => actions.clone(),
@@ -211,12 +282,12 @@ impl Trainer {
         critic.forward_rows(&Tensor::cat(&[states, &seen], 1)?)?.squeeze(1)
     }
 
-    /// The value of the next states, (batch).
-    fn next_value(&mut self, next: &Tensor) -> candle_core::Result<Tensor> {
+    /// The value of the next states by the target networks, (batch).
+    fn next_value(&self, next: &Tensor, rng: &mut impl Rng) -> candle_core::Result<Tensor> {
         let mut actions = Self::actions(&self.actor_target, next)?.0;
         if self.settings.td3 {
-            let (spread, bound) = TARGET_NOISE;
-            let mut draw = || (spread * normal(&mut self.rng)).clamp(-bound, bound) as f32;
+            let (deviation, bound) = TARGET_NOISE;
+            let mut draw = || (deviation * normal(rng)).clamp(-bound, bound) as f32;
             let noise: Vec<f32> = (0..actions.elem_count()).map(|_| draw()).collect();
             actions = (&actions + Tensor::from_vec(noise, actions.shape(), &Device::Cpu)?)?.clamp(-1.0, 1.0)?;
         }
@@ -224,130 +295,59 @@ impl Trainer {
         let first = values.next().expect("there is a critic")?;
         values.try_fold(first, |least, value| least.minimum(&value?))
     }
-
-    /// One update of critics, actor and targets from a minibatch.
-    fn update(&mut self) -> candle_core::Result<()> {
-        let (batch, inputs) = (self.settings.batch, self.layout.inputs());
-        let [states, actions, rewards, next] = self.replay.sample(batch, &mut self.rng);
-        let states = Tensor::from_vec(states, (batch, inputs), &Device::Cpu)?;
-        let actions = Tensor::from_vec(actions, (batch, self.layout.outputs()), &Device::Cpu)?;
-        let mut target = Tensor::from_vec(rewards, batch, &Device::Cpu)?;
-        if self.settings.gamma > 0.0 {
-            let next = self.next_value(&Tensor::from_vec(next, (batch, inputs), &Device::Cpu)?)?;
-            target = (target + (next.detach() * self.settings.gamma)?)?;
-        }
-        for index in 0..self.critics.len() {
-            let error = (self.value(&self.critics[index].network, &states, &actions)? - &target)?;
-            let gradients = error.sqr()?.mean_all()?.backward()?;
-            let Critic { network, adam, .. } = &mut self.critics[index];
-            adam.step(network, &gradients)?;
-        }
-        self.updates += 1;
-        if self.settings.td3 && !self.updates.is_multiple_of(ACTOR_DELAY) {
-            return Ok(());
-        }
-        let (actions, raw) = Self::actions(&self.actor, &states)?;
-        let value = self.value(&self.critics[0].network.frozen(), &states, &actions)?.mean_all()?;
-        let loss = ((raw.sqr()?.mean_all()? * self.settings.saturation)? - value)?;
-        self.actor_adam.step(&self.actor, &loss.backward()?)?;
-        if self.settings.gamma > 0.0 {
-            soft_update(&self.actor_target, &self.actor, self.settings.tau)?;
-            for Critic { network, target, .. } in &self.critics {
-                soft_update(target, network, self.settings.tau)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn set_learning_rates(&mut self) {
-        let progress = self.episode as f64 / self.settings.run.episodes.max(1) as f64;
-        let factor = self.settings.rate_end.powf(progress);
-        self.actor_adam.set_learning_rate(self.settings.actor_rate * factor);
-        let rate = self.settings.critic_rate * factor;
-        self.critics.iter_mut().for_each(|critic| critic.adam.set_learning_rate(rate));
-    }
 }
 
-impl Learner for Trainer {
-    fn scenario(&self) -> &Scenario {
-        &self.scenario
-    }
-
-    fn run(&self) -> &RunSettings {
-        &self.settings.run
-    }
-
-    fn settings(&self) -> serde_json::Value {
-        serde_json::json!(self.settings)
-    }
-
-    fn episodes_done(&self) -> usize {
-        self.episode
-    }
-
-    fn run_episode(&mut self) -> anyhow::Result<Episode> {
-        let run = self.settings.run.clone();
-        let room = run.rooms.draw(&self.scenario, &mut self.rng);
-        let mut environment = Environment::new(&room, self.rng.random())?;
-        self.set_learning_rates();
-        let (mut summary, users) = (Episode::default(), environment.users());
+impl Learner for DdpgRaw {
+    fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
+        let Settings { exploration, run, .. } = &self.settings;
+        let room = &mut episode.rooms[0];
+        let state = self.layout.state(room.vector());
+        let mut action = self.action(&state)?;
+        self.explore(exploration.magnitude(episode.index, episode.count), &mut action, episode.rng)?;
+        let users = room.users();
         let mut rewards = vec![0.0; users];
-        let mut state = self.layout.state(environment.vector());
-        for _ in 0..run.steps {
-            let mut action = self.answer(&state)?;
-            self.explore(&mut action)?;
-            let outcome = environment.act(&self.layout.angles(&action), run.reward, &mut rewards);
-            let reward = rewards.iter().sum::<f32>() / users as f32;
-            environment.step(run.step_s)?;
-            let next = self.layout.state(environment.vector());
-            self.replay.push([&state, &action, &[reward], if self.settings.gamma > 0.0 { &next[..] } else { &[] }]);
-            state = next;
-            if self.replay.len() >= self.settings.warm_up.max(self.settings.batch) {
-                self.update()?;
-            }
-            summary.reward_mbps += outcome.reward_mbps / run.steps as f64;
-            summary.sum_rate_mbps += outcome.sum_rate_mbps / run.steps as f64;
+        let outcome = room.act(&self.layout.angles(&action), run.reward, &mut rewards);
+        let reward = rewards.iter().sum::<f32>() / users as f32;
+        room.step(run.step_s)?;
+        let next = if self.settings.gamma > 0.0 { self.layout.state(room.vector()) } else { Vec::new() };
+        self.replay.push([&state, &action, &[reward], &next]);
+        if self.replay.is_ready() {
+            self.update(episode)?;
         }
-        self.episode += 1;
-        Ok(Episode { number: self.episode, steps: self.episode * run.steps, ..summary })
+        Ok(vec![outcome])
     }
 
-    fn act(&self, environment: &Environment) -> anyhow::Result<MirrorAngles> {
-        Ok(self.layout.angles(&self.answer(&self.layout.state(environment.vector()))?))
+    fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
+        Ok(self.layout.angles(&self.action(&self.layout.state(room.vector()))?))
     }
 
-    fn save(&self, store: &mut Store) -> anyhow::Result<()> {
-        store.put_network("actor", &self.actor);
-        store.put_network("actor_target", &self.actor_target);
-        store.put_adam("actor", &self.actor_adam)?;
-        for (index, Critic { network, target, adam }) in self.critics.iter().enumerate() {
-            store.put_network(&format!("critic.{index}"), network);
-            store.put_network(&format!("critic_target.{index}"), target);
-            store.put_adam(&format!("critic.{index}"), adam)?;
-        }
-        store.put_replay(&self.replay)?;
-        store.put_generator(&self.rng)?;
-        store.put("updates", &self.updates)?;
-        store.put("episode", &self.episode)
-    }
-
-    fn restore(&mut self, store: &Store) -> anyhow::Result<()> {
-        store.restore_network("actor", &self.actor)?;
-        store.restore_network("actor_target", &self.actor_target)?;
-        store.restore_adam("actor", &mut self.actor_adam)?;
+    fn state(&mut self) -> Vec<Part<'_>> {
+        let mut parts = vec![
+            part("actor", &mut self.actor),
+            part("actor_target", &mut self.actor_target),
+            part("actor", &mut self.actor_adam),
+        ];
         for (index, Critic { network, target, adam }) in self.critics.iter_mut().enumerate() {
-            store.restore_network(&format!("critic.{index}"), network)?;
-            store.restore_network(&format!("critic_target.{index}"), target)?;
-            store.restore_adam(&format!("critic.{index}"), adam)?;
+            parts.push(part(&format!("critic.{index}"), network));
+            parts.push(part(&format!("critic_target.{index}"), target));
+            parts.push(part(&format!("critic.{index}"), adam));
         }
-        store.restore_replay(&mut self.replay)?;
-        self.rng = store.generator()?;
-        self.updates = store.get("updates")?;
-        self.episode = store.get("episode")?;
-        Ok(())
+        parts.extend([part("replay", &mut self.replay), part("updates", &mut self.updates)]);
+        parts
     }
 
-    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        Ok(self.layout.export(&self.actor, metadata)?)
+    /// In the graph: the state, the network, and the angles.
+    fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        let mut graph = Graph::default();
+        let state = self.layout.state_nodes(&mut graph);
+        let nodes = NetworkNodes::new(&mut graph, &self.actor)?;
+        let columns: Vec<Column> = (0..self.layout.inputs()).map(|input| vec![(input, 1.0)]).collect();
+        let entry = nodes.entry(&mut graph, &columns)?;
+        let raw = nodes.plain(&mut graph, &entry, &state);
+        let action = graph.node("Tanh", &[&raw]);
+        let range = graph.scalar(self.layout.range_rad);
+        graph.node("Mul", &[&action, &range]);
+        let (input, output) = ((INPUT_NAME, self.layout.encoder().len()), (OUTPUT_NAME, self.layout.outputs()));
+        Ok(graph.finish(&Ends { name: "heliostat-raw-actor", input, output }, metadata))
     }
 }

@@ -1,62 +1,85 @@
-//! Deep Q-learning on a codebook of quantised angles: what the paper compares itself with.
+//! Deep Q-learning on a codebook of quantised angles: the paper's baseline.
 //!
-//! The paper says that DQL quantises the angles, and that replay and a target network belong to it. Of its numbers it states none by itself; taken
-//! over from its own algorithm are replay of 10000, batches of 32, tau 0.01, a rate of 1e-3 with Adam, two hidden layers of 128 and 64 with ReLU, 1000
-//! episodes, and epsilon-greedy exploration that falls from 0.995 to 0.0001.
+//! [`Dql::step`] and [`Dql::update`] are the complete algorithm. The paper says that DQL quantises
+//! the angles and uses replay and a target network, and gives no numbers for it. These numbers are
+//! those of the paper's own algorithm: replay of 10000, batches of 32, tau 0.01, a rate of 1e-3
+//! with Adam, two hidden layers of 128 and 64 with ReLU, 1000 episodes, and epsilon-greedy
+//! exploration that decays from 0.995 to 0.0001.
 //!
-//! # Departures from the paper, and why
-//! 1. **Action.** An entry of the [codebook](crate::codebook), for the whole array: each mirror's own quantised angles would be 25^100 actions.
-//! 2. **Network.** The entry is an input, as in the paper's critic, and the value Q(s, a) the only output; all entries are valued at once, since the
-//!    first layer is linear in state and entry. So what is learned about aiming beside somebody holds everywhere, and not for one entry at a time.
-//! 3. **State.** Presence, positions, direct gains and needs as in [`crate::raw`], and in front of them where the user stands whom the mirrors could
-//!    help most ([`crate::needy`]), in the codebook's steps. The current angles are left out: without actuator dynamics the best entry does
-//!    not depend on them.
-//! 4. **Reward.** What the entry brings beyond mirrors that face straight into the room; the shortfall is punished instead of the met need, as in
-//!    [`crate::ddpg`]; divided by the bandwidth.
-//! 5. **gamma = 0.3** in place of 0.9: an action does not influence later states here, whose values are only noise in the target.
-//! 6. **Steps.** 40 of one second in an episode, and an update after every eighth: all entries of all next states have to be valued for each.
+//! # Deviations from the paper
+//! 1. **Action.** An entry of the [codebook](crate::environment::codebook) for the complete array.
+//!    The quantised angles of each mirror would be 25^100 actions.
+//! 2. **Network.** The entry is an input, as in the paper's critic, and the value Q(s, a) is the
+//!    only output. All entries are evaluated at once, because the first layer is linear in state
+//!    and entry. A value learned for one entry then carries over to entries nearby.
+//! 3. **State.** Presence, positions, direct gains and minimum rates
+//!    ([`crate::environment::angle_state`]), after the position of the [target
+//!    user](crate::environment::target_user) in the codebook's steps. The current angles are no
+//!    entry: without actuator dynamics the best entry does not depend on them.
+//! 4. **Reward.** The reward minus that of flat mirrors, over the bandwidth. The shortfall is
+//!    penalised instead of the met minimum rate, as in [`super::ddpg`].
+//! 5. **gamma = 0.3** instead of 0.9: an action does not influence later states here, so their
+//!    values are only noise in the target.
+//! 6. **Steps.** 40 of one second in an episode, and an update after every eighth, because each
+//!    update evaluates all entries of all next states.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
+use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_scenario::Scenario;
-use rand::{RngExt, SeedableRng};
+use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::Store;
-use crate::codebook::{Codebook, GRID};
-use crate::env::{Environment, Reward, RewardForm, Rooms};
-use crate::explore::{Exploration, Kind};
-use crate::learner::{Episode, Learner, RunSettings};
-use crate::needy::Needy;
-use crate::networks::{Adam, Encoder, Network, Shape, soft_update};
-use crate::onnx::{Ends, Graph};
-use crate::raw::RawLayout;
-use crate::replay::Replay;
+use crate::environment::angle_state::AngleState;
+use crate::environment::codebook::{Codebook, GRID};
+use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
+use crate::environment::target_user::TargetUser;
+use crate::networks::adam::Adam;
+use crate::networks::layers::{Encoder, Network, Shape, soft_update};
+use crate::training::algorithm::{Algorithm, start};
+use crate::training::exploration::{Exploration, Kind};
+use crate::training::learner::{Episode, Learner, Part, part};
+use crate::training::replay::Replay;
+use crate::training::settings::RunSettings;
 
-/// Every number of a training run.
+/// The entry in the table of algorithms.
+pub const ALGORITHM: Algorithm = Algorithm {
+    name: "dql",
+    policy: PolicyKind::Dql,
+    help: "Deep Q-learning on a codebook of angles",
+    summary: "deep Q-learning on a codebook; deviations from the paper at the head of `models/src/learners/dql.rs`",
+    has_paper_preset: false,
+    start: |scenario, _, options| {
+        let settings = Settings::new(scenario.seed);
+        start(scenario, settings, options, Dql::new)
+    },
+};
+
+/// All numbers of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Widths of the two hidden layers.
     pub hidden: [usize; 2],
-    /// Discount factor.
+    /// Discount factor gamma.
     pub gamma: f64,
-    /// Share of the new parameters in each update of the target network.
+    /// Weight tau of the trained network in each update of the target network.
     pub tau: f64,
     /// Learning rate.
     pub rate: f64,
-    /// Steps for each update.
+    /// Steps between two updates.
     pub steps_per_update: usize,
-    /// Transitions in an update.
+    /// Transitions in a minibatch.
     pub batch: usize,
-    /// Transitions kept.
+    /// Capacity of the replay buffer.
     pub replay: usize,
     /// Transitions before the first update.
     pub warm_up: usize,
-    /// How often an entry is drawn.
+    /// Exploration: the probability of a random entry.
     pub exploration: Exploration,
-    /// What every algorithm has.
+    /// The numbers that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
@@ -86,60 +109,61 @@ impl Settings {
     }
 }
 
-/// A training run between two episodes.
-pub struct Trainer {
+impl AsRef<RunSettings> for Settings {
+    fn as_ref(&self) -> &RunSettings {
+        &self.run
+    }
+}
+
+/// Deep Q-learning with its state between two steps.
+pub struct Dql {
     settings: Settings,
-    scenario: Scenario,
     codebook: Codebook,
     layout: StateLayout,
-    /// Places of the entries, (entries, 2).
-    places: Tensor,
+    /// Coordinates of the entries in the codebook's grid, (entries, 2).
+    coordinates: Tensor,
     network: Network,
     target: Network,
     adam: Adam,
     replay: Replay,
-    rng: ChaCha8Rng,
-    episode: usize,
 }
 
-impl Trainer {
-    /// A run at its beginning.
+impl Dql {
+    /// The learner before its first episode.
     ///
     /// # Errors
-    /// A scenario that makes no channel, or a setting without sense.
-    pub fn new(scenario: Scenario, settings: Settings) -> anyhow::Result<Self> {
+    /// The scenario describes no channel, or a setting is invalid.
+    pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
         settings.exploration.check_choices()?;
-        anyhow::ensure!(settings.steps_per_update > 0, "steps_per_update = 0: wanted 1 or more");
-        let mut rng = ChaCha8Rng::seed_from_u64(settings.run.seed);
-        let (codebook, layout) = (Codebook::of(&scenario)?, StateLayout::of(&scenario));
-        let inputs = layout.inputs() + PLACE;
+        anyhow::ensure!(settings.steps_per_update > 0, "steps_per_update = 0: expected 1 or more");
+        let (codebook, layout) = (Codebook::of(scenario)?, StateLayout::of(scenario));
+        let inputs = layout.inputs() + POSITION;
         let shape = Shape { encoder: Encoder::Mlp, slots: 1, inputs, hidden: settings.hidden, outputs: 1 };
-        let network = Network::new(shape, &mut rng)?;
-        let places = codebook.places();
+        let network = Network::new(shape, rng)?;
+        let rows = codebook.coordinates();
+        let needed = settings.warm_up.max(settings.batch);
         Ok(Self {
-            places: Tensor::from_slice(places.as_flattened(), (places.len(), PLACE), &Device::Cpu)?,
+            coordinates: Tensor::from_slice(rows.as_flattened(), (rows.len(), POSITION), &Device::Cpu)?,
             target: network.copy()?,
-            adam: Adam::new(&network, settings.rate),
-            replay: Replay::new(settings.replay, [layout.inputs(), PLACE, 1, layout.inputs()]),
+            adam: Adam::new(&network),
+            replay: Replay::new(settings.replay, needed, [layout.inputs(), POSITION, 1, layout.inputs()]),
             network,
             codebook,
             layout,
-            rng,
-            scenario,
             settings,
-            episode: 0,
         })
     }
 
-    /// The entry that the network prefers in a state.
+    /// The entry with the largest value in a state.
     fn best(&self, state: &[f32]) -> Result<usize> {
         let state = Tensor::from_slice(state, (1, state.len()), &Device::Cpu)?;
         let values = self.values(&self.network, &state)?.squeeze(0)?.to_vec1::<f32>()?;
         Ok((1..values.len()).fold(0, |best, entry| if values[entry] > values[best] { entry } else { best }))
     }
 
-    fn choose(&mut self, epsilon: f64, state: &[f32]) -> Result<usize> {
-        match Exploration::draw(epsilon, self.codebook.entries().len(), &mut self.rng) {
+    /// An entry by the epsilon-greedy rule.
+    fn choose(&self, epsilon: f64, state: &[f32], rng: &mut impl Rng) -> Result<usize> {
+        match Exploration::draw(epsilon, self.codebook.entries().len(), rng) {
             Some(entry) => Ok(entry),
             None => self.best(state),
         }
@@ -149,105 +173,72 @@ impl Trainer {
     fn values(&self, network: &Network, states: &Tensor) -> Result<Tensor> {
         let (first, second, head) = (network.layer("first"), network.layer("second"), network.layer("head"));
         let (batch, inputs) = states.dims2()?;
-        let entries = self.places.dim(0)?;
+        let entries = self.coordinates.dim(0)?;
         let of_state = states.matmul(&first.weight.narrow(0, 0, inputs)?)?.broadcast_add(&first.bias)?;
-        let of_entry = self.places.matmul(&first.weight.narrow(0, inputs, PLACE)?)?;
+        let of_entry = self.coordinates.matmul(&first.weight.narrow(0, inputs, POSITION)?)?;
         let hidden = of_state.unsqueeze(1)?.broadcast_add(&of_entry.unsqueeze(0)?)?.relu()?;
         let hidden =
             hidden.reshape((batch * entries, ()))?.matmul(&second.weight)?.broadcast_add(&second.bias)?.relu()?;
         hidden.matmul(&head.weight)?.broadcast_add(&head.bias)?.reshape((batch, entries))
     }
 
-    /// One update from a minibatch: Q(s, a) towards r + gamma max_b Q'(s', b), Q' being the target network.
-    fn update(&mut self) -> Result<()> {
+    /// One update from a minibatch: Q(s, a) towards r + gamma max_b Q'(s', b), with the target
+    /// network Q'.
+    fn update(&mut self, rng: &mut impl Rng) -> Result<()> {
         let (batch, inputs) = (self.settings.batch, self.layout.inputs());
-        let [states, actions, rewards, next] = self.replay.sample(batch, &mut self.rng);
+        let [states, actions, rewards, next] = self.replay.sample(batch, rng);
         let matrix = |values: Vec<f32>, width: usize| Tensor::from_vec(values, (batch, width), &Device::Cpu);
         let next = self.values(&self.target, &matrix(next, inputs)?)?.max_keepdim(1)?.detach();
         let target = (matrix(rewards, 1)? + (next * self.settings.gamma)?)?;
-        let pairs = Tensor::cat(&[&matrix(states, inputs)?, &matrix(actions, PLACE)?], 1)?;
+        let pairs = Tensor::cat(&[&matrix(states, inputs)?, &matrix(actions, POSITION)?], 1)?;
         let error = (self.network.forward_rows(&pairs)? - target)?;
-        self.adam.step(&self.network, &error.sqr()?.mean_all()?.backward()?)?;
+        self.adam.step(&self.network, &error.sqr()?.mean_all()?.backward()?, self.settings.rate)?;
         soft_update(&self.target, &self.network, self.settings.tau)
     }
 }
 
-impl Learner for Trainer {
-    fn scenario(&self) -> &Scenario {
-        &self.scenario
+impl Learner for Dql {
+    fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
+        let Settings { exploration, run, .. } = &self.settings;
+        let room = &mut episode.rooms[0];
+        let state = self.layout.state(room.vector());
+        let epsilon = exploration.magnitude(episode.index, episode.count);
+        let entry = self.choose(epsilon, &state, episode.rng)?;
+        let (reward, outcome) = self.codebook.act(room, entry, run.reward);
+        room.step(run.step_s)?;
+        let next = self.layout.state(room.vector());
+        self.replay.push([&state, &self.codebook.coordinates()[entry], &[reward], &next]);
+        if self.replay.is_ready() && episode.step.is_multiple_of(self.settings.steps_per_update) {
+            self.update(episode.rng)?;
+        }
+        Ok(vec![outcome])
     }
 
-    fn run(&self) -> &RunSettings {
-        &self.settings.run
+    fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
+        let best = self.best(&self.layout.state(room.vector()))?;
+        Ok(self.codebook.entries()[best].clone())
     }
 
-    fn settings(&self) -> serde_json::Value {
-        serde_json::json!(self.settings)
+    fn best_action(&self, room: &Environment) -> Option<MirrorAngles> {
+        Some(self.codebook.best(room.model(), room.observation()).clone())
     }
 
     fn notes(&self) -> Vec<(&'static str, String)> {
         vec![("codebook", format!("{} entries: {}", self.codebook.entries().len(), self.codebook.kind()))]
     }
 
-    fn episodes_done(&self) -> usize {
-        self.episode
+    fn state(&mut self) -> Vec<Part<'_>> {
+        vec![
+            part("network", &mut self.network),
+            part("target", &mut self.target),
+            part("network", &mut self.adam),
+            part("replay", &mut self.replay),
+        ]
     }
 
-    fn run_episode(&mut self) -> anyhow::Result<Episode> {
-        let run = self.settings.run.clone();
-        let room = run.rooms.draw(&self.scenario, &mut self.rng);
-        let mut environment = Environment::new(&room, self.rng.random())?;
-        let epsilon = self.settings.exploration.magnitude(self.episode, run.episodes);
-        let mut summary = Episode::default();
-        let mut state = self.layout.state(environment.vector());
-        for step in 0..run.steps {
-            let entry = self.choose(epsilon, &state)?;
-            let (reward, outcome) = self.codebook.act(&mut environment, entry, run.reward);
-            environment.step(run.step_s)?;
-            let next = self.layout.state(environment.vector());
-            self.replay.push([&state, &self.codebook.places()[entry], &[reward], &next]);
-            state = next;
-            let ready = self.replay.len() >= self.settings.warm_up.max(self.settings.batch);
-            if ready && step % self.settings.steps_per_update == 0 {
-                self.update()?;
-            }
-            summary.reward_mbps += outcome.reward_mbps / run.steps as f64;
-            summary.sum_rate_mbps += outcome.sum_rate_mbps / run.steps as f64;
-        }
-        self.episode += 1;
-        Ok(Episode { number: self.episode, steps: self.episode * run.steps, ..summary })
-    }
-
-    fn act(&self, environment: &Environment) -> anyhow::Result<MirrorAngles> {
-        let best = self.best(&self.layout.state(environment.vector()))?;
-        Ok(self.codebook.entries()[best].clone())
-    }
-
-    fn best_possible(&self, environment: &Environment) -> Option<MirrorAngles> {
-        Some(self.codebook.best(environment.model(), environment.observation()).clone())
-    }
-
-    fn save(&self, store: &mut Store) -> anyhow::Result<()> {
-        store.put_network("network", &self.network);
-        store.put_network("target", &self.target);
-        store.put_adam("network", &self.adam)?;
-        store.put_replay(&self.replay)?;
-        store.put_generator(&self.rng)?;
-        store.put("episode", &self.episode)
-    }
-
-    fn restore(&mut self, store: &Store) -> anyhow::Result<()> {
-        store.restore_network("network", &self.network)?;
-        store.restore_network("target", &self.target)?;
-        store.restore_adam("network", &mut self.adam)?;
-        store.restore_replay(&mut self.replay)?;
-        self.rng = store.generator()?;
-        self.episode = store.get("episode")?;
-        Ok(())
-    }
-
-    /// In the graph: the state, the value of every entry, the largest value's place, that entry's angles.
-    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+    /// In the graph: the state, the values of all entries, the index of the largest, and that
+    /// entry's angles.
+    fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
         let (mut graph, inputs) = (Graph::default(), self.layout.inputs());
         let state = self.layout.state_nodes(&mut graph);
         let constant = |graph: &mut Graph, name: &str, tensor: &Tensor| -> Result<String> {
@@ -256,8 +247,9 @@ impl Learner for Trainer {
         };
         let first = self.network.layer("first");
         let weight = constant(&mut graph, "first.weight", &first.weight.narrow(0, 0, inputs)?)?;
-        // What an entry adds to the first layer does not depend on the state.
-        let of_entry = self.places.matmul(&first.weight.narrow(0, inputs, PLACE)?)?.broadcast_add(&first.bias)?;
+        // The entry's part of the first layer does not depend on the state.
+        let of_entry =
+            self.coordinates.matmul(&first.weight.narrow(0, inputs, POSITION)?)?.broadcast_add(&first.bias)?;
         let of_entry = constant(&mut graph, "first.entries", &of_entry)?;
         let of_state = graph.node("MatMul", &[&state, &weight]);
         let mut values = graph.node("Add", &[&of_entry, &of_state]);
@@ -271,21 +263,21 @@ impl Learner for Trainer {
         }
         let values = graph.reshape(&values, &[1, self.codebook.entries().len()]);
         self.codebook.choose_nodes(&mut graph, &values);
-        let encoder = self.layout.needy.encoder();
+        let encoder = self.layout.target_user.encoder();
         let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, 2 * encoder.mirrors()));
         Ok(graph.finish(&Ends { name: "heliostat-deep-q", input, output }, metadata))
     }
 }
 
-/// Numbers that place an entry in its codebook, and a user on the floor.
-const PLACE: usize = 2;
+/// Coordinates of an entry in its codebook, and of a user on the floor.
+const POSITION: usize = 2;
 
-/// How an observation vector becomes a state.
+/// The state that an observation vector describes.
 #[derive(Clone, Copy, Debug)]
 struct StateLayout {
-    needy: Needy,
-    raw: RawLayout,
-    /// Steps of the codebook's grid in a metre, along x and y.
+    target_user: TargetUser,
+    users: AngleState,
+    /// Steps of the codebook's grid per metre, along x and y.
     steps_per_m: [f32; 2],
 }
 
@@ -293,28 +285,28 @@ impl StateLayout {
     fn of(scenario: &Scenario) -> Self {
         let extents_m = [scenario.room.length_x_m, scenario.room.length_y_m];
         Self {
-            needy: Needy::of(scenario),
-            raw: RawLayout::of(scenario, false),
+            target_user: TargetUser::of(scenario),
+            users: AngleState::of(scenario, false),
             steps_per_m: extents_m.map(|extent_m| (GRID as f64 / extent_m) as f32),
         }
     }
 
     fn inputs(&self) -> usize {
-        PLACE + self.raw.inputs()
+        POSITION + self.users.inputs()
     }
 
     fn state(&self, vector: &[f32]) -> Vec<f32> {
-        let [x, y] = self.needy.place(vector);
+        let [x, y] = self.target_user.position(vector);
         let mut state = vec![x * self.steps_per_m[0], y * self.steps_per_m[1]];
-        state.extend(self.raw.state(vector));
+        state.extend(self.users.state(vector));
         state
     }
 
     fn state_nodes(&self, graph: &mut Graph) -> String {
-        let place = self.needy.place_nodes(graph);
-        let steps = graph.constant("steps_per_m", &[1, PLACE], &self.steps_per_m);
-        let place = graph.node("Mul", &[&place, &steps]);
-        let raw = self.raw.state_nodes(graph);
-        graph.concat(&[&place, &raw], 1)
+        let position = self.target_user.position_nodes(graph);
+        let steps = graph.constant("steps_per_m", &[1, POSITION], &self.steps_per_m);
+        let position = graph.node("Mul", &[&position, &steps]);
+        let users = self.users.state_nodes(graph);
+        graph.concat(&[&position, &users], 1)
     }
 }

@@ -1,65 +1,87 @@
-//! Q-learning with a table, as earlier work on mirrors had it: a cell of the floor by an entry of the codebook.
+//! Q-learning with a table: cells of the floor by entries of the codebook.
 //!
 //! ```text
 //! Q(s, a) <- Q(s, a) + alpha [r + gamma max_b Q(s', b) - Q(s, a)]
 //! ```
 //!
-//! The paper names Q-learning and SARSA as what came before it, and says that tables cannot hold large spaces of states and actions; it gives none of
-//! their numbers. [`crate::sarsa`] is this run with the action that is really taken next in place of the best one.
+//! [`QLearning::step`] is the complete algorithm. The paper names Q-learning and SARSA as earlier
+//! work and says that tables cannot hold large spaces of states and actions; it gives none of their
+//! numbers. [`super::sarsa`] is this learner with the value of the action that is taken next
+//! instead of the largest value.
 //!
-//! # Departures, and why
-//! 1. **State.** Positions of five users alone, in quadrants, are 1024 states, of 144 actions each, and quadrants are far coarser than a spot of
-//!    light. The state is the cell of one user, the one whom the mirrors could help most ([`crate::needy`]): 12 x 12 cells in `specular`, as the
-//!    codebook's points; 6 x 6 in the paper's modes, where light is spread widely.
-//! 2. **Action.** An entry of the [codebook](crate::codebook).
-//! 3. **Reward.** What the entry brings beyond mirrors that face straight into the room, so that a room with much direct light does not look like a good
-//!    choice. The shortfall is punished instead of the met need, as in [`crate::ddpg`]; divided by the bandwidth.
-//! 4. **gamma = 0.3** in place of 0.9. An action does not influence later states here; with 0.9 a value is ten times the reward, and a pair
-//!    that was tried long ago lags behind by more than entries differ.
-//! 5. **alpha = 0.05**, the learning rate that the paper's text names, but the first visits of a pair count as in a mean: alpha = max(0.05, 1 / n).
-//! 6. **Exploration.** Epsilon-greedy from 0.995, as in the paper, to 0.05: a table learns nothing about a neighbour of what it tries.
-//! 7. **Episodes.** 1000 of 80 steps of one second. In `specular`, seed 1, watched rooms: .50 of the oracle after a run of 600, .54 of 2500.
+//! # Deviations from the paper
+//! 1. **State.** Positions of five users in quadrants are 1024 states with 144 actions each, and
+//!    quadrants are far coarser than a spot. The state is the cell of the [target
+//!    user](crate::environment::target_user): 12 x 12 cells in `specular`, as the codebook's
+//!    points; 6 x 6 in the paper's modes, whose light is spread widely.
+//! 2. **Action.** An entry of the [codebook](crate::environment::codebook).
+//! 3. **Reward.** The reward minus that of flat mirrors, over the bandwidth, so that a room with
+//!    much direct light does not raise the value of an entry. The shortfall is penalised instead of
+//!    the met minimum rate, as in [`super::ddpg`].
+//! 4. **gamma = 0.3** instead of 0.9. An action does not influence later states here. With 0.9 a
+//!    value is ten times the reward, and the error of a pair that was not visited for long exceeds
+//!    the differences between entries.
+//! 5. **alpha = 0.05**, the learning rate of the paper's text. The first visits of a pair form a
+//!    mean: alpha = max(0.05, 1 / n).
+//! 6. **Exploration.** Epsilon-greedy from 0.995, as in the paper, to 0.05: a table does not
+//!    generalise to entries nearby.
+//! 7. **Episodes.** 1000 of 80 steps of one second.
 
-use heliostat_channel::MirrorAngles;
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
+use heliostat_onnx::graph::{Ends, Graph};
 use heliostat_scenario::{ChannelMode, Scenario};
-use rand::{RngExt, SeedableRng};
+use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::Store;
-use crate::codebook::{Codebook, GRID};
-use crate::env::{Environment, Reward, RewardForm, Rooms};
-use crate::explore::{Exploration, Kind};
-use crate::learner::{Episode, Learner, RunSettings};
-use crate::needy::{Cells, Needy};
-use crate::onnx::{Ends, Graph};
-use crate::table::Table;
+use super::table::Table;
+use crate::environment::codebook::{Codebook, GRID};
+use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
+use crate::environment::target_user::{Cells, TargetUser};
+use crate::training::algorithm::{Algorithm, start};
+use crate::training::exploration::{Exploration, Kind};
+use crate::training::learner::{Episode, Learner, Part, part};
+use crate::training::settings::RunSettings;
 
-/// Which later value an update counts on.
+/// The entry in the table of algorithms.
+pub const ALGORITHM: Algorithm = Algorithm {
+    name: "q-learning",
+    policy: PolicyKind::QLearning,
+    help: "Q-learning with a table, on a codebook of angles",
+    summary: "Q-learning with a table on a codebook; see the head of `models/src/learners/q_learning.rs`",
+    has_paper_preset: false,
+    start: |scenario, _, options| {
+        let settings = Settings::new(scenario.seed, scenario.channel.mode);
+        start(scenario, settings, options, QLearning::new)
+    },
+};
+
+/// The next value in the target of an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
-    /// The best entry's: Q-learning.
+    /// The largest value: Q-learning.
     Best,
-    /// That of the entry which is taken next: SARSA.
+    /// The value of the entry that is taken next: SARSA.
     Taken,
 }
 
-/// Every number of a training run.
+/// All numbers of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// Which later value counts.
+    /// The next value in the target of an update.
     pub target: Target,
     /// Cells along each side of the room.
     pub cells: usize,
-    /// Discount factor.
+    /// Discount factor gamma.
     pub gamma: f32,
-    /// Smallest learning rate of a pair.
+    /// Smallest learning rate of a pair of state and entry.
     pub alpha: f32,
-    /// How often an entry is drawn.
+    /// Exploration: the probability of a random entry.
     pub exploration: Exploration,
-    /// What every algorithm has.
+    /// The numbers that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
@@ -85,147 +107,109 @@ impl Settings {
     }
 }
 
-/// A training run; also that of [`crate::sarsa`].
-pub struct Trainer {
-    settings: Settings,
-    scenario: Scenario,
-    codebook: Codebook,
-    needy: Needy,
-    cells: Cells,
-    table: Table,
-    rng: ChaCha8Rng,
-    episode: usize,
+impl AsRef<RunSettings> for Settings {
+    fn as_ref(&self) -> &RunSettings {
+        &self.run
+    }
 }
 
-impl Trainer {
-    /// A run at its beginning.
+/// Q-learning with its state between two steps; also the learner of [`super::sarsa`].
+pub struct QLearning {
+    settings: Settings,
+    codebook: Codebook,
+    target_user: TargetUser,
+    cells: Cells,
+    table: Table,
+    /// The entry that the next step takes.
+    next_entry: usize,
+}
+
+impl QLearning {
+    /// The learner before its first episode.
     ///
     /// # Errors
-    /// A scenario that makes no channel, or a setting without sense.
-    pub fn new(scenario: Scenario, settings: Settings) -> anyhow::Result<Self> {
-        anyhow::ensure!((1..=100).contains(&settings.cells), "cells = {}: wanted 1 to 100", settings.cells);
+    /// The scenario describes no channel, or a setting is invalid.
+    pub fn new(scenario: &Scenario, settings: Settings, _: &mut ChaCha8Rng) -> anyhow::Result<Self> {
+        anyhow::ensure!((1..=100).contains(&settings.cells), "cells = {}: expected 1 to 100", settings.cells);
         settings.exploration.check_choices()?;
-        let cells = Cells::of(&scenario, settings.cells);
-        let codebook = Codebook::of(&scenario)?;
+        let cells = Cells::of(scenario, settings.cells);
+        let codebook = Codebook::of(scenario)?;
         Ok(Self {
             table: Table::new(cells.count(), codebook.entries().len()),
-            needy: Needy::of(&scenario),
-            rng: ChaCha8Rng::seed_from_u64(settings.run.seed),
+            target_user: TargetUser::of(scenario),
             codebook,
             cells,
-            scenario,
             settings,
-            episode: 0,
+            next_entry: 0,
         })
     }
 
-    /// The table as it is now.
-    pub fn table(&self) -> &Table {
-        &self.table
+    /// The state that an observation vector describes.
+    pub fn state_of(&self, vector: &[f32]) -> usize {
+        self.cells.cell(self.target_user.position(vector))
     }
 
-    /// The state of what an observation vector says.
-    pub fn state(&self, vector: &[f32]) -> usize {
-        self.cells.cell(self.needy.place(vector))
-    }
-
-    fn choose(&mut self, epsilon: f64, state: usize) -> usize {
+    /// An entry by the epsilon-greedy rule.
+    fn choose(&self, epsilon: f64, state: usize, rng: &mut impl Rng) -> usize {
         let entries = self.codebook.entries().len();
-        Exploration::draw(epsilon, entries, &mut self.rng).unwrap_or_else(|| self.table.best(state))
+        Exploration::draw(epsilon, entries, rng).unwrap_or_else(|| self.table.best(state))
     }
 }
 
-impl Learner for Trainer {
-    fn scenario(&self) -> &Scenario {
-        &self.scenario
+impl Learner for QLearning {
+    fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
+        let epsilon = self.settings.exploration.magnitude(episode.index, episode.count);
+        let (first, room) = (episode.step == 0, &mut episode.rooms[0]);
+        let state = self.state_of(room.vector());
+        let entry = if first { self.choose(epsilon, state, episode.rng) } else { self.next_entry };
+        let (reward, outcome) = self.codebook.act(room, entry, self.settings.run.reward);
+        room.step(self.settings.run.step_s)?;
+        let next_state = self.state_of(room.vector());
+        self.next_entry = self.choose(epsilon, next_state, episode.rng);
+        let next_value = match self.settings.target {
+            Target::Best => self.table.value(next_state, self.table.best(next_state)),
+            Target::Taken => self.table.value(next_state, self.next_entry),
+        };
+        self.table.learn((state, entry), reward + self.settings.gamma * next_value, self.settings.alpha);
+        Ok(vec![outcome])
     }
 
-    fn run(&self) -> &RunSettings {
-        &self.settings.run
+    fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
+        let best = self.table.best(self.state_of(room.vector()));
+        Ok(self.codebook.entries()[best].clone())
     }
 
-    fn settings(&self) -> serde_json::Value {
-        serde_json::json!(self.settings)
+    fn best_action(&self, room: &Environment) -> Option<MirrorAngles> {
+        Some(self.codebook.best(room.model(), room.observation()).clone())
     }
 
     fn notes(&self) -> Vec<(&'static str, String)> {
         let (states, entries, bytes) = (self.cells.count(), self.codebook.entries().len(), self.table.bytes());
-        let tried = self.table.tried();
+        let (values, visited) = (states * entries, self.table.visited());
         vec![
             ("codebook", format!("{entries} entries: {}", self.codebook.kind())),
             (
                 "table",
-                format!(
-                    "{states} states x {entries} entries = {} values, {bytes} bytes, {tried} tried",
-                    states * entries
-                ),
+                format!("{states} states x {entries} entries = {values} values, {bytes} bytes, {visited} visited"),
             ),
         ]
     }
 
-    fn episodes_done(&self) -> usize {
-        self.episode
+    fn state(&mut self) -> Vec<Part<'_>> {
+        vec![part("table", &mut self.table)]
     }
 
-    fn run_episode(&mut self) -> anyhow::Result<Episode> {
-        let run = self.settings.run.clone();
-        let room = run.rooms.draw(&self.scenario, &mut self.rng);
-        let mut environment = Environment::new(&room, self.rng.random())?;
-        let epsilon = self.settings.exploration.magnitude(self.episode, run.episodes);
-        let mut summary = Episode::default();
-        let mut state = self.state(environment.vector());
-        let mut entry = self.choose(epsilon, state);
-        for _ in 0..run.steps {
-            let (reward, outcome) = self.codebook.act(&mut environment, entry, run.reward);
-            environment.step(run.step_s)?;
-            let next_state = self.state(environment.vector());
-            let next_entry = self.choose(epsilon, next_state);
-            let counted = match self.settings.target {
-                Target::Best => self.table.best(next_state),
-                Target::Taken => next_entry,
-            };
-            let target = reward + self.settings.gamma * self.table.value(next_state, counted);
-            self.table.learn((state, entry), target, self.settings.alpha);
-            (state, entry) = (next_state, next_entry);
-            summary.reward_mbps += outcome.reward_mbps / run.steps as f64;
-            summary.sum_rate_mbps += outcome.sum_rate_mbps / run.steps as f64;
-        }
-        self.episode += 1;
-        Ok(Episode { number: self.episode, steps: self.episode * run.steps, ..summary })
-    }
-
-    fn act(&self, environment: &Environment) -> anyhow::Result<MirrorAngles> {
-        let best = self.table.best(self.state(environment.vector()));
-        Ok(self.codebook.entries()[best].clone())
-    }
-
-    fn best_possible(&self, environment: &Environment) -> Option<MirrorAngles> {
-        Some(self.codebook.best(environment.model(), environment.observation()).clone())
-    }
-
-    fn save(&self, store: &mut Store) -> anyhow::Result<()> {
-        self.table.save(store)?;
-        store.put_generator(&self.rng)?;
-        store.put("episode", &self.episode)
-    }
-
-    fn restore(&mut self, store: &Store) -> anyhow::Result<()> {
-        self.table.restore(store)?;
-        self.rng = store.generator()?;
-        self.episode = store.get("episode")?;
-        Ok(())
-    }
-
-    /// In the graph: the needy user's cell, that row of the table, the largest value's place, that entry's angles.
-    fn export(&self, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+    /// In the graph: the target user's cell, that row of the table, the index of the largest value,
+    /// and that entry's angles.
+    fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
         let mut graph = Graph::default();
-        let place = self.needy.place_nodes(&mut graph);
-        let state = self.cells.cell_nodes(&mut graph, &place);
+        let position = self.target_user.position_nodes(&mut graph);
+        let state = self.cells.cell_nodes(&mut graph, &position);
         let values = graph.constant("table", &[self.table.states(), self.table.entries()], self.table.values());
         let row = graph.gather(&values, &state, 0);
         self.codebook.choose_nodes(&mut graph, &row);
-        let (input, output) = (self.needy.encoder().len(), 2 * self.needy.encoder().mirrors());
-        let ends = Ends { name: "heliostat-table", input: (INPUT_NAME, input), output: (OUTPUT_NAME, output) };
-        Ok(graph.finish(&ends, metadata))
+        let encoder = self.target_user.encoder();
+        let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, 2 * encoder.mirrors()));
+        Ok(graph.finish(&Ends { name: "heliostat-table", input, output }, metadata))
     }
 }

@@ -1,14 +1,31 @@
-//! SARSA with a table: [`crate::q_learning`], but an update counts on the entry that is really taken next, explored or not.
+//! SARSA with a table: [`super::q_learning`] with the value of the entry that is taken next.
 //!
 //! ```text
 //! Q(s, a) <- Q(s, a) + alpha [r + gamma Q(s', a') - Q(s, a)]
 //! ```
 //!
-//! a' is drawn once, by the same epsilon-greedy rule, and then taken. All departures listed at the head of [`crate::q_learning`] hold here too.
+//! The epsilon-greedy rule draws a' once, and the next step takes it. All deviations listed at the
+//! head of [`super::q_learning`] apply here too.
 
+use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ChannelMode;
 
-use crate::q_learning::{Settings, Target};
+use super::q_learning::{QLearning, Settings, Target};
+use crate::training::algorithm::{Algorithm, start};
+
+/// The entry in the table of algorithms.
+pub const ALGORITHM: Algorithm = Algorithm {
+    name: "sarsa",
+    policy: PolicyKind::Sarsa,
+    help: "SARSA with a table, on a codebook of angles",
+    summary: "SARSA with a table on a codebook; see the heads of `models/src/learners/sarsa.rs` and \
+              `models/src/learners/q_learning.rs`",
+    has_paper_preset: false,
+    start: |scenario, _, options| {
+        let settings = settings(scenario.seed, scenario.channel.mode);
+        start(scenario, settings, options, QLearning::new)
+    },
+};
 
 /// The numbers of the shipped tables.
 pub fn settings(seed: u64, mode: ChannelMode) -> Settings {

@@ -1,27 +1,33 @@
-//! The actor: from the state of a room to one logit for each user, in one or several rounds.
+//! The actor of `ddpg` and `analytic`: from the state of a room to one logit for each user, in one
+//! or several rounds.
 //!
-//! In each round the network reads what is known of a user, the user's logit of the round before, and the amplitude that the user would
-//! get under the logits of all; the first round starts from logits of zero and balanced shares. So users meet in that amplitude alone. It comes from a smooth copy of the decoder: each
-//! mirror is shared among the users in proportion to (w_k a_km)^8, where the true decoder gives it to the largest. Smooth, so
-//! that a gradient can pass and rounding cannot flip a mirror.
+//! In each round the network reads three inputs for each user: the features, the logit of the round
+//! before, and the amplitude that the user would get under the logits of all users. The first round
+//! starts from logits of zero and balanced shares. Users interact through this amplitude only.
+//!
+//! The amplitude comes from a smooth copy of the decoder: each mirror is shared among the users in
+//! proportion to (w_k a_km)^8, where the true decoder gives it to the largest. A smooth copy has a
+//! gradient, and rounding cannot move a mirror from one user to another.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{MirrorAngles, decode, sharing};
 
-use crate::env::Environment;
-use crate::features::{FEATURES, Head, LOG_BALANCED, LOG_DIRECT, LOG_WEIGHT, Layout, Prior, WEIGHT_SCALE};
-use crate::networks::Network;
+use super::layers::Network;
+use crate::environment::features::{FEATURES, Head, LOG_BALANCED, LOG_DIRECT, LOG_WEIGHT, Layout, Prior, WEIGHT_SCALE};
+use crate::environment::room::Environment;
 
-/// Inputs of the actor's network for each user: the features, the logit of the round before, and ln(1 + amplitude).
+/// Inputs of the actor's network for each user: the features, the logit of the round before, and
+/// ln(1 + amplitude).
 pub const ACTOR_INPUTS: usize = FEATURES + 2;
 
-/// How often a claim is squared; makes [`EXPONENT`].
+/// Number of squarings that raise a claim to [`EXPONENT`].
 pub const SQUARINGS: u32 = sharing::EXPONENT.ilog2();
 
 /// The exponent of the smooth decoder.
 pub const EXPONENT: f32 = sharing::EXPONENT as f32;
 
-/// Keeps quotients finite for mirrors that no user sees; far below every sum of claims that counts.
+/// Added to sums of claims, so that quotients stay finite for mirrors that reach no user; far below
+/// the claims of mirrors that do.
 pub const NO_CLAIM: f32 = 1e-20;
 
 /// States of rooms, as tensors.
@@ -29,23 +35,24 @@ pub const NO_CLAIM: f32 = 1e-20;
 pub struct States {
     /// (batch, slots, [`FEATURES`])
     pub features: Tensor,
-    /// Who is there, (batch, slots).
+    /// 1 for a present user, 0 in an empty slot; (batch, slots).
     pub present: Tensor,
     /// Direct amplitude, (batch, slots, 1).
     direct: Tensor,
     /// (p_k a_km / sum_j p_j a_jm)^8 with the weights p of logits of zero, (batch, slots, mirrors).
     claims: Tensor,
-    /// The same times a_km.
+    /// The claims times a_km.
     gains: Tensor,
 }
 
 impl States {
-    /// Length of one state as a row: features of all slots, then steering amplitudes of all slots.
+    /// Length of the row of one state: features of all slots, then steering amplitudes of all
+    /// slots.
     pub fn width(layout: Layout) -> usize {
         layout.slots() * (FEATURES + layout.encoder.mirrors())
     }
 
-    /// The row of what an observation vector says.
+    /// The row of the state that an observation vector describes.
     pub fn row(layout: Layout, vector: &[f32]) -> Vec<f32> {
         let mut row = vec![0.0; Self::width(layout)];
         let (features, steering) = row.split_at_mut(layout.slots() * FEATURES);
@@ -57,18 +64,18 @@ impl States {
     /// States from rows.
     ///
     /// # Errors
-    /// Those of candle, when the length is not `batch` rows.
+    /// Errors of candle, when the length is not `batch` rows.
     pub fn new(rows: Vec<f32>, batch: usize, layout: Layout, prior: Prior) -> Result<Self> {
         let (slots, mirrors) = (layout.slots(), layout.encoder.mirrors());
         let rows = Tensor::from_vec(rows, (batch, Self::width(layout)), &Device::Cpu)?;
         let features = rows.narrow(1, 0, slots * FEATURES)?.reshape((batch, slots, FEATURES))?;
         let steering = rows.narrow(1, slots * FEATURES, slots * mirrors)?.reshape((batch, slots, mirrors))?;
         let column = |index| features.narrow(2, index, 1)?.contiguous();
-        let asked = match prior {
+        let weighted = match prior {
             Prior::Uniform => steering.clone(),
             Prior::Balanced => steering.broadcast_mul(&(column(LOG_WEIGHT)? / f64::from(WEIGHT_SCALE))?.exp()?)?,
         };
-        let mut claims = asked.broadcast_div(&(asked.sum_keepdim(1)? + f64::from(NO_CLAIM))?)?;
+        let mut claims = weighted.broadcast_div(&(weighted.sum_keepdim(1)? + f64::from(NO_CLAIM))?)?;
         for _ in 0..SQUARINGS {
             claims = claims.sqr()?;
         }
@@ -84,7 +91,7 @@ impl States {
     /// ln(1 + amplitude) of each user at balanced shares, (batch, slots).
     ///
     /// # Errors
-    /// Those of candle.
+    /// Errors of candle.
     pub fn balanced(&self) -> Result<Tensor> {
         self.features.narrow(2, LOG_BALANCED, 1)?.squeeze(2)
     }
@@ -92,36 +99,38 @@ impl States {
     /// ln(1 + amplitude) of each user under these logits by the smooth decoder, (batch, slots).
     ///
     /// # Errors
-    /// Those of candle, when shapes do not fit.
+    /// Errors of candle, when shapes differ.
     pub fn amplitude(&self, logits: &Tensor, range: f32) -> Result<Tensor> {
         let weight = (logits * f64::from(EXPONENT * range))?.exp()?.mul(&self.present)?;
-        // The power of w_k a_km is split: the large tables, with the prior, are raised to it once for all rounds.
-        let all = (weight.unsqueeze(1)?.matmul(&self.claims)? + f64::from(NO_CLAIM))?;
-        // By way of the logarithm: the gradient of a quotient squares its divisor, which would vanish in f32.
-        let inverse = all.log()?.neg()?.exp()?.transpose(1, 2)?.contiguous()?;
+        // The power of w_k a_km is a product: the large tables, with the prior, are raised once for
+        // all rounds.
+        let total = (weight.unsqueeze(1)?.matmul(&self.claims)? + f64::from(NO_CLAIM))?;
+        // Through the logarithm: the gradient of a quotient squares its divisor, which underflows
+        // in f32.
+        let inverse = total.log()?.neg()?.exp()?.transpose(1, 2)?.contiguous()?;
         let given = self.gains.matmul(&inverse)?.mul(&weight.unsqueeze(2)?)?;
         ((&self.direct + given)? + 1.0)?.log()?.squeeze(2)
     }
 }
 
-/// A trained or learning actor, with all that decoding needs to know.
+/// An actor's network with the numbers that decoding needs.
 #[derive(Clone, Debug)]
 pub struct Actor {
     /// Its network.
     pub network: Network,
     /// The layout of its observation vector.
     pub layout: Layout,
-    /// From its logits to weights.
+    /// The map from its logits to weights.
     pub head: Head,
-    /// How often the network is applied.
+    /// Number of rounds, each one application of the network.
     pub rounds: usize,
 }
 
 impl Actor {
-    /// Logits in [-1, 1], (batch, slots); zero in absent slots.
+    /// Logits in [-1, 1], (batch, slots); zero in empty slots.
     ///
     /// # Errors
-    /// Those of candle, when shapes do not fit.
+    /// Errors of candle, when shapes differ.
     pub fn forward(&self, states: &States) -> Result<Tensor> {
         let (mut logits, mut amplitude) = (states.present.zeros_like()?, states.balanced()?);
         for round in 0..self.rounds {
@@ -134,16 +143,16 @@ impl Actor {
         Ok(logits)
     }
 
-    /// One logit for each slot from the row of one state.
+    /// One logit for each slot, from the row of one state.
     ///
     /// # Errors
-    /// Those of candle.
+    /// Errors of candle.
     pub fn logits(&self, state: &[f32]) -> Result<Vec<f32>> {
         let states = States::new(state.to_vec(), 1, self.layout, self.head.prior)?;
         self.forward(&states)?.squeeze(0)?.to_vec1()
     }
 
-    /// The mirror angles that these logits stand for in a room, by the one decoder.
+    /// The mirror angles that the decoder gives for these logits in a room.
     pub fn decode(&self, environment: &Environment, logits: &[f32]) -> MirrorAngles {
         let seen = environment.observation();
         let weights = self.layout.weights(environment.vector(), logits, self.head);
@@ -153,10 +162,10 @@ impl Actor {
         angles
     }
 
-    /// The same actor with a network of its own.
+    /// A copy with its own network.
     ///
     /// # Errors
-    /// Those of candle.
+    /// Errors of candle.
     pub fn copy(&self) -> Result<Self> {
         Ok(Self { network: self.network.copy()?, ..self.clone() })
     }
@@ -168,10 +177,10 @@ mod tests {
     use candle_core::Var;
     use heliostat_decide::observation::ObservationEncoder;
 
-    /// Of the three users.
+    /// Logarithms of the balanced weights of the three users.
     const LOG_WEIGHTS: [f64; 3] = [0.5, 0.25, 2.75];
 
-    /// Three users, the last slot empty, and four mirrors of which nobody sees the last.
+    /// Three users, the last slot empty, and four mirrors of which the last reaches no user.
     fn states() -> States {
         let layout = Layout { encoder: ObservationEncoder::new(4, 4), half_room_m: [2.5, 2.5] };
         let mut row = vec![0.0; States::width(layout)];
@@ -186,12 +195,12 @@ mod tests {
     }
 
     #[test]
-    fn a_user_in_the_dark_takes_nothing_from_the_others() {
+    fn a_user_without_steering_amplitude_takes_nothing_from_the_others() {
         let layout = Layout { encoder: ObservationEncoder::new(2, 1), half_room_m: [2.5, 2.5] };
         let mut row = vec![0.0; States::width(layout)];
         (row[0], row[FEATURES]) = (1.0, 1.0);
-        for dark in [0.0, 1e-5] {
-            row[2 * FEATURES..].copy_from_slice(&[0.4, dark]);
+        for faint in [0.0, 1e-5] {
+            row[2 * FEATURES..].copy_from_slice(&[0.4, faint]);
             let states = States::new(row.clone(), 1, layout, Prior::Uniform).expect("a state");
             let logits = Tensor::from_slice(&[-1.0_f32, 1.0], (1, 2), &Device::Cpu).expect("logits");
             let found = states.amplitude(&logits, 0.5).and_then(|found| found.to_vec2::<f32>()).expect("amplitudes");
@@ -199,15 +208,15 @@ mod tests {
         }
     }
 
-    /// The same amplitude by its definition, in f64.
+    /// The amplitude by its definition, in f64.
     fn expected(logits: [f64; 3]) -> [f64; 3] {
         let steering = [[0.30_f64, 0.20, 0.10], [0.21, 0.33, 0.25], [0.02, 0.015, 0.03]];
         let weight = |user: usize| (2.0 * logits[user] + LOG_WEIGHTS[user]).exp();
         let claim = |user: usize, mirror: usize| (weight(user) * steering[user][mirror]).powi(8);
         [0, 1, 2].map(|user| {
             let given = |mirror| {
-                let all: f64 = (0..3).map(|other| claim(other, mirror)).sum();
-                steering[user][mirror] * claim(user, mirror) / all
+                let total: f64 = (0..3).map(|other| claim(other, mirror)).sum();
+                steering[user][mirror] * claim(user, mirror) / total
             };
             let direct = (0.5 * user as f64).exp() - 1.0;
             (1.0 + direct + (0..3).map(given).sum::<f64>()).ln()
@@ -215,19 +224,19 @@ mod tests {
     }
 
     #[test]
-    fn the_smooth_decoder_is_its_definition() {
+    fn the_smooth_decoder_matches_its_definition() {
         let logits = [0.1_f32, -0.2, 0.3, 0.0];
         let tensor = Tensor::from_slice(&logits, (1, 4), &Device::Cpu).expect("logits");
         let found = states().amplitude(&tensor, 2.0).and_then(|found| found.squeeze(0)?.to_vec1::<f32>());
         let found = found.expect("amplitudes");
-        for (user, wanted) in expected([0.1, -0.2, 0.3]).into_iter().enumerate() {
-            assert!((f64::from(found[user]) - wanted).abs() < 1e-5, "user {user}: {} for {wanted}", found[user]);
+        for (user, expected) in expected([0.1, -0.2, 0.3]).into_iter().enumerate() {
+            assert!((f64::from(found[user]) - expected).abs() < 1e-5, "user {user}: {} for {expected}", found[user]);
         }
         assert_eq!(found[3], 0.0);
     }
 
     #[test]
-    fn its_gradient_is_that_of_its_definition() {
+    fn the_gradient_matches_finite_differences_of_the_definition() {
         let logits = [0.1_f64, -0.2, 0.3];
         let variable = Var::from_slice(&[0.1_f32, -0.2, 0.3, 0.0], (1, 4), &Device::Cpu).expect("logits");
         let amplitude = states().amplitude(&variable, 2.0).expect("amplitudes");
@@ -241,9 +250,9 @@ mod tests {
                     moved[other] += by;
                     expected(moved)[user]
                 };
-                let wanted = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+                let expected = (moved(1e-5) - moved(-1e-5)) / 2e-5;
                 let found = f64::from(found[0][other]);
-                assert!((found - wanted).abs() < 1e-4, "user {user} by logit {other}: {found} for {wanted}");
+                assert!((found - expected).abs() < 1e-4, "user {user} by logit {other}: {found} for {expected}");
             }
         }
     }

@@ -1,41 +1,42 @@
-//! The model card: what an actor is, the command that made it, and how good it is.
+//! The model card: the task of an actor, the command that made it, and its scores.
 
 use std::fmt::Write;
 use std::time::Duration;
 
 use heliostat_decide::observation::OBSERVATION_VERSION;
 
-use crate::algorithm::Algorithm;
-use crate::evaluate::{Estimate, Score};
-use crate::learner::Learner;
+use super::algorithm::Algorithm;
+use super::run::Training;
+use crate::evaluation::{Estimate, Score};
 
 /// A score in one kind of room.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct ScoreRow {
-    /// Users.
+    /// Number of users.
     pub users: usize,
-    /// How many have their direct path forced off.
+    /// Number of users with the direct path forced off.
     pub forced: usize,
-    /// States judged.
+    /// Number of states.
     pub states: usize,
     /// The score.
     pub score: Score,
-    /// The ratio to the oracle and the share of needs met of the best that the learner could ever give, where that is known.
+    /// Ratio to the oracle and share of minimum rates met of the learner's best action in each
+    /// state, where it is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ceiling: Option<(Estimate, f64)>,
 }
 
-/// Everything that a card tells.
+/// The contents of a card.
 pub struct Card<'a> {
     /// File name of the actor.
     pub file: &'a str,
     /// The command that makes it.
     pub command: &'a str,
-    /// What was trained.
+    /// The algorithm.
     pub algorithm: Algorithm,
     /// The finished run.
-    pub learner: &'a dyn Learner,
-    /// How long training took, without the final evaluation; `None` when it was resumed.
+    pub training: &'a Training,
+    /// Duration of the training without the final evaluation; `None` for a resumed run.
     pub duration: Option<Duration>,
     /// Scores on held-out states.
     pub scores: &'a [ScoreRow],
@@ -50,12 +51,12 @@ impl Card<'_> {
     }
 
     fn write(&self, text: &mut String) -> std::fmt::Result {
-        let (run, scenario) = (self.learner.run(), self.learner.scenario());
+        let (run, scenario) = (self.training.run(), self.training.scenario());
         writeln!(text, "# {}\n", self.file)?;
         writeln!(
             text,
-            "Turns the {} mirrors of a {} x {} array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}; \
-             output: roll and yaw of each mirror in radians. All that lies between is inside the graph.\n",
+            "Turns the {} mirrors of a {} x {} array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}. \
+             Output: roll and yaw of each mirror in radians. The graph holds the complete computation between the two.\n",
             scenario.mirror_count(),
             scenario.mirrors.rows,
             scenario.mirrors.columns,
@@ -63,7 +64,7 @@ impl Card<'_> {
         )?;
         writeln!(text, "Made by\n\n```sh\n{}\n```\n", self.command)?;
         writeln!(text, "| | |\n| --- | --- |")?;
-        writeln!(text, "| algorithm | {} |", self.algorithm.summary())?;
+        writeln!(text, "| algorithm | {} |", self.algorithm.summary)?;
         writeln!(
             text,
             "| scenario | {} (hash {}, geometry {}) |",
@@ -76,37 +77,37 @@ impl Card<'_> {
             Some(duration) => writeln!(text, "| duration | {:.0} s on {} |", duration.as_secs_f64(), hardware())?,
             None => writeln!(text, "| duration | resumed; last part on {} |", hardware())?,
         }
-        for (name, note) in self.learner.notes() {
+        for (name, note) in self.training.learner().notes() {
             writeln!(text, "| {name} | {note} |")?;
         }
-        writeln!(text, "| settings | `{}` |", self.learner.settings())?;
+        writeln!(text, "| settings | `{}` |", self.training.settings())?;
         writeln!(text, "| licence | {} |\n", env!("CARGO_PKG_LICENSE"))?;
         self.write_scores(text)?;
         writeln!(
             text,
             "\nLimits: one access point, the geometry named above, true positions and gains without delay. A controller refuses the \
-             actor elsewhere."
+             actor for another geometry."
         )
     }
 
     fn write_scores(&self, text: &mut String) -> std::fmt::Result {
         writeln!(
             text,
-            "Held-out states of the scenario with its own noise, mean and 95 % interval; ratio to the oracle that keeps minimum rates, \
-             state by state; `b` users have their direct path forced off, besides those in the shadow of bodies and obstacles.\n"
+            "Held-out states of the scenario with its own noise: mean and 95 % interval. The ratio is that to the oracle with minimum \
+             rates, state by state. `b` users have their direct path forced off, in addition to those in the shadow of bodies and obstacles.\n"
         )?;
         let known = self.scores.iter().all(|row| row.ceiling.is_some());
         if known {
             writeln!(
                 text,
-                "The ceiling is the ratio of the codebook's truly best entry in each state, found by trying all, and the needs that it \
-                 meets.\n"
+                "The ceiling is the ratio of the best entry of the codebook in each state, found by evaluating all, and its share of \
+                 minimum rates met.\n"
             )?;
         }
         let more = if known { [" ceiling |", " --- |"] } else { [""; 2] };
         writeln!(
             text,
-            "| users | b | states | no array, Mbit/s | actor, Mbit/s | oracle, Mbit/s | ratio | needs met (oracle) |{}",
+            "| users | b | states | no array, Mbit/s | actor, Mbit/s | oracle, Mbit/s | ratio | minimum rates met (oracle) |{}",
             more[0]
         )?;
         writeln!(text, "| --- | --- | --- | --- | --- | --- | --- | --- |{}", more[1])?;
@@ -132,7 +133,7 @@ impl Card<'_> {
     }
 }
 
-/// Number of cores and, where the system tells, their model.
+/// Number of cores and, where the system reports it, their model.
 pub fn hardware() -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let listing = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();

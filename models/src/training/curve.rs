@@ -1,4 +1,4 @@
-//! The learning curve: one CSV row an episode, written as training goes.
+//! The learning curve: a CSV file with one row for each episode, written during training.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, Write};
@@ -6,22 +6,23 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use crate::evaluate::Score;
-use crate::learner::Episode;
+use super::run::EpisodeSummary;
+use crate::evaluation::Score;
 
 /// The first line. Held-out columns are empty in episodes without an evaluation.
 const HEADER: &str = "episode,steps,reward_mbps,sum_rate_mbps,held_out_ratio,held_out_qos_met";
 
-/// A CSV file that grows by a row an episode.
+/// A CSV file to which each episode adds a row.
 pub struct Curve {
     file: BufWriter<File>,
 }
 
 impl Curve {
-    /// Opens the curve of a run that has done so many episodes; rows of later ones, from a run that was cut off, are dropped.
+    /// Opens the curve of a run with this number of finished episodes. Rows of later episodes, from
+    /// an interrupted run, are dropped.
     ///
     /// # Errors
-    /// A file that cannot be read or written.
+    /// The file cannot be read or written.
     pub fn open(path: &Path, episodes_done: usize) -> anyhow::Result<Self> {
         let context = || format!("learning curve {}", path.display());
         let old = if episodes_done > 0 { std::fs::read_to_string(path).with_context(context)? } else { String::new() };
@@ -35,9 +36,9 @@ impl Curve {
     /// Adds an episode's row.
     ///
     /// # Errors
-    /// A file that cannot be written.
-    pub fn add(&mut self, episode: &Episode, score: Option<&Score>) -> anyhow::Result<()> {
-        let Episode { number, steps, reward_mbps, sum_rate_mbps } = episode;
+    /// The file cannot be written.
+    pub fn add(&mut self, episode: &EpisodeSummary, score: Option<&Score>) -> anyhow::Result<()> {
+        let EpisodeSummary { number, steps, reward_mbps, sum_rate_mbps } = episode;
         write!(self.file, "{number},{steps},{reward_mbps:.4},{sum_rate_mbps:.4}")?;
         match score {
             Some(score) => writeln!(self.file, ",{:.5},{:.4}", score.ratio_to_oracle.mean, score.qos_met)?,
@@ -60,8 +61,8 @@ mod tests {
     fn a_resumed_curve_has_each_episode_once() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("curve.csv");
-        let episode = |number| Episode { number, steps: 2 * number, reward_mbps: 1.5, sum_rate_mbps: 2.0 };
-        let mut curve = Curve::open(&path, 0).expect("a fresh curve");
+        let episode = |number| EpisodeSummary { number, steps: 2 * number, reward_mbps: 1.5, sum_rate_mbps: 2.0 };
+        let mut curve = Curve::open(&path, 0).expect("a new curve");
         for number in 1..=3 {
             curve.add(&episode(number), None).expect("a row");
         }

@@ -1,11 +1,11 @@
-//! Exploration: how an action is disturbed while the actor learns.
+//! Exploration: the random part of an action during training.
 //!
-//! The paper names epsilon-greedy in its text and additive noise in Algorithm 1. Both are here; the magnitude falls
-//! geometrically from the first episode to the last.
+//! The paper names epsilon-greedy in its text and additive noise in Algorithm 1. Both are here. The
+//! magnitude decays geometrically from the first episode to the last.
 
 use rand::{Rng, RngExt};
 
-/// Which disturbance.
+/// The kind of exploration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -13,15 +13,15 @@ pub enum Kind {
     Additive,
     /// With a probability equal to the magnitude, all logits are drawn uniformly from [-1, 1].
     EpsilonGreedy,
-    /// Gaussian noise in smooth patterns over the array, for actions that are angles ([`crate::raw::Basis`]); the magnitude is its standard
-    /// deviation.
+    /// Gaussian noise in smooth patterns over the array, for actions that are angles
+    /// ([`crate::networks::patterns::Basis`]); the magnitude is its standard deviation.
     Patterns,
 }
 
-/// A disturbance whose magnitude falls over the episodes.
+/// An exploration whose magnitude decays over the episodes.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Exploration {
-    /// Which disturbance.
+    /// The kind.
     pub kind: Kind,
     /// Magnitude in the first episode.
     pub start: f64,
@@ -30,14 +30,14 @@ pub struct Exploration {
 }
 
 impl Exploration {
-    /// The magnitude in one of `episodes` episodes, counted from 0: start (end / start)^(episode / (episodes - 1)).
+    /// The magnitude in an episode counted from 0: start (end / start)^(episode / (episodes - 1)).
     pub fn magnitude(&self, episode: usize, episodes: usize) -> f64 {
         let progress = episode as f64 / (episodes.saturating_sub(1).max(1)) as f64;
         self.start * (self.end / self.start).powf(progress.min(1.0))
     }
 
-    /// Disturbs the logits of the users present, which lead the slots; they stay within [-1, 1].
-    pub fn disturb(&self, magnitude: f64, logits: &mut [f32], rng: &mut impl Rng) {
+    /// Explores around an action; its entries stay within [-1, 1].
+    pub fn apply(&self, magnitude: f64, logits: &mut [f32], rng: &mut impl Rng) {
         match self.kind {
             Kind::Additive | Kind::Patterns => {
                 for logit in logits {
@@ -51,22 +51,21 @@ impl Exploration {
             }
         }
     }
-}
 
-impl Exploration {
-    /// Epsilon-greedy among `count` choices: with a probability of `epsilon` any of them, otherwise `None`, for the best one.
+    /// Epsilon-greedy among `count` entries: a random one with probability `epsilon`, otherwise
+    /// `None`, for the greedy one.
     pub fn draw(epsilon: f64, count: usize, rng: &mut impl Rng) -> Option<usize> {
         (rng.random::<f64>() < epsilon).then(|| rng.random_range(0..count))
     }
 
-    /// Refuses disturbances that do not suit choices.
+    /// Refuses kinds that do not apply to the choice of an entry.
     ///
     /// # Errors
-    /// A message unless the kind is epsilon-greedy.
+    /// The kind is not epsilon-greedy.
     pub fn check_choices(&self) -> anyhow::Result<()> {
         anyhow::ensure!(
             self.kind == Kind::EpsilonGreedy,
-            "exploration.kind: wanted epsilon-greedy, for choices among entries"
+            "exploration.kind: expected epsilon-greedy, because the action is an entry of a codebook"
         );
         Ok(())
     }
@@ -85,7 +84,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     #[test]
-    fn the_magnitude_falls_from_start_to_end() {
+    fn the_magnitude_decays_from_start_to_end() {
         let exploration = Exploration { kind: Kind::Additive, start: 0.4, end: 0.1 };
         assert!((exploration.magnitude(0, 11) - 0.4).abs() < 1e-12);
         assert!((exploration.magnitude(5, 11) - 0.2).abs() < 1e-12);
@@ -97,10 +96,10 @@ mod tests {
         let exploration = Exploration { kind: Kind::Additive, start: 1.0, end: 1.0 };
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let mut logits = vec![0.0_f32; 20_000];
-        exploration.disturb(0.2, &mut logits, &mut rng);
+        exploration.apply(0.2, &mut logits, &mut rng);
         let variance = logits.iter().map(|value| f64::from(value * value)).sum::<f64>() / logits.len() as f64;
         assert!((variance.sqrt() - 0.2).abs() < 0.005, "standard deviation {}", variance.sqrt());
-        exploration.disturb(5.0, &mut logits, &mut rng);
+        exploration.apply(5.0, &mut logits, &mut rng);
         assert!(logits.iter().all(|value| value.abs() <= 1.0));
     }
 
@@ -108,12 +107,12 @@ mod tests {
     fn epsilon_is_the_share_of_random_actions() {
         let exploration = Exploration { kind: Kind::EpsilonGreedy, start: 1.0, end: 1.0 };
         let mut rng = ChaCha8Rng::seed_from_u64(4);
-        let disturbed = (0..4000).filter(|_| {
+        let explored = (0..4000).filter(|_| {
             let mut logits = [0.5_f32; 3];
-            exploration.disturb(0.25, &mut logits, &mut rng);
+            exploration.apply(0.25, &mut logits, &mut rng);
             logits != [0.5; 3]
         });
-        let share = disturbed.count() as f64 / 4000.0;
+        let share = explored.count() as f64 / 4000.0;
         assert!((share - 0.25).abs() < 0.03, "share {share}");
     }
 }

@@ -7,9 +7,9 @@
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use heliostat_engine::ActorSource;
-use heliostat_models::algorithm::{Algorithm, Preset};
 use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
-use heliostat_models::evaluate::HeldOut;
+use heliostat_models::evaluation::HeldOut;
+use heliostat_models::training::{Algorithm, Preset};
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
 
@@ -108,13 +108,13 @@ impl Learning {
         )?;
         let mut held_out = HeldOut::default();
         held_out.add(&scenario, self.states)?;
-        let mut points = vec![[0.0, held_out.score(learner.as_ref())?.sum_rate_mbps.mean]];
+        let mut points = vec![[0.0, held_out.score(|room| learner.act(room))?.sum_rate_mbps.mean]];
         for judgement in 1..=self.judgements {
             let until = self.episodes * judgement / self.judgements;
             while learner.episodes_done() < until {
                 learner.run_episode()?;
             }
-            points.push([until as f64, held_out.score(learner.as_ref())?.sum_rate_mbps.mean]);
+            points.push([until as f64, held_out.score(|room| learner.act(room))?.sum_rate_mbps.mean]);
         }
         let curve = Curve { group: group(self.side), name: self.learner.clone(), points };
         Ok(Measured { curves: vec![curve], ..Measured::default() })

@@ -1,0 +1,36 @@
+//! The settings of a comparison.
+
+use heliostat_scenario::Scenario;
+use serde::Serialize;
+
+use super::entrant::Entrant;
+
+/// Draws over which a random policy is averaged.
+pub(super) const RANDOM_DRAWS: usize = 30;
+
+/// The origin of the states, and the effect of commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Loop {
+    /// Held-out states, one by one.
+    Static,
+    /// Reports, latency, noise and actuators in simulated time.
+    ClosedLoop,
+}
+
+/// The policies and the states of a comparison.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The room; its seed is the first one.
+    pub scenario: Scenario,
+    /// The policies.
+    pub entrants: Vec<Entrant>,
+    /// States of each seed.
+    pub states: usize,
+    /// Number of consecutive seeds.
+    pub seeds: usize,
+    /// Static or closed loop.
+    pub mode: Loop,
+    /// The only training seed of the built-in actors that takes part; `None` for all.
+    pub training_seed: Option<u32>,
+}

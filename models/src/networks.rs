@@ -1,0 +1,24 @@
+//! The networks that learners train: layers, initialisation, optimiser, and the actor of `ddpg` and
+//! `analytic`.
+
+pub mod actor;
+pub mod adam;
+pub mod layers;
+pub mod patterns;
+
+pub use adam::Adam;
+pub use layers::{Encoder, Linear, Network, Shape, assign, soft_update};
+
+use anyhow::Context;
+
+/// Runs the work on a thread pool of one thread, candle's matrix products included.
+///
+/// candle shares each larger product out over all cores. The products here are so small that
+/// waiting for a busy core takes far longer than the computation.
+///
+/// # Errors
+/// The system refuses a thread.
+pub fn on_one_thread<T: Send>(work: impl FnOnce() -> T + Send) -> anyhow::Result<T> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().context("cannot start a thread")?;
+    Ok(pool.install(work))
+}

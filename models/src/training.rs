@@ -1,0 +1,25 @@
+//! The training loop that all learners share, and the files that a run writes.
+//!
+//! - [`learner`]: the interface of a learner, its step function above all.
+//! - [`run`]: the loop over episodes and steps, with the rooms and the random generator of the run.
+//! - [`settings`]: the numbers of a run, and changes to them from the command line.
+//! - [`algorithm`]: one entry of the table of algorithms.
+//! - [`replay`], [`exploration`]: parts that several learners use.
+//! - [`store`], [`checkpoint`]: the state of a run on disk.
+//! - [`curve`], [`card`]: the learning curve and the model card.
+
+pub mod algorithm;
+pub mod card;
+pub mod checkpoint;
+pub mod curve;
+pub mod exploration;
+pub mod learner;
+pub mod replay;
+pub mod run;
+pub mod settings;
+pub mod store;
+
+pub use algorithm::{Algorithm, Preset};
+pub use learner::{Episode, Learner};
+pub use run::{EpisodeSummary, Training};
+pub use settings::RunSettings;

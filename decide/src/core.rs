@@ -30,8 +30,8 @@
 //! # Stages of a decision
 //!
 //! 1. **Inbox**: accept the report or refuse it.
-//! 2. **Observe**: combine the latest report of each stream into one observation, without mirrors
-//!    that do not follow and without pairs of a mirror and a user beyond the mirror's range.
+//! 2. **Observe**: combine the latest reports into one observation. Mirrors that do not follow are
+//!    left out, as are pairs of a mirror and a user beyond the mirror's range.
 //! 3. **Infer**: the policy proposes angles; if it fails, the fallback does.
 //! 4. **Make safe**: limit the proposal to range and slew rate.
 //!
@@ -285,9 +285,9 @@ impl Controller {
         }
     }
 
-    /// Lets policy and fallback decide for an invented room, once for each item of `runs`, so that
-    /// the first real decision finds buffers sized and caches warm. It changes nothing but what the
-    /// policies remember.
+    /// Lets policy and fallback decide for an invented room, once for each item of `runs`. The
+    /// first real decision then finds buffers sized and caches warm. It changes nothing but what
+    /// the policies remember.
     pub fn warm_up(&mut self, runs: impl Iterator) {
         self.policy.warm_up(&self.model, self.observation.users(), runs);
     }

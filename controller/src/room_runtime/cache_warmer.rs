@@ -43,7 +43,8 @@ const WORTH_CONTINUING: RangeInclusive<Duration> = Duration::from_micros(125)..=
 /// docs/results/latency.md.
 const MARGIN_BEFORE_REPORT: Duration = Duration::from_micros(50);
 
-/// Time from a report's latest expected sending to its arrival. Measured: docs/results/latency.md.
+/// Time for a report that arrives as late as expected to reach the room's thread. Measured:
+/// docs/results/latency.md.
 const MARGIN_AFTER_REPORT: Duration = Duration::from_micros(100);
 
 /// Longest spin: a twentieth of the interval between reports at 100 Hz, which bounds the processor
@@ -252,13 +253,13 @@ struct ArrivalEstimator {
 }
 
 impl ArrivalEstimator {
-    /// After an interval of this length the estimate starts again: the slowest report rate of a
-    /// scenario is above 0.5 Hz.
+    /// After an interval of this length the estimate starts again. It is far longer than the
+    /// intervals of reports for which warm-ups pay.
     const PAUSE: Duration = Duration::from_secs(2);
     /// Intervals before the first estimate, and long intervals in a row after which the estimate
     /// starts again.
     const ENOUGH: u32 = 4;
-    /// An interval longer than this number of means is an outlier: one report more would make it 2.
+    /// An interval longer than this number of means is an outlier: a lost report makes it 2.
     const OUTLIER: f64 = 1.5;
     /// Mean deviations between the mean and the earliest or latest arrival; RFC 6298 uses 4 for a
     /// timeout that must rarely expire.

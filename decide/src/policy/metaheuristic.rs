@@ -1,4 +1,5 @@
-//! The common part of the metaheuristics: a population of candidate angles, the objective, and the budget.
+//! The common part of the metaheuristics: a population of candidate angles, the objective, and the
+//! budget.
 //!
 //! A candidate is the roll and yaw of every mirror, within the range of commands. Its objective is
 //! problem P on the observation: the sum of rates by the true evaluation, less [`QOS_PENALTY`]

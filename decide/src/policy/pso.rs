@@ -8,9 +8,9 @@
 //! v <- w v + c r1 (p - x) + c r2 (g - x),   x <- x + v,
 //! ```
 //!
-//! with r1 and r2 uniform in [0, 1]. Differences from the source: the budget is counted in trials or in time instead
-//! of rounds, one particle starts at the present angles (see the module that it shares with the
-//! sine cosine algorithm), and particles start at rest.
+//! with r1 and r2 uniform in [0, 1]. Differences from the source: the budget is counted in trials
+//! or in time instead of rounds, one particle starts at the present angles, and particles start at
+//! rest. The module `metaheuristic` has the first two.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;

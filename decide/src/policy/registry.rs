@@ -8,13 +8,7 @@ use thiserror::Error;
 use super::actor::Actor;
 use super::actor_file::{ActorError, ActorFile};
 use super::engine::Engine;
-use super::exhaustive::Exhaustive;
-use super::fixed::{Fixed, Hold};
-use super::model_based::ModelBased;
-use super::nearest::Nearest;
 use super::proposal::{Policy, TimeSource};
-use super::pso::Pso;
-use super::sine_cosine::SineCosine;
 use crate::output::safety::Limits;
 use Recipe::{Direct, Learned};
 
@@ -85,27 +79,27 @@ policies! {
     /// Learned: SARSA with a table
     Sarsa: Learned,
     /// Model-based: damped fixed point over the users' weights
-    FixedPoint: Direct(|room| ModelBased::fixed_point(room.users, room.mirrors).boxed()),
+    FixedPoint: Direct(|room| super::model_based::ModelBased::fixed_point(room.users, room.mirrors).boxed()),
     /// Model-based: the fixed point, then passes of single mirror moves
-    Greedy: Direct(|room| ModelBased::greedy(room.users, room.mirrors).boxed()),
+    Greedy: Direct(|room| super::model_based::ModelBased::greedy(room.users, room.mirrors).boxed()),
     /// Model-based: the baseline search from many starts; far slower than a tick
-    Oracle: Direct(|room| ModelBased::oracle(room.users, room.mirrors).boxed()),
+    Oracle: Direct(|room| super::model_based::ModelBased::oracle(room.users, room.mirrors).boxed()),
     /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
-    Exhaustive: Direct(|room| Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),
+    Exhaustive: Direct(|room| super::exhaustive::Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),
     /// Metaheuristic: the sine cosine algorithm on the angles of all mirrors
-    SineCosine: Direct(|room| SineCosine::new(room.scenario, room.monotonic_ns).boxed()),
+    SineCosine: Direct(|room| super::sine_cosine::SineCosine::new(room.scenario, room.monotonic_ns).boxed()),
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
-    Pso: Direct(|room| Pso::new(room.scenario, room.monotonic_ns).boxed()),
+    Pso: Direct(|room| super::pso::Pso::new(room.scenario, room.monotonic_ns).boxed()),
     /// Each mirror serves the user with the largest steering gain
-    Nearest: Direct(|room| Nearest::new(room.users).boxed()),
+    Nearest: Direct(|room| super::nearest::Nearest::new(room.users).boxed()),
     /// One random draw per mirror, held for the run
-    Random: Direct(|room| Fixed::random(room.mirrors, room.range_rad, room.scenario.seed).boxed()),
+    Random: Direct(|room| super::fixed::Fixed::random(room.mirrors, room.range_rad, room.scenario.seed).boxed()),
     /// Every mirror faces straight into the room
-    Flat: Direct(|room| Fixed::flat(room.mirrors).boxed()),
+    Flat: Direct(|room| super::fixed::Fixed::flat(room.mirrors).boxed()),
     /// Every mirror is turned away from all users
-    NoIrs: Direct(|room| Fixed::no_irs(room.mirrors, room.range_rad).boxed()),
+    NoIrs: Direct(|room| super::fixed::Fixed::no_irs(room.mirrors, room.range_rad).boxed()),
     /// Every mirror keeps its last commanded angles
-    Hold: Direct(|_| Hold.boxed()),
+    Hold: Direct(|_| super::fixed::Hold.boxed()),
 }
 
 /// How a policy is built.
@@ -182,10 +176,10 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
 pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn Policy>> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {
-        Fallback::FixedPoint => Some(Box::new(ModelBased::fixed_point(users, mirrors))),
-        Fallback::Nearest => Some(Box::new(Nearest::new(users))),
-        Fallback::Flat => Some(Box::new(Fixed::flat(mirrors))),
-        Fallback::LastGood => Some(Box::new(Hold)),
+        Fallback::FixedPoint => Some(Box::new(super::model_based::ModelBased::fixed_point(users, mirrors))),
+        Fallback::Nearest => Some(Box::new(super::nearest::Nearest::new(users))),
+        Fallback::Flat => Some(Box::new(super::fixed::Fixed::flat(mirrors))),
+        Fallback::LastGood => Some(Box::new(super::fixed::Hold)),
         Fallback::Hold => None,
     }
 }

@@ -8,8 +8,8 @@
 //! ```
 //!
 //! with r2 uniform in [0, 2 pi], r3 in [0, 2], and r1 falling from 2 to 0 as the budget is spent.
-//! Differences from the source: the budget is counted in trials or in time instead of rounds, and one candidate
-//! starts at the present angles (see the module that it shares with the particle swarm).
+//! Differences from the source: the budget is counted in trials or in time instead of rounds, and
+//! one candidate starts at the present angles. The module `metaheuristic` has both.
 
 use std::f64::consts::TAU;
 

@@ -39,7 +39,11 @@ impl Graph {
     /// # Panics
     /// The shape does not hold this number of values.
     pub fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) -> Value {
-        assert_eq!(shape.iter().product::<usize>(), values.len(), "the shape of constant {name} does not hold its values");
+        assert_eq!(
+            shape.iter().product::<usize>(),
+            values.len(),
+            "the shape of constant {name} does not hold its values"
+        );
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         self.tensor(name, shape, DataType::Float, bytes)
     }
@@ -123,8 +127,7 @@ impl Graph {
             output: vec![f32_row(ends.output.0, ends.output.1)],
             ..GraphProto::default()
         };
-        let pair =
-            |(key, value): &(String, String)| StringStringEntryProto { key: key.clone(), value: value.clone() };
+        let pair = |(key, value): &(String, String)| StringStringEntryProto { key: key.clone(), value: value.clone() };
         ModelProto {
             ir_version: IR_VERSION,
             opset_import: vec![OperatorSetIdProto { domain: String::new(), version: OPSET }],
@@ -180,12 +183,7 @@ pub struct Ends<'a> {
 }
 
 fn integer(name: &str, value: i64) -> AttributeProto {
-    AttributeProto {
-        name: name.into(),
-        r#type: AttributeType::Int as i32,
-        i: value,
-        ..AttributeProto::default()
-    }
+    AttributeProto { name: name.into(), r#type: AttributeType::Int as i32, i: value, ..AttributeProto::default() }
 }
 
 fn integers(name: &str, values: &[i64]) -> AttributeProto {

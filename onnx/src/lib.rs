@@ -29,10 +29,8 @@ use tensor_shape_proto::{Dimension, dimension};
 
 /// An input or output of shape (1, `length`) whose elements are 32-bit floats.
 pub fn f32_row(name: &str, length: usize) -> ValueInfoProto {
-    let dimension = |size: usize| Dimension {
-        value: Some(dimension::Value::DimValue(size as i64)),
-        ..Dimension::default()
-    };
+    let dimension =
+        |size: usize| Dimension { value: Some(dimension::Value::DimValue(size as i64)), ..Dimension::default() };
     let tensor = type_proto::Tensor {
         elem_type: DataType::Float as i32,
         shape: Some(TensorShapeProto { dim: vec![dimension(1), dimension(length)] }),

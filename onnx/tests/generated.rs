@@ -16,7 +16,9 @@ fn generated() -> String {
     config.out_dir(folder).disable_comments(["."]);
     config.compile_fds(files).expect("the types are written");
     let types = fs::read_to_string(folder.join("onnx.rs")).expect("the generated file is readable");
-    format!("// SPDX-License-Identifier: Apache-2.0\n// Generated from ONNX's onnx.proto3 by tests/generated.rs.\n\n{types}")
+    format!(
+        "// SPDX-License-Identifier: Apache-2.0\n// Generated from ONNX's onnx.proto3 by tests/generated.rs.\n\n{types}"
+    )
 }
 
 #[test]

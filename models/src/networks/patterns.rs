@@ -77,7 +77,10 @@ mod tests {
             let action = Tensor::from_vec(action, (1, 40), &Device::Cpu).expect("an action");
             let found =
                 basis.project(&action).and_then(|found| found.squeeze(0)?.to_vec1::<f32>()).expect("coefficients");
-            assert!(found.iter().zip(&coefficients).all(|(found, expected)| (found - expected).abs() < 1e-5), "{found:?}");
+            assert!(
+                found.iter().zip(&coefficients).all(|(found, expected)| (found - expected).abs() < 1e-5),
+                "{found:?}"
+            );
         }
     }
 

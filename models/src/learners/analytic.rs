@@ -2,9 +2,9 @@
 //!
 //! The paper has no such algorithm. This learner shows what the network can reach without trial and
 //! error. Features, rounds, weights and decoder are those of [`super::ddpg`]; critic, exploration
-//! and replay do not exist. [`Analytic::step`] and [`Analytic::update`] are the complete algorithm.
-//! Each step takes a batch of rooms, computes the reward as a differentiable function of the
-//! network's outputs, and follows its gradient.
+//! and replay do not exist. The methods `step` and `update` of [`Analytic`] are the complete
+//! algorithm. Each step takes a batch of rooms, computes the reward as a differentiable function of
+//! the network's outputs, and follows its gradient.
 //!
 //! # The channel as a function of the weights
 //! - **Paper modes**: eqs. (2) and (3) as printed. The decoder's normal is n_m ~ sum_k w_k c_km

@@ -1,6 +1,6 @@
 //! Algorithm 1 of the paper: DDPG, with one weight for each user as the action.
 //!
-//! [`Ddpg::step`] and [`Ddpg::update`] are the complete algorithm.
+//! The methods `step` and `update` of [`Ddpg`] are the complete algorithm.
 //!
 //! # Deviations from the paper
 //!
@@ -155,14 +155,7 @@ impl Settings {
             replay: 10_000,
             warm_up: 500,
             exploration: Exploration { kind: Kind::Additive, start: 0.4, end: 0.05 },
-            run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
-                rooms: Rooms::Randomised,
-                episodes: 1000,
-                steps: 40,
-                step_s: 1.0,
-                seed,
-            },
+            run: RunSettings::paper(seed),
         }
     }
 

@@ -1,7 +1,7 @@
 //! Algorithm 1 of the paper as printed: DDPG whose action is the roll and yaw of every mirror.
 //!
-//! [`DdpgRaw::step`] and [`DdpgRaw::update`] are the complete algorithm. State, networks of 128/64
-//! and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, rates of 1e-3 and 1e-2,
+//! The methods `step` and `update` of [`DdpgRaw`] are the complete algorithm. State, networks of
+//! 128/64 and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, rates of 1e-3 and 1e-2,
 //! additive noise and 1000 episodes are the paper's. The actor's output is tanh times the range of
 //! an axis.
 //!
@@ -35,7 +35,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use crate::environment::angle_state::AngleState;
-use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
+use crate::environment::room::{Environment, Outcome, Rooms};
 use crate::export::network::{Column, NetworkNodes};
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Encoder, Network, Shape, soft_update};
@@ -133,14 +133,7 @@ impl Settings {
             replay: 10_000,
             warm_up: 500,
             exploration: Exploration { kind: Kind::Additive, start: 0.4, end: 0.05 },
-            run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
-                rooms: Rooms::Fixed,
-                episodes: 1000,
-                steps: 40,
-                step_s: 1.0,
-                seed,
-            },
+            run: RunSettings { rooms: Rooms::Fixed, ..RunSettings::paper(seed) },
         }
     }
 }

@@ -1,9 +1,9 @@
 //! Deep Q-learning on a codebook of quantised angles: the paper's baseline.
 //!
-//! [`Dql::step`] and [`Dql::update`] are the complete algorithm. The paper says that DQL quantises
-//! the angles and uses replay and a target network, and gives no numbers for it. These numbers are
-//! those of the paper's own algorithm: replay of 10000, batches of 32, tau 0.01, a rate of 1e-3
-//! with Adam, two hidden layers of 128 and 64 with ReLU, 1000 episodes, and epsilon-greedy
+//! The methods `step` and `update` of [`Dql`] are the complete algorithm. The paper says that DQL
+//! quantises the angles and uses replay and a target network, and gives no numbers for it. These
+//! numbers are those of the paper's own algorithm: replay of 10000, batches of 32, tau 0.01, a rate
+//! of 1e-3 with Adam, two hidden layers of 128 and 64 with ReLU, 1000 episodes, and epsilon-greedy
 //! exploration that decays from 0.995 to 0.0001.
 //!
 //! # Deviations from the paper
@@ -35,7 +35,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::environment::angle_state::AngleState;
 use crate::environment::codebook::{Codebook, GRID};
-use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
+use crate::environment::room::{Environment, Outcome};
 use crate::environment::target_user::TargetUser;
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Encoder, Network, Shape, soft_update};
@@ -97,14 +97,7 @@ impl Settings {
             replay: 10_000,
             warm_up: 500,
             exploration: Exploration { kind: Kind::EpsilonGreedy, start: 0.995, end: 1e-4 },
-            run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
-                rooms: Rooms::Randomised,
-                episodes: 1000,
-                steps: 40,
-                step_s: 1.0,
-                seed,
-            },
+            run: RunSettings::paper(seed),
         }
     }
 }

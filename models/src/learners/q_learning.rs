@@ -4,10 +4,10 @@
 //! Q(s, a) <- Q(s, a) + alpha [r + gamma max_b Q(s', b) - Q(s, a)]
 //! ```
 //!
-//! [`QLearning::step`] is the complete algorithm. The paper names Q-learning and SARSA as earlier
-//! work and says that tables cannot hold large spaces of states and actions; it gives none of their
-//! numbers. [`super::sarsa`] is this learner with the value of the action that is taken next
-//! instead of the largest value.
+//! The method `step` of [`QLearning`] is the complete algorithm. The paper names Q-learning and
+//! SARSA as earlier work and says that tables cannot hold large spaces of states and actions; it
+//! gives none of their numbers. [`super::sarsa`] is this learner with the value of the action that
+//! is taken next instead of the largest value.
 //!
 //! # Deviations from the paper
 //! 1. **State.** Positions of five users in quadrants are 1024 states with 144 actions each, and
@@ -38,7 +38,7 @@ use serde::{Deserialize, Serialize};
 
 use super::table::Table;
 use crate::environment::codebook::{Codebook, GRID};
-use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
+use crate::environment::room::{Environment, Outcome};
 use crate::environment::target_user::{Cells, TargetUser};
 use crate::training::algorithm::{Algorithm, start};
 use crate::training::exploration::{Exploration, Kind};
@@ -95,14 +95,7 @@ impl Settings {
             gamma: 0.3,
             alpha: 0.05,
             exploration: Exploration { kind: Kind::EpsilonGreedy, start: 0.995, end: 0.05 },
-            run: RunSettings {
-                reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
-                rooms: Rooms::Randomised,
-                episodes: 1000,
-                steps: 80,
-                step_s: 1.0,
-                seed,
-            },
+            run: RunSettings { steps: 80, ..RunSettings::paper(seed) },
         }
     }
 }

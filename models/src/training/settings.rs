@@ -3,7 +3,7 @@
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::environment::room::{Reward, Rooms};
+use crate::environment::room::{Reward, RewardForm, Rooms};
 
 /// The numbers that every run has. In options and cards they stand beside the learner's own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,6 +20,21 @@ pub struct RunSettings {
     pub step_s: f64,
     /// Seed of every random choice.
     pub seed: u64,
+}
+
+impl RunSettings {
+    /// The paper's lambda and 1000 episodes, with a penalised shortfall, randomised rooms, and 40
+    /// steps of one second.
+    pub fn paper(seed: u64) -> Self {
+        Self {
+            reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
+            rooms: Rooms::Randomised,
+            episodes: 1000,
+            steps: 40,
+            step_s: 1.0,
+            seed,
+        }
+    }
 }
 
 /// The numbers that every learner defines alike: path in the settings, smallest and largest value,

@@ -61,7 +61,7 @@ const SOURCE: u64 = 1;
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// The array's telemetry.
-    Telemetry(MirrorTelemetry),
+    Telemetry(Box<MirrorTelemetry>),
     /// The users' positions and velocities; completes a tick.
     Users(UserReport),
     /// The users' channel gains and SINR.
@@ -92,7 +92,7 @@ pub struct Episode {
     /// The time of the latest event, at which reports may still wait for their release.
     event_ns: u64,
     /// Telemetry of that time which has not been polled yet.
-    due_telemetry: Option<MirrorTelemetry>,
+    due_telemetry: Option<Box<MirrorTelemetry>>,
 }
 
 impl Episode {
@@ -177,7 +177,7 @@ impl Episode {
         if self.telemetry.take(at_ns).is_some() {
             self.telemetry_sequence += 1;
             let stamp = Stamp { source: SOURCE, sequence: self.telemetry_sequence, time_ns: at_ns };
-            self.due_telemetry = Some(self.room.telemetry(stamp));
+            self.due_telemetry = Some(Box::new(self.room.telemetry(stamp)));
         }
     }
 }

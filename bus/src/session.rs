@@ -266,11 +266,11 @@ impl Publisher {
             .map_err(|error| refused("publish on", self.inner.key_expr().as_str())(error))
     }
 
-    /// Whether the key has a known subscriber now.
+    /// Whether at least one subscriber of the key is known now.
     ///
     /// # Errors
     /// [`BusError::Refused`] where the session is closed.
-    pub fn is_heard(&self) -> Result<bool, BusError> {
+    pub fn has_subscribers(&self) -> Result<bool, BusError> {
         let matching = self.inner.matching_status().wait();
         Ok(matching.map_err(refused("look for subscribers of", self.inner.key_expr().as_str()))?.matching())
     }

@@ -156,7 +156,7 @@ fn every_button_acts_on_the_running_system() {
     wait_until("a parked array", || array().state == ArrayState::Parked);
     wait_until("a page without a controller", || browser.text("#chip-controller") == "gone");
     let epoch = array().epoch;
-    browser.click("#revive");
+    browser.click("#restart");
     wait_until("a new controller", || array().state == ArrayState::Following && array().epoch > epoch);
     wait_until("the policy of the one before", || policy() == "fixed-point");
 

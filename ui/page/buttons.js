@@ -1,4 +1,4 @@
-// The buttons: each sends an order. The pressed state shows the published state, not the last click.
+// The buttons: each sends an order. A pressed button shows the published state, not the last click.
 
 const POWERS_W = [0.5, 1, 2, 4];
 const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
@@ -16,12 +16,12 @@ export class Buttons {
     this.on("stop", () => ({ order: "stop" }));
     this.on("rearm", () => ({ order: "rearm" }));
     this.on("kill", () => ({ order: "kill-controller" }));
-    this.on("revive", () => ({ order: "revive-controller" }));
+    this.on("restart", () => ({ order: "restart-controller" }));
     this.power = this.group("power", POWERS_W.map((watts) => [`${watts} W`, watts]), (watts) => ({ order: "power", watts }));
     this.speed = this.group("speed", SPEEDS, (max_m_s) => ({ order: "speed", max_m_s }));
     this.blocked = [];
-    if (!plan.owns_processes) {
-      for (const id of ["kill", "revive"]) document.getElementById(id).title = "only `heliostat demo` can kill or restart the processes that it started";
+    if (!plan.controls_processes) {
+      for (const id of ["kill", "restart"]) document.getElementById(id).title = "only `heliostat demo` can kill or restart the processes that it started";
     }
   }
 
@@ -45,8 +45,8 @@ export class Buttons {
     const enable = (id, enabled) => { document.getElementById(id).disabled = !enabled; };
     enable("stick", simulated);
     enable("release", simulated);
-    enable("kill", this.plan.owns_processes && now.controller_alive);
-    enable("revive", this.plan.owns_processes && !now.controller_alive);
+    enable("kill", this.plan.controls_processes && now.controller_alive);
+    enable("restart", this.plan.controls_processes && !now.controller_alive);
     enable("switch-policy", now.controller_alive);
     const select = document.getElementById("policy");
     if (now.policy && now.policy !== this.policy) {

@@ -16,7 +16,7 @@ pub enum UiError {
     Bus(#[from] BusError),
     /// The channel model refuses the scenario.
     #[error(transparent)]
-    Optics(#[from] ChannelError),
+    Channel(#[from] ChannelError),
     /// An order cannot be encoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
@@ -37,21 +37,23 @@ pub enum UiError {
     #[error("the terminal cannot show the full-screen view: {0}; use --plain to print lines")]
     Terminal(#[from] io::Error),
     /// An order with an invalid value.
-    #[error("{what} = {value}: expected {wanted}")]
-    Order {
-        /// The order.
-        what: &'static str,
+    #[error("invalid {name} \"{value}\": expected {expected}")]
+    InvalidOrder {
+        /// The quantity that the order sets.
+        name: &'static str,
         /// Its value.
         value: String,
         /// The valid values.
-        wanted: &'static str,
+        expected: &'static str,
     },
-    /// An order that only the process that started the room can carry out.
-    #[error("cannot {0} here: only `heliostat demo` can, for the processes that it started")]
-    NotOwned(&'static str),
-    /// An order without a receiver.
+    /// An order about a process that this program did not start.
     #[error(
-        "no {0} received the order: none is in the room, or none is connected; start one, or give its endpoint with --connect"
+        "cannot {0} from this page: expected the page of a running `heliostat demo`; otherwise end or start the process directly"
     )]
-    Unheard(&'static str),
+    NoProcessControl(&'static str),
+    /// An order that was published without a subscriber.
+    #[error(
+        "no {0} received the order: expected one that is connected to this page; start one, or add its endpoint with --connect"
+    )]
+    NoReceiver(&'static str),
 }

@@ -7,7 +7,7 @@
 //! - [`view`]: subscribes to every topic, and keeps the latest message of each.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
-//! - [`orders`]: the orders of the buttons, and their publishers.
+//! - [`orders`]: the orders of the page's buttons, and their publishers.
 //! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
 //! - [`terminal`]: the same figures on a terminal, or as plain lines.
 
@@ -26,7 +26,7 @@ pub mod view;
 
 pub use error::UiError;
 pub use figures::Figures;
-pub use orders::{Errand, Operator, Order};
+pub use orders::{Operator, Order, ProcessOrder};
 pub use server::{Page, PageArgs, Server};
 pub use terminal::Display;
 pub use view::View;

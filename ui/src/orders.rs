@@ -1,7 +1,10 @@
-//! What a button does: an order, checked, and sent as a message of the contract.
+//! The orders of the page's buttons: checks them, and publishes them as messages of the contract.
 //!
-//! Policy, power, people, speed and mirror faults travel as operators' messages, the stop under its own key. To kill or revive a process
-//! is no message: it is an [`Errand`] for whoever started it, where there is one.
+//! - Policy: the controller's control key.
+//! - Power, blocked users, speed and mirror faults: the simulator's control key.
+//! - Emergency stop: its own key.
+//! - Killing or restarting the controller: no message. The program that started the processes
+//!   receives a [`ProcessOrder`] over a channel, if there is one.
 
 use std::sync::Mutex;
 use std::sync::PoisonError;
@@ -19,23 +22,24 @@ use serde::Deserialize;
 
 use crate::UiError;
 
-/// Whoever has just joined is found within this time.
-const HEARD_WITHIN: Duration = Duration::from_secs(1);
-const HEARD_EVERY: Duration = Duration::from_millis(20);
-/// Which mirrors stick: another seed would be other ones.
+/// Zenoh discovers the subscriber of a process that has just joined within this time.
+const DISCOVERY_LIMIT: Duration = Duration::from_secs(1);
+/// Time between two checks for a subscriber.
+const DISCOVERY_CHECK_EVERY: Duration = Duration::from_millis(20);
+/// Seed that selects the mirrors that stick; a fixed seed selects the same mirrors each time.
 const STUCK_SEED: u64 = 1;
-/// Most that the page asks of a lamp, in W.
+/// Highest optical power that the page may order, in W.
 const POWER_MAX_W: f32 = 100.0;
-/// Most that the page asks of people, in m/s.
+/// Highest walking speed that the page may order, in m/s.
 const SPEED_MAX_M_S: f32 = 10.0;
 
-/// What somebody ordered.
+/// An order of the page.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "order", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Order {
-    /// Let another policy decide.
+    /// Switch the controller to another policy.
     Policy {
-        /// As on the controller's command line.
+        /// The policy's name on the controller's command line.
         name: String,
     },
     /// Change the optical power.
@@ -43,22 +47,22 @@ pub enum Order {
         /// In W, more than 0.
         watts: f32,
     },
-    /// Switch the direct path of the first so many users off, and that of the others on.
+    /// Block the direct paths of the first users by order, and end this for the others.
     Blocked {
-        /// How many.
+        /// Number of users.
         users: u32,
     },
-    /// Let people walk faster or slower; 0 lets them stand.
+    /// Change the walking speed of the users; at 0 they stand.
     Speed {
-        /// Fastest speed of a leg in m/s; the slowest is a twentieth of it.
+        /// Highest speed in m/s; the lowest is a twentieth of it.
         max_m_s: f32,
     },
-    /// Let some of the mirrors stick where they are.
+    /// Make some of the mirrors stick at their present angles.
     Stick {
         /// Share of all mirrors, above 0 and at most 1.
         share: f32,
     },
-    /// Let all mirrors follow again.
+    /// Make all mirrors follow commands again.
     Release,
     /// Emergency stop.
     Stop,
@@ -66,102 +70,109 @@ pub enum Order {
     Rearm,
     /// Kill the controller's process.
     KillController,
-    /// Start a new controller.
-    ReviveController,
+    /// Start a new controller after the previous one was killed.
+    RestartController,
 }
 
-/// What only the process that started the others can do.
+/// An order for the program that started the processes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Errand {
-    /// Kill the controller, without a warning.
+pub enum ProcessOrder {
+    /// Kill the controller without a request to end.
     KillController,
-    /// Start a controller where there is none.
-    ReviveController,
+    /// Start a controller if none runs.
+    RestartController,
 }
 
 /// Sends orders into a room.
 pub struct Operator {
     source: u64,
-    stop: Line,
-    simulator: Line,
-    controller: Line,
-    errands: Option<Sender<Errand>>,
+    stop: OrderPublisher,
+    simulator: OrderPublisher,
+    controller: OrderPublisher,
+    processes: Option<Sender<ProcessOrder>>,
     _token: Token,
 }
 
-/// A publisher that counts.
-struct Line {
-    /// Who is to hear it.
-    hearer: &'static str,
+/// A publisher that numbers its messages.
+struct OrderPublisher {
+    /// Name of the receiver in errors.
+    receiver: &'static str,
     publisher: Publisher,
     sequence: Mutex<u64>,
 }
 
 impl Operator {
-    /// An operator in the room of a session; `errands` goes to whoever owns the processes, where somebody does.
+    /// An operator in the room of a session. `processes` leads to the program that started the
+    /// processes; `None` if they were started separately.
     ///
     /// # Errors
-    /// [`UiError::Bus`] where the session is closed.
-    pub fn new(bus: &Bus, errands: Option<Sender<Errand>>) -> Result<Self, UiError> {
+    /// [`UiError::Bus`] if the session is closed.
+    pub fn new(bus: &Bus, processes: Option<Sender<ProcessOrder>>) -> Result<Self, UiError> {
         let room = bus.room();
         let source = source_id::random();
-        let line = |hearer, key: &str| {
+        let publisher = |receiver, key: &str| {
             let publisher = bus.publisher(key, Class::Order)?;
-            Ok::<_, UiError>(Line { hearer, publisher, sequence: Mutex::new(0) })
+            Ok::<_, UiError>(OrderPublisher { receiver, publisher, sequence: Mutex::new(0) })
         };
         Ok(Self {
             source,
-            stop: line("array", &room.stop())?,
-            simulator: line("simulated room", &room.simulator_control())?,
-            controller: line("controller", &room.controller_control())?,
-            errands,
+            stop: publisher("array", &room.stop())?,
+            simulator: publisher("simulated room", &room.simulator_control())?,
+            controller: publisher("controller", &room.controller_control())?,
+            processes,
             _token: bus.announce(&room.alive(NodeKind::Viewer, source))?,
         })
     }
 
-    /// Whether somebody kills and revives on order.
-    pub fn owns_processes(&self) -> bool {
-        self.errands.is_some()
+    /// Whether this operator can kill and restart the controller.
+    pub fn controls_processes(&self) -> bool {
+        self.processes.is_some()
     }
 
-    /// Checks an order and sends it. Whether it takes effect shows in the topics.
+    /// Checks an order and sends it. The published state shows whether the order takes effect.
     ///
     /// # Errors
-    /// [`UiError::Order`] for an order without sense, [`UiError::NotOwned`] where nobody can carry it out, [`UiError::Unheard`] where it was
-    /// sent and nobody was there to hear it, [`UiError::Bus`] where the session is closed.
+    /// - [`UiError::InvalidOrder`] if a value is outside its domain; nothing was sent.
+    /// - [`UiError::NoProcessControl`] if the processes were started separately.
+    /// - [`UiError::NoReceiver`] if the order was published without a subscriber.
+    /// - [`UiError::Bus`] if the session is closed.
     pub fn send(&self, order: &Order) -> Result<(), UiError> {
         order.check()?;
         match order {
             Order::Policy { name } => {
-                self.controller.say(self.source, |stamp| ControllerControl { stamp, policy: name.clone() })
+                self.controller.publish(self.source, |stamp| ControllerControl { stamp, policy: name.clone() })
             }
-            Order::Power { watts } => self.change(|control| control.power_w = Some(*watts)),
-            Order::Blocked { users } => self.change(|control| control.forced_users = Some(*users)),
-            Order::Speed { max_m_s } => self.change(|control| control.speed_m_s = Some([max_m_s / 20.0, *max_m_s])),
-            Order::Stick { share } => self.befall(FaultKind::Stuck, *share),
-            Order::Release => self.befall(FaultKind::Healed, 1.0),
-            Order::Stop => self.halt(StopAction::Stop),
-            Order::Rearm => self.halt(StopAction::Rearm),
-            Order::KillController => self.run(Errand::KillController, "kill the controller"),
-            Order::ReviveController => self.run(Errand::ReviveController, "revive the controller"),
+            Order::Power { watts } => self.control_simulator(|control| control.power_w = Some(*watts)),
+            Order::Blocked { users } => self.control_simulator(|control| control.forced_users = Some(*users)),
+            Order::Speed { max_m_s } => {
+                self.control_simulator(|control| control.speed_m_s = Some([max_m_s / 20.0, *max_m_s]))
+            }
+            Order::Stick { share } => self.set_fault(FaultKind::Stuck, *share),
+            Order::Release => self.set_fault(FaultKind::Healed, 1.0),
+            Order::Stop => self.emergency_stop(StopAction::Stop),
+            Order::Rearm => self.emergency_stop(StopAction::Rearm),
+            Order::KillController => self.control_processes(ProcessOrder::KillController, "kill the controller"),
+            Order::RestartController => {
+                self.control_processes(ProcessOrder::RestartController, "restart the controller")
+            }
         }
     }
 
-    fn change(&self, set: impl FnOnce(&mut SimulatorControl)) -> Result<(), UiError> {
-        self.simulator.say(self.source, |stamp| {
+    fn control_simulator(&self, set: impl FnOnce(&mut SimulatorControl)) -> Result<(), UiError> {
+        self.simulator.publish(self.source, |stamp| {
             let mut control = SimulatorControl { stamp, ..SimulatorControl::default() };
             set(&mut control);
             control
         })
     }
 
-    fn befall(&self, fault: FaultKind, share: f32) -> Result<(), UiError> {
+    fn set_fault(&self, fault: FaultKind, share: f32) -> Result<(), UiError> {
         let fault = MirrorFault { fault, share, seed: STUCK_SEED, ..MirrorFault::default() };
-        self.change(|control| control.faults.push(fault))
+        self.control_simulator(|control| control.faults.push(fault))
     }
 
-    fn halt(&self, action: StopAction) -> Result<(), UiError> {
-        self.stop.say(self.source, |stamp| EmergencyStop {
+    fn emergency_stop(&self, action: StopAction) -> Result<(), UiError> {
+        self.stop.publish(self.source, |stamp| EmergencyStop {
             stamp,
             action,
             operator: "heliostat ui".into(),
@@ -169,57 +180,57 @@ impl Operator {
         })
     }
 
-    fn run(&self, errand: Errand, what: &'static str) -> Result<(), UiError> {
-        // Who owned the processes may be about to end.
-        let sent = self.errands.as_ref().is_some_and(|errands| errands.send(errand).is_ok());
-        if sent { Ok(()) } else { Err(UiError::NotOwned(what)) }
+    fn control_processes(&self, order: ProcessOrder, action: &'static str) -> Result<(), UiError> {
+        // The program that receives process orders may be ending.
+        let is_sent = self.processes.as_ref().is_some_and(|processes| processes.send(order).is_ok());
+        if is_sent { Ok(()) } else { Err(UiError::NoProcessControl(action)) }
     }
 }
 
-impl Line {
-    /// Waits a little for somebody who hears, then sends in any case.
-    fn say<M: Message>(&self, source: u64, message: impl FnOnce(Stamp) -> M) -> Result<(), UiError> {
-        let heard = self.is_heard()?;
-        // Held while publishing, so that numbers go out in order.
+impl OrderPublisher {
+    /// Waits up to [`DISCOVERY_LIMIT`] for a subscriber, then publishes in any case.
+    fn publish<M: Message>(&self, source: u64, message: impl FnOnce(Stamp) -> M) -> Result<(), UiError> {
+        let has_subscriber = self.await_subscriber()?;
+        // The lock is held while publishing, so that messages leave in the order of their numbers.
         let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
         *sequence += 1;
         let mut payload = Vec::new();
         codec::encode(&message(Stamp { source, sequence: *sequence, time_ns: utc_ns() }), &mut payload)?;
         self.publisher.put(&payload)?;
-        if heard { Ok(()) } else { Err(UiError::Unheard(self.hearer)) }
+        if has_subscriber { Ok(()) } else { Err(UiError::NoReceiver(self.receiver)) }
     }
 
-    fn is_heard(&self) -> Result<bool, UiError> {
-        let given_up = Instant::now() + HEARD_WITHIN;
+    fn await_subscriber(&self) -> Result<bool, UiError> {
+        let deadline = Instant::now() + DISCOVERY_LIMIT;
         loop {
-            let heard = self.publisher.is_heard()?;
-            if heard || Instant::now() >= given_up {
-                return Ok(heard);
+            let has_subscriber = self.publisher.has_subscribers()?;
+            if has_subscriber || Instant::now() >= deadline {
+                return Ok(has_subscriber);
             }
-            thread::sleep(HEARD_EVERY);
+            thread::sleep(DISCOVERY_CHECK_EVERY);
         }
     }
 }
 
 impl Order {
-    /// Whether the order has sense; whoever obeys it checks it against their own limits.
+    /// Checks every value against its domain. The receiver checks it again with its own limits.
     fn check(&self) -> Result<(), UiError> {
-        let refuse = |what, value: String, wanted| Err(UiError::Order { what, value, wanted });
+        let invalid = |name, value: String, expected| Err(UiError::InvalidOrder { name, value, expected });
         match self {
             Self::Policy { name } if name.is_empty() || name.len() > 64 => {
-                refuse("policy", format!("{name:.70}"), "the name of a policy")
+                invalid("policy", format!("{name:.70}"), "the name of a policy, 1 to 64 bytes")
             }
             Self::Power { watts } if !(*watts > 0.0 && *watts <= POWER_MAX_W) => {
-                refuse("power", format!("{watts} W"), "more than 0 and at most 100 W")
+                invalid("power", format!("{watts} W"), "more than 0 and at most 100 W")
             }
             Self::Blocked { users } if *users as usize > MAX_USERS => {
-                refuse("blocked users", users.to_string(), "at most 64")
+                invalid("number of blocked users", users.to_string(), "at most 64")
             }
             Self::Speed { max_m_s } if !(0.0..=SPEED_MAX_M_S).contains(max_m_s) => {
-                refuse("speed", format!("{max_m_s} m/s"), "0 to 10 m/s")
+                invalid("speed", format!("{max_m_s} m/s"), "0 to 10 m/s")
             }
             Self::Stick { share } if !(*share > 0.0 && *share <= 1.0) => {
-                refuse("share of mirrors", share.to_string(), "more than 0 and at most 1")
+                invalid("share of mirrors", share.to_string(), "more than 0 and at most 1")
             }
             _ => Ok(()),
         }
@@ -231,12 +242,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn orders_are_read_by_name_and_checked() {
-        let read = |text: &str| serde_json::from_str::<Order>(text);
-        assert_eq!(read(r#"{"order":"power","watts":1.5}"#).expect("an order"), Order::Power { watts: 1.5 });
-        assert_eq!(read(r#"{"order":"kill-controller"}"#).expect("an order"), Order::KillController);
-        assert!(read(r#"{"order":"power","watts":1.5,"volts":3}"#).is_err());
-        assert!(read(r#"{"order":"explode"}"#).is_err());
+    fn orders_are_parsed_strictly_and_their_values_are_checked() {
+        let parse = |text: &str| serde_json::from_str::<Order>(text);
+        assert_eq!(parse(r#"{"order":"power","watts":1.5}"#).expect("an order"), Order::Power { watts: 1.5 });
+        assert_eq!(parse(r#"{"order":"kill-controller"}"#).expect("an order"), Order::KillController);
+        assert_eq!(parse(r#"{"order":"restart-controller"}"#).expect("an order"), Order::RestartController);
+        assert!(parse(r#"{"order":"power","watts":1.5,"volts":3}"#).is_err());
+        assert!(parse(r#"{"order":"explode"}"#).is_err());
         for bad in [
             Order::Power { watts: 0.0 },
             Order::Power { watts: f32::NAN },

@@ -150,7 +150,7 @@ struct RoomJson {
     #[serde(flatten)]
     plan: Plan,
     policies: Vec<String>,
-    owns_processes: bool,
+    controls_processes: bool,
     budget_us: u64,
     history: Vec<(f64, SumFigures)>,
 }
@@ -159,7 +159,7 @@ async fn room(State(Shared { page, .. }): State<Shared>) -> Response {
     let room = RoomJson {
         plan: page.view.plan(&page.room),
         policies: page.policies.clone(),
-        owns_processes: page.operator.owns_processes(),
+        controls_processes: page.operator.controls_processes(),
         budget_us: BUDGET_US,
         history: page.view.history(),
     };
@@ -194,7 +194,7 @@ async fn order(State(Shared { page, .. }): State<Shared>, headers: HeaderMap, bo
     // Sending waits for the network.
     match http::unblock(move || page.operator.send(&order)).await {
         Ok(Ok(())) => reply(StatusCode::ACCEPTED, TEXT, ""),
-        Ok(Err(error @ UiError::Unheard(_))) => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string()),
+        Ok(Err(error @ UiError::NoReceiver(_))) => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string()),
         Ok(Err(error)) => reply(StatusCode::UNPROCESSABLE_ENTITY, TEXT, error.to_string()),
         Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
     }

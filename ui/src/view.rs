@@ -66,7 +66,7 @@ impl View {
     /// Subscribes to the room of a session; the scenario describes the room.
     ///
     /// # Errors
-    /// [`UiError::Optics`] for a scenario that the channel model refuses, [`UiError::Bus`] if the
+    /// [`UiError::Channel`] for a scenario that the channel model refuses, [`UiError::Bus`] if the
     /// session is closed.
     pub fn open(bus: &Bus, scenario: &Scenario) -> Result<Self, UiError> {
         let model = scenario.channel_model()?;

@@ -18,7 +18,7 @@ use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_service::{Stop, duration, signals};
-use heliostat_ui::{Display, Errand, Operator, Page, PageArgs, View};
+use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
 
 use processes::Processes;
 
@@ -89,16 +89,16 @@ pub fn run(args: Args) -> Result<()> {
     ));
     let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(endpoints.0).connect_to(endpoints.1))?;
     let view = Arc::new(View::open(&bus, &scenario)?);
-    let (errands, ordered) = mpsc::channel();
+    let (process_orders, received_orders) = mpsc::channel();
     let server = args.page.serve(|| {
-        let operator = Operator::new(&bus, Some(errands))?;
+        let operator = Operator::new(&bus, Some(process_orders))?;
         Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {
         drop(writeln!(std::io::stderr(), "{server}"));
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
-    watch(&args, &Watched { stop: &stop, view: &view, ordered, endpoints, title }, &mut parts)?;
+    watch(&args, &Watched { stop: &stop, view: &view, process_orders: received_orders, endpoints, title }, &mut parts)?;
     drop(server);
 
     let (room_summary, controller_summary) = parts.finish()?;
@@ -115,8 +115,8 @@ pub fn run(args: Args) -> Result<()> {
 struct Watched<'a> {
     stop: &'a Stop,
     view: &'a View,
-    /// Orders of the page for this process.
-    ordered: Receiver<Errand>,
+    /// Orders of the page about the processes.
+    process_orders: Receiver<ProcessOrder>,
     /// Endpoints of the room and of the controller.
     endpoints: (&'a str, &'a str),
     title: String,
@@ -131,9 +131,9 @@ fn watch(args: &Args, watched: &Watched, parts: &mut Processes) -> Result<()> {
     while !watched.stop.is_requested() && !display.quit_asked()? {
         std::thread::sleep(WATCH_EVERY);
         parts.check_alive()?;
-        for errand in watched.ordered.try_iter() {
+        for order in watched.process_orders.try_iter() {
             let policy = watched.view.policy().and_then(|name| PolicyKind::from_str(&name, true).ok());
-            parts.run(errand, || args.controller_arguments(watched.endpoints, policy.unwrap_or(args.policy)))?;
+            parts.apply(order, || args.controller_arguments(watched.endpoints, policy.unwrap_or(args.policy)))?;
         }
         match started {
             None if watched.view.is_complete() => started = Some(Instant::now()),
@@ -181,8 +181,8 @@ impl Args {
         arguments
     }
 
-    fn controller_arguments(&self, (room, own): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
-        let mut arguments = self.part("controller", &[("--connect", room), ("--listen", own)]);
+    fn controller_arguments(&self, (room, controller): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
+        let mut arguments = self.part("controller", &[("--connect", room), ("--listen", controller)]);
         arguments.extend(["--policy".into(), kind.name()]);
         if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy) {
             arguments.extend(["--model".into(), model.display().to_string()]);

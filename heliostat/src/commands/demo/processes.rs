@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use heliostat_ui::Errand;
+use heliostat_ui::ProcessOrder;
 use serde_json::Value;
 
 use super::child::ChildProcess;
@@ -39,15 +39,15 @@ impl Processes {
     }
 
     /// Kills or restarts the controller; `arguments` are those of the new one.
-    pub fn run(&mut self, errand: Errand, arguments: impl FnOnce() -> Result<Vec<String>>) -> Result<()> {
-        match errand {
+    pub fn apply(&mut self, order: ProcessOrder, arguments: impl FnOnce() -> Result<Vec<String>>) -> Result<()> {
+        match order {
             // Dropping the process kills it.
-            Errand::KillController => self.controller = None,
-            Errand::ReviveController if self.controller.is_none() => {
+            ProcessOrder::KillController => self.controller = None,
+            ProcessOrder::RestartController if self.controller.is_none() => {
                 self.controller =
                     Some(ChildProcess::start("controller", &arguments()?).context("the controller was not restarted")?);
             }
-            Errand::ReviveController => {}
+            ProcessOrder::RestartController => {}
         }
         Ok(())
     }

@@ -16,12 +16,12 @@
 //! 3. the `poll_*` method that `handle_message` names by [`Due`]:
 //!    [`poll_command`](Controller::poll_command) or
 //!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled
-//!    before one poll; the newest tick is then answered.
+//!    before one poll; the poll then decides for the newest tick.
 //!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
 //! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
-//!    shorter than the validity of a command, so that the absence of reports is answered too;
-//! 5. between reports, if it likes, [`warm_cache`](Controller::warm_cache), which changes no later
-//!    answer.
+//!    shorter than the validity of a command, so that the controller also acts when reports are absent;
+//! 5. optionally, between reports, [`warm_cache`](Controller::warm_cache), which changes no later
+//!    command.
 //!
 //! The caller assigns the sequence number of each command when it sends it. Getters may be called
 //! at any time. No method waits, logs, reads a clock or, after the warm-up, allocates in this
@@ -37,31 +37,40 @@
 //!
 //! # Degraded modes
 //!
-//! Each condition outside normal operation has one defined answer, and is counted:
+//! Each degraded condition has one configured action and one counter. A key of the scenario's
+//! `control` table selects the action:
 //!
-//! | condition | answer: a key of the scenario's `control` table | default | counter |
+//! | condition | key | default action | counter |
 //! | --- | --- | --- | --- |
-//! | the caller expects the decision to be late | `when_late` | repeat the last command | `late` |
-//! | the position report is too old | `when_stale` | no command: the array holds, then parks | `stale-report` |
-//! | no channel report of acceptable age | `when_channel_missing` | the policy acts on modelled direct gains | `channel-missing` |
-//! | no position report for as long | `when_silent` | no command | `silence` |
-//! | the policy does not return within 0.1 s (the caller's watchdog) | `when_unanswered` | no command | `unanswered` |
-//! | the policy fails, or gives a value that is not finite | `fallback` | the fixed point | `policy-failed` |
-//! | the fallback fails too or is `hold`, or there is no last command | no command | | `held` |
-//! | the array is stopped, or does not fit the scenario | no command | | `withheld` |
+//! | The predicted latency exceeds `deadline_ms`. | `when_late` | repeat the last command | `late` |
+//! | The position report is older than `report_age_max_ms`. | `when_stale` | no command | `stale-report` |
+//! | No channel report is newer than `report_age_max_ms`. | `when_channel_missing` | the policy decides on modelled direct gains | `channel-missing` |
+//! | No position report was accepted for `report_age_max_ms`. | `when_silent` | no command | `silence` |
+//! | The policy does not return within 0.1 s: policy timeout, detected by the caller's watchdog. | `when_unanswered` | no command | `unanswered` |
+//! | The policy fails, or an angle is not finite. | `fallback` | the fixed point decides | `policy-failed` |
+//! | The fallback fails or is `hold`, or there is no last command. | | no command | `held` |
+//! | The array is stopped, or does not fit the scenario. | | no command | `withheld` |
+//!
+//! The caller predicts the latency: the waiting time plus the mean duration of earlier decisions.
+//! A `deadline_ms` of 0 means the report interval. Without commands, the array holds the last one
+//! and then parks.
 //!
 //! # Terms
 //!
-//! A *tick* is one sampling of the room. A command *answers* the tick of the position report to
-//! which it responds. An *epoch* is one run of a controller; a later epoch supersedes an earlier
-//! one. The array is *parked* when every mirror faces straight into the room because no command is
-//! valid.
+//! - *Tick*: one sampling of the room. The field `answers` of a command holds the tick of the
+//!   report that triggered the command.
+//! - *Epoch*: one run of a controller. A later epoch supersedes an earlier one.
+//! - *Parked*: an array is parked at the position `park_rad` of its capabilities. It parks
+//!   `park_after_ms` after the last validity ends. The action `park` differs: it sends a valid
+//!   command with zero roll and yaw.
+//! - *Start-up warm-up*: runs of the policy on a synthetic room before the first report.
+//! - *Cache warm-up*: a repetition of the last decision between two reports.
 
-mod answers;
+mod degraded_actions;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_proto::{Capabilities, EmergencyStop, MirrorCommand, Nanos};
-use heliostat_scenario::{Answer, Scenario};
+use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{
@@ -79,10 +88,10 @@ use crate::{
     },
     policy::{self, Policy, PolicyError, ProposedBy, WithFallback},
 };
-use answers::{Answers, LastReport};
+use degraded_actions::{DegradedActions, LastReport};
 
-/// Decisions on an invented room before a controller announces itself. They change what a policy
-/// remembers, so a replay makes the same number.
+/// Maximum number of start-up runs on a synthetic room. They change the state of stateful
+/// policies, so replay executes this number too.
 pub const WARM_UP_RUNS: usize = 200;
 
 /// The decision core of one room. The [module](self) describes the calling order.
@@ -93,7 +102,7 @@ pub struct Controller {
     /// The last observation; its angles are those of the last command.
     observation: Observation,
     policy: WithFallback,
-    answers: Answers,
+    actions: DegradedActions,
     limits: Limits,
     guard: Guard,
     validity_ns: Nanos,
@@ -122,7 +131,7 @@ impl Controller {
             proposed: observation.angles.clone(),
             observation,
             policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
-            answers: Answers::new(scenario),
+            actions: DegradedActions::new(scenario),
             limits: Limits::new(&scenario.control),
             guard: Guard::default(),
             last_report: None,
@@ -153,7 +162,7 @@ impl Controller {
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
-                self.last_report = Some(LastReport { accepted_ns: now, silence_answered: false });
+                self.last_report = Some(LastReport { accepted_ns: now, silence_handled: false });
                 Due::Command
             }
             Err(Refusal::Stale) if stream == Stream::Users => Due::StaleCommand,
@@ -211,25 +220,26 @@ impl Controller {
         }
     }
 
-    /// Answers the tick of the last accepted position report. `mark` is called as each stage ends.
+    /// Decides for the tick of the last accepted position report. `mark` is called as each stage
+    /// ends.
     pub fn poll_command(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
-        let mut answer = (Answer::Policy, DegradedMode::Held);
+        let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
         if timing == Timing::Late {
             self.counters.count_degraded(DegradedMode::Late);
-            answer = (self.answers.late, DegradedMode::Late);
+            (action, mode) = (self.actions.late, DegradedMode::Late);
         }
-        if matches!(answer.0, Answer::Policy | Answer::Fallback) {
+        if matches!(action, DegradedAction::Policy | DegradedAction::Fallback) {
             match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
                 Some(LosSource::Measured) => {}
                 Some(LosSource::Modelled) => {
                     self.counters.count_degraded(DegradedMode::ChannelMissing);
-                    if answer.0 == Answer::Policy {
-                        answer = (self.answers.channel_missing, DegradedMode::ChannelMissing);
+                    if action == DegradedAction::Policy {
+                        (action, mode) = (self.actions.channel_missing, DegradedMode::ChannelMissing);
                     }
                 }
                 None => {
                     self.counters.count_degraded(DegradedMode::Held);
-                    answer = (Answer::Hold, DegradedMode::Held);
+                    (action, mode) = (DegradedAction::Hold, DegradedMode::Held);
                 }
             }
             if let Some(telemetry) = self.inbox.telemetry() {
@@ -242,38 +252,38 @@ impl Controller {
         }
         self.counters.decisions += 1;
         let tick = self.inbox.users().map_or(0, |report| report.tick);
-        self.answer(answer, tick, now, mark)
+        self.execute((action, mode), tick, now, mark)
     }
 
-    /// Answers a position report that was too old.
+    /// Executes the action for a position report that was too old.
     pub fn poll_stale_command(&mut self, now: Nanos) -> Decision<'_> {
         self.counters.decisions += 1;
         self.counters.count_degraded(DegradedMode::StaleReport);
-        self.answer((self.answers.stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
+        self.execute((self.actions.stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
     }
 
-    /// Answers the absence of position reports at `now`, if that is due.
+    /// Executes the action for the absence of position reports at `now`, if that is due.
     ///
-    /// A silence is counted once. The answer `last-good` is repeated at each call, so call this
+    /// A silence is counted once. The action `last-good` is repeated at each call, so call this
     /// method at intervals shorter than the validity of a command.
     pub fn poll_timeout_command(&mut self, now: Nanos) -> Option<Decision<'_>> {
-        let LastReport { accepted_ns, silence_answered } = self.last_report?;
-        if now.saturating_sub(accepted_ns) <= self.answers.silent_after_ns {
+        let LastReport { accepted_ns, silence_handled } = self.last_report?;
+        if now.saturating_sub(accepted_ns) <= self.actions.silent_after_ns {
             return None;
         }
-        self.last_report = Some(LastReport { accepted_ns, silence_answered: true });
-        if !silence_answered {
+        self.last_report = Some(LastReport { accepted_ns, silence_handled: true });
+        if !silence_handled {
             self.counters.count_degraded(DegradedMode::Silence);
-        } else if self.answers.silent != Answer::LastGood {
+        } else if self.actions.silent != DegradedAction::LastGood {
             return None;
         }
-        Some(self.answer((self.answers.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
+        Some(self.execute((self.actions.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
-    /// Repeats observation and inference of the last decision, so that code and data stay in the
-    /// processor's caches.
+    /// Cache warm-up: repeats observation and inference of the last decision, so that code and data
+    /// stay in the processor's caches.
     ///
-    /// No later answer depends on it. It does nothing before the first decision.
+    /// No later command depends on it. It does nothing before the first decision.
     pub fn warm_cache(&mut self) {
         if self.command.answers == 0 {
             return;
@@ -285,9 +295,9 @@ impl Controller {
         }
     }
 
-    /// Lets policy and fallback decide for an invented room, once for each item of `runs`. The
-    /// first real decision then finds buffers sized and caches warm. It changes nothing but what
-    /// the policies remember.
+    /// Start-up warm-up: policy and fallback decide for a synthetic room, once for each item of
+    /// `runs`. Buffers then have their final sizes, and the caches are warm. Only the state of
+    /// stateful policies changes.
     pub fn warm_up(&mut self, runs: impl Iterator) {
         self.policy.warm_up(&self.model, self.observation.users(), runs);
     }
@@ -338,10 +348,10 @@ impl Controller {
         &self.observation
     }
 
-    /// Proposes angles as `answer` says, limits them and completes the command.
-    fn answer(
+    /// Proposes angles by `action`, limits them and completes the command.
+    fn execute(
         &mut self,
-        (answer, mode): (Answer, DegradedMode),
+        (action, mode): (DegradedAction, DegradedMode),
         tick: u64,
         now: Nanos,
         mark: &mut dyn FnMut(Stage),
@@ -351,16 +361,16 @@ impl Controller {
             return Decision::Hold(DegradedMode::Withheld);
         }
         let elapsed_s = self.settle_angles(now);
-        let proposed = match answer {
-            Answer::Policy => self.propose(),
-            Answer::Fallback => self.policy.fall_back(&self.model, &self.observation, &mut self.proposed),
-            Answer::LastGood => self.repeat(),
-            Answer::Park => {
+        let proposed = match action {
+            DegradedAction::Policy => self.propose(),
+            DegradedAction::Fallback => self.policy.fall_back(&self.model, &self.observation, &mut self.proposed),
+            DegradedAction::LastGood => self.repeat(),
+            DegradedAction::Park => {
                 self.proposed.roll.fill(0.0);
                 self.proposed.yaw.fill(0.0);
                 true
             }
-            Answer::Hold => return Decision::Hold(mode),
+            DegradedAction::Hold => return Decision::Hold(mode),
         };
         if !proposed {
             self.counters.count_degraded(DegradedMode::Held);

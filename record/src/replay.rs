@@ -31,7 +31,7 @@ use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::Stream;
 use heliostat_engine::ActorSource;
 use heliostat_proto::{Capabilities, MirrorCommand, NodeKind, UserReport, decode};
-use heliostat_scenario::Answer as WhenLate;
+use heliostat_scenario::DegradedAction as WhenLate;
 use heliostat_service::exit::UnusableInput;
 
 pub(crate) use plan::Beginning;

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use crate::error::ScenarioError;
-use crate::runtime::Answer;
+use crate::runtime::DegradedAction;
 use crate::scenario::Scenario;
 use crate::tables::{ChannelMode, MinRate, Wall};
 
@@ -188,12 +188,12 @@ impl Scenario {
     }
 }
 
-/// Accepts an answer that requires no decision of a policy.
-fn without_decision(key: &str, answer: Answer, why: &str) -> Result<(), ScenarioError> {
-    match answer {
-        Answer::LastGood | Answer::Hold | Answer::Park => Ok(()),
-        Answer::Policy | Answer::Fallback => {
-            let name = if answer == Answer::Policy { "policy" } else { "fallback" };
+/// Accepts an action that requires no decision of a policy.
+fn without_decision(key: &str, action: DegradedAction, why: &str) -> Result<(), ScenarioError> {
+    match action {
+        DegradedAction::LastGood | DegradedAction::Hold | DegradedAction::Park => Ok(()),
+        DegradedAction::Policy | DegradedAction::Fallback => {
+            let name = if action == DegradedAction::Policy { "policy" } else { "fallback" };
             invalid(key, name, &format!("expected last-good, hold or park, since {why}"))
         }
     }

@@ -270,7 +270,7 @@ pub enum Fallback {
 /// The controller's answer in a degraded mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Answer {
+pub enum DegradedAction {
     /// The policy decides, as in normal operation.
     Policy,
     /// `control.fallback` decides.
@@ -316,16 +316,16 @@ pub struct Control {
     /// The answer if a decision would miss its deadline.
     ///
     /// It is not given twice in a row, so that a policy that is always late still decides.
-    pub when_late: Answer,
+    pub when_late: DegradedAction,
     /// The answer to a position report older than `report_age_max_ms`.
-    pub when_stale: Answer,
+    pub when_stale: DegradedAction,
     /// The answer without a channel report of acceptable age; with `policy`, modelled gains replace
     /// the reported ones.
-    pub when_channel_missing: Answer,
+    pub when_channel_missing: DegradedAction,
     /// The answer after `report_age_max_ms` without a position report.
-    pub when_silent: Answer,
+    pub when_silent: DegradedAction,
     /// The answer if the policy does not return for 0.1 s.
-    pub when_unanswered: Answer,
+    pub when_unanswered: DegradedAction,
     /// The compensation of the age of a position report.
     pub prediction: Prediction,
     /// Maximum number of evaluations of a metaheuristic policy per decision.
@@ -344,11 +344,11 @@ impl Default for Control {
             slew_deg_per_s: 0.0,
             fallback: Fallback::FixedPoint,
             deadline_ms: 0.0,
-            when_late: Answer::LastGood,
-            when_stale: Answer::Hold,
-            when_channel_missing: Answer::Policy,
-            when_silent: Answer::Hold,
-            when_unanswered: Answer::Hold,
+            when_late: DegradedAction::LastGood,
+            when_stale: DegradedAction::Hold,
+            when_channel_missing: DegradedAction::Policy,
+            when_silent: DegradedAction::Hold,
+            when_unanswered: DegradedAction::Hold,
             prediction: Prediction::None,
             search_evaluations: 2000,
             search_time_us: 500.0,

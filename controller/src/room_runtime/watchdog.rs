@@ -19,16 +19,16 @@ use std::{
 
 use heliostat_decide::capabilities::StopLatch;
 use heliostat_proto::EmergencyStop;
-use heliostat_scenario::Answer;
+use heliostat_scenario::DegradedAction;
 
 use super::{command_sender::OnBehalf, locks::lock};
 
-/// A decision that takes longer is unanswered: no policy for a room with a deadline takes so long.
+/// Timeout of a policy. No policy for a room with a deadline takes so long.
 pub const UNANSWERED_AFTER: Duration = Duration::from_millis(100);
 
 /// Watches the decision loop of one room.
 pub struct Watchdog {
-    /// Absent where the answer is to hold.
+    /// Absent where the configured action is to send nothing.
     action: Option<OnBehalf>,
     /// Counts the begin and end of each decision.
     progress: AtomicU64,
@@ -37,12 +37,12 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// A watchdog that answers like this: with the last command, by parking, or not at all.
-    pub fn new(answer: Answer) -> Self {
-        let action = match answer {
-            Answer::LastGood => Some(OnBehalf::RepeatLast),
-            Answer::Park => Some(OnBehalf::Park),
-            Answer::Policy | Answer::Fallback | Answer::Hold => None,
+    /// A watchdog with the configured action: repeat the last command, park, or send nothing.
+    pub fn new(action: DegradedAction) -> Self {
+        let action = match action {
+            DegradedAction::LastGood => Some(OnBehalf::RepeatLast),
+            DegradedAction::Park => Some(OnBehalf::Park),
+            DegradedAction::Policy | DegradedAction::Fallback | DegradedAction::Hold => None,
         };
         Self { action, progress: AtomicU64::new(0), stop: Mutex::default(), stall: Mutex::default() }
     }
@@ -114,15 +114,15 @@ mod tests {
     }
 
     #[test]
-    fn each_answer_has_its_command() {
-        let commands =
-            [Answer::LastGood, Answer::Park, Answer::Hold].map(|answer| after_a_stall(&Watchdog::new(answer)));
+    fn each_action_has_its_command() {
+        let commands = [DegradedAction::LastGood, DegradedAction::Park, DegradedAction::Hold]
+            .map(|action| after_a_stall(&Watchdog::new(action)));
         assert_eq!(commands, [Some(OnBehalf::RepeatLast), Some(OnBehalf::Park), None]);
     }
 
     #[test]
     fn no_command_is_due_while_the_array_is_stopped() {
-        let watchdog = Watchdog::new(Answer::LastGood);
+        let watchdog = Watchdog::new(DegradedAction::LastGood);
         let order = |action, time_ns| {
             let stamp = Stamp { time_ns, ..Stamp::default() };
             watchdog.handle_stop_order(&EmergencyStop { stamp, action, ..EmergencyStop::default() });
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn a_loop_that_was_free_in_between_is_not_stalled() {
-        let (watchdog, start) = (Watchdog::new(Answer::LastGood), Instant::now());
+        let (watchdog, start) = (Watchdog::new(DegradedAction::LastGood), Instant::now());
         assert_eq!(watchdog.on_busy(start), None);
         watchdog.on_idle();
         assert_eq!(watchdog.on_busy(start + UNANSWERED_AFTER), None);

@@ -1,19 +1,19 @@
-//! The configured answers in degraded modes, and the detection of silence.
+//! The configured actions in degraded modes, and the detection of silence.
 
 use heliostat_proto::Nanos;
-use heliostat_scenario::{Answer, Scenario};
+use heliostat_scenario::{DegradedAction, Scenario};
 
-/// The scenario's answers in degraded modes, and when silence begins.
+/// The scenario's actions in degraded modes, and when silence begins.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Answers {
-    pub late: Answer,
-    pub stale: Answer,
-    pub channel_missing: Answer,
-    pub silent: Answer,
+pub(super) struct DegradedActions {
+    pub late: DegradedAction,
+    pub stale: DegradedAction,
+    pub channel_missing: DegradedAction,
+    pub silent: DegradedAction,
     pub silent_after_ns: Nanos,
 }
 
-impl Answers {
+impl DegradedActions {
     pub fn new(scenario: &Scenario) -> Self {
         let control = &scenario.control;
         Self {
@@ -26,9 +26,9 @@ impl Answers {
     }
 }
 
-/// When the last position report was accepted, and whether its absence since then was answered.
+/// When the last position report was accepted, and whether its absence since then was handled.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastReport {
     pub accepted_ns: Nanos,
-    pub silence_answered: bool,
+    pub silence_handled: bool,
 }

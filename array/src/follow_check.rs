@@ -3,8 +3,9 @@
 //!
 //! Only hardware that measures can be checked. An axis fails a check when its error is above the
 //! tolerance and it has not approached its target since the previous check. An axis that fails
-//! every check for longer than the patience is unusable. It is usable again when it has moved to a
-//! command at a distance and has stayed there for as long.
+//! every check for longer than the timeout is unusable. An unusable axis recovers when its error
+//! stays within tolerance for longer than the timeout. It must also be over two tolerances from the
+//! angle where it failed.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::{AxisLimits, Capabilities};
@@ -12,14 +13,14 @@ use heliostat_proto::{AxisLimits, Capabilities};
 /// Smallest tolerance in rad (half a degree): an aimed mirror then loses a fifth of its light.
 const TOLERANCE_MIN_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 
-/// Shortest patience in ns.
-const PATIENCE_MIN_NS: u64 = 300_000_000;
+/// Shortest timeout in ns.
+const TIMEOUT_MIN_NS: u64 = 300_000_000;
 
 /// Checks the mirrors of an array, measurement by measurement.
 #[derive(Clone, Debug)]
 pub(crate) struct FollowCheck {
     tolerance_rad: f64,
-    patience_ns: u64,
+    timeout_ns: u64,
     /// Roll of every mirror, then yaw of every mirror.
     axes: Vec<Axis>,
 }
@@ -28,7 +29,7 @@ pub(crate) struct FollowCheck {
 struct Axis {
     commanded: f64,
     measured: f64,
-    /// When the run of failed checks began; for an unusable axis, of passed ones.
+    /// Start of the current run of checks that could change the state.
     since_ns: Option<u64>,
     /// The angle at which it was found unusable.
     unusable_at: Option<f64>,
@@ -41,18 +42,18 @@ impl FollowCheck {
         let settling_ns = (4e9 * largest(|axis| axis.settling_s)) as u64;
         Self {
             tolerance_rad: TOLERANCE_MIN_RAD.max(4.0 * largest(|axis| axis.resolution_rad)),
-            patience_ns: PATIENCE_MIN_NS + settling_ns,
+            timeout_ns: TIMEOUT_MIN_NS + settling_ns,
             axes: vec![Axis::default(); 2 * capabilities.mirrors()],
         }
     }
 
     /// Compares the measured angles with the commanded ones.
     pub fn update(&mut self, now_ns: u64, commanded: &MirrorAngles, measured: &MirrorAngles) {
-        let (tolerance_rad, patience_ns) = (self.tolerance_rad, self.patience_ns);
+        let (tolerance_rad, timeout_ns) = (self.tolerance_rad, self.timeout_ns);
         let commanded = commanded.roll.iter().chain(&commanded.yaw);
         let measured = measured.roll.iter().chain(&measured.yaw);
         for (axis, (&commanded, &measured)) in self.axes.iter_mut().zip(commanded.zip(measured)) {
-            axis.update(now_ns, (commanded, measured), tolerance_rad, patience_ns);
+            axis.update(now_ns, (commanded, measured), tolerance_rad, timeout_ns);
         }
     }
 
@@ -69,7 +70,7 @@ impl FollowCheck {
 }
 
 impl Axis {
-    fn update(&mut self, now_ns: u64, (commanded, measured): (f64, f64), tolerance_rad: f64, patience_ns: u64) {
+    fn update(&mut self, now_ns: u64, (commanded, measured): (f64, f64), tolerance_rad: f64, timeout_ns: u64) {
         let near = (commanded - measured).abs() <= tolerance_rad;
         let turned = measured - self.measured;
         let towards = |target: f64| turned * (target - self.measured).signum() > 0.25 * tolerance_rad;
@@ -84,7 +85,7 @@ impl Axis {
             return;
         }
         let since_ns = *self.since_ns.get_or_insert(now_ns);
-        if now_ns.saturating_sub(since_ns) > patience_ns {
+        if now_ns.saturating_sub(since_ns) > timeout_ns {
             self.unusable_at = if self.unusable_at.is_none() { Some(measured) } else { None };
             self.since_ns = None;
         }
@@ -120,7 +121,7 @@ mod tests {
         assert!(verdicts(&mut one_mirror(), 40, |_| (0.3, 0.0))[39], "dead");
         assert!(verdicts(&mut one_mirror(), 40, |check| (0.3 + 0.001 * check, -0.3 - 0.001 * check))[39], "flipped");
         let lagging = verdicts(&mut one_mirror(), 400, |check| (sweep(check), sweep(check - 4.0)));
-        assert!(!lagging.contains(&true), "a slow mirror follows late, and is usable");
+        assert!(!lagging.contains(&true), "a slow mirror follows with a delay, and is usable");
         assert!(!verdicts(&mut one_mirror(), 40, |_| (0.3, 0.295)).contains(&true), "within tolerance");
         assert!(!verdicts(&mut one_mirror(), 6, |_| (0.3, 0.0)).contains(&true), "not at once");
     }

@@ -32,8 +32,8 @@
 //! | Holding | the last accepted command | accepted |
 //! | Stopped | the angles at which the mirrors came to rest, if they are measured | refused |
 //!
-//! A command that is accepted in another state than Following counts as late, unless it is the
-//! first.
+//! A command that is accepted in another state than Following is a *resumed command*, unless it is
+//! the first. The counter `late` counts resumed commands.
 //!
 //! Telemetry has a fifth state, Fault. `Kit` reports it while the device does not answer.
 //!
@@ -166,7 +166,7 @@ pub struct Followed {
     pub epoch: u64,
     /// Its sequence number.
     pub sequence: u64,
-    /// The tick that it answers.
+    /// The tick of the report that triggered it.
     pub answers: u64,
     /// When it arrived.
     pub received: Moment,

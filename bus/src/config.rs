@@ -133,8 +133,7 @@ const FIXED_SETTINGS: [(&str, &str); 9] = [
     ("connect/retry", "{ period_init_ms: 50, period_max_ms: 1000, period_increase_factor: 2 }"),
     // Payloads are far below the size at which shared memory is faster.
     ("transport/shared_memory/enabled", "false"),
-    // In us. The default of 1000 could delay a publication by twice the deadline of a decision, 0.5
-    // ms.
+    // In us. The default of 1000 us is twice the latency budget of a decision, 0.5 ms.
     ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", "50"),
     // Batches that may wait while the sending thread sleeps. With the default of 2, a third report
     // within one scheduler time slice is dropped on a busy machine. Memory is allocated only when
@@ -145,7 +144,7 @@ const FIXED_SETTINGS: [(&str, &str); 9] = [
     // s.
     ("transport/link/tx/lease", "5000"),
     // In bytes. Limits the memory that an unknown sender can occupy. It is above the limit of
-    // payloads, so that the codec can refuse an oversized payload by name.
+    // payloads, so that the codec can refuse an oversized payload with a specific error.
     ("transport/link/rx/max_message_size", "16777216"),
 ];
 

@@ -16,40 +16,39 @@ use crate::error::BusError;
 
 /// Quality of service of a message: its priority, and what happens to it under congestion.
 ///
-/// Messages of one class keep their order on one link. Messages of a higher priority can overtake
-/// them.
+/// An express message is sent at once; others may wait for a batch. Messages of one class keep their
+/// order on one link. Messages of a higher priority can overtake them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
-    /// Reports and commands, on which decisions wait: highest priority, sent at once, dropped under
-    /// congestion.
-    Control,
-    /// Telemetry and capabilities: high priority, sent at once, dropped under congestion.
-    State,
-    /// Status and truth, for viewers: low priority, sent in batches, dropped under congestion.
-    Info,
-    /// Messages that must arrive: emergency stop, calibration and controls, and in lockstep also
-    /// reports, commands and telemetry. Highest priority, sent at once, blocks under congestion.
-    Order,
+    /// Real-time priority, express, dropped under congestion: reports and commands.
+    RealTimeDrop,
+    /// Real-time priority, express, blocks under congestion: emergency stop, calibration and
+    /// controls. In lockstep also reports, commands and telemetry.
+    RealTimeBlock,
+    /// High priority, express, dropped under congestion: telemetry and capabilities.
+    HighDrop,
+    /// Low priority, in batches, dropped under congestion: status and truth, for viewers.
+    LowDrop,
 }
 
 impl Class {
     fn priority(self) -> Priority {
         match self {
-            Self::Control | Self::Order => Priority::RealTime,
-            Self::State => Priority::DataHigh,
-            Self::Info => Priority::DataLow,
+            Self::RealTimeDrop | Self::RealTimeBlock => Priority::RealTime,
+            Self::HighDrop => Priority::DataHigh,
+            Self::LowDrop => Priority::DataLow,
         }
     }
 
     fn congestion_control(self) -> CongestionControl {
         match self {
-            Self::Order => CongestionControl::Block,
-            Self::Control | Self::State | Self::Info => CongestionControl::Drop,
+            Self::RealTimeBlock => CongestionControl::Block,
+            Self::RealTimeDrop | Self::HighDrop | Self::LowDrop => CongestionControl::Drop,
         }
     }
 
     fn is_express(self) -> bool {
-        self != Self::Info
+        self != Self::LowDrop
     }
 }
 

@@ -74,7 +74,7 @@ fn invalid_keys_are_refused_by_name() {
     let endpoint = free_loopback_endpoint().expect("a free port");
     let bus = Bus::open(&config().listen_at(&endpoint)).expect("a free port");
     for bad in ["", "/a", "a//b", "a/"] {
-        let error = bus.publisher(bad, Class::Control).err().expect("the key is invalid");
+        let error = bus.publisher(bad, Class::RealTimeDrop).err().expect("the key is invalid");
         assert!(matches!(&error, BusError::Refused { action: "publish on", key, .. } if key == bad), "{error}");
         assert!(matches!(bus.subscribe(bad, |_| {}), Err(BusError::Refused { action: "subscribe to", .. })));
         assert!(matches!(bus.announce(bad), Err(BusError::Refused { .. })));
@@ -86,7 +86,7 @@ fn invalid_keys_are_refused_by_name() {
 fn a_publisher_of_a_closed_session_returns_an_error() {
     let endpoint = free_loopback_endpoint().expect("a free port");
     let bus = Bus::open(&config().listen_at(&endpoint)).expect("a free port");
-    let publisher = bus.publisher("some/key", Class::Control).expect("a valid key");
+    let publisher = bus.publisher("some/key", Class::RealTimeDrop).expect("a valid key");
     bus.close().expect("the session closes");
     assert!(matches!(publisher.put(b"late"), Err(BusError::Refused { action: "publish on", .. })));
 }

@@ -31,8 +31,8 @@ fn clients_of_the_deployed_router_receive_messages_of_their_room_only() {
     };
     let _subscription = controller.subscribe(&controller.room().users(), forward).expect("a valid key");
     let (own, foreign) = (
-        lab.publisher(&lab.room().users(), Class::Control).expect("a valid key"),
-        atrium.publisher(&atrium.room().users(), Class::Control).expect("a valid key"),
+        lab.publisher(&lab.room().users(), Class::RealTimeDrop).expect("a valid key"),
+        atrium.publisher(&atrium.room().users(), Class::RealTimeDrop).expect("a valid key"),
     );
     let deadline = Instant::now() + LIMIT;
     loop {

@@ -69,7 +69,7 @@ fn watched(bus: &Bus) -> (Subscription, Receiver<(String, Presence)>) {
 #[test]
 fn peers_receive_each_other_in_every_class() {
     let (first, second) = pair();
-    for class in [Class::Control, Class::State, Class::Info, Class::Order] {
+    for class in [Class::RealTimeDrop, Class::HighDrop, Class::LowDrop, Class::RealTimeBlock] {
         for (from, to) in [(&first, &second), (&second, &first)] {
             let key = from.room().command();
             let (_subscription, receiver) = subscribed(to, &key);
@@ -92,7 +92,7 @@ fn payloads_arrive_complete_and_in_order() {
     let key = second.room().alive(NodeKind::Controller, 1);
     let _token = second.announce(&key).expect("a valid key");
     expect_presence(&presence, &key, Presence::Alive);
-    let publisher = first.publisher(&first.room().stop(), Class::Order).expect("a valid key");
+    let publisher = first.publisher(&first.room().stop(), Class::RealTimeBlock).expect("a valid key");
     let payload = |number: usize| vec![number as u8; 1 + number * 30_000];
     for number in 0..8 {
         publisher.put(&payload(number)).expect("open");
@@ -114,7 +114,7 @@ fn subscriptions_to_patterns_give_the_key() {
     };
     let _subscription = second.subscribe_keyed(&second.room().all_status(), keep).expect("a valid pattern");
     let key = first.room().status(NodeKind::Controller);
-    let publisher = first.publisher(&key, Class::Info).expect("a valid key");
+    let publisher = first.publisher(&key, Class::LowDrop).expect("a valid key");
     let deadline = Instant::now() + LIMIT;
     let found = loop {
         publisher.put(b"well").expect("open");
@@ -130,7 +130,7 @@ fn subscriptions_to_patterns_give_the_key() {
 fn a_dropped_subscription_receives_nothing() {
     let (first, second) = pair();
     let key = first.room().users();
-    let publisher = first.publisher(&key, Class::Control).expect("a valid key");
+    let publisher = first.publisher(&key, Class::RealTimeDrop).expect("a valid key");
     let (dropped, receiver_1) = subscribed(&second, &key);
     let (_kept, receiver_2) = subscribed(&second, &key);
     publish_until_received(&publisher, b"both", &receiver_1);
@@ -180,7 +180,7 @@ fn a_connecting_peer_may_start_first_and_reconnects() {
         let alive = late.room().alive(NodeKind::SimNode, instance);
         let _token = late.announce(&alive).expect("a valid key");
         expect_presence(&presence, &alive, Presence::Alive);
-        let publisher = late.publisher(&key, Class::Control).expect("a valid key");
+        let publisher = late.publisher(&key, Class::RealTimeDrop).expect("a valid key");
         publish_until_received(&publisher, format!("instance {instance}").as_bytes(), &receiver);
         late.close().expect("the session closes");
         expect_presence(&presence, &alive, Presence::Gone);

@@ -41,7 +41,7 @@ pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
     let mut next_check = Instant::now() + STATUS_INTERVAL;
     let mut has_warned = false;
     while !wait_for_stop(stop, deadline) {
-        rooms.iter_mut().for_each(RoomRuntime::answer_timeouts);
+        rooms.iter_mut().for_each(RoomRuntime::handle_timeouts);
         if Instant::now() < next_check {
             continue;
         }

@@ -11,7 +11,7 @@
 //!
 //! [`policy_swap`] replaces the policy on a thread of its own. Rooms share a session and nothing
 //! else, so a room that floods, fails or is superseded leaves the others alone. The main thread
-//! never waits for a decision: it gives up after [`UNANSWERED_AFTER`].
+//! never waits for a decision: it gives up after [`POLICY_TIMEOUT`].
 
 pub mod cache_warmer;
 pub mod command_sender;
@@ -54,7 +54,7 @@ use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
 use status::{Identity, Reporter};
-use watchdog::{UNANSWERED_AFTER, Watchdog};
+use watchdog::{POLICY_TIMEOUT, Watchdog};
 
 /// A room that is being served.
 pub struct RoomRuntime {
@@ -87,9 +87,9 @@ impl RoomRuntime {
         let scenario = &config.scenario;
         let started_ns = utc_ns();
         let (clock, epoch, class) = match config.pace {
-            Pace::Live => (RoomClock::Utc, started_ns / 1_000_000, Class::Control),
+            Pace::Live => (RoomClock::Utc, started_ns / 1_000_000, Class::RealTimeDrop),
             // The room waits for each command, so a dropped command would stop it.
-            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1, Class::Order),
+            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1, Class::RealTimeBlock),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = heliostat_engine::build(config.policy, scenario, &actor)?;
@@ -123,7 +123,7 @@ impl RoomRuntime {
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {
-            status: bus.publisher(&room.status(NodeKind::Controller), Class::Info)?,
+            status: bus.publisher(&room.status(NodeKind::Controller), Class::LowDrop)?,
             room,
             decision_loop,
             queue,
@@ -164,11 +164,11 @@ impl RoomRuntime {
         try_lock(&self.decision_loop).and_then(|held| held.controller.unfit().cloned())
     }
 
-    /// Answers the absence of reports, or of the policy's answer, if that is due.
-    pub fn answer_timeouts(&mut self) {
+    /// Executes the action for absent reports or for a policy timeout, if that is due.
+    pub fn handle_timeouts(&mut self) {
         if let Some(mut decision_loop) = try_lock(&self.decision_loop) {
             self.watchdog.on_idle();
-            decision_loop.answer_timeout();
+            decision_loop.handle_timeout();
             return;
         }
         let Some(action) = self.watchdog.on_busy(Instant::now()) else { return };
@@ -179,7 +179,7 @@ impl RoomRuntime {
 
     /// Takes the new stage times, publishes a status report, and updates the summary.
     pub fn check_status(&mut self) {
-        let Some(mut decision_loop) = lock_within(&self.decision_loop, UNANSWERED_AFTER) else {
+        let Some(mut decision_loop) = lock_within(&self.decision_loop, POLICY_TIMEOUT) else {
             self.report_stall();
             return;
         };
@@ -205,7 +205,7 @@ impl RoomRuntime {
         self.queue.close();
         self.check_status();
         if let Some(thread) = self.thread.take()
-            && lock_within(&self.decision_loop, UNANSWERED_AFTER).is_some()
+            && lock_within(&self.decision_loop, POLICY_TIMEOUT).is_some()
         {
             // An error means that the thread panicked, which the panic hook has reported.
             let _ = thread.join();
@@ -215,7 +215,7 @@ impl RoomRuntime {
 
     fn report_stall(&mut self) {
         let (policy, meanwhile) = (&self.summary.policy, self.watchdog.description());
-        let problem = format!("policy {policy} gives no answer; {meanwhile}");
+        let problem = format!("policy {policy} has timed out; {meanwhile}");
         tracing::warn!(room = %self.room, "{problem}");
         self.summary.unanswered += 1;
         self.summary.last_problem = problem;
@@ -243,7 +243,7 @@ fn spawn(
     std::thread::Builder::new().name(format!("decide-{room}")).spawn(run).context("cannot start the room's thread")
 }
 
-/// How long a decision may take before it is late.
+/// The deadline of a decision after the arrival of its report: `control.deadline_ms`.
 fn deadline(config: &NodeConfig) -> Duration {
     let seconds = match config.scenario.control.deadline_ms {
         0.0 => 1.0 / config.scenario.streams.positions.rate_hz,

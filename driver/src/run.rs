@@ -110,8 +110,8 @@ pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<S
     let source = source_id::random();
     let mut driver = Driver {
         kit,
-        session: ArraySession::open(&bus, clock, Class::State)?,
-        status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::Info)?,
+        session: ArraySession::open(&bus, clock, Class::HighDrop)?,
+        status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::LowDrop)?,
         refused: RefusalCounts::default(),
         room: bus.room().to_string(),
         exporter,

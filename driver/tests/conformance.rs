@@ -120,7 +120,7 @@ enum Flaw {
 fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let bus = Bus::open(bus).unwrap();
     let clock = Clock::start_in(Duration::ZERO);
-    let mut session = ArraySession::open(&bus, clock, Class::State).unwrap();
+    let mut session = ArraySession::open(&bus, clock, Class::HighDrop).unwrap();
     let _token = bus.announce(&bus.room().alive(NodeKind::Driver, 1)).unwrap();
     let left = Arc::new(AtomicBool::new(false));
     let watcher = Arc::clone(&left);

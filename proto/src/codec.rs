@@ -2,7 +2,7 @@
 //!
 //! A payload is the contract's version (one byte), the kind of message (one byte), and the fields
 //! in order as postcard writes them. A payload is either a complete, valid message or it is refused
-//! by name; [`encode`] never writes a payload that [`decode`] would refuse. The version is checked
+//! with a specific error; [`encode`] never writes a payload that [`decode`] would refuse. The version is checked
 //! first, after the length.
 
 use postcard::ser_flavors::{Flavor, Slice};

@@ -9,7 +9,8 @@
 //!   down.
 //! - [`messages`]: the messages that the table yields.
 //! - `structures.rs`: the structures and enumerations in the fields of messages.
-//! - [`codec`]: messages to bytes and back; it refuses everything malformed by name.
+//! - [`codec`]: messages to bytes and back; it refuses a malformed payload with a
+//!   specific error.
 //! - [`keys`]: the name of a room, and the key of each message.
 //!
 //! # Example

@@ -36,7 +36,7 @@ macro_rules! message_table {
             message UserReport(kind: 1, name: "user report", key: users = "users") {
                 /// Source, sequence, time of the positions.
                 stamp: Stamp,
-                /// Number of the tick; the command that answers this report repeats it.
+                /// Number of the tick; the command that this report triggers repeats it.
                 tick: u64,
                 /// The users present.
                 users: Vec<UserState> where at_most(MAX_USERS),
@@ -67,7 +67,7 @@ macro_rules! message_table {
                 epoch: u64,
                 /// Sequence number within the epoch, from 1.
                 sequence: u64,
-                /// Tick of the [`UserReport`] that this command answers; 0 for none.
+                /// Tick of the [`UserReport`] that triggered this command; 0 for none.
                 answers: u64,
                 /// Time at which the controller made the command, in ns.
                 time_ns: Nanos,
@@ -90,7 +90,7 @@ macro_rules! message_table {
                 epoch: u64,
                 /// Sequence number of the command last applied; 0 before the first.
                 applied_sequence: u64,
-                /// Tick that the command last applied answers.
+                /// Tick of the report that triggered the command last applied.
                 answers: u64,
                 /// Time at which that command arrived, in ns.
                 received_ns: Nanos,

@@ -140,7 +140,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
 
 /// The publisher for each recorded key; the room may have another name than the recorded one.
 fn outlets(bus: &Bus, recorded: &Room, clock: Clock) -> Result<HashMap<String, (Publisher, Outlet)>> {
-    let class = if clock == Clock::Live { Class::Control } else { Class::Order };
+    let class = if clock == Clock::Live { Class::RealTimeDrop } else { Class::RealTimeBlock };
     let room = bus.room();
     let keys = [
         (recorded.users(), room.users(), Outlet::Users),

@@ -60,8 +60,8 @@ impl Node {
     pub fn open(settings: &Settings) -> Result<Self, NodeError> {
         // In lockstep no message may be dropped, and reports must not overtake telemetry.
         let (reports, telemetry) = match settings.pace {
-            Pace::Live { .. } => (Class::Control, Class::State),
-            Pace::Lockstep { .. } => (Class::Order, Class::Order),
+            Pace::Live { .. } => (Class::RealTimeDrop, Class::HighDrop),
+            Pace::Lockstep { .. } => (Class::RealTimeBlock, Class::RealTimeBlock),
         };
         let scenario = settings.scenario.clone();
         let exporter = settings.metrics.open()?;

@@ -96,8 +96,8 @@ impl RoomSession {
     /// Publishers of truth and status, for use on another thread.
     pub fn viewer_publishers(&self) -> Result<(MessagePublisher, MessagePublisher), NodeError> {
         let keys = self.bus.room();
-        let truth = MessagePublisher::new(&self.bus, &keys.truth(), Class::Info)?;
-        let status = MessagePublisher::new(&self.bus, &keys.status(NodeKind::SimNode), Class::Info)?;
+        let truth = MessagePublisher::new(&self.bus, &keys.truth(), Class::LowDrop)?;
+        let status = MessagePublisher::new(&self.bus, &keys.status(NodeKind::SimNode), Class::LowDrop)?;
         Ok((truth, status))
     }
 

@@ -44,7 +44,7 @@ impl Answerer {
     fn start(room: &str, endpoint: &str, epoch: u64) -> Self {
         let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).connect_to(endpoint)).unwrap();
         let keys = bus.room().clone();
-        let commands = bus.publisher(&keys.command(), Class::Control).unwrap();
+        let commands = bus.publisher(&keys.command(), Class::RealTimeDrop).unwrap();
         let sequence = AtomicU64::new(0);
         let subscription = bus.subscribe(&keys.users(), move |payload| {
             let report: UserReport = decode(payload).unwrap();
@@ -130,7 +130,7 @@ fn invalid_payloads_are_counted_by_name_and_do_not_stop_the_room() {
         ("expired", &expired),
         ("wrong-version", b"garbage"),
     ];
-    let publisher = bus.publisher(&bus.room().command(), Class::Order).unwrap();
+    let publisher = bus.publisher(&bus.room().command(), Class::RealTimeBlock).unwrap();
     for (_, payload) in &cases {
         publisher.put(payload).unwrap();
     }
@@ -159,7 +159,7 @@ fn valid_orders_of_an_operator_change_the_room_and_invalid_ones_are_counted() {
     let _status = bus.subscribe(&keys.status(NodeKind::SimNode), move |payload| {
         statuses.lock().unwrap().1.push(decode::<NodeStatus>(payload).unwrap());
     });
-    let orders = bus.publisher(&keys.simulator_control(), Class::Order).unwrap();
+    let orders = bus.publisher(&keys.simulator_control(), Class::RealTimeBlock).unwrap();
     while seen.lock().unwrap().0.is_empty() {
         std::thread::sleep(Duration::from_millis(10));
     }

@@ -65,7 +65,7 @@ impl RoomObserver {
     /// When the bus does not take them.
     pub fn publish(&self, key: &str, payload: &[u8]) {
         // This class waits instead of dropping, so that each published payload arrives.
-        let publisher = self.bus.publisher(key, Class::Order).expect("the key is valid");
+        let publisher = self.bus.publisher(key, Class::RealTimeBlock).expect("the key is valid");
         publisher.put(payload).expect("the bus takes a payload");
     }
 

@@ -111,7 +111,7 @@ impl Operator {
         let room = bus.room();
         let source = source_id::random();
         let publisher = |receiver, key: &str| {
-            let publisher = bus.publisher(key, Class::Order)?;
+            let publisher = bus.publisher(key, Class::RealTimeBlock)?;
             Ok::<_, UiError>(OrderPublisher { receiver, publisher, sequence: Mutex::new(0) })
         };
         Ok(Self {

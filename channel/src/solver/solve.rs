@@ -70,7 +70,7 @@ impl Solver {
         self.solution(problem)
     }
 
-    /// The baseline of all policies: a search from many starts, each to a local optimum.
+    /// The multi-start solver: a search from many starts, each to a local optimum.
     ///
     /// Assignment: for each subset of users (all 2^K - 1 up to K = 6, a few dozen nested ones
     /// above), a damped fixed point and a greedy fill among its users, then single moves among all

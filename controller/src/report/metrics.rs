@@ -31,15 +31,23 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     page.gauge("heliostat_policy_info", "Name of the policy in use; the value is always 1", &policy, 1.0);
     page.gauge("heliostat_epoch", "Epoch of the commands", &[room], summary.epoch as f64);
     for (name, help, value) in [
-        ("heliostat_decisions", "Position reports answered by a command or by the decision to hold", summary.decisions),
-        ("heliostat_commands", "Position reports answered by a command", summary.commands),
+        (
+            "heliostat_decisions",
+            "Decisions on position reports: commands, and decisions to send none",
+            summary.decisions,
+        ),
+        ("heliostat_commands", "Commands sent for position reports", summary.commands),
         ("heliostat_commands_unsent", "Commands that the transport refused", summary.unsent),
         (
             "heliostat_reports_dropped",
             "Reports superseded by a newer one or dropped from a full queue",
             summary.dropped,
         ),
-        ("heliostat_policy_stalls", "Status checks at which the policy had not returned for 0.1 s", summary.unanswered),
+        (
+            "heliostat_policy_stalls",
+            "Policy timeouts: status checks at which the policy had not returned for 0.1 s",
+            summary.unanswered,
+        ),
         ("heliostat_room_sources", "Sources that owned the room, in succession", summary.sources),
     ] {
         page.counter(name, help, &[room], value);
@@ -47,7 +55,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     add_times(page, report);
     for (cause, count) in &summary.fallbacks {
         let labels = [room, ("cause", cause.as_str())];
-        page.counter("heliostat_fallbacks", "Ticks answered in a degraded mode, by cause", &labels, *count);
+        page.counter("heliostat_fallbacks", "Decisions in a degraded mode, by cause", &labels, *count);
     }
     for (name, count) in &summary.refused {
         let (stream, reason) = name.split_once(':').unwrap_or((name.as_str(), ""));

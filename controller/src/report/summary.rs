@@ -15,9 +15,9 @@ pub struct Summary {
     pub policy: String,
     /// The epoch of the commands.
     pub epoch: u64,
-    /// Position reports answered by a command or by the decision to hold.
+    /// Decisions on position reports: commands, and decisions to send none.
     pub decisions: u64,
-    /// Commands among the answers.
+    /// Commands among the decisions.
     pub commands: u64,
     /// Decisions of more than 0.5 ms.
     pub over_budget: u64,
@@ -29,7 +29,7 @@ pub struct Summary {
     pub stages_us: BTreeMap<String, Quantiles>,
     /// From the sampling of the positions to the decision.
     pub age_us: Quantiles,
-    /// Ticks answered in a degraded mode, by mode.
+    /// Decisions in a degraded mode, by mode.
     pub fallbacks: BTreeMap<String, u64>,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
@@ -42,10 +42,10 @@ pub struct Summary {
     pub sources: u64,
     /// Commands that the transport refused.
     pub unsent: u64,
-    /// Position reports superseded by a newer one before they were answered, and payloads dropped
+    /// Position reports superseded by a newer one before a decision, and payloads dropped
     /// because too many waited.
     pub dropped: u64,
-    /// Status checks at which the policy had not returned for 0.1 s.
+    /// Policy timeouts: status checks at which the policy had not returned for 0.1 s.
     pub unanswered: u64,
     /// Cache warm-ups between reports.
     pub cache_warm_ups: u64,

@@ -2,7 +2,7 @@
 //!
 //! The sender owns the publisher, the sequence number, the payload buffer and a copy of the last
 //! command behind one lock. The decision loop holds the lock for one publication. The watchdog
-//! shares the sender, and gives way if the lock is held.
+//! shares the sender, and sends nothing if the lock is held.
 
 use std::sync::Mutex;
 
@@ -27,7 +27,7 @@ struct State {
 pub enum OnBehalf {
     /// The last command, again at each call.
     RepeatLast,
-    /// All mirrors face straight into the room, once until the policy answers.
+    /// A valid command with zero roll and yaw, once until the policy decides again.
     Park,
 }
 
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn the_array_is_parked_once_until_the_policy_answers() {
+    fn the_array_is_parked_once_until_the_policy_decides() {
         let mut last = LastCommand::default();
         number(&mut last, 7);
         let parked =
@@ -158,7 +158,7 @@ mod tests {
         assert_eq!(last.on_behalf(OnBehalf::Park, 6), Some(&parked));
         assert_eq!(last.on_behalf(OnBehalf::Park, 6), None);
         number(&mut last, 9);
-        assert!(last.on_behalf(OnBehalf::Park, 6).is_some(), "the policy answered in between");
+        assert!(last.on_behalf(OnBehalf::Park, 6).is_some(), "the policy decided in between");
     }
 
     #[test]

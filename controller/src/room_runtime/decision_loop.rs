@@ -4,14 +4,15 @@
 //! There is one decision loop per room, behind a mutex. Two threads may run it:
 //!
 //! - the transport's callback, which needs no other thread to be woken. While it decides, further
-//!   payloads wait in the transport, and the oldest is answered first;
+//!   payloads wait in the transport, and the oldest report gets the first decision;
 //! - the room's thread ([`run`]), which empties the [receive queue](super::receive_queue) before it
-//!   answers. A tick that a newer one supersedes then costs no decision. This thread also warms up
+//!   decides. A tick that a newer one supersedes then costs no decision. This thread also warms up
 //!   the caches for a slow policy (see [cache warmer](super::cache_warmer)).
 //!
-//! [`PayloadHandler::handle`] chooses: by default the callback, and the room's thread when reports
-//! arrive faster than they are answered or the policy is kept warm. Other threads hold the lock
-//! only to exchange stage times, to copy counters and to replace the policy.
+//! [`PayloadHandler::handle`] chooses. By default the callback decides. It queues the payload for
+//! the room's thread in four cases: the queue is not empty, another thread holds the lock, there
+//! is a backlog, or the caches are kept warm for position reports. Other threads hold the lock only
+//! to exchange stage times, to copy counters and to replace the policy.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard},
@@ -35,15 +36,15 @@ use super::{
 };
 use crate::report::stage_times::{StageStamps, StageTimes};
 
-/// A report that arrives sooner after the last decision had been waiting: reports arrive faster
-/// than they are answered.
+/// A report that arrives within this time after a decision indicates a backlog. The callback then
+/// queues it for the room's thread.
 const BACKLOG_GAP: Duration = Duration::from_micros(50);
 
 /// Where a room's decisions are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum DecideIn {
-    /// In the callback; on the room's thread when reports arrive faster than they are answered, or
-    /// a slow policy is kept warm
+    /// In the callback; on the room's thread during a backlog, while the room is busy, or if its
+    /// caches are kept warm
     Auto,
     /// In the callback that receives the report, on the transport's thread; a backlog waits in the
     /// transport
@@ -62,8 +63,8 @@ pub struct DecisionSettings {
 }
 
 impl DecisionSettings {
-    /// The settings in a process of this number of rooms: with several, their decisions keep the
-    /// caches warm, and warm-ups would take their time.
+    /// The settings in a process of this number of rooms. The decisions of several rooms keep the
+    /// caches warm, and cache warm-ups would delay them.
     pub fn among(self, rooms: usize) -> Self {
         Self { keep_warm: if rooms > 1 { KeepWarm::Off } else { self.keep_warm }, ..self }
     }
@@ -94,7 +95,7 @@ pub struct DecisionLoop {
     buffers: Buffers,
     /// The stamps of the tick that is due.
     due: Option<StageStamps>,
-    /// A decision that takes longer is late.
+    /// A decision whose predicted latency exceeds it is late.
     deadline: Duration,
     /// Whether the last decision was made without the policy.
     was_late: bool,
@@ -128,8 +129,8 @@ impl Buffers {
 }
 
 impl DecisionLoop {
-    /// A loop around a core that is warmed up; a decision that takes longer than `deadline` is
-    /// late. It warms up no caches.
+    /// A loop around a core after its start-up warm-up. A decision whose predicted latency exceeds
+    /// `deadline` is late. It warms up no caches.
     pub fn new(
         controller: Controller,
         clock: RoomClock,
@@ -188,8 +189,8 @@ impl DecisionLoop {
         }
     }
 
-    /// Answers the newest tick that is due, if one is.
-    pub fn answer(&mut self) {
+    /// Decides for the newest tick that is due, if one is.
+    pub fn decide(&mut self) {
         let Some(mut stamps) = self.due.take() else { return };
         self.watchdog.on_progress();
         let started = Instant::now();
@@ -214,8 +215,8 @@ impl DecisionLoop {
         self.last_decision = Some(ended);
     }
 
-    /// Answers the absence of position reports, if that is due.
-    pub fn answer_timeout(&mut self) {
+    /// Executes the action for the absence of position reports, if that is due.
+    pub fn handle_timeout(&mut self) {
         if let Some(decision) = self.controller.poll_timeout_command(self.clock.now()) {
             self.unsent += u64::from(!send(&self.sender, decision));
         }
@@ -231,7 +232,7 @@ impl DecisionLoop {
         self.unsent
     }
 
-    /// Ticks that a newer one superseded before they were answered.
+    /// Ticks that a newer one superseded before a decision.
     pub fn superseded(&self) -> u64 {
         self.superseded
     }
@@ -246,7 +247,7 @@ impl DecisionLoop {
         self.last_malformed.as_ref()
     }
 
-    /// Whether a callback has to leave a payload to the room's thread.
+    /// Whether a callback has to queue a payload for the room's thread.
     fn is_for_thread(&self, stream: Stream, entered: Instant) -> bool {
         let is_kept_warm = stream == Stream::Users && self.warmer.is_worthwhile();
         let is_backlog = self.last_decision.is_some_and(|ended| entered.saturating_duration_since(ended) < BACKLOG_GAP);
@@ -260,11 +261,12 @@ impl DecisionLoop {
         self.warmer.on_warm_up(started.elapsed());
     }
 
-    /// A decision is late if it is expected to end after the deadline. Two late decisions never
-    /// follow one another, so that the policy decides again. In lockstep the room waits.
+    /// A decision is late if its predicted latency exceeds the deadline: the waiting time plus the
+    /// mean duration of earlier decisions. Two consecutive decisions are never late, so that the
+    /// policy decides again. In lockstep the room waits.
     fn timing(&mut self, waited: Duration) -> Timing {
-        let expected = waited + self.warmer.expected_decision();
-        let is_late = self.clock == RoomClock::Utc && !self.was_late && expected > self.deadline;
+        let predicted = waited + self.warmer.expected_decision();
+        let is_late = self.clock == RoomClock::Utc && !self.was_late && predicted > self.deadline;
         self.was_late = is_late;
         if is_late { Timing::Late } else { Timing::InTime }
     }
@@ -278,10 +280,10 @@ fn send(sender: &CommandSender, decision: Decision<'_>) -> bool {
     }
 }
 
-/// The entry of payloads: answers in the callback, or leaves the payload to the room's thread.
+/// The entry of payloads: decides in the callback, or queues the payload for the room's thread.
 #[derive(Clone)]
 pub struct PayloadHandler {
-    /// The loop that answers.
+    /// The loop that decides.
     pub decision_loop: Arc<Mutex<DecisionLoop>>,
     /// The queue of the room's thread.
     pub queue: Arc<ReceiveQueue>,
@@ -295,23 +297,23 @@ impl PayloadHandler {
         let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
             DecideIn::Callback => Some(lock(&self.decision_loop)),
             DecideIn::Thread => None,
-            // The room's thread holds the lock while it empties the queue, so no payload passes
-            // a waiting one.
+            // The room's thread drains the queue under the lock. A new payload therefore cannot
+            // overtake a queued one.
             DecideIn::Auto if !self.queue.is_empty() => None,
             DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(stream, entered)),
         };
         match at_once {
             Some(mut decision_loop) => {
                 decision_loop.handle_payload(stream, payload, entered);
-                decision_loop.answer();
+                decision_loop.decide();
             }
             None => self.queue.push(stream, payload, entered),
         }
     }
 }
 
-/// The room's thread: answers what is in the queue, and warms up the caches in between. Ends when
-/// the queue is closed.
+/// The room's thread: decides for the reports in the queue, and warms up the caches in between.
+/// Ends when the queue is closed.
 pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
     loop {
         let action = lock(decision_loop).warmer.next_action(Instant::now());
@@ -319,11 +321,11 @@ pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
             Action::Wait(limit) => match queue.wait(limit) {
                 Wake::Closed => return,
                 Wake::TimedOut => {}
-                Wake::Filled => empty(queue, &mut lock(decision_loop)),
+                Wake::Filled => drain(queue, &mut lock(decision_loop)),
             },
             Action::WarmUp if queue.has_arrival() => lock(decision_loop).warmer.on_arrival(),
             Action::WarmUp => {
-                // A thread that holds the lock is deciding, which warms more than a warm-up.
+                // A thread that holds the lock is deciding, which warms more than a cache warm-up.
                 if let Some(mut decision_loop) = try_lock(decision_loop) {
                     decision_loop.warm_cache();
                 }
@@ -333,14 +335,14 @@ pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
     }
 }
 
-/// Handles all waiting payloads, then answers the newest tick.
-fn empty(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
+/// Handles all waiting payloads, then decides for the newest tick.
+fn drain(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
     decision_loop.warmer.on_arrival();
     while let Some(arrival) = queue.pop() {
         decision_loop.handle_payload(arrival.stream, &arrival.payload, arrival.entered);
         queue.recycle(arrival.payload);
     }
-    decision_loop.answer();
+    decision_loop.decide();
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! The order arrives on a thread of the bus, which puts it into a short queue. A thread of its own
 //! builds the policy and warms it up. It then holds the decision loop for the exchange of one
 //! pointer, between two decisions. An unknown policy, or one that does not fit the room, is refused
-//! by name, and the present policy continues.
+//! with a specific error, and the present policy continues.
 
 use std::{
     sync::{
@@ -29,10 +29,10 @@ use super::{decision_loop::DecisionLoop, locks::lock};
 /// Orders that wait while a policy is being built; further orders are refused.
 const WAITING_MAX: usize = 4;
 
-/// Longest warm-up: a policy for which it would take longer starts cold.
+/// Maximum duration of a start-up warm-up, which then ends before [`WARM_UP_RUNS`].
 const WARM_UP_MAX: Duration = Duration::from_secs(2);
 
-/// One item for each run of a warm-up that begins now.
+/// One item for each run of a start-up warm-up that begins now.
 pub fn warm_up_runs() -> impl Iterator {
     let started = Instant::now();
     (0..WARM_UP_RUNS).take_while(move |_| started.elapsed() < WARM_UP_MAX)
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_policy_is_built_and_an_unknown_one_is_refused_by_name() {
+    fn a_known_policy_is_built_and_an_unknown_one_is_refused_with_its_name() {
         let builder = builder(Scenario::default());
         assert_eq!(builder.build("greedy").expect("it is there").name(), "greedy");
         let refusal = builder.build("clairvoyant").err().expect("no such policy");

@@ -9,7 +9,7 @@ pub enum RoomClock {
     /// UTC.
     Utc,
     /// The time of the newest report: the room runs faster or slower than real time, and waits for
-    /// the answers.
+    /// the commands.
     Lockstep {
         /// Time of the newest report.
         newest_ns: Nanos,

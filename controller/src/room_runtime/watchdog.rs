@@ -3,8 +3,8 @@
 //! # Theory of operation
 //!
 //! A thread that decides holds the lock of the decision loop. The watchdog counts the begin and end
-//! of each decision. If the lock is held and the count has not changed for [`UNANSWERED_AFTER`],
-//! the policy does not return. The watchdog then names the command of the scenario's
+//! of each decision. If the lock is held and the count has not changed for [`POLICY_TIMEOUT`],
+//! that is a policy timeout. The watchdog then names the command of the scenario's
 //! `control.when_unanswered`, unless the array is stopped. Operators' stop orders reach the
 //! watchdog directly, because the decision loop cannot handle them meanwhile. When the policy
 //! returns, the command sender continues the numbering.
@@ -24,7 +24,7 @@ use heliostat_scenario::DegradedAction;
 use super::{command_sender::OnBehalf, locks::lock};
 
 /// Timeout of a policy. No policy for a room with a deadline takes so long.
-pub const UNANSWERED_AFTER: Duration = Duration::from_millis(100);
+pub const POLICY_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Watches the decision loop of one room.
 pub struct Watchdog {
@@ -87,10 +87,10 @@ struct StallDetector {
 }
 
 impl StallDetector {
-    /// Whether the loop, busy at `at`, has made no progress for [`UNANSWERED_AFTER`].
+    /// Whether the loop, busy at `at`, has made no progress for [`POLICY_TIMEOUT`].
     fn is_stalled(&mut self, at: Instant, progress: u64) -> bool {
         match self.busy.filter(|(_, then)| *then == progress) {
-            Some((since, _)) => at.saturating_duration_since(since) >= UNANSWERED_AFTER,
+            Some((since, _)) => at.saturating_duration_since(since) >= POLICY_TIMEOUT,
             None => {
                 self.busy = Some((at, progress));
                 false
@@ -110,7 +110,7 @@ mod tests {
         let start = Instant::now();
         watchdog.on_progress();
         assert_eq!(watchdog.on_busy(start), None);
-        watchdog.on_busy(start + UNANSWERED_AFTER)
+        watchdog.on_busy(start + POLICY_TIMEOUT)
     }
 
     #[test]
@@ -140,17 +140,17 @@ mod tests {
         let (watchdog, start) = (Watchdog::new(DegradedAction::LastGood), Instant::now());
         assert_eq!(watchdog.on_busy(start), None);
         watchdog.on_idle();
-        assert_eq!(watchdog.on_busy(start + UNANSWERED_AFTER), None);
+        assert_eq!(watchdog.on_busy(start + POLICY_TIMEOUT), None);
     }
 
     #[test]
     fn only_one_decision_that_lasts_too_long_is_a_stall() {
         let (mut detector, start) = (StallDetector::default(), Instant::now());
         assert!(!detector.is_stalled(start, 1));
-        assert!(!detector.is_stalled(start + UNANSWERED_AFTER / 2, 1));
-        assert!(detector.is_stalled(start + UNANSWERED_AFTER, 1));
-        assert!(!detector.is_stalled(start + UNANSWERED_AFTER, 2), "another decision");
-        assert!(!detector.is_stalled(start + UNANSWERED_AFTER * 3 / 2, 2));
-        assert!(detector.is_stalled(start + UNANSWERED_AFTER * 2, 2));
+        assert!(!detector.is_stalled(start + POLICY_TIMEOUT / 2, 1));
+        assert!(detector.is_stalled(start + POLICY_TIMEOUT, 1));
+        assert!(!detector.is_stalled(start + POLICY_TIMEOUT, 2), "another decision");
+        assert!(!detector.is_stalled(start + POLICY_TIMEOUT * 3 / 2, 2));
+        assert!(detector.is_stalled(start + POLICY_TIMEOUT * 2, 2));
     }
 }

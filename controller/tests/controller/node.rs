@@ -69,7 +69,7 @@ impl Rig {
 
     /// Reports ticks until one is answered: those before the node has subscribed are lost.
     fn connect(&mut self) -> u64 {
-        let users = self.bus.publisher(&self.bus.room().users(), Class::Control).unwrap();
+        let users = self.bus.publisher(&self.bus.room().users(), Class::RealTimeDrop).unwrap();
         let deadline = Instant::now() + PATIENCE;
         for tick in 1.. {
             users.put(&self.report(tick)).unwrap();
@@ -96,14 +96,14 @@ fn hostile_payloads_are_counted_by_name_and_decisions_continue() {
     let (mut other_version, mut trailing) = (sound.clone(), sound.clone());
     other_version[0] = 9;
     trailing.push(0);
-    let users = rig.bus.publisher(&name.users(), Class::Control).unwrap();
+    let users = rig.bus.publisher(&name.users(), Class::RealTimeDrop).unwrap();
     for payload in [&other_version[..], &trailing[..], &sound[..sound.len() / 2], b"", &[1, 77, 3]] {
         users.put(payload).unwrap();
         thread::sleep(Duration::from_millis(20));
     }
     for key in [name.channel(), name.obstacles(), name.telemetry()] {
         // A sound payload, but not of this key; and more bytes than any payload may have.
-        let publisher = rig.bus.publisher(&key, Class::Order).unwrap();
+        let publisher = rig.bus.publisher(&key, Class::RealTimeBlock).unwrap();
         publisher.put(&sound).unwrap();
         publisher.put(&vec![1; 1_100_000]).unwrap();
         thread::sleep(Duration::from_millis(20));

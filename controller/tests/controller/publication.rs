@@ -17,7 +17,7 @@ fn a_publication_allocates_little() {
     let (sender, received) = mpsc::channel();
     let _subscription =
         there.subscribe(&room.command(), move |payload| sender.send(payload.len()).unwrap_or_default()).unwrap();
-    let publisher = here.publisher(&room.command(), Class::Control).unwrap();
+    let publisher = here.publisher(&room.command(), Class::RealTimeDrop).unwrap();
     let payload = vec![0; 820];
     while received.recv_timeout(Duration::from_millis(50)).is_err() {
         publisher.put(&payload).unwrap();

@@ -177,7 +177,7 @@ impl Inbox {
         self.sources
     }
 
-    /// A source has left: it owns nothing, its reports are discarded, and its late reports are
+    /// A source has left: it owns nothing, its reports are discarded, and its delayed reports are
     /// refused.
     pub fn handle_source_lost(&mut self, source: u64) {
         self.lost = Some(source);

@@ -42,25 +42,25 @@ impl Stage {
 /// What the caller has to poll after a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Due {
-    /// The message completes a tick: `Controller::poll_command` answers it.
+    /// The message completes a tick: call `Controller::poll_command`.
     Command,
-    /// The message is a position report that is too old: `Controller::poll_stale_command` answers
-    /// it.
+    /// The message is a position report that is too old: call
+    /// `Controller::poll_stale_command`.
     StaleCommand,
     /// Nothing.
     Nothing,
 }
 
-/// Whether there is time for the policy before the deadline of a decision.
+/// Whether the predicted latency of a decision is within `control.deadline_ms`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Timing {
-    /// The policy is expected to answer before the deadline.
+    /// The predicted latency is within the deadline.
     InTime,
-    /// The policy is expected to answer after the deadline.
+    /// The predicted latency exceeds the deadline.
     Late,
 }
 
-/// The answer to a tick.
+/// The result of a poll.
 #[derive(Debug, PartialEq)]
 pub enum Decision<'a> {
     /// The mirrors turn.
@@ -70,15 +70,15 @@ pub enum Decision<'a> {
         /// Age of the positions on which the decision is based, in ns.
         age_ns: Nanos,
     },
-    /// No command: the array holds the last one, and parks when its validity ends.
+    /// No command: the array holds the last one, and parks `park_after_ms` after its validity ends.
     Hold(DegradedMode),
 }
 
-/// Why a tick was not answered in normal operation. The table at the head of [`crate::core`] lists
-/// the answers.
+/// A condition outside normal operation. The table at the head of [`crate::core`] lists the
+/// actions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DegradedMode {
-    /// The decision would have been late.
+    /// The predicted latency exceeded the deadline.
     Late,
     /// The position report was too old.
     StaleReport,
@@ -123,9 +123,9 @@ impl DegradedMode {
 /// Counters of a controller since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Position reports answered by a command or by the decision to hold.
+    /// Decisions on position reports: commands, and decisions to send none.
     pub decisions: u64,
-    /// Commands among the answers.
+    /// Commands among the decisions.
     pub commands: u64,
     /// Axis values that the limits changed.
     pub clipped: Clipped,
@@ -133,7 +133,7 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// How often a tick was answered in this degraded mode.
+    /// Number of decisions in this degraded mode.
     pub fn degraded(&self, mode: DegradedMode) -> u64 {
         self.degraded[mode as usize]
     }

@@ -106,7 +106,9 @@ pub fn check_finite(angles: &MirrorAngles) -> Result<(), NotFinite> {
     }
 }
 
-/// Commands carry f32, in which 90 degrees rounds up: an array that checks its range would refuse
+/// Returns the largest f32 that does not exceed `value`.
+///
+/// Commands carry f32, in which 90 degrees rounds up. An array that checks its range would refuse
 /// the rounded value.
 fn largest_f32_within(value: f64) -> f32 {
     let nearest = value as f32;

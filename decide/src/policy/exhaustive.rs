@@ -1,5 +1,4 @@
-//! Every assignment of mirrors to users: the best there is by the table of gains, where it can be
-//! found at all.
+//! Exhaustive search over all assignments; feasible only for small arrays.
 
 use heliostat_channel::solver::{ASSIGNMENTS_MAX, MinimumRates, Problem, QOS_PENALTY, Solver, SolverError};
 use heliostat_channel::{ChannelModel, MirrorAngles, decode};

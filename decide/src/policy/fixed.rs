@@ -1,4 +1,4 @@
-//! Policies that do not depend on the users: baselines, and answers in degraded modes.
+//! Policies that do not depend on the users: baselines, and policies of degraded modes.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use rand::{RngExt, SeedableRng};

@@ -6,9 +6,9 @@
 //! bit/s for each bit/s that a user is short of the minimum rate.
 //!
 //! Each decision draws new uniform candidates, except that the first candidate has the present
-//! angles, so that no answer is worse than these. It ends with the trials or the time, whichever
+//! angles, so that no proposal is worse than these. It ends with the trials or the time, whichever
 //! runs out first. Time comes from the caller: without a time limit (`control.search_time_us = 0`)
-//! the answers depend on the seed alone.
+//! the proposals depend on the seed alone.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::QOS_PENALTY};
 use heliostat_scenario::{Control, Scenario};

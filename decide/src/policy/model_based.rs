@@ -13,7 +13,7 @@ use crate::observe::observation::Observation;
 /// the oracle.
 const GREEDY_PASSES: usize = 3;
 
-/// The damped fixed point over the users' weights, started from the last answer, with or without
+/// The damped fixed point over the users' weights, started from the last solution, with or without
 /// single mirror moves after it; or the oracle.
 pub struct ModelBased {
     name: &'static str,
@@ -34,7 +34,7 @@ impl ModelBased {
         Self::new("greedy", Method::Greedy { passes: GREEDY_PASSES }, users, mirrors)
     }
 
-    /// The baseline search, on the observation.
+    /// The multi-start solver, applied to the observation instead of the true state.
     pub fn oracle(users: usize, mirrors: usize) -> Self {
         Self::new("oracle", Method::Oracle, users, mirrors)
     }

@@ -30,7 +30,7 @@ pub trait Policy: Send {
     ) -> Result<(), PolicyError>;
 
     /// Runs the code of [`act`](Self::act) so that code and data stay in the processor's caches,
-    /// without an effect on later answers.
+    /// without an effect on later proposals.
     ///
     /// The contents of `out` are then unspecified. The default does nothing, as suits a policy with
     /// memory that it cannot restore.

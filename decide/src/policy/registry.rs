@@ -20,7 +20,7 @@ pub enum BuildError {
     Actor(#[from] ActorError),
     /// The search space is too large, or continuous.
     #[error(
-        "an exhaustive search cannot run here: {0}; use the policy oracle, which gives the same answers in small rooms"
+        "an exhaustive search cannot run here: {0}; use the policy oracle, which gives the same assignments in small rooms"
     )]
     Search(SolverError),
     /// A learned policy was to be built without its file.
@@ -82,7 +82,7 @@ policies! {
     FixedPoint: Direct(|room| super::model_based::ModelBased::fixed_point(room.users, room.mirrors).boxed()),
     /// Model-based: the fixed point, then passes of single mirror moves
     Greedy: Direct(|room| super::model_based::ModelBased::greedy(room.users, room.mirrors).boxed()),
-    /// Model-based: the baseline search from many starts; far slower than a tick
+    /// Model-based: the multi-start solver, applied to the observation instead of the true state; far slower than a tick
     Oracle: Direct(|room| super::model_based::ModelBased::oracle(room.users, room.mirrors).boxed()),
     /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
     Exhaustive: Direct(|room| super::exhaustive::Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),
@@ -172,7 +172,7 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     }
 }
 
-/// Builds the policy that answers when another fails; `None` where no command is sent then.
+/// Builds the policy that decides when another fails; `None` where no command is sent then.
 pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn Policy>> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {

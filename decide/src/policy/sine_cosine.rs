@@ -1,5 +1,5 @@
-//! The sine cosine algorithm (Mirjalili, Knowledge-Based Systems 96, 2016), which the literature on
-//! mirror arrays turns them with.
+//! The sine cosine algorithm (Mirjalili, Knowledge-Based Systems 96, 2016), used in the literature
+//! on mirror arrays.
 //!
 //! Every coordinate x of every candidate swings around the best candidate's p,
 //!

@@ -60,12 +60,12 @@ impl WithFallback {
         attempt(fallback.as_mut(), model, observation, out).is_ok()
     }
 
-    /// Runs the policy's code without an effect on later answers.
+    /// Runs the policy's code without an effect on later proposals.
     pub fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
         self.policy.warm_cache(model, observation, out);
     }
 
-    /// Lets both decide for an invented room of `users` users, once for each item of `runs`.
+    /// Lets both decide for a synthetic room of `users` users, once for each item of `runs`.
     pub fn warm_up(&mut self, model: &ChannelModel, users: usize, runs: impl Iterator) {
         let mut policies: Vec<&mut dyn Policy> = vec![self.policy.as_mut()];
         if let Some(fallback) = self.fallback.as_mut() {

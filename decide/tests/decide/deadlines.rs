@@ -1,4 +1,4 @@
-//! What the core answers when there is no time, no report or no actor; and that warm_ups leave no
+//! What the core does when there is no time, no report or no actor; and that cache warm-ups leave no
 //! trace.
 
 use heliostat_decide::{
@@ -12,8 +12,8 @@ use heliostat_scenario::Scenario;
 use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, build, build_with, controller, scenario};
 
 /// Two ticks in time, then one that is late.
-fn late_answer(answer: &str) -> (MirrorCommand, Outcome, Controller) {
-    let scenario = scenario(&[&format!("control.when_late={answer}")]);
+fn late_action(action: &str) -> (MirrorCommand, Outcome, Controller) {
+    let scenario = scenario(&[&format!("control.when_late={action}")]);
     let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
     let mut room = Room::new(&scenario);
     room.tick(&mut controller, 1);
@@ -30,20 +30,20 @@ fn late_answer(answer: &str) -> (MirrorCommand, Outcome, Controller) {
 
 #[test]
 fn a_late_decision_has_the_configured_answer() {
-    let (good, outcome, _) = late_answer("last-good");
+    let (good, outcome, _) = late_action("last-good");
     let again = outcome.command();
     assert_eq!((&again.roll, &again.yaw), (&good.roll, &good.yaw));
     assert_eq!((again.sequence, again.answers, again.time_ns), (0, 30, Room::time(30)));
 
-    let parked = late_answer("park").1.command();
+    let parked = late_action("park").1.command();
     assert!(parked.roll.iter().chain(&parked.yaw).all(|angle| *angle == 0.0));
 
-    let (_, held, controller) = late_answer("hold");
+    let (_, held, controller) = late_action("hold");
     assert_eq!(held, Outcome::Held(DegradedMode::Late));
     assert_eq!((controller.counters().decisions, controller.counters().commands), (3, 2));
 
-    let decided = late_answer("policy").1.command();
-    let by_model = late_answer("fallback").1.command();
+    let decided = late_action("policy").1.command();
+    let by_model = late_action("fallback").1.command();
     assert_ne!(decided.yaw, good.yaw, "the users have moved on");
     assert_ne!(by_model.yaw, good.yaw);
 }
@@ -76,8 +76,8 @@ fn a_failing_policy_may_be_replaced_by_the_last_command() {
 }
 
 /// Commands given over a silence of one second, looked at every 50 ms.
-fn silence(answer: &str) -> (Vec<MirrorCommand>, Controller) {
-    let scenario = scenario(&[&format!("control.when_silent={answer}"), "control.report_age_max_ms=100"]);
+fn silence(action: &str) -> (Vec<MirrorCommand>, Controller) {
+    let scenario = scenario(&[&format!("control.when_silent={action}"), "control.report_age_max_ms=100"]);
     let mut controller = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
     assert!(controller.poll_timeout_command(Room::time(1)).is_none(), "no report has arrived yet");
     let mut room = Room::new(&scenario);
@@ -121,7 +121,7 @@ fn a_report_ends_the_silence() {
     }
 }
 
-/// The commands of a walk, with so many warm_ups after each.
+/// The commands of a walk, with so many cache warm-ups after each.
 fn walk(scenario: &Scenario, kind: PolicyKind, warm_ups: usize) -> Vec<MirrorCommand> {
     let source = ActorRecipe::fitting(scenario).file();
     let mut controller = controller(scenario, build_with(kind, scenario, &source).unwrap());
@@ -136,7 +136,7 @@ fn walk(scenario: &Scenario, kind: PolicyKind, warm_ups: usize) -> Vec<MirrorCom
 }
 
 #[test]
-fn cache_warm_ups_change_no_later_answer() {
+fn cache_warm_ups_change_no_later_command() {
     let ahead = scenario(&["control.prediction=constant-velocity", "control.slew_deg_per_s=600"]);
     for scenario in [scenario(&[]), ahead] {
         for kind in [PolicyKind::Ddpg, PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {

@@ -1,4 +1,4 @@
-//! Answers of the core in normal operation and in degraded modes.
+//! Decisions of the core in normal operation and in degraded modes.
 
 use heliostat_decide::{
     core::{DegradedMode, Stage},

@@ -89,9 +89,9 @@ impl TestSession {
         })?;
         let fetched = fetch_capabilities(&bus)?;
         let mut session = Self {
-            commands: bus.publisher(&keys.command(), Class::Order)?,
-            stops: bus.publisher(&keys.stop(), Class::Order)?,
-            calibrations: bus.publisher(&keys.calibration(), Class::Order)?,
+            commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,
+            stops: bus.publisher(&keys.stop(), Class::RealTimeBlock)?,
+            calibrations: bus.publisher(&keys.calibration(), Class::RealTimeBlock)?,
             received,
             _subscriptions: [telemetry, announced],
             answered: fetched.is_some(),

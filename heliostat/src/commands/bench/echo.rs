@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<()> {
     let mut declared = Vec::new();
     for name in &args.rooms {
         let room = Room::new(name)?;
-        let publisher = bus.publisher(&room.command(), Class::Control)?;
+        let publisher = bus.publisher(&room.command(), Class::RealTimeDrop)?;
         let (mut answer, echoed) = (vec![0; args.bytes], Arc::clone(&echoed));
         declared.push(bus.subscribe(&room.users(), move |payload| {
             if let Some(number) = payload.first_chunk::<8>() {

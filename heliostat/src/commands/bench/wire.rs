@@ -196,9 +196,9 @@ impl Side {
         for name in &names {
             let room = Room::new(name)?;
             publishers.push(Publishers {
-                users: bus.publisher(&room.users(), Class::Control)?,
-                channel: bus.publisher(&room.channel(), Class::Control)?,
-                obstacles: bus.publisher(&room.obstacles(), Class::Control)?,
+                users: bus.publisher(&room.users(), Class::RealTimeDrop)?,
+                channel: bus.publisher(&room.channel(), Class::RealTimeDrop)?,
+                obstacles: bus.publisher(&room.obstacles(), Class::RealTimeDrop)?,
             });
             let board = board.clone();
             let mut command = MirrorCommand::default();

@@ -1,4 +1,4 @@
-//! The controller process: the decision core of `heliostat-decide` on the bus, within the deadline.
+//! The controller process: the decision core of `heliostat-decide` on the bus, in real time.
 //!
 //! It depends on no simulator: a real room that follows the contract takes the place of the
 //! simulated one without a change here.

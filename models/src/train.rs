@@ -162,8 +162,8 @@ fn forced_counts(users: usize) -> Vec<usize> {
 fn room(scenario: &Scenario, users: usize, forced: usize) -> Scenario {
     let mut room = scenario.clone();
     if users != scenario.users.count {
-        let need = scenario.min_rate_bps().iter().copied().fold(0.0, f64::max) * 1e-6;
-        room.users.min_rate_mbps = heliostat_scenario::MinRate::All(need);
+        let min_rate_mbps = scenario.min_rate_bps().iter().copied().fold(0.0, f64::max) * 1e-6;
+        room.users.min_rate_mbps = heliostat_scenario::MinRate::All(min_rate_mbps);
     }
     (room.users.count, room.blockage.forced_users) = (users, forced);
     room
@@ -214,7 +214,10 @@ fn onnx_file(training: &Training, command: &str, scores: &[ScoreRow]) -> anyhow:
     let scenario = training.scenario();
     let score = |row: &ScoreRow| {
         let Score { ratio_to_oracle: ratio, qos_met, .. } = row.score;
-        format!("K={} b={}: {:.4} +- {:.4}, needs met {qos_met:.3}", row.users, row.forced, ratio.mean, ratio.ci95)
+        format!(
+            "K={} b={}: {:.4} +- {:.4}, minimum rates met {qos_met:.3}",
+            row.users, row.forced, ratio.mean, ratio.ci95
+        )
     };
     let metadata = [
         (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),

@@ -55,7 +55,7 @@ impl Bench {
         let parts = rates
             .iter()
             .zip(&seen.min_rate_bps)
-            .map(|(rate, need)| rate - REWARD.lambda * (REWARD.margin * need - rate).max(0.0));
+            .map(|(rate, min_rate)| rate - REWARD.lambda * (REWARD.margin * min_rate - rate).max(0.0));
         parts.sum::<f64>() / model.budget.bandwidth_hz
     }
 

@@ -155,7 +155,7 @@ structures! {
         min_rate_bps: f32 where not_negative,
     }
 
-    /// Sum rates in bit/s of the same moment for the policy and three baselines.
+    /// Sum rates in bit/s of the same moment for the policy and three references.
     #[derive(Copy)]
     structure SumRates {
         /// Sum rate with the present mirror angles, in bit/s.
@@ -309,7 +309,7 @@ enumerations! {
 
     /// Fault of simulated mirrors.
     enumeration FaultKind {
-        /// No fault: ends all faults of the mirrors except late, offline and reboot, which concern
+        /// No fault: ends all faults of the mirrors except delay, offline and reboot, which concern
         /// the array.
         #[default]
         Healed = 0 "healed",

@@ -159,7 +159,7 @@ macro_rules! message_table {
                 users: Vec<TruthUser> where at_most(MAX_USERS),
                 /// All obstacles, reported or not; the users' bodies are not among them.
                 obstacles: Vec<Obstacle> where at_most(MAX_OBSTACLES),
-                /// Sum rates of the policy and of the baselines.
+                /// Sum rates of the policy and of three references.
                 sum_rate_bps: SumRates,
             }
 

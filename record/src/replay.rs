@@ -8,7 +8,7 @@
 //!   exact. For any other message, the time at which the recorder received it; this only matters
 //!   for a message close to its maximum age. A report without a command is skipped: the controller
 //!   may not have received it, or may have dropped it for a newer one. A command that repeats the
-//!   one before it is replayed as a missed deadline, if the controller counted any.
+//!   one before it is replayed as a late decision, if the controller counted any.
 //!
 //! A recording cannot hold messages that the controller received before the recording started. The
 //! first [`SETTLE`] decisions of an epoch are therefore replayed but not compared, except in a

@@ -235,7 +235,7 @@ pub struct Streams {
     pub telemetry: PlainStream,
     /// The positions of the obstacles; at 0 no report contains them.
     pub obstacles: PlainStream,
-    /// The true state with its baselines, for viewers; simulator only.
+    /// The true state with reference rates, for viewers; simulator only.
     pub truth: PlainStream,
 }
 

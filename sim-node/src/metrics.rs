@@ -13,7 +13,7 @@ pub(crate) fn page(room: &str, summary: &Summary, ticks: &TickLedger) -> Page {
     for (name, help, value) in [
         ("heliostat_ticks", "Position reports published", summary.ticks),
         ("heliostat_ticks_lost", "Ticks that no accepted command answered in time", summary.lost_ticks),
-        ("heliostat_ticks_late", "Ticks that were published late or skipped", summary.late_ticks),
+        ("heliostat_ticks_late", "Delayed ticks: published after their due time, or skipped", summary.late_ticks),
         ("heliostat_ticks_unattended", "Ticks before the first answer", summary.unattended_ticks),
         ("heliostat_room_commands", "Commands that the array accepted", summary.commands),
         (

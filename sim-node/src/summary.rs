@@ -36,7 +36,8 @@ pub struct Summary {
     pub unattended_ticks: u64,
     /// Ticks that no accepted command answered in time.
     pub lost_ticks: u64,
-    /// Ticks that were published late, or skipped because the next one was already due.
+    /// Delayed ticks: published after their due time, or skipped because the next one was already
+    /// due.
     pub late_ticks: u64,
     /// Commands accepted.
     pub commands: u64,

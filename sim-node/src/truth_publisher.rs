@@ -1,4 +1,4 @@
-//! Publishes the truth of the room with its baselines, and the status of the simulator.
+//! Publishes the truth of the room with reference rates, and the status of the simulator.
 //!
 //! In live operation this runs on a separate thread, so that the oracle does not delay a tick.
 
@@ -20,7 +20,7 @@ use crate::session::RoomSession;
 /// Capacity for jobs of the thread; beyond it a job is skipped and counted.
 const JOBS_MAX: usize = 4;
 
-/// Computes the baselines and publishes truth, status and metrics.
+/// Computes the reference rates and publishes truth, status and metrics.
 pub(crate) struct TruthPublisher {
     baselines: Baselines,
     tally: Tally,

@@ -1,4 +1,4 @@
-//! The users' rates with the present mirror angles, and three baselines: no array, flat mirrors,
+//! The users' rates with the present mirror angles, and three references: no array, flat mirrors,
 //! and the oracle.
 //!
 //! All four are computed for the same instants with the same users and obstacles, so that their
@@ -137,8 +137,8 @@ impl Baselines {
         scene.rates_bps(model, flat, rates);
         measured.sum_rates_bps.flat = rates.iter().sum();
 
-        let need = MinimumRates { min_rate_bps: &at.min_rate_bps, qos_penalty: QOS_PENALTY };
-        solver.solve(model, scene, &need, Method::Oracle, best);
+        let minimum_rates = MinimumRates { min_rate_bps: &at.min_rate_bps, qos_penalty: QOS_PENALTY };
+        solver.solve(model, scene, &minimum_rates, Method::Oracle, best);
         scene.rates_bps(model, best, rates);
         measured.sum_rates_bps.oracle = rates.iter().sum();
         measured.met_oracle = met(rates);

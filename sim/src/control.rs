@@ -88,7 +88,7 @@ fn apply_fault(room: &mut SimulatedRoom, fault: &MirrorFault) -> Result<(), Orde
     let actuator = room.actuator_mut();
     match fault.fault {
         FaultKind::Offline => actuator.go_offline(seconds),
-        FaultKind::Late => actuator.set_lateness(seconds),
+        FaultKind::Late => actuator.set_delay_fault(seconds),
         FaultKind::Reboot => actuator.reboot(seconds),
         of_axes => {
             for mirror in selected(fault, mirrors) {

@@ -21,8 +21,8 @@ use crate::world::walker::Walker;
 
 pub mod schedule;
 
-/// A tick that is sampled later than this after it was due counts as late; half a period if that is
-/// shorter.
+/// A tick that is sampled later than this after its due time is a delayed tick; half a period if
+/// that is shorter.
 pub const LATE_NS: u64 = 1_000_000;
 
 /// A report of one stream.
@@ -134,7 +134,7 @@ impl Reports {
         self.tick
     }
 
-    /// Ticks that were sampled late, or skipped because the next one was already due.
+    /// Delayed ticks: sampled after their due time, or skipped because the next one was already due.
     pub fn late_ticks(&self) -> u64 {
         self.late_ticks
     }

@@ -135,7 +135,7 @@ fn each_fault_has_its_effect() {
         mirrors.command(&to(0.1));
         mirrors.step(0.1);
         assert_eq!(at(&mirrors, 3), [100000, 100000], "{profile:?}");
-        mirrors.set_lateness(0.05);
+        mirrors.set_delay_fault(0.05);
         mirrors.command(&to(0.3));
         mirrors.step(0.04);
         assert_eq!(at(&mirrors, 3), [100000, 100000], "{profile:?}");

@@ -1,8 +1,8 @@
 //! The figures that the page and the terminal show, computed from the latest message of every
 //! topic.
 //!
-//! A simulated room publishes its true state and the baselines. A real room publishes positions and
-//! measured gains: rates are then computed from the measured SINR, and there are no baselines.
+//! A simulated room publishes its true state and reference rates. A real room publishes positions and
+//! measured gains: rates are then computed from the measured SINR, and there are no references.
 
 use std::time::Instant;
 
@@ -51,7 +51,7 @@ impl UserFigures {
     }
 }
 
-/// Sum rates at the same instant in Mbit/s; baselines are absent in a real room.
+/// Sum rates at the same instant in Mbit/s; references are absent in a real room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SumFigures {
     /// With the mirrors as they are.

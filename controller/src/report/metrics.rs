@@ -36,7 +36,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
             "Decisions on position reports: commands, and decisions to send none",
             summary.decisions,
         ),
-        ("heliostat_commands", "Commands sent for position reports", summary.commands),
+        ("heliostat_commands", "Commands given to the transport", summary.commands),
         ("heliostat_commands_unsent", "Commands that the transport refused", summary.unsent),
         (
             "heliostat_reports_dropped",

@@ -17,7 +17,7 @@ pub struct Summary {
     pub epoch: u64,
     /// Decisions on position reports: commands, and decisions to send none.
     pub decisions: u64,
-    /// Commands among the decisions.
+    /// Commands given.
     pub commands: u64,
     /// Decisions of more than 0.5 ms.
     pub over_budget: u64,

@@ -1,13 +1,12 @@
-//! When to warm up the caches between reports: a state machine without thread or clock.
+//! Cache warm-up: when to warm up the caches between reports; a state machine without thread or clock.
 //!
 //! # Theory of operation
 //!
 //! Between two reports the processor's caches lose the code and data of a decision, and an idle
 //! thread has to be woken. For a slow policy both cost more than a second run of the policy. So the
 //! room's thread repeats the last decision [`WARM_UPS`] times shortly before the next report is
-//! expected. It then spins until the report arrives or is overdue. The section "Where decisions are
-//! made, and keeping warm" of docs/results/latency.md has the measurements from which the constants
-//! were chosen.
+//! expected. It then spins until the report arrives or is overdue. The section "Cache warm-up" of
+//! docs/experiments/latency.md has the measurements from which the constants were chosen.
 //!
 //! ```text
 //!             on_decision, report expected        start time reached
@@ -27,24 +26,24 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Warm-ups before an expected report: the first loads code and data, the second finds them in the
+/// Cache warm-ups before an expected report: the first loads code and data, the second finds them in the
 /// caches.
 const WARM_UPS: u32 = 2;
 
-/// Decision times for which warm-ups pay. Below, waking the thread costs more than the caches give;
-/// above, the gain is small and warm-ups would delay reports. Measured: docs/results/latency.md.
+/// Decision times for which cache warm-ups pay. Below, waking the thread costs more than the caches give;
+/// above, the gain is small and warm-ups would delay reports. Measured: docs/experiments/latency.md.
 const WORTH_STARTING: RangeInclusive<Duration> = Duration::from_micros(250)..=Duration::from_millis(5);
 
 /// The same for decisions that are warmed up, and therefore faster: half of the lower bound.
-/// Measured: docs/results/latency.md.
+/// Measured: docs/experiments/latency.md.
 const WORTH_CONTINUING: RangeInclusive<Duration> = Duration::from_micros(125)..=Duration::from_millis(5);
 
 /// Warm-ups end at least this long before the expected arrival of a report. Measured:
-/// docs/results/latency.md.
+/// docs/experiments/latency.md.
 const MARGIN_BEFORE_REPORT: Duration = Duration::from_micros(50);
 
-/// Time for a report that arrives as late as expected to reach the room's thread. Measured:
-/// docs/results/latency.md.
+/// Time for a report that arrives at the latest expected time to reach the room's thread. Measured:
+/// docs/experiments/latency.md.
 const MARGIN_AFTER_REPORT: Duration = Duration::from_micros(100);
 
 /// Longest spin: a twentieth of the interval between reports at 100 Hz, which bounds the processor
@@ -97,7 +96,7 @@ pub enum Action {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// No warm-up is planned.
+    /// No cache warm-up is planned.
     Idle,
     /// Warm-ups begin at a planned time.
     Armed { start: Instant },
@@ -134,7 +133,7 @@ impl CacheWarmer {
         self.arrivals.on_report(at);
     }
 
-    /// Something arrived for the room's thread: warm-ups that are under way end.
+    /// Something arrived for the room's thread: cache warm-ups that are under way end.
     pub fn on_arrival(&mut self) {
         if let Phase::WarmingUp { .. } = self.phase {
             self.phase = Phase::Idle;
@@ -152,7 +151,7 @@ impl CacheWarmer {
         self.arm(at);
     }
 
-    /// A warm-up ended after `took`.
+    /// A cache warm-up ended after `took`.
     pub fn on_warm_up(&mut self, took: Duration) {
         self.warm_up.add(took);
         self.warm_ups += 1;
@@ -194,7 +193,7 @@ impl CacheWarmer {
         self.warm_ups
     }
 
-    /// Plans warm-ups for the next report, unless it is too late for that at `now`.
+    /// Plans cache warm-ups for the next report, unless they would start before `now`.
     fn arm(&mut self, now: Instant) {
         let start = self.start().filter(|start| self.is_worthwhile() && *start >= now);
         self.phase = start.map_or(Phase::Idle, |start| Phase::Armed { start });

@@ -195,12 +195,12 @@ mod tests {
         let (queue, soon) = (ReceiveQueue::default(), Instant::now() + Duration::from_millis(1));
         queue.spin(soon);
         assert!(Instant::now() >= soon, "nothing arrived");
-        let late = Instant::now() + Duration::from_secs(60);
+        let limit = Instant::now() + Duration::from_secs(60);
         std::thread::scope(|scope| {
             scope.spawn(|| queue.push(Stream::Users, &[1], Instant::now()));
-            queue.spin(late);
+            queue.spin(limit);
         });
-        assert!(Instant::now() < late, "the arrival went unnoticed");
+        assert!(Instant::now() < limit, "the arrival went unnoticed");
     }
 
     #[test]

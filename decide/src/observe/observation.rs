@@ -13,7 +13,7 @@
 //! | present | U | 1 where the slot holds a user |
 //! | positions | 3 U | x, y, z of each user in m, room frame |
 //! | LoS amplitude | U | s times the gain of the direct path |
-//! | need | U | minimum rate times users over bandwidth, bit/s/Hz |
+//! | minimum rate | U | minimum rate times users over bandwidth, bit/s/Hz |
 //! | steering amplitude | U M, user by user | s times the gain of each mirror if it were aimed at the user |
 //! | angles | 2 M | roll of each mirror, then yaw of each mirror, as last commanded, rad |
 //! | summary | 11 U | features of each user, column by column: see [`Summary`] |
@@ -232,13 +232,13 @@ impl ObservationEncoder {
     }
 
     /// The users' minimum rates.
-    pub fn need(&self) -> Range<usize> {
+    pub fn min_rate(&self) -> Range<usize> {
         following(&self.los_amplitude(), self.users_max)
     }
 
     /// The steering amplitudes, user by user.
     pub fn steering_amplitude(&self) -> Range<usize> {
-        following(&self.need(), self.users_max * self.mirrors)
+        following(&self.min_rate(), self.users_max * self.mirrors)
     }
 
     /// The angles, all roll and then all yaw.
@@ -265,7 +265,7 @@ impl ObservationEncoder {
         self.check(observation, out)?;
         let users = observation.users();
         let amplitude_scale = model.budget.amplitude_scale();
-        let need_scale = users as f64 / model.budget.bandwidth_hz;
+        let min_rate_scale = users as f64 / model.budget.bandwidth_hz;
 
         let present = &mut out[self.present()];
         present[..users].fill(1.0);
@@ -278,7 +278,7 @@ impl ObservationEncoder {
         positions[3 * users..].fill(0.0);
 
         write_scaled(&mut out[self.los_amplitude()], observation.scene.los_gain(), amplitude_scale);
-        write_scaled(&mut out[self.need()], &observation.min_rate_bps, need_scale);
+        write_scaled(&mut out[self.min_rate()], &observation.min_rate_bps, min_rate_scale);
         write_scaled(&mut out[self.steering_amplitude()], observation.scene.steering_gain(), amplitude_scale);
 
         let (roll, yaw) = out[self.angles()].split_at_mut(self.mirrors);
@@ -293,14 +293,14 @@ impl ObservationEncoder {
         let (parts, summary) = out.split_at_mut(self.summary().start);
         summary.fill(0.0);
         let direct = &parts[self.los_amplitude()][..users];
-        let needs = &parts[self.need()][..users];
+        let min_rates = &parts[self.min_rate()][..users];
         let steering = &parts[self.steering_amplitude()][..users * self.mirrors];
         let mut columns = summary.chunks_exact_mut(self.users_max).map(|column| &mut column[..users]);
-        let [present, x, y, z, need, count, log_direct, log_steering, shared, balanced, weight] =
+        let [present, x, y, z, min_rate, count, log_direct, log_steering, shared, balanced, weight] =
             std::array::from_fn::<_, { Summary::COLUMNS }, _>(|_| columns.next().expect("a column for each entry"));
         present.fill(1.0);
         count.fill(users as f32);
-        need.copy_from_slice(needs);
+        min_rate.copy_from_slice(min_rates);
         let scale = (self.mirrors as f32).sqrt();
         for user in 0..users {
             let place = &parts[self.positions()][3 * user..][..3];
@@ -313,7 +313,7 @@ impl ObservationEncoder {
         sharing::amplitudes(steering, direct, weight, shared);
         balanced.copy_from_slice(shared);
         let before = mean_log(weight);
-        sharing::balance(steering, direct, needs, weight, balanced);
+        sharing::balance(steering, direct, min_rates, weight, balanced);
         let factor = before - mean_log(weight);
         for user in 0..users {
             shared[user] = shared[user].ln_1p();

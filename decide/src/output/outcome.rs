@@ -125,7 +125,7 @@ impl DegradedMode {
 pub struct Counters {
     /// Decisions on position reports: commands, and decisions to send none.
     pub decisions: u64,
-    /// Commands among the decisions.
+    /// Commands given.
     pub commands: u64,
     /// Axis values that the limits changed.
     pub clipped: Clipped,

@@ -43,8 +43,8 @@ impl Policy for Exhaustive {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        let need = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
-        self.solver.exhaustive(&Problem::of_scene(model, &observation.scene, &need))?;
+        let minimum_rates = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
+        self.solver.exhaustive(&Problem::of_scene(model, &observation.scene, &minimum_rates))?;
         decode::aim(model, &observation.scene, self.solver.served(), out);
         Ok(())
     }

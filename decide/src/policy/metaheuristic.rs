@@ -157,7 +157,7 @@ impl Population {
         let place = &self.places[index];
         observation.scene.rates_bps(model, place, &mut self.rates_bps);
         let users = self.rates_bps.iter().zip(&observation.min_rate_bps);
-        let objective = users.map(|(rate, need)| rate - QOS_PENALTY * (need - rate).max(0.0)).sum();
+        let objective = users.map(|(rate, min_rate)| rate - QOS_PENALTY * (min_rate - rate).max(0.0)).sum();
         self.objectives[index] = objective;
         if objective > self.best_objective {
             self.best_objective = objective;

@@ -55,8 +55,8 @@ impl Policy for ModelBased {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        let need = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
-        self.solver.solve(model, &observation.scene, &need, self.method, out);
+        let minimum_rates = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
+        self.solver.solve(model, &observation.scene, &minimum_rates, self.method, out);
         Ok(())
     }
 

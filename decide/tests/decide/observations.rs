@@ -57,13 +57,13 @@ fn the_layout_is_version_three() {
     assert_eq!(vector[69..78], [-0.5; 9]);
 
     let summary: Vec<&[f32]> = vector[78..].chunks(4).collect();
-    let (direct, need) = (&vector[16..20], &vector[20..24]);
+    let (direct, min_rate) = (&vector[16..20], &vector[20..24]);
     assert_eq!(summary[0], [1.0, 1.0, 1.0, 0.0]);
     assert_eq!([summary[1], summary[2]], [[0.5, -1.0, 2.0, 0.0], [0.25, 1.5, -2.0, 0.0]]);
-    assert_eq!([summary[3], summary[4], summary[5]], [&[0.85, 0.85, 0.85, 0.0], need, &[3.0, 3.0, 3.0, 0.0]]);
+    assert_eq!([summary[3], summary[4], summary[5]], [&[0.85, 0.85, 0.85, 0.0], min_rate, &[3.0, 3.0, 3.0, 0.0]]);
     assert_eq!(summary[6], [direct[0].ln_1p(), direct[1].ln_1p(), direct[2].ln_1p(), 0.0]);
     let in_f64 = |values: &[f32]| values.iter().map(|&value| f64::from(value)).collect::<Vec<f64>>();
-    let expected = balanced(&in_f64(&vector[24..51]), &in_f64(&direct[..3]), &in_f64(&need[..3]));
+    let expected = balanced(&in_f64(&vector[24..51]), &in_f64(&direct[..3]), &in_f64(&min_rate[..3]));
     for (column, expected) in summary[7..].iter().zip(expected) {
         for (found, expected) in column.iter().zip(expected) {
             assert!(
@@ -76,7 +76,7 @@ fn the_layout_is_version_three() {
 }
 
 /// The last four columns by their definitions.
-fn balanced(steering: &[f64], direct: &[f64], needs: &[f64]) -> [Vec<f64>; 4] {
+fn balanced(steering: &[f64], direct: &[f64], min_rates: &[f64]) -> [Vec<f64>; 4] {
     let rows: Vec<&[f64]> = steering.chunks(steering.len() / direct.len()).collect();
     let totals: Vec<f64> = rows.iter().map(|row| row.iter().sum()).collect();
     let shared = |weights: &[f64]| -> Vec<f64> {
@@ -87,10 +87,10 @@ fn balanced(steering: &[f64], direct: &[f64], needs: &[f64]) -> [Vec<f64>; 4] {
         };
         (0..rows.len()).map(|k| direct[k] + (0..rows[k].len()).map(|mirror| share(k, mirror)).sum::<f64>()).collect()
     };
-    let slope = |need: f64, x: f64| {
-        let need = need * std::f64::consts::LN_2;
-        let (threshold, nats) = (need.exp_m1().sqrt(), (x * x).ln_1p());
-        if x < threshold { 11.0 * (need - nats) / (threshold - x) } else { 2.0 * x / (1.0 + x * x) }
+    let slope = |min_rate: f64, x: f64| {
+        let min_rate = min_rate * std::f64::consts::LN_2;
+        let (threshold, nats) = (min_rate.exp_m1().sqrt(), (x * x).ln_1p());
+        if x < threshold { 11.0 * (min_rate - nats) / (threshold - x) } else { 2.0 * x / (1.0 + x * x) }
     };
     let mean_log = |weights: &[f64]| weights.iter().map(|weight| weight.ln()).sum::<f64>() / weights.len() as f64;
     let mut weights: Vec<f64> = totals.iter().map(|total| (rows[0].len() as f64).sqrt() / (total + 1e-6)).collect();
@@ -98,7 +98,7 @@ fn balanced(steering: &[f64], direct: &[f64], needs: &[f64]) -> [Vec<f64>; 4] {
     let mut amplitudes = equal.clone();
     for step in [0.4, 0.4 / 1.5, 0.2, 0.16] {
         for (k, weight) in weights.iter_mut().enumerate() {
-            *weight = weight.powf(1.0 - step) * slope(needs[k], amplitudes[k].max(1e-3)).powf(step);
+            *weight = weight.powf(1.0 - step) * slope(min_rates[k], amplitudes[k].max(1e-3)).powf(step);
         }
         amplitudes = shared(&weights);
     }
@@ -136,7 +136,7 @@ fn the_parts_cover_the_vector_without_gap() {
         encoder.present(),
         encoder.positions(),
         encoder.los_amplitude(),
-        encoder.need(),
+        encoder.min_rate(),
         encoder.steering_amplitude(),
         encoder.angles(),
         encoder.summary(),

@@ -106,7 +106,7 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
             "present": part(encoder.present()),
             "positions": part(encoder.positions()),
             "los_amplitude": part(encoder.los_amplitude()),
-            "min_rate": part(encoder.need()),
+            "min_rate": part(encoder.min_rate()),
             "steering_amplitude": part(encoder.steering_amplitude()),
             "angles": part(encoder.angles()),
             "summary": part(encoder.summary()),

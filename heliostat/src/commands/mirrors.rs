@@ -90,9 +90,9 @@ impl<'a> Instant<'a> {
     /// The best angles; `qos_penalty` is the cost of each bit/s below a minimum rate, in bit/s.
     pub fn oracle(&self, qos_penalty: f64) -> MirrorAngles {
         let mut angles = MirrorAngles::flat(self.model.mirrors.len());
-        let need = MinimumRates { min_rate_bps: &self.observation.min_rate_bps, qos_penalty };
+        let minimum_rates = MinimumRates { min_rate_bps: &self.observation.min_rate_bps, qos_penalty };
         let mut solver = Solver::new(self.observation.users(), self.model.mirrors.len());
-        solver.solve(self.model, &self.observation.scene, &need, Method::Oracle, &mut angles);
+        solver.solve(self.model, &self.observation.scene, &minimum_rates, Method::Oracle, &mut angles);
         angles
     }
 }

@@ -1,4 +1,4 @@
-//! The state of learners that read positions, gains and needs directly, and actions that are mirror
+//! The state of learners that read positions, gains and minimum rates directly, and actions that are mirror
 //! angles.
 
 use heliostat_channel::MirrorAngles;
@@ -48,12 +48,12 @@ impl AngleState {
 
     /// Number of entries in a state.
     pub fn inputs(&self) -> usize {
-        self.encoder.need().end + if self.angles { self.outputs() } else { 0 }
+        self.encoder.min_rate().end + if self.angles { self.outputs() } else { 0 }
     }
 
     /// The state that an observation vector describes.
     pub fn state(&self, vector: &[f32]) -> Vec<f32> {
-        let mut state = vector[..self.encoder.need().end].to_vec();
+        let mut state = vector[..self.encoder.min_rate().end].to_vec();
         state[self.encoder.positions()]
             .iter_mut()
             .zip(self.extents())
@@ -89,8 +89,8 @@ impl AngleState {
         let one = graph.scalar(1.0);
         let direct = graph.node("Add", &[&direct, &one]);
         let direct = graph.node("Log", &[&direct]);
-        let need = part(graph, encoder.need());
-        let mut parts = vec![present, positions, direct, need];
+        let min_rate = part(graph, encoder.min_rate());
+        let mut parts = vec![present, positions, direct, min_rate];
         if self.angles {
             let (angles, range) = (part(graph, encoder.angles()), graph.scalar(self.range_rad));
             parts.push(graph.node("Div", &[&angles, &range]));

@@ -163,7 +163,7 @@ impl BestEntry {
 /// [`QOS_PENALTY`].
 pub fn objective_bps(rates_bps: &[f64], min_rate_bps: &[f64]) -> f64 {
     let pairs = rates_bps.iter().zip(min_rate_bps);
-    pairs.map(|(rate, need)| rate - QOS_PENALTY * (need - rate).max(0.0)).sum()
+    pairs.map(|(rate, min_rate)| rate - QOS_PENALTY * (min_rate - rate).max(0.0)).sum()
 }
 
 impl Policy for BestEntry {

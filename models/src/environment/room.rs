@@ -127,8 +127,8 @@ impl Environment {
         rewards.fill(0.0);
         let scale = self.rates_bps.len() as f64 / self.world.model().budget.bandwidth_hz;
         let mut outcome = Outcome::default();
-        for ((slot, rate), need) in rewards.iter_mut().zip(&self.rates_bps).zip(&self.observation.min_rate_bps) {
-            let part = reward.of(*rate, *need);
+        for ((slot, rate), min_rate) in rewards.iter_mut().zip(&self.rates_bps).zip(&self.observation.min_rate_bps) {
+            let part = reward.of(*rate, *min_rate);
             *slot = (scale * part) as f32;
             outcome.reward_mbps += 1e-6 * part;
             outcome.sum_rate_mbps += 1e-6 * rate;
@@ -195,11 +195,11 @@ impl Rooms {
         };
         let factor = low * (high / low).powf(rng.random::<f64>());
         room.noise.variance_a2 = Some(noise_variance_a2(scenario) * factor);
-        let need = match &scenario.users.min_rate_mbps {
+        let min_rate_mbps = match &scenario.users.min_rate_mbps {
             MinRate::All(rate) => *rate,
             MinRate::Each(rates) => rates.iter().copied().fold(0.0, f64::max),
         };
-        room.users.min_rate_mbps = MinRate::All(need * rng.random_range(0.0..2.0));
+        room.users.min_rate_mbps = MinRate::All(min_rate_mbps * rng.random_range(0.0..2.0));
         room
     }
 }

@@ -149,7 +149,7 @@ impl HeldOut {
 }
 
 /// Share of users whose minimum rate is met; a shortfall by rounding counts as met.
-pub(crate) fn met(rates: &[f64], needs: &[f64]) -> f64 {
-    let count = rates.iter().zip(needs).filter(|(rate, need)| **rate >= **need * (1.0 - 1e-9)).count();
+pub(crate) fn met(rates: &[f64], min_rates: &[f64]) -> f64 {
+    let count = rates.iter().zip(min_rates).filter(|(rate, min_rate)| **rate >= **min_rate * (1.0 - 1e-9)).count();
     count as f64 / rates.len() as f64
 }

@@ -179,7 +179,7 @@ pub struct Channel {
     /// Amplitude of the direct path, (batch, slots).
     direct: Tensor,
     /// Minimum rates in bit/s/Hz of a user's band, (batch, slots).
-    need: Tensor,
+    min_rate: Tensor,
     /// Balanced weights, (batch, slots).
     balanced: Tensor,
     /// Amplitude of each mirror when it is aimed at the user, (batch, slots, mirrors).
@@ -222,7 +222,7 @@ impl Channel {
         Ok(Self {
             present: part(encoder.present())?,
             direct: part(encoder.los_amplitude())?,
-            need: part(encoder.need())?,
+            min_rate: part(encoder.min_rate())?,
             balanced: part(encoder.column(Summary::LogWeight as usize))?.exp()?,
             steering: part(encoder.steering_amplitude())?.reshape(all)?,
             mirrors,
@@ -265,7 +265,7 @@ impl Channel {
     /// Errors of candle.
     pub fn reward(&self, amplitude: &Tensor, reward: Reward) -> Result<Tensor> {
         let rate = ((amplitude.sqr()? + 1.0)?.log()? * std::f64::consts::LOG2_E)?;
-        let shortfall = ((&self.need * reward.margin)? - &rate)?.relu()?;
+        let shortfall = ((&self.min_rate * reward.margin)? - &rate)?.relu()?;
         let part = (rate - (shortfall * reward.lambda)?)?.mul(&self.present)?;
         part.sum(1)?.div(&self.present.sum(1)?)
     }

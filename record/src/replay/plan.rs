@@ -68,7 +68,7 @@ impl Beginning {
 pub(super) struct Answer {
     pub epoch: u64,
     pub time_ns: Nanos,
-    /// Its angles equal those of the command before it, as after a missed deadline.
+    /// Its angles equal those of the command before it, as after a late decision.
     pub is_repeat: bool,
 }
 
@@ -90,7 +90,7 @@ pub(super) struct Plan {
 #[derive(Default)]
 struct ControllerHistory {
     policies: BTreeSet<String>,
-    /// Decisions that missed their deadline.
+    /// Decisions whose predicted latency exceeded the deadline.
     late: u64,
 }
 
@@ -168,7 +168,7 @@ impl Plan {
         history.policies.insert(status.policy);
     }
 
-    /// Whether the controller of an epoch missed deadlines.
+    /// Whether the controller of an epoch counted late decisions.
     pub fn was_late(&self, epoch: u64) -> bool {
         self.controllers.get(&epoch).is_some_and(|history| history.late > 0)
     }

@@ -9,8 +9,8 @@
 //! divided where a delayed command takes effect and where a set-point arrives. No call allocates
 //! once the command queue has reached its length.
 //!
-//! Each axis can have a fault, and the array as a whole can be late, offline or restarted
-//! ([`Actuator::set_fault`], [`Actuator::set_lateness`], [`Actuator::go_offline`],
+//! Each axis can have a fault, and the complete array can have a delay fault, be offline or restart
+//! ([`Actuator::set_fault`], [`Actuator::set_delay_fault`], [`Actuator::go_offline`],
 //! [`Actuator::reboot`]).
 
 use heliostat_channel::mirrors::MirrorAngles;
@@ -130,8 +130,8 @@ impl Actuator {
     }
 
     /// Delays later commands by so many seconds more.
-    pub fn set_lateness(&mut self, seconds: f64) {
-        self.drive.set_lateness(seconds);
+    pub fn set_delay_fault(&mut self, seconds: f64) {
+        self.drive.set_delay_fault(seconds);
     }
 
     /// Ignores commands for so many seconds and drops those that have not taken effect; targets

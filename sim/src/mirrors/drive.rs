@@ -25,7 +25,7 @@ pub(super) struct Drive {
     delay_s: f64,
     hysteresis_rad: f64,
     /// Added to the delay, in s.
-    lateness_s: f64,
+    delay_fault_s: f64,
     pending: VecDeque<Pending>,
     /// Lists of commands that have taken effect, for reuse: no call allocates in the steady state.
     spare: Vec<Vec<f64>>,
@@ -41,7 +41,7 @@ impl Drive {
             resolution_bits: parameters.resolution_bits,
             delay_s: parameters.delay_s,
             hysteresis_rad: parameters.hysteresis_rad,
-            lateness_s: 0.0,
+            delay_fault_s: 0.0,
             pending: VecDeque::new(),
             spare: Vec::new(),
             targets: vec![0.0; axes],
@@ -61,7 +61,7 @@ impl Drive {
         }
         // A drive keeps the order of its commands, also when its delay has become shorter.
         let earliest = self.pending.back().map_or(0.0, |last| last.effective_at);
-        let effective_at = (time_s + self.delay_s + self.lateness_s).max(earliest);
+        let effective_at = (time_s + self.delay_s + self.delay_fault_s).max(earliest);
         self.pending.push_back(Pending { effective_at, targets });
     }
 
@@ -89,8 +89,8 @@ impl Drive {
     }
 
     /// Delays later commands by so many seconds more.
-    pub fn set_lateness(&mut self, seconds: f64) {
-        self.lateness_s = seconds;
+    pub fn set_delay_fault(&mut self, seconds: f64) {
+        self.delay_fault_s = seconds;
     }
 
     /// The targets in rad: roll of every mirror, then yaw of every mirror.

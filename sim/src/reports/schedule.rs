@@ -1,6 +1,6 @@
-//! When the samples of a stream are due: at k / rate seconds. Absolute deadlines do not drift.
+//! When the samples of a stream are due: at k / rate seconds. Absolute due times do not drift.
 
-/// The deadlines of one stream.
+/// The due times of one stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
     rate_hz: f64,
@@ -8,12 +8,12 @@ pub struct Schedule {
     next: u64,
 }
 
-/// A deadline that has been reached.
+/// A due time that has been reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Due {
     /// When the sample was due, in ns of local time.
     pub due_ns: u64,
-    /// Later deadlines that have passed as well and are skipped.
+    /// Later due times that have passed as well and are skipped.
     pub skipped: u64,
 }
 
@@ -24,31 +24,31 @@ impl Schedule {
         Self { rate_hz, phase_ns, next: 0 }
     }
 
-    /// The next deadline in ns of local time.
+    /// The next due time in ns of local time.
     pub fn next_ns(&self) -> Option<u64> {
-        (self.rate_hz > 0.0).then(|| self.deadline(self.next))
+        (self.rate_hz > 0.0).then(|| self.due_ns(self.next))
     }
 
-    /// Takes the deadline that has been reached; later ones that have passed too are skipped and
+    /// Takes the due time that has been reached; later ones that have passed too are skipped and
     /// counted.
     pub fn take(&mut self, now_ns: u64) -> Option<Due> {
         let due_ns = self.next_ns().filter(|due_ns| *due_ns <= now_ns)?;
         let first = self.next + 1;
-        // The estimate is never too large; the loop corrects it against the deadlines.
+        // The estimate is never too large; the loop corrects it against the due times.
         let elapsed_s = now_ns.saturating_sub(self.phase_ns) as f64 * 1e-9;
         self.next = first.max((elapsed_s * self.rate_hz) as u64);
-        while self.deadline(self.next) <= now_ns {
+        while self.due_ns(self.next) <= now_ns {
             self.next += 1;
         }
         Some(Due { due_ns, skipped: self.next - first })
     }
 
-    /// The time between two deadlines in ns.
+    /// The time between two due times in ns.
     pub fn period_ns(&self) -> u64 {
         (1e9 / self.rate_hz).round() as u64
     }
 
-    fn deadline(&self, index: u64) -> u64 {
+    fn due_ns(&self, index: u64) -> u64 {
         self.phase_ns + (index as f64 * 1e9 / self.rate_hz).round() as u64
     }
 }
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn deadlines_do_not_drift_and_streams_of_one_rate_coincide() {
+    fn due_times_do_not_drift_and_streams_of_one_rate_coincide() {
         let mut thirds = Schedule::new(3.0, 0);
         let mut sixths = Schedule::new(6.0, 0);
         let mut last = 0;
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn no_sample_is_due_early_and_skipped_deadlines_are_counted() {
+    fn no_sample_is_due_early_and_skipped_due_times_are_counted() {
         let mut schedule = Schedule::new(100.0, 5_000_000);
         assert_eq!(schedule.take(4_999_999), None);
         assert_eq!(schedule.take(5_000_001), Some(Due { due_ns: 5_000_000, skipped: 0 }));

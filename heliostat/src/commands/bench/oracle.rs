@@ -114,14 +114,14 @@ fn measure(mode: &str, (users, side): (usize, usize), qos: bool, time: Duration)
         .map(|seed| Ok(World::new(&scenario, scenario.read_trace()?.as_deref(), seed)?.scene().clone()))
         .collect::<Result<Vec<_>>>()?;
     let min_rate_bps = scenario.min_rate_bps();
-    let need = MinimumRates { min_rate_bps: &min_rate_bps, qos_penalty: if qos { QOS_PENALTY } else { 0.0 } };
+    let minimum_rates = MinimumRates { min_rate_bps: &min_rate_bps, qos_penalty: if qos { QOS_PENALTY } else { 0.0 } };
     let mut solver = Solver::new(users, model.mirrors.len());
     let mut angles = MirrorAngles::flat(model.mirrors.len());
     let methods = [Method::Oracle, Method::FixedPoint, Method::Greedy { passes: 3 }];
     let mut times: [Vec<f64>; 3] = Default::default();
     let mut solve = |scene: &Scene, method: Method| {
         let start = Instant::now();
-        black_box(solver.solve(&model, scene, &need, method, &mut angles));
+        black_box(solver.solve(&model, scene, &minimum_rates, method, &mut angles));
         start.elapsed().as_secs_f64() * 1e6
     };
     // One unmeasured solution each warms memory and caches.

@@ -32,7 +32,7 @@ const END_WITHIN: Duration = Duration::from_secs(10);
 const LOST_AFTER: Duration = Duration::from_millis(500);
 /// Unmeasured reports at the start.
 const WARM_UP: u64 = 100;
-/// The wait ends with a busy-wait of this length, because sleep ends late.
+/// The wait ends with a busy-wait of this length, because a sleep ends after its due time.
 const SPIN: Duration = Duration::from_micros(100);
 
 /// Flags that the benchmarks across processes share.

@@ -13,7 +13,7 @@ const CLOCK_WATCH: Duration = Duration::from_millis(200);
 const STEP_MIN: Duration = Duration::from_millis(2);
 /// Number of measured wake-ups.
 const WAKE_UPS: usize = 100;
-/// A wake-up this late takes half of the 0.5 ms of a decision.
+/// A wake-up with this delay takes half of the latency budget of a decision, 0.5 ms.
 const LATE_WAKE_UP: Duration = Duration::from_micros(250);
 /// Memory that a controller with its buffers and a model locks at most, in bytes.
 const MEMORY_LOCK_NEEDED: u64 = 256 << 20;
@@ -175,7 +175,7 @@ fn governor() -> Check {
         Some(other) => Check::warn(
             name,
             other.clone(),
-            "the processor slows down between reports, so decisions are late: cpupower frequency-set -g performance",
+            "the processor slows down between reports, so decisions take longer: cpupower frequency-set -g performance",
         ),
     }
 }

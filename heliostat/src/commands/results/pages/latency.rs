@@ -195,7 +195,7 @@ pub static PAGE: Page = Page {
         },
         Section {
             name: "misses-ddpg",
-            title: "Missed deadlines, ddpg",
+            title: "Over budget, ddpg",
             about: "Decisions of more than 0.5 ms at 1000 reports a second, by their longest stage.",
             command: "bench decide --hz 1000 --policy ddpg",
             full: "--decisions 100000",
@@ -211,7 +211,7 @@ pub static PAGE: Page = Page {
         },
         Section {
             name: "misses-nearest",
-            title: "Missed deadlines, nearest",
+            title: "Over budget, nearest",
             about: "Decisions of more than 0.5 ms at 1000 reports a second, by their longest stage.",
             command: "bench decide --hz 1000 --policy nearest",
             full: "--decisions 100000",
@@ -227,8 +227,8 @@ pub static PAGE: Page = Page {
         },
         Section {
             name: "misses-hold",
-            title: "Missed deadlines, hold",
-            about: "The same with a policy that sends no command: what the machine itself misses.",
+            title: "Over budget, hold",
+            about: "The same with a policy that sends no command: the share that the machine itself causes.",
             command: "bench decide --hz 1000 --policy hold",
             full: "--decisions 100000",
             quick: "--decisions 500",

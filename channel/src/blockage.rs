@@ -72,7 +72,8 @@ pub(crate) fn plan_chord(cylinder: &Cylinder, from: (f64, f64), to: (f64, f64)) 
     }
     let nearest = off_x * along_x + off_y * along_y;
     let discriminant = nearest * nearest - squared_length * outside;
-    if discriminant.is_nan() || discriminant <= 0.0 {
+    // With radius 0 a rounding error could make the discriminant positive.
+    if discriminant.is_nan() || discriminant <= 0.0 || cylinder.radius_m == 0.0 {
         return None;
     }
     let half = discriminant.sqrt();

@@ -118,6 +118,22 @@ fn forced_users_lose_the_direct_path_only() {
     assert!(scene.los_gain()[1] > 0.0, "the flag is not kept");
 }
 
+/// Also segments through the axis, where the discriminant is 0 or a rounding error.
+#[test]
+fn a_cylinder_of_radius_0_blocks_nothing() {
+    let mut random = Random::new(31);
+    for _ in 0..10_000 {
+        let (x_m, y_m) = (random.uniform(-3.0, 3.0), random.uniform(-3.0, 3.0));
+        let line = Cylinder { x_m, y_m, radius_m: 0.0, height_m: 3.0 };
+        let from = at(random.uniform(-3.0, 3.0), random.uniform(-3.0, 3.0), 2.0);
+        let fraction = random.uniform(0.1, 0.9);
+        let through = |axis: f64, start: f64| start + (axis - start) / fraction;
+        let to = at(through(x_m, from.x), through(y_m, from.y), 1.0);
+        assert!(!blocks(&line, &from, &to), "{line:?}: {from} to {to}");
+        assert!(!blocks(&line, &at(x_m, y_m, 2.0), &at(x_m, y_m, 1.0)), "along the axis");
+    }
+}
+
 /// Eq. (5) in explicit form: a thin blocker's shadow on the receiver plane begins and ends where
 /// the segment test says.
 #[test]

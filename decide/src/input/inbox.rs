@@ -324,7 +324,7 @@ impl Rules {
     }
 
     fn check_obstacles(&self, report: &ObstacleReport) -> Result<(), Refusal> {
-        plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m > 0.0 && obstacle.height_m >= 0.0))
+        plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m >= 0.0 && obstacle.height_m >= 0.0))
     }
 
     fn check_telemetry(&self, report: &MirrorTelemetry) -> Result<(), Refusal> {

@@ -232,6 +232,22 @@ fn surveyed_obstacles_stand_in_the_light() {
     assert!(free > 0.0 && shaded == 0.0 && cleared > 0.0, "{free} {shaded} {cleared}");
 }
 
+#[test]
+fn an_obstacle_of_radius_0_is_accepted_and_blocks_nothing() {
+    let scenario = scenario(&["users.count=1", "blockage.bodies=false"]);
+    let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+    let mut room = Room::new(&scenario);
+    let mut report = room.positions(1);
+    let [x, y, _] = report.users[0].position_m;
+    receive(&mut controller, Room::time(1), Message::Users(&mut report)).command();
+    let line = Obstacle { x_m: 0.9 * x, y_m: 0.9 * y, radius_m: 0.0, height_m: 2.0 };
+    let pillar = Obstacle { x_m: -x, y_m: -y, radius_m: 0.1, height_m: 2.0 };
+    receive(&mut controller, Room::time(1), Message::Obstacles(&mut room.survey(1, vec![line, pillar])));
+    assert_eq!(controller.inbox().obstacles().map(|report| report.obstacles.len()), Some(2));
+    receive(&mut controller, Room::time(2), Message::Users(&mut room.positions(2))).command();
+    assert!(controller.observation().scene.los_gain()[0] > 0.0);
+}
+
 /// A report of 20 ms ago, in a room that reports every 10 ms: 25 ms lie between the sample and the
 /// middle of the command's time.
 #[test]

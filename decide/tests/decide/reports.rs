@@ -140,7 +140,7 @@ fn physically_impossible_values_are_refused() {
     receive(&mut controller, now, Message::Channel(&mut room.gains(1, -1e-9)));
     assert_eq!(refused(&controller, Stream::Channel, Refusal::Implausible), 1);
 
-    let hollow = Obstacle { x_m: 0.0, y_m: 0.0, radius_m: 0.0, height_m: 1.0 };
+    let hollow = Obstacle { x_m: 0.0, y_m: 0.0, radius_m: -0.1, height_m: 1.0 };
     receive(&mut controller, now, Message::Obstacles(&mut room.survey(1, vec![hollow])));
     assert_eq!(refused(&controller, Stream::Obstacles, Refusal::Implausible), 1);
 

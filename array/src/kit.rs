@@ -118,7 +118,7 @@ impl<D: Device> Kit<D> {
 
     /// Handles an arrival of any kind; returns the command if it was one that was accepted.
     ///
-    /// Refusals are counted by name in `refused`.
+    /// Refusals are counted by kind and reason in `refused`.
     pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
         match content {
             Content::Command(Ok(command)) => match self.handle_command(at, &command) {

@@ -16,8 +16,8 @@ use crate::error::BusError;
 
 /// Quality of service of a message: its priority, and what happens to it under congestion.
 ///
-/// An express message is sent at once; others may wait for a batch. Messages of one class keep their
-/// order on one link. Messages of a higher priority can overtake them.
+/// An express message is sent at once; others may wait for a batch. Messages of one class keep
+/// their order on one link. Messages of a higher priority can overtake them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
     /// Real-time priority, express, dropped under congestion: reports and commands.

@@ -19,13 +19,14 @@
 //!    before one poll; the poll then decides for the newest tick.
 //!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
 //! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
-//!    shorter than the validity of a command, so that the controller also acts when reports are absent;
+//!    shorter than the validity of a command, so that the controller also acts when reports are
+//!    absent;
 //! 5. optionally, between reports, [`warm_cache`](Controller::warm_cache), which changes no later
 //!    command.
 //!
 //! The caller assigns the sequence number of each command when it sends it. Getters may be called
-//! at any time. No method waits, logs, reads a clock or, after the warm-up, allocates in this
-//! project's code.
+//! at any time. No method waits, logs, reads a clock or, after the start-up warm-up, allocates in
+//! this project's code.
 //!
 //! # Stages of a decision
 //!
@@ -302,7 +303,8 @@ impl Controller {
         self.policy.warm_up(&self.model, self.observation.users(), runs);
     }
 
-    /// Replaces the policy, and returns the former one. The new policy should be warmed up.
+    /// Replaces the policy, and returns the former one. The new policy should have had its
+    /// start-up warm-up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
         self.policy.replace_policy(policy)
     }
@@ -390,7 +392,7 @@ impl Controller {
     /// mirrors received them.
     ///
     /// The angles are those of the last command while it is valid, and otherwise those of the last
-    /// telemetry, or parked.
+    /// telemetry, or zero.
     fn settle_angles(&mut self, now: Nanos) -> f64 {
         let since_command_ns = now.saturating_sub(self.command.time_ns);
         if self.has_command && since_command_ns <= self.validity_ns {

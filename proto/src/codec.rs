@@ -2,8 +2,8 @@
 //!
 //! A payload is the contract's version (one byte), the kind of message (one byte), and the fields
 //! in order as postcard writes them. A payload is either a complete, valid message or it is refused
-//! with a specific error; [`encode`] never writes a payload that [`decode`] would refuse. The version is checked
-//! first, after the length.
+//! with a specific error; [`encode`] never writes a payload that [`decode`] would refuse. The
+//! version is checked first, after the length.
 
 use postcard::ser_flavors::{Flavor, Slice};
 use serde::{Deserialize, Serialize};

@@ -31,7 +31,7 @@ use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::Stream;
 use heliostat_engine::ActorSource;
 use heliostat_proto::{Capabilities, MirrorCommand, NodeKind, UserReport, decode};
-use heliostat_scenario::DegradedAction as WhenLate;
+use heliostat_scenario::DegradedAction;
 use heliostat_service::exit::UnusableInput;
 
 pub(crate) use plan::Beginning;
@@ -41,7 +41,7 @@ pub(crate) use verdict::difference;
 
 use crate::file::{Entry, PRESENCE_TOPIC, Presence, Reading, open};
 use epoch::EpochReplay;
-use plan::{Answer, Plan};
+use plan::{Plan, RecordedCommand};
 
 /// Decisions that are not compared when earlier inputs of the controller are unknown: two seconds
 /// of reports at 100 Hz.
@@ -288,7 +288,7 @@ impl<'a> Player<'a> {
             (Clock::Live, None) => return Ok(()),
         };
         let tick = report.tick;
-        let repeats = self.plan.scenario.control.when_late == WhenLate::LastGood;
+        let repeats = self.plan.scenario.control.when_late == DegradedAction::LastGood;
         let late = answer.is_some_and(|answer| answer.is_repeat && self.plan.was_late(answer.epoch));
         let timing = if late && repeats { Timing::Late } else { Timing::InTime };
         let decided = match epoch_replay.controller.handle_message(now, Message::Users(&mut report)) {
@@ -313,7 +313,7 @@ impl<'a> Player<'a> {
 
     /// The recorded answer to a report. Tick numbers restart with each source, so the time selects
     /// the answer.
-    fn answer_to(&mut self, report: &UserReport) -> Option<Answer> {
+    fn answer_to(&mut self, report: &UserReport) -> Option<RecordedCommand> {
         let answers = self.plan.answers.get_mut(&report.tick)?;
         let time_ns = report.stamp.time_ns;
         let index = answers.iter().position(|answer| answer.time_ns.abs_diff(time_ns) < ANSWER_MAX_NS)?;

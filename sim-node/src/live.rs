@@ -1,8 +1,8 @@
 //! Live operation: the room runs in real time, paced by absolute due times.
 //!
 //! Delayed wake-ups do not accumulate: the world advances to the present time, and due times that
-//! have passed are skipped and counted. Commands are stamped on arrival and take effect at that time,
-//! although the loop handles them when it wakes up.
+//! have passed are skipped and counted. Commands are stamped on arrival and take effect at that
+//! time, although the loop handles them when it wakes up.
 
 use std::time::{Duration, Instant};
 

@@ -1,5 +1,5 @@
 //! Changes that an operator orders in a running simulated room: valid parts are applied, the others
-//! refused by name.
+//! refused with a specific error.
 
 use heliostat_proto::{FaultKind, MirrorFault, SimulatorControl};
 use thiserror::Error;

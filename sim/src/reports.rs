@@ -134,7 +134,8 @@ impl Reports {
         self.tick
     }
 
-    /// Delayed ticks: sampled after their due time, or skipped because the next one was already due.
+    /// Delayed ticks: sampled after their due time, or skipped because the next one was already
+    /// due.
     pub fn late_ticks(&self) -> u64 {
         self.late_ticks
     }

@@ -1,8 +1,8 @@
 //! The figures that the page and the terminal show, computed from the latest message of every
 //! topic.
 //!
-//! A simulated room publishes its true state and reference rates. A real room publishes positions and
-//! measured gains: rates are then computed from the measured SINR, and there are no references.
+//! A simulated room publishes its true state and reference rates. A real room publishes positions
+//! and measured gains: rates are then computed from the measured SINR, and there are no references.
 
 use std::time::Instant;
 

@@ -1,4 +1,5 @@
-//! Cache warm-up: when to warm up the caches between reports; a state machine without thread or clock.
+//! Cache warm-up: when to warm up the caches between reports; a state machine without thread or
+//! clock.
 //!
 //! # Theory of operation
 //!
@@ -26,19 +27,20 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Cache warm-ups before an expected report: the first loads code and data, the second finds them in the
-/// caches.
+/// Cache warm-ups before an expected report: the first loads code and data, the second finds them
+/// in the caches.
 const WARM_UPS: u32 = 2;
 
-/// Decision times for which cache warm-ups pay. Below, waking the thread costs more than the caches give;
-/// above, the gain is small and warm-ups would delay reports. Measured: docs/experiments/latency.md.
+/// Decision times for which cache warm-ups pay. Below, waking the thread costs more than the caches
+/// give; above, the gain is small and warm-ups would delay reports. Measured:
+/// docs/experiments/latency.md.
 const WORTH_STARTING: RangeInclusive<Duration> = Duration::from_micros(250)..=Duration::from_millis(5);
 
-/// The same for decisions that are warmed up, and therefore faster: half of the lower bound.
-/// Measured: docs/experiments/latency.md.
+/// The same for decisions after cache warm-ups, which are therefore faster: half of the lower
+/// bound. Measured: docs/experiments/latency.md.
 const WORTH_CONTINUING: RangeInclusive<Duration> = Duration::from_micros(125)..=Duration::from_millis(5);
 
-/// Warm-ups end at least this long before the expected arrival of a report. Measured:
+/// Cache warm-ups end at least this long before the expected arrival of a report. Measured:
 /// docs/experiments/latency.md.
 const MARGIN_BEFORE_REPORT: Duration = Duration::from_micros(50);
 
@@ -98,9 +100,9 @@ pub enum Action {
 enum Phase {
     /// No cache warm-up is planned.
     Idle,
-    /// Warm-ups begin at a planned time.
+    /// Cache warm-ups begin at a planned time.
     Armed { start: Instant },
-    /// Warm-ups are under way.
+    /// Cache warm-ups are under way.
     WarmingUp { left: u32 },
 }
 
@@ -188,7 +190,7 @@ impl CacheWarmer {
         self.decision.mean()
     }
 
-    /// Warm-ups so far.
+    /// Cache warm-ups so far.
     pub fn warm_ups(&self) -> u64 {
         self.warm_ups
     }
@@ -199,8 +201,8 @@ impl CacheWarmer {
         self.phase = start.map_or(Phase::Idle, |start| Phase::Armed { start });
     }
 
-    /// When warm-ups have to begin so as to end before the next report; none where no report is
-    /// expected.
+    /// When cache warm-ups have to begin so as to end before the next report; none where no report
+    /// is expected.
     fn start(&self) -> Option<Instant> {
         let one = if self.warm_up.is_known() { self.warm_up.mean() } else { self.decision.mean() };
         self.arrivals.earliest()?.checked_sub(WARM_UPS * one + MARGIN_BEFORE_REPORT)

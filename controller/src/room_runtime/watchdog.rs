@@ -73,7 +73,7 @@ impl Watchdog {
     pub fn description(&self) -> &'static str {
         match self.action {
             Some(OnBehalf::RepeatLast) => "the last command is repeated",
-            Some(OnBehalf::Park) => "the array is parked",
+            Some(OnBehalf::Park) => "a command with zero roll and yaw is sent",
             None => "the array holds, then parks",
         }
     }

@@ -8,7 +8,7 @@ use crate::observe::observation::Observation;
 /// Mirror m is aimed at argmax_k a_km, the user with its largest steering gain, regardless of that
 /// user's rate.
 ///
-/// A reference policy; docs/evaluation.md compares it with the optimum.
+/// A simple policy; docs/evaluation.md compares it with the optimum.
 pub struct Nearest {
     /// 1 for each user: all users have the same weight.
     weights: Vec<f64>,

@@ -82,7 +82,8 @@ policies! {
     FixedPoint: Direct(|room| super::model_based::ModelBased::fixed_point(room.users, room.mirrors).boxed()),
     /// Model-based: the fixed point, then passes of single mirror moves
     Greedy: Direct(|room| super::model_based::ModelBased::greedy(room.users, room.mirrors).boxed()),
-    /// Model-based: the multi-start solver, applied to the observation instead of the true state; far slower than a tick
+    /// Model-based: the multi-start solver, applied to the observation instead of the true state;
+    /// far slower than a tick
     Oracle: Direct(|room| super::model_based::ModelBased::oracle(room.users, room.mirrors).boxed()),
     /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
     Exhaustive: Direct(|room| super::exhaustive::Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),

@@ -1,5 +1,5 @@
-//! Start-up warm-up: decisions on a synthetic room, so that the first real decision finds buffers sized and caches
-//! warm.
+//! Start-up warm-up: decisions on a synthetic room, so that the first real decision finds buffers
+//! sized and caches warm.
 
 use heliostat_channel::{ChannelModel, Vec3};
 

@@ -1,5 +1,5 @@
-//! What the core does when there is no time, no report or no actor; and that cache warm-ups leave no
-//! trace.
+//! What the core does when there is no time, no report or no actor; and that cache warm-ups leave
+//! no trace.
 
 use heliostat_decide::{
     core::{Controller, Decision, DegradedMode, Timing},

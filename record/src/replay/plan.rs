@@ -65,7 +65,7 @@ impl Beginning {
 
 /// A recorded command without its angles.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Answer {
+pub(super) struct RecordedCommand {
     pub epoch: u64,
     pub time_ns: Nanos,
     /// Its angles equal those of the command before it, as after a late decision.
@@ -78,7 +78,7 @@ pub(super) struct Plan {
     pub room: Room,
     pub clock: Clock,
     /// Commands by the tick that they answer, in the order of arrival.
-    pub answers: HashMap<u64, VecDeque<Answer>>,
+    pub answers: HashMap<u64, VecDeque<RecordedCommand>>,
     /// Each epoch with the sequence of its first recorded command.
     pub epochs: BTreeMap<u64, u64>,
     /// The statuses of the controllers, by epoch.
@@ -154,7 +154,7 @@ impl Plan {
         self.epochs.entry(command.epoch).or_insert(command.sequence);
         let is_repeat = last
             .is_some_and(|last| (last.epoch, &last.roll, &last.yaw) == (command.epoch, &command.roll, &command.yaw));
-        let answer = Answer { epoch: command.epoch, time_ns: command.time_ns, is_repeat };
+        let answer = RecordedCommand { epoch: command.epoch, time_ns: command.time_ns, is_repeat };
         self.answers.entry(command.answers).or_default().push_back(answer);
         command
     }

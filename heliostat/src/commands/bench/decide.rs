@@ -26,7 +26,7 @@ use super::walkers::Walkers;
 const WARM_UP: usize = 200;
 /// Cache warm-ups before each report, as in the controller.
 const WARM_UPS: u32 = 2;
-/// The warm-ups are to end this long before the report is due, as in the controller.
+/// The cache warm-ups end this long before the report is due, as in the controller.
 const WARM_UP_MARGIN: Duration = Duration::from_micros(50);
 
 /// Flags that the benchmarks of the decision share.

@@ -42,7 +42,7 @@ const RULES: [Rule; 18] = [
     ("future", "a command from the future is refused as expired, with fault bit 32", future),
     ("limits", "angles beyond the limits are clamped and counted as clipped", limits),
     ("silence", "after its validity a command is held, then the array parks", silence),
-    ("late", "a command after the end of validity is followed and counted as late", late),
+    ("late", "a resumed command, after the end of validity, is followed and counted", late),
     ("flood", "after a burst of commands the last one is applied and telemetry continues", flood),
     ("stop", "a stop is latched; commands are refused as stopped until a later re-arm", stop),
     ("orphaned-stop", "a stop stays latched when its sender has left the room", orphaned_stop),
@@ -264,7 +264,7 @@ fn silence(session: &mut TestSession) -> Result<Outcome> {
 
 fn late(session: &mut TestSession) -> Result<Outcome> {
     if session.last().state == ArrayState::Following {
-        return not_judged("the array is still following, so no command can be late");
+        return not_judged("the array is still following, so no command can be a resumed one");
     }
     let (roll, yaw) = session.angles_at(0.5);
     let command = session.command(roll, yaw);

@@ -267,7 +267,7 @@ pub enum Fallback {
     Hold,
 }
 
-/// The controller's answer in a degraded mode.
+/// The controller's action in a degraded mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DegradedAction {
@@ -313,18 +313,18 @@ pub struct Control {
     /// Deadline of a decision after the arrival of its report, in ms; 0 is the time between two
     /// position reports.
     pub deadline_ms: f64,
-    /// The answer if a decision would miss its deadline.
+    /// The action if the predicted latency of a decision exceeds `deadline_ms`.
     ///
-    /// It is not given twice in a row, so that a policy that is always late still decides.
+    /// It is not executed twice in a row, so that a policy that is always late still decides.
     pub when_late: DegradedAction,
-    /// The answer to a position report older than `report_age_max_ms`.
+    /// The action for a position report older than `report_age_max_ms`.
     pub when_stale: DegradedAction,
-    /// The answer without a channel report of acceptable age; with `policy`, modelled gains replace
-    /// the reported ones.
+    /// The action without a channel report newer than `report_age_max_ms`. With `policy`, modelled
+    /// gains replace the reported ones.
     pub when_channel_missing: DegradedAction,
-    /// The answer after `report_age_max_ms` without a position report.
+    /// The action if no position report was accepted for `report_age_max_ms`.
     pub when_silent: DegradedAction,
-    /// The answer if the policy does not return for 0.1 s.
+    /// The action at a policy timeout: the policy does not return for 0.1 s.
     pub when_unanswered: DegradedAction,
     /// The compensation of the age of a position report.
     pub prediction: Prediction,

@@ -1,8 +1,8 @@
 //! When reports are due, and how the measured side and the reference alternate.
 //!
 //! Due times are fixed in advance: a delayed report does not delay those after it, and it counts
-//! from its due time. A slow decision therefore cannot hide the wait of the next report (coordinated
-//! omission).
+//! from its due time. A slow decision therefore cannot hide the wait of the next report
+//! (coordinated omission).
 
 use std::time::{Duration, Instant};
 

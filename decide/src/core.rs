@@ -53,14 +53,15 @@
 //! | The array is stopped, or does not fit the scenario. | | no command | `withheld` |
 //!
 //! The caller predicts the latency: the waiting time plus the mean duration of earlier decisions.
-//! A `deadline_ms` of 0 means the report interval. Without commands, the array holds the last one
-//! and then parks.
+//! A `deadline_ms` of 0 means the report interval.
 //!
 //! # Terms
 //!
 //! - *Tick*: one sampling of the room. The field `answers` of a command holds the tick of the
 //!   report that triggered the command.
 //! - *Epoch*: one run of a controller. A later epoch supersedes an earlier one.
+//! - *Holding*: the state of an array that keeps its angles after the last validity has ended. The
+//!   action `hold` differs: it publishes no command.
 //! - *Parked*: an array is parked at the position `park_rad` of its capabilities. It parks
 //!   `park_after_ms` after the last validity ends. The action `park` differs: it sends a valid
 //!   command with zero roll and yaw.
@@ -392,7 +393,7 @@ impl Controller {
     /// mirrors received them.
     ///
     /// The angles are those of the last command while it is valid, and otherwise those of the last
-    /// telemetry, or zero.
+    /// telemetry. Without telemetry all mirrors are flat.
     fn settle_angles(&mut self, now: Nanos) -> f64 {
         let since_command_ns = now.saturating_sub(self.command.time_ns);
         if self.has_command && since_command_ns <= self.validity_ns {

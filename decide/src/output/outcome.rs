@@ -70,7 +70,8 @@ pub enum Decision<'a> {
         /// Age of the positions on which the decision is based, in ns.
         age_ns: Nanos,
     },
-    /// No command: the array holds the last one, and parks `park_after_ms` after its validity ends.
+    /// No command. The array keeps its angles until the validity of the last command plus the
+    /// driver's `park_after_ms` has passed, then moves to its park position.
     Hold(DegradedMode),
 }
 

@@ -93,13 +93,13 @@ policies! {
     Pso: Direct(|room| super::pso::Pso::new(room.scenario, room.monotonic_ns).boxed()),
     /// Each mirror serves the user with the largest steering gain
     Nearest: Direct(|room| super::nearest::Nearest::new(room.users).boxed()),
-    /// One random draw per mirror, held for the run
+    /// One random draw per mirror, the same for the complete run
     Random: Direct(|room| super::fixed::Fixed::random(room.mirrors, room.range_rad, room.scenario.seed).boxed()),
     /// Every mirror faces straight into the room
     Flat: Direct(|room| super::fixed::Fixed::flat(room.mirrors).boxed()),
     /// Every mirror is turned away from all users
     NoIrs: Direct(|room| super::fixed::Fixed::no_irs(room.mirrors, room.range_rad).boxed()),
-    /// Every mirror keeps its last commanded angles
+    /// Publish the last angles again
     Hold: Direct(|_| super::fixed::Hold.boxed()),
 }
 
@@ -173,7 +173,7 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     }
 }
 
-/// Builds the policy that decides when another fails; `None` where no command is sent then.
+/// Builds the policy that decides when another fails; `None` for `hold`, which publishes no command.
 pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn Policy>> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {

@@ -228,7 +228,7 @@ pub static PAGE: Page = Page {
         Section {
             name: "misses-hold",
             title: "Over budget, hold",
-            about: "The same with a policy that sends no command: the share that the machine itself causes.",
+            about: "The same with the policy hold, which publishes the last angles again: the share that the machine itself causes.",
             command: "bench decide --hz 1000 --policy hold",
             full: "--decisions 100000",
             quick: "--decisions 500",

@@ -173,7 +173,8 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     }
 }
 
-/// Builds the policy that decides when another fails; `None` for `hold`, which publishes no command.
+/// Builds the policy that decides when another fails; `None` for `hold`, which publishes no
+/// command.
 pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn Policy>> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {

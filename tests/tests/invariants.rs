@@ -253,7 +253,8 @@ fn each_foreign_library_is_named_in_one_place() {
 
 #[test]
 fn what_processes_share_is_written_once() {
-    let all: Vec<Source> = LAYOUT.order.iter().filter(|folder| **folder != "tests").flat_map(|folder| sources(folder)).collect();
+    let all: Vec<Source> =
+        LAYOUT.order.iter().filter(|folder| **folder != "tests").flat_map(|folder| sources(folder)).collect();
     for (name, places) in WRITTEN_ONCE {
         let users = all.iter().filter(|(_, source)| !named(source, &[name]).is_empty()).map(|(file, _)| file.as_str());
         let others: Vec<&str> = users.filter(|file| !places.contains(file)).collect();

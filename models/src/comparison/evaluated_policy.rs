@@ -13,10 +13,10 @@ use heliostat_scenario::{Prediction, Scenario};
 use heliostat_sim::World;
 use thiserror::Error;
 
-use crate::environment::codebook::BestEntry;
+use crate::environment::codebook::BestCodeword;
 use crate::environment::room::observe;
 
-/// The name of the policy that evaluates every entry of the codebook.
+/// The name of the policy that evaluates every codeword of the codebook.
 const CODEBOOK: &str = "codebook";
 
 /// Suffix of a policy that predicts the users' positions.
@@ -157,7 +157,7 @@ impl EvaluatedPolicy {
     pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> anyhow::Result<Box<dyn Policy>> {
         match &self.origin {
             Origin::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
-            Origin::Codebook => Ok(Box::new(BestEntry::new(scenario)?)),
+            Origin::Codebook => Ok(Box::new(BestCodeword::new(scenario)?)),
         }
     }
 }

@@ -111,7 +111,10 @@ impl HeldOut {
     ///
     /// # Errors
     /// `best` returns angles in one state and none in another.
-    pub fn ceiling(&mut self, best: impl Fn(&Environment) -> Option<MirrorAngles>) -> anyhow::Result<Option<Score>> {
+    pub fn upper_bound(
+        &mut self,
+        best: impl Fn(&Environment) -> Option<MirrorAngles>,
+    ) -> anyhow::Result<Option<Score>> {
         if self.states.first().is_none_or(|state| best(&state.environment).is_none()) {
             return Ok(None);
         }

@@ -43,7 +43,7 @@ use crate::training::algorithm::{Algorithm, start};
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "analytic",
     policy: PolicyKind::Analytic,
@@ -56,7 +56,7 @@ pub const ALGORITHM: Algorithm = Algorithm {
     },
 };
 
-/// All numbers of a training run.
+/// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The map from logits to weights.
@@ -71,13 +71,13 @@ pub struct Settings {
     pub batch: usize,
     /// Exponent beta of the softened choice in the first episode and in the last.
     pub exponent: [f64; 2],
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
 impl Settings {
-    /// The numbers of the shipped actors.
+    /// The hyperparameters of the shipped actors.
     pub fn new(seed: u64, mode: ChannelMode) -> Self {
         let ddpg::Settings { head, rounds, run, .. } = ddpg::Settings::tuned(seed, mode);
         let reward = Reward { form: RewardForm::Shortfall, lambda: 30.0, margin: 1.5 };

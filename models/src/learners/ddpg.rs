@@ -65,7 +65,7 @@ use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::replay::Replay;
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "ddpg",
     policy: PolicyKind::Ddpg,
@@ -101,7 +101,7 @@ pub enum Sight {
     Decoded,
 }
 
-/// All numbers of a training run.
+/// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The way in which the networks read the users.
@@ -132,13 +132,13 @@ pub struct Settings {
     pub warm_up: usize,
     /// Exploration.
     pub exploration: Exploration,
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
 impl Settings {
-    /// The paper's numbers.
+    /// The paper's hyperparameters.
     pub fn paper(seed: u64) -> Self {
         Self {
             encoder: Encoder::Mlp,
@@ -159,7 +159,7 @@ impl Settings {
         }
     }
 
-    /// The numbers of the shipped actors.
+    /// The hyperparameters of the shipped actors.
     pub fn tuned(seed: u64, mode: ChannelMode) -> Self {
         let (lambda, margin, rooms) = match mode {
             ChannelMode::Specular => (30.0, 1.25, Rooms::Mixed),

@@ -36,7 +36,7 @@ impl Exploration {
         self.start * (self.end / self.start).powf(progress.min(1.0))
     }
 
-    /// Explores around an action; its entries stay within [-1, 1].
+    /// Explores around an action; its components stay within [-1, 1].
     pub fn apply(&self, magnitude: f64, logits: &mut [f32], rng: &mut impl Rng) {
         match self.kind {
             Kind::Additive | Kind::Patterns => {
@@ -52,20 +52,20 @@ impl Exploration {
         }
     }
 
-    /// Epsilon-greedy among `count` entries: a random one with probability `epsilon`, otherwise
+    /// Epsilon-greedy among `count` codewords: a random one with probability `epsilon`, otherwise
     /// `None`, for the greedy one.
     pub fn draw(epsilon: f64, count: usize, rng: &mut impl Rng) -> Option<usize> {
         (rng.random::<f64>() < epsilon).then(|| rng.random_range(0..count))
     }
 
-    /// Refuses kinds that do not apply to the choice of an entry.
+    /// Refuses kinds that do not apply to the choice of a codeword.
     ///
     /// # Errors
     /// The kind is not epsilon-greedy.
     pub fn check_choices(&self) -> anyhow::Result<()> {
         anyhow::ensure!(
             self.kind == Kind::EpsilonGreedy,
-            "exploration.kind: expected epsilon-greedy, because the action is an entry of a codebook"
+            "exploration.kind: expected epsilon-greedy, because the action is a codeword"
         );
         Ok(())
     }

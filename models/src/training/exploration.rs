@@ -9,9 +9,9 @@ use rand::{Rng, RngExt};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Gaussian noise added to each logit (Algorithm 1); the magnitude is its standard deviation.
+    /// Gaussian noise added to each component of the action (Algorithm 1); the magnitude is its standard deviation.
     Additive,
-    /// With a probability equal to the magnitude, all logits are drawn uniformly from [-1, 1].
+    /// With a probability equal to the magnitude, all components are drawn uniformly from [-1, 1].
     EpsilonGreedy,
     /// Gaussian noise in smooth patterns over the array, for actions that are angles
     /// ([`crate::networks::patterns::Basis`]); the magnitude is its standard deviation.
@@ -37,16 +37,16 @@ impl Exploration {
     }
 
     /// Explores around an action; its components stay within [-1, 1].
-    pub fn apply(&self, magnitude: f64, logits: &mut [f32], rng: &mut impl Rng) {
+    pub fn apply(&self, magnitude: f64, actions: &mut [f32], rng: &mut impl Rng) {
         match self.kind {
             Kind::Additive | Kind::Patterns => {
-                for logit in logits {
-                    *logit = (*logit + (magnitude * normal(rng)) as f32).clamp(-1.0, 1.0);
+                for action in actions {
+                    *action = (*action + (magnitude * normal(rng)) as f32).clamp(-1.0, 1.0);
                 }
             }
             Kind::EpsilonGreedy => {
                 if rng.random::<f64>() < magnitude {
-                    logits.fill_with(|| rng.random_range(-1.0..1.0));
+                    actions.fill_with(|| rng.random_range(-1.0..1.0));
                 }
             }
         }
@@ -95,12 +95,12 @@ mod tests {
     fn additive_noise_has_the_stated_spread_and_stays_in_range() {
         let exploration = Exploration { kind: Kind::Additive, start: 1.0, end: 1.0 };
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut logits = vec![0.0_f32; 20_000];
-        exploration.apply(0.2, &mut logits, &mut rng);
-        let variance = logits.iter().map(|value| f64::from(value * value)).sum::<f64>() / logits.len() as f64;
+        let mut actions = vec![0.0_f32; 20_000];
+        exploration.apply(0.2, &mut actions, &mut rng);
+        let variance = actions.iter().map(|value| f64::from(value * value)).sum::<f64>() / actions.len() as f64;
         assert!((variance.sqrt() - 0.2).abs() < 0.005, "standard deviation {}", variance.sqrt());
-        exploration.apply(5.0, &mut logits, &mut rng);
-        assert!(logits.iter().all(|value| value.abs() <= 1.0));
+        exploration.apply(5.0, &mut actions, &mut rng);
+        assert!(actions.iter().all(|value| value.abs() <= 1.0));
     }
 
     #[test]
@@ -108,9 +108,9 @@ mod tests {
         let exploration = Exploration { kind: Kind::EpsilonGreedy, start: 1.0, end: 1.0 };
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let explored = (0..4000).filter(|_| {
-            let mut logits = [0.5_f32; 3];
-            exploration.apply(0.25, &mut logits, &mut rng);
-            logits != [0.5; 3]
+            let mut actions = [0.5_f32; 3];
+            exploration.apply(0.25, &mut actions, &mut rng);
+            actions != [0.5; 3]
         });
         let share = explored.count() as f64 / 4000.0;
         assert!((share - 0.25).abs() < 0.03, "share {share}");

@@ -17,7 +17,7 @@
 //! | --- | --- | --- |
 //! | [`Solver::fixed_point`] | damped fixed point over the weights, from the last weights and from neutral ones | a policy |
 //! | [`Solver::greedy`] | fixed point and greedy fill, passes of single moves, exclusion of users | a policy |
-//! | [`Solver::oracle`] | both from all subsets of users, then moves, swaps and pairs of moves to a local optimum | the baseline |
+//! | [`Solver::oracle`] | both from all subsets of users, then moves, swaps and pairs of moves to a local optimum; the best of them | the reference |
 //! | [`Solver::exhaustive`] | every assignment | a check of the oracle |
 //!
 //! # Limits

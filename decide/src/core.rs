@@ -42,7 +42,7 @@
 //! | condition | answer: a key of the scenario's `control` table | default | counter |
 //! | --- | --- | --- | --- |
 //! | the caller expects the decision to be late | `when_late` | repeat the last command | `late` |
-//! | the position report is too old | `when_stale` | no command: the array holds, then parks | `stale-report` |
+//! | the position report is too old | `when_stale` | no command | `stale-report` |
 //! | no channel report of acceptable age | `when_channel_missing` | the policy acts on modelled direct gains | `channel-missing` |
 //! | no position report for as long | `when_silent` | no command | `silence` |
 //! | the policy does not return within 0.1 s (the caller's watchdog) | `when_unanswered` | no command | `unanswered` |
@@ -54,8 +54,12 @@
 //!
 //! A *tick* is one sampling of the room. A command *answers* the tick of the position report to
 //! which it responds. An *epoch* is one run of a controller; a later epoch supersedes an earlier
-//! one. The array is *parked* when every mirror faces straight into the room because no command is
-//! valid.
+//! one.
+//!
+//! The answer `hold` publishes no command. When the validity of the last command ends, the array is
+//! *holding*: it keeps its angles for `park_after_ms` of its driver. Then it moves to its park
+//! position and is *parked*. The answer `park` publishes a command with all mirrors flat, which the
+//! array follows as any other.
 
 mod answers;
 
@@ -380,7 +384,7 @@ impl Controller {
     /// mirrors received them.
     ///
     /// The angles are those of the last command while it is valid, and otherwise those of the last
-    /// telemetry, or parked.
+    /// telemetry. Without telemetry all mirrors are flat.
     fn settle_angles(&mut self, now: Nanos) -> f64 {
         let since_command_ns = now.saturating_sub(self.command.time_ns);
         if self.has_command && since_command_ns <= self.validity_ns {

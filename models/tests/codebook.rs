@@ -133,8 +133,8 @@ fn no_policy_is_above_the_ceiling() {
     }
 }
 
-/// One user in shadow: the best codeword aims at this user, and every learner finds it far more often
-/// than by chance.
+/// One user in shadow: the best codeword aims at this user, and every learner finds it far more
+/// often than by chance.
 #[test]
 fn a_learner_aims_at_the_user_in_shadow() {
     on_one_thread(aims_at_the_user_in_shadow).expect("a thread");

@@ -72,9 +72,9 @@ impl Watchdog {
     /// What happens while the policy does not return, for messages.
     pub fn description(&self) -> &'static str {
         match self.action {
-            Some(OnBehalf::RepeatLast) => "the last command is repeated",
-            Some(OnBehalf::Park) => "the array is parked",
-            None => "the array holds, then parks",
+            Some(OnBehalf::RepeatLast) => "the last angles are published again",
+            Some(OnBehalf::Park) => "a command with all mirrors flat is published",
+            None => "no command is published: the array holds its angles, then parks",
         }
     }
 }

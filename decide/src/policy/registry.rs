@@ -82,7 +82,8 @@ policies! {
     FixedPoint: Direct(|room| super::model_based::ModelBased::fixed_point(room.users, room.mirrors).boxed()),
     /// Model-based: the fixed point, then passes of single mirror moves
     Greedy: Direct(|room| super::model_based::ModelBased::greedy(room.users, room.mirrors).boxed()),
-    /// Model-based: the baseline search from many starts; far slower than a tick
+    /// Model-based: the search of the reference (oracle) on the reported state; far slower than a
+    /// tick
     Oracle: Direct(|room| super::model_based::ModelBased::oracle(room.users, room.mirrors).boxed()),
     /// Model-based: every assignment of mirrors to users; for about nine mirrors and three users
     Exhaustive: Direct(|room| super::exhaustive::Exhaustive::new(room.scenario).map_err(BuildError::Search)?.boxed()),
@@ -92,13 +93,13 @@ policies! {
     Pso: Direct(|room| super::pso::Pso::new(room.scenario, room.monotonic_ns).boxed()),
     /// Each mirror serves the user with the largest steering gain
     Nearest: Direct(|room| super::nearest::Nearest::new(room.users).boxed()),
-    /// One random draw per mirror, held for the run
+    /// One random draw per mirror, the same for the complete run
     Random: Direct(|room| super::fixed::Fixed::random(room.mirrors, room.range_rad, room.scenario.seed).boxed()),
     /// Every mirror faces straight into the room
     Flat: Direct(|room| super::fixed::Fixed::flat(room.mirrors).boxed()),
     /// Every mirror is turned away from all users
     NoIrs: Direct(|room| super::fixed::Fixed::no_irs(room.mirrors, room.range_rad).boxed()),
-    /// Every mirror keeps its last commanded angles
+    /// Publish the last angles again
     Hold: Direct(|_| super::fixed::Hold.boxed()),
 }
 
@@ -172,7 +173,7 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     }
 }
 
-/// Builds the policy that answers when another fails; `None` where no command is sent then.
+/// Builds the policy that answers when another fails; `None` for `hold`, which publishes no command.
 pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn Policy>> {
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {

@@ -74,8 +74,8 @@ impl Codebook {
         &self.codewords
     }
 
-    /// The coordinates of each codeword in the codebook's grid, from its middle: along x and y, or in
-    /// steps of yaw and roll.
+    /// The coordinates of each codeword in the codebook's grid, from its middle: along x and y, or
+    /// in steps of yaw and roll.
     pub fn coordinates(&self) -> &[[f32; 2]] {
         &self.coordinates
     }
@@ -113,8 +113,8 @@ impl Codebook {
         best.0
     }
 
-    /// Adds the nodes that choose the codeword with the largest of `values` (1, codewords): its angles,
-    /// (1, 2 mirrors).
+    /// Adds the nodes that choose the codeword with the largest of `values` (1, codewords): its
+    /// angles, (1, 2 mirrors).
     pub fn choose_nodes(&self, graph: &mut Graph, values: &str) -> Value {
         let angles =
             |codeword: &MirrorAngles| codeword.roll.iter().chain(&codeword.yaw).map(|angle| *angle as f32).collect();

@@ -2,8 +2,8 @@
 //!
 //! The methods `step` and `update` of [`DdpgRaw`] are the complete algorithm. State, networks of
 //! 128/64 and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, learning rates of 1e-3
-//! and 1e-2, additive noise and 1000 episodes are the paper's. The actor's output is tanh times the range of
-//! an axis.
+//! and 1e-2, additive noise and 1000 episodes are the paper's. The actor's output is tanh times the
+//! range of an axis.
 //!
 //! # Deviations from the paper
 //! 1. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the
@@ -92,7 +92,7 @@ pub struct Settings {
     pub actor_rate: f64,
     /// Learning rate of the critic.
     pub critic_rate: f64,
-    /// Learning rates at the end of the run, relative to the start.
+    /// Learning rates at the end of the run over those at its start.
     pub rate_end: f64,
     /// Largest norm of a gradient; 0 is no limit.
     pub clip: f64,

@@ -9,7 +9,8 @@ use rand::{Rng, RngExt};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Gaussian noise added to each component of the action (Algorithm 1); the magnitude is its standard deviation.
+    /// Gaussian noise added to each component of the action (Algorithm 1); the magnitude is its
+    /// standard deviation.
     Additive,
     /// With a probability equal to the magnitude, all components are drawn uniformly from [-1, 1].
     EpsilonGreedy,

@@ -1,6 +1,6 @@
 //! The training loop that all learners share, and the files that a run writes.
 //!
-//! - [`learner`]: the interface of a learner, its step function above all.
+//! - [`learner`]: the interface of a learner.
 //! - [`run`]: the loop over episodes and steps, with the rooms and the random generator of the run.
 //! - [`settings`]: the hyperparameters of a run, and changes to them from the command line.
 //! - [`algorithm`]: one row of the table of algorithms.

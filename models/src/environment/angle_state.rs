@@ -1,5 +1,5 @@
-//! The state of learners that read positions, gains and needs directly, and actions that are mirror
-//! angles.
+//! The state of learners that read positions, gains and minimum rates directly, and actions that are
+//! mirror angles.
 
 use heliostat_channel::MirrorAngles;
 use heliostat_decide::observation::{ObservationEncoder, USERS_CAPACITY};

@@ -62,7 +62,7 @@
 //!     }
 //! }
 //! assert_eq!(controller.counters().commands, 3);
-//! // No report for two seconds: the answer of this scenario is to hold.
+//! // No report for two seconds: the answer of this scenario is `hold`, no command.
 //! let silent_ns = payloads[2].0 + 2_000_000_000;
 //! assert!(matches!(controller.poll_timeout_command(silent_ns), Some(Decision::Hold(_))));
 //! # Ok(())

@@ -15,7 +15,7 @@ pub struct Summary {
     pub policy: String,
     /// The epoch of the commands.
     pub epoch: u64,
-    /// Position reports answered by a command or by the decision to hold.
+    /// Position reports answered by a command or by the decision to publish none.
     pub decisions: u64,
     /// Commands among the answers.
     pub commands: u64,

@@ -70,7 +70,8 @@ pub enum Decision<'a> {
         /// Age of the positions on which the decision is based, in ns.
         age_ns: Nanos,
     },
-    /// No command: the array holds the last one, and parks when its validity ends.
+    /// No command. The array keeps its angles until the validity of the last command plus the
+    /// driver's `park_after_ms` has passed, then moves to its park position.
     Hold(DegradedMode),
 }
 
@@ -123,7 +124,7 @@ impl DegradedMode {
 /// Counters of a controller since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Position reports answered by a command or by the decision to hold.
+    /// Position reports answered by a command or by the decision to publish none.
     pub decisions: u64,
     /// Commands among the answers.
     pub commands: u64,

@@ -1,8 +1,9 @@
 //! A smooth approximation of decoder and solver, in which the users share each mirror.
 //!
-//! [`decode`](crate::decode::decode) assigns mirror m to user argmax_k w_k a_km. Here user k has
-//! the share (w_k a_km)^8 / sum_j (w_j a_jm)^8 of it, which is continuous in the weights. A few
-//! steps of [`balance`] give a policy the approximate weights of an optimum.
+//! [`decode`](crate::decode::decode) assigns mirror m to user argmax_k w_k a_km. The soft assignment
+//! here is (w_k a_km)^8 / sum_j (w_j a_jm)^8: the fraction of the mirror's light that user k
+//! receives. It is continuous in the weights. A few steps of [`balance`] give a policy the
+//! approximate weights of an optimum.
 //!
 //! ```
 //! use heliostat_channel::sharing;
@@ -18,7 +19,7 @@ use crate::simd::with_widest_simd;
 use crate::solver::slope;
 use crate::trig::BLOCK;
 
-/// Exponent of the weighted gain in a share.
+/// Exponent of the weighted gain in a soft assignment.
 pub const EXPONENT: u32 = 8;
 
 /// Step sizes c of [`balance`].
@@ -31,7 +32,8 @@ const QOS_PENALTY: f64 = 10.0;
 /// is 0.
 const AMPLITUDE_MIN: f32 = 1e-3;
 
-/// Amplitude of each user: the line-of-sight amplitude plus the user's shares of all mirrors.
+/// Amplitude of each user: the line-of-sight amplitude plus the softly assigned amplitudes of all
+/// mirrors.
 ///
 /// x_k = l_k + sum_m a_km (w_k a_km)^8 / sum_j (w_j a_jm)^8. A mirror with a_jm = 0 for all users
 /// adds nothing.
@@ -78,7 +80,7 @@ pub fn amplitudes(steering: &[f32], direct: &[f32], weights: &[f32], out: &mut [
     );
 }
 
-/// Adds the shares of a block of mirrors; `steering` returns a user's amplitudes for the block.
+/// Adds the amplitudes of a block of mirrors; `steering` returns a user's amplitudes for the block.
 #[inline(always)]
 fn share_block(weights: &[f32], out: &mut [f32], steering: impl Fn(usize) -> [f32; BLOCK]) {
     // Avoids a division by zero for a mirror that reaches no user.

@@ -28,7 +28,7 @@ use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use crate::comparison::{Entrant, progress_bar};
+use crate::comparison::{EvaluatedPolicy, progress_bar};
 use crate::evaluation::Estimate;
 use bench::Bench;
 use locate::{centre, find, fit};
@@ -152,7 +152,7 @@ pub struct Settings {
     /// States of each seed.
     pub states: usize,
     /// The policy.
-    pub entrant: Entrant,
+    pub policy: EvaluatedPolicy,
     /// The method of the measurement.
     pub method: Method,
 }
@@ -228,7 +228,7 @@ pub fn study(settings: &Settings) -> anyhow::Result<(Study, CalibrationFile)> {
     let study = Study {
         scenario: scenario.name.clone(),
         configuration: scenario.hash(),
-        policy: settings.entrant.name().to_owned(),
+        policy: settings.policy.name().to_owned(),
         seed: scenario.seed,
         seeds: settings.seeds,
         states: settings.states,
@@ -246,7 +246,7 @@ fn mounted(scenario: &Scenario, offset_deg: f64, scale_error: Option<f64>) -> an
 fn one(settings: &Settings, mounted: &Scenario, set: u64, bar: &ProgressBar) -> anyhow::Result<OneArray> {
     let seed = settings.scenario.seed.wrapping_add(set);
     let exact = self::mounted(&settings.scenario, 0.0, None)?;
-    let mut evaluation = Evaluation::new(&exact, &settings.entrant, seed, settings.states)?;
+    let mut evaluation = Evaluation::new(&exact, &settings.policy, seed, settings.states)?;
     let outcome = calibrate(mounted, seed, &settings.method, bar)?;
     let rates = [
         evaluation.sum_rate_mbps(&exact, seed, None)?,

@@ -9,8 +9,9 @@
 //!   reports that are sparse, late and noisy, and its commands turn mirrors with their dynamics.
 //!   The oracle observes the true state, and its mirrors turn at once.
 //!
-//! A learned policy with several built-in training seeds takes part with all of them. Each meets
-//! every state, and the interval includes the spread over states and over training seeds.
+//! A learned policy is evaluated once per built-in actor; actors differ in their training seed. Each
+//! actor is evaluated on every state. The confidence interval includes variation across states and
+//! across training seeds.
 //!
 //! The denominator of a ratio is the sum rate of the oracle with minimum rates under the true
 //! evaluation. That includes the spill of each spot onto other users, which the oracle ignores, so
@@ -18,8 +19,8 @@
 //! that of the policy alone, encoding included.
 
 mod closed_loop;
-mod entrant;
-pub(crate) mod judge;
+mod evaluated_policy;
+pub(crate) mod evaluator;
 mod row;
 mod settings;
 mod stale_aim;
@@ -31,7 +32,7 @@ use anyhow::ensure;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Serialize, Serializer};
 
-pub use entrant::{Entrant, UnknownPolicy};
+pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 pub use row::{Row, Spread, Times};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;
@@ -47,11 +48,11 @@ pub struct Report {
     pub channel_mode: &'static str,
     /// Static or closed loop.
     pub mode: Loop,
-    /// States of each seed.
+    /// States of each room seed.
     pub states: usize,
-    /// The first seed.
+    /// The first room seed.
     pub seed: u64,
-    /// Number of seeds.
+    /// Number of room seeds.
     pub seeds: usize,
     /// Users in the room.
     pub users: usize,
@@ -93,8 +94,8 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
     ensure!(settings.states > 0 && settings.seeds > 0, "a comparison needs at least one state and one seed");
     let scenario = &settings.scenario;
     // Refuse an actor that does not fit before the oracle's long computation.
-    for entrant in &settings.entrants {
-        for training in entrant.trainings(scenario, settings.training_seed) {
+    for evaluated in &settings.policies {
+        for training in evaluated.trainings(scenario, settings.training_seed) {
             training.build(scenario, scenario.seed)?;
         }
     }
@@ -103,7 +104,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         Loop::ClosedLoop => closed_loop::compare(settings, bar)?,
     };
     bar.finish_and_clear();
-    let names = settings.entrants.iter().map(|entrant| entrant.name().to_owned());
+    let names = settings.policies.iter().map(|evaluated| evaluated.name().to_owned());
     Ok(Report {
         scenario: scenario.name.clone(),
         configuration: scenario.hash(),

@@ -5,7 +5,7 @@
 //! - [`features`], [`angle_state`]: the observation vector as inputs of a network.
 //! - [`target_user`]: the user whom the mirrors can help most, as the state of the codebook
 //!   learners.
-//! - [`codebook`]: the quantised angles that the codebook learners choose from.
+//! - [`codebook`]: the codewords, which are the actions of the codebook learners.
 
 pub mod angle_state;
 pub mod codebook;

@@ -25,17 +25,17 @@ pub struct TrainArgs {
     algorithm: Algorithm,
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Origin of the numbers of the run
+    /// Set of default hyperparameters
     #[arg(long, value_enum, default_value_t = Preset::Tuned)]
     preset: Preset,
-    /// Number of episodes, instead of the preset's
+    /// Number of episodes, which overrides the preset
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     episodes: Option<u32>,
-    /// Steps in an episode, instead of the preset's
+    /// Steps in an episode, which overrides the preset
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     steps: Option<u32>,
-    /// Change a number of the preset, for example --option exploration.start=0.2 (repeatable); an
-    /// unknown key lists all keys
+    /// Override one hyperparameter, for example exploration.start=0.2 (repeatable); an unknown key
+    /// lists all keys
     #[arg(long = "option", value_name = "KEY=VALUE")]
     options: Vec<String>,
     /// Folder for the actor, its card, the learning curve and the checkpoint
@@ -95,7 +95,7 @@ fn train(args: &TrainArgs) -> anyhow::Result<()> {
 }
 
 impl TrainArgs {
-    /// All changes to the preset.
+    /// All overrides of the preset.
     fn changes(&self) -> Vec<String> {
         let mut changes = self.options.clone();
         changes.extend(self.episodes.map(|count| format!("episodes={count}")));
@@ -200,10 +200,16 @@ fn final_scores(training: &Training, states: usize) -> anyhow::Result<Vec<ScoreR
         for forced in forced_counts(users) {
             let mut held_out = HeldOut::default();
             held_out.add(&room(training.scenario(), users, forced), states)?;
-            let ceiling = held_out
-                .ceiling(|room| training.learner().best_action(room))?
+            let upper_bound = held_out
+                .upper_bound(|room| training.learner().best_action(room))?
                 .map(|best| (best.ratio_to_oracle, best.qos_met));
-            rows.push(ScoreRow { users, forced, states, score: held_out.score(|room| training.act(room))?, ceiling });
+            rows.push(ScoreRow {
+                users,
+                forced,
+                states,
+                score: held_out.score(|room| training.act(room))?,
+                upper_bound,
+            });
         }
     }
     Ok(rows)

@@ -1,9 +1,9 @@
 //! The training loop that all learners share, and the files that a run writes.
 //!
-//! - [`learner`]: the interface of a learner, its step function above all.
+//! - [`learner`]: the interface of a learner.
 //! - [`run`]: the loop over episodes and steps, with the rooms and the random generator of the run.
-//! - [`settings`]: the numbers of a run, and changes to them from the command line.
-//! - [`algorithm`]: one entry of the table of algorithms.
+//! - [`settings`]: the hyperparameters of a run, and changes to them from the command line.
+//! - [`algorithm`]: one row of the table of algorithms.
 //! - [`replay`], [`exploration`]: parts that several learners use.
 //! - [`store`], [`checkpoint`]: the state of a run on disk.
 //! - [`curve`], [`card`]: the learning curve and the model card.

@@ -34,20 +34,20 @@ impl Bench {
         let mut room = || {
             let room = Rooms::Randomised.draw(&self.scenario, &mut rng);
             let environment = Environment::new(&room, rng.random()).expect("a valid room");
-            let logits = (0..environment.users()).map(|_| rng.random_range(-0.9..0.9)).collect();
-            (environment, logits)
+            let actions = (0..environment.users()).map(|_| rng.random_range(-0.9..0.9)).collect();
+            (environment, actions)
         };
         (0..count).map(|_| room()).collect()
     }
 
     /// The mean of the users' parts of the reward by decoder and channel, in bit/s/Hz of a user's
     /// band.
-    fn truth(&self, room: &Environment, logits: &[f64]) -> f64 {
+    fn truth(&self, room: &Environment, actions: &[f64]) -> f64 {
         let (model, seen) = (room.model(), room.observation());
         let balanced = &room.vector()[self.layout.encoder.column(Summary::LogWeight as usize)];
         let weight =
-            |(logit, balanced): (&f64, &f32)| (f64::from(self.head.range) * logit + f64::from(*balanced)).exp();
-        let weights: Vec<f64> = logits.iter().zip(balanced).map(weight).collect();
+            |(action, balanced): (&f64, &f32)| (f64::from(self.head.range) * action + f64::from(*balanced)).exp();
+        let weights: Vec<f64> = actions.iter().zip(balanced).map(weight).collect();
         let mut angles = MirrorAngles::flat(seen.mirrors());
         decode::decode(model, &seen.scene, &weights, &mut angles);
         let mut rates = vec![0.0; seen.users()];
@@ -59,11 +59,11 @@ impl Bench {
         parts.sum::<f64>() / model.budget.bandwidth_hz
     }
 
-    /// The mean in tensors, with its gradient with respect to the logits.
-    fn found(&self, room: Environment, logits: &[f64], exponent: f64) -> (f64, Vec<f32>) {
+    /// The mean in tensors, with its gradient with respect to the actions.
+    fn found(&self, room: Environment, actions: &[f64], exponent: f64) -> (f64, Vec<f32>) {
         let mut slots = vec![0.0_f32; self.layout.slots()];
-        slots.iter_mut().zip(logits).for_each(|(slot, logit)| *slot = *logit as f32);
-        let variable = Var::from_slice(&slots, (1, slots.len()), &Device::Cpu).expect("logits");
+        slots.iter_mut().zip(actions).for_each(|(slot, action)| *slot = *action as f32);
+        let variable = Var::from_slice(&slots, (1, slots.len()), &Device::Cpu).expect("actions");
         let channel = Channel::new(&[room], self.layout).expect("a channel");
         let amplitude = channel.amplitude(&variable, self.head, exponent).expect("amplitudes");
         let reward: Tensor = channel.reward(&amplitude, REWARD).and_then(|reward| reward.sum_all()).expect("a reward");
@@ -77,20 +77,20 @@ impl Bench {
 fn the_tensors_of_the_papers_channel_match_values_and_gradients() {
     let bench = Bench::new("paper-calibrated");
     let mut compared = 0;
-    for (room, logits) in bench.rooms(30) {
-        let truth = |logits: &[f64]| bench.truth(&room, logits);
-        let expected = truth(&logits);
-        let slopes: Vec<[f64; 2]> = (0..logits.len())
+    for (room, actions) in bench.rooms(30) {
+        let truth = |actions: &[f64]| bench.truth(&room, actions);
+        let expected = truth(&actions);
+        let slopes: Vec<[f64; 2]> = (0..actions.len())
             .map(|user| {
                 let moved = |by: f64| {
-                    let mut moved = logits.clone();
+                    let mut moved = actions.clone();
                     moved[user] += by;
                     truth(&moved)
                 };
                 [1e-4, 1e-5].map(|step| (moved(step) - moved(-step)) / (2.0 * step))
             })
             .collect();
-        let (found, gradient) = bench.found(room, &logits, 8.0);
+        let (found, gradient) = bench.found(room, &actions, 8.0);
         assert!((found - expected).abs() < 1e-4 * expected.abs().max(1.0), "{found} for {expected}");
         for (slope, found) in slopes.iter().zip(&gradient) {
             // At a kink of the reward two step sizes give two slopes.
@@ -99,7 +99,7 @@ fn the_tensors_of_the_papers_channel_match_values_and_gradients() {
                 compared += 1;
             }
         }
-        assert!(gradient[logits.len()..].iter().all(|value| *value == 0.0));
+        assert!(gradient[actions.len()..].iter().all(|value| *value == 0.0));
     }
     assert!(compared > 100, "{compared} slopes compared");
 }
@@ -107,9 +107,9 @@ fn the_tensors_of_the_papers_channel_match_values_and_gradients() {
 #[test]
 fn the_softened_choice_converges_to_the_true_decoder() {
     let bench = Bench::new("specular");
-    for (room, logits) in bench.rooms(30) {
-        let expected = bench.truth(&room, &logits);
-        let (found, _) = bench.found(room, &logits, 4000.0);
+    for (room, actions) in bench.rooms(30) {
+        let expected = bench.truth(&room, &actions);
+        let (found, _) = bench.found(room, &actions, 4000.0);
         assert!((found - expected).abs() < 2e-3 * expected.abs().max(1.0), "{found} for {expected}");
     }
 }
@@ -120,11 +120,11 @@ fn the_gradient_of_the_softened_choice_matches_finite_differences() {
     let mut compared = 0;
     for index in 0..20 {
         let again = || bench.rooms(20).swap_remove(index);
-        let (room, logits) = again();
-        let (_, gradient) = bench.found(room, &logits, 8.0);
-        for user in 0..logits.len() {
+        let (room, actions) = again();
+        let (_, gradient) = bench.found(room, &actions, 8.0);
+        for user in 0..actions.len() {
             let moved = |by: f64| {
-                let mut moved = logits.clone();
+                let mut moved = actions.clone();
                 moved[user] += by;
                 bench.found(again().0, &moved, 8.0).0
             };

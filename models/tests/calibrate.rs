@@ -2,7 +2,7 @@
 
 use heliostat_engine::ActorSource;
 use heliostat_models::calibrate::{Method, Settings, calibrate, study};
-use heliostat_models::comparison::Entrant;
+use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_scenario::Scenario;
 use heliostat_sim::mirrors::actuator::Actuator;
 use heliostat_sim::random::{Purpose, stream};
@@ -60,7 +60,7 @@ fn a_calibration_restores_the_sum_rate_lost_by_one_degree_of_mounting_error() {
         mounting_deg: vec![1.0],
         seeds: 3,
         states: 30,
-        entrant: Entrant::parse("fixed-point", &ActorSource::Shipped).unwrap(),
+        policy: EvaluatedPolicy::parse("fixed-point", &ActorSource::Shipped).unwrap(),
         method: METHOD,
     };
     let (study, file) = study(&settings).unwrap();

@@ -1,4 +1,4 @@
-//! Learners that choose among the entries of a codebook: graph and learner, the ceiling, and
+//! Learners that choose among the codewords of a codebook: graph and learner, the upper bound, and
 //! learning.
 
 use heliostat_channel::MirrorAngles;
@@ -38,14 +38,14 @@ fn trained(algorithm: Algorithm, scenario: &Scenario, options: &[&str]) -> Train
 
 fn served(training: &Training) -> Served {
     let scenario = training.scenario();
-    let entries = [
+    let metadata = [
         (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
         (key::USERS_MAX, "10".to_string()),
         (key::MIRRORS, scenario.mirror_count().to_string()),
         (key::MODE, scenario.channel.mode.name().to_string()),
         (key::GEOMETRY, scenario.geometry_hash()),
     ];
-    let bytes = training.export(&entries.map(|(key, value)| (key.to_string(), value))).expect("a file");
+    let bytes = training.export(&metadata.map(|(key, value)| (key.to_string(), value))).expect("a file");
     let file = ActorFile { origin: "the exported actor".into(), bytes: bytes.into() };
     heliostat_engine::load_actor(&file, scenario).expect("the engine takes the graph")
 }
@@ -85,7 +85,7 @@ fn graphs_give_the_learners_angles() {
         for algorithm in ALGORITHMS {
             let training = trained(algorithm, &small(name, &[]), &["episodes=12", "steps=40", "exploration.end=0.5"]);
             let differences = differences(&training);
-            // A network may also give two entries the same value.
+            // A network may also give two codewords the same value.
             let allowed = if algorithm.name == "dql" { OBSERVATIONS / 200 } else { 0 };
             assert!(differences <= allowed, "{} in {name}: {differences} of {OBSERVATIONS} differ", algorithm.name);
         }
@@ -98,9 +98,9 @@ fn every_angle_is_within_range() {
         for range in ["90", "20"] {
             let scenario = small(name, &[&format!("control.range_deg={range}")]);
             let (codebook, limit) = (Codebook::of(&scenario).expect("a codebook"), Limits::new(&scenario.control));
-            assert_eq!((codebook.entries().len(), codebook.coordinates().len()), (count, count), "{name}");
-            for entry in codebook.entries() {
-                let mut angles = entry.roll.iter().chain(&entry.yaw);
+            assert_eq!((codebook.codewords().len(), codebook.coordinates().len()), (count, count), "{name}");
+            for codeword in codebook.codewords() {
+                let mut angles = codeword.roll.iter().chain(&codeword.yaw);
                 assert!(angles.all(|angle| angle.abs() <= limit.range_rad()), "{name}");
             }
         }
@@ -133,8 +133,8 @@ fn no_policy_is_above_the_ceiling() {
     }
 }
 
-/// One user in shadow: the best entry aims at this user, and every learner finds it far more often
-/// than by chance.
+/// One user in shadow: the best codeword aims at this user, and every learner finds it far more
+/// often than by chance.
 #[test]
 fn a_learner_aims_at_the_user_in_shadow() {
     on_one_thread(aims_at_the_user_in_shadow).expect("a thread");
@@ -151,7 +151,7 @@ fn aims_at_the_user_in_shadow() {
         let episodes = if algorithm.name == "dql" { "episodes=200" } else { "episodes=1000" };
         let training = trained(algorithm, &scenario, &["rooms=fixed", episodes, "exploration.end=0.05"]);
         let after = held_out.score(|room| training.act(room)).expect("a score").sum_rate_mbps.mean;
-        let best = held_out.ceiling(|room| training.learner().best_action(room)).expect("a score");
+        let best = held_out.upper_bound(|room| training.learner().best_action(room)).expect("a score");
         let best = best.expect("a codebook").sum_rate_mbps.mean;
         assert!(
             after > before + 0.4 * (best - before),
@@ -161,7 +161,7 @@ fn aims_at_the_user_in_shadow() {
     }
 }
 
-/// The target of one uses the entry that is taken next, that of the other the best entry.
+/// The target of one uses the codeword that is taken next, that of the other the best codeword.
 #[test]
 fn sarsa_and_q_learning_learn_different_tables() {
     let scenario = small("paper-calibrated", &[]);

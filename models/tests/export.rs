@@ -26,7 +26,7 @@ fn tuned(scenario: &Scenario) -> Settings {
     Settings::tuned(5, scenario.channel.mode)
 }
 
-/// An actor whose logits spread over [-1, 1], as those of a trained one.
+/// An actor whose actions spread over [-1, 1], as those of a trained one.
 fn spread_actor(scenario: &Scenario, settings: Settings) -> Actor {
     let mut rng = ChaCha8Rng::seed_from_u64(settings.run.seed);
     let learner = Ddpg::new(scenario, settings, &mut rng).expect("valid settings");
@@ -71,11 +71,11 @@ fn compare(scenario: &Scenario, settings: Settings) -> (f64, f64) {
         let room = Rooms::Randomised.draw(scenario, &mut rng);
         let environment = Environment::new(&room, rng.random()).expect("a valid room");
         let vector = environment.vector();
-        let logits = actor.logits(&States::row(actor.layout, vector)).expect("logits");
-        assert!(logits.iter().all(|logit| logit.is_finite()), "expected finite logits, found {logits:?}");
-        let expected = actor.decode(&environment, &logits);
+        let actions = actor.actions(&States::row(actor.layout, vector)).expect("actions");
+        assert!(actions.iter().all(|action| action.is_finite()), "expected finite actions, found {actions:?}");
+        let expected = actor.decode(&environment, &actions);
         served.answer(vector, &mut got).expect("angles");
-        let weights = actor.layout.weights(vector, &logits, actor.head);
+        let weights = actor.layout.weights(vector, &actions, actor.head);
         for mirror in 0..mirrors {
             let steering = |slot: usize| vector[actor.layout.encoder.steering_amplitude()][slot * mirrors + mirror];
             if scenario.channel.mode == ChannelMode::Specular && near_tie(&weights, steering) {
@@ -132,7 +132,7 @@ fn graphs_for_other_walls_and_arrays_match_too() {
 }
 
 #[test]
-fn the_logits_do_not_depend_on_the_order_of_users() {
+fn the_actions_do_not_depend_on_the_order_of_users() {
     let scenario = Scenario::builtin("specular").expect("built in");
     let actor = spread_actor(&scenario, tuned(&scenario));
     let environment = Environment::new(&scenario, 3).expect("a valid room");
@@ -145,8 +145,8 @@ fn the_logits_do_not_depend_on_the_order_of_users() {
         order.flat_map(|slot| rows[slot * width..][..width].to_vec()).collect()
     };
     let swapped = [swap(head, features), swap(tail, scenario.mirror_count())].concat();
-    let before = actor.logits(state).expect("logits");
-    let after = actor.logits(&swapped).expect("logits");
+    let before = actor.actions(state).expect("actions");
+    let after = actor.actions(&swapped).expect("actions");
     assert!((before[0] - before[3]).abs() > 1e-3, "users 0 and 3 must differ for the test to be valid");
     for (slot, other) in [(0, 3), (1, 1), (2, 2), (3, 0)] {
         assert!((before[slot] - after[other]).abs() < 1e-5, "slot {slot}: {} and {}", before[slot], after[other]);

@@ -1,6 +1,6 @@
 //! A short run improves the score, and its parameters stay finite.
 
-use heliostat_models::environment::features::{Head, Prior};
+use heliostat_models::environment::features::{BaselineWeight, Head};
 use heliostat_models::evaluation::HeldOut;
 use heliostat_models::learners::ddpg::{Ddpg, Settings};
 use heliostat_models::networks::on_one_thread;
@@ -18,8 +18,8 @@ fn check() {
     let scenario = scenario.expect("a valid scenario");
     let tuned = Settings::tuned(1, ChannelMode::Specular);
     let run = RunSettings { episodes: 24, steps: 25, ..tuned.run };
-    // Without balanced weights as the prior the initial score is low.
-    let head = Head { prior: Prior::Uniform, ..tuned.head };
+    // With uniform baseline weights the initial score is low.
+    let head = Head { baseline_weight: BaselineWeight::Uniform, ..tuned.head };
     let settings = Settings { run, head, warm_up: 100, ..tuned };
     let mut training = Training::new(scenario.clone(), settings, Ddpg::new).expect("a valid run");
     let mut held_out = HeldOut::default();

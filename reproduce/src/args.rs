@@ -118,7 +118,7 @@ impl ReproduceArgs {
             seeds: self.seeds.unwrap_or(effort.seeds),
             training_seeds: self.training_seeds.unwrap_or(effort.training_seeds),
             episodes: self.episodes.map_or(effort.episodes, |count| count as usize),
-            judgements: effort.judgements.min(self.episodes.map_or(effort.judgements, |count| count as usize)),
+            evaluations: effort.evaluations.min(self.episodes.map_or(effort.evaluations, |count| count as usize)),
             ..effort
         }
     }

@@ -10,7 +10,7 @@ pub struct Effort {
     /// Episodes of each training run.
     pub episodes: usize,
     /// Evaluations of a learner after its start.
-    pub judgements: usize,
+    pub evaluations: usize,
     /// Held-out states for the evaluation of learners.
     pub watched_states: usize,
     /// States for each seed, power and number of blocked users.
@@ -36,7 +36,7 @@ impl Effort {
             seeds: 10,
             training_seeds: 3,
             episodes: 300,
-            judgements: 20,
+            evaluations: 20,
             watched_states: 60,
             states: 20,
             powers_w: vec![1.0, 1.5, 2.0, 2.5, 3.0],
@@ -54,7 +54,7 @@ impl Effort {
             seeds: 2,
             training_seeds: 1,
             episodes: 25,
-            judgements: 3,
+            evaluations: 3,
             watched_states: 20,
             states: 8,
             powers_w: vec![1.0, 2.0, 3.0],

@@ -41,7 +41,8 @@ pub struct Learning {
     /// Episodes.
     pub episodes: usize,
     /// Evaluations after the start.
-    pub judgements: usize,
+    #[serde(rename = "judgements")]
+    pub evaluations: usize,
     /// Evaluation states.
     pub states: usize,
 }

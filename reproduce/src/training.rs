@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use clap::Parser;
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::Entrant;
+use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_models::{TrainArgs, run_train};
 use heliostat_scenario::Scenario;
 
@@ -69,7 +69,7 @@ pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
 }
 
 fn fits(scenario: &Scenario, actor: &ActorSource) -> bool {
-    Entrant::parse("ddpg", actor).is_ok_and(|entrant| entrant.fits(scenario))
+    EvaluatedPolicy::parse("ddpg", actor).is_ok_and(|evaluated| evaluated.fits(scenario))
 }
 
 fn place(scenario: &Scenario, out: &Path) -> PathBuf {

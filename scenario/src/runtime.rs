@@ -261,9 +261,9 @@ pub enum Fallback {
     Nearest,
     /// All mirrors face straight into the room.
     Flat,
-    /// The last command is sent again, with a new validity.
+    /// The controller publishes the last angles again, with a new validity.
     LastGood,
-    /// No command is sent: the array holds its angles, then parks.
+    /// The controller publishes no command; see [`DegradedAction::Hold`].
     Hold,
 }
 
@@ -275,11 +275,13 @@ pub enum DegradedAction {
     Policy,
     /// `control.fallback` decides.
     Fallback,
-    /// The last command is sent again, with a new validity.
+    /// The controller publishes the last angles again, with a new validity.
     LastGood,
-    /// No command is sent: the array holds its angles, then parks.
+    /// The controller publishes no command. The array keeps its angles until the validity of the
+    /// last command plus the driver's `park_after_ms` has passed, then moves to its park position.
     Hold,
-    /// Every mirror faces straight into the room.
+    /// The controller publishes a command with all mirrors flat. This is not the array state
+    /// *parked*, which needs no command.
     Park,
 }
 
@@ -298,7 +300,8 @@ pub enum Prediction {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Control {
-    /// Validity of a command in ms; after it the array parks.
+    /// Validity of a command in ms. After it the array holds its angles for the driver's
+    /// `park_after_ms`, then moves to its park position.
     pub validity_ms: f64,
     /// Maximum age of a report in ms; an older one causes no decision.
     pub report_age_max_ms: f64,

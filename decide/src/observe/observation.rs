@@ -39,8 +39,10 @@ pub const USERS_CAPACITY: usize = 10;
 /// Columns of the summary, each with a value for every slot.
 ///
 /// a_km is the steering amplitude of mirror m towards user k. p_k = sqrt(M) / sum_m a_km is the
-/// weight that gives all users equal shares. A shared amplitude is that of
-/// [`heliostat_channel::sharing`].
+/// equal-share weight: with it, sum_m p_k a_km is the same for all users. q_k is the balanced
+/// weight, which [`heliostat_channel::sharing::balance`] computes from p_k. A soft assignment is
+/// the fraction of a mirror's light that a user receives;
+/// [`heliostat_channel::sharing::amplitudes`] computes the users' amplitudes from it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Summary {
     /// 1 where the slot holds a user.
@@ -55,12 +57,11 @@ pub enum Summary {
     LogDirect,
     /// ln(1 + sum_m a_km): all mirrors serve the user, without the direct path.
     LogSteering,
-    /// ln(1 + shared amplitude with the weights p).
+    /// ln(1 + amplitude with the equal-share weights p).
     LogShared,
-    /// ln(1 + shared amplitude with the weights q).
+    /// ln(1 + amplitude with the balanced weights q).
     LogBalanced,
-    /// ln q_k: q is the result of [`heliostat_channel::sharing::balance`] for p, scaled so that the
-    /// mean of ln q is that of ln p.
+    /// ln q_k, with q scaled so that the mean of ln q is that of ln p.
     LogWeight,
 }
 

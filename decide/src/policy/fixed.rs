@@ -24,7 +24,7 @@ impl Fixed {
         Self::uniform("no-irs", mirrors, -range_rad)
     }
 
-    /// One uniform draw per axis within the range, held for the run.
+    /// One uniform draw per axis within the range, the same for the complete run.
     pub fn random(mirrors: usize, range_rad: f64, seed: u64) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = || (0..mirrors).map(|_| generator.random_range(-range_rad..=range_rad)).collect();
@@ -47,7 +47,7 @@ impl Policy for Fixed {
     }
 }
 
-/// Repeats the last commanded angles.
+/// Publishes the last angles again: the policy `hold` and the fallback `last-good`.
 pub struct Hold;
 
 impl Policy for Hold {

@@ -80,10 +80,10 @@ fn balanced(steering: &[f64], direct: &[f64], min_rates: &[f64]) -> [Vec<f64>; 4
     let rows: Vec<&[f64]> = steering.chunks(steering.len() / direct.len()).collect();
     let totals: Vec<f64> = rows.iter().map(|row| row.iter().sum()).collect();
     let shared = |weights: &[f64]| -> Vec<f64> {
-        let claim = |user: usize, mirror: usize| (weights[user] * rows[user][mirror]).powi(8);
+        let power = |user: usize, mirror: usize| (weights[user] * rows[user][mirror]).powi(8);
         let share = |user: usize, mirror: usize| {
-            let all: f64 = (0..rows.len()).map(|other| claim(other, mirror)).sum();
-            if rows[user][mirror] > 0.0 { rows[user][mirror] * claim(user, mirror) / all } else { 0.0 }
+            let all: f64 = (0..rows.len()).map(|other| power(other, mirror)).sum();
+            if rows[user][mirror] > 0.0 { rows[user][mirror] * power(user, mirror) / all } else { 0.0 }
         };
         (0..rows.len()).map(|k| direct[k] + (0..rows[k].len()).map(|mirror| share(k, mirror)).sum::<f64>()).collect()
     };

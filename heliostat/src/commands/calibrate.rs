@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::calibrate::{Method, Row, Settings, Study, study};
-use heliostat_models::comparison::Entrant;
+use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_models::evaluation::Estimate;
 use heliostat_scenario::ScenarioArgs;
 
@@ -68,7 +68,7 @@ pub fn run(args: Args) -> Result<()> {
         mounting_deg: args.mounting_deg,
         seeds: args.seeds as usize,
         states: args.states as usize,
-        entrant: Entrant::parse(&args.policy, &ActorSource::Shipped)?,
+        policy: EvaluatedPolicy::parse(&args.policy, &ActorSource::Shipped)?,
         method: Method { dwell_s: args.dwell_ms * 1e-3, search_rad: args.search_deg.to_radians() },
     };
     let (study, file) = study(&settings)?;

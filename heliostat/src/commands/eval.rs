@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::{Entrant, Loop, Settings, compare};
+use heliostat_models::comparison::{EvaluatedPolicy, Loop, Settings, compare};
 use heliostat_scenario::ScenarioArgs;
 
 use crate::output::outln;
@@ -19,12 +19,13 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 
 /// Compare policies with the oracle on the same states.
 ///
-/// The oracle maximises the sum rate under the minimum rates. A learned policy stands for all its
-/// built-in actors, one for each training seed; its interval includes their spread. By default each
-/// policy observes exact held-out states, and its mirrors move instantly. With --closed-loop,
-/// reports and mirrors have the rate, delay, noise and dynamics of the scenario; the oracle still
-/// knows the true state and moves its mirrors instantly. The decision time is that of the policy
-/// alone.
+/// The oracle is the best local optimum that the solver finds from the true state. It penalises
+/// rates below the minimum. A learned policy is evaluated once per built-in actor; actors differ in
+/// their training seed. The confidence interval includes the variation across training seeds. By
+/// default each policy observes exact held-out states, and its mirrors move instantly. With
+/// --closed-loop, reports and mirrors have the rate, delay, noise and dynamics of the scenario. The
+/// oracle still knows the true state and moves its mirrors instantly. The decision time is that of
+/// the policy alone.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -39,10 +40,10 @@ pub struct Args {
     /// Use the built-in actor of this training seed only, instead of all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     training_seed: Option<u32>,
-    /// States for each seed
+    /// States for each room seed
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     states: u32,
-    /// Number of seeds, counted up from the scenario's
+    /// Number of room seeds, counted up from the scenario's
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
     /// Users whose direct path is blocked: short for --set blockage.forced_users=B
@@ -83,24 +84,26 @@ impl Args {
                 || self.policies.iter().any(|name| name == "ddpg" || name == "actor"),
             "--model gives the actor of ddpg, but --policies does not include ddpg; give the file in --policies instead: --policies greedy,FILE.onnx"
         );
-        let mut entrants = Vec::new();
+        let mut policies = Vec::new();
         for (index, name) in self.policies.iter().enumerate() {
             ensure!(!self.policies[..index].contains(name), "--policies names {name} twice");
-            entrants.push(Entrant::parse(name, &actor)?);
+            policies.push(EvaluatedPolicy::parse(name, &actor)?);
         }
         if self.policies.is_empty() {
-            entrants =
-                DEFAULT_POLICIES.map(|name| Entrant::parse(name, &actor)).into_iter().collect::<Result<_, _>>()?;
-            entrants.retain(|entrant| self.model.is_some() || entrant.fits(&scenario));
+            policies = DEFAULT_POLICIES
+                .map(|name| EvaluatedPolicy::parse(name, &actor))
+                .into_iter()
+                .collect::<Result<_, _>>()?;
+            policies.retain(|evaluated| self.model.is_some() || evaluated.fits(&scenario));
         }
-        let entrants = entrants.into_iter().flat_map(|entrant| {
-            let predicted = if self.predicted { entrant.predicted() } else { None };
-            let unaware = self.unaware.then(|| entrant.unaware());
-            [Some(entrant), predicted, unaware].into_iter().flatten()
+        let policies = policies.into_iter().flat_map(|evaluated| {
+            let predicted = if self.predicted { evaluated.predicted() } else { None };
+            let unaware = self.unaware.then(|| evaluated.unaware());
+            [Some(evaluated), predicted, unaware].into_iter().flatten()
         });
         Ok(Settings {
             scenario,
-            entrants: entrants.collect(),
+            policies: policies.collect(),
             states: self.states as usize,
             seeds: self.seeds as usize,
             mode: if self.closed_loop { Loop::ClosedLoop } else { Loop::Static },

@@ -10,7 +10,7 @@ use heliostat_scenario::Scenario;
 use heliostat_sim::World;
 use heliostat_sim::mirrors::SimulatedMirrors;
 
-use crate::comparison::{Entrant, judge::Judge};
+use crate::comparison::{EvaluatedPolicy, evaluator::Evaluator};
 use crate::evaluation::held_out::held_out_world;
 
 /// Time from a command to the evaluation of the mirrors in ns, longer than a servo needs.
@@ -19,7 +19,7 @@ const SETTLED_NS: u64 = 2_000_000_000;
 /// States of a room, and the angles that a policy commands in each.
 pub struct Evaluation {
     states: Vec<(World, MirrorAngles)>,
-    judge: Judge,
+    evaluator: Evaluator,
 }
 
 impl Evaluation {
@@ -27,14 +27,14 @@ impl Evaluation {
     ///
     /// # Errors
     /// The scenario describes no room, or the policy cannot be built for it.
-    pub fn new(scenario: &Scenario, entrant: &Entrant, set: u64, count: usize) -> anyhow::Result<Self> {
+    pub fn new(scenario: &Scenario, evaluated: &EvaluatedPolicy, set: u64, count: usize) -> anyhow::Result<Self> {
         let state = |index: usize| {
             let world = held_out_world(scenario, set, index as u64)?;
-            let angles = entrant.angles(scenario, &world)?;
+            let angles = evaluated.angles(scenario, &world)?;
             anyhow::Ok((world, angles))
         };
         let states = (0..count).map(state).collect::<anyhow::Result<_>>()?;
-        Ok(Self { states, judge: Judge::new(scenario.channel_model()?, scenario.min_rate_bps()) })
+        Ok(Self { states, evaluator: Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps()) })
     }
 
     /// Mean sum rate in Mbit/s with the array of a scenario and a seed, with or without
@@ -48,7 +48,7 @@ impl Evaluation {
         seed: u64,
         corrections: Option<&CalibrationFile>,
     ) -> anyhow::Result<f64> {
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.judge.model().mirrors, seed);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.evaluator.model().mirrors, seed);
         let mut kit = Kit::new(mirrors);
         let mut now_ns = SETTLED_NS;
         kit.advance(Moment::simulated(now_ns));
@@ -73,7 +73,7 @@ impl Evaluation {
             kit.handle_command(Moment::simulated(now_ns), &command)?;
             now_ns += SETTLED_NS;
             kit.device_mut().advance(now_ns);
-            sum += self.judge.judge(world.scene(), kit.device().actuator().angles()).sum_rate_mbps;
+            sum += self.evaluator.evaluate(world.scene(), kit.device().actuator().angles()).sum_rate_mbps;
         }
         Ok(sum / self.states.len() as f64)
     }

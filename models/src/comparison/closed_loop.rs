@@ -21,8 +21,8 @@ use indicatif::ProgressBar;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::entrant::Entrant;
-use super::judge::{Judge, Run, Sample};
+use super::evaluated_policy::EvaluatedPolicy;
+use super::evaluator::{Evaluator, Run, Sample};
 use super::row::{Row, Rows};
 use super::settings::{Loop, RANDOM_DRAWS, Settings};
 use crate::evaluation::held_out::{SETTLE_S, best_angles, held_out_seed};
@@ -61,23 +61,23 @@ fn start_ns() -> u64 {
 pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Rows> {
     let scenario = &settings.scenario;
     let episodes = episodes(settings);
-    let mut judge = Judge::new(scenario.channel_model()?, scenario.min_rate_bps());
+    let mut evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
     bar.set_length(episodes.len() as u64);
     bar.set_message("episodes solved by the oracle");
     let mut oracle = Vec::new();
     for episode in &episodes {
-        oracle.push(solve(scenario, episode, &mut judge)?);
+        oracle.push(solve(scenario, episode, &mut evaluator)?);
         bar.inc(1);
     }
     bar.reset();
-    bar.set_length(settings.entrants.len() as u64);
+    bar.set_length(settings.policies.len() as u64);
     let mut rows = Vec::new();
-    for entrant in &settings.entrants {
-        bar.set_message(format!("policies: {}", entrant.name()));
-        let trainings = entrant.trainings(scenario, settings.training_seed).into_iter();
+    for evaluated in &settings.policies {
+        bar.set_message(format!("policies: {}", evaluated.name()));
+        let trainings = evaluated.trainings(scenario, settings.training_seed).into_iter();
         let runs: Vec<Run> =
-            trainings.map(|one| run(settings, &one, &episodes, &mut judge)).collect::<anyhow::Result<_>>()?;
-        rows.push(Row::new(&runs, &oracle, (entrant, Loop::ClosedLoop)));
+            trainings.map(|one| run(settings, &one, &episodes, &mut evaluator)).collect::<anyhow::Result<_>>()?;
+        rows.push(Row::new(&runs, &oracle, (evaluated, Loop::ClosedLoop)));
         bar.inc(1);
     }
     Ok((Row::of_oracle(&oracle, Loop::ClosedLoop), rows))
@@ -95,7 +95,7 @@ fn episodes(settings: &Settings) -> Vec<Episode> {
 }
 
 /// The oracle's samples: it observes the true state, and its mirrors turn at once.
-fn solve(scenario: &Scenario, episode: &Episode, judge: &mut Judge) -> anyhow::Result<Vec<Sample>> {
+fn solve(scenario: &Scenario, episode: &Episode, evaluator: &mut Evaluator) -> anyhow::Result<Vec<Sample>> {
     let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), episode.seed)?;
     let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
     let mut now_ns = 0;
@@ -103,28 +103,33 @@ fn solve(scenario: &Scenario, episode: &Episode, judge: &mut Judge) -> anyhow::R
     for instant_ns in &episode.instants_ns {
         world.step((instant_ns - now_ns) as f64 * 1e-9);
         now_ns = *instant_ns;
-        let angles = best_angles(&mut solver, judge.model(), world.scene(), world.min_rate_bps());
-        samples.push(judge.judge(world.scene(), &angles));
+        let angles = best_angles(&mut solver, evaluator.model(), world.scene(), world.min_rate_bps());
+        samples.push(evaluator.evaluate(world.scene(), &angles));
     }
     Ok(samples)
 }
 
-fn run(settings: &Settings, entrant: &Entrant, episodes: &[Episode], judge: &mut Judge) -> anyhow::Result<Run> {
-    let scenario = entrant.scenario(&settings.scenario);
+fn run(
+    settings: &Settings,
+    evaluated: &EvaluatedPolicy,
+    episodes: &[Episode],
+    evaluator: &mut Evaluator,
+) -> anyhow::Result<Run> {
+    let scenario = evaluated.scenario(&settings.scenario);
     // The draws are divided among the seeds.
-    let draws = if entrant.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) as u64 } else { 1 };
+    let draws = if evaluated.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) as u64 } else { 1 };
     let runs = (0..draws).map(|draw| {
         let mut run = Run::default();
         for episode in episodes {
             let seed = scenario.seed.wrapping_add(episode.set * draws + draw);
-            let policy = entrant.build(&scenario, seed)?;
+            let policy = evaluated.build(&scenario, seed)?;
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
             let mut lockstep = Lockstep::new(&scenario, episode.seed, controller)?;
-            lockstep.names_unusable = entrant.is_aware();
+            lockstep.names_unusable = evaluated.is_aware();
             let mut samples = Vec::new();
-            let mut look = |room: &SimulatedRoom| samples.push(judge.judge(room.world().scene(), room.angles()));
+            let mut look = |room: &SimulatedRoom| samples.push(evaluator.evaluate(room.world().scene(), room.angles()));
             let done = lockstep.run(&episode.instants_ns, &mut look);
-            done.with_context(|| format!("policy {}", entrant.name()))?;
+            done.with_context(|| format!("policy {}", evaluated.name()))?;
             run.groups.push(samples);
             run.decisions_us.append(&mut lockstep.decisions_us);
         }

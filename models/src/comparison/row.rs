@@ -6,8 +6,8 @@
 
 use serde::Serialize;
 
-use super::entrant::Entrant;
-use super::judge::{Run, Sample};
+use super::evaluated_policy::EvaluatedPolicy;
+use super::evaluator::{Run, Sample};
 use super::settings::Loop;
 use crate::evaluation::Estimate;
 
@@ -54,7 +54,7 @@ pub struct Times {
     pub p99: f64,
 }
 
-/// Rows of the oracle and of each entrant.
+/// Rows of the oracle and of each policy.
 pub(super) type Rows = (Row, Vec<Row>);
 
 /// The results of one policy.
@@ -85,16 +85,16 @@ pub struct Row {
 }
 
 impl Row {
-    /// The results of an entrant's runs, one for each training seed, relative to the oracle's on
+    /// The results of a policy's runs, one for each training seed, relative to the oracle's on
     /// the same states.
-    pub(super) fn new(runs: &[Run], oracle: &[Vec<Sample>], (entrant, mode): (&Entrant, Loop)) -> Self {
+    pub(super) fn new(runs: &[Run], oracle: &[Vec<Sample>], (evaluated, mode): (&EvaluatedPolicy, Loop)) -> Self {
         let samples: Vec<&[Vec<Sample>]> = runs.iter().map(|run| run.groups.as_slice()).collect();
         let mut decisions_us: Vec<f64> = runs.iter().flat_map(|run| &run.decisions_us).copied().collect();
         decisions_us.sort_by(f64::total_cmp);
         let times = Times { p50: quantile(&decisions_us, 0.5), p99: quantile(&decisions_us, 0.99) };
         Self {
             decision_us: (!decisions_us.is_empty()).then_some(times),
-            training_seeds: entrant.is_learned().then_some(runs.len()),
+            training_seeds: evaluated.is_learned().then_some(runs.len()),
             ..Self::of_samples(&samples, oracle, mode)
         }
     }

@@ -3,7 +3,7 @@
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
-use super::entrant::Entrant;
+use super::evaluated_policy::EvaluatedPolicy;
 
 /// Draws over which a random policy is averaged.
 pub(super) const RANDOM_DRAWS: usize = 30;
@@ -21,16 +21,16 @@ pub enum Loop {
 /// The policies and the states of a comparison.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The room; its seed is the first one.
+    /// The room; its seed is the first room seed.
     pub scenario: Scenario,
     /// The policies.
-    pub entrants: Vec<Entrant>,
-    /// States of each seed.
+    pub policies: Vec<EvaluatedPolicy>,
+    /// States of each room seed.
     pub states: usize,
-    /// Number of consecutive seeds.
+    /// Number of consecutive room seeds.
     pub seeds: usize,
     /// Static or closed loop.
     pub mode: Loop,
-    /// The only training seed of the built-in actors that takes part; `None` for all.
+    /// Training seed of the built-in actors to evaluate; `None` evaluates all of them.
     pub training_seed: Option<u32>,
 }

@@ -6,7 +6,7 @@ use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
 
 use super::closed_loop::{Episode, Lockstep};
-use super::entrant::Entrant;
+use super::evaluated_policy::EvaluatedPolicy;
 use crate::evaluation::held_out::{best_angles, held_out_seed};
 
 /// SINR over the SINR at perfect aim for each user, at `instants` sampling times of one walk in
@@ -20,10 +20,10 @@ use crate::evaluation::held_out::{best_angles, held_out_seed};
 /// # Errors
 /// The scenario describes no room, the policy does not fit it or fails, or reports are too old for
 /// a decision.
-pub fn kept_sinr(scenario: &Scenario, entrant: &Entrant, instants: usize) -> anyhow::Result<Vec<f64>> {
+pub fn kept_sinr(scenario: &Scenario, evaluated: &EvaluatedPolicy, instants: usize) -> anyhow::Result<Vec<f64>> {
     let (users, seed) = (scenario.users.count, scenario.seed);
-    let scenario = entrant.scenario(scenario);
-    let controller = Controller::new(&scenario, scenario.channel_model()?, entrant.build(&scenario, seed)?, 1);
+    let scenario = evaluated.scenario(scenario);
+    let controller = Controller::new(&scenario, scenario.channel_model()?, evaluated.build(&scenario, seed)?, 1);
     let episode = Episode::new(held_out_seed(seed, 0), seed, instants);
     let mut solver = Solver::new(users, scenario.mirror_count());
     let [mut sinr, mut perfect] = [vec![0.0; users], vec![0.0; users]];

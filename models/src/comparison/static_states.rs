@@ -9,8 +9,8 @@ use heliostat_decide::policy::Policy;
 use heliostat_decide::safety::{Limits, check_finite};
 use indicatif::ProgressBar;
 
-use super::entrant::Entrant;
-use super::judge::{Judge, Run, Sample};
+use super::evaluated_policy::EvaluatedPolicy;
+use super::evaluator::{Evaluator, Run, Sample};
 use super::row::{Row, Rows};
 use super::settings::{Loop, RANDOM_DRAWS, Settings};
 use crate::environment::room::observe;
@@ -22,24 +22,24 @@ const WARM_UP: usize = 8;
 /// Compares on `states` states of each seed.
 pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Rows> {
     let scenario = &settings.scenario;
-    let mut judge = Judge::new(scenario.channel_model()?, scenario.min_rate_bps());
-    let states = states(settings, bar, &judge)?;
-    let oracle: Vec<Vec<Sample>> = solve(&states, bar, &mut judge);
+    let mut evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
+    let states = states(settings, bar, &evaluator)?;
+    let oracle: Vec<Vec<Sample>> = solve(&states, bar, &mut evaluator);
     let mut rows = Vec::new();
     bar.reset();
-    bar.set_length(settings.entrants.len() as u64);
-    for entrant in &settings.entrants {
-        bar.set_message(format!("policies: {}", entrant.name()));
-        let trainings = entrant.trainings(scenario, settings.training_seed).into_iter();
+    bar.set_length(settings.policies.len() as u64);
+    for evaluated in &settings.policies {
+        bar.set_message(format!("policies: {}", evaluated.name()));
+        let trainings = evaluated.trainings(scenario, settings.training_seed).into_iter();
         let runs: Vec<Run> =
-            trainings.map(|one| run(settings, &one, &states, &mut judge)).collect::<anyhow::Result<_>>()?;
-        rows.push(Row::new(&runs, &oracle, (entrant, Loop::Static)));
+            trainings.map(|one| run(settings, &one, &states, &mut evaluator)).collect::<anyhow::Result<_>>()?;
+        rows.push(Row::new(&runs, &oracle, (evaluated, Loop::Static)));
         bar.inc(1);
     }
     Ok((Row::of_oracle(&oracle, Loop::Static), rows))
 }
 
-fn states(settings: &Settings, bar: &ProgressBar, judge: &Judge) -> anyhow::Result<Vec<Observation>> {
+fn states(settings: &Settings, bar: &ProgressBar, evaluator: &Evaluator) -> anyhow::Result<Vec<Observation>> {
     let scenario = &settings.scenario;
     bar.set_length((settings.seeds * settings.states) as u64);
     bar.set_message("rooms drawn");
@@ -47,7 +47,7 @@ fn states(settings: &Settings, bar: &ProgressBar, judge: &Judge) -> anyhow::Resu
     for set in 0..settings.seeds as u64 {
         for index in 0..settings.states as u64 {
             let world = held_out_world(scenario, scenario.seed.wrapping_add(set), index)?;
-            let mut seen = Observation::new(judge.model(), scenario.users.count);
+            let mut seen = Observation::new(evaluator.model(), scenario.users.count);
             seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
             observe(&world, &mut seen);
             states.push(seen);
@@ -58,25 +58,30 @@ fn states(settings: &Settings, bar: &ProgressBar, judge: &Judge) -> anyhow::Resu
 }
 
 /// The oracle's sample in each state.
-fn solve(states: &[Observation], bar: &ProgressBar, judge: &mut Judge) -> Vec<Vec<Sample>> {
+fn solve(states: &[Observation], bar: &ProgressBar, evaluator: &mut Evaluator) -> Vec<Vec<Sample>> {
     bar.reset();
     bar.set_message("states solved by the oracle");
     let mut solver: Option<Solver> = None;
     let solve = |seen: &Observation| {
         let solver = solver.get_or_insert_with(|| Solver::new(seen.users(), seen.mirrors()));
-        let angles = best_angles(solver, judge.model(), &seen.scene, &seen.min_rate_bps);
+        let angles = best_angles(solver, evaluator.model(), &seen.scene, &seen.min_rate_bps);
         bar.inc(1);
-        vec![judge.judge(&seen.scene, &angles)]
+        vec![evaluator.evaluate(&seen.scene, &angles)]
     };
     states.iter().map(solve).collect()
 }
 
-fn run(settings: &Settings, entrant: &Entrant, states: &[Observation], judge: &mut Judge) -> anyhow::Result<Run> {
-    let draws = if entrant.is_random() { RANDOM_DRAWS } else { 1 };
+fn run(
+    settings: &Settings,
+    evaluated: &EvaluatedPolicy,
+    states: &[Observation],
+    evaluator: &mut Evaluator,
+) -> anyhow::Result<Run> {
+    let draws = if evaluated.is_random() { RANDOM_DRAWS } else { 1 };
     let runs = (0..draws as u64).map(|draw| {
-        let mut policy = entrant.build(&settings.scenario, settings.scenario.seed.wrapping_add(draw))?;
-        run_once(settings, policy.as_mut(), states, judge)
-            .map_err(|error| error.context(format!("policy {}", entrant.name())))
+        let mut policy = evaluated.build(&settings.scenario, settings.scenario.seed.wrapping_add(draw))?;
+        run_once(settings, policy.as_mut(), states, evaluator)
+            .map_err(|error| error.context(format!("policy {}", evaluated.name())))
     });
     Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
 }
@@ -85,22 +90,22 @@ fn run_once(
     settings: &Settings,
     policy: &mut dyn Policy,
     states: &[Observation],
-    judge: &mut Judge,
+    evaluator: &mut Evaluator,
 ) -> anyhow::Result<Run> {
     let limits = Limits::new(&settings.scenario.control);
-    let mut angles = MirrorAngles::flat(judge.model().mirrors.len());
+    let mut angles = MirrorAngles::flat(evaluator.model().mirrors.len());
     for seen in states.iter().take(WARM_UP) {
-        policy.act(judge.model(), seen, &mut angles)?;
+        policy.act(evaluator.model(), seen, &mut angles)?;
     }
     let mut run = Run::default();
     for seen in states {
         let begun = Instant::now();
-        policy.act(judge.model(), seen, &mut angles)?;
+        policy.act(evaluator.model(), seen, &mut angles)?;
         run.decisions_us.push(begun.elapsed().as_secs_f64() * 1e6);
         check_finite(&angles)?;
         // The users do not move, so the mirrors have unlimited time to turn.
         limits.bound(&seen.angles, f64::INFINITY, &mut angles);
-        run.groups.push(vec![judge.judge(&seen.scene, &angles)]);
+        run.groups.push(vec![evaluator.evaluate(&seen.scene, &angles)]);
     }
     Ok(run)
 }

@@ -10,9 +10,9 @@ use heliostat_scenario::Scenario;
 
 /// The layout of a state of positions and, where the learner reads them, angles.
 ///
-/// The entries of all slots are presence, x, y and z over the room's extent, ln(1 + direct
+/// The components of all slots are presence, x, y and z over the room's extent, ln(1 + direct
 /// amplitude) and minimum rate in bit/s/Hz. The current angles over their range follow where they
-/// are part of the state. The gain over the mirrors is no entry, because positions and angles
+/// are part of the state. The gain over the mirrors is no component, because positions and angles
 /// determine it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AngleState {
@@ -46,7 +46,7 @@ impl AngleState {
         2 * self.encoder.mirrors()
     }
 
-    /// Number of entries in a state.
+    /// Number of components of a state.
     pub fn inputs(&self) -> usize {
         self.encoder.min_rate().end + if self.angles { self.outputs() } else { 0 }
     }

@@ -1,9 +1,18 @@
-//! From the observation vector to the actor's inputs, and from its logits to the decoder's weights.
+//! From the observation vector to the actor's inputs, and from its actions to the decoder weights.
 //!
 //! All features are dimensionless. Gains enter as amplitudes whose square is the effective
 //! signal-to-noise ratio, so one actor serves any transmit power and noise. The observation encoder
 //! computes the values ([`Summary`]); this module scales them. The exported graph scales them in
 //! the weights of its first layer ([`crate::export`]).
+//!
+//! # Terms
+//! - The actor outputs one **action** u_k in [-1, 1] per user.
+//! - The **decoder weight** is w_k = b_k exp(c u_k).
+//! - The **baseline weight** b_k is 1 (uniform) or q_k (balanced).
+//!   [`heliostat_channel::sharing::balance`] computes q_k from the equal-share weights p_k.
+//! - A **soft assignment** is the fraction of a mirror's light that user k receives.
+//! - An **amplitude** is a user's signal amplitude; [`heliostat_channel::sharing::amplitudes`]
+//!   computes it from weights and soft assignments.
 //!
 //! # Features of a user
 //! 1. present
@@ -13,9 +22,9 @@
 //! 5. ln(1 + sum over mirrors of the steering amplitude)
 //! 6. minimum rate in bit/s/Hz of the user's band
 //! 7. number of users over the number of slots
-//! 8. ln(1 + amplitude at equal shares)
-//! 9. ln(1 + amplitude at balanced shares)
-//! 10. ln(balanced weight) / 4
+//! 8. ln(1 + amplitude with the equal-share weights p)
+//! 9. ln(1 + amplitude with the balanced weights q)
+//! 10. ln(q_k) / 4
 //!
 //! All are zero in an empty slot.
 
@@ -32,7 +41,7 @@ pub const PRESENT: usize = 0;
 /// Index of ln(1 + direct amplitude).
 pub const LOG_DIRECT: usize = 3;
 
-/// Index of ln(1 + amplitude at balanced shares).
+/// Index of ln(1 + amplitude with the balanced weights).
 pub const LOG_BALANCED: usize = 8;
 
 /// Index of ln(balanced weight) times [`WEIGHT_SCALE`].
@@ -41,21 +50,22 @@ pub const LOG_WEIGHT: usize = 9;
 /// Scales the logarithms of weights to the magnitude of the other features.
 pub const WEIGHT_SCALE: f32 = 0.25;
 
-/// The weights at logits of zero.
+/// The baseline weight b_k, which is the decoder weight for an action of zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Prior {
-    /// Equal weights: w_k = exp(c u_k).
+pub enum BaselineWeight {
+    /// b_k = 1.
     Uniform,
-    /// Weights that balance the users: w_k = exp(c u_k) q_k, with q of [`Summary::LogWeight`].
+    /// b_k = q_k, the balanced weight of [`Summary::LogWeight`].
     Balanced,
 }
 
-/// The map from logits u_k in [-1, 1] to weights w_k.
+/// The map from actions u_k in [-1, 1] to decoder weights w_k = b_k exp(c u_k).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Head {
-    /// The weights at logits of zero.
-    pub prior: Prior,
+    /// The baseline weight b_k.
+    #[serde(rename = "prior")]
+    pub baseline_weight: BaselineWeight,
     /// The constant c.
     pub range: f32,
 }
@@ -115,18 +125,18 @@ impl Layout {
         }
     }
 
-    /// The weights of all slots; zero in empty slots.
-    pub fn weights(&self, observation: &[f32], logits: &[f32], head: Head) -> Vec<f32> {
+    /// The decoder weights of all slots; zero in empty slots.
+    pub fn weights(&self, observation: &[f32], actions: &[f32], head: Head) -> Vec<f32> {
         let column = |column: Summary| &observation[self.encoder.column(column as usize)];
         let (present, balanced) = (column(Summary::Present), column(Summary::LogWeight));
-        let weight = |(slot, logit): (usize, &f32)| {
-            let prior = match head.prior {
-                Prior::Uniform => 0.0,
-                Prior::Balanced => balanced[slot],
+        let weight = |(slot, action): (usize, &f32)| {
+            let log_baseline = match head.baseline_weight {
+                BaselineWeight::Uniform => 0.0,
+                BaselineWeight::Balanced => balanced[slot],
             };
-            (head.range * logit + prior).exp() * present[slot]
+            (head.range * action + log_baseline).exp() * present[slot]
         };
-        logits.iter().enumerate().map(weight).collect()
+        actions.iter().enumerate().map(weight).collect()
     }
 }
 
@@ -164,13 +174,18 @@ mod tests {
     }
 
     #[test]
-    fn weights_follow_the_prior_and_are_zero_in_empty_slots() {
+    fn weights_follow_the_baseline_weight_and_are_zero_in_empty_slots() {
         let layout = layout();
-        let uniform = layout.weights(&observation(), &[0.0, 1.0, 1.0], Head { prior: Prior::Uniform, range: 2.0 });
+        let uniform = layout.weights(
+            &observation(),
+            &[0.0, 1.0, 1.0],
+            Head { baseline_weight: BaselineWeight::Uniform, range: 2.0 },
+        );
         assert_eq!(uniform[0], 1.0);
         assert!((uniform[1] - 2.0_f32.exp()).abs() < 1e-5);
         assert_eq!(uniform[2], 0.0);
-        let balanced = layout.weights(&observation(), &[0.5; 3], Head { prior: Prior::Balanced, range: 2.0 });
+        let balanced =
+            layout.weights(&observation(), &[0.5; 3], Head { baseline_weight: BaselineWeight::Balanced, range: 2.0 });
         assert_eq!(balanced, [1.0, 3.0_f32.exp(), 0.0]);
     }
 }

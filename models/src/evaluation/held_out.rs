@@ -1,8 +1,9 @@
 //! Held-out states, and the score of a policy on them relative to the oracle.
 //!
-//! The reference is the oracle with minimum rates. The same true evaluation applies to its angles
-//! and to the policy's. The oracle ignores the spill of a spot onto other users, so a ratio
-//! slightly above 1 is possible.
+//! The reference is the oracle with minimum rates: the best local optimum that the solver finds from
+//! the true state ([`heliostat_channel::solver`]). It is not a proven optimum. The same true
+//! evaluation applies to its angles and to the policy's. The oracle ignores the spill of a spot onto
+//! other users, so a ratio slightly above 1 is possible.
 
 use anyhow::Context;
 use heliostat_channel::mirrors::MirrorAngles;
@@ -111,7 +112,10 @@ impl HeldOut {
     ///
     /// # Errors
     /// `best` returns angles in one state and none in another.
-    pub fn ceiling(&mut self, best: impl Fn(&Environment) -> Option<MirrorAngles>) -> anyhow::Result<Option<Score>> {
+    pub fn upper_bound(
+        &mut self,
+        best: impl Fn(&Environment) -> Option<MirrorAngles>,
+    ) -> anyhow::Result<Option<Score>> {
         if self.states.first().is_none_or(|state| best(&state.environment).is_none()) {
             return Ok(None);
         }

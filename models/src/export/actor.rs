@@ -14,7 +14,7 @@ use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 use heliostat_onnx::graph::{Ends, Graph, Value};
 
 use super::network::{Column, NetworkNodes};
-use crate::environment::features::{FEATURES, Head, Layout, Prior};
+use crate::environment::features::{BaselineWeight, FEATURES, Head, Layout};
 use crate::networks::actor::{Actor, EXPONENT, SQUARINGS};
 
 /// Writes an actor for the room of a channel as an ONNX file with the given metadata.
@@ -31,28 +31,28 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
     let sharpness = EXPONENT * actor.head.range;
     let mut columns = columns(&actor.layout);
     let mut first = columns.clone();
-    // The first round has logits of zero and so the amplitude at balanced shares.
+    // The first round has actions of zero, so its amplitude is that of the balanced weights.
     first[Summary::LogBalanced as usize].push((AMPLITUDE, 1.0));
     let entry = network.entry(&mut graph, &first)?;
     let users = graph.transpose(&observed.summary);
-    let mut logits = network.apply(&mut graph, &entry, &users);
+    let mut actions = network.apply(&mut graph, &entry, &users);
     if actor.rounds > 1 {
-        columns.extend([vec![(LOGIT, 1.0 / sharpness)], vec![(AMPLITUDE, 1.0)]]);
+        columns.extend([vec![(ACTION, 1.0 / sharpness)], vec![(AMPLITUDE, 1.0)]]);
         let entry = network.entry(&mut graph, &columns)?;
-        let claims = Claims::new(&mut graph, &observed, actor.head);
+        let decoder = SmoothDecoder::new(&mut graph, &observed, actor.head);
         let sharpness = graph.scalar(sharpness);
         let present = column(&mut graph, &observed, Summary::Present as usize);
         for _ in 1..actor.rounds {
-            let exponents = graph.node("Mul", &[&logits, &sharpness]);
-            let amplitude = claims.amplitude(&mut graph, &exponents);
+            let exponents = graph.node("Mul", &[&actions, &sharpness]);
+            let amplitude = decoder.amplitude(&mut graph, &exponents);
             let input = graph.concat(&[&users, &exponents, &amplitude], 1);
             // Zeroes empty slots. Without this node tract splits the product that follows into one
             // for each part.
             let input = graph.node("Mul", &[&input, &present]);
-            logits = network.apply(&mut graph, &entry, &input);
+            actions = network.apply(&mut graph, &entry, &input);
         }
     }
-    let weighted = weigh(&mut graph, &observed, &logits, actor.head);
+    let weighted = weigh(&mut graph, &observed, &actions, actor.head);
     let normal = match model.mode {
         Mode::Specular => specular(&mut graph, model, &observed, &weighted),
         Mode::Paper { .. } => paper(&mut graph, model, &observed, &weighted),
@@ -62,15 +62,15 @@ pub fn export(actor: &Actor, model: &ChannelModel, metadata: &[(String, String)]
     Ok(graph.finish(&Ends { name: "heliostat-actor", input, output: (OUTPUT_NAME, 2 * model.mirrors.len()) }, metadata))
 }
 
-/// Index of the previous round's logit among the inputs of the actor's network.
-const LOGIT: usize = FEATURES;
+/// Index of the previous round's action among the inputs of the actor's network.
+const ACTION: usize = FEATURES;
 
-/// Index of ln(1 + amplitude) under that logit.
+/// Index of ln(1 + amplitude) under that action.
 const AMPLITUDE: usize = FEATURES + 1;
 
-/// Replaces [`NO_CLAIM`](crate::networks::actor::NO_CLAIM): claims are not divided by their sum
-/// here and can be small.
-const NOTHING: f32 = 1e-35;
+/// Replaces [`POWER_FLOOR`](crate::networks::actor::POWER_FLOOR): powers are not divided by their
+/// sum here and can be small.
+const POWER_FLOOR: f32 = 1e-35;
 
 /// The network's inputs that each column of the summary gives.
 fn columns(layout: &Layout) -> Vec<Column> {
@@ -108,50 +108,50 @@ fn column(graph: &mut Graph, observed: &Observed, column: usize) -> Value {
 }
 
 /// The smooth decoder.
-struct Claims {
-    /// (s p_k a_km)^8 with the weights p of logits of zero and one s for all, (slots, mirrors).
-    claims: Value,
-    /// The claims times a_km.
+struct SmoothDecoder {
+    /// (s b_k a_km)^8 with the baseline weights b and one s for all, (slots, mirrors).
+    powers: Value,
+    /// The powers times a_km.
     gains: Value,
     /// 1 + direct amplitude, (slots, 1).
     raised_direct: Value,
 }
 
-impl Claims {
+impl SmoothDecoder {
     fn new(graph: &mut Graph, observed: &Observed, head: Head) -> Self {
-        let nothing = graph.scalar(NOTHING);
-        let mut claims = match head.prior {
+        let floor = graph.scalar(POWER_FLOOR);
+        let mut powers = match head.baseline_weight {
             // Relative to their sum, so that their powers stay within f32.
-            Prior::Uniform => {
-                let positive = graph.node("Add", &[&observed.steering, &nothing]);
-                let share = inverse_sum(graph, &positive);
-                graph.node("Mul", &[&observed.steering, &share])
+            BaselineWeight::Uniform => {
+                let positive = graph.node("Add", &[&observed.steering, &floor]);
+                let inverse_total = inverse_sum(graph, &positive);
+                graph.node("Mul", &[&observed.steering, &inverse_total])
             }
-            Prior::Balanced => {
+            BaselineWeight::Balanced => {
                 let weight = column(graph, observed, Summary::LogWeight as usize);
                 let weight = graph.node("Exp", &[&weight]);
                 graph.node("Mul", &[&observed.steering, &weight])
             }
         };
         for _ in 0..SQUARINGS {
-            claims = graph.node("Mul", &[&claims, &claims]);
+            powers = graph.node("Mul", &[&powers, &powers]);
         }
-        let gains = graph.node("Mul", &[&claims, &observed.steering]);
-        // So that no sum of claims is zero.
-        let claims = graph.node("Add", &[&claims, &nothing]);
+        let gains = graph.node("Mul", &[&powers, &observed.steering]);
+        // So that no sum of powers is zero.
+        let powers = graph.node("Add", &[&powers, &floor]);
         let log_direct = column(graph, observed, Summary::LogDirect as usize);
         let raised_direct = graph.node("Exp", &[&log_direct]);
-        Self { claims, gains, raised_direct }
+        Self { powers, gains, raised_direct }
     }
 
     /// ln(1 + amplitude) of each user from [`EXPONENT`] times the logarithms of the weights;
     /// (slots, 1).
     fn amplitude(&self, graph: &mut Graph, exponents: &str) -> Value {
         let weights = graph.node("Exp", &[exponents]);
-        let claims = graph.node("Mul", &[&self.claims, &weights]);
-        let share = inverse_sum(graph, &claims);
-        let share = graph.transpose(&share);
-        let given = graph.node("MatMul", &[&self.gains, &share]);
+        let powers = graph.node("Mul", &[&self.powers, &weights]);
+        let inverse_total = inverse_sum(graph, &powers);
+        let inverse_total = graph.transpose(&inverse_total);
+        let given = graph.node("MatMul", &[&self.gains, &inverse_total]);
         let given = graph.node("Mul", &[&given, &weights]);
         let raised = graph.node("Add", &[&given, &self.raised_direct]);
         graph.node("Log", &[&raised])
@@ -164,13 +164,13 @@ fn inverse_sum(graph: &mut Graph, table: &str) -> Value {
     graph.node("Reciprocal", &[&total])
 }
 
-/// Steering amplitudes times weights, up to a common factor; (slots, mirrors).
-fn weigh(graph: &mut Graph, observed: &Observed, logits: &str, head: Head) -> Value {
+/// Steering amplitudes times decoder weights, up to a common factor; (slots, mirrors).
+fn weigh(graph: &mut Graph, observed: &Observed, actions: &str, head: Head) -> Value {
     let range = graph.scalar(head.range);
-    let mut exponent = graph.node("Mul", &[logits, &range]);
-    if head.prior == Prior::Balanced {
-        let prior = column(graph, observed, Summary::LogWeight as usize);
-        exponent = graph.node("Add", &[&exponent, &prior]);
+    let mut exponent = graph.node("Mul", &[actions, &range]);
+    if head.baseline_weight == BaselineWeight::Balanced {
+        let log_baseline = column(graph, observed, Summary::LogWeight as usize);
+        exponent = graph.node("Add", &[&exponent, &log_baseline]);
     }
     let weight = graph.node("Exp", &[&exponent]);
     graph.node("Mul", &[&observed.steering, &weight])

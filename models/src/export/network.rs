@@ -60,7 +60,7 @@ impl<'a> NetworkNodes<'a> {
         linear(graph, &second, (&self.head.0, &self.head.1))
     }
 
-    /// Logits in [-1, 1] from inputs (slots, columns); (slots, 1), without meaning in empty slots.
+    /// Actions in [-1, 1] from inputs (slots, columns); (slots, 1), without meaning in empty slots.
     pub fn apply(&self, graph: &mut Graph, entry: &Entry, input: &str) -> Value {
         let Shape { encoder, slots, .. } = self.network.shape();
         let outputs = match encoder {

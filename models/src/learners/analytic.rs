@@ -4,25 +4,27 @@
 //! error. Features, rounds, weights and decoder are those of [`super::ddpg`]; critic, exploration
 //! and replay do not exist. The methods `step` and `update` of [`Analytic`] are the complete
 //! algorithm. Each step takes a batch of rooms, computes the reward as a differentiable function of
-//! the network's outputs, and follows its gradient.
+//! the actions, and follows its gradient. [`crate::environment::features`] defines the terms.
 //!
 //! # The channel as a function of the weights
-//! - **Paper modes**: eqs. (2) and (3) as printed. The decoder's normal is n_m ~ sum_k w_k c_km
-//!   u_km, and user k gets sum_m c_km max(0, n_m . u_km). This is smooth except for the kink at
-//!   zero.
-//! - **`specular`**: a mirror serves one user, and a choice has no gradient. The choice is
-//!   softened: user j has the share (w_j a_jm)^beta / sum_i (w_i a_im)^beta of mirror m, and user k
-//!   gets sum_j share_jm g_jkm. Here g_jkm is the channel's amplitude for k when m is aimed at j,
-//!   with the true edges of the mirror, the spill onto others, the LED's panel and all shadows.
-//!   beta rises from 8 to 64 over the run, towards the true decoder. The softened quantity is the
-//!   share of a mirror, not its edge: with free angles as outputs nearly every mirror misses every
-//!   user, and the gradient is zero.
+//! - **Paper modes**: eqs. (2) and (3) as printed. The decoder's normal is n_m ~ sum_k w_k a_km
+//!   e_km, with the unit vector e_km from mirror m to user k, and user k receives sum_m a_km max(0,
+//!   n_m . e_km). This is smooth except for the kink at zero.
+//! - **`specular`**: a mirror serves one user, and this choice has no gradient. A soft assignment
+//!   replaces it: s_jm = (w_j a_jm)^beta / sum_i (w_i a_im)^beta. User k receives sum_j,m s_jm
+//!   g_jkm. Here g_jkm is the channel's amplitude for user k when mirror m is aimed at user j. It
+//!   includes the edges of the mirror, the spill onto others, the LED's panel and all shadows. beta
+//!   rises from 8 to 64 over the run, towards the true decoder. The edges of the mirrors are not
+//!   softened. With free angles as outputs nearly every mirror misses every user, and the gradient
+//!   is zero.
 //!
-//! # Differences from [`super::ddpg`] in the numbers
-//! Batches of 16 rooms, newly drawn in each episode; a rate of 1e-3 that decays to a twentieth; 60
-//! episodes; lambda = 30 on minimum rates half as large again; half of the rooms without bodies.
-//! Minimum rates that no policy can meet teach the policy to leave those users unserved, and a
-//! policy that aims at the minimum rate itself misses it in about half of the states.
+//! # Hyperparameters that differ from [`super::ddpg`]
+//! - A batch has 16 rooms, and each episode draws new rooms.
+//! - The learning rate is 1e-3, decaying to 5e-5 over the run of 60 episodes.
+//! - lambda is 30, and minimum rates are multiplied by 1.5. A policy trained on the minimum rates
+//!   themselves misses them in about half of the states.
+//! - Half of the rooms have no bodies, so that more minimum rates are feasible. Infeasible minimum
+//!   rates would train the policy to ignore those users.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles, Mode, decode};
@@ -33,17 +35,17 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::ddpg;
-use crate::environment::features::{Head, Layout, Prior};
+use crate::environment::features::{BaselineWeight, Head, Layout};
 use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
 use crate::export::actor::export;
-use crate::networks::actor::{ACTOR_INPUTS, Actor, NO_CLAIM, States};
+use crate::networks::actor::{ACTOR_INPUTS, Actor, POWER_FLOOR, States};
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Network, Shape};
 use crate::training::algorithm::{Algorithm, start};
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "analytic",
     policy: PolicyKind::Analytic,
@@ -56,28 +58,28 @@ pub const ALGORITHM: Algorithm = Algorithm {
     },
 };
 
-/// All numbers of a training run.
+/// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// The map from logits to weights.
+    /// The map from actions to decoder weights.
     pub head: Head,
     /// Number of rounds of the network.
     pub rounds: usize,
     /// Learning rate of the first episode.
     pub rate: f64,
-    /// Learning rate at the end of the run, relative to the start.
+    /// Learning rate at the end of the run over that at its start.
     pub rate_end: f64,
     /// Rooms in an update.
     pub batch: usize,
-    /// Exponent beta of the softened choice in the first episode and in the last.
+    /// Exponent beta of the soft assignment in the first episode and in the last.
     pub exponent: [f64; 2],
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
 impl Settings {
-    /// The numbers of the shipped actors.
+    /// The hyperparameters of the shipped actors.
     pub fn new(seed: u64, mode: ChannelMode) -> Self {
         let ddpg::Settings { head, rounds, run, .. } = ddpg::Settings::tuned(seed, mode);
         let reward = Reward { form: RewardForm::Shortfall, lambda: 30.0, margin: 1.5 };
@@ -122,21 +124,21 @@ impl Analytic {
         Ok(Self { adam: Adam::new(&actor.network), actor, settings })
     }
 
-    /// One step up the gradient of the mean reward in the rooms; returns the logits before the
+    /// One step up the gradient of the mean reward in the rooms; returns the actions before the
     /// step, room by room.
     fn update(&mut self, rooms: &[Environment], progress: f64) -> Result<Vec<Vec<f32>>> {
         let Settings { rate, rate_end, exponent: [first, last], .. } = self.settings;
         let exponent = first * (last / first).powf(progress);
         let layout = self.actor.layout;
         let rows = rooms.iter().flat_map(|room| States::row(layout, room.vector())).collect();
-        let states = States::new(rows, rooms.len(), layout, self.settings.head.prior)?;
+        let states = States::new(rows, rooms.len(), layout, self.settings.head.baseline_weight)?;
         let channel = Channel::new(rooms, layout)?;
-        let logits = self.actor.forward(&states)?;
-        let amplitude = channel.amplitude(&logits, self.settings.head, exponent)?;
+        let actions = self.actor.forward(&states)?;
+        let amplitude = channel.amplitude(&actions, self.settings.head, exponent)?;
         let reward = channel.reward(&amplitude, self.settings.run.reward)?;
         let gradients = reward.mean_all()?.neg()?.backward()?;
         self.adam.step(&self.actor.network, &gradients, rate * rate_end.powf(progress))?;
-        logits.to_vec2()
+        actions.to_vec2()
     }
 }
 
@@ -146,11 +148,11 @@ impl Learner for Analytic {
     }
 
     fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
-        let logits = self.update(&episode.rooms, episode.progress())?;
+        let actions = self.update(&episode.rooms, episode.progress())?;
         let run = &self.settings.run;
-        let mut outcomes = Vec::with_capacity(logits.len());
-        for (room, logits) in episode.rooms.iter_mut().zip(&logits) {
-            let angles = self.actor.decode(room, logits);
+        let mut outcomes = Vec::with_capacity(actions.len());
+        for (room, actions) in episode.rooms.iter_mut().zip(&actions) {
+            let angles = self.actor.decode(room, actions);
             let mut rewards = vec![0.0; room.users()];
             outcomes.push(room.act(&angles, run.reward, &mut rewards));
             room.step(run.step_s)?;
@@ -159,8 +161,8 @@ impl Learner for Analytic {
     }
 
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
-        let logits = self.actor.logits(&States::row(self.actor.layout, room.vector()))?;
-        Ok(self.actor.decode(room, &logits))
+        let actions = self.actor.actions(&States::row(self.actor.layout, room.vector()))?;
+        Ok(self.actor.decode(room, &actions))
     }
 
     fn state(&mut self) -> Vec<Part<'_>> {
@@ -229,20 +231,20 @@ impl Channel {
         })
     }
 
-    /// Amplitude of each user under these logits, (batch, slots); `exponent` is beta of the
-    /// softened choice.
+    /// Amplitude of each user under these actions, (batch, slots); `exponent` is beta of the
+    /// soft assignment.
     ///
     /// # Errors
     /// Errors of candle.
-    pub fn amplitude(&self, logits: &Tensor, head: Head, exponent: f64) -> Result<Tensor> {
+    pub fn amplitude(&self, actions: &Tensor, head: Head, exponent: f64) -> Result<Tensor> {
         let given = match &self.mirrors {
             Mirrors::Specular(crossed) => {
-                let share = self.shares(logits, head, exponent)?;
-                crossed.matmul(&share.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?
+                let assignment = self.soft_assignment(actions, head, exponent)?;
+                crossed.matmul(&assignment.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?
             }
             Mirrors::Paper(directions) => {
-                let weight = (logits * f64::from(head.range))?.exp()?.mul(&self.present)?;
-                let weighted = self.steering.broadcast_mul(&self.prior(head, &weight)?.unsqueeze(2)?)?;
+                let weight = (actions * f64::from(head.range))?.exp()?.mul(&self.present)?;
+                let weighted = self.steering.broadcast_mul(&self.weighted(head, &weight)?.unsqueeze(2)?)?;
                 let normal: Vec<Tensor> =
                     directions.iter().map(|along| along.mul(&weighted)?.sum_keepdim(1)).collect::<Result<_>>()?;
                 let squared = ((normal[0].sqr()? + normal[1].sqr()?)? + normal[2].sqr()?)?;
@@ -270,23 +272,23 @@ impl Channel {
         part.sum(1)?.div(&self.present.sum(1)?)
     }
 
-    /// Each user's share of each mirror, (batch, slots, mirrors).
-    fn shares(&self, logits: &Tensor, head: Head, exponent: f64) -> Result<Tensor> {
-        // In logarithms, because powers of the claims leave the range of f32.
-        let flat = self.prior(head, &self.present)?;
-        let claim = self.steering.broadcast_mul(&flat.unsqueeze(2)?)?;
-        let claim =
-            ((claim + f64::from(NO_CLAIM))?.log()?).broadcast_add(&(logits * f64::from(head.range))?.unsqueeze(2)?)?;
-        let claim = (claim * exponent)?;
-        let power = claim.broadcast_sub(&claim.max_keepdim(1)?.detach())?.exp()?;
+    /// Soft assignment of each mirror to each user, (batch, slots, mirrors).
+    fn soft_assignment(&self, actions: &Tensor, head: Head, exponent: f64) -> Result<Tensor> {
+        // In logarithms, because the powers leave the range of f32.
+        let baseline = self.weighted(head, &self.present)?;
+        let weighted = self.steering.broadcast_mul(&baseline.unsqueeze(2)?)?;
+        let log_weighted = ((weighted + f64::from(POWER_FLOOR))?.log()?)
+            .broadcast_add(&(actions * f64::from(head.range))?.unsqueeze(2)?)?;
+        let log_weighted = (log_weighted * exponent)?;
+        let power = log_weighted.broadcast_sub(&log_weighted.max_keepdim(1)?.detach())?.exp()?;
         power.broadcast_div(&power.sum_keepdim(1)?)
     }
 
-    /// Weights times the head's prior, (batch, slots).
-    fn prior(&self, head: Head, weight: &Tensor) -> Result<Tensor> {
-        match head.prior {
-            Prior::Uniform => Ok(weight.clone()),
-            Prior::Balanced => weight.mul(&self.balanced),
+    /// Values times the baseline weights of the head, (batch, slots).
+    fn weighted(&self, head: Head, weight: &Tensor) -> Result<Tensor> {
+        match head.baseline_weight {
+            BaselineWeight::Uniform => Ok(weight.clone()),
+            BaselineWeight::Balanced => weight.mul(&self.balanced),
         }
     }
 }

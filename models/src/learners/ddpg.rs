@@ -1,16 +1,20 @@
-//! Algorithm 1 of the paper: DDPG, with one weight for each user as the action.
+//! Algorithm 1 of the paper: DDPG, with one action u_k per user instead of all mirror angles.
 //!
 //! The methods `step` and `update` of [`Ddpg`] are the complete algorithm.
+//! [`crate::environment::features`] defines action, decoder weight and baseline weight.
 //!
 //! # Deviations from the paper
 //!
 //! Both presets:
-//! 1. **Action.** One logit in [-1, 1] for each user. It becomes a weight and then, by the
-//!    geometric decoder, the angles of all mirrors. The paper's action is 200 raw angles, almost
-//!    all of which saturate at their bounds during training.
-//! 2. **State.** Features of positions, direct gains, steering gains, equal and balanced shares,
-//!    and minimum rates ([`crate::environment::features`]). The current angles are no feature:
-//!    without actuator dynamics the best angles do not depend on them.
+//! 1. **Action.** The actor outputs one action u_k in [-1, 1] per user. The decoder weight is w_k =
+//!    b_k exp(c u_k). In `specular` the decoder assigns each mirror to the user with the largest
+//!    product of weight and gain. In the paper's modes it turns each mirror to the weighted sum of
+//!    the users' directions. The paper's action is 200 raw angles, almost all of which saturate at
+//!    their bounds during training.
+//! 2. **State.** Features of positions, direct gains, steering gains, minimum rates, and the
+//!    amplitudes with equal-share and balanced weights ([`crate::environment::features`]). The
+//!    state does not include the current angles. Without actuator dynamics the optimal action does
+//!    not depend on them.
 //! 3. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the
 //!    shortfall is penalised; option `reward.form` has the printed form. The reward is divided by
 //!    the bandwidth, so that values are of order one.
@@ -19,32 +23,36 @@
 //! 5. **Episodes.** The paper gives no number of steps; here there are 40, of one second each.
 //!    Every episode has a new room with another number of users, blockage, noise and minimum rates
 //!    (`rooms=fixed` has the scenario's). The first update waits for 500 transitions.
-//! 6. **Several users.** Slots for 1 to 10 users with a mask, so that one actor serves any of these
-//!    numbers.
+//! 6. **Several users.** The state has slots for 1 to 10 users and a mask, so that one actor serves
+//!    any of these numbers.
 //!
-//! Preset `paper` has no further deviation: plain 128/64 and 256/128 networks, gamma 0.9, tau 0.01,
-//! batches of 32, replay of 10000, rates of 1e-3 and 1e-2, 1000 episodes. Preset `tuned`, the
-//! default, also deviates in these points; `models/experiments.md` has what each of them changes:
+//! Preset `paper` has no further deviation. Its networks have hidden layers of 128/64 (actor) and
+//! 256/128 (critic). Its hyperparameters are gamma 0.9, tau 0.01, batches of 32, replay of 10000,
+//! learning rates of 1e-3 (actor) and 1e-2 (critic), and 1000 episodes. Preset `tuned`, the
+//! default, also deviates in these points; `models/experiments.md` has the effect of each:
 //!
-//! 7. **One network for each user.** The same widths, shared by all users, so that the output does
-//!    not depend on the order of users. Users interact through the shares and weights of the
-//!    observation and through the decoder.
+//! 7. **One network per user.** The networks have the same widths and are shared by all users, so
+//!    that the output does not depend on the order of users. Users interact through the amplitudes
+//!    and weights of the observation, and through the decoder.
 //! 8. **Value of each user.** The critic predicts each user's part of the reward, and the value is
 //!    their mean. Each transition then gives several training targets.
 //! 9. **gamma = 0.** An action does not influence later states here, so their values are only noise
-//!    in the target.
-//! 10. **Balanced prior.** Weights are relative to those that four damped steps of a model-based
-//!     fixed point find ([`heliostat_channel::sharing`]), so that the network learns a correction.
-//! 11. **Critic with decoded actions.** In addition to the logits, the critic reads the amplitude
-//!     that each user has under them, by a smooth copy of the decoder ([`crate::networks::actor`]).
-//!     The effect of weights on amplitudes is known and need not be learned.
+//!    in the target. With gamma = 0 this is a contextual bandit.
+//! 10. **Balanced baseline weights.** The baseline weight b_k is q_k: four damped steps of a
+//!     model-based fixed point compute it ([`heliostat_channel::sharing`]). The network learns a
+//!     correction.
+//! 11. **Critic with decoded actions.** In addition to the actions, the critic reads the amplitude
+//!     that each user has under them, by the smooth decoder ([`crate::networks::actor`]). The
+//!     effect of weights on amplitudes is known and need not be learned.
 //! 12. **Rounds.** The network is applied once, as in the paper. Option `rounds=2` applies it again
 //!     with the amplitudes that its first output gives.
-//! 13. **Centred logits** in the critic: weights that differ by a common factor decode to the same
+//! 13. **Centred actions** in the critic: weights that differ by a common factor decode to the same
 //!     angles.
-//! 14. **lambda = 10**; in `specular` 30, on minimum rates a quarter larger, in rooms of which half
-//!     have no bodies. With the paper's 1 the policy does not serve users in deep shadow.
-//! 15. **Rates** of 5e-4 and 1e-3 that decay to a tenth over the run, and 300 episodes.
+//! 14. **lambda = 10.** In `specular` lambda is 30, minimum rates are multiplied by 1.25, and half
+//!     of the rooms have no bodies. With the paper's lambda of 1 the policy does not serve users in
+//!     deep shadow.
+//! 15. **Learning rates.** 5e-4 (actor) and 1e-3 (critic), decaying to 5e-5 and 1e-4 over the run
+//!     of 300 episodes.
 
 use candle_core::{Device, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -53,7 +61,7 @@ use heliostat_scenario::{ChannelMode, Scenario};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::environment::features::{Head, Layout, Prior};
+use crate::environment::features::{BaselineWeight, Head, Layout};
 use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
 use crate::export::actor::export;
 use crate::networks::actor::{ACTOR_INPUTS, Actor, States};
@@ -65,11 +73,11 @@ use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::replay::Replay;
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "ddpg",
     policy: PolicyKind::Ddpg,
-    help: "Algorithm 1 of the paper with one weight a user as the action",
+    help: "Algorithm 1 of the paper with one weight per user as the action",
     summary: "DDPG with one weight a user; deviations from the paper at the head of `models/src/learners/ddpg.rs`",
     has_paper_preset: true,
     start: |scenario, preset, options| {
@@ -91,22 +99,23 @@ pub enum Value {
     EachUser,
 }
 
-/// The critic's inputs that depend on the action, in addition to the logits.
+/// The critic's inputs that depend on the action, in addition to the action itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sight {
     /// None.
-    Logits,
-    /// The amplitude that each user gets under the logits, by the smooth copy of the decoder.
+    #[serde(rename = "logits")]
+    Actions,
+    /// The amplitude that each user gets under the actions, by the smooth decoder.
     Decoded,
 }
 
-/// All numbers of a training run.
+/// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The way in which the networks read the users.
     pub encoder: Encoder,
-    /// The map from logits to weights.
+    /// The map from actions to decoder weights.
     pub head: Head,
     /// Number of rounds of the actor's network.
     pub rounds: usize,
@@ -122,7 +131,7 @@ pub struct Settings {
     pub actor_rate: f64,
     /// Learning rate of the critic.
     pub critic_rate: f64,
-    /// Learning rates at the end of the run, relative to the start.
+    /// Learning rates at the end of the run over those at its start.
     pub rate_end: f64,
     /// Transitions in a minibatch.
     pub batch: usize,
@@ -132,20 +141,20 @@ pub struct Settings {
     pub warm_up: usize,
     /// Exploration.
     pub exploration: Exploration,
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
 impl Settings {
-    /// The paper's numbers.
+    /// The paper's hyperparameters.
     pub fn paper(seed: u64) -> Self {
         Self {
             encoder: Encoder::Mlp,
-            head: Head { prior: Prior::Uniform, range: 4.0 },
+            head: Head { baseline_weight: BaselineWeight::Uniform, range: 4.0 },
             rounds: 1,
             value: Value::Total,
-            sight: Sight::Logits,
+            sight: Sight::Actions,
             gamma: 0.9,
             tau: 0.01,
             actor_rate: 1e-3,
@@ -159,7 +168,7 @@ impl Settings {
         }
     }
 
-    /// The numbers of the shipped actors.
+    /// The hyperparameters of the shipped actors.
     pub fn tuned(seed: u64, mode: ChannelMode) -> Self {
         let (lambda, margin, rooms) = match mode {
             ChannelMode::Specular => (30.0, 1.25, Rooms::Mixed),
@@ -168,7 +177,7 @@ impl Settings {
         let paper = Self::paper(seed);
         Self {
             encoder: Encoder::PerUser,
-            head: Head { prior: Prior::Balanced, range: 2.0 },
+            head: Head { baseline_weight: BaselineWeight::Balanced, range: 2.0 },
             rounds: 1,
             value: Value::EachUser,
             sight: Sight::Decoded,
@@ -249,18 +258,18 @@ impl Ddpg {
     /// One update of critic, actor and targets from a minibatch.
     fn update(&mut self, episode: &mut Episode<'_>) -> candle_core::Result<()> {
         let Settings { batch, gamma, tau, actor_rate, critic_rate, rate_end, .. } = self.settings;
-        let (layout, prior) = (self.actor.layout, self.settings.head.prior);
+        let (layout, baseline_weight) = (self.actor.layout, self.settings.head.baseline_weight);
         // Both learning rates decay geometrically over the run.
         let decay = rate_end.powf(episode.progress());
 
         // Critic: minimise the mean of [Q(s, a) - r - gamma Q'(s', mu'(s'))]^2.
         let [states, action, rewards, next] = self.replay.sample(batch, episode.rng);
-        let states = States::new(states, batch, layout, prior)?;
+        let states = States::new(states, batch, layout, baseline_weight)?;
         let action = Tensor::from_vec(action, (batch, layout.slots()), &Device::Cpu)?;
         let rewards = Tensor::from_vec(rewards, (batch, layout.slots()), &Device::Cpu)?;
         let mut target = self.reduce(&rewards, &states.present)?;
         if gamma > 0.0 {
-            let next = States::new(next, batch, layout, prior)?;
+            let next = States::new(next, batch, layout, baseline_weight)?;
             let next_value = self.value(&self.critic_target, &next, &self.actor_target.forward(&next)?)?;
             target = (target + (next_value.detach() * gamma)?)?;
         }
@@ -294,7 +303,7 @@ impl Ddpg {
     fn value(&self, critic: &Network, states: &States, action: &Tensor) -> candle_core::Result<Tensor> {
         let present = &states.present;
         let amplitude = match self.settings.sight {
-            Sight::Logits => states.balanced()?,
+            Sight::Actions => states.balanced()?,
             Sight::Decoded => states.amplitude(action, self.settings.head.range)?,
         };
         let action = match self.settings.encoder {
@@ -316,7 +325,7 @@ impl Learner for Ddpg {
         let Settings { exploration, run, .. } = &self.settings;
         let (layout, room) = (self.actor.layout, &mut episode.rooms[0]);
         let state = States::row(layout, room.vector());
-        let mut action = self.actor.logits(&state)?;
+        let mut action = self.actor.actions(&state)?;
         let magnitude = exploration.magnitude(episode.index, episode.count);
         exploration.apply(magnitude, &mut action[..room.users()], episode.rng);
         let mut rewards = vec![0.0; layout.slots()];
@@ -331,8 +340,8 @@ impl Learner for Ddpg {
     }
 
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
-        let logits = self.actor.logits(&States::row(self.actor.layout, room.vector()))?;
-        Ok(self.actor.decode(room, &logits))
+        let actions = self.actor.actions(&States::row(self.actor.layout, room.vector()))?;
+        Ok(self.actor.decode(room, &actions))
     }
 
     fn state(&mut self) -> Vec<Part<'_>> {

@@ -13,9 +13,10 @@
 //!    averages out over the array.
 //! 3. **No saturated outputs.** Gradients are scaled down to a norm of 1, and the mean square of
 //!    the outputs before tanh is part of the actor's loss.
-//! 4. **Slow actor.** Rates of 2e-4 and 1e-3 that decay to a tenth, the first update after 1500
-//!    transitions, batches of 64. With a rate of 1e-3 for both, the actor follows the errors of a
-//!    critic that has seen little. 400 episodes.
+//! 4. **Slow actor.** The learning rates are 2e-4 (actor) and 1e-3 (critic), decaying to 2e-5 and
+//!    1e-4. The first update follows 1500 transitions, a batch has 64 of them, and there are 400
+//!    episodes. With a learning rate of 1e-3 for both, the actor follows the errors of a critic
+//!    that has few transitions to learn from.
 //! 5. **gamma = 0, and no current angles in the state.** An action does not influence later states
 //!    here, and the best angles do not depend on the current ones.
 //!
@@ -30,7 +31,7 @@ use crate::training::algorithm::{Algorithm, start};
 use crate::training::exploration::{Exploration, Kind};
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "ddpg-basis",
     policy: PolicyKind::DdpgBasis,
@@ -44,7 +45,7 @@ pub const ALGORITHM: Algorithm = Algorithm {
     },
 };
 
-/// The numbers of the shipped actors.
+/// The hyperparameters of the shipped actors.
 pub fn settings(seed: u64) -> Settings {
     let paper = Settings::new(seed);
     Settings {

@@ -1,9 +1,9 @@
 //! Algorithm 1 of the paper as printed: DDPG whose action is the roll and yaw of every mirror.
 //!
 //! The methods `step` and `update` of [`DdpgRaw`] are the complete algorithm. State, networks of
-//! 128/64 and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, rates of 1e-3 and 1e-2,
-//! additive noise and 1000 episodes are the paper's. The actor's output is tanh times the range of
-//! an axis.
+//! 128/64 and 256/128, gamma 0.9, tau 0.01, batches of 32, replay of 10000, learning rates of 1e-3
+//! and 1e-2, additive noise and 1000 episodes are the paper's. The actor's output is tanh times the
+//! range of an axis.
 //!
 //! # Deviations from the paper
 //! 1. **Reward.** The printed penalty applies to users whose minimum rate is met. Here the
@@ -11,7 +11,7 @@
 //!    the bandwidth, so that values are of order one.
 //! 2. **Steps.** The paper gives no number of steps; here there are 40, of one second each.
 //! 3. **Gains in the state.** The gain of the direct path enters as ln(1 + amplitude). The gain
-//!    over the mirrors is no entry, because positions and current angles determine it.
+//!    over the mirrors is no component, because positions and current angles determine it.
 //! 4. **Slots.** The state has ten slots for users; a room's users take the first ones.
 //! 5. **Exploration.** Additive noise, as in Algorithm 1, where the text names epsilon-greedy from
 //!    0.995 to 1e-4. The paper gives no standard deviation; here it decays from 0.4 to 0.05 of the
@@ -46,7 +46,7 @@ use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::replay::Replay;
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "ddpg-raw",
     policy: PolicyKind::DdpgRaw,
@@ -75,7 +75,7 @@ pub enum Sight {
     Patterns,
 }
 
-/// All numbers of a training run.
+/// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The critic's view of an action.
@@ -92,7 +92,7 @@ pub struct Settings {
     pub actor_rate: f64,
     /// Learning rate of the critic.
     pub critic_rate: f64,
-    /// Learning rates at the end of the run, relative to the start.
+    /// Learning rates at the end of the run over those at its start.
     pub rate_end: f64,
     /// Largest norm of a gradient; 0 is no limit.
     pub clip: f64,
@@ -109,13 +109,13 @@ pub struct Settings {
     pub warm_up: usize,
     /// Exploration.
     pub exploration: Exploration,
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
 impl Settings {
-    /// The paper's numbers.
+    /// The paper's hyperparameters.
     pub fn new(seed: u64) -> Self {
         Self {
             sight: Sight::Angles,

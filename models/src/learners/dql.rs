@@ -1,27 +1,28 @@
-//! Deep Q-learning on a codebook of quantised angles: the paper's baseline.
+//! Deep Q-learning on a codebook: the paper's baseline.
 //!
-//! The methods `step` and `update` of [`Dql`] are the complete algorithm. The paper says that DQL
-//! quantises the angles and uses replay and a target network, and gives no numbers for it. These
-//! numbers are those of the paper's own algorithm: replay of 10000, batches of 32, tau 0.01, a rate
-//! of 1e-3 with Adam, two hidden layers of 128 and 64 with ReLU, 1000 episodes, and epsilon-greedy
-//! exploration that decays from 0.995 to 0.0001.
+//! The methods `step` and `update` of [`Dql`] are the complete algorithm. The paper states that DQL
+//! quantises the angles and uses replay and a target network, and gives no hyperparameters for it.
+//! The hyperparameters here are those of the paper's own algorithm: replay of 10000, batches of 32,
+//! tau 0.01, Adam with a learning rate of 1e-3, two hidden layers of 128 and 64 with ReLU, 1000
+//! episodes, and epsilon-greedy exploration that decays from 0.995 to 0.0001.
 //!
 //! # Deviations from the paper
-//! 1. **Action.** An entry of the [codebook](crate::environment::codebook) for the complete array.
-//!    The quantised angles of each mirror would be 25^100 actions.
-//! 2. **Network.** The entry is an input, as in the paper's critic, and the value Q(s, a) is the
-//!    only output. All entries are evaluated at once, because the first layer is linear in state
-//!    and entry. A value learned for one entry then carries over to entries nearby.
-//! 3. **State.** Presence, positions, direct gains and minimum rates
-//!    ([`crate::environment::angle_state`]), after the position of the [target
-//!    user](crate::environment::target_user) in the codebook's steps. The current angles are no
-//!    entry: without actuator dynamics the best entry does not depend on them.
+//! 1. **Action.** The action is one codeword, which sets the angles of all mirrors
+//!    ([`crate::environment::codebook`]). The quantised angles of each mirror would be 25^100
+//!    actions.
+//! 2. **Network.** The network takes state and codeword as input and returns Q(s, a), as the
+//!    paper's critic does. The first layer is linear in state and codeword, so all codewords are
+//!    evaluated at once. A value learned for one codeword then carries over to codewords nearby.
+//! 3. **State.** The position of the [target user](crate::environment::target_user) in the
+//!    codebook's steps, then presence, positions, direct gains and minimum rates
+//!    ([`crate::environment::angle_state`]). The state does not include the current angles. Without
+//!    actuator dynamics the optimal action does not depend on them.
 //! 4. **Reward.** The reward minus that of flat mirrors, over the bandwidth. The shortfall is
 //!    penalised instead of the met minimum rate, as in [`super::ddpg`].
-//! 5. **gamma = 0.3** instead of 0.9: an action does not influence later states here, so their
+//! 5. **gamma = 0.3** instead of 0.9. An action does not influence later states here, so their
 //!    values are only noise in the target.
-//! 6. **Steps.** 40 of one second in an episode, and an update after every eighth, because each
-//!    update evaluates all entries of all next states.
+//! 6. **Steps.** An episode has 40 steps of one second. Every eighth step is followed by an update,
+//!    because each update evaluates all codewords in all next states.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -45,7 +46,7 @@ use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::replay::Replay;
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "dql",
     policy: PolicyKind::Dql,
@@ -58,7 +59,7 @@ pub const ALGORITHM: Algorithm = Algorithm {
     },
 };
 
-/// All numbers of a training run.
+/// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Widths of the two hidden layers.
@@ -77,15 +78,15 @@ pub struct Settings {
     pub replay: usize,
     /// Transitions before the first update.
     pub warm_up: usize,
-    /// Exploration: the probability of a random entry.
+    /// Exploration: the probability of a random codeword.
     pub exploration: Exploration,
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
 impl Settings {
-    /// The numbers of the shipped actors.
+    /// The hyperparameters of the shipped actors.
     pub fn new(seed: u64) -> Self {
         Self {
             hidden: [128, 64],
@@ -113,7 +114,7 @@ pub struct Dql {
     settings: Settings,
     codebook: Codebook,
     layout: StateLayout,
-    /// Coordinates of the entries in the codebook's grid, (entries, 2).
+    /// Coordinates of the codewords in the codebook's grid, (codewords, 2).
     coordinates: Tensor,
     network: Network,
     target: Network,
@@ -147,32 +148,32 @@ impl Dql {
         })
     }
 
-    /// The entry with the largest value in a state.
+    /// The codeword with the largest value in a state.
     fn best(&self, state: &[f32]) -> Result<usize> {
         let state = Tensor::from_slice(state, (1, state.len()), &Device::Cpu)?;
         let values = self.values(&self.network, &state)?.squeeze(0)?.to_vec1::<f32>()?;
-        Ok((1..values.len()).fold(0, |best, entry| if values[entry] > values[best] { entry } else { best }))
+        Ok((1..values.len()).fold(0, |best, codeword| if values[codeword] > values[best] { codeword } else { best }))
     }
 
-    /// An entry by the epsilon-greedy rule.
+    /// A codeword by the epsilon-greedy rule.
     fn choose(&self, epsilon: f64, state: &[f32], rng: &mut impl Rng) -> Result<usize> {
-        match Exploration::draw(epsilon, self.codebook.entries().len(), rng) {
-            Some(entry) => Ok(entry),
+        match Exploration::draw(epsilon, self.codebook.codewords().len(), rng) {
+            Some(codeword) => Ok(codeword),
             None => self.best(state),
         }
     }
 
-    /// The values of all entries in each of some states: (batch, inputs) to (batch, entries).
+    /// The values of all codewords in each of some states: (batch, inputs) to (batch, codewords).
     fn values(&self, network: &Network, states: &Tensor) -> Result<Tensor> {
         let (first, second, head) = (network.layer("first"), network.layer("second"), network.layer("head"));
         let (batch, inputs) = states.dims2()?;
-        let entries = self.coordinates.dim(0)?;
+        let codewords = self.coordinates.dim(0)?;
         let of_state = states.matmul(&first.weight.narrow(0, 0, inputs)?)?.broadcast_add(&first.bias)?;
-        let of_entry = self.coordinates.matmul(&first.weight.narrow(0, inputs, POSITION)?)?;
-        let hidden = of_state.unsqueeze(1)?.broadcast_add(&of_entry.unsqueeze(0)?)?.relu()?;
+        let of_codeword = self.coordinates.matmul(&first.weight.narrow(0, inputs, POSITION)?)?;
+        let hidden = of_state.unsqueeze(1)?.broadcast_add(&of_codeword.unsqueeze(0)?)?.relu()?;
         let hidden =
-            hidden.reshape((batch * entries, ()))?.matmul(&second.weight)?.broadcast_add(&second.bias)?.relu()?;
-        hidden.matmul(&head.weight)?.broadcast_add(&head.bias)?.reshape((batch, entries))
+            hidden.reshape((batch * codewords, ()))?.matmul(&second.weight)?.broadcast_add(&second.bias)?.relu()?;
+        hidden.matmul(&head.weight)?.broadcast_add(&head.bias)?.reshape((batch, codewords))
     }
 
     /// One update from a minibatch: Q(s, a) towards r + gamma max_b Q'(s', b), with the target
@@ -196,11 +197,11 @@ impl Learner for Dql {
         let room = &mut episode.rooms[0];
         let state = self.layout.state(room.vector());
         let epsilon = exploration.magnitude(episode.index, episode.count);
-        let entry = self.choose(epsilon, &state, episode.rng)?;
-        let (reward, outcome) = self.codebook.act(room, entry, run.reward);
+        let codeword = self.choose(epsilon, &state, episode.rng)?;
+        let (reward, outcome) = self.codebook.act(room, codeword, run.reward);
         room.step(run.step_s)?;
         let next = self.layout.state(room.vector());
-        self.replay.push([&state, &self.codebook.coordinates()[entry], &[reward], &next]);
+        self.replay.push([&state, &self.codebook.coordinates()[codeword], &[reward], &next]);
         if self.replay.is_ready() && episode.step.is_multiple_of(self.settings.steps_per_update) {
             self.update(episode.rng)?;
         }
@@ -209,7 +210,7 @@ impl Learner for Dql {
 
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
         let best = self.best(&self.layout.state(room.vector()))?;
-        Ok(self.codebook.entries()[best].clone())
+        Ok(self.codebook.codewords()[best].clone())
     }
 
     fn best_action(&self, room: &Environment) -> Option<MirrorAngles> {
@@ -217,7 +218,7 @@ impl Learner for Dql {
     }
 
     fn notes(&self) -> Vec<(&'static str, String)> {
-        vec![("codebook", format!("{} entries: {}", self.codebook.entries().len(), self.codebook.kind()))]
+        vec![("codebook", format!("{} codewords: {}", self.codebook.codewords().len(), self.codebook.kind()))]
     }
 
     fn state(&mut self) -> Vec<Part<'_>> {
@@ -229,8 +230,8 @@ impl Learner for Dql {
         ]
     }
 
-    /// In the graph: the state, the values of all entries, the index of the largest, and that
-    /// entry's angles.
+    /// In the graph: the state, the values of all codewords, the index of the largest, and that
+    /// codeword's angles.
     fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
         let (mut graph, inputs) = (Graph::default(), self.layout.inputs());
         let state = self.layout.state_nodes(&mut graph);
@@ -240,12 +241,12 @@ impl Learner for Dql {
         };
         let first = self.network.layer("first");
         let weight = constant(&mut graph, "first.weight", &first.weight.narrow(0, 0, inputs)?)?;
-        // The entry's part of the first layer does not depend on the state.
-        let of_entry =
+        // The codeword's part of the first layer does not depend on the state.
+        let of_codeword =
             self.coordinates.matmul(&first.weight.narrow(0, inputs, POSITION)?)?.broadcast_add(&first.bias)?;
-        let of_entry = constant(&mut graph, "first.entries", &of_entry)?;
+        let of_codeword = constant(&mut graph, "first.entries", &of_codeword)?;
         let of_state = graph.node("MatMul", &[&state, &weight]);
-        let mut values = graph.node("Add", &[&of_entry, &of_state]);
+        let mut values = graph.node("Add", &[&of_codeword, &of_state]);
         for name in ["second", "head"] {
             let layer = self.network.layer(name);
             let weight = constant(&mut graph, &format!("{name}.weight"), &layer.weight)?;
@@ -254,7 +255,7 @@ impl Learner for Dql {
             let product = graph.node("MatMul", &[&hidden, &weight]);
             values = graph.node("Add", &[&product, &bias]);
         }
-        let values = graph.reshape(&values, &[1, self.codebook.entries().len()]);
+        let values = graph.reshape(&values, &[1, self.codebook.codewords().len()]);
         self.codebook.choose_nodes(&mut graph, &values);
         let encoder = self.layout.target_user.encoder();
         let (input, output) = ((INPUT_NAME, encoder.len()), (OUTPUT_NAME, 2 * encoder.mirrors()));
@@ -262,7 +263,7 @@ impl Learner for Dql {
     }
 }
 
-/// Coordinates of an entry in its codebook, and of a user on the floor.
+/// Coordinates of a codeword in its codebook, and of a user on the floor.
 const POSITION: usize = 2;
 
 /// The state that an observation vector describes.

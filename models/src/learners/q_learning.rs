@@ -1,31 +1,32 @@
-//! Q-learning with a table: cells of the floor by entries of the codebook.
+//! Q-learning with a table: cells of the floor by codewords.
 //!
 //! ```text
 //! Q(s, a) <- Q(s, a) + alpha [r + gamma max_b Q(s', b) - Q(s, a)]
 //! ```
 //!
 //! The method `step` of [`QLearning`] is the complete algorithm. The paper names Q-learning and
-//! SARSA as earlier work and says that tables cannot hold large spaces of states and actions; it
-//! gives none of their numbers. [`super::sarsa`] is this learner with the value of the action that
-//! is taken next instead of the largest value.
+//! SARSA as earlier work and states that tables cannot hold large spaces of states and actions. It
+//! gives none of their hyperparameters. [`super::sarsa`] is this learner with the value of the
+//! action that is taken next instead of the largest value.
 //!
 //! # Deviations from the paper
 //! 1. **State.** Positions of five users in quadrants are 1024 states with 144 actions each, and
 //!    quadrants are far coarser than a spot. The state is the cell of the [target
-//!    user](crate::environment::target_user): 12 x 12 cells in `specular`, as the codebook's
-//!    points; 6 x 6 in the paper's modes, whose light is spread widely.
-//! 2. **Action.** An entry of the [codebook](crate::environment::codebook).
+//!    user](crate::environment::target_user). In `specular` there are 12 x 12 cells, as many as
+//!    codewords. In the paper's modes there are 6 x 6, because a mirror spreads its light widely.
+//! 2. **Action.** The action is one codeword, which sets the angles of all mirrors
+//!    ([`crate::environment::codebook`]).
 //! 3. **Reward.** The reward minus that of flat mirrors, over the bandwidth, so that a room with
-//!    much direct light does not raise the value of an entry. The shortfall is penalised instead of
-//!    the met minimum rate, as in [`super::ddpg`].
+//!    much direct light does not raise the value of a codeword. The shortfall is penalised instead
+//!    of the met minimum rate, as in [`super::ddpg`].
 //! 4. **gamma = 0.3** instead of 0.9. An action does not influence later states here. With 0.9 a
-//!    value is ten times the reward, and the error of a pair that was not visited for long exceeds
-//!    the differences between entries.
+//!    value is ten times the reward. The error of a pair that was not visited for long then exceeds
+//!    the differences between codewords.
 //! 5. **alpha = 0.05**, the learning rate of the paper's text. The first visits of a pair form a
 //!    mean: alpha = max(0.05, 1 / n).
-//! 6. **Exploration.** Epsilon-greedy from 0.995, as in the paper, to 0.05: a table does not
-//!    generalise to entries nearby.
-//! 7. **Episodes.** 1000 of 80 steps of one second.
+//! 6. **Exploration.** Epsilon-greedy, decaying from 0.995 as in the paper, to 0.05. A table does
+//!    not generalise to codewords nearby.
+//! 7. **Episodes.** There are 1000 episodes of 80 steps of one second.
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::policy::PolicyKind;
@@ -45,7 +46,7 @@ use crate::training::exploration::{Exploration, Kind};
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "q-learning",
     policy: PolicyKind::QLearning,
@@ -64,11 +65,11 @@ pub const ALGORITHM: Algorithm = Algorithm {
 pub enum Target {
     /// The largest value: Q-learning.
     Best,
-    /// The value of the entry that is taken next: SARSA.
+    /// The value of the codeword that is taken next: SARSA.
     Taken,
 }
 
-/// All numbers of a training run.
+/// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The next value in the target of an update.
@@ -77,17 +78,17 @@ pub struct Settings {
     pub cells: usize,
     /// Discount factor gamma.
     pub gamma: f32,
-    /// Smallest learning rate of a pair of state and entry.
+    /// Smallest learning rate of a pair of state and codeword.
     pub alpha: f32,
-    /// Exploration: the probability of a random entry.
+    /// Exploration: the probability of a random codeword.
     pub exploration: Exploration,
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     #[serde(flatten)]
     pub run: RunSettings,
 }
 
 impl Settings {
-    /// The numbers of the shipped tables.
+    /// The hyperparameters of the shipped tables.
     pub fn new(seed: u64, mode: ChannelMode) -> Self {
         Self {
             target: Target::Best,
@@ -113,8 +114,8 @@ pub struct QLearning {
     target_user: TargetUser,
     cells: Cells,
     table: Table,
-    /// The entry that the next step takes.
-    next_entry: usize,
+    /// The codeword that the next step takes.
+    next_codeword: usize,
 }
 
 impl QLearning {
@@ -128,12 +129,12 @@ impl QLearning {
         let cells = Cells::of(scenario, settings.cells);
         let codebook = Codebook::of(scenario)?;
         Ok(Self {
-            table: Table::new(cells.count(), codebook.entries().len()),
+            table: Table::new(cells.count(), codebook.codewords().len()),
             target_user: TargetUser::of(scenario),
             codebook,
             cells,
             settings,
-            next_entry: 0,
+            next_codeword: 0,
         })
     }
 
@@ -142,10 +143,10 @@ impl QLearning {
         self.cells.cell(self.target_user.position(vector))
     }
 
-    /// An entry by the epsilon-greedy rule.
+    /// A codeword by the epsilon-greedy rule.
     fn choose(&self, epsilon: f64, state: usize, rng: &mut impl Rng) -> usize {
-        let entries = self.codebook.entries().len();
-        Exploration::draw(epsilon, entries, rng).unwrap_or_else(|| self.table.best(state))
+        let codewords = self.codebook.codewords().len();
+        Exploration::draw(epsilon, codewords, rng).unwrap_or_else(|| self.table.best(state))
     }
 }
 
@@ -154,22 +155,22 @@ impl Learner for QLearning {
         let epsilon = self.settings.exploration.magnitude(episode.index, episode.count);
         let (first, room) = (episode.step == 0, &mut episode.rooms[0]);
         let state = self.state_of(room.vector());
-        let entry = if first { self.choose(epsilon, state, episode.rng) } else { self.next_entry };
-        let (reward, outcome) = self.codebook.act(room, entry, self.settings.run.reward);
+        let codeword = if first { self.choose(epsilon, state, episode.rng) } else { self.next_codeword };
+        let (reward, outcome) = self.codebook.act(room, codeword, self.settings.run.reward);
         room.step(self.settings.run.step_s)?;
         let next_state = self.state_of(room.vector());
-        self.next_entry = self.choose(epsilon, next_state, episode.rng);
+        self.next_codeword = self.choose(epsilon, next_state, episode.rng);
         let next_value = match self.settings.target {
             Target::Best => self.table.value(next_state, self.table.best(next_state)),
-            Target::Taken => self.table.value(next_state, self.next_entry),
+            Target::Taken => self.table.value(next_state, self.next_codeword),
         };
-        self.table.learn((state, entry), reward + self.settings.gamma * next_value, self.settings.alpha);
+        self.table.learn((state, codeword), reward + self.settings.gamma * next_value, self.settings.alpha);
         Ok(vec![outcome])
     }
 
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
         let best = self.table.best(self.state_of(room.vector()));
-        Ok(self.codebook.entries()[best].clone())
+        Ok(self.codebook.codewords()[best].clone())
     }
 
     fn best_action(&self, room: &Environment) -> Option<MirrorAngles> {
@@ -177,13 +178,13 @@ impl Learner for QLearning {
     }
 
     fn notes(&self) -> Vec<(&'static str, String)> {
-        let (states, entries, bytes) = (self.cells.count(), self.codebook.entries().len(), self.table.bytes());
-        let (values, visited) = (states * entries, self.table.visited());
+        let (states, codewords, bytes) = (self.cells.count(), self.codebook.codewords().len(), self.table.bytes());
+        let (values, visited) = (states * codewords, self.table.visited());
         vec![
-            ("codebook", format!("{entries} entries: {}", self.codebook.kind())),
+            ("codebook", format!("{codewords} codewords: {}", self.codebook.kind())),
             (
                 "table",
-                format!("{states} states x {entries} entries = {values} values, {bytes} bytes, {visited} visited"),
+                format!("{states} states x {codewords} codewords = {values} values, {bytes} bytes, {visited} visited"),
             ),
         ]
     }
@@ -193,12 +194,12 @@ impl Learner for QLearning {
     }
 
     /// In the graph: the target user's cell, that row of the table, the index of the largest value,
-    /// and that entry's angles.
+    /// and that codeword's angles.
     fn export(&self, _: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
         let mut graph = Graph::default();
         let position = self.target_user.position_nodes(&mut graph);
         let state = self.cells.cell_nodes(&mut graph, &position);
-        let values = graph.constant("table", &[self.table.states(), self.table.entries()], self.table.values());
+        let values = graph.constant("table", &[self.table.states(), self.table.codewords()], self.table.values());
         let row = graph.gather(&values, &state, 0);
         self.codebook.choose_nodes(&mut graph, &row);
         let encoder = self.target_user.encoder();

@@ -1,4 +1,4 @@
-//! SARSA with a table: [`super::q_learning`] with the value of the entry that is taken next.
+//! SARSA with a table: [`super::q_learning`] with the value of the codeword that is taken next.
 //!
 //! ```text
 //! Q(s, a) <- Q(s, a) + alpha [r + gamma Q(s', a') - Q(s, a)]
@@ -13,7 +13,7 @@ use heliostat_scenario::ChannelMode;
 use super::q_learning::{QLearning, Settings, Target};
 use crate::training::algorithm::{Algorithm, start};
 
-/// The entry in the table of algorithms.
+/// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "sarsa",
     policy: PolicyKind::Sarsa,
@@ -27,7 +27,7 @@ pub const ALGORITHM: Algorithm = Algorithm {
     },
 };
 
-/// The numbers of the shipped tables.
+/// The hyperparameters of the shipped tables.
 pub fn settings(seed: u64, mode: ChannelMode) -> Settings {
     Settings { target: Target::Taken, ..Settings::new(seed, mode) }
 }

@@ -1,31 +1,31 @@
-//! A table of values for pairs of a state and an entry of a codebook.
+//! A table of values for pairs of a state and a codeword.
 
 use anyhow::ensure;
 
 use crate::training::store::{Persistent, Store};
 
-/// Values Q(state, entry), initially zero, and the number of updates of each.
+/// Values Q(state, codeword), initially zero, and the number of updates of each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    entries: usize,
+    codewords: usize,
     values: Vec<f32>,
     visits: Vec<f32>,
 }
 
 impl Table {
     /// A table of zeros.
-    pub fn new(states: usize, entries: usize) -> Self {
-        Self { entries, values: vec![0.0; states * entries], visits: vec![0.0; states * entries] }
+    pub fn new(states: usize, codewords: usize) -> Self {
+        Self { codewords, values: vec![0.0; states * codewords], visits: vec![0.0; states * codewords] }
     }
 
     /// Number of states.
     pub fn states(&self) -> usize {
-        self.values.len() / self.entries
+        self.values.len() / self.codewords
     }
 
-    /// Number of entries.
-    pub fn entries(&self) -> usize {
-        self.entries
+    /// Number of codewords.
+    pub fn codewords(&self) -> usize {
+        self.codewords
     }
 
     /// All values, state by state.
@@ -44,20 +44,20 @@ impl Table {
     }
 
     /// The value of a pair.
-    pub fn value(&self, state: usize, entry: usize) -> f32 {
-        self.values[state * self.entries + entry]
+    pub fn value(&self, state: usize, codeword: usize) -> f32 {
+        self.values[state * self.codewords + codeword]
     }
 
-    /// The entry with the largest value, the first of equal ones.
+    /// The codeword with the largest value, the first of equal ones.
     pub fn best(&self, state: usize) -> usize {
-        let row = &self.values[state * self.entries..][..self.entries];
-        (1..row.len()).fold(0, |best, entry| if row[entry] > row[best] { entry } else { best })
+        let row = &self.values[state * self.codewords..][..self.codewords];
+        (1..row.len()).fold(0, |best, codeword| if row[codeword] > row[best] { codeword } else { best })
     }
 
-    /// Moves the value of a pair (state, entry) towards a target: Q <- Q + max(alpha, 1 / n)
+    /// Moves the value of a pair (state, codeword) towards a target: Q <- Q + max(alpha, 1 / n)
     /// (target - Q) in its n-th update.
-    pub fn learn(&mut self, (state, entry): (usize, usize), target: f32, alpha: f32) {
-        let pair = state * self.entries + entry;
+    pub fn learn(&mut self, (state, codeword): (usize, usize), target: f32, alpha: f32) {
+        let pair = state * self.codewords + codeword;
         self.visits[pair] += 1.0;
         self.values[pair] += alpha.max(1.0 / self.visits[pair]) * (target - self.values[pair]);
     }

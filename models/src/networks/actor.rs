@@ -1,34 +1,38 @@
-//! The actor of `ddpg` and `analytic`: from the state of a room to one logit for each user, in one
-//! or several rounds.
+//! The actor of `ddpg` and `analytic`: from the state of a room to one action u_k in [-1, 1] per
+//! user, in one or several rounds.
 //!
-//! In each round the network reads three inputs for each user: the features, the logit of the round
-//! before, and the amplitude that the user would get under the logits of all users. The first round
-//! starts from logits of zero and balanced shares. Users interact through this amplitude only.
+//! In each round the network reads three inputs per user: the features, the action of the round
+//! before, and the amplitude that the user gets under the actions of all users. The first round
+//! starts from actions of zero and the amplitudes of the balanced weights. Users interact through
+//! this amplitude only.
 //!
-//! The amplitude comes from a smooth copy of the decoder: each mirror is shared among the users in
-//! proportion to (w_k a_km)^8, where the true decoder gives it to the largest. A smooth copy has a
-//! gradient, and rounding cannot move a mirror from one user to another.
+//! The amplitude comes from a smooth decoder. Its soft assignment of mirror m to user k is
+//! proportional to (w_k a_km)^8; the true decoder assigns the mirror to the user with the largest
+//! w_k a_km. The smooth decoder has a gradient, and rounding cannot move a mirror from one user to
+//! another. [`crate::environment::features`] defines the terms.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{MirrorAngles, decode, sharing};
 
 use super::layers::Network;
-use crate::environment::features::{FEATURES, Head, LOG_BALANCED, LOG_DIRECT, LOG_WEIGHT, Layout, Prior, WEIGHT_SCALE};
+use crate::environment::features::{
+    BaselineWeight, FEATURES, Head, LOG_BALANCED, LOG_DIRECT, LOG_WEIGHT, Layout, WEIGHT_SCALE,
+};
 use crate::environment::room::Environment;
 
-/// Inputs of the actor's network for each user: the features, the logit of the round before, and
-/// ln(1 + amplitude).
+/// Inputs of the actor's network per user: the features, the action of the round before, and ln(1 +
+/// amplitude).
 pub const ACTOR_INPUTS: usize = FEATURES + 2;
 
-/// Number of squarings that raise a claim to [`EXPONENT`].
+/// Number of squarings that raise b_k a_km to the power [`EXPONENT`].
 pub const SQUARINGS: u32 = sharing::EXPONENT.ilog2();
 
 /// The exponent of the smooth decoder.
 pub const EXPONENT: f32 = sharing::EXPONENT as f32;
 
-/// Added to sums of claims, so that quotients stay finite for mirrors that reach no user; far below
-/// the claims of mirrors that do.
-pub const NO_CLAIM: f32 = 1e-20;
+/// Added to sums over users, so that quotients and logarithms stay finite for mirrors that reach no
+/// user; far below the values of mirrors that do.
+pub const POWER_FLOOR: f32 = 1e-20;
 
 /// States of rooms, as tensors.
 #[derive(Clone, Debug)]
@@ -39,9 +43,9 @@ pub struct States {
     pub present: Tensor,
     /// Direct amplitude, (batch, slots, 1).
     direct: Tensor,
-    /// (p_k a_km / sum_j p_j a_jm)^8 with the weights p of logits of zero, (batch, slots, mirrors).
-    claims: Tensor,
-    /// The claims times a_km.
+    /// (b_k a_km / sum_j b_j a_jm)^8 with the baseline weights b, (batch, slots, mirrors).
+    powers: Tensor,
+    /// The powers times a_km.
     gains: Tensor,
 }
 
@@ -65,30 +69,32 @@ impl States {
     ///
     /// # Errors
     /// Errors of candle, when the length is not `batch` rows.
-    pub fn new(rows: Vec<f32>, batch: usize, layout: Layout, prior: Prior) -> Result<Self> {
+    pub fn new(rows: Vec<f32>, batch: usize, layout: Layout, baseline_weight: BaselineWeight) -> Result<Self> {
         let (slots, mirrors) = (layout.slots(), layout.encoder.mirrors());
         let rows = Tensor::from_vec(rows, (batch, Self::width(layout)), &Device::Cpu)?;
         let features = rows.narrow(1, 0, slots * FEATURES)?.reshape((batch, slots, FEATURES))?;
         let steering = rows.narrow(1, slots * FEATURES, slots * mirrors)?.reshape((batch, slots, mirrors))?;
         let column = |index| features.narrow(2, index, 1)?.contiguous();
-        let weighted = match prior {
-            Prior::Uniform => steering.clone(),
-            Prior::Balanced => steering.broadcast_mul(&(column(LOG_WEIGHT)? / f64::from(WEIGHT_SCALE))?.exp()?)?,
+        let weighted = match baseline_weight {
+            BaselineWeight::Uniform => steering.clone(),
+            BaselineWeight::Balanced => {
+                steering.broadcast_mul(&(column(LOG_WEIGHT)? / f64::from(WEIGHT_SCALE))?.exp()?)?
+            }
         };
-        let mut claims = weighted.broadcast_div(&(weighted.sum_keepdim(1)? + f64::from(NO_CLAIM))?)?;
+        let mut powers = weighted.broadcast_div(&(weighted.sum_keepdim(1)? + f64::from(POWER_FLOOR))?)?;
         for _ in 0..SQUARINGS {
-            claims = claims.sqr()?;
+            powers = powers.sqr()?;
         }
         Ok(Self {
             present: column(0)?.squeeze(2)?,
             direct: (column(LOG_DIRECT)?.exp()? - 1.0)?,
-            gains: (&claims * &steering)?,
-            claims,
+            gains: (&powers * &steering)?,
+            powers,
             features,
         })
     }
 
-    /// ln(1 + amplitude) of each user at balanced shares, (batch, slots).
+    /// ln(1 + amplitude) of each user with the balanced weights, (batch, slots).
     ///
     /// # Errors
     /// Errors of candle.
@@ -96,15 +102,15 @@ impl States {
         self.features.narrow(2, LOG_BALANCED, 1)?.squeeze(2)
     }
 
-    /// ln(1 + amplitude) of each user under these logits by the smooth decoder, (batch, slots).
+    /// ln(1 + amplitude) of each user under these actions by the smooth decoder, (batch, slots).
     ///
     /// # Errors
     /// Errors of candle, when shapes differ.
-    pub fn amplitude(&self, logits: &Tensor, range: f32) -> Result<Tensor> {
-        let weight = (logits * f64::from(EXPONENT * range))?.exp()?.mul(&self.present)?;
-        // The power of w_k a_km is a product: the large tables, with the prior, are raised once for
-        // all rounds.
-        let total = (weight.unsqueeze(1)?.matmul(&self.claims)? + f64::from(NO_CLAIM))?;
+    pub fn amplitude(&self, actions: &Tensor, range: f32) -> Result<Tensor> {
+        let weight = (actions * f64::from(EXPONENT * range))?.exp()?.mul(&self.present)?;
+        // (w_k a_km)^8 is the product of exp(8 c u_k) and the power with the baseline weight. The
+        // large table of powers is computed once for all rounds.
+        let total = (weight.unsqueeze(1)?.matmul(&self.powers)? + f64::from(POWER_FLOOR))?;
         // Through the logarithm: the gradient of a quotient squares its divisor, which underflows
         // in f32.
         let inverse = total.log()?.neg()?.exp()?.transpose(1, 2)?.contiguous()?;
@@ -113,49 +119,49 @@ impl States {
     }
 }
 
-/// An actor's network with the numbers that decoding needs.
+/// An actor's network with the constants of the decoder.
 #[derive(Clone, Debug)]
 pub struct Actor {
     /// Its network.
     pub network: Network,
     /// The layout of its observation vector.
     pub layout: Layout,
-    /// The map from its logits to weights.
+    /// The map from its actions to decoder weights.
     pub head: Head,
     /// Number of rounds, each one application of the network.
     pub rounds: usize,
 }
 
 impl Actor {
-    /// Logits in [-1, 1], (batch, slots); zero in empty slots.
+    /// Actions in [-1, 1], (batch, slots); zero in empty slots.
     ///
     /// # Errors
     /// Errors of candle, when shapes differ.
     pub fn forward(&self, states: &States) -> Result<Tensor> {
-        let (mut logits, mut amplitude) = (states.present.zeros_like()?, states.balanced()?);
+        let (mut actions, mut amplitude) = (states.present.zeros_like()?, states.balanced()?);
         for round in 0..self.rounds {
             if round > 0 {
-                amplitude = states.amplitude(&logits, self.head.range)?.mul(&states.present)?;
+                amplitude = states.amplitude(&actions, self.head.range)?.mul(&states.present)?;
             }
-            let input = Tensor::cat(&[&states.features, &logits.unsqueeze(2)?, &amplitude.unsqueeze(2)?], 2)?;
-            logits = self.network.forward(&input)?.tanh()?.mul(&states.present)?;
+            let input = Tensor::cat(&[&states.features, &actions.unsqueeze(2)?, &amplitude.unsqueeze(2)?], 2)?;
+            actions = self.network.forward(&input)?.tanh()?.mul(&states.present)?;
         }
-        Ok(logits)
+        Ok(actions)
     }
 
-    /// One logit for each slot, from the row of one state.
+    /// One action per slot, from the row of one state.
     ///
     /// # Errors
     /// Errors of candle.
-    pub fn logits(&self, state: &[f32]) -> Result<Vec<f32>> {
-        let states = States::new(state.to_vec(), 1, self.layout, self.head.prior)?;
+    pub fn actions(&self, state: &[f32]) -> Result<Vec<f32>> {
+        let states = States::new(state.to_vec(), 1, self.layout, self.head.baseline_weight)?;
         self.forward(&states)?.squeeze(0)?.to_vec1()
     }
 
-    /// The mirror angles that the decoder gives for these logits in a room.
-    pub fn decode(&self, environment: &Environment, logits: &[f32]) -> MirrorAngles {
+    /// The mirror angles that the decoder gives for these actions in a room.
+    pub fn decode(&self, environment: &Environment, actions: &[f32]) -> MirrorAngles {
         let seen = environment.observation();
-        let weights = self.layout.weights(environment.vector(), logits, self.head);
+        let weights = self.layout.weights(environment.vector(), actions, self.head);
         let weights: Vec<f64> = weights[..seen.users()].iter().map(|&weight| f64::from(weight)).collect();
         let mut angles = MirrorAngles::flat(seen.mirrors());
         decode::decode(environment.model(), &seen.scene, &weights, &mut angles);
@@ -191,7 +197,7 @@ mod tests {
         }
         let steering = [[0.30, 0.20, 0.10, 0.0], [0.21, 0.33, 0.25, 0.0], [0.02, 0.015, 0.03, 0.0]];
         row[4 * FEATURES..][..12].copy_from_slice(steering.as_flattened());
-        States::new(row, 1, layout, Prior::Balanced).expect("a state")
+        States::new(row, 1, layout, BaselineWeight::Balanced).expect("a state")
     }
 
     #[test]
@@ -201,22 +207,22 @@ mod tests {
         (row[0], row[FEATURES]) = (1.0, 1.0);
         for faint in [0.0, 1e-5] {
             row[2 * FEATURES..].copy_from_slice(&[0.4, faint]);
-            let states = States::new(row.clone(), 1, layout, Prior::Uniform).expect("a state");
-            let logits = Tensor::from_slice(&[-1.0_f32, 1.0], (1, 2), &Device::Cpu).expect("logits");
-            let found = states.amplitude(&logits, 0.5).and_then(|found| found.to_vec2::<f32>()).expect("amplitudes");
+            let states = States::new(row.clone(), 1, layout, BaselineWeight::Uniform).expect("a state");
+            let actions = Tensor::from_slice(&[-1.0_f32, 1.0], (1, 2), &Device::Cpu).expect("actions");
+            let found = states.amplitude(&actions, 0.5).and_then(|found| found.to_vec2::<f32>()).expect("amplitudes");
             assert!((found[0][0] - 1.4_f32.ln()).abs() < 1e-6, "{found:?}");
         }
     }
 
     /// The amplitude by its definition, in f64.
-    fn expected(logits: [f64; 3]) -> [f64; 3] {
+    fn expected(actions: [f64; 3]) -> [f64; 3] {
         let steering = [[0.30_f64, 0.20, 0.10], [0.21, 0.33, 0.25], [0.02, 0.015, 0.03]];
-        let weight = |user: usize| (2.0 * logits[user] + LOG_WEIGHTS[user]).exp();
-        let claim = |user: usize, mirror: usize| (weight(user) * steering[user][mirror]).powi(8);
+        let weight = |user: usize| (2.0 * actions[user] + LOG_WEIGHTS[user]).exp();
+        let power = |user: usize, mirror: usize| (weight(user) * steering[user][mirror]).powi(8);
         [0, 1, 2].map(|user| {
             let given = |mirror| {
-                let total: f64 = (0..3).map(|other| claim(other, mirror)).sum();
-                steering[user][mirror] * claim(user, mirror) / total
+                let total: f64 = (0..3).map(|other| power(other, mirror)).sum();
+                steering[user][mirror] * power(user, mirror) / total
             };
             let direct = (0.5 * user as f64).exp() - 1.0;
             (1.0 + direct + (0..3).map(given).sum::<f64>()).ln()
@@ -225,8 +231,8 @@ mod tests {
 
     #[test]
     fn the_smooth_decoder_matches_its_definition() {
-        let logits = [0.1_f32, -0.2, 0.3, 0.0];
-        let tensor = Tensor::from_slice(&logits, (1, 4), &Device::Cpu).expect("logits");
+        let actions = [0.1_f32, -0.2, 0.3, 0.0];
+        let tensor = Tensor::from_slice(&actions, (1, 4), &Device::Cpu).expect("actions");
         let found = states().amplitude(&tensor, 2.0).and_then(|found| found.squeeze(0)?.to_vec1::<f32>());
         let found = found.expect("amplitudes");
         for (user, expected) in expected([0.1, -0.2, 0.3]).into_iter().enumerate() {
@@ -237,8 +243,8 @@ mod tests {
 
     #[test]
     fn the_gradient_matches_finite_differences_of_the_definition() {
-        let logits = [0.1_f64, -0.2, 0.3];
-        let variable = Var::from_slice(&[0.1_f32, -0.2, 0.3, 0.0], (1, 4), &Device::Cpu).expect("logits");
+        let actions = [0.1_f64, -0.2, 0.3];
+        let variable = Var::from_slice(&[0.1_f32, -0.2, 0.3, 0.0], (1, 4), &Device::Cpu).expect("actions");
         let amplitude = states().amplitude(&variable, 2.0).expect("amplitudes");
         for user in 0..3 {
             let one = amplitude.narrow(1, user, 1).and_then(|one| one.sum_all()).expect("one amplitude");
@@ -246,13 +252,13 @@ mod tests {
             let found = gradients.get(&variable).expect("its gradient").to_vec2::<f32>().expect("a matrix");
             for other in 0..3 {
                 let moved = |by: f64| {
-                    let mut moved = logits;
+                    let mut moved = actions;
                     moved[other] += by;
                     expected(moved)[user]
                 };
                 let expected = (moved(1e-5) - moved(-1e-5)) / 2e-5;
                 let found = f64::from(found[0][other]);
-                assert!((found - expected).abs() < 1e-4, "user {user} by logit {other}: {found} for {expected}");
+                assert!((found - expected).abs() < 1e-4, "user {user} by action {other}: {found} for {expected}");
             }
         }
     }

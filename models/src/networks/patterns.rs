@@ -53,7 +53,7 @@ impl Basis {
         action.matmul(&self.patterns.t()?)? / mirrors as f64
     }
 
-    /// The sum of the patterns with these coefficients: one entry for each angle.
+    /// The sum of the patterns with these coefficients: one component for each angle.
     ///
     /// # Errors
     /// Those of candle.

@@ -1,4 +1,4 @@
-//! One entry of the table of algorithms; [`crate::learners`] has the table.
+//! One row of the table of algorithms; [`crate::learners`] has the table.
 
 use anyhow::ensure;
 use heliostat_decide::policy::PolicyKind;
@@ -10,12 +10,12 @@ use super::learner::Learner;
 use super::run::Training;
 use super::settings::{RunSettings, with_options};
 
-/// The origin of the numbers of a run.
+/// A set of default hyperparameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Preset {
-    /// The numbers of the shipped actors
+    /// Hyperparameters of the built-in actors
     Tuned,
-    /// The paper's networks, rates and buffer, where they differ
+    /// Network sizes, learning rates and replay-buffer size from the paper
     Paper,
 }
 

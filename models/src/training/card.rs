@@ -22,8 +22,8 @@ pub struct ScoreRow {
     pub score: Score,
     /// Ratio to the oracle and share of minimum rates met of the learner's best action in each
     /// state, where it is known.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ceiling: Option<(Estimate, f64)>,
+    #[serde(rename = "ceiling", skip_serializing_if = "Option::is_none")]
+    pub upper_bound: Option<(Estimate, f64)>,
 }
 
 /// The contents of a card.
@@ -96,22 +96,22 @@ impl Card<'_> {
             "Held-out states of the scenario with its own noise: mean and 95 % interval. The ratio is that to the oracle with minimum \
              rates, state by state. `b` users have their direct path forced off, in addition to those in the shadow of bodies and obstacles.\n"
         )?;
-        let known = self.scores.iter().all(|row| row.ceiling.is_some());
+        let known = self.scores.iter().all(|row| row.upper_bound.is_some());
         if known {
             writeln!(
                 text,
-                "The ceiling is the ratio of the best entry of the codebook in each state, found by evaluating all, and its share of \
+                "The upper bound is the ratio of the best codeword in each state, found by evaluating all codewords, and its share of \
                  minimum rates met.\n"
             )?;
         }
-        let more = if known { [" ceiling |", " --- |"] } else { [""; 2] };
+        let more = if known { [" upper bound |", " --- |"] } else { [""; 2] };
         writeln!(
             text,
             "| users | b | states | no array, Mbit/s | actor, Mbit/s | oracle, Mbit/s | ratio | minimum rates met (oracle) |{}",
             more[0]
         )?;
         writeln!(text, "| --- | --- | --- | --- | --- | --- | --- | --- |{}", more[1])?;
-        for ScoreRow { users, forced, states, score, ceiling } in self.scores {
+        for ScoreRow { users, forced, states, score, upper_bound } in self.scores {
             write!(
                 text,
                 "| {users} | {forced} | {states} | {:.1} | {:.1} ± {:.1} | {:.1} | {:.4} ± {:.4} | {:.3} ({:.3}) |",
@@ -124,7 +124,7 @@ impl Card<'_> {
                 score.qos_met,
                 score.oracle_qos_met
             )?;
-            match ceiling {
+            match upper_bound {
                 Some((ratio, met)) => writeln!(text, " {:.4} ± {:.4}, {met:.3} |", ratio.mean, ratio.ci95)?,
                 None => writeln!(text)?,
             }

@@ -9,9 +9,10 @@ use rand::{Rng, RngExt};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Gaussian noise added to each logit (Algorithm 1); the magnitude is its standard deviation.
+    /// Gaussian noise added to each component of the action (Algorithm 1); the magnitude is its
+    /// standard deviation.
     Additive,
-    /// With a probability equal to the magnitude, all logits are drawn uniformly from [-1, 1].
+    /// With a probability equal to the magnitude, all components are drawn uniformly from [-1, 1].
     EpsilonGreedy,
     /// Gaussian noise in smooth patterns over the array, for actions that are angles
     /// ([`crate::networks::patterns::Basis`]); the magnitude is its standard deviation.
@@ -36,36 +37,36 @@ impl Exploration {
         self.start * (self.end / self.start).powf(progress.min(1.0))
     }
 
-    /// Explores around an action; its entries stay within [-1, 1].
-    pub fn apply(&self, magnitude: f64, logits: &mut [f32], rng: &mut impl Rng) {
+    /// Explores around an action; its components stay within [-1, 1].
+    pub fn apply(&self, magnitude: f64, actions: &mut [f32], rng: &mut impl Rng) {
         match self.kind {
             Kind::Additive | Kind::Patterns => {
-                for logit in logits {
-                    *logit = (*logit + (magnitude * normal(rng)) as f32).clamp(-1.0, 1.0);
+                for action in actions {
+                    *action = (*action + (magnitude * normal(rng)) as f32).clamp(-1.0, 1.0);
                 }
             }
             Kind::EpsilonGreedy => {
                 if rng.random::<f64>() < magnitude {
-                    logits.fill_with(|| rng.random_range(-1.0..1.0));
+                    actions.fill_with(|| rng.random_range(-1.0..1.0));
                 }
             }
         }
     }
 
-    /// Epsilon-greedy among `count` entries: a random one with probability `epsilon`, otherwise
+    /// Epsilon-greedy among `count` codewords: a random one with probability `epsilon`, otherwise
     /// `None`, for the greedy one.
     pub fn draw(epsilon: f64, count: usize, rng: &mut impl Rng) -> Option<usize> {
         (rng.random::<f64>() < epsilon).then(|| rng.random_range(0..count))
     }
 
-    /// Refuses kinds that do not apply to the choice of an entry.
+    /// Refuses kinds that do not apply to the choice of a codeword.
     ///
     /// # Errors
     /// The kind is not epsilon-greedy.
     pub fn check_choices(&self) -> anyhow::Result<()> {
         anyhow::ensure!(
             self.kind == Kind::EpsilonGreedy,
-            "exploration.kind: expected epsilon-greedy, because the action is an entry of a codebook"
+            "exploration.kind: expected epsilon-greedy, because the action is a codeword"
         );
         Ok(())
     }
@@ -95,12 +96,12 @@ mod tests {
     fn additive_noise_has_the_stated_spread_and_stays_in_range() {
         let exploration = Exploration { kind: Kind::Additive, start: 1.0, end: 1.0 };
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut logits = vec![0.0_f32; 20_000];
-        exploration.apply(0.2, &mut logits, &mut rng);
-        let variance = logits.iter().map(|value| f64::from(value * value)).sum::<f64>() / logits.len() as f64;
+        let mut actions = vec![0.0_f32; 20_000];
+        exploration.apply(0.2, &mut actions, &mut rng);
+        let variance = actions.iter().map(|value| f64::from(value * value)).sum::<f64>() / actions.len() as f64;
         assert!((variance.sqrt() - 0.2).abs() < 0.005, "standard deviation {}", variance.sqrt());
-        exploration.apply(5.0, &mut logits, &mut rng);
-        assert!(logits.iter().all(|value| value.abs() <= 1.0));
+        exploration.apply(5.0, &mut actions, &mut rng);
+        assert!(actions.iter().all(|value| value.abs() <= 1.0));
     }
 
     #[test]
@@ -108,9 +109,9 @@ mod tests {
         let exploration = Exploration { kind: Kind::EpsilonGreedy, start: 1.0, end: 1.0 };
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let explored = (0..4000).filter(|_| {
-            let mut logits = [0.5_f32; 3];
-            exploration.apply(0.25, &mut logits, &mut rng);
-            logits != [0.5; 3]
+            let mut actions = [0.5_f32; 3];
+            exploration.apply(0.25, &mut actions, &mut rng);
+            actions != [0.5; 3]
         });
         let share = explored.count() as f64 / 4000.0;
         assert!((share - 0.25).abs() < 0.03, "share {share}");

@@ -67,7 +67,7 @@ pub trait Learner {
     /// Everything that the next episode depends on, generator and number of episodes excepted.
     fn state(&mut self) -> Vec<Part<'_>>;
 
-    /// The policy as an ONNX file with the ports of [`heliostat_controller::policy::actor_file`].
+    /// The policy as an ONNX file with the ports of [`heliostat_decide::policy::actor_file`].
     ///
     /// # Errors
     /// Errors of the networks.

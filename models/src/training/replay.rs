@@ -132,14 +132,14 @@ mod tests {
     #[test]
     fn the_rows_of_a_sample_come_from_one_transition() {
         let replay = filled(3);
-        let [features, logits, rewards, next] = replay.sample(50, &mut ChaCha8Rng::seed_from_u64(1));
+        let [features, actions, rewards, next] = replay.sample(50, &mut ChaCha8Rng::seed_from_u64(1));
         for row in 0..50 {
-            let value = logits[row];
+            let value = actions[row];
             assert_eq!(features[2 * row..][..2], [value, -value]);
             assert_eq!(rewards[row], 10.0 * value);
             assert_eq!(next[2 * row], value + 1.0);
         }
-        assert!(logits.iter().any(|value| *value != logits[0]));
+        assert!(actions.iter().any(|value| *value != actions[0]));
     }
 
     #[test]

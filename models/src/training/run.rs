@@ -29,7 +29,7 @@ pub struct Training {
     learner: Box<dyn Learner>,
     scenario: Scenario,
     run: RunSettings,
-    /// All numbers of the run, for the card and for the check of a resumed run.
+    /// All hyperparameters of the run, for the card and for the check of a resumed run.
     settings: serde_json::Value,
     rng: ChaCha8Rng,
     episodes_done: usize,
@@ -89,12 +89,12 @@ impl Training {
         &self.scenario
     }
 
-    /// The numbers that every run has.
+    /// The hyperparameters that every run has.
     pub fn run(&self) -> &RunSettings {
         &self.run
     }
 
-    /// All numbers of the run.
+    /// All hyperparameters of the run.
     pub fn settings(&self) -> &serde_json::Value {
         &self.settings
     }

@@ -1,11 +1,11 @@
-//! The numbers of a training run, and changes to them from the command line.
+//! The hyperparameters of a training run, and changes to them from the command line.
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::environment::room::{Reward, RewardForm, Rooms};
 
-/// The numbers that every run has. In options and cards they stand beside the learner's own.
+/// The hyperparameters that every run has. Options and cards list them with the learner's own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunSettings {
     /// The reward.
@@ -37,8 +37,8 @@ impl RunSettings {
     }
 }
 
-/// The numbers that every learner defines alike: path in the settings, smallest and largest value,
-/// and both in words.
+/// The domains of the hyperparameters, the same for every learner: path in the settings, smallest
+/// and largest value, and both in words.
 const DOMAINS: [(&str, f64, f64, &str); 20] = [
     ("/episodes", 1.0, 1e9, "at least 1"),
     ("/steps", 1.0, 1e6, "1 to 1e6"),
@@ -62,7 +62,7 @@ const DOMAINS: [(&str, f64, f64, &str); 20] = [
     ("/reward/margin", f64::MIN_POSITIVE, 1e3, "above 0"),
 ];
 
-/// Refuses numbers outside their domain, and a replay buffer that is too small for the first
+/// Refuses hyperparameters outside their domain, and a replay buffer that is too small for the first
 /// update.
 fn check(tree: &serde_json::Value) -> anyhow::Result<()> {
     let number = |pointer: &str| tree.pointer(pointer).and_then(serde_json::Value::as_f64);
@@ -85,7 +85,7 @@ fn check(tree: &serde_json::Value) -> anyhow::Result<()> {
 /// `exploration.start=0.2`.
 ///
 /// # Errors
-/// A key does not exist, a value has another type, or a number lies outside its domain. The message
+/// A key does not exist, or a value has another type or lies outside its domain. The message
 /// names the change.
 pub fn with_options<S: Serialize + DeserializeOwned>(settings: S, options: &[String]) -> anyhow::Result<S> {
     let mut tree = serde_json::to_value(&settings)?;

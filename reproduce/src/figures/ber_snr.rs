@@ -9,7 +9,7 @@
 use anyhow::Result;
 use heliostat_channel::link::ber_ook;
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::{Entrant, kept_sinr};
+use heliostat_models::comparison::{EvaluatedPolicy, kept_sinr};
 use heliostat_scenario::{Actuator, ActuatorProfile, MinRate, Prediction, Scenario};
 
 use super::finished_parts::{Done, groups, intervals, series};
@@ -92,10 +92,10 @@ impl Aim {
 
     /// The error rate at each SNR, for each speed.
     pub(crate) fn run(&self, scenario: &Scenario, actor: &ActorSource) -> Result<Measured> {
-        let entrant = Entrant::parse("ddpg", actor)?;
+        let evaluated = EvaluatedPolicy::parse("ddpg", actor)?;
         let mut curves = Vec::new();
         for speed_m_s in SPEEDS_M_S {
-            let kept = kept_sinr(&self.room(scenario, speed_m_s), &entrant, self.instants)?;
+            let kept = kept_sinr(&self.room(scenario, speed_m_s), &evaluated, self.instants)?;
             let error_rate = |snr_db: f64| {
                 let snr = 10_f64.powf(snr_db / 10.0);
                 kept.iter().map(|kept| ber_ook(snr * kept)).sum::<f64>() / kept.len() as f64

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::{Entrant, Loop, Row, Settings, compare_under};
+use heliostat_models::comparison::{EvaluatedPolicy, Loop, Row, Settings, compare_under};
 use heliostat_scenario::{ChannelMode, Scenario};
 use indicatif::ProgressBar;
 
@@ -71,9 +71,9 @@ impl Timing {
         }
         let group = format!("{} mirrors, {} users", scenario.mirror_count(), scenario.users.count);
         let compared = |names: &[&str], states: usize| -> Result<Vec<(String, Row)>> {
-            let entrants = names.iter().map(|name| Entrant::parse(name, actor)).collect::<Result<_, _>>()?;
+            let policies = names.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
             let (scenario, mode) = (scenario.clone(), Loop::Static);
-            let settings = Settings { scenario, entrants, states, seeds: 1, mode, training_seed: Some(1) };
+            let settings = Settings { scenario, policies, states, seeds: 1, mode, training_seed: Some(1) };
             Ok(compare_under(&settings, &ProgressBar::hidden())?.policies)
         };
         let all = compared(names, self.slow_decisions)?;

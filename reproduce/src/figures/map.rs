@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use anyhow::{Result, ensure};
 use heliostat_channel::{Cylinder, MirrorAngles};
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::Entrant;
+use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_scenario::Scenario;
 use heliostat_sim::World;
 
@@ -48,7 +48,7 @@ impl Map {
         world.step(SETTLE_S);
         let mut floors = Vec::new();
         for name in POLICIES {
-            let angles: MirrorAngles = Entrant::parse(name, actor)?.angles(scenario, &world)?;
+            let angles: MirrorAngles = EvaluatedPolicy::parse(name, actor)?.angles(scenario, &world)?;
             let mut floor = over_floor(scenario, &world, 1e-2 * self.step_cm, &mut |scene| {
                 let mut sinr = [0.0];
                 scene.sinr(world.model(), &angles, &mut sinr);

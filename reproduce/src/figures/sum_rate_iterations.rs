@@ -7,7 +7,7 @@
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
+use heliostat_models::comparison::{EvaluatedPolicy, Loop, Settings, compare_under};
 use heliostat_models::evaluation::HeldOut;
 use heliostat_models::training::{Algorithm, Preset};
 use heliostat_scenario::Scenario;
@@ -76,7 +76,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
                     side,
                     blocked,
                     episodes: effort.episodes,
-                    judgements: effort.judgements,
+                    evaluations: effort.evaluations,
                     states,
                 };
                 let cost_s = episode_s[index] * effort.episodes as f64;
@@ -109,8 +109,8 @@ impl Learning {
         let mut held_out = HeldOut::default();
         held_out.add(&scenario, self.states)?;
         let mut points = vec![[0.0, held_out.score(|room| learner.act(room))?.sum_rate_mbps.mean]];
-        for judgement in 1..=self.judgements {
-            let until = self.episodes * judgement / self.judgements;
+        for evaluation in 1..=self.evaluations {
+            let until = self.episodes * evaluation / self.evaluations;
             while learner.episodes_done() < until {
                 learner.run_episode()?;
             }
@@ -126,9 +126,9 @@ impl Baselines {
     pub(crate) fn run(&self, scenario: &Scenario) -> Result<Measured> {
         let scenario = Scenario { seed: 0, ..sized(scenario, self.side, self.blocked)? };
         let source = ActorSource::Shipped;
-        let entrants = POLICIES.iter().map(|name| Entrant::parse(name, &source)).collect::<Result<_, _>>()?;
+        let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, &source)).collect::<Result<_, _>>()?;
         let settings =
-            Settings { scenario, entrants, states: self.states, seeds: 1, mode: Loop::Static, training_seed: Some(1) };
+            Settings { scenario, policies, states: self.states, seeds: 1, mode: Loop::Static, training_seed: Some(1) };
         let report = compare_under(&settings, &ProgressBar::hidden())?;
         let oracle = std::iter::once(("oracle", &report.oracle));
         let rows = oracle.chain(report.policies.iter().map(|(name, row)| (name.as_str(), row)));

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::{Entrant, Loop, Settings, compare_under};
+use heliostat_models::comparison::{EvaluatedPolicy, Loop, Settings, compare_under};
 use heliostat_scenario::Scenario;
 use indicatif::ProgressBar;
 
@@ -69,10 +69,10 @@ impl Power {
             let mut scenario = scenario.clone();
             scenario.blockage.forced_users = self.blocked;
             scenario.led.power_w = *power_w;
-            let entrants = POLICIES.iter().map(|name| Entrant::parse(name, actor)).collect::<Result<_, _>>()?;
+            let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
             let settings = Settings {
                 scenario,
-                entrants,
+                policies,
                 states: self.states,
                 seeds: 1,
                 mode: Loop::Static,

@@ -85,7 +85,7 @@ impl Summary {
         let policy = controller.map_or("unknown (the controller was killed)", |controller| controller.policy.as_str());
         outln!("{} (seed {}), policy {policy}", room.scenario, room.seed)?;
         outln!(
-            "ticks {}, commands {}, lost {}, late {}, before the first answer {}",
+            "ticks {}, commands {}, lost {}, late {}, unattended {}",
             room.ticks,
             room.commands,
             room.lost_ticks,

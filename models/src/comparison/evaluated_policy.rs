@@ -1,5 +1,5 @@
 //! The policies of a comparison: by the controller's name, by the path of an ONNX file, or the
-//! ceiling of the codebook.
+//! policy that gives the upper bound of the codebook.
 
 use std::path::PathBuf;
 
@@ -13,21 +13,21 @@ use heliostat_scenario::{Prediction, Scenario};
 use heliostat_sim::World;
 use thiserror::Error;
 
-use crate::environment::codebook::BestEntry;
+use crate::environment::codebook::BestCodeword;
 use crate::environment::room::observe;
 
-/// The name of the policy that evaluates every entry of the codebook.
+/// The name of the policy that evaluates every codeword of the codebook.
 const CODEBOOK: &str = "codebook";
 
-/// Suffix of an entrant that predicts the users' positions.
+/// Suffix of a policy that predicts the users' positions.
 const PREDICTION_SUFFIX: &str = "+prediction";
 
-/// Suffix of an entrant without telemetry of unusable mirrors.
+/// Suffix of a policy without telemetry of unusable mirrors.
 const UNAWARE_SUFFIX: &str = "-unaware";
 
 /// No policy has this name.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("unknown policy \"{name}\": expected {}, or the path of a file FILE.onnx", Entrant::names().join(", "))]
+#[error("unknown policy \"{name}\": expected {}, or the path of a file FILE.onnx", EvaluatedPolicy::names().join(", "))]
 pub struct UnknownPolicy {
     /// The unknown name.
     pub name: String,
@@ -41,7 +41,7 @@ enum Origin {
 
 /// One policy of a comparison.
 #[derive(Clone, Debug)]
-pub struct Entrant {
+pub struct EvaluatedPolicy {
     name: String,
     origin: Origin,
     prediction: Option<Prediction>,
@@ -49,7 +49,7 @@ pub struct Entrant {
     unaware: bool,
 }
 
-impl Entrant {
+impl EvaluatedPolicy {
     /// Finds a policy by its name or by the path of its ONNX file; `ddpg` is the actor of the
     /// policy of that name.
     ///
@@ -86,7 +86,7 @@ impl Entrant {
         })
     }
 
-    /// The same policy without telemetry of unusable mirrors, for closed loop.
+    /// The same policy in closed loop without telemetry of unusable mirrors.
     pub fn unaware(&self) -> Self {
         Self { name: format!("{}{UNAWARE_SUFFIX}", self.name), unaware: true, ..self.clone() }
     }
@@ -146,7 +146,7 @@ impl Entrant {
         matches!(self.origin, Origin::Kind(PolicyKind::Random, _))
     }
 
-    /// The scenario of the entrant's controller.
+    /// The scenario of the policy's controller.
     pub(super) fn scenario(&self, scenario: &Scenario) -> Scenario {
         let mut scenario = scenario.clone();
         scenario.control.prediction = self.prediction.unwrap_or(scenario.control.prediction);
@@ -157,7 +157,7 @@ impl Entrant {
     pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> anyhow::Result<Box<dyn Policy>> {
         match &self.origin {
             Origin::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
-            Origin::Codebook => Ok(Box::new(BestEntry::new(scenario)?)),
+            Origin::Codebook => Ok(Box::new(BestCodeword::new(scenario)?)),
         }
     }
 }
@@ -168,11 +168,11 @@ mod tests {
 
     #[test]
     fn names_aliases_and_files_are_found_and_the_error_lists_the_names() {
-        let parse = |name: &str| Entrant::parse(name, &ActorSource::Shipped);
-        for name in Entrant::names() {
+        let parse = |name: &str| EvaluatedPolicy::parse(name, &ActorSource::Shipped);
+        for name in EvaluatedPolicy::names() {
             assert_eq!(parse(&name).unwrap().name(), name);
         }
-        assert!(Entrant::names().contains(&"ddpg".to_string()));
+        assert!(EvaluatedPolicy::names().contains(&"ddpg".to_string()));
         assert!(parse("random").unwrap().is_random() && !parse("some/where.onnx").unwrap().is_random());
         assert_eq!(parse("greedy").unwrap().predicted().unwrap().name(), "greedy+prediction");
         assert!(parse("flat").unwrap().predicted().is_none());

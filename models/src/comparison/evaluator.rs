@@ -57,15 +57,16 @@ impl Run {
     }
 }
 
-/// Evaluates angles with spill, the LED's panel and blocked paths.
-pub(crate) struct Judge {
+/// Evaluates angles with the complete channel: spill, the LED's panel and blocked paths.
+pub(crate) struct Evaluator {
     model: ChannelModel,
     min_rate_bps: Vec<f64>,
     sinr: Vec<f64>,
     rates_bps: Vec<f64>,
 }
 
-impl Judge {
+impl Evaluator {
+    /// An evaluator for a channel and the users' minimum rates.
     pub fn new(model: ChannelModel, min_rate_bps: Vec<f64>) -> Self {
         let users = min_rate_bps.len();
         Self { model, min_rate_bps, sinr: vec![0.0; users], rates_bps: vec![0.0; users] }
@@ -75,7 +76,8 @@ impl Judge {
         &self.model
     }
 
-    pub fn judge(&mut self, scene: &Scene, angles: &MirrorAngles) -> Sample {
+    /// Evaluates angles in one state.
+    pub fn evaluate(&mut self, scene: &Scene, angles: &MirrorAngles) -> Sample {
         scene.sinr(&self.model, angles, &mut self.sinr);
         let users = self.sinr.len();
         for (rate, sinr) in self.rates_bps.iter_mut().zip(&self.sinr) {

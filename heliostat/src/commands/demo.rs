@@ -128,7 +128,7 @@ fn watch(args: &Args, watched: &Watched, parts: &mut Processes) -> Result<()> {
     let mut started: Option<Instant> = None;
     let mut display = Display::open(args.plain || args.json, &watched.title)?;
     let mut drawn = Instant::now();
-    while !watched.stop.is_requested() && !display.quit_asked()? {
+    while !watched.stop.is_requested() && !display.quit_requested()? {
         std::thread::sleep(WATCH_EVERY);
         parts.check_alive()?;
         for order in watched.process_orders.try_iter() {

@@ -1,5 +1,5 @@
-//! One room of the process: builds and owns the four parts that serve it, its subscriptions, and
-//! its reports.
+//! One room of the process: builds and owns the parts that serve it, its subscriptions, and its
+//! reports.
 //!
 //! | part | duty | runs on |
 //! | --- | --- | --- |
@@ -10,9 +10,8 @@
 //! | [`watchdog`] | acts for a policy that does not return | the main thread |
 //!
 //! [`policy_swap`] replaces the policy on a thread of its own. Rooms share a session and nothing
-//! else, so a room that floods, fails or is superseded leaves the others alone. No thread waits for
-//! the lock of a decision loop longer than it must: the main thread gives up when a decision does
-//! not end.
+//! else, so a room that floods, fails or is superseded leaves the others alone. The main thread
+//! never waits for a decision: it gives up after [`UNANSWERED_AFTER`].
 
 pub mod cache_warmer;
 pub mod command_sender;

@@ -10,7 +10,7 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 /// The crates whose code computes parts.
-pub const CRATES: [&str; 6] = ["channel", "scenario", "sim-node", "driver", "controller", "models"];
+pub const CRATES: [&str; 8] = ["channel", "scenario", "onnx", "array", "decide", "sim", "engine", "models"];
 
 /// The hash for a figure by the name of its file: the crates above, the shared files of this crate,
 /// and its own file. Actors enter the key of the part that uses them.

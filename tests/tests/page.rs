@@ -59,7 +59,7 @@ impl Setting {
 }
 
 #[test]
-fn requests_of_other_pages_are_refused() {
+fn requests_of_other_origins_are_refused() {
     let setting = Setting::new(&["--policy", "flat"]);
     let host = ("Host", setting.host.as_str());
     let page = setting.request("GET", "/", &[host], "");
@@ -70,17 +70,17 @@ fn requests_of_other_pages_are_refused() {
     assert!(setting.request("GET", "/", &[("Host", "example.org")], "").starts_with("HTTP/1.1 403"));
 
     let json = ("Content-Type", "application/json");
-    let own = format!("http://{}", setting.host);
+    let same_origin = format!("http://{}", setting.host);
     let order = r#"{"order":"stop"}"#;
     for origin in [None, Some("http://example.org"), Some("null"), Some("http://127.0.0.1")] {
         let headers: Vec<_> = [host, json].into_iter().chain(origin.map(|origin| ("Origin", origin))).collect();
         assert!(setting.request("POST", "/order", &headers, order).starts_with("HTTP/1.1 403"), "{origin:?}");
     }
-    let answer_to = |body: &str| setting.request("POST", "/order", &[host, json, ("Origin", &own)], body);
+    let answer_to = |body: &str| setting.request("POST", "/order", &[host, json, ("Origin", &same_origin)], body);
     assert!(answer_to(r#"{"order":"power","watts":-1}"#).contains("more than 0 and at most 100 W"));
     assert!(answer_to(r#"{"order":"explode"}"#).starts_with("HTTP/1.1 422"));
     let form = ("Content-Type", "text/plain");
-    let answer = setting.request("POST", "/order", &[host, form, ("Origin", &own)], order);
+    let answer = setting.request("POST", "/order", &[host, form, ("Origin", &same_origin)], order);
     assert!(answer.starts_with("HTTP/1.1 415"), "{answer}");
     assert!(setting.observer.telemetry().is_none_or(|array| array.state != ArrayState::Stopped));
 
@@ -103,10 +103,10 @@ fn requests_of_other_pages_are_refused() {
 
 #[test]
 fn a_port_in_use_is_replaced_and_reported() {
-    let taken = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
-    let port = taken.local_addr().expect("bound").port().to_string();
+    let in_use = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
+    let port = in_use.local_addr().expect("bound").port().to_string();
     let demo = Process::heliostat(&["demo", "--plain", "--policy", "flat", "--ui-port", &port]);
-    wait_until("a page elsewhere", || demo.errors().contains(&format!("(port {port} is taken)")));
+    wait_until("a page on another port", || demo.errors().contains(&format!("(port {port} is in use)")));
     let none = Process::heliostat(&["demo", "--plain", "--policy", "flat", "--no-ui"]);
     wait_until("a demo without a page", || none.errors().contains("sum rate"));
     assert!(!none.errors().contains("the page is at"), "{}", none.errors());

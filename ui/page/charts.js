@@ -32,7 +32,7 @@ export class Charts {
 
   update(now) {
     this.policy = now.policy || this.policy;
-    if (now.sum_mbps && now.origin !== "silent") {
+    if (now.sum_mbps && now.origin !== "no-data") {
       const newest = this.past.at(-1);
       if (!newest || now.time_s - newest.time_s >= KEEP_EVERY_S) this.past.push({ time_s: now.time_s, ...now.sum_mbps });
       this.past = this.past.filter((point) => now.time_s - point.time_s <= SPAN_S);

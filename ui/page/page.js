@@ -75,7 +75,7 @@ function quantiles(times) {
 }
 
 function figures(now) {
-  const ORIGIN = { simulated: ["simulated", ""], measured: ["measured", ""], silent: ["silent", "bad"] };
+  const ORIGIN = { simulated: ["simulated", ""], measured: ["measured", ""], "no-data": ["no data", "bad"] };
   chip("chip-policy", now.policy || "–");
   const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
   chip("chip-array", now.array.state + stuck, now.array.state === "following" && !stuck ? "good" : "bad");

@@ -22,7 +22,8 @@ pub enum UiError {
     Codec(#[from] CodecError),
     /// No port is available at the address.
     #[error(
-        "the page cannot be served at {address}: {problem}; expected an address of this machine (--ui-listen), or --no-ui"
+        "the page cannot be served at {address}: {problem}; expected an address of this machine; \
+         set --ui-listen, or use --no-ui"
     )]
     CannotListen {
         /// The address.
@@ -30,8 +31,8 @@ pub enum UiError {
         /// The error of the operating system.
         problem: io::Error,
     },
-    /// The web server's threads could not be started.
-    #[error("the page's web server did not start: {0}")]
+    /// The threads of the web server could not be started.
+    #[error("the web server of the page did not start: {0}; retry, or use --no-ui")]
     Threads(io::Error),
     /// The terminal cannot be used for the full-screen view.
     #[error("the terminal cannot show the full-screen view: {0}; use --plain to print lines")]
@@ -48,12 +49,14 @@ pub enum UiError {
     },
     /// An order about a process that this program did not start.
     #[error(
-        "cannot {0} from this page: expected the page of a running `heliostat demo`; otherwise end or start the process directly"
+        "cannot {0} from this page: expected the page of a running `heliostat demo`; \
+         otherwise end or start the process directly"
     )]
     NoProcessControl(&'static str),
     /// An order that was published without a subscriber.
     #[error(
-        "no {0} received the order: expected one that is connected to this page; start one, or add its endpoint with --connect"
+        "no {0} received the order: expected one that is connected to this page; start one, \
+         or add its endpoint with --connect"
     )]
     NoReceiver(&'static str),
 }

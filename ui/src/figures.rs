@@ -22,9 +22,9 @@ pub enum Origin {
     Simulated,
     /// Reports of trackers and receivers.
     Measured,
-    /// No message arrived recently.
+    /// No message arrived within [`EXPIRY`].
     #[default]
-    Silent,
+    NoData,
 }
 
 /// One user.
@@ -67,7 +67,7 @@ pub struct SumFigures {
 /// The mirror array.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ArrayFigures {
-    /// Its state in one word; "silent" without telemetry.
+    /// Its state; "no telemetry" if none arrived recently.
     pub state: &'static str,
     /// Number of mirrors.
     pub mirrors: usize,
@@ -123,7 +123,7 @@ pub struct Figures {
     pub controller_alive: bool,
     /// The users.
     pub users: Vec<UserFigures>,
-    /// Sum rates; absent in a silent room.
+    /// Sum rates; absent without messages.
     pub sum_mbps: Option<SumFigures>,
     /// The mirror array.
     pub array: ArrayFigures,
@@ -189,7 +189,7 @@ impl View {
             };
             return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
         }
-        let Some(report) = Received::fresh(&received.users) else { return (Origin::Silent, 0, Vec::new()) };
+        let Some(report) = Received::fresh(&received.users) else { return (Origin::NoData, 0, Vec::new()) };
         let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
         let user = |user: &heliostat_proto::UserState| {
             let gains = channel.iter().find(|gains| gains.user == user.user);
@@ -209,7 +209,7 @@ impl View {
     fn array(&self, received: &Received, faulty: usize) -> ArrayFigures {
         let mirrors = self.model.mirrors.len();
         let Some(telemetry) = Received::fresh(&received.telemetry) else {
-            return ArrayFigures { state: "silent", mirrors, ..ArrayFigures::default() };
+            return ArrayFigures { state: "no telemetry", mirrors, ..ArrayFigures::default() };
         };
         ArrayFigures {
             state: state_name(telemetry.state),

@@ -1,10 +1,11 @@
-//! Protection of the page against pages of other origins.
+//! Protection of the page against requests of other origins.
 //!
-//! Any page that is open in a browser can send requests to this address. Three measures stand against it:
+//! Any page that is open in the browser can send requests to this address. Three measures prevent
+//! misuse:
 //!
 //! - The `Host` header must hold an IP address or `localhost`. A name that an attacker resolves to
 //!   this machine (DNS rebinding) is refused.
-//! - An order must come from this page (`Origin`).
+//! - The `Origin` header of an order must be the address of this page.
 //! - The headers forbid the page to load from, send to, or be framed by other origins.
 
 use std::net::IpAddr;
@@ -15,7 +16,8 @@ use axum::http::{Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-/// Headers of every answer of the page. Plotly sets styles by script; scripts, connections and images come from here only.
+/// Headers of every answer. They allow scripts, connections and images of this origin only, and
+/// inline styles, which Plotly sets by script.
 const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (
         HeaderName::from_static("content-security-policy"),
@@ -31,10 +33,10 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (HeaderName::from_static("cache-control"), HeaderValue::from_static("no-store")),
 ];
 
-/// Refuses a request of a foreign page with 403, and adds the headers to every answer.
-pub(crate) async fn guard(request: Request, next: Next) -> Response {
-    let reads = matches!(*request.method(), Method::GET | Method::HEAD);
-    let mut response = match refusal(reads, header(&request, HOST), header(&request, ORIGIN)) {
+/// Refuses a request of another origin with 403, and adds the headers to every answer.
+pub(crate) async fn check_origin(request: Request, next: Next) -> Response {
+    let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
+    let mut response = match refusal(is_read, header(&request, HOST), header(&request, ORIGIN)) {
         Some(reason) => (StatusCode::FORBIDDEN, reason).into_response(),
         None => next.run(request).await,
     };
@@ -42,20 +44,21 @@ pub(crate) async fn guard(request: Request, next: Next) -> Response {
     response
 }
 
-/// The value of a header that occurs once.
+/// The value of a header; `None` if it is absent or repeated.
 fn header(request: &Request, name: HeaderName) -> Option<&str> {
     let mut values = request.headers().get_all(name).iter();
     let value = values.next().filter(|_| values.next().is_none())?;
     value.to_str().ok()
 }
 
-/// The reason to refuse a request with this host and this origin; nothing where it is allowed.
-fn refusal(reads: bool, host: Option<&str>, origin: Option<&str>) -> Option<&'static str> {
+/// The reason to refuse a request with this host and this origin; `None` if it is allowed.
+fn refusal(is_read: bool, host: Option<&str>, origin: Option<&str>) -> Option<&'static str> {
     let Some(host) = host.filter(|host| is_address(host)) else {
-        return Some("this page is served under the IP address of its machine or localhost only\n");
+        return Some("invalid Host: expected an IP address or localhost; open the page under one of them\n");
     };
-    let own = origin.is_some_and(|origin| origin.strip_prefix("http://") == Some(host));
-    (!reads && !own).then_some("an order must come from the page of this address\n")
+    let is_same_origin = origin.is_some_and(|origin| origin.strip_prefix("http://") == Some(host));
+    (!is_read && !is_same_origin)
+        .then_some("invalid Origin: expected the address of this page; send orders with its buttons\n")
 }
 
 /// Whether a host, with or without a port, is `localhost` or an IP address.
@@ -73,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn orders_come_from_this_page_only() {
+    fn orders_of_other_origins_are_refused() {
         let post = |host, origin| refusal(false, Some(host), origin).is_none();
         assert!(post("127.0.0.1:7480", Some("http://127.0.0.1:7480")));
         assert!(post("localhost:7480", Some("http://localhost:7480")));

@@ -13,17 +13,17 @@ use serde::Serialize;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use crate::View;
-use crate::scene::Painter;
+use crate::scene::FrameBuilder;
 
-/// Between two events with figures.
+/// Time between two `figures` events.
 const FIGURES_EVERY: Duration = Duration::from_millis(100);
-/// Between two frames of a small array.
+/// Time between two `frame` events of a small array.
 const FRAME_EVERY: Duration = Duration::from_millis(200);
-/// A frame of a large array may take this long for each mirror, so that a page is sent a megabyte a
-/// second at most.
-const FRAME_A_MIRROR: Duration = Duration::from_micros(100);
-/// Most pages that are kept live at once.
-const READERS_MAX: usize = 16;
+/// Minimum time between two frames, for each mirror. A mirror takes up to 100 bytes of JSON, so
+/// this limits the data rate to 1 MB/s for each page.
+const FRAME_TIME_PER_MIRROR: Duration = Duration::from_micros(100);
+/// Maximum number of open pages.
+pub(crate) const READERS_MAX: usize = 16;
 
 /// The newest events.
 #[derive(Clone, Debug, Default)]
@@ -34,31 +34,31 @@ struct Events {
     frame_number: u64,
 }
 
-/// Computes events for the pages that are open, until the end is requested.
+/// Computes the events for all open pages until the server stops.
 #[derive(Debug)]
 pub(crate) struct Feed {
     newest: watch::Sender<Events>,
-    places: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
     stop: Stop,
 }
 
-/// The events for one page; its place is free again when it is dropped.
+/// The events for one page; dropping it admits another page.
 pub(crate) struct Reader {
     newest: watch::Receiver<Events>,
     frame_number: u64,
     stop: Stop,
-    _place: OwnedSemaphorePermit,
+    _permit: OwnedSemaphorePermit,
 }
 
 impl Feed {
     /// Starts the thread.
     ///
     /// # Errors
-    /// No thread can be started.
+    /// The error of the operating system if it starts no thread.
     pub fn start(view: Arc<View>, stop: Stop) -> std::io::Result<Arc<Self>> {
         let feed = Arc::new(Self {
             newest: watch::Sender::new(Events::default()),
-            places: Arc::new(Semaphore::new(READERS_MAX)),
+            permits: Arc::new(Semaphore::new(READERS_MAX)),
             stop,
         });
         let thread = Arc::clone(&feed);
@@ -66,26 +66,26 @@ impl Feed {
         Ok(feed)
     }
 
-    /// A reader for one more page; nothing where too many are open.
+    /// A reader for one more page; `None` if too many are open.
     pub fn reader(&self) -> Option<Reader> {
-        let place = Arc::clone(&self.places).try_acquire_owned().ok()?;
-        Some(Reader { newest: self.newest.subscribe(), frame_number: 0, stop: self.stop.clone(), _place: place })
+        let permit = Arc::clone(&self.permits).try_acquire_owned().ok()?;
+        Some(Reader { newest: self.newest.subscribe(), frame_number: 0, stop: self.stop.clone(), _permit: permit })
     }
 
     fn work(&self, view: &Arc<View>) {
-        let painter = Painter::new(Arc::clone(view));
+        let frames = FrameBuilder::new(Arc::clone(view));
         let mirrors = u32::try_from(view.model.mirrors.len()).unwrap_or(u32::MAX);
-        let frame_every = FRAME_EVERY.max(FRAME_A_MIRROR.saturating_mul(mirrors));
-        let mut framed: Option<Instant> = None;
+        let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));
+        let mut last_frame: Option<Instant> = None;
         while !self.stop.wait_for(FIGURES_EVERY) {
             if self.newest.receiver_count() == 0 {
                 continue;
             }
             let figures = event("figures", &view.figures());
-            let is_due = framed.is_none_or(|at| at.elapsed() >= frame_every);
+            let is_due = last_frame.is_none_or(|at| at.elapsed() >= frame_every);
             let frame = is_due.then(|| {
-                framed = Some(Instant::now());
-                event("frame", &painter.frame())
+                last_frame = Some(Instant::now());
+                event("frame", &frames.frame())
             });
             self.newest.send_modify(|events| {
                 events.figures = figures;
@@ -99,7 +99,7 @@ impl Feed {
 }
 
 impl Reader {
-    /// The next events, once there are any; nothing when the end is requested.
+    /// Waits for the next events; `None` if the server stops.
     pub async fn next(&mut self) -> Option<Bytes> {
         tokio::select! {
             () = self.stop.requested() => return None,
@@ -115,7 +115,7 @@ impl Reader {
 }
 
 fn event(name: &str, data: &impl Serialize) -> Bytes {
-    // Numbers, texts and lists always have a JSON form.
+    // Serialization of these types cannot fail: they hold only numbers, texts and lists.
     let data = serde_json::to_string(data).unwrap_or_default();
     format!("event: {name}\ndata: {data}\n\n").into()
 }

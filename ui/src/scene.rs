@@ -68,12 +68,12 @@ pub struct Frame {
 }
 
 /// Computes the frames of a view, and keeps the heading of each user.
-pub struct Painter {
+pub struct FrameBuilder {
     view: Arc<View>,
-    state: Mutex<PainterState>,
+    state: Mutex<FrameState>,
 }
 
-struct PainterState {
+struct FrameState {
     scene: Scene,
     headings: Vec<Vec3>,
     gains: Vec<f64>,
@@ -102,10 +102,10 @@ impl View {
     }
 }
 
-impl Painter {
-    /// A painter without users.
+impl FrameBuilder {
+    /// A builder without users.
     pub fn new(view: Arc<View>) -> Self {
-        let state = PainterState { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
+        let state = FrameState { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
         Self { view, state: Mutex::new(state) }
     }
 
@@ -229,7 +229,7 @@ impl Painter {
     }
 }
 
-impl PainterState {
+impl FrameState {
     /// Index of the user that each mirror serves, or -1.
     fn serve(&mut self, view: &View, users: &[ObservedUser], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
         let (count, mirrors) = (users.len(), angles.len());

@@ -1,11 +1,14 @@
-//! The page on an address: its files, live data as server-sent events, and orders.
+//! The HTTP server of the page: its files, live data as server-sent events, and orders.
 //!
 //! | path | method | content |
 //! | --- | --- | --- |
 //! | `/` and its files | GET | the page |
-//! | `/room.json` | GET | what does not change: plan, names of policies, whether processes can be killed; and the past minute |
-//! | `/live` | GET | events `figures` ten times a second and `frame` five times a second, JSON |
-//! | `/order` | POST | an [`Order`] as JSON; 202 when it was sent and a process receives it, 422 with the reason when it is invalid, 503 when no process receives it |
+//! | `/room.json` | GET | the static data and the sum rates of the last 90 s, JSON |
+//! | `/live` | GET | events `figures` (10 a second) and `frame` (at most 5 a second), JSON |
+//! | `/order` | POST | an [`Order`] as JSON |
+//!
+//! The answer to an order is 202 if it was published to a subscriber, and 503 if there is none. An
+//! invalid order is answered with 422 and the reason.
 //!
 //! The limits of [`heliostat_service::http`] hold for every client.
 
@@ -29,56 +32,57 @@ use crate::assets::{self, JAVASCRIPT};
 use crate::figures::SumFigures;
 use crate::guard;
 use crate::latency::BUDGET_US;
-use crate::live::{Feed, Reader};
+use crate::live::{Feed, READERS_MAX, Reader};
 use crate::orders::{Operator, Order};
 use crate::scene::Plan;
 use crate::{UiError, View};
 
-/// The port of the page unless a flag names another.
+/// Default port of the page.
 pub const DEFAULT_PORT: u16 = 7480;
-/// Longest order in bytes.
+/// Maximum length of an order in bytes.
 const ORDER_MAX: usize = 4096;
 const JSON: &str = "application/json";
 const TEXT: &str = "text/plain; charset=utf-8";
 const EVENTS: &str = "text/event-stream";
 
-/// The flags that say where a process serves the page.
+/// The flags for the address of the page.
 #[derive(Clone, Debug, clap::Args)]
 pub struct PageArgs {
-    /// Serve no page
+    /// Do not serve the page
     #[arg(long)]
     no_ui: bool,
-    /// Port of the page; where it is taken, a free one is used, and 0 always selects a free one
+    /// Port of the page; 0, or a port in use, selects a free one
     #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
     ui_port: u16,
-    /// Address of the page; any other than 127.0.0.1 lets other machines see the room and use its buttons
+    /// Address of the page; any other than 127.0.0.1 gives other machines access
+    /// to the page and its buttons
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     ui_listen: IpAddr,
 }
 
-/// What the page shows and does.
+/// The data of the page and its connection to the room.
 pub struct Page {
-    /// The room.
+    /// The messages of the room.
     pub view: Arc<View>,
     /// Sends orders.
     pub operator: Operator,
     /// Name of the room in the keys.
     pub room: String,
-    /// Names of the policies that the controller knows.
+    /// Names of the policies that the controller accepts.
     pub policies: Vec<String>,
 }
 
-/// What the handlers share.
+/// The state that all handlers share.
 #[derive(Clone)]
 struct Shared {
     page: Arc<Page>,
     feed: Arc<Feed>,
 }
 
-/// A page that is being served; dropping it ends that.
+/// A page that is being served; dropping it ends the server.
 pub struct Server {
     http: http::Server,
-    /// The port that was taken, where another one replaced it.
+    /// The requested port, if it was in use and a free one replaced it.
     replaced: Option<u16>,
 }
 
@@ -86,21 +90,22 @@ impl PageArgs {
     /// Serves the page unless the flags forbid it.
     ///
     /// # Errors
-    /// [`UiError::CannotListen`] where the address is not one of this machine, [`UiError::Threads`].
+    /// [`UiError::CannotListen`] if the address does not belong to this machine;
+    /// [`UiError::Threads`].
     pub fn serve(&self, page: impl FnOnce() -> Result<Page, UiError>) -> Result<Option<Server>, UiError> {
         if self.no_ui { Ok(None) } else { Server::start(page()?, self.ui_listen, self.ui_port).map(Some) }
     }
 }
 
 impl Server {
-    /// Serves a page at an address, at the given port or else at a free one.
+    /// Serves a page at an address, on the given port, or on a free port if that one is in use.
     ///
     /// # Errors
-    /// [`UiError::CannotListen`] where no port is available there, [`UiError::Threads`].
+    /// [`UiError::CannotListen`] if no port is available at the address; [`UiError::Threads`].
     pub fn start(page: Page, address: IpAddr, port: u16) -> Result<Self, UiError> {
-        let refused = |problem| UiError::CannotListen { address, problem };
+        let cannot_listen = |problem| UiError::CannotListen { address, problem };
         let bind = |port| TcpListener::bind((address, port));
-        let listener = bind(port).or_else(|_| bind(0)).map_err(refused)?;
+        let listener = bind(port).or_else(|_| bind(0)).map_err(cannot_listen)?;
         let stop = Stop::default();
         let feed = Feed::start(Arc::clone(&page.view), stop.clone()).map_err(UiError::Threads)?;
         let router = router(Shared { page: Arc::new(page), feed });
@@ -111,22 +116,22 @@ impl Server {
         Ok(Self { http, replaced })
     }
 
-    /// Where it listens.
+    /// The address at which it listens.
     pub fn address(&self) -> SocketAddr {
         self.http.address()
     }
 
-    /// What to open in a browser.
+    /// The URL to open in a browser.
     pub fn url(&self) -> String {
         format!("http://{}/", self.address())
     }
 }
 
 impl std::fmt::Display for Server {
-    /// Where the page is, and why it is not at the given port.
+    /// The URL of the page, and the requested port if it was in use.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.replaced {
-            Some(port) => write!(formatter, "the page is at {} (port {port} is taken)", self.url()),
+            Some(port) => write!(formatter, "the page is at {} (port {port} is in use)", self.url()),
             None => write!(formatter, "the page is at {}", self.url()),
         }
     }
@@ -141,10 +146,10 @@ fn router(shared: Shared) -> Router {
         .fallback(file)
         .method_not_allowed_fallback(other_method)
         .with_state(shared)
-        .layer(from_fn(guard::guard))
+        .layer(from_fn(guard::check_origin))
 }
 
-/// What the page fetches once.
+/// The static data of the page, and the past sum rates.
 #[derive(Serialize)]
 struct RoomJson {
     #[serde(flatten)]
@@ -169,10 +174,14 @@ async fn room(State(Shared { page, .. }): State<Shared>) -> Response {
     }
 }
 
-/// Keeps a page live until its connection closes.
+/// Streams the events to a page until its connection closes.
 async fn live(State(Shared { feed, .. }): State<Shared>) -> Response {
     let Some(reader) = feed.reader() else {
-        return reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, "too many pages are open\n");
+        return reply(
+            StatusCode::SERVICE_UNAVAILABLE,
+            TEXT,
+            format!("too many open pages: expected at most {READERS_MAX}; close one and reload\n"),
+        );
     };
     let next = async |mut reader: Reader| {
         let events = reader.next().await?;
@@ -183,15 +192,19 @@ async fn live(State(Shared { feed, .. }): State<Shared>) -> Response {
 
 async fn order(State(Shared { page, .. }): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
     let media = headers.get(CONTENT_TYPE).and_then(|media| media.to_str().ok());
-    // A form of a foreign page cannot send JSON without a preflight request.
+    // A form of another origin cannot send JSON without a preflight request.
     if !media.is_some_and(|media| media.starts_with(JSON)) {
-        return reply(StatusCode::UNSUPPORTED_MEDIA_TYPE, TEXT, format!("expected an order as {JSON}\n"));
+        return reply(
+            StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            TEXT,
+            format!("invalid Content-Type: expected an order as {JSON}\n"),
+        );
     }
     let order: Order = match serde_json::from_slice(&body) {
         Ok(order) => order,
         Err(error) => return reply(StatusCode::UNPROCESSABLE_ENTITY, TEXT, format!("invalid order: {error}\n")),
     };
-    // Sending waits for the network.
+    // Sending blocks while it waits for a subscriber.
     match http::unblock(move || page.operator.send(&order)).await {
         Ok(Ok(())) => reply(StatusCode::ACCEPTED, TEXT, ""),
         Ok(Err(error @ UiError::NoReceiver(_))) => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string()),
@@ -206,12 +219,12 @@ async fn file(method: Method, uri: Uri) -> Response {
     }
     match assets::find(uri.path()) {
         Some(asset) => reply(StatusCode::OK, asset.media, asset.text),
-        None => reply(StatusCode::NOT_FOUND, TEXT, "there is no such file\n"),
+        None => reply(StatusCode::NOT_FOUND, TEXT, "no such file: expected a file of the page; open /\n"),
     }
 }
 
 async fn other_method() -> Response {
-    reply(StatusCode::METHOD_NOT_ALLOWED, TEXT, "GET the page, or POST an order to /order\n")
+    reply(StatusCode::METHOD_NOT_ALLOWED, TEXT, "invalid method: expected GET for the page, or POST for /order\n")
 }
 
 fn reply(status: StatusCode, media: &'static str, body: impl Into<Body>) -> Response {

@@ -86,7 +86,7 @@ impl Display {
     ///
     /// # Errors
     /// [`UiError::Terminal`] if the terminal is closed.
-    pub fn quit_asked(&mut self) -> Result<bool, UiError> {
+    pub fn quit_requested(&mut self) -> Result<bool, UiError> {
         let Self::Screen(screen) = self else { return Ok(false) };
         // In raw mode the terminal sends no signals; Ctrl-C arrives as a key.
         while let Some(key) = screen.keys.next().transpose()? {

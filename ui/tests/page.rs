@@ -10,12 +10,12 @@ use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_ui::{Operator, Page, Server, View};
 
-/// How long anything may take that takes some seconds on an idle machine.
-const PATIENCE: Duration = Duration::from_secs(60);
-/// Live pages at once, as in `live.rs`.
+/// Time limit for an action that takes some seconds on an idle machine.
+const TIME_LIMIT: Duration = Duration::from_secs(60);
+/// Maximum number of open pages, as in `live.rs`.
 const READERS_MAX: usize = 16;
 
-/// A page of a room in which nobody speaks.
+/// A page of a room without messages.
 struct Setting {
     server: Server,
     _bus: Bus,
@@ -23,7 +23,7 @@ struct Setting {
 
 impl Setting {
     fn new(room: &str) -> Self {
-        // So many mirrors make large frames: 0.4 MB a second for each page.
+        // 1024 mirrors make frames large enough to fill the socket buffers soon.
         let set = ["rows=32", "columns=32", "width_m=0.1", "height_m=0.04", "gap_m=0.005"];
         let set = set.map(|text| format!("mirrors.{text}"));
         let scenario = Scenario::builtin("specular").unwrap().with_overrides(&set).unwrap();
@@ -40,18 +40,18 @@ impl Setting {
     }
 
     /// Sends a request and leaves the answer unread.
-    fn ask(&self, request: &str) -> TcpStream {
+    fn send(&self, request: &str) -> TcpStream {
         let mut stream = TcpStream::connect(self.address()).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIME_LIMIT)).unwrap();
         let address = self.address();
         let (line, rest) = request.split_once('\n').unwrap_or((request, "\r\n"));
         write!(stream, "{line} HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n{rest}").unwrap();
         stream
     }
 
-    /// The status line of the answer to `GET /live`, and what follows it.
+    /// The status line of the answer to `GET /live`, and a reader of the rest.
     fn live(&self) -> (String, BufReader<TcpStream>) {
-        let mut answer = BufReader::new(self.ask("GET /live"));
+        let mut answer = BufReader::new(self.send("GET /live"));
         let mut status = String::new();
         answer.read_line(&mut status).unwrap();
         (status, answer)
@@ -59,7 +59,7 @@ impl Setting {
 
     /// Fetches the page.
     fn page(&self) -> String {
-        let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(PATIENCE)).build().into();
+        let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(TIME_LIMIT)).build().into();
         agent.get(self.server.url()).call().unwrap().body_mut().read_to_string().unwrap()
     }
 }
@@ -67,16 +67,16 @@ impl Setting {
 fn await_events(answer: &mut BufReader<TcpStream>) {
     for expected in ["event: figures", "event: frame"] {
         let found = answer.lines().map_while(Result::ok).any(|line| line == expected);
-        assert!(found, "no \"{expected}\" came");
+        assert!(found, "no \"{expected}\" arrived");
     }
 }
 
 #[test]
-fn clients_that_do_not_read_give_their_places_to_others() {
-    let setting = Setting::new("deaf");
-    // They read the status line, and nothing after it.
-    let deaf: Vec<_> = (0..READERS_MAX).map(|_| setting.live()).collect();
-    assert!(deaf.iter().all(|(status, _)| status.starts_with("HTTP/1.1 200")));
+fn the_server_drops_clients_that_do_not_read() {
+    let setting = Setting::new("unread");
+    // These clients read the status line and nothing after it.
+    let stalled: Vec<_> = (0..READERS_MAX).map(|_| setting.live()).collect();
+    assert!(stalled.iter().all(|(status, _)| status.starts_with("HTTP/1.1 200")));
     assert!(setting.live().0.starts_with("HTTP/1.1 503"));
     let begun = Instant::now();
     let mut answer = loop {
@@ -84,15 +84,15 @@ fn clients_that_do_not_read_give_their_places_to_others() {
         if status.starts_with("HTTP/1.1 200") {
             break answer;
         }
-        assert!(begun.elapsed() < PATIENCE, "clients that do not read keep their places: {status}");
+        assert!(begun.elapsed() < TIME_LIMIT, "clients that do not read are not dropped: {status}");
         std::thread::sleep(Duration::from_millis(50));
     };
     await_events(&mut answer);
-    drop(deaf);
+    drop(stalled);
 }
 
 #[test]
-fn a_closed_page_gives_its_place_to_another() {
+fn closing_a_page_admits_another() {
     let setting = Setting::new("closed");
     let mut open: Vec<_> = (0..READERS_MAX).map(|_| setting.live()).collect();
     assert!(open.iter().all(|(status, _)| status.starts_with("HTTP/1.1 200")));
@@ -100,7 +100,7 @@ fn a_closed_page_gives_its_place_to_another() {
     open.pop();
     let begun = Instant::now();
     while !setting.live().0.starts_with("HTTP/1.1 200") {
-        assert!(begun.elapsed() < PATIENCE, "a closed page keeps its place");
+        assert!(begun.elapsed() < TIME_LIMIT, "a closed page still counts as open");
         std::thread::sleep(Duration::from_millis(50));
     }
 }
@@ -109,17 +109,17 @@ fn a_closed_page_gives_its_place_to_another() {
 fn three_slow_orders_do_not_block_the_page() {
     let setting = Setting::new("slow");
     let order = "POST /order\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n{";
-    let slow = [(); 3].map(|()| setting.ask(order));
+    let slow = [(); 3].map(|()| setting.send(order));
     assert!(setting.page().contains("<title>Heliostat</title>"));
     for mut client in slow {
         let mut answer = String::new();
         client.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("HTTP/1.1 408"), "an order that does not arrive: {answer}");
+        assert!(answer.starts_with("HTTP/1.1 408"), "the answer to an incomplete order: {answer}");
     }
 }
 
 #[test]
-fn idle_connections_do_not_end_the_page() {
+fn idle_connections_do_not_block_the_page() {
     let setting = Setting::new("idle");
     let idle: Vec<TcpStream> = (0..250).map(|_| TcpStream::connect(setting.address()).unwrap()).collect();
     assert!(setting.page().contains("<title>Heliostat</title>"));
@@ -134,17 +134,17 @@ fn an_order_beyond_the_limit_is_refused() {
     let setting = Setting::new("large");
     let order = "POST /order\nContent-Type: application/json\r\nContent-Length: 4097\r\n\r\n";
     let mut answer = String::new();
-    setting.ask(order).read_to_string(&mut answer).unwrap();
+    setting.send(order).read_to_string(&mut answer).unwrap();
     assert!(answer.starts_with("HTTP/1.1 413"), "{answer}");
 }
 
 #[test]
-fn the_end_of_the_page_ends_its_events() {
+fn stopping_the_server_ends_the_event_streams() {
     let setting = Setting::new("end");
     let (_, mut answer) = setting.live();
     await_events(&mut answer);
     let begun = Instant::now();
     drop(setting.server);
-    assert!(begun.elapsed() < PATIENCE / 2, "the end waits for an open page");
+    assert!(begun.elapsed() < TIME_LIMIT / 2, "the server waits for an open page");
     answer.read_to_end(&mut Vec::new()).unwrap();
 }

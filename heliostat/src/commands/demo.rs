@@ -71,11 +71,11 @@ pub fn run(args: Args) -> Result<()> {
 
     let (room_endpoint, controller_endpoint) = (free_loopback_endpoint()?, free_loopback_endpoint()?);
     let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
-    let mut parts = Processes::start(
-        &args.part("sim-node", &[("--listen", endpoints.0)]),
+    let mut processes = Processes::start(
+        &args.process_arguments("sim-node", &[("--listen", endpoints.0)]),
         &args.controller_arguments(endpoints, args.policy)?,
     )?;
-    let (room_id, controller_id) = parts.ids();
+    let (room_id, controller_id) = processes.ids();
     drop(writeln!(
         std::io::stderr(),
         "scenario {}: {} users, {} x {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
@@ -98,10 +98,11 @@ pub fn run(args: Args) -> Result<()> {
         drop(writeln!(std::io::stderr(), "{server}"));
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
-    watch(&args, &Watched { stop: &stop, view: &view, process_orders: received_orders, endpoints, title }, &mut parts)?;
+    let watched = Watched { stop: &stop, view: &view, process_orders: received_orders, endpoints, title };
+    watch(&args, &watched, &mut processes)?;
     drop(server);
 
-    let (room_summary, controller_summary) = parts.finish()?;
+    let (room_summary, controller_summary) = processes.finish()?;
     let summary = summary::Summary::new(&room_summary, controller_summary.as_ref())?;
     if args.json {
         outln!("{}", serde_json::to_string(&summary)?)?;
@@ -123,17 +124,17 @@ struct Watched<'a> {
 }
 
 /// Draws until the time is over, a signal or a key arrives, or a process ends.
-fn watch(args: &Args, watched: &Watched, parts: &mut Processes) -> Result<()> {
+fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()> {
     let opened = Instant::now();
     let mut started: Option<Instant> = None;
     let mut display = Display::open(args.plain || args.json, &watched.title)?;
     let mut drawn = Instant::now();
-    while !watched.stop.is_requested() && !display.quit_asked()? {
+    while !watched.stop.is_requested() && !display.quit_requested()? {
         std::thread::sleep(WATCH_EVERY);
-        parts.check_alive()?;
+        processes.check_alive()?;
         for order in watched.process_orders.try_iter() {
             let policy = watched.view.policy().and_then(|name| PolicyKind::from_str(&name, true).ok());
-            parts.apply(order, || args.controller_arguments(watched.endpoints, policy.unwrap_or(args.policy)))?;
+            processes.apply(order, || args.controller_arguments(watched.endpoints, policy.unwrap_or(args.policy)))?;
         }
         match started {
             None if watched.view.is_complete() => started = Some(Instant::now()),
@@ -166,7 +167,7 @@ impl Args {
     }
 
     /// The arguments of a process: its command, the shared flags, and its endpoints.
-    fn part(&self, command: &str, endpoints: &[(&str, &str)]) -> Vec<String> {
+    fn process_arguments(&self, command: &str, endpoints: &[(&str, &str)]) -> Vec<String> {
         let mut arguments = vec![command.to_string()];
         arguments.extend(["--scenario".into(), self.scenario.scenario.clone(), "--room".into(), self.room.clone()]);
         for text in &self.scenario.overrides {
@@ -182,7 +183,7 @@ impl Args {
     }
 
     fn controller_arguments(&self, (room, controller): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
-        let mut arguments = self.part("controller", &[("--connect", room), ("--listen", controller)]);
+        let mut arguments = self.process_arguments("controller", &[("--connect", room), ("--listen", controller)]);
         arguments.extend(["--policy".into(), kind.name()]);
         if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy) {
             arguments.extend(["--model".into(), model.display().to_string()]);

@@ -12,7 +12,7 @@ use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{duration, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, View};
 
-/// Between two looks at keys and signals.
+/// Time between two checks for keys and signals.
 const WATCH_EVERY: Duration = Duration::from_millis(50);
 
 /// Display a running room, simulated or real, in a browser and on the terminal.
@@ -56,7 +56,7 @@ pub fn run(args: Args) -> Result<()> {
     let mut display = Display::open(args.plain, &title)?;
     let (opened, mut drawn) = (Instant::now(), Instant::now());
     let is_over = || args.seconds.is_some_and(|seconds| opened.elapsed() >= seconds);
-    while !stop.is_requested() && !display.quit_asked()? && !is_over() {
+    while !stop.is_requested() && !display.quit_requested()? && !is_over() {
         std::thread::sleep(WATCH_EVERY);
         if drawn.elapsed() >= display.interval() {
             drawn = Instant::now();

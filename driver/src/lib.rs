@@ -19,5 +19,6 @@ mod metrics;
 pub mod receive_queue;
 pub mod run;
 pub mod session;
+pub mod summary;
 
 pub use heliostat_array::{Device, DeviceError, Health, Kit};

@@ -6,7 +6,7 @@
 use heliostat_proto::ArrayState;
 use heliostat_service::Page;
 
-use crate::run::Summary;
+use crate::summary::Summary;
 
 /// The page of an array in its present state.
 pub(crate) fn page(room: &str, summary: &Summary, state: ArrayState) -> Page {

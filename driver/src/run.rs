@@ -1,7 +1,5 @@
 //! The loop of a driver process: a kit with a session and a clock.
 
-use std::collections::BTreeMap;
-use std::fmt;
 use std::time::{Duration, Instant};
 
 use heliostat_array::device::Device;
@@ -11,12 +9,12 @@ use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
 use heliostat_proto::{ArrayState, NodeKind, NodeStatus, Stamp};
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
-use serde::Serialize;
 use thiserror::Error;
 
 use crate::clock::Clock;
 use crate::metrics;
 use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
+use crate::summary::Summary;
 
 /// Time between two telemetry messages; the contract requires ten per second.
 const TELEMETRY: Duration = Duration::from_millis(50);
@@ -62,35 +60,6 @@ pub enum RunError {
 impl From<BusError> for RunError {
     fn from(error: BusError) -> Self {
         Self::Session(error.into())
-    }
-}
-
-/// The result of a run.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Summary {
-    /// Commands accepted.
-    pub commands: u64,
-    /// Of those, with an angle beyond the limits.
-    pub clipped_commands: u64,
-    /// Messages refused, by name.
-    pub refused: BTreeMap<String, u64>,
-    /// How often the device was connected.
-    pub connections: u64,
-    /// The last problem; empty if there was none.
-    pub last_problem: String,
-}
-
-impl fmt::Display for Summary {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
-        writeln!(f, "device          connected {} times", self.connections)?;
-        for (name, count) in &self.refused {
-            writeln!(f, "refused         {name}: {count}")?;
-        }
-        if !self.last_problem.is_empty() {
-            writeln!(f, "last problem    {}", self.last_problem)?;
-        }
-        Ok(())
     }
 }
 

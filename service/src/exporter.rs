@@ -120,7 +120,7 @@ mod tests {
         assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
         assert!(answer.contains(OPEN_METRICS) && answer.contains("heliostat_ticks_total{room=\"a\"} 2\n"), "{answer}");
         assert!(get(address, "/").starts_with("HTTP/1.1 404"));
-        let taken = Exporter::open(address).err().expect("one listener a port").to_string();
+        let taken = Exporter::open(address).expect_err("one listener a port").to_string();
         assert!(taken.contains(&address.to_string()), "{taken}");
         drop(exporter);
         assert!(TcpStream::connect(address).is_err(), "the port is closed");

@@ -51,7 +51,7 @@ impl ModuleGraph {
     pub fn from_sources(sources: impl IntoIterator<Item = (String, String)>) -> Self {
         let sources: BTreeMap<String, String> = sources.into_iter().collect();
         let has_library = sources.contains_key("lib.rs");
-        let is_part = |file: &str| !file.starts_with("bin/") && !(has_library && file == "main.rs");
+        let is_part = |file: &str| !(file.starts_with("bin/") || has_library && file == "main.rs");
         let modules = sources
             .iter()
             .filter(|(file, _)| is_part(file))
@@ -87,7 +87,7 @@ impl ModuleGraph {
         let parents = self.modules.iter();
         let dropped: Vec<ModulePath> = parents
             .flat_map(|(path, module)| {
-                module.source.test_modules.iter().map(|name| [path.as_slice(), &[name.clone()]].concat())
+                module.source.test_modules.iter().map(|name| [path.as_slice(), std::slice::from_ref(name)].concat())
             })
             .collect();
         self.modules.retain(|path, _| !dropped.iter().any(|test| path.starts_with(test)));

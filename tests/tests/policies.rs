@@ -51,5 +51,5 @@ fn every_learned_policy_runs_or_names_the_training_command() {
 #[test]
 fn the_exhaustive_search_refuses_a_large_room_at_the_start() {
     let finished = demo("exhaustive", &[]).wait();
-    assert!(finished.refusal().contains("--policy oracle"), "{}", finished.errors);
+    assert!(finished.refusal().contains("use the policy oracle"), "{}", finished.errors);
 }

@@ -9,7 +9,7 @@
 //! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
 //! | [`watchdog`] | acts for a policy that does not return | the main thread |
 //!
-//! [`policy_swap`] replaces the policy on a thread of its own. Rooms share a session and nothing
+//! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
 //! else, so a room that floods, fails or is superseded leaves the others alone. The main thread
 //! never waits for a decision: it gives up after [`POLICY_TIMEOUT`].
 

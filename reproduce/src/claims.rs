@@ -1,6 +1,6 @@
 //! The statements of the paper, the finding for each room, and a verdict.
 //!
-//! Each verdict follows from the figures by a rule of [`rules`].
+//! Each verdict follows from the figures by a rule in `claims/rules.rs`.
 
 mod rules;
 

@@ -253,7 +253,7 @@ fn tests_that_the_documents_name_exist() {
     let text = fs::read_to_string(root().join("docs/physics.md")).expect("the physics is there");
     let spans: Vec<&str> = text.split('`').skip(1).step_by(2).collect();
     let named = spans.iter().filter_map(|span| {
-        let test = span.strip_prefix("test ").or_else(|| span.starts_with("cargo test ").then(|| *span))?;
+        let test = span.strip_prefix("test ").or_else(|| span.starts_with("cargo test ").then_some(*span))?;
         test.split(' ').next_back().filter(|word| word.contains('_') && !word.contains('-'))
     });
     let named: Vec<&str> = named.collect();

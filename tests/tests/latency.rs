@@ -345,11 +345,10 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
             assert!(command.roll.iter().chain(&command.yaw).all(|angle| angle.is_finite()), "{answer}");
         }
         let (_, controller) = pair.end();
-        assert_eq!(
-            number(&controller, &format!("/fallbacks/{cause}")),
-            number(&controller, "/decisions"),
-            "{controller}"
-        );
+        // A decision that a busy machine makes late does not ask the policy.
+        let late = controller.pointer("/fallbacks/late").and_then(Value::as_f64).unwrap_or(0.0);
+        let failed = number(&controller, &format!("/fallbacks/{cause}"));
+        assert_eq!(failed + late, number(&controller, "/decisions"), "{controller}");
     }
 }
 
@@ -412,7 +411,7 @@ fn a_policy_without_an_answer_is_reported_and_the_array_holds() {
     let observer = pair.observer();
     wait_until("unanswered checks", || observer.counter(NodeKind::Controller, "unanswered") > 0);
     let problem = observer.status(NodeKind::Controller).unwrap().last_problem;
-    assert!(problem.contains("no answer"), "{problem}");
+    assert!(problem.contains("has timed out"), "{problem}");
     wait_until("a command", || observer.command().0 > 0);
     // The last command expires before the next one.
     wait_until("holding mirrors", || {

@@ -5,7 +5,7 @@
 //!
 //! Between two reports the processor's caches lose the code and data of a decision, and an idle
 //! thread has to be woken. For a slow policy both cost more than a second run of the policy. So the
-//! room's thread repeats the last decision [`WARM_UPS`] times shortly before the next report is
+//! room's thread repeats the last decision `WARM_UPS` times shortly before the next report is
 //! expected. It then spins until the report arrives or is overdue. The section "Cache warm-up" of
 //! docs/experiments/latency.md has the measurements from which the constants were chosen.
 //!

@@ -1,6 +1,6 @@
 //! The bounded queue between the transport's callbacks and the room's thread.
 //!
-//! It holds at most [`CAPACITY`] payloads; beyond that the oldest is dropped. Buffers are reused,
+//! It holds at most `CAPACITY` payloads; beyond that the oldest is dropped. Buffers are reused,
 //! so passing a payload on does not allocate once the buffers have grown.
 
 use std::{

@@ -195,8 +195,8 @@ mod tests {
         let one = ends(&figure_of(&[[200.0, 900.0]], 1.0));
         let three = ends(&figure_of(&[[100.0, 300.0], [200.0, 400.0], [300.0, 500.0]], 1.0));
         assert_eq!((one[0].x_ci95, three[0].x, three[1].x, three[1].x_ci95), (None, 200.0, 400.0, None));
-        // Student's t for 2 degrees of freedom, 4.302652729911275, times 100 / sqrt(3).
-        assert!((three[0].x_ci95.unwrap() - 430.2652729911275 / 3.0_f64.sqrt()).abs() < 1e-9);
+        // Student's t for 2 degrees of freedom, 0.95 sqrt(2 / (1 - 0.95^2)), times 100 / sqrt(3).
+        assert!((three[0].x_ci95.unwrap() - 95.0 * (2.0 / 0.0975_f64).sqrt() / 3.0_f64.sqrt()).abs() < 1e-6);
     }
 
     #[test]

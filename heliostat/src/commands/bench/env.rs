@@ -80,7 +80,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     for (mode, panel) in [("specular", false), ("specular", true), ("paper", false), ("paper-calibrated", false)] {
         for (users, side, bodies) in SIZES {
-            let mut set = super::room(users, side);
+            let mut set = super::room::overrides(users, side);
             set.push(format!("led.side_m={}", if panel { 0.1 } else { 0.0 }));
             set.push(format!("blockage.bodies={bodies}"));
             let scenario = Scenario::builtin(mode)?.with_overrides(&set)?;

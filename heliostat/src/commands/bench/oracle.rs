@@ -108,7 +108,7 @@ fn print(row: &Row) -> std::io::Result<()> {
 }
 
 fn measure(mode: &str, (users, side): (usize, usize), qos: bool, time: Duration) -> Result<Row> {
-    let scenario = Scenario::builtin(mode)?.with_overrides(&super::room(users, side))?;
+    let scenario = Scenario::builtin(mode)?.with_overrides(&super::room::overrides(users, side))?;
     let model = scenario.channel_model()?;
     let scenes = (0..STATES)
         .map(|seed| Ok(World::new(&scenario, scenario.read_trace()?.as_deref(), seed)?.scene().clone()))

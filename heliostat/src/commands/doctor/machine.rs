@@ -5,7 +5,7 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-use super::Check;
+use super::check::Check;
 
 /// Time between two readings of both clocks.
 const CLOCK_WATCH: Duration = Duration::from_millis(200);

@@ -10,7 +10,8 @@ use heliostat_proto::{Capabilities, Room, ValidityClock, decode};
 use heliostat_scenario::Scenario;
 use heliostat_sim::World;
 
-use super::{Args, Check};
+use super::args::Args;
+use super::check::Check;
 
 /// Longest time until a driver answers.
 const DRIVER_WAIT: Duration = Duration::from_secs(3);

@@ -2,7 +2,7 @@
 
 use super::super::bound::{Bound, Limit};
 use super::super::table::{Column, Form, Layout};
-use super::{Page, Section};
+use super::page::{Page, Section};
 
 const RATE: Column = Column { title: "sum rate (Mbit/s)", at: "/sum_rate_mbps", form: Form::Interval(1) };
 const RATIO: Column = Column { title: "ratio", at: "/ratio_to_oracle", form: Form::Interval(3) };

@@ -2,7 +2,7 @@
 
 use super::super::bound::{Bound, Limit};
 use super::super::table::{Column, Form, Layout};
-use super::{Page, Section};
+use super::page::{Page, Section};
 
 const fn us(title: &'static str, at: &'static str) -> Column {
     Column { title, at, form: Form::Number(0) }

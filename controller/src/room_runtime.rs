@@ -4,14 +4,14 @@
 //! | part | duty | runs on |
 //! | --- | --- | --- |
 //! | [`receive_queue`] | holds payloads between callbacks and the room's thread | |
-//! | [`decision_loop`] | decodes, decides, records stage times | the transport's callback or the room's thread |
+//! | [`decision_loop`] | decodes, decides, records stage times | the transport's callback or the room's thread; the main thread for missing reports |
 //! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
 //! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
 //! | [`watchdog`] | acts for a policy that does not return | the main thread |
 //!
 //! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
 //! else, so a room that floods, fails or is superseded leaves the others alone. The main thread
-//! never waits for a decision: it gives up after [`POLICY_TIMEOUT`].
+//! waits at most [`POLICY_TIMEOUT`] for the lock of the decision loop.
 
 pub mod cache_warmer;
 pub mod command_sender;

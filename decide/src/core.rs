@@ -38,16 +38,17 @@
 //!
 //! # Degraded modes
 //!
-//! Each degraded condition has one configured action and one counter. A key of the scenario's
-//! `control` table selects the action:
+//! Each degraded condition has one action and one counter. Where the table names a key, that key
+//! of the scenario's `control` table selects the action. The caller's watchdog detects and counts
+//! `unanswered`.
 //!
 //! | condition | key | default action | counter |
 //! | --- | --- | --- | --- |
 //! | The predicted latency exceeds `deadline_ms`. | `when_late` | repeat the last command | `late` |
 //! | The position report is older than `report_age_max_ms`. | `when_stale` | no command | `stale-report` |
-//! | No channel report is newer than `report_age_max_ms`. | `when_channel_missing` | the policy decides on modelled direct gains | `channel-missing` |
+//! | No channel report is newer than `report_age_max_ms`, or the report lacks a user. | `when_channel_missing` | the policy decides on modelled direct gains | `channel-missing` |
 //! | No position report was accepted for `report_age_max_ms`. | `when_silent` | no command | `silence` |
-//! | The policy does not return within 0.1 s: policy timeout, detected by the caller's watchdog. | `when_unanswered` | no command | `unanswered` |
+//! | The policy does not return within 0.1 s: policy timeout. | `when_unanswered` | no command | `unanswered` |
 //! | The policy fails, or an angle is not finite. | `fallback` | the fixed point decides | `policy-failed` |
 //! | The fallback fails or is `hold`, or there is no last command. | | no command | `held` |
 //! | The array is stopped, or does not fit the scenario. | | no command | `withheld` |
@@ -60,8 +61,8 @@
 //! - *Tick*: one sampling of the room. The field `answers` of a command holds the tick of the
 //!   report that triggered the command.
 //! - *Epoch*: one run of a controller. A later epoch supersedes an earlier one.
-//! - *Holding*: the state of an array that keeps its angles after the last validity has ended. The
-//!   action `hold` differs: it publishes no command.
+//! - *Holding*: the state of an array that keeps its angles after its last command has expired.
+//!   The action `hold` is the controller's: it publishes no command.
 //! - *Parked*: an array is parked at the position `park_rad` of its capabilities. It parks
 //!   `park_after_ms` after the last validity ends. The action `park` differs: it sends a valid
 //!   command with zero roll and yaw.
@@ -225,6 +226,7 @@ impl Controller {
     /// Decides for the tick of the last accepted position report. `mark` is called as each stage
     /// ends.
     pub fn poll_command(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
+        // The mode matters only where the action holds; without a degraded condition the policy acts.
         let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
         if timing == Timing::Late {
             self.counters.count_degraded(DegradedMode::Late);

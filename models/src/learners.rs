@@ -20,7 +20,7 @@ pub mod table;
 use crate::training::Algorithm;
 
 /// The algorithms that `heliostat train` knows.
-pub const ALGORITHMS: [Algorithm; 7] = [
+pub const ALGORITHMS: &[Algorithm] = &[
     ddpg::ALGORITHM,
     ddpg_raw::ALGORITHM,
     ddpg_basis::ALGORITHM,
@@ -32,7 +32,7 @@ pub const ALGORITHMS: [Algorithm; 7] = [
 
 impl clap::ValueEnum for Algorithm {
     fn value_variants<'a>() -> &'a [Self] {
-        &ALGORITHMS
+        ALGORITHMS
     }
 
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {

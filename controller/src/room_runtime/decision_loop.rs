@@ -1,7 +1,7 @@
 //! From payloads to published commands: decodes, calls the core, passes commands to the sender, and
 //! records stage times.
 //!
-//! There is one decision loop per room, behind a mutex. Two threads may run it:
+//! There is one decision loop per room, behind a mutex. Two threads decide for reports:
 //!
 //! - the transport's callback, which needs no other thread to be woken. While it decides, further
 //!   payloads wait in the transport, and the oldest report gets the first decision;
@@ -10,9 +10,11 @@
 //!   the caches for a slow policy (see [cache warmer](super::cache_warmer)).
 //!
 //! [`PayloadHandler::handle`] chooses. By default the callback decides. It queues the payload for
-//! the room's thread in four cases: the queue is not empty, another thread holds the lock, there
-//! is a backlog, or the caches are kept warm for position reports. Other threads hold the lock only
-//! to exchange stage times, to copy counters and to replace the policy.
+//! the room's thread in four cases: the queue is not empty, another thread holds the lock, the
+//! payload came right after the last decision, or it is a position report and the room's thread
+//! keeps the caches warm. The main thread holds the lock to act on missing reports, to exchange
+//! stage times and to copy counters; callbacks hold it to pass on liveliness, stop orders and
+//! capabilities; the thread of policy swaps holds it to replace the policy.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard},

@@ -54,7 +54,7 @@ pub use limits::{
 };
 pub use messages::{
     Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, MirrorCommand, MirrorTelemetry,
-    NodeStatus, ObstacleReport, RoomTruth, SimulatorControl, UserReport,
+    NodeStatus, ObstacleReport, Rearm, RoomTruth, SafetyReport, SimulatorControl, UserReport,
 };
 pub use structures::{
     ArrayState, AxisLimits, Counters, FaultKind, Feedback, MirrorFault, NodeKind, Obstacle, Quantiles, Stamp,

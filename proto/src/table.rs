@@ -8,7 +8,7 @@
 //! # How to write a message
 //! ```text
 //! /// Battery charge of a tracker.
-//! message BatteryReport(kind: 13, name: "battery report", key: battery = "battery") {
+//! message BatteryReport(kind: 20, name: "battery report", key: battery = "battery") {
 //!     /// Source, sequence, time of the measurement.
 //!     stamp: Stamp,
 //!     /// Charge of each cell, from 0 to 1.
@@ -253,6 +253,49 @@ macro_rules! message_table {
                 stamp: Stamp,
                 /// Name of the new policy, as on the controller's command line.
                 policy: String,
+            }
+
+            /// Releases one emergency stop, which it names; the clocks of operator and array do not
+            /// matter.
+            #[derive(Eq)]
+            message Rearm(kind: 13, name: "re-arm", key: rearm = "mirrors/rearm") {
+                /// Source, sequence, time.
+                stamp: Stamp,
+                /// Source of the stop that it releases, as in the [`SafetyReport`].
+                stop_source: u64,
+                /// Sequence number of that stop.
+                stop_sequence: u64,
+                /// Name of the operator who sends it.
+                operator: String,
+                /// Reason for it.
+                reason: String,
+            }
+
+            /// The emergency stop in force, and the bounds that the array enforces on commands.
+            #[derive(Eq)]
+            message SafetyReport(kind: 14, name: "safety report", key: safety = "mirrors/safety") {
+                /// Source, sequence, time.
+                stamp: Stamp,
+                /// Whether a stop is latched.
+                stopped: bool,
+                /// Source of the latched stop; 0 for none, or where the stop has no sender.
+                stop_source: u64,
+                /// Sequence number of the latched stop; 0 for none, or where the stop has no sender.
+                stop_sequence: u64,
+                /// Time at which the latched stop arrived, in ns; 0 for none.
+                stopped_ns: Nanos,
+                /// Name of the operator who sent the latched stop.
+                operator: String,
+                /// Reason for the latched stop.
+                reason: String,
+                /// Highest epoch of an accepted command; 0 before the first.
+                epoch: u64,
+                /// Longest validity in ms; a command with a longer one is refused.
+                validity_max_ms: u32,
+                /// Largest lead of an epoch over UTC in ms, or over the highest accepted epoch.
+                epoch_lead_max: u64,
+                /// Largest difference between the sequence numbers of two accepted commands of an epoch.
+                sequence_step_max: u64,
             }
         }
     };

@@ -38,7 +38,13 @@ const SIMULATOR_CONTROL: &str = "\
 const CONTROLLER_CONTROL: &str = "\
     010cf0bdf3d589cf959a12ac0280cffea7a4deb2c3180b66697865642d706f696e74";
 
-const ALL: [&str; 12] = [
+const REARM: &str = "\
+    010df0bdf3d589cf959a12ac0280cffea7a4deb2c318f0bdf3d589cf959a12ac0203616e6e05636c656172";
+const SAFETY_REPORT: &str = "\
+    010ef0bdf3d589cf959a12ac0280cffea7a4deb2c31801f0bdf3d589cf959a12ac0280cffea7a4deb2c31803616e6e047465737407904ee0\
+    d403c0843d";
+
+const ALL: [&str; 14] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -51,6 +57,8 @@ const ALL: [&str; 12] = [
     CALIBRATION,
     SIMULATOR_CONTROL,
     CONTROLLER_CONTROL,
+    REARM,
+    SAFETY_REPORT,
 ];
 
 fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -72,6 +80,8 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&calibration(), CALIBRATION);
     check_bytes(&simulator_control(), SIMULATOR_CONTROL);
     check_bytes(&controller_control(), CONTROLLER_CONTROL);
+    check_bytes(&rearm(), REARM);
+    check_bytes(&safety_report(), SAFETY_REPORT);
 }
 
 /// The numbers of each enumeration are those in CONTRACT.md.

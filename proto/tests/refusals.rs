@@ -29,6 +29,8 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::Calibration => decode::<Calibration>(payload).err(),
         Kind::SimulatorControl => decode::<SimulatorControl>(payload).err(),
         Kind::ControllerControl => decode::<ControllerControl>(payload).err(),
+        Kind::Rearm => decode::<Rearm>(payload).err(),
+        Kind::SafetyReport => decode::<SafetyReport>(payload).err(),
     }
 }
 
@@ -55,7 +57,7 @@ fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
     assert_eq!(error.to_string(), "payload holds a user report: expected a mirror command");
-    for number in [0, 13, 255] {
+    for number in [0, 15, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }

@@ -2,8 +2,8 @@
 
 use heliostat_proto::{
     Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, EmergencyStop, Kind, Message,
-    MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, RoomTruth, SimulatorControl, Stamp, UserReport,
-    codec::kind_of, decode,
+    MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm, RoomTruth, SafetyReport,
+    SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.
@@ -49,6 +49,8 @@ impl Received {
             Kind::Calibration => stamped::<Calibration>(payload, |message| message.stamp),
             Kind::SimulatorControl => stamped::<SimulatorControl>(payload, |message| message.stamp),
             Kind::ControllerControl => stamped::<ControllerControl>(payload, |message| message.stamp),
+            Kind::Rearm => stamped::<Rearm>(payload, |message| message.stamp),
+            Kind::SafetyReport => stamped::<SafetyReport>(payload, |message| message.stamp),
         }
     }
 

@@ -167,6 +167,32 @@ pub fn controller_control() -> ControllerControl {
     ControllerControl { stamp: stamp(), policy: "fixed-point".into() }
 }
 
+pub fn rearm() -> Rearm {
+    Rearm {
+        stamp: stamp(),
+        stop_source: 0x1234_5678_9abc_def0,
+        stop_sequence: 300,
+        operator: "ann".into(),
+        reason: "clear".into(),
+    }
+}
+
+pub fn safety_report() -> SafetyReport {
+    SafetyReport {
+        stamp: stamp(),
+        stopped: true,
+        stop_source: 0x1234_5678_9abc_def0,
+        stop_sequence: 300,
+        stopped_ns: 1_767_323_045_678_000_000,
+        operator: "ann".into(),
+        reason: "test".into(),
+        epoch: 7,
+        validity_max_ms: 10_000,
+        epoch_lead_max: 60_000,
+        sequence_step_max: 1_000_000,
+    }
+}
+
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
     encode(message, &mut payload).expect("the sample is valid");
@@ -188,6 +214,8 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("calibration", encoded(&calibration())),
         ("simulator control", encoded(&simulator_control())),
         ("controller control", encoded(&controller_control())),
+        ("re-arm", encoded(&rearm())),
+        ("safety report", encoded(&safety_report())),
     ]
 }
 

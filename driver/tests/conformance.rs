@@ -165,7 +165,8 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
         kit.advance(now);
         if flaw == Flaw::ReleasesOrphanedStops && left.swap(false, Ordering::Relaxed) {
             let stamp = Stamp { time_ns: now.room_ns, ..Stamp::default() };
-            kit.handle_stop(now, &EmergencyStop { stamp, action: StopAction::Rearm, ..EmergencyStop::default() });
+            let order = EmergencyStop { stamp, action: StopAction::Rearm, ..EmergencyStop::default() };
+            kit.handle_stop(now, &order).ok();
         }
         sequence += 1;
         let stamp = Stamp { source: 1, sequence, time_ns: now.room_ns };

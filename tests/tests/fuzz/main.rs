@@ -44,9 +44,9 @@ macro_rules! target {
 }
 
 #[test]
-#[ignore = "fails: an array and a controller without bounds do not recover"]
+#[ignore = "fails: one message can lock the controller out"]
 fn a_room_stays_sound_and_works_again_after_payloads_on_every_key() {
-    target!("payloads", |input| drop(long_run::attack_and_recover(input)));
+    target!("payloads", |input| _ = long_run::attack_and_recover(input));
 }
 
 #[test]

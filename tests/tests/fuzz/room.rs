@@ -31,9 +31,10 @@ const MS: u64 = 1_000_000;
 /// UTC at the start of every run: the time in the examples of CONTRACT.md.
 const START_NS: Nanos = 1_767_323_045_678_000_000;
 
-/// Sources of the genuine tracker and array.
+/// Sources of the genuine tracker, array and operator.
 const TRACKER: u64 = 0x1234_5678_9abc_def0;
 const ARRAY: u64 = 0x51;
+const OPERATOR: u64 = 0x52;
 
 /// The smallest room: as many users and mirrors as the examples of CONTRACT.md have.
 struct Setup {
@@ -117,8 +118,6 @@ pub struct Room {
     /// Number of the last message of the tracker, the array and the controller.
     sequence: u64,
     tick: u64,
-    /// Source and sequence of the last stop that an attacker sent.
-    stop: (u64, u64),
     tally: Tally,
     payload: Vec<u8>,
     encoded: Vec<u8>,
@@ -141,7 +140,6 @@ impl Room {
             room_ns: START_NS,
             sequence: 300,
             tick: 0,
-            stop: (0, 0),
             tally: Tally::default(),
             payload: Vec::new(),
             encoded: Vec::new(),
@@ -278,12 +276,19 @@ impl Room {
         }
     }
 
-    /// The operator releases the stop.
+    /// The operator releases the stop that the array reports.
     fn rearm(&mut self) {
-        let stamp = self.stamp(0x0b);
-        let order = EmergencyStop { stamp, action: StopAction::Rearm, ..example_of() };
+        let stamp = self.stamp(OPERATOR);
+        let (stop_source, stop_sequence) = self.latched_stop();
+        let order = Rearm { stamp, stop_source, stop_sequence, ..example_of() };
         encode(&order, &mut self.payload).expect("valid");
-        self.deliver(Kind::EmergencyStop);
+        self.deliver(Kind::Rearm);
+    }
+
+    /// Source and sequence of the stop that the array reports.
+    fn latched_stop(&self) -> (u64, u64) {
+        let SafetyReport { stop_source, stop_sequence, .. } = self.kit.safety(Stamp::default());
+        (stop_source, stop_sequence)
     }
 
     fn attack(&mut self, script: &mut Script<'_>) {
@@ -298,7 +303,7 @@ impl Room {
             time_ns: self.room_ns,
             epoch: self.controller.epoch(),
             tick: self.tick,
-            stop: self.stop,
+            stop: self.latched_stop(),
         };
         let mut payload = std::mem::take(&mut self.payload);
         forge::write(script, kind, &genuine, &mut payload);
@@ -324,9 +329,6 @@ impl Room {
             Kind::EmergencyStop => {
                 let order = decode::<EmergencyStop>(&payload);
                 if let Ok(order) = &order {
-                    if order.action == StopAction::Stop {
-                        self.stop = (order.stamp.source, order.stamp.sequence);
-                    }
                     self.controller.handle_stop_order(order);
                 }
                 self.array(order, Content::Stop)
@@ -342,7 +344,7 @@ impl Room {
             Kind::NodeStatus => consume(&payload, |_: NodeStatus| {}),
             Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
             Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
-            Kind::Rearm => consume(&payload, |_: Rearm| {}),
+            Kind::Rearm => self.array(decode(&payload), Content::Rearm),
             Kind::SafetyReport => consume(&payload, |_: SafetyReport| {}),
         };
         self.tally.count(kind, is_decoded);
@@ -412,6 +414,7 @@ impl Room {
         let telemetry = self.kit.telemetry(now, stamp);
         encode(&telemetry, &mut self.encoded).expect("the kit's telemetry is valid");
         encode(&self.kit.capabilities(stamp), &mut self.encoded).expect("the kit's capabilities are valid");
+        encode(&self.kit.safety(stamp), &mut self.encoded).expect("the kit's safety report is valid");
         encode(&self.simulated.telemetry(stamp), &mut self.encoded).expect("the simulated telemetry is valid");
     }
 }

@@ -15,6 +15,7 @@ pub mod map;
 mod mirrors;
 pub mod results;
 pub mod scenario;
+pub mod stop;
 pub mod ui;
 
 /// Reads a CSV file whose header names all `required` columns, any `optional` ones, and no others.

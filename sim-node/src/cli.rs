@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use heliostat_bus::BusArgs;
 use heliostat_driver::calibration_store;
+use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
 
@@ -32,6 +33,14 @@ pub struct Args {
     /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// Keep the emergency stop over a restart, in one file per room in this folder; without it the
+    /// array starts parked
+    #[arg(long, value_name = "DIR", conflicts_with = "lockstep")]
+    state: Option<PathBuf>,
+    /// Start parked if there is no file of the room, instead of stopped; a recorded stop stays in
+    /// force
+    #[arg(long, requires = "state")]
+    start_armed: bool,
     /// Print the summary as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -53,6 +62,11 @@ impl Args {
             pace,
             metrics: self.metrics,
             calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,
+            record: self
+                .state
+                .clone()
+                .map(|directory| StopRecordSettings { directory: Some(directory), start_armed: self.start_armed }),
+            refuse_unnamed_rearm: false,
         })
     }
 }

@@ -1,6 +1,5 @@
 //! The command line of the driver, on its own or as a command of `heliostat`.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -9,7 +8,7 @@ use heliostat_array::Kit;
 use heliostat_array::moment::Moment;
 use heliostat_bus::BusArgs;
 use heliostat_proto::{Room, Stamp};
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::config::Config;
 use crate::{calibration_store, check, run};
@@ -90,12 +89,10 @@ fn drive(args: &RunArgs) -> Result<()> {
     tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
     let settings = run::Settings { bus, run_for: args.end.seconds, metrics: args.metrics };
     let summary = run::run(kit, &settings, &stop)?;
-    // Not println!, which panics when the reader is gone.
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+        output::line(serde_json::to_string(&summary)?)?
     } else {
-        write!(out, "{summary}")?;
+        output::text(summary)?
     }
     Ok(())
 }
@@ -106,11 +103,10 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         flags.room = room_of(key)?.to_string();
     }
     let report = check::run(&flags.config_or_connect()?)?;
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string_pretty(&report)?)?;
+        output::line(serde_json::to_string_pretty(&report)?)?
     } else {
-        write!(out, "{report}")?;
+        output::text(&report)?
     }
     let broken = report.broken().count();
     ensure!(broken == 0, "the driver of room \"{}\" breaks {broken} rules of the contract", report.room);

@@ -75,6 +75,6 @@ mod observe;
 mod output;
 pub mod policy;
 
-pub use input::{inbox, refusal};
+pub use input::{inbox, refusal, sequence};
 pub use observe::{observation, observer};
 pub use output::{capabilities, outcome, safety};

@@ -62,6 +62,10 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         let labels = [room, ("stream", stream), ("reason", reason)];
         page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, *count);
     }
+    for (stream, count) in &summary.missed {
+        let help = "Reports that did not arrive, by the gaps in their sequence numbers";
+        page.counter("heliostat_reports_missed", help, &[room, ("stream", stream.as_str())], *count);
+    }
     for (by, count) in [("range", summary.clipped.range), ("slew", summary.clipped.slew)] {
         let help = "Axis angles changed by a limit of range or slew rate";
         page.counter("heliostat_angles_limited", help, &[room, ("by", by)], count);

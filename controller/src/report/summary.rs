@@ -2,7 +2,10 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use heliostat_decide::core::{Controller, DegradedMode, Stage};
+use heliostat_decide::{
+    core::{Controller, DegradedMode, Stage},
+    refusal::Stream,
+};
 use heliostat_proto::{Quantiles, Room};
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +36,9 @@ pub struct Summary {
     pub fallbacks: BTreeMap<String, u64>,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
+    /// Reports that did not arrive, by stream, from the gaps in their sequence numbers.
+    #[serde(default)]
+    pub missed: BTreeMap<String, u64>,
     /// Axis values that the limits changed.
     pub clipped: ClippedSummary,
     /// From the last telemetry of the array; absent before the first.
@@ -102,6 +108,7 @@ impl Summary {
             commands: counters.commands,
             fallbacks: degraded.into_iter().filter(|(_, count)| *count > 0).collect(),
             refused: controller.inbox().refused().named().collect(),
+            missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
             clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
             array: controller.inbox().telemetry().map(|telemetry| ArraySummary {
                 faults: telemetry.faults,
@@ -145,7 +152,11 @@ impl Summary {
         ] {
             *here += there;
         }
-        for (here, there) in [(&mut self.fallbacks, &other.fallbacks), (&mut self.refused, &other.refused)] {
+        for (here, there) in [
+            (&mut self.fallbacks, &other.fallbacks),
+            (&mut self.refused, &other.refused),
+            (&mut self.missed, &other.missed),
+        ] {
             there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
         }
         if !other.last_problem.is_empty() {
@@ -182,6 +193,7 @@ impl fmt::Display for Summary {
         }
         writeln!(formatter, "fallbacks:{}", list(&self.fallbacks))?;
         writeln!(formatter, "refused:{}", list(&self.refused))?;
+        writeln!(formatter, "reports that did not arrive:{}", list(&self.missed))?;
         write!(formatter, "angles limited: {} by range, {} by slew", self.clipped.range, self.clipped.slew)?;
         for granted in &self.machine {
             write!(formatter, "\n{granted}")?;

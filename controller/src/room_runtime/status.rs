@@ -99,6 +99,7 @@ impl Reporter {
         let named = |prefix: &'static str| move |(name, count): (&String, &u64)| (format!("{prefix}{name}"), *count);
         let fallbacks = summary.fallbacks.iter().map(named("fallback:"));
         let refused = summary.refused.iter().map(named("refused:"));
+        let missed = summary.missed.iter().map(named("missed:"));
         let mut timed = summary.clone();
         timed.add_times(times);
         let stages = timed.stages_us.iter().map(|(name, times)| (name.clone(), *times));
@@ -107,7 +108,7 @@ impl Reporter {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
             policy: summary.policy.clone(),
-            counters: own.chain(within).chain(fallbacks).chain(refused).collect(),
+            counters: own.chain(within).chain(fallbacks).chain(refused).chain(missed).collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()

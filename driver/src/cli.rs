@@ -1,6 +1,5 @@
 //! The command line of the driver, on its own or as a command of `heliostat`.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -9,7 +8,7 @@ use heliostat_array::Kit;
 use heliostat_array::moment::Moment;
 use heliostat_bus::BusArgs;
 use heliostat_proto::{Room, SafetyReport, Stamp};
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::config::Config;
 use crate::stop_record::StopRecordSettings;
@@ -122,12 +121,10 @@ fn drive(args: &RunArgs) -> Result<()> {
     let settings =
         run::Settings { run_for: args.end.seconds, metrics: args.metrics, record, ..run::Settings::new(bus) };
     let summary = run::run(kit, &settings, &stop)?;
-    // Not println!, which panics when the reader is gone.
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+        output::line(serde_json::to_string(&summary)?)?
     } else {
-        write!(out, "{summary}")?;
+        output::text(summary)?
     }
     Ok(())
 }
@@ -138,11 +135,10 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         flags.room = room_of(key)?.to_string();
     }
     let report = check::run(&flags.config_or_connect()?)?;
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string_pretty(&report)?)?;
+        output::line(serde_json::to_string_pretty(&report)?)?
     } else {
-        write!(out, "{report}")?;
+        output::text(&report)?
     }
     let broken = report.broken().count();
     ensure!(broken == 0, "the driver of room \"{}\" breaks {broken} rules of the contract", report.room);

@@ -1,6 +1,5 @@
 //! The command line of the simulator, on its own or as a command of `heliostat`.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -8,7 +7,7 @@ use heliostat_bus::BusArgs;
 use heliostat_driver::calibration_store;
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::run;
 use crate::settings::{Pace, Settings};
@@ -81,12 +80,10 @@ pub fn run(args: Args) -> Result<()> {
     let stop = args.end.stop()?;
     args.log.start();
     let summary = run::run(&settings, &stop)?;
-    // Not println!, which panics when the reader is gone.
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+        output::line(serde_json::to_string(&summary)?)?
     } else {
-        write!(out, "{summary}")?;
+        output::text(summary)?
     }
     Ok(())
 }

@@ -148,7 +148,7 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
 fn release(args: &RearmArgs) -> Result<()> {
     let report = rearm::rearm(&args.bus.config_or_connect()?, &args.operator, &args.reason)?;
     let SafetyReport { stop_source, stop_sequence, operator, reason, .. } = report;
-    writeln!(std::io::stdout(), "released: stop {stop_source:016x}/{stop_sequence} of {operator:?}: {reason:?}")?;
+    output::line(format!("released: stop {stop_source:016x}/{stop_sequence} of {operator:?}: {reason:?}"))?;
     Ok(())
 }
 

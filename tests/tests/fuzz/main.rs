@@ -44,7 +44,6 @@ macro_rules! target {
 }
 
 #[test]
-#[ignore = "fails: one message can lock the controller out"]
 fn a_room_stays_sound_and_works_again_after_payloads_on_every_key() {
     target!("payloads", |input| _ = long_run::attack_and_recover(input));
 }
@@ -65,13 +64,11 @@ fn a_calibration_or_driver_configuration_is_read_or_refused() {
 }
 
 #[test]
-#[ignore = "fails: the reader of recordings allocates what a damaged file names"]
 fn a_recording_is_replayed_or_refused() {
     target!("recording", files::recording);
 }
 
 #[test]
-#[ignore = "fails: the engine panics on some graphs"]
 fn an_actor_is_loaded_or_refused() {
     target!("actor", files::actor);
 }

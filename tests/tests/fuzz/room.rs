@@ -17,6 +17,7 @@ use heliostat_decide::core::{Controller, Decision, Due, Timing};
 use heliostat_decide::inbox::Message as Report;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::{Refusal, Stream};
+use heliostat_decide::tenure::Tenure;
 use heliostat_engine::ActorSource;
 use heliostat_proto::*;
 use heliostat_scenario::Scenario;
@@ -31,10 +32,14 @@ const MS: u64 = 1_000_000;
 /// UTC at the start of every run: the time in the examples of CONTRACT.md.
 const START_NS: Nanos = 1_767_323_045_678_000_000;
 
-/// Sources of the genuine tracker, array and operator.
+/// Time between two reports of the genuine tracker.
+const INTERVAL_NS: u64 = 10 * MS;
+
+/// Sources of the genuine tracker, array, operator and controller.
 const TRACKER: u64 = 0x1234_5678_9abc_def0;
 const ARRAY: u64 = 0x51;
 const OPERATOR: u64 = 0x52;
+const CONTROLLER: u64 = 0x53;
 
 /// The smallest room: as many users and mirrors as the examples of CONTRACT.md have.
 struct Setup {
@@ -115,8 +120,10 @@ pub struct Room {
     local_ns: u64,
     /// UTC of every process.
     room_ns: Nanos,
-    /// Number of the last message of the tracker, the array and the controller.
+    /// Number of the last message of the tracker, the array and the operator.
     sequence: u64,
+    /// Epoch and sequence number of the controller's last command.
+    sent: (u64, u64),
     tick: u64,
     tally: Tally,
     payload: Vec<u8>,
@@ -131,9 +138,11 @@ impl Room {
         // Most inputs use a policy that costs little, so that there is time for more of them.
         let kind = if choice & 0x30 == 0 { PolicyKind::FixedPoint } else { PolicyKind::Nearest };
         let policy = heliostat_engine::build(kind, scenario, &ActorSource::Shipped).expect("it reads no file");
+        let tenure = Tenure::live(CONTROLLER, INTERVAL_NS);
         let mut room = Self {
             kit: Kit::new(BenchDevice::new(clock, choice & 2 == 0)),
-            controller: Controller::new(scenario, model.clone(), policy, START_NS / MS),
+            controller: Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure),
+            sent: (0, 0),
             simulated: simulated.clone(),
             refused: RefusalCounts::default(),
             local_ns: 0,
@@ -205,11 +214,12 @@ impl Room {
         }
         panic!(
             "no command is accepted within a minute after the attack: the array is {:?}, its last command {:?}, \
-             the controller's epoch {}, refusals {:?}",
+             the controller's tenure {:?}, refusals {:?} and {:?}",
             self.kit.array().state(),
             self.kit.array().followed(),
-            self.controller.epoch(),
+            self.controller.tenure(),
             self.refused.counts(),
+            self.controller.inbox().refused(),
         );
     }
 
@@ -239,8 +249,18 @@ impl Room {
         assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| angle.is_finite()), "simulated {angles:?}");
         let decision = self.controller.poll_timeout_command(self.room_ns);
         if let Some(Decision::Move { command, .. }) = decision {
+            number(&mut self.sent, command);
             check_command(command, &mut self.encoded);
+            self.send_command();
         }
+    }
+
+    /// Sends the encoded command.
+    fn send_command(&mut self) {
+        let (epoch, sequence) = self.sent;
+        self.controller.handle_sent(epoch, sequence);
+        let command = decode(&self.encoded);
+        self.array(command, Content::Command);
     }
 
     fn simulated_ns(&self) -> u64 {
@@ -250,8 +270,10 @@ impl Room {
     /// The driver announces its array, as it does every second.
     fn announce(&mut self) {
         let stamp = self.stamp(ARRAY);
-        let capabilities = self.kit.capabilities(stamp);
-        self.controller.handle_capabilities(&capabilities, setup().examiner.examine(&capabilities));
+        encode(&self.kit.capabilities(stamp), &mut self.payload).expect("the kit's capabilities are valid");
+        self.deliver(Kind::Capabilities);
+        encode(&self.kit.safety(stamp), &mut self.payload).expect("the kit's safety report is valid");
+        self.deliver(Kind::SafetyReport);
     }
 
     /// The tracker reports, the controller decides, the array applies and reports; bits of `lost`
@@ -299,7 +321,7 @@ impl Room {
             } else {
                 TRACKER
             },
-            sequence: self.sequence + 1,
+            sequence: if kind == Kind::MirrorCommand { self.sent.1 } else { self.sequence } + 1,
             time_ns: self.room_ns,
             epoch: self.controller.epoch(),
             tick: self.tick,
@@ -329,14 +351,14 @@ impl Room {
             Kind::EmergencyStop => {
                 let order = decode::<EmergencyStop>(&payload);
                 if let Ok(order) = &order {
-                    self.controller.handle_stop_order(order);
+                    self.controller.handle_stop_order(self.room_ns, order);
                 }
                 self.array(order, Content::Stop)
             }
             Kind::Calibration => self.array(decode(&payload), Content::Calibration),
             Kind::Capabilities => consume(&payload, |capabilities: Capabilities| {
                 let verdict = setup().examiner.examine(&capabilities);
-                self.controller.handle_capabilities(&capabilities, verdict);
+                _ = self.controller.handle_capabilities(&capabilities, verdict);
             }),
             Kind::SimulatorControl => consume(&payload, |order: SimulatorControl| {
                 drop(control::apply(&mut self.simulated, &order));
@@ -344,8 +366,14 @@ impl Room {
             Kind::NodeStatus => consume(&payload, |_: NodeStatus| {}),
             Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
             Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
-            Kind::Rearm => self.array(decode(&payload), Content::Rearm),
-            Kind::SafetyReport => consume(&payload, |_: SafetyReport| {}),
+            Kind::Rearm => {
+                let order = decode::<Rearm>(&payload);
+                if let Ok(order) = &order {
+                    self.controller.handle_rearm(order);
+                }
+                self.array(order, Content::Rearm)
+            }
+            Kind::SafetyReport => consume(&payload, |report: SafetyReport| _ = self.controller.handle_safety(&report)),
         };
         self.tally.count(kind, is_decoded);
         self.payload = payload;
@@ -373,11 +401,9 @@ impl Room {
             Due::Nothing => return true,
         };
         if let Decision::Move { command, .. } = decision {
-            self.sequence += 1;
-            command.sequence = self.sequence;
+            number(&mut self.sent, command);
             check_command(command, &mut self.encoded);
-            let command = decode(&self.encoded);
-            self.array(command, Content::Command);
+            self.send_command();
         }
         true
     }
@@ -422,6 +448,13 @@ impl Room {
 /// Decodes a payload for a subscriber; returns whether it could be decoded.
 fn consume<T: Message>(payload: &[u8], handle: impl FnOnce(T)) -> bool {
     decode(payload).map(handle).is_ok()
+}
+
+/// Numbers a command as the sender does: from 1 in each epoch.
+fn number(sent: &mut (u64, u64), command: &mut MirrorCommand) {
+    let last = if sent.0 == command.epoch { sent.1 } else { 0 };
+    command.sequence = last + 1;
+    *sent = (command.epoch, command.sequence);
 }
 
 /// A decided command must be valid for every driver.

@@ -7,12 +7,12 @@ use clap::Subcommand;
 use heliostat_array::Kit;
 use heliostat_array::moment::Moment;
 use heliostat_bus::BusArgs;
-use heliostat_proto::{Room, SafetyReport, Stamp};
+use heliostat_proto::{Room, Stamp};
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::config::Config;
 use crate::stop_record::StopRecordSettings;
-use crate::{calibration_store, check, rearm, run};
+use crate::{calibration_store, check, run};
 
 /// Flags of the driver.
 #[derive(Clone, Debug, clap::Args)]
@@ -33,11 +33,6 @@ enum Command {
     /// An array that starts stopped because its last state is unknown is re-armed first. A stop of
     /// an operator stays in force: the check then ends with an error.
     Check(CheckArgs),
-    /// Release the emergency stop of a room: the array parks, and follows commands again
-    ///
-    /// The release names the stop that the driver reports, so it releases no later stop, and the
-    /// clocks of both machines do not matter.
-    Rearm(RearmArgs),
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -81,18 +76,6 @@ struct CheckArgs {
     json: bool,
 }
 
-#[derive(Clone, Debug, clap::Args)]
-struct RearmArgs {
-    #[command(flatten)]
-    bus: BusArgs,
-    /// Your name, for the log
-    #[arg(long, value_name = "NAME", default_value = "heliostat driver rearm")]
-    operator: String,
-    /// Why the mirrors may move again, for the log
-    #[arg(long, value_name = "TEXT", default_value = "")]
-    reason: String,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -102,7 +85,6 @@ pub fn run(args: Args) -> Result<()> {
     match args.command {
         Command::Run(args) => drive(&args),
         Command::Check(args) => check_driver(&args),
-        Command::Rearm(args) => release(&args),
     }
 }
 
@@ -142,13 +124,6 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
     }
     let broken = report.broken().count();
     ensure!(broken == 0, "the driver of room \"{}\" breaks {broken} rules of the contract", report.room);
-    Ok(())
-}
-
-fn release(args: &RearmArgs) -> Result<()> {
-    let report = rearm::rearm(&args.bus.config_or_connect()?, &args.operator, &args.reason)?;
-    let SafetyReport { stop_source, stop_sequence, operator, reason, .. } = report;
-    writeln!(std::io::stdout(), "released: stop {stop_source:016x}/{stop_sequence} of {operator:?}: {reason:?}")?;
     Ok(())
 }
 

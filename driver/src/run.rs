@@ -13,10 +13,10 @@ use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
 use crate::clock::Clock;
+use crate::metrics;
 use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
-use crate::stop_record::{StopRecord, StopRecordSettings};
+use crate::stop_record::{self, StopRecord, StopRecordSettings};
 use crate::summary::Summary;
-use crate::{metrics, rearm};
 
 /// Time between two telemetry messages; the contract requires ten per second.
 const TELEMETRY: Duration = Duration::from_millis(50);
@@ -96,7 +96,7 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     let (record, stop_at_start) = StopRecord::open(&settings.record, bus.room(), clock.now().room_ns);
     kit.refuse_unnamed_rearm(settings.refuse_unnamed_rearm);
     if let Some(latched) = stop_at_start {
-        tracing::warn!("{}", rearm::advice(bus.room(), &latched));
+        tracing::warn!("{}", stop_record::advice(bus.room(), &latched));
         kit.stop(clock.now(), latched);
     }
     let mut driver = Driver {

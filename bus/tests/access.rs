@@ -4,13 +4,14 @@
 mod common;
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use common::{Keys, LIMIT, ROOM, router};
 use heliostat_bus::*;
 use heliostat_proto::{NodeKind, Room};
+use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
 const KEYS: [&str; 19] = [
@@ -66,56 +67,61 @@ const PRESENCE: [(AccessRole, &[NodeKind]); 8] = [
 /// Keys that a session received, without the prefix of the room.
 struct Received {
     keys: Arc<Mutex<BTreeSet<String>>>,
+    is_connected: Arc<AtomicBool>,
     _subscription: Subscription,
 }
 
 impl Received {
     fn everything(bus: &Bus) -> Self {
-        let keys: Arc<Mutex<BTreeSet<String>>> = Arc::default();
-        let kept = Arc::clone(&keys);
+        let (keys, is_connected): (Arc<Mutex<BTreeSet<String>>>, Arc<AtomicBool>) = Default::default();
+        let (kept, connected) = (Arc::clone(&keys), Arc::clone(&is_connected));
         let prefix = format!("heliostat/v1/{}/", bus.room());
-        let keep = move |key: &str, _: &[u8]| {
+        let keep = move |key: &str, payload: &[u8]| {
+            if payload == PROBE {
+                return connected.store(true, Ordering::SeqCst);
+            }
             kept.lock().expect("no callback panics").insert(key.strip_prefix(&prefix).unwrap_or(key).to_owned());
         };
-        Self { keys, _subscription: bus.subscribe_keyed(&bus.room().everything(), keep).expect("a valid pattern") }
+        let subscription = bus.subscribe_keyed(&bus.room().everything(), keep).expect("a valid pattern");
+        Self { keys, is_connected, _subscription: subscription }
     }
 
-    /// Waits until the key arrives, and takes all keys so far.
-    fn take_after(&self, last: &str) -> BTreeSet<String> {
-        let deadline = Instant::now() + LIMIT;
-        while !self.keys.lock().expect("no callback panics").contains(last) {
-            assert!(Instant::now() < deadline, "{last} does not arrive");
-            std::thread::sleep(Duration::from_millis(5));
+    /// The keys that arrive when the sender publishes on every one.
+    fn from(&self, sender: &Bus) -> BTreeSet<String> {
+        let publisher = |key: &str| {
+            let key = format!("heliostat/v1/{}/{key}", sender.room());
+            sender.publisher(&key, Class::RealTimeBlock).expect("a valid key")
+        };
+        let stop = publisher("mirrors/stop");
+        let others: Vec<Publisher> =
+            KEYS.iter().filter(|key| **key != "mirrors/stop").map(|key| publisher(key)).collect();
+        self.is_connected.store(false, Ordering::SeqCst);
+        wait_until("a probe arrives", || {
+            stop.put(PROBE).expect("the session is open");
+            self.is_connected.load(Ordering::SeqCst)
+        });
+        // Messages of one class keep their order: all that may arrive arrives before the stop.
+        for publisher in others.iter().chain([&stop]) {
+            publisher.put(b"content").expect("the session is open");
         }
+        wait_until("the stop arrives", || self.keys.lock().expect("no callback panics").contains("mirrors/stop"));
         std::mem::take(&mut *self.keys.lock().expect("no callback panics"))
+    }
+}
+
+/// Payload of a stop that shows that a connection works.
+const PROBE: &[u8] = b"probe";
+
+fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let deadline = Instant::now() + LIMIT;
+    while !is_so() {
+        assert!(Instant::now() < deadline, "{what}: not within the limit");
+        std::thread::sleep(Duration::from_millis(10));
     }
 }
 
 fn words(text: &str) -> BTreeSet<String> {
     text.split_whitespace().map(str::to_owned).collect()
-}
-
-/// Publishes on every key, the stop last: messages of one class keep their order, so all that may
-/// arrive has arrived before the stop.
-fn publish_everything(bus: &Bus) {
-    let room = bus.room().clone();
-    let publisher =
-        |key: &str| bus.publisher(&format!("heliostat/v1/{room}/{key}"), Class::RealTimeBlock).expect("a valid key");
-    let stop = publisher("mirrors/stop");
-    let deadline = Instant::now() + LIMIT;
-    while !stop.has_subscribers().expect("the session is open") {
-        assert!(Instant::now() < deadline, "no subscriber of the stop is known");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    for key in KEYS.iter().filter(|key| **key != "mirrors/stop") {
-        publisher(key).put(b"content").expect("the session is open");
-    }
-    stop.put(b"content").expect("the session is open");
-}
-
-fn expect_rights(sender: &Bus, receiver: &Received, role: AccessRole, keys: &str) {
-    publish_everything(sender);
-    assert_eq!(receiver.take_after("mirrors/stop"), words(keys), "{role}");
 }
 
 #[test]
@@ -126,7 +132,7 @@ fn a_listening_peer_accepts_from_each_role_only_its_own_keys() {
     let received = Received::everything(&driver);
     for (role, rights) in RIGHTS {
         let sender = keys.open(role, |config| config.connect_to(&endpoint));
-        expect_rights(&sender, &received, role, rights);
+        assert_eq!(received.from(&sender), words(rights), "{role}");
         sender.close().expect("the session closes");
     }
 }
@@ -138,7 +144,7 @@ fn a_connecting_peer_accepts_from_each_role_only_its_own_keys() {
         let endpoint = common::tls_endpoint();
         let sender = keys.open(role, |config| config.listen_at(&endpoint));
         let viewer = keys.open(AccessRole::Viewer, |config| config.connect_to(&endpoint));
-        expect_rights(&sender, &Received::everything(&viewer), role, rights);
+        assert_eq!(Received::everything(&viewer).from(&sender), words(rights), "{role}");
     }
 }
 
@@ -150,7 +156,7 @@ fn a_router_forwards_from_each_role_only_its_own_keys() {
     let received = Received::everything(&viewer);
     for (role, rights) in RIGHTS {
         let sender = keys.client(role, &endpoint);
-        expect_rights(&sender, &received, role, rights);
+        assert_eq!(received.from(&sender), words(rights), "{role}");
         sender.close().expect("the session closes");
     }
     common::close(router);
@@ -177,8 +183,7 @@ fn every_role_receives_every_key_of_its_room() {
                 } else {
                     keys.open(sender, |config| config.connect_to(&endpoint))
                 };
-                publish_everything(&sender);
-                found.extend(received.take_after("mirrors/stop"));
+                found.extend(received.from(&sender));
             }
             assert_eq!(found, expected, "{role}, through a router: {connect}");
         }
@@ -235,11 +240,9 @@ fn only_the_roles_that_drive_mirrors_answer_queries_of_their_capabilities() {
         for [answering, asking] in [peers, clients] {
             let key = answering.room().capabilities();
             let _service = answering.serve(&key, |answer| answer.extend(b"capabilities")).expect("a valid key");
-            // A query of the answering role shows that the connection carries queries.
             let is_driver = matches!(role, AccessRole::Driver | AccessRole::Simulator);
-            let received = Received::everything(&asking);
-            publish_everything(&answering);
-            received.take_after("mirrors/stop");
+            // Both are connected when a message passes.
+            Received::everything(&asking).from(&answering);
             let ask = || asking.fetch(&key, Duration::from_secs(1)).expect("a valid key");
             let deadline = Instant::now() + LIMIT;
             let mut answers = ask();
@@ -253,24 +256,50 @@ fn only_the_roles_that_drive_mirrors_answer_queries_of_their_capabilities() {
     common::close(router);
 }
 
-#[test]
-fn a_certificate_gives_no_right_in_another_room() {
-    let (lab, hall) = (Keys::new(), Keys::of_room("hall"));
-    // Both rooms trust one authority: the worst case, since each room normally has its own.
-    hall.adopt(&lab);
-    let endpoint = common::tls_endpoint();
-    let driver = lab.open(AccessRole::Driver, |config| config.listen_at(&endpoint));
-    let received = Received::everything(&driver);
-    let foreign = zenoh_session(hall.folder(), AccessRole::Operator, &endpoint).expect("the certificate is accepted");
-    let control = lab.open(AccessRole::Viewer, |config| config.connect_to(&endpoint));
+/// Payload of a session without rights.
+const FOREIGN: &[u8] = b"foreign";
+
+/// Publishes, subscribes and announces by a session without rights; nothing of it has an effect.
+fn expect_no_right(foreign: &zenoh::Session, receiving: &Bus, member: &Bus, name: &str) {
+    let room = receiving.room();
+    let found: Arc<Mutex<BTreeSet<String>>> = Arc::default();
+    let kept = Arc::clone(&found);
+    let keep = move |sample: zenoh::sample::Sample| {
+        // Its own payloads come back to it within its process.
+        if *sample.payload().to_bytes() != *FOREIGN {
+            kept.lock().expect("no callback panics").insert(sample.key_expr().to_string());
+        }
+    };
+    let _subscription = foreign.declare_subscriber(room.everything()).callback(keep).wait().expect("a valid pattern");
+    let _token = foreign.liveliness().declare_token(room.alive(NodeKind::Driver, 9)).wait().expect("a valid key");
+    let received = Received::everything(receiving);
     for key in KEYS {
-        zenoh::Wait::wait(foreign.put(format!("heliostat/v1/{ROOM}/{key}"), b"foreign")).expect("the session is open");
+        foreign.put(format!("heliostat/v1/{room}/{key}"), FOREIGN).wait().expect("the session is open");
     }
-    expect_rights(&control, &received, AccessRole::Viewer, "mirrors/stop status/viewer");
+    // What both members publish after that arrives, and nothing else does.
+    assert_eq!(received.from(member), words("mirrors/stop status/viewer"), "{name}");
+    Received::everything(member).from(receiving);
+    assert_eq!(receiving.alive(&room.all_alive(), Duration::from_secs(1)), Ok(Vec::new()), "{name}");
+    assert_eq!(*found.lock().expect("no callback panics"), BTreeSet::new(), "{name}");
 }
 
-fn zenoh_session(folder: &Path, role: AccessRole, endpoint: &str) -> Result<zenoh::Session, zenoh::Error> {
-    common::foreign(Some((folder, role)), folder, endpoint)
+#[test]
+fn a_certificate_of_the_authority_with_another_name_gives_no_right() {
+    let keys = Keys::new();
+    let (router, router_endpoint) = router(keys.folder());
+    let endpoint = common::tls_endpoint();
+    let driver = keys.open(AccessRole::Driver, |config| config.listen_at(&endpoint));
+    let viewer = keys.open(AccessRole::Viewer, |config| config.connect_to(&endpoint));
+    let clients =
+        [keys.client(AccessRole::Driver, &router_endpoint), keys.client(AccessRole::Viewer, &router_endpoint)];
+    // The name of another room, and names that only resemble a role of this one.
+    for name in ["heliostat-hall-operator", "heliostat-lab-operators", "heliostat-lab-*", "HELIOSTAT-LAB-OPERATOR"] {
+        let folder = keys.of_name(name);
+        let open = |endpoint| common::foreign(Some((folder.path(), AccessRole::Operator)), keys.folder(), endpoint);
+        expect_no_right(&open(&endpoint).expect("the authority signed it"), &driver, &viewer, name);
+        expect_no_right(&open(&router_endpoint).expect("the authority signed it"), &clients[0], &clients[1], name);
+    }
+    common::close(router);
 }
 
 #[test]
@@ -302,7 +331,7 @@ fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing(
         keys.open(AccessRole::Viewer, |config| config.connect_to(&endpoint)),
         keys.client(AccessRole::Viewer, &router_endpoint),
     ]) {
-        expect_rights(&sender, received, AccessRole::Viewer, "mirrors/stop status/viewer");
+        assert_eq!(received.from(&sender), words("mirrors/stop status/viewer"));
     }
     common::close(router);
 }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use heliostat_bus::BusArgs;
+use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_driver::calibration_store;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
@@ -49,7 +49,7 @@ impl Args {
         };
         Ok(Settings {
             scenario: self.scenario.load()?,
-            bus: self.bus.config_or_listen()?,
+            bus: self.bus.config_or_listen(&[AccessRole::Simulator])?,
             pace,
             metrics: self.metrics,
             calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,

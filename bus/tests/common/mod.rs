@@ -26,13 +26,8 @@ pub struct Keys {
 impl Keys {
     /// Keys of the tests' room.
     pub fn new() -> Self {
-        Self::of_room(ROOM)
-    }
-
-    /// Keys of a room.
-    pub fn of_room(room: &str) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let room = Room::new(room).expect("a valid name");
+        let room = Room::new(ROOM).expect("a valid name");
         keys::init(&room, folder.path(), &keys::Terms::of_days(1, &[])).expect("an empty folder");
         Self { folder }
     }
@@ -41,17 +36,32 @@ impl Keys {
         self.folder.path()
     }
 
-    /// Takes the authority's key of other keys, and makes all certificates again.
+    /// Takes the authority of other keys, and makes all certificates again.
     pub fn adopt(&self, other: &Self) {
-        let key = "ca.key";
-        std::fs::copy(other.folder().join(key), self.folder().join(key)).expect("both are folders of keys");
-        // The certificate names the room, so the authority of another room keeps its own name.
-        if Certificate::read(&self.folder().join("ca.pem")).map(|own| own.common_name)
-            == Certificate::read(&other.folder().join("ca.pem")).map(|own| own.common_name)
-        {
-            std::fs::copy(other.folder().join("ca.pem"), self.folder().join("ca.pem")).expect("a file");
+        for file in ["ca.key", "ca.pem"] {
+            std::fs::copy(other.folder().join(file), self.folder().join(file)).expect("both are folders of keys");
         }
         keys::renew(self.folder(), self.folder(), keys::end_after(1)).expect("a folder of keys");
+    }
+
+    /// An operator's files with another common name, signed by the authority of these keys.
+    pub fn of_name(&self, name: &str) -> TempDir {
+        let read = |file: &str| std::fs::read_to_string(self.folder().join(file)).expect("a folder of keys");
+        let authority = rcgen::KeyPair::from_pem(&read("ca.key")).expect("a private key");
+        let named = |name: &str| {
+            let mut params = rcgen::CertificateParams::new(vec!["127.0.0.1".to_owned()]).expect("an address");
+            params.distinguished_name.remove(rcgen::DnType::CommonName);
+            params.distinguished_name.push(rcgen::DnType::CommonName, name);
+            params
+        };
+        let common_name = Certificate::read(&self.folder().join("ca.pem")).expect("a certificate").common_name;
+        let issuer = rcgen::Issuer::new(named(&common_name), authority);
+        let key = rcgen::KeyPair::generate().expect("a key");
+        let certificate = named(name).signed_by(&key, &issuer).expect("a certificate");
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        std::fs::write(folder.path().join("operator.pem"), certificate.pem()).expect("a file");
+        std::fs::write(folder.path().join("operator.key"), key.serialize_pem()).expect("a file");
+        folder
     }
 
     /// Makes all certificates again, so that they have expired.
@@ -112,7 +122,8 @@ fn tls(settings: &[(&str, PathBuf)]) -> zenoh::Config {
     config
 }
 
-/// A session of a program that ignores all rules on its own side. It connects at once or fails.
+/// A session of a program without rules of its own. It connects at once or fails. As a client it
+/// publishes whether or not it knows of a subscriber.
 pub fn foreign(
     identity: Option<(&Path, AccessRole)>,
     authority: &Path,
@@ -125,6 +136,7 @@ pub fn foreign(
     }
     let mut config = tls(&settings);
     let mut set = |key: &str, value: &str| config.insert_json5(key, value).expect("a valid setting");
+    set("mode", "\"client\"");
     set("transport/link/tls/enable_mtls", if identity.is_some() { "true" } else { "false" });
     set("connect/endpoints", &format!("[{endpoint:?}]"));
     set("connect/timeout_ms", REFUSAL_LIMIT_MS);

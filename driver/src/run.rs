@@ -225,8 +225,9 @@ impl<D: Device> Driver<D> {
             }
             self.logged_problem.clone_from(&summary.last_problem);
         }
+        let is_recorded = self.record.problem().is_none();
         if let Some(exporter) = &self.exporter {
-            exporter.publish(metrics::page(&self.room, &summary, self.kit.array().state()));
+            exporter.publish(metrics::page(&self.room, &summary, self.kit.array().state(), is_recorded));
         }
         let stamp = self.stamp(2, now);
         let mut status = NodeStatus {

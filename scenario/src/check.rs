@@ -20,7 +20,7 @@ pub const SPEED_M_S: RangeInclusive<f64> = 1e-3..=50.0;
 const OBSTACLES_MEAN_MAX: f64 = 800.0;
 /// Largest number of rays: points of all panels x mirrors x users x branches of a receiver. The
 /// time of one evaluation of the channel grows with it.
-const RAYS_MAX: usize = 1 << 32;
+const RAYS_MAX: usize = 1 << 30;
 
 impl Scenario {
     /// Checks every value.

@@ -5,7 +5,7 @@
 
 Its mirrors are lists of angles: replace `Mirrors.turn` with calls of your hardware. The rest implements section 4 of
 CONTRACT.md, "Rules for a driver". The emergency stop is kept in $STATE_DIRECTORY, or in the present folder. The first
-start is stopped: re-arm it with `heliostat driver rearm`.
+start is stopped: re-arm it with `heliostat rearm`.
 """
 import json
 import os

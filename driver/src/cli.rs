@@ -6,13 +6,13 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use heliostat_array::Kit;
 use heliostat_array::moment::Moment;
-use heliostat_bus::BusArgs;
-use heliostat_proto::{Room, SafetyReport, Stamp};
+use heliostat_bus::{AccessRole, BusArgs};
+use heliostat_proto::{Room, Stamp};
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::config::Config;
 use crate::stop_record::StopRecordSettings;
-use crate::{calibration_store, check, rearm, run};
+use crate::{calibration_store, check, run};
 
 /// Flags of the driver.
 #[derive(Clone, Debug, clap::Args)]
@@ -33,11 +33,6 @@ enum Command {
     /// An array that starts stopped because its last state is unknown is re-armed first. A stop of
     /// an operator stays in force: the check then ends with an error.
     Check(CheckArgs),
-    /// Release the emergency stop of a room: the array parks, and follows commands again
-    ///
-    /// The release names the stop that the driver reports, so it releases no later stop, and the
-    /// clocks of both machines do not matter.
-    Rearm(RearmArgs),
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -81,18 +76,6 @@ struct CheckArgs {
     json: bool,
 }
 
-#[derive(Clone, Debug, clap::Args)]
-struct RearmArgs {
-    #[command(flatten)]
-    bus: BusArgs,
-    /// Your name, for the log
-    #[arg(long, value_name = "NAME", default_value = "heliostat driver rearm")]
-    operator: String,
-    /// Why the mirrors may move again, for the log
-    #[arg(long, value_name = "TEXT", default_value = "")]
-    reason: String,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -102,7 +85,6 @@ pub fn run(args: Args) -> Result<()> {
     match args.command {
         Command::Run(args) => drive(&args),
         Command::Check(args) => check_driver(&args),
-        Command::Rearm(args) => release(&args),
     }
 }
 
@@ -113,7 +95,7 @@ fn drive(args: &RunArgs) -> Result<()> {
         let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
         kit.handle_calibration(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
     }
-    let bus = args.bus.config_or_connect()?;
+    let bus = args.bus.config_or_connect(&[AccessRole::Driver])?;
     let stop = args.end.stop()?;
     args.log.start();
     tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
@@ -132,9 +114,9 @@ fn drive(args: &RunArgs) -> Result<()> {
 fn check_driver(args: &CheckArgs) -> Result<()> {
     let mut flags = args.bus.clone();
     if let Some(key) = &args.key {
-        flags.room = room_of(key)?.to_string();
+        flags.room = Some(room_of(key)?.to_string());
     }
-    let report = check::run(&flags.config_or_connect()?)?;
+    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?)?;
     if args.json {
         output::line(serde_json::to_string_pretty(&report)?)?
     } else {
@@ -142,13 +124,6 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
     }
     let broken = report.broken().count();
     ensure!(broken == 0, "the driver of room \"{}\" breaks {broken} rules of the contract", report.room);
-    Ok(())
-}
-
-fn release(args: &RearmArgs) -> Result<()> {
-    let report = rearm::rearm(&args.bus.config_or_connect()?, &args.operator, &args.reason)?;
-    let SafetyReport { stop_source, stop_sequence, operator, reason, .. } = report;
-    output::line(format!("released: stop {stop_source:016x}/{stop_sequence} of {operator:?}: {reason:?}"))?;
     Ok(())
 }
 

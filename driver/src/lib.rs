@@ -9,7 +9,6 @@
 //! - [`check`]: the conformance check, which tests any driver against the contract.
 //! - [`clock`]: both times of a room; [`calibration_store`]: calibration files on disk;
 //!   [`stop_record`]: the emergency stop on disk.
-//! - [`rearm`]: the end of an emergency stop, by its name.
 
 pub mod calibration_store;
 pub mod check;
@@ -18,7 +17,6 @@ pub mod clock;
 pub mod config;
 pub mod devices;
 mod metrics;
-pub mod rearm;
 pub mod receive_queue;
 pub mod run;
 pub mod session;

@@ -13,10 +13,10 @@ use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 
 use crate::clock::Clock;
+use crate::metrics;
 use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
-use crate::stop_record::{StopRecord, StopRecordSettings};
+use crate::stop_record::{self, StopRecord, StopRecordSettings};
 use crate::summary::Summary;
-use crate::{metrics, rearm};
 
 /// Time between two telemetry messages; the contract requires ten per second.
 const TELEMETRY: Duration = Duration::from_millis(50);
@@ -44,21 +44,13 @@ pub struct Settings {
     pub metrics: MetricsArgs,
     /// Where the emergency stop is kept over a restart.
     pub record: StopRecordSettings,
-    /// Whether re-arms of kind 9 are refused, as in an authenticated room.
-    pub refuse_unnamed_rearm: bool,
 }
 
 impl Settings {
     /// A driver that runs until it is stopped, serves no metrics, and starts stopped: it keeps no
     /// state.
     pub fn new(bus: BusConfig) -> Self {
-        Self {
-            bus,
-            run_for: None,
-            metrics: MetricsArgs::default(),
-            record: StopRecordSettings::default(),
-            refuse_unnamed_rearm: false,
-        }
+        Self { bus, run_for: None, metrics: MetricsArgs::default(), record: StopRecordSettings::default() }
     }
 }
 
@@ -94,9 +86,10 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     let clock = Clock::start_in(Duration::ZERO);
     let source = source_id::random();
     let (record, stop_at_start) = StopRecord::open(&settings.record, bus.room(), clock.now().room_ns);
-    kit.refuse_unnamed_rearm(settings.refuse_unnamed_rearm);
+    // Every role may publish under the key of the stop, only operators under that of the re-arm.
+    kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
     if let Some(latched) = stop_at_start {
-        tracing::warn!("{}", rearm::advice(bus.room(), &latched));
+        tracing::warn!("{}", stop_record::advice(bus.room(), &latched));
         kit.stop(clock.now(), latched);
     }
     let mut driver = Driver {
@@ -232,8 +225,9 @@ impl<D: Device> Driver<D> {
             }
             self.logged_problem.clone_from(&summary.last_problem);
         }
+        let is_recorded = self.record.problem().is_none();
         if let Some(exporter) = &self.exporter {
-            exporter.publish(metrics::page(&self.room, &summary, self.kit.array().state()));
+            exporter.publish(metrics::page(&self.room, &summary, self.kit.array().state(), is_recorded));
         }
         let stamp = self.stamp(2, now);
         let mut status = NodeStatus {

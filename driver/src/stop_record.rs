@@ -135,3 +135,14 @@ fn replace(file: &Path, text: &str) -> io::Result<()> {
 fn empty(file: &Path) -> io::Result<()> {
     OpenOptions::new().write(true).create(true).truncate(true).open(file)?.sync_all()
 }
+
+/// Why an array starts stopped, and how it is released.
+pub fn advice(room: &Room, stop: &LatchedStop) -> String {
+    // Escaped: both texts can come from any process of the room.
+    let [operator, reason] = [&stop.operator, &stop.reason].map(|text| text.escape_debug().to_string());
+    let by = if operator.is_empty() { operator } else { format!(" by {operator}") };
+    format!(
+        "the array starts stopped{by}: {reason}. When its mirrors may move, re-arm it: \
+         heliostat rearm --room {room}, with an endpoint of this driver"
+    )
+}

@@ -260,6 +260,6 @@ fn an_array_that_an_operator_stopped_is_not_checked() {
         let refusal = check::run(&config.connect_to(&endpoint));
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
-        assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat driver rearm"), "{refusal}");
+        assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");
     });
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use heliostat_bus::BusArgs;
+use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_driver::calibration_store;
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_scenario::ScenarioArgs;
@@ -55,9 +55,12 @@ impl Args {
             Some(ticks) => Pace::Lockstep { ticks },
             None => Pace::Live { duration: self.end.seconds },
         };
+        let bus = self.bus.config_or_listen(&[AccessRole::Simulator])?;
         Ok(Settings {
             scenario: self.scenario.load()?,
-            bus: self.bus.config_or_listen()?,
+            // Every role may publish on the key of an unnamed re-arm.
+            refuse_unnamed_rearm: bus.is_authenticated(),
+            bus,
             pace,
             metrics: self.metrics,
             calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,
@@ -65,7 +68,6 @@ impl Args {
                 .state
                 .clone()
                 .map(|directory| StopRecordSettings { directory: Some(directory), start_armed: self.start_armed }),
-            refuse_unnamed_rearm: false,
         })
     }
 }

@@ -5,8 +5,8 @@ use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
-use heliostat_driver::rearm;
 use heliostat_driver::receive_queue::Arrival;
+use heliostat_driver::stop_record;
 use heliostat_driver::stop_record::StopRecord;
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_scenario::Scenario;
@@ -82,11 +82,12 @@ impl Node {
         }
         let session = RoomSession::open(&settings.bus, reports, telemetry)?;
         let clock = session.clock();
-        room.refuse_unnamed_rearm(settings.refuse_unnamed_rearm);
+        // Every role may publish under the key of the stop, only operators under that of the re-arm.
+        room.refuse_unnamed_rearm(settings.bus.is_authenticated());
         let record = settings.record.as_ref().map(|record| {
             let (record, stop_at_start) = StopRecord::open(record, &settings.bus.room, clock.now().room_ns);
             if let Some(stop) = stop_at_start {
-                tracing::warn!("{}", rearm::advice(&settings.bus.room, &stop));
+                tracing::warn!("{}", stop_record::advice(&settings.bus.room, &stop));
                 room.stop(clock.now(), stop);
             }
             record

@@ -166,7 +166,7 @@ fn a_stop_survives_the_end_of_the_driver_and_no_mirror_turns_until_the_rearm() {
     });
     assert_eq!(room.orders(), ["hello", "stop"], "the board receives no angles");
     assert!(driver.errors().contains("the array starts stopped by ann"), "{}", driver.errors());
-    assert!(driver.errors().contains("heliostat driver rearm --room kept"), "{}", driver.errors());
+    assert!(driver.errors().contains("heliostat rearm --room kept"), "{}", driver.errors());
     room.rearm(0xabc, 1);
     wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
     room.follow();
@@ -181,9 +181,9 @@ fn an_array_whose_last_state_is_unknown_starts_stopped_and_the_command_line_rele
     let safety = room.observer.safety().expect("a safety report");
     assert_eq!((safety.stop_source, safety.stop_sequence), (0, 0));
     assert!(safety.reason.contains("the last state is unknown"), "{safety:?}");
-    let ended = Process::heliostat(&["driver", "rearm", "--room", "unknown", "--connect", &room.endpoint]).wait();
+    let ended = Process::heliostat(&["rearm", "--room", "unknown", "--connect", &room.endpoint]).wait();
     // The driver does not listen, so this command does not reach it: a peer does not forward messages.
-    assert!(ended.refusal().contains("no safety report"), "{}", ended.errors);
+    assert!(ended.refusal().contains("no array received the order"), "{}", ended.errors);
     room.rearm(0, 0);
     room.follow();
     driver.kill();
@@ -309,8 +309,8 @@ fn a_simulated_room_keeps_its_stop_where_a_folder_is_given_and_starts_parked_oth
     room.kill();
     let (_room, observer, endpoint) = start(&["--state", &state, "--start-armed"]);
     assert_eq!(state_of(&observer), ArrayState::Stopped);
-    let ended = Process::heliostat(&["driver", "rearm", "--room", "sim", "--connect", &endpoint]).wait();
-    assert!(ended.output.contains("released: stop 0000000000000003/4 of \"bob\""), "{} {}", ended.output, ended.errors);
+    let ended = Process::heliostat(&["rearm", "--room", "sim", "--connect", &endpoint]).wait();
+    assert!(ended.output.contains("the stop: 0000000000000003/4 of \"bob\""), "{} {}", ended.output, ended.errors);
     wait_until("a parked room", || state_of(&observer) == ArrayState::Parked);
     drop(_room);
     let (_room, observer, _) = start(&[]);

@@ -104,6 +104,12 @@ impl StopSwitch {
         })
     }
 
+    /// The stop in force, as the array reports it; `None` if the array is not stopped, or publishes
+    /// no safety report.
+    pub fn latched(&self) -> Option<SafetyReport> {
+        self.await_safety().filter(|report| report.stopped)
+    }
+
     /// Stops the array, and repeats the stop until telemetry confirms it; returns the time that
     /// this took.
     ///

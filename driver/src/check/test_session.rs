@@ -142,7 +142,7 @@ impl TestSession {
         let stop = stop.context("the array is stopped: re-arm it before the check, with heliostat ui")?;
         ensure!(
             (stop.stop_source, stop.stop_sequence) == (0, 0),
-            "the array is stopped by {:?}: {:?}; re-arm it before the check, with heliostat driver rearm",
+            "the array is stopped by {:?}: {:?}; re-arm it before the check, with heliostat rearm",
             stop.operator,
             stop.reason
         );

@@ -1,12 +1,12 @@
 //! `heliostat stop` and `heliostat rearm`: the emergency stop from the command line.
 
-use std::io::{self, Write};
 use std::time::Duration;
 
 use anyhow::Result;
-use heliostat_bus::{Bus, BusArgs, BusConfig};
-use heliostat_service::duration;
-use heliostat_ui::{StopSwitch, UiError};
+use heliostat_bus::{AccessRole, Bus, BusArgs};
+use heliostat_proto::SafetyReport;
+use heliostat_service::{duration, output};
+use heliostat_ui::StopSwitch;
 use serde_json::json;
 
 /// Stop all mirrors of a room at once, and wait until telemetry confirms it.
@@ -49,33 +49,53 @@ struct OrderArgs {
 
 /// Runs `heliostat stop`.
 pub fn stop(args: StopArgs) -> Result<()> {
-    args.order.carry_out("stopped", StopSwitch::stop_and_confirm)
+    let OrderArgs { reason, timeout, .. } = &args.order;
+    // Every role may stop the array, so any certificate of the folder serves.
+    let (bus, switch) = args.order.join(&[&[AccessRole::Operator], &AccessRole::ALL[..]].concat())?;
+    let took = switch.stop_and_confirm(reason, *timeout)?;
+    args.order.report(&bus, "stopped", took, None)?;
+    drop(switch);
+    Ok(bus.close()?)
 }
 
 /// Runs `heliostat rearm`.
 pub fn rearm(args: RearmArgs) -> Result<()> {
-    args.order.carry_out("released", StopSwitch::rearm_and_confirm)
+    let OrderArgs { reason, timeout, .. } = &args.order;
+    let (bus, switch) = args.order.join(&[AccessRole::Operator])?;
+    let stop = switch.latched();
+    let took = switch.rearm_and_confirm(reason, *timeout)?;
+    args.order.report(&bus, "released", took, stop)?;
+    drop(switch);
+    Ok(bus.close()?)
 }
 
 impl OrderArgs {
-    fn carry_out(
-        self,
-        outcome: &str,
-        order: impl FnOnce(&StopSwitch, &str, Duration) -> Result<Duration, UiError>,
-    ) -> Result<()> {
-        let config: BusConfig = self.bus.config_or_connect()?;
-        let bus = Bus::open(&config)?;
+    fn join(&self, roles: &[AccessRole]) -> Result<(Bus, StopSwitch)> {
+        let bus = Bus::open(&self.bus.config_or_connect(roles)?)?;
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
-        let switch = StopSwitch::new(&bus, &self.operator.unwrap_or_else(user))?;
-        let took_ms = order(&switch, &self.reason, self.timeout)?.as_secs_f64() * 1e3;
-        let room = config.room.name();
-        let mut out = io::stdout();
+        let operator = self.operator.clone().unwrap_or_else(user);
+        let switch = StopSwitch::new(&bus, &operator)?;
+        Ok((bus, switch))
+    }
+
+    fn report(&self, bus: &Bus, outcome: &str, took: Duration, stop: Option<SafetyReport>) -> Result<()> {
+        let (room, took_ms) = (bus.room().name(), took.as_secs_f64() * 1e3);
         if self.json {
-            writeln!(out, "{}", json!({ "room": room, "array": outcome, "confirmed_after_ms": took_ms }))?;
-        } else {
-            writeln!(out, "the array of room {room} is {outcome}, confirmed after {took_ms:.1} ms")?;
+            let stop = stop.map(|SafetyReport { stop_source, stop_sequence, operator, reason, .. }| {
+                json!({
+                    "source": format!("{stop_source:016x}"),
+                    "sequence": stop_sequence,
+                    "operator": operator,
+                    "reason": reason,
+                })
+            });
+            output::line(json!({ "room": room, "array": outcome, "confirmed_after_ms": took_ms, "stop": stop }))?;
+            return Ok(());
         }
-        drop(switch);
-        Ok(bus.close()?)
+        output::line(format_args!("the array of room {room} is {outcome}, confirmed after {took_ms:.1} ms"))?;
+        if let Some(SafetyReport { stop_source, stop_sequence, operator, reason, .. }) = stop {
+            output::line(format_args!("the stop: {stop_source:016x}/{stop_sequence} of {operator:?}: {reason:?}"))?;
+        }
+        Ok(())
     }
 }

@@ -66,6 +66,7 @@ impl Guard {
         telemetry: Option<&MirrorTelemetry>,
         counters: &mut Counters,
     ) -> Result<u64, DegradedMode> {
+        self.stop.handle_time(now);
         let is_stopped = telemetry.is_some_and(|report| report.state == ArrayState::Stopped);
         if self.unfit().is_some() || self.stop.is_stopped() || is_stopped {
             return Err(DegradedMode::Withheld);
@@ -138,6 +139,13 @@ impl StopLatch {
         }
     }
 
+    /// Bounds the times of the latch by `now`: a clock that was ahead and is corrected must not keep
+    /// the stop in force until the time that it showed.
+    pub fn handle_time(&mut self, now: Nanos) {
+        self.stopped_ns = self.stopped_ns.min(now);
+        self.arrived_ns = self.arrived_ns.min(now);
+    }
+
     /// Applies a re-arm that names its stop.
     pub fn handle_rearm(&mut self, rearm: &Rearm) {
         self.stopped &= (rearm.stop_source, rearm.stop_sequence) != self.name;
@@ -190,6 +198,17 @@ mod tests {
     fn a_stop_from_a_clock_that_is_ahead_is_released_by_a_later_re_arm() {
         let mut latch = stopped(3600 * S);
         latch.handle_order(20 * S, &order(StopAction::Rearm, 20 * S));
+        assert!(!latch.is_stopped());
+    }
+
+    #[test]
+    fn a_clock_that_is_set_back_does_not_keep_a_stop_in_force() {
+        let report = SafetyReport { stamp: Stamp { time_ns: 3 * S, ..Stamp::default() }, ..SafetyReport::default() };
+        let mut latch = stopped(10 * S);
+        latch.handle_safety(&report);
+        assert!(latch.is_stopped(), "the report is older than the stop");
+        latch.handle_time(S);
+        latch.handle_safety(&report);
         assert!(!latch.is_stopped());
     }
 

@@ -10,8 +10,9 @@ use heliostat_proto::Kind;
 
 use crate::INPUT_MAX;
 use crate::bounds::within_bounds;
-use crate::room::{Room, Tally};
+use crate::room::Room;
 use crate::script::Script;
+use crate::tally::Tally;
 
 /// The room after the attack of one input: a script, or after a zero byte a transcript.
 fn attack(input: &[u8]) -> Room {

@@ -12,7 +12,7 @@
 //! - [`bench_device`] and [`room`]: the real state machines, and what must always hold.
 //! - [`files`]: the readers of files; [`onnx_edits`]: edits that keep an ONNX file well-formed.
 //! - [`bounds`]: limits of time and memory for one input.
-//! - [`long_run`]: many payloads, and a page with the result.
+//! - [`long_run`]: many payloads, and a page with the result; [`tally`]: their counts.
 
 mod bench_device;
 mod bounds;
@@ -22,6 +22,7 @@ mod long_run;
 mod onnx_edits;
 mod room;
 mod script;
+mod tally;
 
 use std::time::Duration;
 

@@ -1,0 +1,190 @@
+//! The parts of the modelled room: the real kit around hardware in memory, and controllers.
+
+use std::hash::{Hash, Hasher};
+
+use heliostat_array::latch::Latch;
+use heliostat_array::moment::Moment;
+use heliostat_array::rules::{Array, Followed};
+use heliostat_array::{Device, DeviceError, Kit};
+use heliostat_channel::MirrorAngles;
+use heliostat_decide::guard::StopLatch;
+use heliostat_decide::tenure::{Evidence, Tenure};
+use heliostat_proto::*;
+
+/// UTC at the start of the model.
+pub const START_NS: Nanos = 1_800_000_000_000_000_000;
+
+/// Time of a round: each controller has one report to answer.
+pub const ROUND_NS: u64 = 500_000_000;
+
+/// Validity of a command.
+const VALIDITY_MS: u32 = 1_000;
+
+/// The instant of a round.
+pub fn instant(round: u32) -> Moment {
+    let local_ns = u64::from(round) * ROUND_NS;
+    Moment { local_ns, room_ns: START_NS + local_ns }
+}
+
+/// One mirror that turns at once; it keeps its angle when the driver crashes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hardware {
+    pub roll: f64,
+}
+
+impl Device for Hardware {
+    fn capabilities(&self) -> Capabilities {
+        let axis = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
+        Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, park_after_ms: 500, ..Capabilities::default() }
+    }
+
+    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        self.roll = angles.roll[0];
+        Ok(())
+    }
+
+    fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        into.roll[0] = self.roll;
+        Ok(true)
+    }
+
+    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+}
+
+/// A running driver. Two are equal if they behave alike from now on.
+#[derive(Clone, Debug)]
+pub struct Driver {
+    pub kit: Kit<Hardware>,
+}
+
+impl Driver {
+    /// Starts at a round as the driver does, with the latch of its record.
+    pub fn start(now: Moment, hardware: Hardware, latch: &Latch) -> Self {
+        let mut kit = Kit::new(hardware);
+        let record = Latch::parse(&latch.to_toml()).expect("the record can be read");
+        if let Some(stop) = record.stop() {
+            kit.stop(now, stop.clone().restored(now.room_ns));
+        }
+        kit.advance(now);
+        Self { kit }
+    }
+
+    /// What the telemetry shows.
+    pub fn evidence(&self) -> Evidence {
+        let array = self.kit.array();
+        let followed = array.followed().copied().unwrap_or_default();
+        Evidence::from(&MirrorTelemetry {
+            state: array.state(),
+            epoch: followed.epoch,
+            applied_sequence: followed.sequence,
+            counters: *array.counters(),
+            ..MirrorTelemetry::default()
+        })
+    }
+
+    fn key(&self) -> impl Hash + PartialEq + use<> {
+        let array: &Array = self.kit.array();
+        let Followed { epoch, sequence, .. } = array.followed().copied().unwrap_or_default();
+        let angles = [array.target().roll[0], self.kit.device().roll].map(f64::to_bits);
+        let state = array.state() as u32;
+        (state, epoch, sequence, array.changes_at_ns(), array.latch().clone(), angles, self.evidence())
+    }
+}
+
+impl PartialEq for Driver {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Hash for Driver {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.key().hash(state);
+    }
+}
+
+/// A running controller: its tenure, its latch, its clock, and the numbering of its commands.
+#[derive(Clone, Debug)]
+pub struct Controller {
+    /// Which start of which controller it is.
+    pub source: u64,
+    pub tenure: Tenure,
+    pub stop: StopLatch,
+    /// How far its clock is ahead.
+    pub ahead_ns: u64,
+    /// Whether the latest telemetry shows a stop.
+    array_stopped: bool,
+    sequence: u64,
+    last_epoch: u64,
+}
+
+impl Controller {
+    pub fn start(source: u64, tenure: Tenure, ahead_ns: u64) -> Self {
+        let stop = StopLatch::default();
+        Self { source, tenure, stop, ahead_ns, array_stopped: false, sequence: 0, last_epoch: 0 }
+    }
+
+    /// UTC by its clock.
+    pub fn clock_ns(&self, now: Moment) -> Nanos {
+        now.room_ns + self.ahead_ns
+    }
+
+    /// A report arrives: the command that answers it.
+    pub fn handle_report(&mut self, now: Moment) -> Option<MirrorCommand> {
+        let time_ns = self.clock_ns(now);
+        self.stop.handle_time(time_ns);
+        if self.stop.is_stopped() || self.array_stopped {
+            return None;
+        }
+        let epoch = self.tenure.permit(time_ns).0?;
+        self.sequence = if epoch == self.last_epoch { self.sequence + 1 } else { 1 };
+        self.last_epoch = epoch;
+        self.tenure.handle_sent(epoch, self.sequence);
+        // Each controller commands another angle, so that a change of the leader moves the mirror.
+        let roll = vec![0.1 * self.source as f32];
+        let command =
+            MirrorCommand { epoch, sequence: self.sequence, time_ns, validity_ms: VALIDITY_MS, roll, ..COMMAND };
+        Some(MirrorCommand { yaw: vec![0.0], ..command })
+    }
+
+    pub fn handle_telemetry(&mut self, now: Moment, evidence: Evidence) {
+        self.array_stopped = evidence.stopped;
+        self.tenure.handle_telemetry(self.clock_ns(now), evidence);
+    }
+
+    fn key(&self) -> impl Hash + PartialEq + use<> {
+        // The fields of the latch are private; its text shows all of them.
+        let stop = format!("{:?}", self.stop);
+        let numbers = (self.source, self.ahead_ns, self.array_stopped, self.sequence, self.last_epoch);
+        (self.tenure.clone(), stop, numbers)
+    }
+}
+
+impl PartialEq for Controller {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Hash for Controller {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.key().hash(state);
+    }
+}
+
+/// A command without angles.
+pub const COMMAND: MirrorCommand = MirrorCommand {
+    epoch: 0,
+    sequence: 0,
+    answers: 0,
+    time_ns: 0,
+    validity_ms: VALIDITY_MS,
+    roll: Vec::new(),
+    yaw: Vec::new(),
+};

@@ -1,14 +1,14 @@
 //! The flags of the controller, for its own program and for the `heliostat` command line.
 
-use std::{io::Write, path::PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use heliostat_bus::BusArgs;
+use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
 use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -78,13 +78,20 @@ impl Args {
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         source.check_used_by(self.policy).context("--model names the file of a learned policy")?;
-        let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
+        let bus = self.bus.config_or_connect(&[AccessRole::Controller])?;
+        if bus.is_authenticated() && !self.also_room.is_empty() {
+            bail!(
+                "--also-room: a certificate gives rights in one room only; start one controller with --tls for each room"
+            );
+        }
+        let rooms: Vec<&str> =
+            std::iter::once(bus.room.name()).chain(self.also_room.iter().map(String::as_str)).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
             bail!("--also-room {}: this room is already named; name each room once", twice.1);
         }
         Ok(NodeConfig {
             scenario: self.scenario.load()?,
-            bus: self.bus.config_or_connect()?,
+            bus,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
             decisions: DecisionSettings { decide_in: self.decide_in, keep_warm: self.keep_warm },
             policy: self.policy,
@@ -110,12 +117,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let machine = args.machine.obtain();
     machine.iter().for_each(|granted| tracing::info!("{granted}"));
     let summary = Summary { machine, ..node::run(&config, &stop)? };
-    // println! would panic when standard output is closed.
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+        output::line(serde_json::to_string(&summary)?)?
     } else {
-        writeln!(out, "{summary}")?;
+        output::line(summary)?
     }
     Ok(())
 }

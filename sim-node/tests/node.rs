@@ -23,6 +23,7 @@ fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
         pace,
         metrics: MetricsArgs::default(),
         calibration: None,
+        record: None,
     }
 }
 

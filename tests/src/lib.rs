@@ -4,6 +4,7 @@
 //! - [`Process`]: a built program as a process.
 //! - [`RoomObserver`]: a session that receives the messages of a room.
 //! - [`Browser`]: a browser with one page.
+//! - [`faults`]: rooms of processes, faults, and the measurement of their effects.
 //! - [`architecture`]: checks of the architecture rules, based on [`module_graph`], [`packages`]
 //!   and [`rust_source`].
 //!
@@ -12,6 +13,7 @@
 
 pub mod architecture;
 mod browser;
+pub mod faults;
 pub mod module_graph;
 mod observer;
 pub mod packages;
@@ -21,5 +23,5 @@ mod wait;
 
 pub use browser::Browser;
 pub use observer::RoomObserver;
-pub use process::{Process, programs};
+pub use process::{Ended, Process, programs};
 pub use wait::wait_until;

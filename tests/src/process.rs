@@ -34,7 +34,23 @@ impl Process {
     /// When the program is not built or does not start.
     pub fn heliostat_without_loss(arguments: &[&str]) -> Self {
         let wait = "transport/link/tx/queue/congestion_control/drop/wait_before_drop=1000000";
-        Self::start("heliostat", arguments, &[("HELIOSTAT_ZENOH", wait)])
+        Self::heliostat_under(&[], &[("HELIOSTAT_ZENOH", wait)], arguments)
+    }
+
+    /// Starts `heliostat` with these environment variables, under another program if `wrapper` is
+    /// not empty, for example `ip netns exec NAME`. The wrapper replaces itself with `heliostat`.
+    ///
+    /// # Panics
+    /// When the program is not built or does not start.
+    pub fn heliostat_under(wrapper: &[&str], variables: &[(&str, &str)], arguments: &[&str]) -> Self {
+        let path = built("heliostat");
+        match wrapper {
+            [] => Self::start(&path, arguments, variables),
+            [first, rest @ ..] => {
+                let program = [path.to_str().expect("the path is text")];
+                Self::start(Path::new(first), &[rest, &program, arguments].concat(), variables)
+            }
+        }
     }
 
     /// Starts a program of the workspace with these arguments.
@@ -42,12 +58,11 @@ impl Process {
     /// # Panics
     /// When the program is not built or does not start.
     pub fn program(name: &str, arguments: &[&str]) -> Self {
-        Self::start(name, arguments, &[])
+        Self::start(&built(name), arguments, &[])
     }
 
-    fn start(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Self {
-        let path = built(name);
-        let mut child = Command::new(&path)
+    fn start(path: &Path, arguments: &[&str], variables: &[(&str, &str)]) -> Self {
+        let mut child = Command::new(path)
             .args(arguments)
             .envs(variables.iter().copied())
             .current_dir(workspace())
@@ -67,6 +82,15 @@ impl Process {
     pub fn kill(&mut self) {
         self.child.kill().expect("the process can be killed");
         self.child.wait().expect("the process can be waited for");
+    }
+
+    /// Sends a signal by its name, for example `STOP`.
+    ///
+    /// # Panics
+    /// When the process is gone.
+    pub fn signal(&self, name: &str) {
+        let sent = Command::new("kill").args([format!("-{name}"), self.id().to_string()]).status();
+        assert!(sent.expect("there is a kill command").success(), "SIG{name} cannot be sent to process {}", self.id());
     }
 
     /// The process id.
@@ -96,6 +120,14 @@ impl Process {
     /// # Panics
     /// When it does not end within the time limit.
     pub fn wait(mut self) -> Ended {
+        self.wait_mut()
+    }
+
+    /// The same for a process that another structure holds.
+    ///
+    /// # Panics
+    /// When it does not end within the time limit.
+    pub fn wait_mut(&mut self) -> Ended {
         let mut status = None;
         wait_until("the end of a process", || {
             status = self.child.try_wait().expect("the process can be waited for");

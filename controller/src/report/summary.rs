@@ -9,6 +9,7 @@ use heliostat_decide::{
     tenure::{Standing, TenureEvent},
 };
 use heliostat_proto::{Quantiles, Room};
+use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 
 use super::stage_times::StageTimes;
@@ -237,7 +238,7 @@ impl fmt::Display for Summary {
             write!(formatter, "\nthe policy had not returned for 0.1 s at {} status checks", self.unanswered)?;
         }
         if !self.last_problem.is_empty() {
-            write!(formatter, "\nlast problem: {}", self.last_problem)?;
+            write!(formatter, "\nlast problem: {}", printable(&self.last_problem))?;
         }
         Ok(())
     }

@@ -1,15 +1,14 @@
 //! `heliostat ui`: the page and the terminal view of a running room.
 
-use std::io::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::ValueEnum;
-use heliostat_bus::{Bus, BusArgs};
+use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{duration, signals};
+use heliostat_service::{duration, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, View};
 
 /// Time between two checks for keys and signals.
@@ -39,7 +38,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let scenario = args.scenario.load()?;
-    let config = args.bus.config_or_connect()?;
+    let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
     let stop = signals::stop_on_signals()?;
 
     let bus = Bus::open(&config)?;
@@ -50,7 +49,7 @@ pub fn run(args: Args) -> Result<()> {
         Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {
-        drop(writeln!(std::io::stderr(), "{server}"));
+        output::note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     let mut display = Display::open(args.plain, &title)?;

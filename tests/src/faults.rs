@@ -1,0 +1,34 @@
+//! The fault campaign: rooms of real processes over real sockets, faults, and their measured effect.
+//!
+//! - [`FaultRoom`]: an array, a controller and a [`Witness`] that records telemetry and status.
+//! - What acts on the room: signals to its processes, a [`Proxy`] between them, a shifted
+//!   [`SystemClock`], an [`Attacker`] that publishes, a [`LoopbackBoard`] that misbehaves.
+//! - [`Effect`]: the longest gap between two accepted commands, commands lost, time to recovery.
+//! - [`Fault`]: a row of the table of faults, with the [`Promise`] that its effect must keep.
+//!
+//! With `HELIOSTAT_WRITE_FAULTS=1` each measured fault replaces its row of docs/faults.md.
+
+mod attacker;
+mod board;
+mod effect;
+mod namespace;
+pub mod page;
+mod promise;
+mod proxy;
+mod room;
+mod system_clock;
+mod table;
+mod tracker;
+mod witness;
+
+pub use attacker::{Attacker, encoded};
+pub use board::{Behaviour, LoopbackBoard};
+pub use effect::Effect;
+pub use namespace::Link;
+pub use promise::Promise;
+pub use proxy::{Direction, Proxy};
+pub use room::{Array, FaultRoom, Launch, Setup};
+pub use system_clock::SystemClock;
+pub use table::{FAULTS, Fault};
+pub use tracker::Tracker;
+pub use witness::Witness;

@@ -1,0 +1,97 @@
+//! A network namespace with two virtual links to this one, of which one can be interrupted.
+
+use std::process::Command;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+/// Distinguishes the namespaces of one process.
+static COUNT: AtomicU8 = AtomicU8::new(0);
+
+/// A network namespace with a link that can be interrupted, and one that stays up for a witness.
+pub struct Link {
+    name: String,
+    /// First bytes of the addresses on the interruptible and on the other link.
+    nets: [String; 2],
+}
+
+impl Link {
+    /// Creates the namespace; `None`, with a message, where that is not permitted and not required.
+    ///
+    /// # Panics
+    /// When it is required and not permitted.
+    pub fn create() -> Option<Self> {
+        let number = COUNT.fetch_add(1, Ordering::SeqCst);
+        let process = std::process::id();
+        let octet = 64 + process % 128;
+        let link = Self {
+            name: format!("heliostat-{process}-{number}"),
+            nets: [0, 1].map(|side| format!("10.{octet}.{}", 2 * number + side)),
+        };
+        if !link.set_up() {
+            assert!(
+                std::env::var_os("HELIOSTAT_REQUIRE_NETNS").is_none(),
+                "no network namespace can be created, which HELIOSTAT_REQUIRE_NETNS requires: run the tests as root"
+            );
+            println!("skipped: no network namespace can be created (this needs root)");
+            return None;
+        }
+        Some(link)
+    }
+
+    /// The program and arguments that start another program in the namespace.
+    pub fn wrapper(&self) -> Vec<String> {
+        ["ip", "netns", "exec", &self.name].map(str::to_owned).into()
+    }
+
+    /// Address inside the namespace that is reached over the interruptible link.
+    pub fn address(&self) -> String {
+        format!("{}.2", self.nets[0])
+    }
+
+    /// Address inside the namespace that is always reached.
+    pub fn witness_address(&self) -> String {
+        format!("{}.2", self.nets[1])
+    }
+
+    /// Interrupts the link: packets are lost in both directions.
+    pub fn cut(&self) {
+        assert!(ip(&format!("link set {} down", self.device(0))), "the link cannot be set down");
+    }
+
+    /// Ends the interruption.
+    pub fn heal(&self) {
+        assert!(ip(&format!("link set {} up", self.device(0))), "the link cannot be set up");
+    }
+
+    /// Name of the end in this namespace; at most 15 characters.
+    fn device(&self, side: usize) -> String {
+        let (_, number) = self.name.rsplit_once('-').expect("the name ends in a number");
+        format!("hs{}-{number}-{side}", std::process::id())
+    }
+
+    fn set_up(&self) -> bool {
+        let name = &self.name;
+        ip(&format!("netns add {name}"))
+            && ip(&format!("-n {name} link set lo up"))
+            && (0..2).all(|side| {
+                let (device, net) = (self.device(side), &self.nets[side]);
+                ip(&format!("link add {device} type veth peer name in{side} netns {name}"))
+                    && ip(&format!("addr add {net}.1/24 dev {device}"))
+                    && ip(&format!("-n {name} addr add {net}.2/24 dev in{side}"))
+                    && ip(&format!("link set {device} up"))
+                    && ip(&format!("-n {name} link set in{side} up"))
+            })
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        // Its links disappear with it.
+        ip(&format!("netns del {}", self.name));
+    }
+}
+
+/// Whether `ip` succeeds with these arguments.
+fn ip(arguments: &str) -> bool {
+    let output = Command::new("ip").args(arguments.split(' ')).output();
+    output.is_ok_and(|output| output.status.success())
+}

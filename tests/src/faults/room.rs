@@ -1,0 +1,335 @@
+//! A room of real processes: an array, a controller, and for a driver a board and a tracker.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::thread;
+use std::time::Duration;
+
+use heliostat_bus::{BusConfig, free_loopback_endpoint};
+use heliostat_proto::{ArrayState, Room};
+use heliostat_service::clock::utc_ns;
+use tempfile::TempDir;
+
+use crate::faults::attacker::Attacker;
+use crate::faults::board::LoopbackBoard;
+use crate::faults::effect::Effect;
+use crate::faults::proxy::Proxy;
+use crate::faults::tracker::{PERIOD, Tracker};
+use crate::faults::witness::Witness;
+use crate::process::{Ended, Process};
+use crate::wait::wait_until;
+
+/// Name of every room of the campaign.
+const ROOM: &str = "faults";
+
+/// Before a fault, the array follows for this long.
+const STEADY_NS: u64 = 500_000_000;
+
+/// Commands accepted in that time: half of those at the rate of the reports.
+const STEADY_COMMANDS: u64 = 25;
+
+/// Commands accepted after the fault before the array counts as recovered.
+const RECOVERED_COMMANDS: u64 = 20;
+
+/// After recovery, until each process has published its status again.
+const STATUS_WAIT: Duration = Duration::from_millis(1100);
+
+/// Mirrors of the loopback board.
+const BOARD_MIRRORS: usize = 6;
+
+/// What drives the mirrors of the room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Array {
+    /// `heliostat sim-node`, which also reports the users.
+    Simulated,
+    /// `heliostat driver run` with a [`LoopbackBoard`]; a [`Tracker`] reports the users.
+    Board,
+}
+
+/// How a process is started.
+#[derive(Clone, Debug, Default)]
+pub struct Launch {
+    /// Program that starts it.
+    pub wrapper: Vec<String>,
+    /// Variables in its environment.
+    pub variables: Vec<(String, String)>,
+    /// Further flags.
+    pub flags: Vec<String>,
+}
+
+impl Launch {
+    /// The same with these flags.
+    #[must_use]
+    pub fn flags(mut self, flags: &[&str]) -> Self {
+        self.flags.extend(flags.iter().map(|flag| (*flag).to_owned()));
+        self
+    }
+
+    fn start(&self, arguments: &[&str]) -> Process {
+        let wrapper: Vec<&str> = self.wrapper.iter().map(String::as_str).collect();
+        let variables: Vec<(&str, &str)> =
+            self.variables.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
+        let flags: Vec<&str> = self.flags.iter().map(String::as_str).collect();
+        Process::heliostat_under(&wrapper, &variables, &[arguments, &flags, &["--exit-with-parent", "--json"]].concat())
+    }
+}
+
+/// A room that is not started yet.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// What drives the mirrors.
+    pub array: Array,
+    /// How the simulator or the driver is started.
+    pub of_array: Launch,
+    /// How the controller is started.
+    pub of_controller: Launch,
+    /// The endpoint at which the array listens.
+    pub array_endpoint: String,
+    /// The endpoint at which the controller connects to the array, if it is another one.
+    pub link_endpoint: Option<String>,
+    controller_endpoint: String,
+}
+
+impl Setup {
+    /// A room on this machine, with direct links.
+    ///
+    /// # Panics
+    /// When no port is free.
+    pub fn new(array: Array) -> Self {
+        let endpoint = || free_loopback_endpoint().expect("a free port");
+        Self {
+            array,
+            of_array: Launch::default(),
+            of_controller: Launch::default(),
+            array_endpoint: endpoint(),
+            link_endpoint: None,
+            controller_endpoint: endpoint(),
+        }
+    }
+
+    /// Starts it, and waits until the array follows.
+    ///
+    /// # Panics
+    /// When the array does not follow within the time limit.
+    pub fn start(self) -> FaultRoom {
+        FaultRoom::start(self, None)
+    }
+
+    /// Starts it with a proxy between array and controller.
+    ///
+    /// # Panics
+    /// As for [`Setup::start`].
+    pub fn start_with_proxy(mut self) -> FaultRoom {
+        let proxy = Proxy::start(&self.array_endpoint);
+        self.link_endpoint = Some(proxy.endpoint().to_owned());
+        FaultRoom::start(self, Some(proxy))
+    }
+
+    /// A session with direct links to array and controller.
+    pub fn session(&self) -> BusConfig {
+        let room = Room::new(ROOM).expect("the name is valid");
+        BusConfig::new(room).connect_to(&self.array_endpoint).connect_to(&self.controller_endpoint)
+    }
+}
+
+/// A running room.
+pub struct FaultRoom {
+    /// The simulator or the driver.
+    pub array: Process,
+    /// The controller.
+    pub controller: Process,
+    /// Records telemetry and status.
+    pub witness: Witness,
+    setup: Setup,
+    proxy: Option<Proxy>,
+    board: Option<LoopbackBoard>,
+    tracker: Option<Tracker>,
+    folder: TempDir,
+}
+
+impl FaultRoom {
+    fn start(setup: Setup, proxy: Option<Proxy>) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let board = (setup.array == Array::Board).then(|| {
+            let board = LoopbackBoard::start(BOARD_MIRRORS);
+            std::fs::write(folder.path().join("array.toml"), board.configuration()).expect("a file can be written");
+            board
+        });
+        let (array, controller) = (start_array(&setup, &folder), start_controller(&setup));
+        let witness = Witness::connect(&setup.session());
+        let tracker = board.is_some().then(|| Tracker::start(&setup.session()));
+        let room = Self { array, controller, witness, setup, proxy, board, tracker, folder };
+        room.wait_until_steady();
+        room
+    }
+
+    /// Lets a fault happen and waits until the array follows again; returns the effect.
+    ///
+    /// The fault lasts as long as the call of `fault`, which also ends it.
+    ///
+    /// # Panics
+    /// When the array does not follow again within the time limit.
+    pub fn undergo(&mut self, fault: impl FnOnce(&mut Self)) -> Effect {
+        self.wait_until_steady();
+        let (counted, begin_ns) = (self.witness.notable_counters(), utc_ns());
+        fault(self);
+        let end_ns = utc_ns();
+        wait_until("an array that follows again after the fault", || self.has_recovered(end_ns));
+        thread::sleep(STATUS_WAIT);
+        let period_ns = u64::try_from(PERIOD.as_nanos()).expect("a short time");
+        let effect = Effect::between(&self.witness.samples(), begin_ns, end_ns, period_ns);
+        Effect { counted: self.risen(&counted), ..effect }
+    }
+
+    /// Starts the controller again, after it ended or was killed.
+    pub fn restart_controller(&mut self) {
+        self.controller = start_controller(&self.setup);
+    }
+
+    /// Starts the array again, after it ended or was killed.
+    pub fn restart_array(&mut self) {
+        self.array = start_array(&self.setup, &self.folder);
+    }
+
+    /// Ends the controller in order (SIGTERM).
+    pub fn end_controller(&mut self) -> Ended {
+        end(&mut self.controller)
+    }
+
+    /// Ends the array in order.
+    pub fn end_array(&mut self) -> Ended {
+        end(&mut self.array)
+    }
+
+    /// How the processes are started, for the next start.
+    pub fn setup_mut(&mut self) -> &mut Setup {
+        &mut self.setup
+    }
+
+    /// A second controller in the room.
+    pub fn second_controller(&self) -> Process {
+        let endpoint = free_loopback_endpoint().expect("a free port");
+        start_controller(&Setup { controller_endpoint: endpoint, ..self.setup.clone() })
+    }
+
+    /// Another process of `heliostat`, with links to array and controller.
+    pub fn start_process(&self, launch: &Launch, arguments: &[&str]) -> Process {
+        let links =
+            ["--room", ROOM, "--connect", &self.setup.array_endpoint, "--connect", &self.setup.controller_endpoint];
+        let wrapper: Vec<&str> = launch.wrapper.iter().map(String::as_str).collect();
+        Process::heliostat_under(&wrapper, &[], &[arguments, &links].concat())
+    }
+
+    /// A publisher that is no part of the room, connected to array and controller.
+    pub fn attacker(&self) -> Attacker {
+        Attacker::join(&self.setup.session())
+    }
+
+    /// A folder for files of the room.
+    pub fn folder(&self) -> PathBuf {
+        self.folder.path().to_path_buf()
+    }
+
+    /// The proxy between array and controller.
+    ///
+    /// # Panics
+    /// When the room was started without one.
+    pub fn proxy(&self) -> &Proxy {
+        self.proxy.as_ref().expect("the room has a proxy")
+    }
+
+    /// The board of a driver.
+    ///
+    /// # Panics
+    /// When the array is simulated; the same holds for the tracker.
+    pub fn board(&self) -> &LoopbackBoard {
+        self.board.as_ref().expect("the room has a board")
+    }
+
+    /// The tracker beside a driver.
+    pub fn tracker(&self) -> &Tracker {
+        self.tracker.as_ref().expect("the room has a tracker")
+    }
+
+    /// Waits until telemetry has this state.
+    ///
+    /// # Panics
+    /// When it has not within the time limit.
+    pub fn wait_for_state(&self, state: ArrayState) {
+        wait_until(&format!("telemetry with state {}", state.name()), || self.witness.state() == Some(state));
+    }
+
+    fn wait_until_steady(&self) {
+        wait_until("an array that follows steadily", || {
+            let samples = self.witness.samples();
+            let Some(last) = samples.last() else { return false };
+            let since = samples.partition_point(|sample| sample.seen_ns + STEADY_NS < last.seen_ns);
+            let recent = &samples[since..];
+            let follows = recent.iter().all(|sample| {
+                sample.state == ArrayState::Following && sample.source == last.source && sample.accepted_ns > 0
+            });
+            follows && last.accepted - recent[0].accepted >= STEADY_COMMANDS
+        });
+    }
+
+    fn has_recovered(&self, end_ns: u64) -> bool {
+        let samples = self.witness.samples();
+        let Some(last) = samples.last() else { return false };
+        let mut after = samples.iter().filter(|sample| sample.accepted_ns > end_ns && sample.source == last.source);
+        let first = after.next().map(|sample| sample.accepted);
+        last.state == ArrayState::Following && first.is_some_and(|first| last.accepted >= first + RECOVERED_COMMANDS)
+    }
+
+    /// Notable counters that have risen, largest first.
+    fn risen(&self, before: &BTreeMap<(String, u64), u64>) -> Vec<String> {
+        let after = self.witness.notable_counters();
+        let rise = |(key, count): (&(String, u64), &u64)| {
+            (count.saturating_sub(before.get(key).copied().unwrap_or(0)), key.0.clone())
+        };
+        let mut risen: Vec<_> = after.iter().map(rise).filter(|(count, _)| *count > 0).collect();
+        risen.sort_by(|one, other| other.cmp(one));
+        risen.into_iter().map(|(count, name)| format!("{name} {count}")).collect()
+    }
+}
+
+fn start_array(setup: &Setup, folder: &TempDir) -> Process {
+    let listen = ["--room", ROOM, "--listen", &setup.array_endpoint];
+    match setup.array {
+        Array::Simulated => {
+            // As often as the reports, so that each accepted command is seen; and the references
+            // seldom, because they cost much time.
+            let rates = ["--set", "streams.telemetry.rate_hz=100", "--set", "streams.truth.rate_hz=0.1"];
+            setup.of_array.start(&[&["sim-node"], &listen[..], &rates].concat())
+        }
+        Array::Board => {
+            let config = folder.path().join("array.toml").display().to_string();
+            setup.of_array.start(&[&["driver", "run", "--config", &config], &listen[..]].concat())
+        }
+    }
+}
+
+fn start_controller(setup: &Setup) -> Process {
+    let link = setup.link_endpoint.as_ref().unwrap_or(&setup.array_endpoint);
+    let flags = [
+        "controller",
+        "--policy",
+        "nearest",
+        "--room",
+        ROOM,
+        "--connect",
+        link,
+        "--listen",
+        &setup.controller_endpoint,
+    ];
+    let columns = format!("mirrors.columns={}", BOARD_MIRRORS / 2);
+    let size = match setup.array {
+        Array::Simulated => vec![],
+        Array::Board => vec!["--set", "mirrors.rows=2", "--set", &columns],
+    };
+    setup.of_controller.start(&[&flags[..], &size].concat())
+}
+
+fn end(process: &mut Process) -> Ended {
+    process.signal("TERM");
+    process.wait_mut()
+}

@@ -1,0 +1,360 @@
+//! The table of faults: what is done to a room, and what its effect may be.
+
+use crate::faults::promise::Promise::{self, Follows, FollowsAgain, ParksThenFollows, StopsThenFollows};
+
+/// A fault of the campaign.
+#[derive(Clone, Copy, Debug)]
+pub struct Fault {
+    /// Heading under which the page lists it.
+    pub group: &'static str,
+    /// Its test.
+    pub test: &'static str,
+    /// What is done.
+    pub action: &'static str,
+    /// The bound on its effect.
+    pub promise: Promise,
+}
+
+impl Fault {
+    /// The fault of a test.
+    ///
+    /// # Panics
+    /// When the table has no such row.
+    pub fn of(test: &str) -> &'static Self {
+        FAULTS
+            .iter()
+            .find(|fault| fault.test == test)
+            .unwrap_or_else(|| panic!("the table of faults has no row {test}"))
+    }
+}
+
+const fn fault(group: &'static str, test: &'static str, action: &'static str, promise: Promise) -> Fault {
+    Fault { group, test, action, promise }
+}
+
+const PROCESSES: &str = "Processes";
+const NETWORK: &str = "Network";
+const DISKS: &str = "Disks";
+const CLOCKS: &str = "Clocks";
+const PAYLOADS: &str = "Payloads";
+const STOPS: &str = "Emergency stops";
+const DUPLICATES: &str = "Duplicates";
+const FLOODS: &str = "Floods";
+const DEVICES: &str = "Devices and policies";
+
+/// All faults, in the order of the page.
+pub const FAULTS: &[Fault] = &[
+    fault(
+        PROCESSES,
+        "the_array_parks_while_the_controller_is_frozen",
+        "the controller is frozen for 3 s (SIGSTOP)",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        PROCESSES,
+        "a_killed_controller_is_replaced_by_the_next",
+        "the controller is killed (SIGKILL) and started again",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        PROCESSES,
+        "a_controller_ended_by_sigterm_is_replaced_by_the_next",
+        "the controller ends (SIGTERM) and is started again",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        PROCESSES,
+        "the_array_follows_again_after_the_simulator_was_frozen",
+        "the simulator is frozen for 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        PROCESSES,
+        "a_killed_simulator_is_served_again_after_its_restart",
+        "the simulator is killed and started again",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        PROCESSES,
+        "the_array_follows_again_after_the_driver_was_frozen",
+        "the driver is frozen for 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        PROCESSES,
+        "a_killed_driver_follows_again_after_its_restart",
+        "the driver is killed and started again",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        PROCESSES,
+        "a_driver_ended_by_sigterm_follows_again_after_its_restart",
+        "the driver ends (SIGTERM) and is started again",
+        FollowsAgain(5.0),
+    ),
+    fault(PROCESSES, "a_frozen_recorder_does_not_disturb_the_room", "a recorder is frozen for 3 s", Follows),
+    fault(PROCESSES, "a_killed_recorder_does_not_disturb_the_room", "a recorder is killed", Follows),
+    fault(PROCESSES, "a_killed_viewer_does_not_disturb_the_room", "a viewer (`heliostat ui`) is killed", Follows),
+    fault(
+        PROCESSES,
+        "three_frozen_viewers_do_not_disturb_the_room",
+        "three viewers are frozen for 8 s, beyond the lease of 5 s",
+        Follows,
+    ),
+    fault(
+        PROCESSES,
+        "the_array_parks_while_the_tracker_is_silent",
+        "the tracker ends and another one reports after 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        NETWORK,
+        "the_array_follows_again_after_a_partition_of_1_s",
+        "controller and array are partitioned for 1 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        NETWORK,
+        "the_array_parks_during_a_partition_of_3_s",
+        "controller and array are partitioned for 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        NETWORK,
+        "the_array_parks_during_a_partition_of_30_s",
+        "controller and array are partitioned for 30 s, beyond the lease of 5 s",
+        ParksThenFollows(10.0),
+    ),
+    fault(
+        NETWORK,
+        "a_connection_that_died_without_a_close_is_replaced",
+        "the connection carries no more bytes and is not closed; new ones work",
+        ParksThenFollows(15.0),
+    ),
+    fault(
+        NETWORK,
+        "closed_connections_are_opened_again",
+        "the connection of controller and array is closed",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        NETWORK,
+        "the_array_parks_while_no_command_arrives",
+        "for 3 s reports arrive at the controller, but no command at the array",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        NETWORK,
+        "a_link_between_two_hosts_that_was_down_for_3_s_is_used_again",
+        "packets between the hosts of controller and array are lost for 3 s (network namespaces)",
+        ParksThenFollows(15.0),
+    ),
+    fault(
+        NETWORK,
+        "silent_connections_do_not_delay_a_new_controller",
+        "400 TCP connections that send nothing are opened to the array, then the controller is killed and started again",
+        FollowsAgain(5.0),
+    ),
+    fault(DISKS, "a_full_disk_ends_the_recorder_and_not_the_room", "the file of a recorder can grow no more", Follows),
+    fault(
+        CLOCKS,
+        "the_array_parks_while_the_clock_of_the_controller_is_1_h_ahead",
+        "the clock of the controller is 1 h ahead for 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        CLOCKS,
+        "the_array_parks_while_the_clock_of_the_controller_is_1_h_behind",
+        "the clock of the controller is 1 h behind for 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        CLOCKS,
+        "the_array_parks_while_its_clock_is_1_h_ahead",
+        "the clock of the driver is 1 h ahead for 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        CLOCKS,
+        "the_array_parks_while_its_clock_is_1_h_behind",
+        "the clock of the driver is 1 h behind for 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        CLOCKS,
+        "the_array_parks_while_the_clock_of_the_tracker_is_1_h_ahead",
+        "the clock of the tracker is 1 h ahead for 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        CLOCKS,
+        "the_array_parks_while_the_clock_of_the_tracker_is_1_h_behind",
+        "the clock of the tracker is 1 h behind for 3 s",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        CLOCKS,
+        "a_controller_that_started_a_day_ahead_can_be_replaced",
+        "a controller starts with its clock a day ahead, the clock is corrected, and the controller is started again",
+        FollowsAgain(5.0),
+    ),
+    fault(PAYLOADS, "wrong_versions_on_every_key_are_refused", "100 payloads of another version on each key", Follows),
+    fault(PAYLOADS, "truncated_payloads_on_every_key_are_refused", "100 truncated payloads on each key", Follows),
+    fault(PAYLOADS, "oversized_payloads_on_every_key_are_refused", "3 payloads of 2 MiB on each key", Follows),
+    fault(
+        PAYLOADS,
+        "reports_and_commands_with_a_nan_are_refused",
+        "100 user reports, channel reports and commands with a NaN",
+        Follows,
+    ),
+    fault(
+        PAYLOADS,
+        "stale_reports_of_the_tracker_are_refused",
+        "100 user reports of the present source that are 10 s old",
+        Follows,
+    ),
+    fault(
+        PAYLOADS,
+        "stale_reports_of_a_foreign_source_are_not_answered",
+        "100 user reports of a foreign source that are 10 s old",
+        Follows,
+    ),
+    fault(
+        PAYLOADS,
+        "a_user_report_with_the_last_sequence_does_not_darken_the_room",
+        "a user report of the present source with sequence 2^64 - 1",
+        Follows,
+    ),
+    fault(
+        PAYLOADS,
+        "telemetry_with_the_last_sequence_is_refused",
+        "telemetry of the present source with sequence 2^64 - 1 and state stopped",
+        Follows,
+    ),
+    fault(
+        PAYLOADS,
+        "foreign_telemetry_with_the_last_epoch_is_refused",
+        "telemetry of a foreign source with epoch 2^64 - 1",
+        Follows,
+    ),
+    fault(PAYLOADS, "a_command_with_the_last_epoch_is_refused", "a command with epoch 2^64 - 1", Follows),
+    fault(
+        PAYLOADS,
+        "a_command_with_the_last_sequence_is_refused",
+        "a command of the present epoch with sequence 2^64 - 1",
+        Follows,
+    ),
+    fault(
+        PAYLOADS,
+        "a_controller_locked_out_by_a_sequence_takes_a_new_epoch",
+        "a command of the present epoch whose sequence is 900,000 ahead",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        PAYLOADS,
+        "a_command_that_claims_to_be_valid_for_49_days_does_not_keep_the_array",
+        "the controller is frozen for 3 s, and a forged command claims a validity of 2^32 - 1 ms",
+        ParksThenFollows(5.0),
+    ),
+    fault(
+        PAYLOADS,
+        "forged_capabilities_do_not_end_the_controller",
+        "3 capabilities messages of a foreign source with another size",
+        Follows,
+    ),
+    fault(PAYLOADS, "a_calibration_with_a_vanishing_gain_is_refused", "a calibration with gains of 1e-38", Follows),
+    fault(
+        PAYLOADS,
+        "wild_values_of_an_operator_are_refused_by_the_simulator",
+        "simulator controls with a speed of 1e9 m/s and a power of 3e38 W",
+        Follows,
+    ),
+    fault(
+        PAYLOADS,
+        "an_unknown_policy_is_refused_by_the_controller",
+        "10 orders to switch to a policy that does not exist",
+        Follows,
+    ),
+    fault(
+        STOPS,
+        "a_stop_of_any_sender_is_obeyed_until_its_re_arm",
+        "a foreign process stops the array, and an operator re-arms it after 1 s",
+        StopsThenFollows(5.0),
+    ),
+    fault(
+        STOPS,
+        "a_stop_from_a_fast_clock_can_be_released",
+        "a stop whose time is 1 h ahead, and a re-arm with the true time after 1 s",
+        StopsThenFollows(5.0),
+    ),
+    fault(
+        STOPS,
+        "a_re_arm_that_names_another_stop_is_refused",
+        "a stop, a re-arm that names another one, and the right re-arm after 1 s",
+        StopsThenFollows(5.0),
+    ),
+    fault(DUPLICATES, "reports_of_a_second_tracker_are_not_mixed", "a second tracker reports for 3 s", Follows),
+    fault(
+        DUPLICATES,
+        "a_second_controller_and_its_end_leave_one_controller_in_charge",
+        "a second controller starts, and ends after 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(DUPLICATES, "a_second_driver_is_refused", "a second driver starts", Follows),
+    fault(
+        FLOODS,
+        "a_flood_of_user_reports_is_survived",
+        "5000 user reports of a foreign source a second for 3 s",
+        Follows,
+    ),
+    fault(FLOODS, "a_flood_of_commands_is_survived", "5000 commands of an old epoch a second for 3 s", Follows),
+    fault(
+        FLOODS,
+        "a_flood_of_telemetry_is_survived",
+        "5000 telemetry messages of a foreign source a second for 3 s",
+        Follows,
+    ),
+    fault(
+        FLOODS,
+        "a_flood_of_invalid_stops_is_survived",
+        "5000 payloads that are no stops a second for 3 s on the key of stops",
+        Follows,
+    ),
+    fault(
+        DEVICES,
+        "the_array_follows_again_after_it_was_offline",
+        "the simulated array does not answer for 2 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        DEVICES,
+        "the_array_follows_again_after_its_reboot",
+        "the simulated array restarts within 2 s",
+        FollowsAgain(5.0),
+    ),
+    fault(
+        DEVICES,
+        "late_mirrors_do_not_end_the_commands",
+        "each command reaches the simulated mirrors 1 s late for 3 s",
+        Follows,
+    ),
+    fault(
+        DEVICES,
+        "a_slow_board_does_not_end_the_commands",
+        "the board of a driver answers after 300 ms for 3 s",
+        FollowsAgain(5.0),
+    ),
+    fault(DEVICES, "a_silent_board_is_used_again", "the board of a driver does not answer for 3 s", FollowsAgain(10.0)),
+    fault(
+        DEVICES,
+        "a_board_that_disconnects_is_reported_and_used_again",
+        "the board of a driver closes its connections for 3 s",
+        FollowsAgain(10.0),
+    ),
+    fault(
+        DEVICES,
+        "a_policy_slower_than_the_reports_does_not_end_the_commands",
+        "the controller runs policy `oracle`, slower than the reports, for 3 s",
+        Follows,
+    ),
+];

@@ -1,0 +1,166 @@
+//! A session that records telemetry and keeps the newest of every other message of a room.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+use heliostat_bus::{Bus, BusConfig, Subscription};
+use heliostat_proto::{
+    ArrayState, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, SafetyReport, UserReport,
+    codec,
+};
+use heliostat_service::clock::utc_ns;
+
+use crate::faults::effect::Sample;
+use crate::wait::wait_until;
+
+/// Counters of a status that report a fault, apart from `refused:` and `fallback:`.
+const NOTABLE: [&str; 7] =
+    ["dropped", "unanswered", "policies_refused", "lockouts", "superseded", "connections", "missed"];
+
+/// What a witness has received.
+#[derive(Debug, Default)]
+struct Received {
+    samples: Vec<Sample>,
+    telemetry: Option<MirrorTelemetry>,
+    users: Option<UserReport>,
+    command: Option<MirrorCommand>,
+    capabilities: Option<Capabilities>,
+    safety: Option<SafetyReport>,
+    statuses: BTreeMap<&'static str, NodeStatus>,
+}
+
+/// A session that records telemetry and keeps the newest of every other message of a room.
+///
+/// It has direct links to array and controller. An attacker has links of its own, and peers do not
+/// forward messages: what is recorded here was published by the processes of the room.
+pub struct Witness {
+    room: Room,
+    received: Arc<Mutex<Received>>,
+    _subscription: Subscription,
+    _bus: Bus,
+}
+
+impl Witness {
+    /// Connects to these endpoints.
+    ///
+    /// # Panics
+    /// When the bus does not open.
+    pub fn connect(config: &BusConfig) -> Self {
+        let bus = Bus::open(config).expect("the bus opens");
+        let received: Arc<Mutex<Received>> = Arc::default();
+        let taking = Arc::clone(&received);
+        let on_message =
+            move |key: &str, payload: &[u8]| taking.lock().expect("no callback panics").take(utc_ns(), key, payload);
+        let subscription = bus.subscribe_keyed(&config.room.everything(), on_message).expect("the key is valid");
+        Self { room: config.room.clone(), received, _subscription: subscription, _bus: bus }
+    }
+
+    /// The room.
+    pub fn room(&self) -> &Room {
+        &self.room
+    }
+
+    /// All telemetry so far.
+    pub fn samples(&self) -> Vec<Sample> {
+        self.with(|received| received.samples.clone())
+    }
+
+    /// The newest telemetry; waits for it if there is none yet, as for the other messages.
+    ///
+    /// # Panics
+    /// When there is none within the time limit.
+    pub fn telemetry(&self) -> MirrorTelemetry {
+        self.wait_for("telemetry", |received| received.telemetry.clone())
+    }
+
+    /// The newest user report.
+    pub fn users(&self) -> UserReport {
+        self.wait_for("a user report", |received| received.users.clone())
+    }
+
+    /// The newest command.
+    pub fn command(&self) -> MirrorCommand {
+        self.wait_for("a command", |received| received.command.clone())
+    }
+
+    /// The newest capabilities.
+    pub fn capabilities(&self) -> Capabilities {
+        self.wait_for("capabilities", |received| received.capabilities.clone())
+    }
+
+    /// The newest safety report, if there is one.
+    pub fn safety(&self) -> Option<SafetyReport> {
+        self.with(|received| received.safety.clone())
+    }
+
+    /// The state in the newest telemetry.
+    pub fn state(&self) -> Option<ArrayState> {
+        self.with(|received| received.telemetry.as_ref().map(|telemetry| telemetry.state))
+    }
+
+    /// The newest status of a kind of process.
+    pub fn status(&self, node: NodeKind) -> Option<NodeStatus> {
+        self.with(|received| received.statuses.get(node.name()).cloned())
+    }
+
+    /// The value of a counter in the newest status; 0 if it is absent.
+    pub fn counter(&self, node: NodeKind, name: &str) -> u64 {
+        let counters = self.status(node).map(|status| status.counters).unwrap_or_default();
+        counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
+    }
+
+    /// Counters of refusals and degraded modes, by process and its source.
+    pub fn notable_counters(&self) -> BTreeMap<(String, u64), u64> {
+        let is_notable =
+            |name: &str| name.starts_with("refused:") || name.starts_with("fallback:") || NOTABLE.contains(&name);
+        self.with(|received| {
+            let of = |status: &NodeStatus| {
+                let (node, source) = (status.node, status.started_ns);
+                let counters = status.counters.iter().filter(|(name, _)| is_notable(name));
+                counters.map(|(name, count)| ((format!("{node}: {name}"), source), *count)).collect::<Vec<_>>()
+            };
+            received.statuses.values().flat_map(of).collect()
+        })
+    }
+
+    fn wait_for<T>(&self, what: &str, read: impl Fn(&Received) -> Option<T>) -> T {
+        let mut found = None;
+        wait_until(what, || {
+            found = self.with(&read);
+            found.is_some()
+        });
+        found.expect("waited for")
+    }
+
+    fn with<T>(&self, read: impl FnOnce(&Received) -> T) -> T {
+        read(&self.received.lock().expect("no callback panics"))
+    }
+}
+
+impl Received {
+    fn take(&mut self, seen_ns: u64, key: &str, payload: &[u8]) {
+        match key.rsplit_once('/').map_or("", |(_, last)| last) {
+            "telemetry" => {
+                if let Ok(telemetry) = codec::decode(payload) {
+                    self.samples.push(Sample::new(seen_ns, &telemetry));
+                    self.telemetry = Some(telemetry);
+                }
+            }
+            "users" => keep(&mut self.users, payload),
+            "command" => keep(&mut self.command, payload),
+            "capabilities" => keep(&mut self.capabilities, payload),
+            "safety" => keep(&mut self.safety, payload),
+            _ => {
+                if let Ok(status) = codec::decode::<NodeStatus>(payload) {
+                    self.statuses.insert(status.node.name(), status);
+                }
+            }
+        }
+    }
+}
+
+fn keep<T: codec::Message>(slot: &mut Option<T>, payload: &[u8]) {
+    if let Ok(message) = codec::decode(payload) {
+        *slot = Some(message);
+    }
+}

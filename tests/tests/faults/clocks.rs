@@ -1,0 +1,89 @@
+//! Clocks that jump while a process runs, or are wrong at its start.
+
+use heliostat_tests::faults::{Array, Effect, Launch, Setup, SystemClock};
+
+use crate::{measure, wait_s};
+
+/// Seconds.
+const HOUR: i64 = 3600;
+
+/// The effect of a jump of the clock of one process of the room for 3 s.
+fn jump(clock: &SystemClock, array: Array, of: fn(&mut Setup) -> &mut Launch, seconds: i64) -> Effect {
+    clock.shift(0);
+    let mut setup = Setup::new(array);
+    of(&mut setup).variables = clock.variables();
+    setup.start().undergo(|_| {
+        clock.shift(seconds);
+        wait_s(3.0);
+        clock.shift(0);
+    })
+}
+
+#[test]
+fn the_array_parks_while_the_clock_of_the_controller_is_1_h_ahead() {
+    let Some(clock) = SystemClock::build() else { return };
+    measure("the_array_parks_while_the_clock_of_the_controller_is_1_h_ahead", || {
+        jump(&clock, Array::Simulated, |setup| &mut setup.of_controller, HOUR)
+    });
+}
+
+#[test]
+fn the_array_parks_while_the_clock_of_the_controller_is_1_h_behind() {
+    let Some(clock) = SystemClock::build() else { return };
+    measure("the_array_parks_while_the_clock_of_the_controller_is_1_h_behind", || {
+        jump(&clock, Array::Simulated, |setup| &mut setup.of_controller, -HOUR)
+    });
+}
+
+#[test]
+fn the_array_parks_while_its_clock_is_1_h_ahead() {
+    let Some(clock) = SystemClock::build() else { return };
+    measure("the_array_parks_while_its_clock_is_1_h_ahead", || {
+        jump(&clock, Array::Board, |setup| &mut setup.of_array, HOUR)
+    });
+}
+
+#[test]
+fn the_array_parks_while_its_clock_is_1_h_behind() {
+    let Some(clock) = SystemClock::build() else { return };
+    measure("the_array_parks_while_its_clock_is_1_h_behind", || {
+        jump(&clock, Array::Board, |setup| &mut setup.of_array, -HOUR)
+    });
+}
+
+fn jump_of_the_tracker(seconds: i64) -> Effect {
+    Setup::new(Array::Board).start().undergo(|room| {
+        room.tracker().shift_clock(seconds * 1_000_000_000);
+        wait_s(3.0);
+        room.tracker().shift_clock(0);
+    })
+}
+
+#[test]
+fn the_array_parks_while_the_clock_of_the_tracker_is_1_h_ahead() {
+    measure("the_array_parks_while_the_clock_of_the_tracker_is_1_h_ahead", || jump_of_the_tracker(HOUR));
+}
+
+#[test]
+fn the_array_parks_while_the_clock_of_the_tracker_is_1_h_behind() {
+    measure("the_array_parks_while_the_clock_of_the_tracker_is_1_h_behind", || jump_of_the_tracker(-HOUR));
+}
+
+#[test]
+fn a_controller_that_started_a_day_ahead_can_be_replaced() {
+    let Some(clock) = SystemClock::build() else { return };
+    measure("a_controller_that_started_a_day_ahead_can_be_replaced", || {
+        clock.shift(24 * HOUR);
+        Setup::new(Array::Simulated).start().undergo(|room| {
+            room.controller.kill();
+            room.setup_mut().of_controller.variables = clock.variables();
+            room.restart_controller();
+            wait_s(1.5);
+            clock.shift(0);
+            // Its commands carry the time of now, and an epoch of tomorrow.
+            wait_s(1.5);
+            room.controller.kill();
+            room.restart_controller();
+        })
+    });
+}

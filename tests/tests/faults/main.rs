@@ -1,0 +1,37 @@
+//! The fault campaign: one test for each row of the table of faults in docs/faults.md.
+//!
+//! `HELIOSTAT_WRITE_FAULTS=1` writes the measured effects to the page, and
+//! `HELIOSTAT_FAULT_RUNS=N` repeats each fault.
+
+mod clocks;
+mod devices;
+mod disks;
+mod duplicates;
+mod network;
+mod page;
+mod payloads;
+mod processes;
+mod stops;
+
+use std::time::Duration;
+
+use heliostat_tests::faults::page::{Origin, record};
+use heliostat_tests::faults::{Effect, Fault};
+
+/// Measures the effect of the fault of a test, and compares it with the bound.
+fn measure(test: &str, mut run: impl FnMut() -> Effect) {
+    let fault = Fault::of(test);
+    let runs = std::env::var("HELIOSTAT_FAULT_RUNS").map_or(1, |runs| runs.parse().expect("a number of runs"));
+    let effects: Vec<Effect> = (0..runs).map(|_| run()).collect();
+    for effect in &effects {
+        println!("{test}: {effect:?}");
+        fault.promise.check(effect).unwrap_or_else(|problem| panic!("{}: {problem}", fault.action));
+    }
+    if std::env::var_os("HELIOSTAT_WRITE_FAULTS").is_some() {
+        record(fault, &effects, &Origin::here());
+    }
+}
+
+fn wait_s(seconds: f64) {
+    std::thread::sleep(Duration::from_secs_f64(seconds));
+}

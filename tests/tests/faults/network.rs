@@ -1,0 +1,88 @@
+//! Links that are interrupted, closed or occupied.
+
+use std::net::TcpStream;
+
+use heliostat_tests::faults::{Array, Direction, Effect, Link, Setup};
+
+use crate::{measure, wait_s};
+
+fn partition(seconds: f64) -> Effect {
+    Setup::new(Array::Simulated).start_with_proxy().undergo(|room| {
+        room.proxy().partition();
+        wait_s(seconds);
+        room.proxy().heal();
+    })
+}
+
+#[test]
+fn the_array_follows_again_after_a_partition_of_1_s() {
+    measure("the_array_follows_again_after_a_partition_of_1_s", || partition(1.0));
+}
+
+#[test]
+fn the_array_parks_during_a_partition_of_3_s() {
+    measure("the_array_parks_during_a_partition_of_3_s", || partition(3.0));
+}
+
+#[test]
+fn the_array_parks_during_a_partition_of_30_s() {
+    measure("the_array_parks_during_a_partition_of_30_s", || partition(30.0));
+}
+
+#[test]
+fn a_connection_that_died_without_a_close_is_replaced() {
+    measure("a_connection_that_died_without_a_close_is_replaced", || {
+        Setup::new(Array::Simulated).start_with_proxy().undergo(|room| room.proxy().abandon_connections())
+    });
+}
+
+#[test]
+fn closed_connections_are_opened_again() {
+    measure("closed_connections_are_opened_again", || {
+        Setup::new(Array::Simulated).start_with_proxy().undergo(|room| room.proxy().close_connections())
+    });
+}
+
+#[test]
+fn the_array_parks_while_no_command_arrives() {
+    measure("the_array_parks_while_no_command_arrives", || {
+        Setup::new(Array::Simulated).start_with_proxy().undergo(|room| {
+            room.proxy().block(Direction::Forward);
+            wait_s(3.0);
+            room.proxy().heal();
+        })
+    });
+}
+
+#[test]
+fn a_link_between_two_hosts_that_was_down_for_3_s_is_used_again() {
+    let Some(link) = Link::create() else { return };
+    measure("a_link_between_two_hosts_that_was_down_for_3_s_is_used_again", || {
+        let mut setup = Setup::new(Array::Simulated);
+        let (_, port) = setup.array_endpoint.rsplit_once(':').expect("an endpoint ends in a port");
+        let [host, for_witness] =
+            [link.address(), link.witness_address()].map(|address| format!("tcp/{address}:{port}"));
+        setup.array_endpoint = for_witness;
+        setup.of_array.flags = ["--listen", &host].map(str::to_owned).into();
+        setup.of_array.wrapper = link.wrapper();
+        setup.link_endpoint = Some(host);
+        setup.start().undergo(|_| {
+            link.cut();
+            wait_s(3.0);
+            link.heal();
+        })
+    });
+}
+
+#[test]
+fn silent_connections_do_not_delay_a_new_controller() {
+    measure("silent_connections_do_not_delay_a_new_controller", || {
+        let mut silent = Vec::new();
+        Setup::new(Array::Simulated).start().undergo(|room| {
+            let address = room.setup_mut().array_endpoint.trim_start_matches("tcp/").to_owned();
+            silent.extend((0..400).map_while(|_| TcpStream::connect(&address).ok()));
+            room.controller.kill();
+            room.restart_controller();
+        })
+    });
+}

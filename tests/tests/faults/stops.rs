@@ -1,0 +1,75 @@
+//! Emergency stops of foreign senders, and their release.
+
+use heliostat_proto::{ArrayState, EmergencyStop, Rearm, StopAction};
+use heliostat_tests::faults::{Array, Attacker, FaultRoom, Setup};
+use heliostat_tests::wait_until;
+
+use crate::{measure, wait_s};
+
+/// One hour in ns.
+const HOUR_NS: u64 = 3_600_000_000_000;
+
+/// Stops the array by a stop whose time is ahead by so much, and waits until it is stopped.
+fn stop(room: &FaultRoom, operator: &Attacker, ahead_ns: u64) {
+    let mut stop = EmergencyStop { stamp: Attacker::stamp(7), action: StopAction::Stop, ..EmergencyStop::default() };
+    stop.stamp.time_ns += ahead_ns;
+    operator.publish(&operator.room().stop(), &stop);
+    room.wait_for_state(ArrayState::Stopped);
+    let accepted = room.witness.telemetry().counters.accepted;
+    wait_s(1.0);
+    assert_eq!(room.witness.telemetry().counters.accepted, accepted, "a stopped array accepts no command");
+}
+
+/// The release of the stop in force, as the safety report names it.
+fn rearm_for(room: &FaultRoom) -> Rearm {
+    let stopped = || room.witness.safety().filter(|safety| safety.stopped);
+    wait_until("a safety report of the stop", || stopped().is_some());
+    let safety = stopped().expect("received");
+    let (stop_source, stop_sequence) = (safety.stop_source, safety.stop_sequence);
+    Rearm { stamp: Attacker::stamp(1), stop_source, stop_sequence, ..Rearm::default() }
+}
+
+fn rearm(room: &FaultRoom, operator: &Attacker) {
+    operator.publish(&operator.room().rearm(), &rearm_for(room));
+}
+
+#[test]
+fn a_stop_of_any_sender_is_obeyed_until_its_re_arm() {
+    measure("a_stop_of_any_sender_is_obeyed_until_its_re_arm", || {
+        let mut room = Setup::new(Array::Simulated).start();
+        let operator = room.attacker();
+        room.undergo(|room| {
+            stop(room, &operator, 0);
+            rearm(room, &operator);
+        })
+    });
+}
+
+#[test]
+fn a_stop_from_a_fast_clock_can_be_released() {
+    measure("a_stop_from_a_fast_clock_can_be_released", || {
+        let mut room = Setup::new(Array::Board).start();
+        let operator = room.attacker();
+        room.undergo(|room| {
+            stop(room, &operator, HOUR_NS);
+            rearm(room, &operator);
+        })
+    });
+}
+
+#[test]
+fn a_re_arm_that_names_another_stop_is_refused() {
+    measure("a_re_arm_that_names_another_stop_is_refused", || {
+        let mut room = Setup::new(Array::Board).start();
+        let operator = room.attacker();
+        room.undergo(|room| {
+            stop(room, &operator, 0);
+            let right = rearm_for(room);
+            let wrong = Rearm { stop_sequence: right.stop_sequence + 1, ..right };
+            operator.publish(&operator.room().rearm(), &wrong);
+            wait_s(0.5);
+            assert_eq!(room.witness.state(), Some(ArrayState::Stopped), "a re-arm of another stop released this one");
+            rearm(room, &operator);
+        })
+    });
+}

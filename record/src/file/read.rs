@@ -7,7 +7,7 @@ use std::path::Path;
 
 use heliostat_proto::{Nanos, VERSION};
 use mcap::McapError;
-use mcap::records::Record;
+use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::{ACCOUNT_NAME, HEADER_NAME, Header, RecordingError};
@@ -107,6 +107,11 @@ impl<R: Read> Reading<R> {
                 let got = self.source.read(self.reader.insert(length));
                 self.reader.notify_read(got.map_err(|error| RecordingError::Read(error.to_string()))?);
             }
+            LinearReadEvent::Record { data, opcode } if !texts_fit(opcode, data) => {
+                let length = data.len();
+                return Err(RecordingError::Read(format!("a text is longer than its record of {length} bytes")));
+            }
+            LinearReadEvent::Record { opcode, .. } if !matches!(opcode, op::CHANNEL | op::METADATA | op::MESSAGE) => {}
             LinearReadEvent::Record { data, opcode } => match mcap::parse_record(opcode, data).map_err(unreadable)? {
                 Record::Channel(channel) => drop(self.topics.insert(channel.id, channel.topic)),
                 Record::Metadata(found) if found.name == HEADER_NAME => {
@@ -124,6 +129,32 @@ impl<R: Read> Reading<R> {
         }
         Ok(Step::Other)
     }
+}
+
+/// Whether the texts of a record end within it: the library allocates their lengths unchecked.
+///
+/// Records of other kinds are not parsed here, or have no text.
+fn texts_fit(opcode: u8, record: &[u8]) -> bool {
+    let end = match opcode {
+        // Two numbers of 16 bits, topic, encoding.
+        op::CHANNEL => record.get(4..).and_then(skip_text).and_then(skip_text),
+        op::METADATA => skip_text(record),
+        _ => return true,
+    };
+    end.is_some_and(|map| {
+        let Some(after) = skip_text(map) else { return false };
+        let mut entries = &map[4..map.len() - after.len()];
+        while let Some(rest) = skip_text(entries).and_then(skip_text) {
+            entries = rest;
+        }
+        entries.is_empty()
+    })
+}
+
+/// What follows a text or a map, which begin with their length in bytes.
+fn skip_text(bytes: &[u8]) -> Option<&[u8]> {
+    let (length, rest) = bytes.split_first_chunk()?;
+    rest.get(u32::from_le_bytes(*length) as usize..)
 }
 
 enum Step {

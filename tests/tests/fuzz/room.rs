@@ -324,7 +324,9 @@ impl Room {
                 }
                 self.array(order, Content::Rearm)
             }
-            Kind::SafetyReport => consume(&payload, |report: SafetyReport| _ = self.controller.handle_safety(&report)),
+            Kind::SafetyReport => consume(&payload, |report: SafetyReport| {
+                self.controller.handle_safety(&report);
+            }),
         };
         self.tally.count(kind, is_decoded);
         self.payload = payload;

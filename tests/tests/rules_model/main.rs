@@ -57,8 +57,8 @@ fn no_order_of_stops_and_restarts_moves_a_stopped_array() {
 
 #[test]
 fn no_order_of_starts_and_crashes_gives_an_epoch_to_two_controllers_or_locks_one_out() {
-    let once = Budgets { crashes: 1, starts: 1, lost: 1, rounds: 8, ..Budgets::default() };
-    holds(once);
+    let once = Budgets { crashes: 1, starts: 1, lost: 1, ..Budgets::default() };
+    holds(Budgets { lost: 2, rounds: 12, ..once });
     holds(Budgets { crashes: 2, starts: 2, held: 1, repeated: 1, rounds: 4, ..once });
 }
 

@@ -138,6 +138,7 @@ impl Room {
             self.payload.clear();
             self.payload.extend_from_slice(transcript.take(length));
             if let Some(kind) = kind {
+                self.tally.hostile += 1;
                 self.deliver(kind);
             }
             self.pass_time(10);
@@ -281,6 +282,7 @@ impl Room {
         let mut payload = std::mem::take(&mut self.payload);
         forge::write(script, kind, &genuine, &mut payload);
         self.payload = payload;
+        self.tally.hostile += 1;
         self.deliver(kind);
     }
 

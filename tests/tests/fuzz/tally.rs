@@ -9,6 +9,8 @@ use heliostat_proto::{Counters, Kind};
 pub struct Tally {
     /// By position in [`Kind::ALL`]: payloads, and those of them that could be decoded.
     kinds: [(u64, u64); Kind::ALL.len()],
+    /// Payloads of the attacker; all others are of the genuine processes.
+    pub hostile: u64,
     /// The counters of the kits.
     pub counters: Counters,
 }
@@ -36,6 +38,7 @@ impl Tally {
 
 impl AddAssign for Tally {
     fn add_assign(&mut self, other: Self) {
+        self.hostile += other.hostile;
         for (sum, other) in self.kinds.iter_mut().zip(other.kinds) {
             sum.0 += other.0;
             sum.1 += other.1;

@@ -155,7 +155,7 @@ impl stateright::Model for Model {
             }),
             Property::always(ONE_LEADER, |_, state: &State| !state.has_two_leaders),
             Property::always(NO_LOCKOUT, |model, state: &State| {
-                (0..2).all(|place| state.clone().is_obeyed_again(model, place))
+                (0..2).all(|place| state.clone().regains_service(model, place))
             }),
             // The model is not empty: each of these happens.
             Property::sometimes("two controllers are obeyed, one after the other", |_, state: &State| {

@@ -232,7 +232,7 @@ impl State {
 
     /// Whether the array obeys the controller at a place soon, if all else is quiet: the other
     /// controllers are gone, all clocks are right, no message is lost, and an operator re-arms.
-    pub fn is_obeyed_again(mut self, model: &Model, place: usize) -> bool {
+    pub fn regains_service(mut self, model: &Model, place: usize) -> bool {
         if let Some(packet) = self.held.take() {
             self.arrive(packet);
         }

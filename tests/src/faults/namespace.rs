@@ -47,6 +47,11 @@ impl Link {
         format!("{}.2", self.nets[0])
     }
 
+    /// Address outside the namespace, at the other end of the interruptible link.
+    pub fn host_address(&self) -> String {
+        format!("{}.1", self.nets[0])
+    }
+
     /// Address inside the namespace that is always reached.
     pub fn witness_address(&self) -> String {
         format!("{}.2", self.nets[1])

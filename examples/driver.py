@@ -4,9 +4,11 @@
     python3 examples/driver.py ROOM tcp/127.0.0.1:7447[,ENDPOINT...] ROWS COLUMNS [SECONDS]
 
 Its mirrors are lists of angles: replace `Mirrors.turn` with calls of your hardware. The rest implements section 4 of
-CONTRACT.md, "Rules for a driver".
+CONTRACT.md, "Rules for a driver". The emergency stop is kept in $STATE_DIRECTORY, or in the present folder. The first
+start is stopped: re-arm it with `heliostat rearm`.
 """
 import json
+import os
 import pathlib
 import random
 import sys
@@ -21,17 +23,57 @@ exec(CONTRACT.split("```python\n")[1].split("```")[0])  # decode, encode, Refuse
 PARKED, FOLLOWING, HOLDING, STOPPED = range(4)
 LIMIT_RAD, PARK_AFTER_NS, LEAD_NS = 1.5, 300_000_000, 50_000_000
 CLOCK, CALIBRATION = 32, 16
+VALIDITY_MAX_MS, EPOCH_LEAD_MAX, SEQUENCE_STEP_MAX = 10_000, 60_000, 1 << 32
+NO_STOP = {"stop_source": 0, "stop_sequence": 0, "stopped_ns": 0, "operator": "", "reason": ""}
+
+
+class StopFile:
+    """The emergency stop on disk. An unknown state is a stop."""
+
+    def __init__(self, room):
+        self.path = pathlib.Path(os.environ.get("STATE_DIRECTORY", "."), "driver-%s.stop.json" % room)
+
+    def read(self):
+        try:
+            stop = json.loads(self.path.read_text(encoding="utf-8"))
+            return stop if stop is None else {**NO_STOP, **{name: stop[name] for name in NO_STOP}}
+        except (OSError, ValueError, KeyError, TypeError) as problem:
+            return {**NO_STOP, "stopped_ns": time.time_ns(), "reason": "the last state is unknown: %s" % problem}
+
+    def write(self, stop):
+        """A new file replaces the old one at once; an empty file is an unknown state. False if it is not written."""
+        try:
+            new = self.path.with_suffix(".new")
+            with open(new, "w", encoding="utf-8") as file:
+                json.dump(stop, file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(new, self.path)
+            return True
+        except OSError as problem:
+            print("cannot record the emergency stop: %s; the next start must be stopped" % problem, file=sys.stderr)
+        try:
+            self.path.write_text("", encoding="utf-8")
+        except OSError as problem:
+            print("cannot empty the old record, stop again after the next start:", problem, file=sys.stderr)
+        return False
 
 
 class Mirrors:
-    def __init__(self, rows, columns):
-        self.rows, self.columns, self.count = rows, columns, rows * columns
+    def __init__(self, rows, columns, stop_file):
+        self.rows, self.columns, self.count, self.stop_file = rows, columns, rows * columns, stop_file
         self.faults, self.valid_until, self.stopped_at, self.received = 0, 0, 0, 0
         self.source = random.getrandbits(63)
         self.last = {"epoch": 0, "sequence": 0, "answers": 0}
         self.used = {"source": 0, "sequence": 0}
         self.counters = dict.fromkeys(COUNTERS, 0)
         self.park()
+        self.latch = stop_file.read()
+        if not stop_file.write(self.latch) and self.latch is None:
+            self.latch = {**NO_STOP, "stopped_ns": time.time_ns(), "reason": "the stop cannot be recorded"}
+        if self.latch is not None:
+            self.state, self.stopped_at = STOPPED, min(self.latch["stopped_ns"], time.time_ns())
+            print("starts stopped:", self.latch["reason"], file=sys.stderr)
 
     def turn(self, roll, yaw):
         """Replace this with calls of your hardware. These mirrors reach every commanded angle at once."""
@@ -54,7 +96,12 @@ class Mirrors:
         if command["time_ns"] > now + LEAD_NS:
             self.faults |= CLOCK
             return "expired"
-        return "expired" if now >= command["time_ns"] + command["validity_ms"] * 1_000_000 else None
+        if now >= command["time_ns"] + command["validity_ms"] * 1_000_000:
+            return "expired"
+        first = self.last["sequence"] if command["epoch"] == self.last["epoch"] else 0
+        beyond = (command["epoch"] > max(now // 1_000_000, self.last["epoch"]) + EPOCH_LEAD_MAX
+                  or command["sequence"] > first + SEQUENCE_STEP_MAX or command["validity_ms"] > VALIDITY_MAX_MS)
+        return "rejected" if beyond else None
 
     def command(self, payload):
         now = time.time_ns()
@@ -75,11 +122,30 @@ class Mirrors:
         self.valid_until = min(command["time_ns"], now) + command["validity_ms"] * 1_000_000
 
     def stop(self, payload):
-        order = decode(payload, 9)
+        order, now = decode(payload, 9), time.time_ns()
+        stamp = order["stamp"]
         if order["action"] == 0:
-            self.state, self.stopped_at = STOPPED, max(self.stopped_at, order["stamp"]["time_ns"])
-        elif self.state == STOPPED and order["stamp"]["time_ns"] > self.stopped_at:
-            self.park()
+            self.state, self.stopped_at = STOPPED, max(self.stopped_at, min(stamp["time_ns"], now))
+            self.set_latch({"stop_source": stamp["source"], "stop_sequence": stamp["sequence"], "stopped_ns": now,
+                            "operator": order["operator"], "reason": order["reason"]})
+        elif self.state == STOPPED and stamp["time_ns"] > self.stopped_at:
+            self.release()
+
+    def rearm(self, payload):
+        """Releases the stop that the message names; times do not matter."""
+        order = decode(payload, 13)
+        if self.state == STOPPED and all(order[name] == self.latch[name] for name in ("stop_source", "stop_sequence")):
+            self.release()
+
+    def release(self):
+        self.stopped_at = 0
+        self.park()
+        self.set_latch(None)
+
+    def set_latch(self, stop):
+        """Called before telemetry reports the state, and after the mirrors have stopped."""
+        self.latch = stop
+        self.stop_file.write(stop)
 
     def calibrate(self, payload):
         """Accepts only a calibration that changes nothing, since these mirrors have no errors to correct."""
@@ -115,13 +181,20 @@ class Mirrors:
             "columns": self.columns, "roll": axis, "yaw": axis, "feedback": 0, "validity_clock": 0,
             "command_rate_max_hz": 0.0, "park_after_ms": PARK_AFTER_NS // 1_000_000, "park_rad": [0.0, 0.0]}, 8)
 
+    def safety(self, sequence):
+        return encode({
+            "stamp": self.stamp(sequence), "stopped": self.latch is not None, **(self.latch or NO_STOP),
+            "epoch": self.last["epoch"], "validity_max_ms": VALIDITY_MAX_MS, "epoch_lead_max": EPOCH_LEAD_MAX,
+            "sequence_step_max": SEQUENCE_STEP_MAX}, 14)
+
 
 def main(room, endpoints, rows, columns, seconds="1e9"):
     config = zenoh.Config()
     for key, value in {"mode": "peer", "connect/endpoints": endpoints.split(","), "listen/endpoints": [],
                        "scouting/multicast/enabled": False, "scouting/gossip/enabled": False}.items():
         config.insert_json5(key, json.dumps(value))
-    mirrors, lock, base = Mirrors(int(rows), int(columns)), threading.Lock(), "heliostat/v1/%s/" % room
+    mirrors, lock = Mirrors(int(rows), int(columns), StopFile(room)), threading.Lock()
+    base = "heliostat/v1/%s/" % room
 
     def locked(handle):
         def callback(sample):
@@ -134,17 +207,22 @@ def main(room, endpoints, rows, columns, seconds="1e9"):
 
     with zenoh.open(config) as session:
         declared = [session.declare_subscriber(base + key, locked(handle)) for key, handle in [
-            ("mirrors/command", mirrors.command), ("mirrors/stop", mirrors.stop),
+            ("mirrors/command", mirrors.command), ("mirrors/stop", mirrors.stop), ("mirrors/rearm", mirrors.rearm),
             ("mirrors/calibration", mirrors.calibrate)]]
-        key = base + "mirrors/capabilities"
+        key, safety_key = base + "mirrors/capabilities", base + "mirrors/safety"
         declared.append(session.declare_queryable(key, lambda query: query.reply(key, mirrors.capabilities(1))))
+        declared.append(session.declare_queryable(safety_key, lambda query: query.reply(safety_key, mirrors.safety(1))))
         declared.append(session.liveliness().declare_token(base + "alive/driver/%016x" % mirrors.source))
-        end, turn = time.monotonic() + float(seconds), 0
+        end, turn, reported, reports = time.monotonic() + float(seconds), 0, None, 0
         while time.monotonic() < end:
             with lock:
                 mirrors.pass_time()
                 telemetry = mirrors.telemetry(turn + 1)
+                latch, safety = mirrors.latch, mirrors.safety(reports + 1)
             session.put(base + "mirrors/telemetry", telemetry)
+            if turn % 20 == 0 or latch != reported:
+                session.put(safety_key, safety)
+                reported, reports = latch, reports + 1
             if turn % 20 == 0:
                 session.put(key, mirrors.capabilities(turn // 20 + 1))
             turn += 1

@@ -7,6 +7,13 @@ use thiserror::Error;
 
 use crate::rules::Limits;
 
+/// Smallest and largest gain. A mirror turns by the commanded angle up to the tolerance of its
+/// drive; a gain beyond these would flatten the array, or hide its angles in telemetry.
+pub const GAIN_RANGE: [f64; 2] = [0.5, 2.0];
+
+/// Largest offset in rad, 11.5 degrees: a larger error of the mounting is corrected by hand.
+pub const OFFSET_MAX_RAD: f64 = 0.2;
+
 /// Tolerance for angles that were rounded to single precision, in rad.
 const ROUNDING_RAD: f64 = 1e-6;
 
@@ -24,8 +31,8 @@ pub enum Unfit {
         /// Sequence of the one in use.
         used: u64,
     },
-    /// A gain that reverses or cancels a turn.
-    #[error("invalid {axis} gain {gain} of mirror {mirror}: expected more than 0")]
+    /// A gain that reverses, cancels or multiplies a turn.
+    #[error("invalid {axis} gain {gain} of mirror {mirror}: expected {} to {}", GAIN_RANGE[0], GAIN_RANGE[1])]
     Gain {
         /// Roll or yaw.
         axis: &'static str,
@@ -33,6 +40,18 @@ pub enum Unfit {
         mirror: usize,
         /// Its gain.
         gain: f32,
+    },
+    /// An offset that is no error of a mounting.
+    #[error(
+        "invalid {axis} offset {offset_rad} rad of mirror {mirror}: expected at most {OFFSET_MAX_RAD} rad either way"
+    )]
+    Offset {
+        /// Roll or yaw.
+        axis: &'static str,
+        /// The first such mirror.
+        mirror: usize,
+        /// Its offset in rad.
+        offset_rad: f32,
     },
     /// A corrected angle would be beyond the range of the hardware.
     #[error(
@@ -60,6 +79,7 @@ impl Unfit {
             Self::WrongCount(error) => error.name(),
             Self::OldSequence { .. } => "old-sequence",
             Self::Gain { .. } => "gain",
+            Self::Offset { .. } => "offset",
             Self::BeyondHardware { .. } => "beyond-hardware",
         }
     }
@@ -92,8 +112,12 @@ impl Correction {
         ];
         for ((axis, gains, offsets, range), [min, max]) in axes.into_iter().zip(travel_rad) {
             for (mirror, (gain, offset)) in gains.iter().zip(offsets).enumerate() {
-                if *gain <= 0.0 {
+                let [least, most] = GAIN_RANGE;
+                if !(least..=most).contains(&f64::from(*gain)) {
                     return Err(Unfit::Gain { axis, mirror, gain: *gain });
+                }
+                if !(f64::from(*offset).abs() <= OFFSET_MAX_RAD + ROUNDING_RAD) {
+                    return Err(Unfit::Offset { axis, mirror, offset_rad: *offset });
                 }
                 let ends = range.map(|end| f64::from(*gain) * end + f64::from(*offset));
                 let outside = |end: &f64| *end < min - ROUNDING_RAD || *end > max + ROUNDING_RAD;

@@ -11,7 +11,10 @@
 //! 1. [`Kit::handle`], or one of the specific `handle_*` methods, for each message, with its
 //!    arrival time.
 //! 2. [`Kit::advance`] at [`Kit::next_ns`] at the latest: it holds, parks and reconnects.
-//! 3. [`Kit::telemetry`] and [`Kit::capabilities`] when these are due.
+//! 3. [`Kit::telemetry`], [`Kit::capabilities`] and [`Kit::safety`] when these are due.
+//!
+//! A caller that keeps the latch over a restart calls [`Kit::stop`] before the first step, and
+//! records [`Array::latch`] between the steps 1 and 3.
 //!
 //! The connection to the device has two states. A failed call leads to Down, and the array's rules
 //! continue to run there; so after a reconnection the device receives the angles that apply by
@@ -33,15 +36,19 @@
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, Calibration, Capabilities, EmergencyStop, MirrorCommand, MirrorTelemetry, Stamp};
+use heliostat_proto::{
+    ArrayState, Calibration, Capabilities, EmergencyStop, MirrorCommand, MirrorTelemetry, Rearm, SafetyReport, Stamp,
+    StopAction,
+};
 
 use crate::calibration::{Correction, Unfit};
 use crate::content::Content;
 use crate::device::{Device, DeviceError, Health};
 use crate::follow_check::FollowCheck;
+use crate::latch::LatchedStop;
 use crate::moment::Moment;
 use crate::refusal_counts::RefusalCounts;
-use crate::rules::{Array, Limits, Refusal};
+use crate::rules::{Array, Limits, RearmRefusal, Refusal};
 
 /// First pause before a reconnection in ns; it doubles with each failure.
 const PAUSE_MIN_NS: u64 = 100_000_000;
@@ -64,6 +71,7 @@ pub struct Kit<D> {
     array: Array,
     correction: Correction,
     calibration_refused: bool,
+    unnamed_rearm_refused: bool,
     follow_check: FollowCheck,
     link: Link,
     connections: u64,
@@ -87,6 +95,7 @@ impl<D: Device> Kit<D> {
             array,
             correction: Correction::default(),
             calibration_refused: false,
+            unnamed_rearm_refused: false,
             link: Link::Down { retry_at_ns: 0, pause_ns: PAUSE_MIN_NS },
             connections: 0,
             last_problem: None,
@@ -129,8 +138,18 @@ impl<D: Device> Kit<D> {
                 self.array.count_malformed();
                 refused.note("command", error.name(), &error);
             }
-            Content::Stop(Ok(order)) => self.handle_stop(at, &order),
+            Content::Stop(Ok(order)) => {
+                if let Err(refusal) = self.handle_stop(at, &order) {
+                    refused.note("rearm", refusal.name(), &refusal);
+                }
+            }
             Content::Stop(Err(error)) => refused.note("stop", error.name(), &error),
+            Content::Rearm(Ok(order)) => {
+                if let Err(refusal) = self.handle_rearm(at, &order) {
+                    refused.note("rearm", refusal.name(), &refusal);
+                }
+            }
+            Content::Rearm(Err(error)) => refused.note("rearm", error.name(), &error),
             Content::Calibration(Ok(calibration)) => {
                 if let Err(unfit) = self.handle_calibration(at, &calibration) {
                     refused.note("calibration", unfit.name(), &unfit);
@@ -155,17 +174,45 @@ impl<D: Device> Kit<D> {
         Ok(())
     }
 
-    /// Applies a stop or a re-arm.
+    /// Refuses re-arms of kind 9 from now on: any process that may stop can publish one.
+    pub fn refuse_unnamed_rearm(&mut self, refuse: bool) {
+        self.unnamed_rearm_refused = refuse;
+    }
+
+    /// Latches a stop and stops the device.
     ///
     /// Every stop stops the device again, because an earlier one may not have reached it.
-    pub fn handle_stop(&mut self, now: Moment, order: &EmergencyStop) {
+    pub fn stop(&mut self, now: Moment, stop: LatchedStop) {
+        self.array.stop(stop);
+        self.halt(now);
+    }
+
+    /// Applies a stop, or a re-arm of kind 9.
+    ///
+    /// # Errors
+    /// [`RearmRefusal`]: a re-arm that releases nothing.
+    pub fn handle_stop(&mut self, now: Moment, order: &EmergencyStop) -> Result<(), RearmRefusal> {
         self.advance(now);
-        let changed = self.array.handle_stop(order);
-        if self.array.state() == ArrayState::Stopped {
-            self.halt(now);
-        } else if changed {
-            self.apply_target(now);
+        if order.action == StopAction::Rearm && self.unnamed_rearm_refused {
+            return Err(RearmRefusal::Unnamed);
         }
+        self.array.handle_stop(now, order)?;
+        match order.action {
+            StopAction::Stop => self.halt(now),
+            StopAction::Rearm => self.apply_target(now),
+        }
+        Ok(())
+    }
+
+    /// Applies a re-arm that names the stop.
+    ///
+    /// # Errors
+    /// [`RearmRefusal`]: it names another stop, or none is latched.
+    pub fn handle_rearm(&mut self, now: Moment, order: &Rearm) -> Result<(), RearmRefusal> {
+        self.advance(now);
+        self.array.handle_rearm(order)?;
+        self.apply_target(now);
+        Ok(())
     }
 
     /// Uses a calibration from now on; the present target is corrected at once.
@@ -226,6 +273,26 @@ impl<D: Device> Kit<D> {
     /// The capabilities of the array.
     pub fn capabilities(&self, stamp: Stamp) -> Capabilities {
         Capabilities { stamp, ..self.capabilities.clone() }
+    }
+
+    /// The emergency stop in force, and the bounds on commands.
+    pub fn safety(&self, stamp: Stamp) -> SafetyReport {
+        let stop = self.array.latch().stop();
+        let bounds = self.array.limits().bounds;
+        let LatchedStop { source, sequence, arrived_ns, operator, reason, .. } = stop.cloned().unwrap_or_default();
+        SafetyReport {
+            stamp,
+            stopped: stop.is_some(),
+            stop_source: source,
+            stop_sequence: sequence,
+            stopped_ns: arrived_ns,
+            operator,
+            reason,
+            epoch: self.array.followed().map_or(0, |followed| followed.epoch),
+            validity_max_ms: bounds.validity_max_ms,
+            epoch_lead_max: bounds.epoch_lead_max,
+            sequence_step_max: bounds.sequence_step_max,
+        }
     }
 
     /// When [`Kit::advance`] must be called if no message arrives, in local time.

@@ -6,20 +6,25 @@
 //! `heliostat-driver` adds sessions and hardware, crate `heliostat-sim` a simulated device.
 //!
 //! - [`device`]: the trait that hardware implements.
-//! - [`rules`]: which commands are followed, and when an array holds, parks and stops.
+//! - [`rules`]: which commands are followed, and when an array holds, parks and stops;
+//!   [`bounds`]: bounds on the numbers of commands; [`latch`]: the emergency stop in force;
+//!   [`refusal`]: why a command or a re-arm is refused.
 //! - [`calibration`]: the correction of each mirror's mounting; [`calibration_file`]: its file
 //!   format.
 //! - [`kit`]: device, rules and correction together, with telemetry and reconnection.
 //! - [`content`]: the messages that arrive; [`refusal_counts`]: counts of refusals.
 //! - [`moment`]: the two times of a room.
 
+pub mod bounds;
 pub mod calibration;
 pub mod calibration_file;
 pub mod content;
 pub mod device;
 mod follow_check;
 pub mod kit;
+pub mod latch;
 pub mod moment;
+pub mod refusal;
 pub mod refusal_counts;
 pub mod rules;
 

@@ -20,7 +20,7 @@
 //!           |                           +-----------------------+
 //!           |                               command accepted
 //!           |
-//!           |  re-arm, later than the stop   +---------+
+//!           |  re-arm that releases it       +---------+
 //!           +--------------------------------| Stopped |<---- stop, in any state
 //!                                            +---------+
 //! ```
@@ -44,21 +44,28 @@
 //! 3. An epoch lower than the one followed is refused, and so is a sequence number that is not new
 //!    within its epoch. A higher epoch takes over at once, with any sequence number.
 //! 4. A command whose validity has ended, or whose time is in the future, is refused.
-//! 5. Angles beyond the limits are clamped to them, and the command is counted as clipped.
+//! 5. An epoch, a sequence number or a validity beyond its bound is refused, see [`Bounds`]: one
+//!    such command would exclude all later ones, or hold the array without a controller.
+//! 6. Angles beyond the limits are clamped to them, and the command is counted as clipped.
 //!
 //! Validity starts at the time in the command, but never ends later than validity_ms after its
 //! arrival. Clocks may differ by [`CLOCK_LEAD_MAX_NS`] before a time counts as in the future. An
 //! array without a synchronised clock counts from arrival alone.
+//!
+//! Every stop is obeyed. The latch keeps the name and the time of the last one, see [`Latch`]. It
+//! survives a restart if the caller keeps [`Array::latch`] and passes it to [`Array::stop`].
 
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
-    ArrayState, CLOCK_LEAD_MAX_NS, Capabilities, Counters, EmergencyStop, MirrorCommand, Nanos, StopAction,
+    ArrayState, CLOCK_LEAD_MAX_NS, Capabilities, Counters, EmergencyStop, MirrorCommand, Rearm, StopAction,
     ValidityClock,
 };
-use thiserror::Error;
 
+use crate::bounds::{self, Bounds};
+use crate::latch::{Latch, LatchedStop};
 use crate::moment::Moment;
+pub use crate::refusal::{RearmRefusal, Refusal};
 
 /// What an array enforces on commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,6 +82,8 @@ pub struct Limits {
     pub hold_ns: u64,
     /// The clock by which validity is counted.
     pub clock: ValidityClock,
+    /// Bounds on epoch, sequence number and validity.
+    pub bounds: Bounds,
 }
 
 impl Limits {
@@ -88,73 +97,7 @@ impl Limits {
             park_rad: capabilities.park_rad.map(f64::from),
             hold_ns: u64::from(capabilities.park_after_ms) * 1_000_000,
             clock: capabilities.validity_clock,
-        }
-    }
-}
-
-/// Why a command is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum Refusal {
-    /// Another number of mirrors.
-    #[error("a command for {found} mirrors: expected {expected}, the size of the array")]
-    WrongCount {
-        /// Mirrors in the command.
-        found: usize,
-        /// Mirrors of the array.
-        expected: usize,
-    },
-    /// An angle is not a number or infinite.
-    #[error("an angle of mirror {mirror} is not finite: expected a number in rad")]
-    NonFinite {
-        /// The first such mirror.
-        mirror: usize,
-    },
-    /// An emergency stop is latched.
-    #[error("an emergency stop is latched: re-arm the array first")]
-    Stopped,
-    /// A sender with a higher epoch has superseded this one.
-    #[error("a command of epoch {found}: expected at least {followed}, the epoch that the array follows")]
-    LowerEpoch {
-        /// Epoch of the command.
-        found: u64,
-        /// Epoch that the array follows.
-        followed: u64,
-    },
-    /// The command was superseded or repeated.
-    #[error("a command of sequence {found}: expected more than {last}, the last one of this epoch")]
-    OldSequence {
-        /// Sequence number of the command.
-        found: u64,
-        /// Last sequence number that was accepted.
-        last: u64,
-    },
-    /// The command arrived after its validity had ended.
-    #[error("a command {age_ms:.1} ms old: expected less than {validity_ms} ms, its validity")]
-    Expired {
-        /// Age on arrival in ms.
-        age_ms: f64,
-        /// Its validity in ms.
-        validity_ms: u32,
-    },
-    /// The time of the command is in the future: the clocks differ.
-    #[error("a command {lead_ms:.1} ms in the future: synchronise the clocks of sender and driver")]
-    FromFuture {
-        /// The lead of its time in ms.
-        lead_ms: f64,
-    },
-}
-
-impl Refusal {
-    /// The name under which it is counted.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::WrongCount { .. } => "wrong-mirror-count",
-            Self::NonFinite { .. } => "not-finite",
-            Self::Stopped => "stopped",
-            Self::LowerEpoch { .. } => "lower-epoch",
-            Self::OldSequence { .. } => "old-sequence",
-            Self::Expired { .. } => "expired",
-            Self::FromFuture { .. } => "from-future",
+            bounds: Bounds::default(),
         }
     }
 }
@@ -179,7 +122,7 @@ pub struct Array {
     state: ArrayState,
     followed: Option<Followed>,
     valid_until_ns: u64,
-    stopped_at_ns: Nanos,
+    latch: Latch,
     target: MirrorAngles,
     counters: Counters,
     faults: u32,
@@ -193,7 +136,7 @@ impl Array {
             state: ArrayState::Parked,
             followed: None,
             valid_until_ns: 0,
-            stopped_at_ns: 0,
+            latch: Latch::default(),
             target: MirrorAngles::flat(limits.mirrors),
             counters: Counters::default(),
             faults: 0,
@@ -240,25 +183,35 @@ impl Array {
         self.counters.rejected += 1;
     }
 
-    /// Applies a stop or a re-arm of an operator; returns whether the state changed.
+    /// Latches a stop, in any state.
+    pub fn stop(&mut self, stop: LatchedStop) {
+        self.latch.engage(stop);
+        self.state = ArrayState::Stopped;
+    }
+
+    /// Applies a stop, or a re-arm by time, which arrived at `now`. A re-arm parks the array.
     ///
-    /// A stop applies at any time. A re-arm applies only if it is later than the last stop; then
-    /// the array parks.
-    pub fn handle_stop(&mut self, order: &EmergencyStop) -> bool {
-        let stopped = self.state == ArrayState::Stopped;
+    /// # Errors
+    /// [`RearmRefusal`]: a re-arm that releases nothing.
+    pub fn handle_stop(&mut self, now: Moment, order: &EmergencyStop) -> Result<(), RearmRefusal> {
         match order.action {
-            StopAction::Stop => {
-                self.stopped_at_ns = self.stopped_at_ns.max(order.stamp.time_ns);
-                self.state = ArrayState::Stopped;
-                !stopped
+            StopAction::Stop => self.stop(LatchedStop::new(order, now.room_ns)),
+            StopAction::Rearm => {
+                self.latch.release_by_time(order.stamp.time_ns)?;
+                self.park();
             }
-            StopAction::Rearm if stopped && order.stamp.time_ns > self.stopped_at_ns => {
-                self.state = ArrayState::Parked;
-                self.aim_at_park();
-                true
-            }
-            StopAction::Rearm => false,
         }
+        Ok(())
+    }
+
+    /// Applies a re-arm that names the stop; the array parks.
+    ///
+    /// # Errors
+    /// [`RearmRefusal`]: it names another stop, or none is latched.
+    pub fn handle_rearm(&mut self, order: &Rearm) -> Result<(), RearmRefusal> {
+        self.latch.release(order)?;
+        self.park();
+        Ok(())
     }
 
     /// Sets the target to the angles at which stopped mirrors came to rest.
@@ -273,8 +226,7 @@ impl Array {
         }
         let parks = self.state == ArrayState::Holding && local_ns >= self.park_at_ns();
         if parks {
-            self.state = ArrayState::Parked;
-            self.aim_at_park();
+            self.park();
         }
         parks
     }
@@ -295,6 +247,11 @@ impl Array {
     /// The state.
     pub fn state(&self) -> ArrayState {
         self.state
+    }
+
+    /// The emergency stop in force, if there is one.
+    pub fn latch(&self) -> &Latch {
+        &self.latch
     }
 
     /// The last command that was accepted, also while the array is parked.
@@ -327,6 +284,11 @@ impl Array {
         self.valid_until_ns.saturating_add(self.limits.hold_ns)
     }
 
+    fn park(&mut self) {
+        self.state = ArrayState::Parked;
+        self.aim_at_park();
+    }
+
     fn aim_at_park(&mut self) {
         let [roll, yaw] = self.limits.park_rad;
         self.target.roll.fill(roll);
@@ -354,24 +316,21 @@ impl Array {
                 return Err(Refusal::OldSequence { found: command.sequence, last: followed.sequence });
             }
         }
-        let validity_ns = u64::from(command.validity_ms) * 1_000_000;
-        if self.limits.clock == ValidityClock::Arrival {
-            return Ok(validity_ns);
-        }
-        let lead_ns = command.time_ns.saturating_sub(now.room_ns);
-        if lead_ns > CLOCK_LEAD_MAX_NS {
-            return Err(Refusal::FromFuture { lead_ms: lead_ns as f64 * 1e-6 });
-        }
-        let age_ns = now.room_ns.saturating_sub(command.time_ns);
-        validity_ns
-            .checked_sub(age_ns)
-            .filter(|remaining_ns| *remaining_ns > 0)
-            .ok_or(Refusal::Expired { age_ms: age_ns as f64 * 1e-6, validity_ms: command.validity_ms })
+        let has_clock = self.limits.clock == ValidityClock::SourceTime;
+        let remaining_ns = if has_clock { remaining_ns(now, command)? } else { validity_ns(command) };
+        let last = self.followed.map(|followed| (followed.epoch, followed.sequence));
+        let utc_ms = bounds::utc_ms(now.room_ns).filter(|_| has_clock);
+        self.limits.bounds.check(command, last, utc_ms)?;
+        Ok(remaining_ns)
     }
 
     fn count(&mut self, refusal: &Refusal) {
         let counter = match refusal {
-            Refusal::WrongCount { .. } | Refusal::NonFinite { .. } => &mut self.counters.rejected,
+            Refusal::WrongCount { .. }
+            | Refusal::NonFinite { .. }
+            | Refusal::EpochBound { .. }
+            | Refusal::SequenceBound { .. }
+            | Refusal::ValidityBound { .. } => &mut self.counters.rejected,
             Refusal::Stopped => &mut self.counters.stopped,
             Refusal::LowerEpoch { .. } => &mut self.counters.old_epoch,
             Refusal::OldSequence { .. } => &mut self.counters.old_sequence,
@@ -383,4 +342,21 @@ impl Array {
         };
         *counter += 1;
     }
+}
+
+fn validity_ns(command: &MirrorCommand) -> u64 {
+    u64::from(command.validity_ms) * 1_000_000
+}
+
+/// Remaining validity of a command by its time, in ns.
+fn remaining_ns(now: Moment, command: &MirrorCommand) -> Result<u64, Refusal> {
+    let lead_ns = command.time_ns.saturating_sub(now.room_ns);
+    if lead_ns > CLOCK_LEAD_MAX_NS {
+        return Err(Refusal::FromFuture { lead_ms: lead_ns as f64 * 1e-6 });
+    }
+    let age_ns = now.room_ns.saturating_sub(command.time_ns);
+    validity_ns(command)
+        .checked_sub(age_ns)
+        .filter(|remaining_ns| *remaining_ns > 0)
+        .ok_or(Refusal::Expired { age_ms: age_ns as f64 * 1e-6, validity_ms: command.validity_ms })
 }

@@ -1,9 +1,10 @@
 //! The rules of an array, one by one.
 
+use heliostat_array::bounds::Bounds;
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::{Array, Limits, Refusal};
 use heliostat_proto::messages::fault;
-use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, EmergencyStop, MirrorCommand, Stamp, StopAction, ValidityClock};
+use heliostat_proto::{ArrayState, CLOCK_LEAD_MAX_NS, MirrorCommand, ValidityClock};
 
 const MS: u64 = 1_000_000;
 const HOLD_NS: u64 = 300 * MS;
@@ -22,6 +23,7 @@ fn array() -> Array {
         park_rad: [0.0, 0.0],
         hold_ns: HOLD_NS,
         clock: ValidityClock::SourceTime,
+        bounds: Bounds::default(),
     })
 }
 
@@ -134,31 +136,6 @@ fn a_sender_with_a_clock_ahead_does_not_delay_parking() {
     let mut array = array();
     array.handle_command(at(0), &command(1, 1, 40)).unwrap();
     assert_eq!(array.parks_at_ns(), Some(200 * MS + HOLD_NS));
-}
-
-fn order(action: StopAction, at_ms: u64) -> EmergencyStop {
-    let stamp = Stamp { time_ns: at(at_ms).room_ns, ..Stamp::default() };
-    EmergencyStop { stamp, action, ..EmergencyStop::default() }
-}
-
-#[test]
-fn a_stop_is_latched_until_a_later_rearm() {
-    let mut array = array();
-    array.handle_command(at(0), &command(1, 1, 0)).unwrap();
-    assert!(array.handle_stop(&order(StopAction::Stop, 100)));
-    assert!(!array.handle_stop(&order(StopAction::Stop, 90)), "an older stop changes nothing");
-    assert_eq!(array.handle_command(at(101), &command(9, 1, 101)), Err(Refusal::Stopped));
-    assert_eq!((array.counters().stopped, array.followed().unwrap().epoch), (1, 1));
-    assert!(!array.advance(10_000 * MS), "a stopped array does not park");
-    for early in [99, 100] {
-        assert!(!array.handle_stop(&order(StopAction::Rearm, early)));
-        assert_eq!(array.state(), ArrayState::Stopped);
-    }
-    assert!(array.handle_stop(&order(StopAction::Rearm, 101)));
-    assert_eq!(array.state(), ArrayState::Parked);
-    assert_eq!(array.target().roll, [0.0, 0.0]);
-    array.handle_command(at(102), &command(1, 2, 102)).unwrap();
-    assert_eq!(array.state(), ArrayState::Following);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The flags of the controller, for its own program and for the `heliostat` command line.
 
-use std::{io::Write, path::PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use heliostat_bus::BusArgs;
@@ -8,7 +8,7 @@ use heliostat_decide::{capabilities::Force, policy::PolicyKind};
 use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::{
     config::{NodeConfig, Pace},
@@ -110,12 +110,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let machine = args.machine.obtain();
     machine.iter().for_each(|granted| tracing::info!("{granted}"));
     let summary = Summary { machine, ..node::run(&config, &stop)? };
-    // println! would panic when standard output is closed.
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+        output::line(serde_json::to_string(&summary)?)?
     } else {
-        writeln!(out, "{summary}")?;
+        output::line(summary)?
     }
     Ok(())
 }

@@ -13,7 +13,7 @@ use crate::room_runtime::decision_loop::DecisionSettings;
 /// The source of time and epochs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pace {
-    /// UTC; the epoch is the time of the start.
+    /// UTC; the first command chooses an epoch above UTC in ms.
     #[default]
     Live,
     /// The time of the reports; the epoch is 1. The same reports give the same commands, bit for

@@ -4,9 +4,8 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use heliostat_bus::Bus;
-use heliostat_decide::capabilities::Unfit;
 use heliostat_proto::Room;
 use heliostat_service::Stop;
 
@@ -28,7 +27,7 @@ const TIMEOUT_INTERVAL: Duration = Duration::from_millis(50);
 /// Runs a controller until it is stopped, and returns its summary.
 ///
 /// # Errors
-/// If a policy does not fit, the bus cannot be opened, or no room is left to serve.
+/// If a policy does not fit, or the bus cannot be opened.
 pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
     let started = Instant::now();
     let exporter = config.metrics.open()?;
@@ -36,7 +35,6 @@ pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
     let others = config.also_rooms.iter().map(|room| bus.enter(room.clone()));
     let rooms: Vec<Bus> = std::iter::once(bus.enter(config.bus.room.clone())).chain(others).collect();
     let mut rooms = rooms.iter().map(|room| RoomRuntime::open(room, config)).collect::<anyhow::Result<Vec<_>>>()?;
-    let mut closed = Vec::new();
     let deadline = config.run_for.map(|run_for| started + run_for);
     let mut next_check = Instant::now() + STATUS_INTERVAL;
     let mut has_warned = false;
@@ -50,7 +48,6 @@ pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
         if let Some(exporter) = &exporter {
             exporter.publish(metrics::page(&rooms.iter().map(RoomRuntime::report).collect::<Vec<_>>()));
         }
-        close_lost_rooms(&mut rooms, &mut closed)?;
         let has_reports = rooms.iter().any(|room| room.summary().decisions > 0);
         if !has_reports && !has_warned && started.elapsed() > SILENCE {
             tracing::warn!("{}", no_reports(config));
@@ -58,7 +55,6 @@ pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
         }
     }
     rooms.iter_mut().for_each(RoomRuntime::close);
-    rooms.extend(closed.into_iter().map(|(room, _)| room));
     let mut summary = Summary::of_rooms(&rooms.iter().map(RoomRuntime::report).collect::<Vec<_>>());
     if summary.decisions == 0 && summary.last_problem.is_empty() {
         summary.last_problem = no_reports(config);
@@ -66,41 +62,6 @@ pub fn run(config: &NodeConfig, stop: &Stop) -> anyhow::Result<Summary> {
     drop(rooms);
     bus.close()?;
     Ok(summary)
-}
-
-/// Closes the rooms whose array does not fit or follows another controller; an error where no room
-/// is left.
-fn close_lost_rooms(rooms: &mut Vec<RoomRuntime>, closed: &mut Vec<(RoomRuntime, String)>) -> anyhow::Result<()> {
-    for index in (0..rooms.len()).rev() {
-        let name = rooms[index].room();
-        let problem = if let Some(unfit) = rooms[index].unfit() {
-            format!("room \"{name}\" receives no commands: {unfit}{}", advice(&unfit))
-        } else if let Some(epoch) = rooms[index].superseded_by() {
-            format!(
-                "another controller (epoch {epoch}) has superseded this one in room \"{name}\": \
-                 a room has one controller; stop one of the two"
-            )
-        } else {
-            continue;
-        };
-        tracing::warn!("{problem}");
-        let mut room = rooms.swap_remove(index);
-        room.close();
-        closed.push((room, problem));
-    }
-    if rooms.is_empty() {
-        bail!("{}", closed.iter().map(|(_, problem)| problem.as_str()).collect::<Vec<_>>().join("; "));
-    }
-    Ok(())
-}
-
-/// The flag of the command line that accepts a mismatch, where there is one.
-fn advice(unfit: &Unfit) -> &'static str {
-    match unfit {
-        Unfit::Shape { .. } => "",
-        Unfit::Range { .. } => ", or accept the range with --accept-small-range",
-        Unfit::PaperAngles => ", or send them all the same with --force-paper-angles",
-    }
 }
 
 fn no_reports(config: &NodeConfig) -> String {

@@ -10,7 +10,7 @@
 //! | [`watchdog`] | acts for a policy that does not return | the main thread |
 //!
 //! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
-//! else, so a room that floods, fails or is superseded leaves the others alone. The main thread
+//! else, so a room that floods, fails or stands by leaves the others alone. The main thread
 //! waits at most [`POLICY_TIMEOUT`] for the lock of the decision loop.
 
 pub mod cache_warmer;
@@ -32,12 +32,9 @@ use std::{
 
 use anyhow::Context;
 use heliostat_bus::{Bus, Class, Publisher, Subscription, Token};
-use heliostat_decide::{
-    capabilities::{Examiner, Unfit},
-    core::Controller,
-};
+use heliostat_decide::{capabilities::Examiner, core::Controller, tenure::Tenure};
 use heliostat_engine::ActorSource;
-use heliostat_proto::{NodeKind, NodeStatus, Room, encode};
+use heliostat_proto::{Nanos, NodeKind, NodeStatus, Room, encode};
 use heliostat_service::{clock::utc_ns, source_id};
 
 use crate::{
@@ -53,7 +50,7 @@ use locks::{lock_within, try_lock};
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
-use status::{Identity, Reporter};
+use status::{Identity, Problem, Reporter};
 use watchdog::{POLICY_TIMEOUT, Watchdog};
 
 /// A room that is being served.
@@ -86,19 +83,21 @@ impl RoomRuntime {
     pub fn open(bus: &Bus, config: &NodeConfig) -> anyhow::Result<Self> {
         let scenario = &config.scenario;
         let started_ns = utc_ns();
-        let (clock, epoch, class) = match config.pace {
-            Pace::Live => (RoomClock::Utc, started_ns / 1_000_000, Class::RealTimeDrop),
+        let source = source_id::random();
+        let interval_ns = (1e9 / scenario.streams.positions.rate_hz) as Nanos;
+        let (clock, tenure, class) = match config.pace {
+            Pace::Live => (RoomClock::Utc, Tenure::live(source, interval_ns), Class::RealTimeDrop),
             // The room waits for each command, so a dropped command would stop it.
-            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, 1, Class::RealTimeBlock),
+            Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         let policy = heliostat_engine::build(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
-        let mut controller = Controller::new(scenario, model.clone(), policy, epoch);
+        let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure);
         controller.warm_up(warm_up_runs());
         let room = bus.room().clone();
-        tracing::info!(policy = controller.policy_name(), epoch, scenario = scenario.name, %room, "ready");
+        tracing::info!(policy = controller.policy_name(), scenario = scenario.name, %room, "ready");
 
         let settings = config.decisions.among(1 + config.also_rooms.len());
         let sender = CommandSender::new(bus.publisher(&room.command(), class)?, scenario.mirror_count());
@@ -114,12 +113,12 @@ impl RoomRuntime {
             queue: Arc::clone(&queue),
             decide_in: settings.decide_in,
         };
-        let mut subscriptions = subscriptions::subscribe_to_reports(bus, &handler)?;
-        subscriptions.extend(subscriptions::subscribe_to_array(bus, &decision_loop, &watchdog, examiner)?);
+        // The array first: its announcements precede the first command.
+        let mut subscriptions = subscriptions::subscribe_to_array(bus, &decision_loop, &watchdog, examiner)?;
+        subscriptions.extend(subscriptions::subscribe_to_reports(bus, &handler)?);
         let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
-        let source = source_id::random();
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {
@@ -154,16 +153,6 @@ impl RoomRuntime {
         RoomReport { room: &self.room, summary: &self.summary, times: &self.times }
     }
 
-    /// The epoch of the controller that has superseded this one, if one has.
-    pub fn superseded_by(&self) -> Option<u64> {
-        try_lock(&self.decision_loop).and_then(|held| held.controller.superseded_by())
-    }
-
-    /// Why the array of this room receives no commands, if it does not fit.
-    pub fn unfit(&self) -> Option<Unfit> {
-        try_lock(&self.decision_loop).and_then(|held| held.controller.unfit().cloned())
-    }
-
     /// Executes the action for absent reports or for a policy timeout, if that is due.
     pub fn handle_timeouts(&mut self) {
         if let Some(mut decision_loop) = try_lock(&self.decision_loop) {
@@ -187,8 +176,10 @@ impl RoomRuntime {
         let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters());
         drop(decision_loop);
         self.times.absorb(&mut self.spare_times);
-        if let Some(problem) = &snapshot.problem {
-            tracing::warn!(room = %self.room, "{problem}");
+        match &snapshot.problem {
+            Some(Problem::Alarm(problem)) => tracing::error!(room = %self.room, "{problem}"),
+            Some(Problem::Warning(problem)) => tracing::warn!(room = %self.room, "{problem}"),
+            None => {}
         }
         snapshot.summary.dropped += self.queue.dropped();
         snapshot.summary.unanswered = self.summary.unanswered;

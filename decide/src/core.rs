@@ -11,8 +11,10 @@
 //!    [`handle_source_lost`](Controller::handle_source_lost) and
 //!    [`handle_source_found`](Controller::handle_source_found) for liveliness,
 //!    [`handle_capabilities`](Controller::handle_capabilities),
-//!    [`handle_unfit`](Controller::handle_unfit) and
-//!    [`handle_stop_order`](Controller::handle_stop_order) for the array;
+//!    [`handle_safety`](Controller::handle_safety),
+//!    [`handle_unfit_node`](Controller::handle_unfit_node),
+//!    [`handle_stop_order`](Controller::handle_stop_order) and
+//!    [`handle_rearm`](Controller::handle_rearm) for the array;
 //! 3. the `poll_*` method that `handle_message` names by [`Due`]:
 //!    [`poll_command`](Controller::poll_command) or
 //!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled
@@ -24,8 +26,9 @@
 //! 5. optionally, between reports, [`warm_cache`](Controller::warm_cache), which changes no later
 //!    command.
 //!
-//! The caller assigns the sequence number of each command when it sends it. Getters may be called
-//! at any time. No method waits, logs, reads a clock or, after the start-up warm-up, allocates in
+//! The caller assigns the sequence number of each command when it sends it, from 1 in each epoch. A
+//! caller of a live room reports the last number by [`handle_sent`](Controller::handle_sent) before
+//! it passes on telemetry. Getters may be called at any time. No method waits, logs, reads a clock or, after the start-up warm-up, allocates in
 //! this project's code.
 //!
 //! # Stages of a decision
@@ -52,6 +55,7 @@
 //! | The policy fails, or an angle is not finite. | `fallback` | the fixed point decides | `policy-failed` |
 //! | The fallback fails or is `hold`, or there is no last command. | | no command | `held` |
 //! | The array is stopped, or does not fit the scenario. | | no command | `withheld` |
+//! | The array follows another controller: [`tenure`](crate::tenure). | | no command | `standby` |
 //!
 //! The caller predicts the latency: the waiting time plus the mean duration of earlier decisions.
 //! A `deadline_ms` of 0 means the report interval.
@@ -60,7 +64,7 @@
 //!
 //! - *Tick*: one sampling of the room. The field `answers` of a command holds the tick of the
 //!   report that triggered the command.
-//! - *Epoch*: one run of a controller. A later epoch supersedes an earlier one.
+//! - *Epoch*: the number under which a controller commands. A higher epoch supersedes a lower one.
 //! - *Holding*: the state of an array that keeps its angles after its last command has expired.
 //!   The action `hold` is the controller's: it publishes no command.
 //! - *Parked*: an array is parked at the position `park_rad` of its capabilities. It parks
@@ -69,10 +73,11 @@
 //! - *Start-up warm-up*: runs of the policy on a synthetic room before the first report.
 //! - *Cache warm-up*: a repetition of the last decision between two reports.
 
+mod array;
 mod degraded_actions;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
-use heliostat_proto::{Capabilities, EmergencyStop, MirrorCommand, Nanos};
+use heliostat_proto::{MirrorCommand, Nanos};
 use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
@@ -85,10 +90,7 @@ use crate::{
         observation::Observation,
         observer::{LosSource, Observer},
     },
-    output::{
-        capabilities::{Guard, Unfit},
-        safety::Limits,
-    },
+    output::{guard::Guard, safety::Limits, tenure::Tenure},
     policy::{self, Policy, PolicyError, ProposedBy, WithFallback},
 };
 use degraded_actions::{DegradedActions, LastReport};
@@ -108,7 +110,6 @@ pub struct Controller {
     actions: DegradedActions,
     limits: Limits,
     guard: Guard,
-    validity_ns: Nanos,
     /// The last accepted position report; absent before the first.
     last_report: Option<LastReport>,
     /// Nominal time between position reports in s.
@@ -122,8 +123,8 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller of a scenario's room with this policy; `epoch` must exceed that of every
-    /// earlier controller of the room.
+    /// A controller of a scenario's room with this policy, which commands under one epoch; see
+    /// [`with_tenure`](Self::with_tenure).
     pub fn new(scenario: &Scenario, model: ChannelModel, policy: Box<dyn Policy>, epoch: u64) -> Self {
         let observation = Observation::new(&model, scenario.users.count);
         let mirrors = model.mirrors.len();
@@ -136,9 +137,8 @@ impl Controller {
             policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
             actions: DegradedActions::new(scenario),
             limits: Limits::new(&scenario.control),
-            guard: Guard::default(),
+            guard: Guard::new(Tenure::fixed(epoch), validity_ms),
             last_report: None,
-            validity_ns: Nanos::from(validity_ms) * 1_000_000,
             interval_s: 1.0 / scenario.streams.positions.rate_hz,
             command: MirrorCommand {
                 epoch,
@@ -155,6 +155,12 @@ impl Controller {
         }
     }
 
+    /// Chooses epochs by this tenure, as in a room with other controllers.
+    pub fn with_tenure(mut self, tenure: Tenure) -> Self {
+        self.guard.tenure = tenure;
+        self
+    }
+
     /// Handles a message that arrived at `now`; the result names the `poll_*` method to call.
     pub fn handle_message(&mut self, now: Nanos, message: Message<'_>) -> Due {
         let stream = message.stream();
@@ -169,6 +175,12 @@ impl Controller {
                 Due::Command
             }
             Err(Refusal::Stale) if stream == Stream::Users => Due::StaleCommand,
+            Ok(()) if stream == Stream::Telemetry => {
+                if let Some(telemetry) = self.inbox.telemetry() {
+                    self.guard.handle_telemetry(now, telemetry, &mut self.counters);
+                }
+                Due::Nothing
+            }
             _ => Due::Nothing,
         }
     }
@@ -186,26 +198,6 @@ impl Controller {
     /// A source is alive, perhaps again.
     pub fn handle_source_found(&mut self, source: u64) {
         self.inbox.handle_source_found(source);
-    }
-
-    /// Applies the capabilities of an array that fits the scenario; an array that does not fit
-    /// receives no commands.
-    pub fn handle_capabilities(&mut self, capabilities: &Capabilities, verdict: Result<(), Unfit>) {
-        if verdict.is_ok() {
-            self.limits.narrow(&capabilities.roll, &capabilities.yaw);
-            self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
-        }
-        self.guard.set_verdict(verdict);
-    }
-
-    /// Gives no more commands in this room, whatever the array announces.
-    pub fn handle_unfit(&mut self, unfit: Unfit) {
-        self.guard.forbid(unfit);
-    }
-
-    /// Applies an operator's stop or re-arm order.
-    pub fn handle_stop_order(&mut self, order: &EmergencyStop) {
-        self.guard.handle_stop_order(order);
     }
 
     /// Handles a message that arrived at `now`, and polls the command that it makes due. `mark` is
@@ -272,7 +264,8 @@ impl Controller {
     /// method at intervals shorter than the validity of a command.
     pub fn poll_timeout_command(&mut self, now: Nanos) -> Option<Decision<'_>> {
         let LastReport { accepted_ns, silence_handled } = self.last_report?;
-        if now.saturating_sub(accepted_ns) <= self.actions.silent_after_ns {
+        // A clock that steps back must not hide a silence.
+        if now.abs_diff(accepted_ns) <= self.actions.silent_after_ns {
             return None;
         }
         self.last_report = Some(LastReport { accepted_ns, silence_handled: true });
@@ -327,22 +320,6 @@ impl Controller {
         self.policy.policy().name()
     }
 
-    /// This controller's epoch.
-    pub fn epoch(&self) -> u64 {
-        self.command.epoch
-    }
-
-    /// The higher epoch whose commands the array follows, if another controller has superseded this
-    /// one.
-    pub fn superseded_by(&self) -> Option<u64> {
-        self.inbox.telemetry().map(|telemetry| telemetry.epoch).filter(|epoch| *epoch > self.command.epoch)
-    }
-
-    /// Why the array receives no commands, if it does not fit the scenario.
-    pub fn unfit(&self) -> Option<&Unfit> {
-        self.guard.unfit()
-    }
-
     /// The last failure of the policy.
     pub fn last_failure(&self) -> Option<&PolicyError> {
         self.policy.last_failure()
@@ -361,9 +338,12 @@ impl Controller {
         now: Nanos,
         mark: &mut dyn FnMut(Stage),
     ) -> Decision<'_> {
-        if !self.guard.may_command(self.inbox.telemetry()) {
-            self.counters.count_degraded(DegradedMode::Withheld);
-            return Decision::Hold(DegradedMode::Withheld);
+        match self.guard.permit(now, self.inbox.telemetry(), &mut self.counters) {
+            Ok(epoch) => self.command.epoch = epoch,
+            Err(withheld) => {
+                self.counters.count_degraded(withheld);
+                return Decision::Hold(withheld);
+            }
         }
         let elapsed_s = self.settle_angles(now);
         let proposed = match action {
@@ -398,7 +378,7 @@ impl Controller {
     /// telemetry. Without telemetry all mirrors are flat.
     fn settle_angles(&mut self, now: Nanos) -> f64 {
         let since_command_ns = now.saturating_sub(self.command.time_ns);
-        if self.has_command && since_command_ns <= self.validity_ns {
+        if self.has_command && since_command_ns <= u64::from(self.command.validity_ms) * 1_000_000 {
             return since_command_ns as f64 * 1e-9;
         }
         let angles = &mut self.observation.angles;

@@ -14,7 +14,8 @@
 //!   ([`refusal`]).
 //! - [`observer`]: turns the inbox into an [`observation`], which a policy reads.
 //! - [`policy`]: proposes angles; [`safety`] limits them.
-//! - [`capabilities`]: compares the array with the scenario, and applies the emergency stop.
+//! - [`capabilities`]: compares the array with the scenario. [`guard`] applies the emergency stop,
+//!   and [`tenure`] chooses the epoch and stands by for another controller.
 //! - [`core`]: connects these parts; [`outcome`] has their results.
 //!
 //! # Example
@@ -75,6 +76,6 @@ mod observe;
 mod output;
 pub mod policy;
 
-pub use input::{inbox, refusal};
+pub use input::{inbox, refusal, sequence};
 pub use observe::{observation, observer};
-pub use output::{capabilities, outcome, safety};
+pub use output::{capabilities, guard, outcome, safety, tenure};

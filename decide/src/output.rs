@@ -2,5 +2,7 @@
 //! are withheld.
 
 pub mod capabilities;
+pub mod guard;
 pub mod outcome;
 pub mod safety;
+pub mod tenure;

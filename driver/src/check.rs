@@ -1,17 +1,22 @@
 //! The conformance check: sends valid and invalid messages to any driver and reports which rules it
 //! keeps.
 //!
-//! The check uses only public messages: capabilities, telemetry and liveliness tokens. Each finding
+//! The check uses only public messages: capabilities, telemetry, safety reports and liveliness
+//! tokens. A driver without safety reports is not judged by the rules that need them. Each finding
 //! has its evidence; for a rule that could not be judged, that is the reason. A wait ends when the
 //! driver has answered, or after some seconds; so on a busy machine the check is slow, but its
 //! result is correct.
 //!
 //! - [`report`]: findings and their verdicts.
-//! - `rules`: the rules, one function each; `test_session`: the session of the check with the
-//!   driver.
+//! - `rules`: the rules, one function each, with those of the stop in `safety_rules` and of bounds
+//!   in `bound_rules`; `judging`: what they share.
+//! - `test_session`: the session of the check with the driver.
 
+mod bound_rules;
+mod judging;
 pub mod report;
 mod rules;
+mod safety_rules;
 mod test_session;
 
 use std::time::Duration;

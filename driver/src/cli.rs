@@ -1,6 +1,5 @@
 //! The command line of the driver, on its own or as a command of `heliostat`.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -9,9 +8,10 @@ use heliostat_array::Kit;
 use heliostat_array::moment::Moment;
 use heliostat_bus::BusArgs;
 use heliostat_proto::{Room, Stamp};
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::config::Config;
+use crate::stop_record::StopRecordSettings;
 use crate::{calibration_store, check, run};
 
 /// Flags of the driver.
@@ -29,6 +29,9 @@ enum Command {
     ///
     /// The mirrors move. No controller may run in the room during the check. The exit status is 1
     /// if a rule is broken.
+    ///
+    /// An array that starts stopped because its last state is unknown is re-armed first. A stop of
+    /// an operator stays in force: the check then ends with an error.
     Check(CheckArgs),
 }
 
@@ -40,6 +43,14 @@ struct RunArgs {
     /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// Keep the emergency stop over a restart, in one file per room in this folder [default:
+    /// $STATE_DIRECTORY, else $XDG_STATE_HOME/heliostat or ~/.local/state/heliostat]
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Start parked if there is no file of the room, instead of stopped: declares the first start
+    /// safe. A recorded stop stays in force
+    #[arg(long)]
+    start_armed: bool,
     #[command(flatten)]
     bus: BusArgs,
     #[command(flatten)]
@@ -88,14 +99,14 @@ fn drive(args: &RunArgs) -> Result<()> {
     let stop = args.end.stop()?;
     args.log.start();
     tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
-    let settings = run::Settings { bus, run_for: args.end.seconds, metrics: args.metrics };
+    let record = StopRecordSettings::of_driver(args.state.clone(), args.start_armed, |name| std::env::var(name).ok());
+    let settings =
+        run::Settings { run_for: args.end.seconds, metrics: args.metrics, record, ..run::Settings::new(bus) };
     let summary = run::run(kit, &settings, &stop)?;
-    // Not println!, which panics when the reader is gone.
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+        output::line(serde_json::to_string(&summary)?)?
     } else {
-        write!(out, "{summary}")?;
+        output::text(summary)?
     }
     Ok(())
 }
@@ -106,11 +117,10 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         flags.room = room_of(key)?.to_string();
     }
     let report = check::run(&flags.config_or_connect()?)?;
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string_pretty(&report)?)?;
+        output::line(serde_json::to_string_pretty(&report)?)?
     } else {
-        write!(out, "{report}")?;
+        output::text(&report)?
     }
     let broken = report.broken().count();
     ensure!(broken == 0, "the driver of room \"{}\" breaks {broken} rules of the contract", report.room);

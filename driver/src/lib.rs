@@ -7,7 +7,8 @@
 //! - [`run`]: the loop of a driver process; [`cli`] is its command line, [`config`] its file.
 //! - [`devices`]: drivers for hardware.
 //! - [`check`]: the conformance check, which tests any driver against the contract.
-//! - [`clock`]: both times of a room; [`calibration_store`]: calibration files on disk.
+//! - [`clock`]: both times of a room; [`calibration_store`]: calibration files on disk;
+//!   [`stop_record`]: the emergency stop on disk.
 
 pub mod calibration_store;
 pub mod check;
@@ -19,6 +20,7 @@ mod metrics;
 pub mod receive_queue;
 pub mod run;
 pub mod session;
+pub mod stop_record;
 pub mod summary;
 
 pub use heliostat_array::{Device, DeviceError, Health, Kit};

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use heliostat_array::device::Device;
 use heliostat_array::kit::Kit;
+use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
@@ -14,12 +15,13 @@ use thiserror::Error;
 use crate::clock::Clock;
 use crate::metrics;
 use crate::session::{ArraySession, MessagePublisher, SessionError, check_alone};
+use crate::stop_record::{self, StopRecord, StopRecordSettings};
 use crate::summary::Summary;
 
 /// Time between two telemetry messages; the contract requires ten per second.
 const TELEMETRY: Duration = Duration::from_millis(50);
 
-/// Time between two publications of the capabilities and of the status.
+/// Time between two publications of the capabilities, of the safety report and of the status.
 const ANNOUNCEMENT: Duration = Duration::from_secs(1);
 
 /// Longest wait, so that a stop request takes effect soon.
@@ -27,6 +29,9 @@ const SLEEP_MAX: Duration = Duration::from_millis(50);
 
 /// First and longest pause before another attempt to reach the router.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
+
+/// Most messages that are handled before the next telemetry, so that a flood does not delay it.
+const HANDLED_MAX: usize = 512;
 
 /// Where a driver runs.
 #[derive(Clone, Debug)]
@@ -37,12 +42,23 @@ pub struct Settings {
     pub run_for: Option<Duration>,
     /// Where metrics are served.
     pub metrics: MetricsArgs,
+    /// Where the emergency stop is kept over a restart.
+    pub record: StopRecordSettings,
+    /// Whether re-arms of kind 9 are refused, as in an authenticated room.
+    pub refuse_unnamed_rearm: bool,
 }
 
 impl Settings {
-    /// A driver that runs until it is stopped and serves no metrics.
+    /// A driver that runs until it is stopped, serves no metrics, and starts stopped: it keeps no
+    /// state.
     pub fn new(bus: BusConfig) -> Self {
-        Self { bus, run_for: None, metrics: MetricsArgs::default() }
+        Self {
+            bus,
+            run_for: None,
+            metrics: MetricsArgs::default(),
+            record: StopRecordSettings::default(),
+            refuse_unnamed_rearm: false,
+        }
     }
 }
 
@@ -70,23 +86,31 @@ impl From<BusError> for RunError {
 /// # Errors
 /// [`RunError`]: a transport that fails or is configured wrongly, another process that controls the
 /// mirrors of this room, an address at which metrics cannot be served.
-pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
+pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<Summary, RunError> {
     let end = settings.run_for.map(|duration| Instant::now() + duration);
     let exporter = settings.metrics.open()?;
     let Some(bus) = open(&settings.bus, stop)? else { return Ok(Summary::default()) };
     check_alone(&bus)?;
     let clock = Clock::start_in(Duration::ZERO);
     let source = source_id::random();
+    let (record, stop_at_start) = StopRecord::open(&settings.record, bus.room(), clock.now().room_ns);
+    kit.refuse_unnamed_rearm(settings.refuse_unnamed_rearm);
+    if let Some(latched) = stop_at_start {
+        tracing::warn!("{}", stop_record::advice(bus.room(), &latched));
+        kit.stop(clock.now(), latched);
+    }
     let mut driver = Driver {
         kit,
+        record,
         session: ArraySession::open(&bus, clock, Class::HighDrop)?,
         status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::LowDrop)?,
         refused: RefusalCounts::default(),
         room: bus.room().to_string(),
         exporter,
         source,
-        sequences: [0; 3],
+        sequences: [0; 4],
         published_state: ArrayState::Parked,
+        published_latch: Latch::default(),
         logged_problem: String::new(),
         started_ns: clock.now().room_ns,
     };
@@ -98,6 +122,7 @@ pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<S
         driver.handle_received(wake);
         let now = clock.now();
         driver.kit.advance(now);
+        driver.keep_latch(false);
         let due = |at: &mut Instant, interval: Duration| {
             let due = Instant::now() >= *at;
             if due {
@@ -108,7 +133,12 @@ pub fn run<D: Device>(kit: Kit<D>, settings: &Settings, stop: &Stop) -> Result<S
         if due(&mut telemetry, TELEMETRY) || driver.published_state != driver.kit.array().state() {
             driver.publish_telemetry(now)?;
         }
-        if due(&mut announcement, ANNOUNCEMENT) {
+        let announces = due(&mut announcement, ANNOUNCEMENT);
+        if announces || driver.published_latch != *driver.kit.array().latch() {
+            driver.publish_safety(now)?;
+        }
+        if announces {
+            driver.keep_latch(true);
             driver.publish_capabilities_and_status(now)?;
         }
     }
@@ -138,28 +168,39 @@ fn open(config: &BusConfig, stop: &Stop) -> Result<Option<Bus>, SessionError> {
 
 struct Driver<D> {
     kit: Kit<D>,
+    record: StopRecord,
     session: ArraySession,
     status: MessagePublisher,
     refused: RefusalCounts,
     room: String,
     exporter: Option<Exporter>,
     source: u64,
-    /// Sequence numbers of telemetry, capabilities and status.
-    sequences: [u64; 3],
+    /// Sequence numbers of telemetry, capabilities, status and safety reports.
+    sequences: [u64; 4],
     /// The state in the last telemetry.
     published_state: ArrayState,
+    /// The latch in the last safety report.
+    published_latch: Latch,
     /// The problem that was logged last.
     logged_problem: String,
     started_ns: u64,
 }
 
 impl<D: Device> Driver<D> {
-    /// Handles all received messages; waits for the first until `wake`.
+    /// Handles the received messages; waits for the first until `wake`.
     fn handle_received(&mut self, wake: Instant) {
         let mut next = self.session.received().pop_until(wake);
-        while let Some(arrival) = next {
+        for _ in 0..HANDLED_MAX {
+            let Some(arrival) = next else { break };
             self.kit.handle(arrival.at, arrival.content, &mut self.refused);
             next = self.session.received().pop();
+        }
+    }
+
+    /// Records the emergency stop, before telemetry reports it and after the device has stopped.
+    fn keep_latch(&mut self, again: bool) {
+        if let Err(error) = self.record.keep(self.kit.array().latch(), again) {
+            tracing::error!("{error}");
         }
     }
 
@@ -173,6 +214,12 @@ impl<D: Device> Driver<D> {
         let telemetry = self.kit.telemetry(now, stamp);
         self.published_state = self.kit.array().state();
         self.session.publish_telemetry(&telemetry)
+    }
+
+    fn publish_safety(&mut self, now: Moment) -> Result<(), SessionError> {
+        let stamp = self.stamp(3, now);
+        self.published_latch.clone_from(self.kit.array().latch());
+        self.session.publish_safety(&self.kit.safety(stamp))
     }
 
     fn publish_capabilities_and_status(&mut self, now: Moment) -> Result<(), SessionError> {
@@ -210,13 +257,14 @@ impl<D: Device> Driver<D> {
 
     fn summary(&self) -> Summary {
         let counters = self.kit.array().counters();
-        let device = self.kit.last_problem().map(ToString::to_string);
+        let record = self.record.problem().map(str::to_owned);
+        let problem = record.or_else(|| self.kit.last_problem().map(ToString::to_string));
         Summary {
             commands: counters.accepted,
             clipped_commands: counters.clipped,
             refused: self.refused.counts().clone(),
             connections: self.kit.connections(),
-            last_problem: device.unwrap_or_else(|| self.refused.last_problem().to_owned()),
+            last_problem: problem.unwrap_or_else(|| self.refused.last_problem().to_owned()),
         }
     }
 }

@@ -1,12 +1,12 @@
-//! The session of an array on the bus, real or simulated: it receives commands, stops and
-//! calibrations, and publishes telemetry and capabilities.
+//! The session of an array on the bus, real or simulated: it receives commands, stops, re-arms and
+//! calibrations, and publishes telemetry, capabilities and safety reports.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use heliostat_array::content::Content;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Service, Subscription};
-use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, decode, encode};
+use heliostat_proto::{Capabilities, CodecError, Message, MirrorTelemetry, NodeKind, SafetyReport, decode, encode};
 use thiserror::Error;
 
 use crate::clock::Clock;
@@ -81,18 +81,43 @@ impl MessagePublisher {
     }
 }
 
+/// A publisher whose last message also answers queries of its key.
+struct AnsweringPublisher {
+    publisher: MessagePublisher,
+    /// The payload published last.
+    answer: Arc<Mutex<Vec<u8>>>,
+    _service: Service,
+}
+
+impl AnsweringPublisher {
+    fn new(bus: &Bus, key: &str, class: Class) -> Result<Self, SessionError> {
+        let answer = Arc::new(Mutex::new(Vec::new()));
+        let latest = Arc::clone(&answer);
+        let service = bus.serve(key, move |payload| {
+            payload.extend_from_slice(&latest.lock().unwrap_or_else(PoisonError::into_inner));
+        })?;
+        Ok(Self { publisher: MessagePublisher::new(bus, key, class)?, answer, _service: service })
+    }
+
+    fn publish<T: Message>(&mut self, message: &T) -> Result<(), SessionError> {
+        self.publisher.encode(message)?;
+        self.answer.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&self.publisher.buffer);
+        self.publisher.put()
+    }
+}
+
 /// The subscriptions and publishers of an array.
 pub struct ArraySession {
     received: Arc<ReceiveQueue>,
     telemetry: MessagePublisher,
-    capabilities: MessagePublisher,
-    /// The payload that answers a query for the capabilities: the one published last.
-    answer: Arc<Mutex<Vec<u8>>>,
-    _declared: ([Subscription; 3], Service),
+    capabilities: AnsweringPublisher,
+    safety: AnsweringPublisher,
+    _subscriptions: [Subscription; 4],
 }
 
 impl ArraySession {
-    /// Declares subscriptions and publishers; `class` is that of telemetry and capabilities.
+    /// Declares subscriptions and publishers; `class` is that of telemetry, capabilities and safety
+    /// reports.
     ///
     /// # Errors
     /// A transport that fails.
@@ -109,19 +134,15 @@ impl ArraySession {
         let subscriptions = [
             subscribe(keys.command(), |payload| Content::Command(decode(payload)))?,
             subscribe(keys.stop(), |payload| Content::Stop(decode(payload)))?,
+            subscribe(keys.rearm(), |payload| Content::Rearm(decode(payload)))?,
             subscribe(keys.calibration(), |payload| Content::Calibration(decode(payload)))?,
         ];
-        let answer = Arc::new(Mutex::new(Vec::new()));
-        let latest = Arc::clone(&answer);
-        let service = bus.serve(&keys.capabilities(), move |payload| {
-            payload.extend_from_slice(&latest.lock().unwrap_or_else(PoisonError::into_inner));
-        })?;
         Ok(Self {
             received,
             telemetry: MessagePublisher::new(bus, &keys.telemetry(), class)?,
-            capabilities: MessagePublisher::new(bus, &keys.capabilities(), class)?,
-            answer,
-            _declared: (subscriptions, service),
+            capabilities: AnsweringPublisher::new(bus, &keys.capabilities(), class)?,
+            safety: AnsweringPublisher::new(bus, &keys.safety(), class)?,
+            _subscriptions: subscriptions,
         })
     }
 
@@ -144,8 +165,14 @@ impl ArraySession {
     /// # Errors
     /// A transport that fails, or capabilities that violate the contract.
     pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), SessionError> {
-        self.capabilities.encode(capabilities)?;
-        self.answer.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&self.capabilities.buffer);
-        self.capabilities.put()
+        self.capabilities.publish(capabilities)
+    }
+
+    /// Publishes a safety report, and answers queries with it from now on.
+    ///
+    /// # Errors
+    /// A transport that fails, or a report that violates the contract.
+    pub fn publish_safety(&mut self, safety: &SafetyReport) -> Result<(), SessionError> {
+        self.safety.publish(safety)
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_service::printable::printable;
 use serde::Serialize;
 
 /// The result of a run.
@@ -28,7 +29,7 @@ impl fmt::Display for Summary {
             writeln!(f, "refused         {name}: {count}")?;
         }
         if !self.last_problem.is_empty() {
-            writeln!(f, "last problem    {}", self.last_problem)?;
+            writeln!(f, "last problem    {}", printable(&self.last_problem))?;
         }
         Ok(())
     }

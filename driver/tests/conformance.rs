@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use heliostat_array::content::Content;
+use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::{Bus, BusConfig, Class, Presence, free_loopback_endpoint};
@@ -14,6 +15,7 @@ use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::Clock;
 use heliostat_driver::run::Settings;
 use heliostat_driver::session::ArraySession;
+use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
     AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, Room, Stamp, StopAction, ValidityClock,
@@ -114,6 +116,11 @@ enum Flaw {
     FollowsAnyTime,
     Unlimited,
     NeverParks,
+    FollowsAnyNumber,
+    FollowsAnyValidity,
+    ReleasesAnyName,
+    UsesAnyGain,
+    PublishesNoSafety,
 }
 
 /// A driver with one flaw: a correct kit whose messages are changed on the way in or out.
@@ -140,7 +147,7 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let mut kit = Kit::new(device);
     let mut refused = RefusalCounts::default();
     let (mut reported, mut count, mut sequence) = ((0, 0), 0, 0);
-    let mut announcement = Instant::now();
+    let (mut announcement, mut latch) = (Instant::now(), Latch::default());
     while !stop.is_requested() {
         while let Some(mut arrival) = session.received().pop_until(Instant::now() + Duration::from_millis(20)) {
             if flaw == Flaw::IgnoresStops && matches!(arrival.content, Content::Stop(_)) {
@@ -156,6 +163,25 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
                 if flaw == Flaw::FollowsAnyTime {
                     command.time_ns = arrival.at.room_ns;
                 }
+                if flaw == Flaw::FollowsAnyNumber {
+                    // As if the numbers had no bound: they exclude all later ones.
+                    command.epoch = command.epoch.min(arrival.at.room_ns / 1_000_000 + 30_000);
+                    command.sequence = command.sequence.min(1 << 31);
+                }
+                if flaw == Flaw::FollowsAnyValidity {
+                    command.validity_ms = command.validity_ms.min(10_000);
+                }
+            }
+            match (&mut arrival.content, kit.array().latch().stop()) {
+                (Content::Rearm(Ok(order)), Some(stop)) if flaw == Flaw::ReleasesAnyName => {
+                    (order.stop_source, order.stop_sequence) = (stop.source, stop.sequence);
+                }
+                (Content::Calibration(Ok(calibration)), _) if flaw == Flaw::UsesAnyGain => {
+                    for gain in calibration.roll_gain.iter_mut().chain(&mut calibration.yaw_gain) {
+                        *gain = gain.clamp(0.5, 2.0);
+                    }
+                }
+                _ => {}
             }
             if kit.handle(arrival.at, arrival.content, &mut refused).is_some() {
                 reported = sent.unwrap();
@@ -165,13 +191,18 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
         kit.advance(now);
         if flaw == Flaw::ReleasesOrphanedStops && left.swap(false, Ordering::Relaxed) {
             let stamp = Stamp { time_ns: now.room_ns, ..Stamp::default() };
-            kit.handle_stop(now, &EmergencyStop { stamp, action: StopAction::Rearm, ..EmergencyStop::default() });
+            let order = EmergencyStop { stamp, action: StopAction::Rearm, ..EmergencyStop::default() };
+            kit.handle_stop(now, &order).ok();
         }
         sequence += 1;
         let stamp = Stamp { source: 1, sequence, time_ns: now.room_ns };
         let mut telemetry = kit.telemetry(now, stamp);
         (telemetry.epoch, telemetry.applied_sequence) = reported;
         session.publish_telemetry(&telemetry).unwrap();
+        if flaw != Flaw::PublishesNoSafety && (Instant::now() >= announcement || *kit.array().latch() != latch) {
+            latch.clone_from(kit.array().latch());
+            session.publish_safety(&kit.safety(stamp)).unwrap();
+        }
         if Instant::now() >= announcement {
             announcement += Duration::from_secs(1);
             session.publish_capabilities(&Capabilities { stamp, ..announced.clone() }).unwrap();
@@ -181,13 +212,17 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
 
 #[test]
 fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
-    let cases: [(Flaw, &str, &[&str]); 6] = [
-        (Flaw::IgnoresStops, "ignores-stops", &["stop", "orphaned-stop"]),
+    let cases: [(Flaw, &str, &[&str]); 10] = [
+        (Flaw::IgnoresStops, "ignores-stops", &["stop", "orphaned-stop", "safety-report", "named-rearm"]),
         (Flaw::ReleasesOrphanedStops, "releases-stops", &["orphaned-stop"]),
-        (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch"]),
+        (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch", "epoch-bound", "sequence-bound"]),
         (Flaw::FollowsAnyTime, "times", &["expired", "future"]),
         (Flaw::Unlimited, "unlimited", &["limits"]),
         (Flaw::NeverParks, "never-parks", &["silence"]),
+        (Flaw::FollowsAnyNumber, "numbers", &["epoch-bound", "sequence-bound", "validity-bound"]),
+        (Flaw::FollowsAnyValidity, "validity", &["validity-bound"]),
+        (Flaw::ReleasesAnyName, "names", &["named-rearm"]),
+        (Flaw::UsesAnyGain, "gains", &["calibration-bound"]),
     ];
     std::thread::scope(|scope| {
         let runs = cases.map(|(flaw, room, expected)| {
@@ -197,5 +232,34 @@ fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
             let report = run.join().unwrap();
             assert_eq!(broken(&report), expected, "{report}");
         }
+    });
+}
+
+#[test]
+fn a_driver_without_safety_reports_is_not_judged_by_the_rules_that_need_them() {
+    let report = checked("older", |bus, stop| flawed(Flaw::PublishesNoSafety, &bus, stop));
+    let not_judged = report.findings.iter().filter(|finding| finding.verdict == Verdict::NotJudged);
+    let expected =
+        ["safety-report", "named-rearm", "epoch-bound", "sequence-bound", "validity-bound", "calibration-bound"];
+    assert_eq!(not_judged.map(|finding| finding.rule).collect::<Vec<_>>(), expected, "{report}");
+    assert_eq!(broken(&report), [""; 0], "{report}");
+}
+
+#[test]
+fn an_array_that_an_operator_stopped_is_not_checked() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let config = BusConfig::new(Room::new("stopped").unwrap());
+    let stop = Stop::default();
+    let mut kit = Kit::new(Exact::new());
+    kit.stop(Moment::default(), LatchedStop { source: 7, sequence: 1, operator: "ann".into(), ..Default::default() });
+    let folder = tempfile::tempdir().unwrap();
+    let record = StopRecordSettings { directory: Some(folder.path().to_owned()), start_armed: true };
+    let settings = Settings { record, ..Settings::new(config.clone().listen_at(&endpoint)) };
+    std::thread::scope(|scope| {
+        scope.spawn(|| run::run(kit, &settings, &stop).unwrap());
+        let refusal = check::run(&config.connect_to(&endpoint));
+        stop.request();
+        let refusal = format!("{:#}", refusal.unwrap_err());
+        assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");
     });
 }

@@ -174,7 +174,7 @@ fn a_lost_device_is_a_fault_and_receives_the_target_after_its_reconnection() {
         epoch: 1,
         sequence: 1,
         time_ns: NOW.room_ns,
-        validity_ms: 60_000,
+        validity_ms: 10_000,
         roll: vec![0.25; 2],
         yaw: vec![0.125; 2],
         ..MirrorCommand::default()

@@ -1,5 +1,7 @@
 //! Where the file of a learned policy comes from.
 
+use std::fs::File;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use heliostat_decide::policy::{PolicyKind, actor_file::ActorFile};
@@ -7,6 +9,9 @@ use heliostat_scenario::Scenario;
 
 pub use crate::error::{BuildError, SourceError};
 use crate::shipped;
+
+/// Longest file of an actor in bytes: 64 million weights.
+const BYTES_MAX: u64 = 256 << 20;
 
 /// Where the file of a learned policy comes from.
 #[derive(Clone, Debug, Default)]
@@ -51,9 +56,14 @@ impl ActorSource {
 /// # Errors
 /// [`SourceError::Missing`] or [`SourceError::Unreadable`].
 pub fn read(path: &Path) -> Result<ActorFile, SourceError> {
-    match std::fs::read(path) {
-        Ok(bytes) => Ok(ActorFile { origin: path.display().to_string(), bytes: bytes.into() }),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err(SourceError::Missing { path: path.into() }),
-        Err(error) => Err(SourceError::Unreadable { path: path.into(), message: error.to_string() }),
+    let mut bytes = Vec::new();
+    let unreadable = |message| Err(SourceError::Unreadable { path: path.into(), message });
+    match File::open(path).and_then(|file| file.take(BYTES_MAX + 1).read_to_end(&mut bytes)) {
+        Ok(length) if length as u64 > BYTES_MAX => {
+            unreadable(format!("it is longer than {} MiB, expected a shorter ONNX file", BYTES_MAX >> 20))
+        }
+        Ok(_) => Ok(ActorFile { origin: path.display().to_string(), bytes: bytes.into() }),
+        Err(error) if error.kind() == ErrorKind::NotFound => Err(SourceError::Missing { path: path.into() }),
+        Err(error) => unreadable(error.to_string()),
     }
 }

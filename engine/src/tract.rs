@@ -1,7 +1,11 @@
 //! The embedded engine: tract, on the calling thread.
 //!
-//! A run copies its input and allocates in tract; the tests print how often.
+//! A run copies its input and allocates in tract; the tests print how often. [`sizes`] refuses a
+//! network whose tensors do not fit into memory before tract computes any of them.
 
+mod sizes;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use heliostat_decide::policy::{Engine, Network, PolicyError};
@@ -13,14 +17,19 @@ pub struct Tract;
 
 impl Engine for Tract {
     fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        // tract panics on some malformed networks. No state of ours is in use meanwhile.
+        let plan = catch_unwind(AssertUnwindSafe(|| plan(model)))
+            .map_err(|_| "it panicked: expected a network of operators that tract supports".to_owned())?;
         // The alternate form has the chain of causes.
-        let plan = plan(model).map_err(|error| format!("{error:#}"))?;
+        let plan = plan.map_err(|error| format!("{error:#}"))?;
         Ok(Box::new(TractNetwork { plan, input: vec![0.0; input_length], output: Vec::new() }))
     }
 }
 
 fn plan(mut model: &[u8]) -> TractResult<Arc<TypedSimplePlan>> {
-    tract_onnx::onnx().model_for_read(&mut model)?.into_optimized()?.into_runnable()
+    let model = tract_onnx::onnx().model_for_read(&mut model)?;
+    sizes::check(&model)?;
+    model.into_optimized()?.into_runnable()
 }
 
 struct TractNetwork {

@@ -3,7 +3,9 @@
 use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 
-use crate::commands::{bench, calibrate, completions, config, demo, doctor, eval, link, map, results, scenario, ui};
+use crate::commands::{
+    bench, calibrate, completions, config, demo, doctor, eval, link, map, results, scenario, stop, ui,
+};
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
 ///
@@ -28,6 +30,10 @@ enum Command {
     SimNode(heliostat_sim_node::cli::Args),
     /// Drive real mirrors, or check a driver against the wire contract
     Driver(heliostat_driver::cli::Args),
+    /// Stop all mirrors of a room at once
+    Stop(stop::StopArgs),
+    /// Release the emergency stop of a room
+    Rearm(stop::RearmArgs),
     /// Estimate the mounting error of each mirror from measured gains
     Calibrate(calibrate::Args),
     /// Train a policy and export it as an ONNX file
@@ -68,6 +74,8 @@ pub fn run() -> Result<()> {
         Command::Controller(args) => heliostat_controller::cli::run(args),
         Command::SimNode(args) => heliostat_sim_node::cli::run(args),
         Command::Driver(args) => heliostat_driver::cli::run(args),
+        Command::Stop(args) => stop::stop(args),
+        Command::Rearm(args) => stop::rearm(args),
         Command::Calibrate(args) => calibrate::run(args),
         Command::Train(args) => heliostat_models::run_train(args),
         Command::Eval(args) => eval::run(args),

@@ -22,6 +22,7 @@ pub mod locate;
 pub mod worth;
 
 use anyhow::{Context, ensure};
+use heliostat_array::calibration::{GAIN_RANGE, OFFSET_MAX_RAD};
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_proto::AxisLimits;
 use heliostat_scenario::{ChannelMode, Scenario};
@@ -133,11 +134,16 @@ fn rounded(value: f64) -> f64 {
     (value * 1e5).round() / 1e5
 }
 
-/// The correction with its offset limited to the drives' travel at both ends of the announced
-/// range.
+/// The correction with its offset limited to that of a calibration, and to the drives' travel at
+/// both ends of the announced range.
 fn within((gain, offset): (f64, f64), range: &AxisLimits, [least, most]: [f64; 2]) -> (f64, f64) {
-    let (low, high) = (least - gain * f64::from(range.min_rad), most - gain * f64::from(range.max_rad));
-    if low <= high { (gain, offset.clamp(low, high)) } else { within((1.0, offset), range, [least, most]) }
+    let low = (least - gain * f64::from(range.min_rad)).max(-OFFSET_MAX_RAD);
+    let high = (most - gain * f64::from(range.max_rad)).min(OFFSET_MAX_RAD);
+    if low <= high && (GAIN_RANGE[0]..=GAIN_RANGE[1]).contains(&gain) {
+        (gain, offset.clamp(low, high))
+    } else {
+        within((1.0, offset), range, [least, most])
+    }
 }
 
 /// The settings of a study: the loss by mounting errors, and the gain by calibration.

@@ -205,7 +205,8 @@ structures! {
 impl Counters {
     /// Number of commands refused, for all reasons.
     pub fn refused(&self) -> u64 {
-        self.rejected + self.old_epoch + self.old_sequence + self.expired + self.stopped
+        let counts = [self.rejected, self.old_epoch, self.old_sequence, self.expired, self.stopped];
+        counts.into_iter().fold(0, u64::saturating_add)
     }
 }
 

@@ -1,6 +1,5 @@
 //! The flags of `heliostat record` and `heliostat replay`.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
@@ -8,7 +7,7 @@ use heliostat_bus::BusArgs;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, signals};
+use heliostat_service::{EndArgs, output, signals};
 use serde::Serialize;
 
 use crate::{play, recorder, replay};
@@ -103,7 +102,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
         bail!("{}: {failure}", outcome.file.display());
     }
     if outcome.account.missing() > 0 {
-        drop(writeln!(std::io::stderr(), "record: {} messages are missing, see the table", outcome.account.missing()));
+        output::note(format_args!("record: {} messages are missing, see the table", outcome.account.missing()));
     }
     Ok(())
 }
@@ -139,12 +138,10 @@ fn play(args: ReplayArgs) -> Result<()> {
 }
 
 fn print(json: bool, value: &impl Serialize, text: &impl std::fmt::Display) -> Result<()> {
-    // println! would panic when the reader has closed the pipe.
-    let mut out = std::io::stdout();
     if json {
-        writeln!(out, "{}", serde_json::to_string(value)?)?;
+        output::line(serde_json::to_string(value)?)?
     } else {
-        writeln!(out, "{text}")?;
+        output::line(text)?
     }
     Ok(())
 }

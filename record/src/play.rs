@@ -6,7 +6,6 @@
 
 use std::collections::{BTreeMap, HashMap, btree_map};
 use std::fmt;
-use std::io::Write;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
@@ -17,8 +16,8 @@ use heliostat_proto::{
     Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Room, Stamp,
     UserReport, decode, encode,
 };
-use heliostat_service::Stop;
 use heliostat_service::clock::utc_ns;
+use heliostat_service::{Stop, output};
 use serde::Serialize;
 
 use crate::file::{self, Entry};
@@ -114,7 +113,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
             return Ok(player.playback);
         }
         if !reported {
-            drop(writeln!(std::io::stderr(), "replay: waiting for a controller in room {room}"));
+            output::note(format_args!("replay: waiting for a controller in room {room}"));
             reported = true;
         }
         ensure!(

@@ -4,7 +4,6 @@
 //! counted while the queue is full: the room never waits for its recorder.
 
 use std::fs::OpenOptions;
-use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,7 +15,7 @@ use heliostat_bus::{Bus, BusConfig, Presence as Liveliness};
 use heliostat_proto::{Nanos, NodeKind, Room, VERSION, keys::parse_alive};
 use heliostat_scenario::Scenario;
 use heliostat_service::clock::utc_ns;
-use heliostat_service::{Stop, source_id};
+use heliostat_service::{Stop, output, source_id};
 use serde::Serialize;
 
 use crate::account::Account;
@@ -105,7 +104,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Outcome> {
         enqueue(&tokens, Item::Presence { arrived_ns: utc_ns(), presence }, &tokens_dropped);
     })?;
     let token = bus.announce(&room.alive(NodeKind::Viewer, source))?;
-    drop(writeln!(std::io::stderr(), "record: room {room} into {}", out.display()));
+    output::note(format_args!("record: room {room} into {}", out.display()));
 
     let deadline = settings.run_for.map(|run_for| started + run_for);
     while !writer.has_failed() && !stop.is_requested() && deadline.is_none_or(|deadline| Instant::now() < deadline) {
@@ -192,12 +191,8 @@ impl<S: Storage> RoomWriter<S> {
         let taken = match item {
             Item::Payload { key, arrived_ns, payload } => self.payload(&mut recording, &key, arrived_ns, &payload),
             Item::Presence { arrived_ns, presence } => {
-                drop(writeln!(
-                    std::io::stderr(),
-                    "record: {} is {}",
-                    presence.node,
-                    if presence.alive { "alive" } else { "gone" }
-                ));
+                let state = if presence.alive { "alive" } else { "gone" };
+                output::note(format_args!("record: {} is {state}", presence.node));
                 self.present.retain(|source| *source != presence.source);
                 if presence.alive && presence.node != NodeKind::Viewer {
                     self.present.push(presence.source);
@@ -248,7 +243,7 @@ impl<S: Storage> RoomWriter<S> {
     }
 
     fn report(&mut self, problem: String) {
-        drop(writeln!(std::io::stderr(), "record: {problem}"));
+        output::note(format_args!("record: {problem}"));
         self.problems.push(problem);
     }
 

@@ -30,7 +30,7 @@ use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::Stream;
 use heliostat_engine::ActorSource;
-use heliostat_proto::{Capabilities, MirrorCommand, NodeKind, UserReport, decode};
+use heliostat_proto::{Capabilities, MirrorCommand, NodeKind, SafetyReport, UserReport, decode};
 use heliostat_scenario::DegradedAction;
 use heliostat_service::exit::UnusableInput;
 
@@ -90,6 +90,8 @@ struct Player<'a> {
     examiner: Examiner,
     /// The latest capabilities of the array.
     array: Option<Capabilities>,
+    /// The latest safety report of the array.
+    safety: Option<SafetyReport>,
     current: Option<EpochReplay>,
     /// A controller that joined the room and has not published a command yet.
     next: Option<EpochReplay>,
@@ -121,6 +123,7 @@ impl<'a> Player<'a> {
             settings,
             examiner: Examiner::new(&plan.scenario, &plan.scenario.channel_model()?, force),
             array: None,
+            safety: None,
             plan,
             current: None,
             next: None,
@@ -148,6 +151,9 @@ impl<'a> Player<'a> {
         if let Some(array) = &self.array {
             controller.handle_capabilities(array, self.examiner.examine(array));
         }
+        if let Some(report) = &self.safety {
+            controller.handle_safety(report);
+        }
         self.policies.insert(epoch, controller.policy_name().to_owned());
         let recorded_from_start = first == 1 && self.plan.clock == Clock::Lockstep;
         let settle = self.settings.settle.unwrap_or(if recorded_from_start { 0 } else { SETTLE });
@@ -158,7 +164,7 @@ impl<'a> Player<'a> {
         if entry.topic == PRESENCE_TOPIC {
             return self.presence(&entry.data);
         }
-        let (room, topic) = (&self.plan.room, &entry.topic);
+        let (room, topic, clock) = (&self.plan.room, &entry.topic, self.plan.clock);
         if *topic == room.users() {
             return self.users(entry);
         }
@@ -176,7 +182,27 @@ impl<'a> Player<'a> {
         }
         if *topic == room.stop() {
             if let Ok(order) = decode(&entry.data) {
-                self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_stop_order(&order));
+                let arrived = |epoch_replay: &EpochReplay| match clock {
+                    Clock::Lockstep => epoch_replay.newest_ns,
+                    Clock::Live => entry.arrived_ns,
+                };
+                self.epochs_running()
+                    .for_each(|epoch_replay| epoch_replay.controller.handle_stop_order(arrived(epoch_replay), &order));
+            }
+            return Ok(());
+        }
+        if *topic == room.rearm() {
+            if let Ok(rearm) = decode(&entry.data) {
+                self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_rearm(&rearm));
+            }
+            return Ok(());
+        }
+        if *topic == room.safety() {
+            if let Ok(report) = decode(&entry.data) {
+                self.epochs_running().for_each(|epoch_replay| {
+                    epoch_replay.controller.handle_safety(&report);
+                });
+                self.safety = Some(report);
             }
             return Ok(());
         }
@@ -186,7 +212,6 @@ impl<'a> Player<'a> {
             topic if *topic == room.telemetry() => Stream::Telemetry,
             _ => return Ok(()),
         };
-        let clock = self.plan.clock;
         self.epochs_running()
             .for_each(|epoch_replay| epoch_replay.receive(stream, &entry.data, clock, entry.arrived_ns));
         Ok(())
@@ -204,9 +229,13 @@ impl<'a> Player<'a> {
             return;
         }
         let verdict = self.examiner.examine(&array);
-        self.epochs_running()
-            .for_each(|epoch_replay| epoch_replay.controller.handle_capabilities(&array, verdict.clone()));
-        self.array = Some(array);
+        let mut is_followed = self.current.is_none();
+        for epoch_replay in self.epochs_running() {
+            is_followed |= epoch_replay.controller.handle_capabilities(&array, verdict.clone());
+        }
+        if is_followed {
+            self.array = Some(array);
+        }
     }
 
     fn command(&mut self, theirs: MirrorCommand) {

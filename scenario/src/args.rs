@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::bounded_file::read_text;
 use crate::builtin::BUILTIN_NAMES;
 use crate::error::ScenarioError;
 use crate::scenario::Scenario;
@@ -60,7 +61,6 @@ impl ScenarioArgs {
         if !path.exists() && path.extension().is_none() && path.components().count() == 1 {
             return Scenario::builtin_text(&self.scenario).map(String::from);
         }
-        std::fs::read_to_string(path)
-            .map_err(|error| ScenarioError::Read { path: self.scenario.clone(), message: error.to_string() })
+        read_text(path).map_err(|error| ScenarioError::Read { path: self.scenario.clone(), message: error.to_string() })
     }
 }

@@ -11,6 +11,16 @@ use crate::tables::{ChannelMode, MinRate, Wall};
 pub const USERS_MAX: usize = 64;
 /// Largest number of mirrors of an array: the limit of the contract.
 pub const MIRRORS_MAX: usize = 16_384;
+/// Optical power of an access point in W.
+pub const POWER_W: RangeInclusive<f64> = 1e-6..=1e4;
+/// Walking speed in m/s of users who do not stand still. A user who walks faster crosses the
+/// smallest room so often that a step of the walk has no bounded cost.
+pub const SPEED_M_S: RangeInclusive<f64> = 1e-3..=50.0;
+/// Largest mean number of obstacles. A report holds 1024, and the drawn number varies.
+const OBSTACLES_MEAN_MAX: f64 = 800.0;
+/// Largest number of rays: points of all panels x mirrors x users x branches of a receiver. The
+/// time of one evaluation of the channel grows with it.
+const RAYS_MAX: usize = 1 << 32;
 
 impl Scenario {
     /// Checks every value.
@@ -24,6 +34,10 @@ impl Scenario {
         self.check_room()?;
         self.check_optics()?;
         self.check_users()?;
+        let points = self.led.positions_m.len() * self.led.points_per_side.pow(2);
+        // An empty list stands for a preset; see `build`.
+        let rays = points * self.mirror_count() * self.users.count * self.receiver.branches.len().max(1);
+        count("led.points_per_side (points x mirrors x users x branches)", rays, 1..=RAYS_MAX)?;
         self.check_runtime()
     }
 
@@ -41,7 +55,7 @@ impl Scenario {
                 "expected 1, unless channel.mode is \"paper-calibrated\"",
             );
         }
-        within("led.power_w", self.led.power_w, 1e-6..=1e4)?;
+        within("led.power_w", self.led.power_w, POWER_W)?;
         within("led.half_power_semi_angle_deg", self.led.half_power_semi_angle_deg, 1.0..=89.0)?;
         within("led.side_m", self.led.side_m, 0.0..=5.0)?;
         count("led.points_per_side", self.led.points_per_side, 1..=64)?;
@@ -123,8 +137,8 @@ impl Scenario {
         // Both 0: all users stand still. With a minimum of 0 alone, a user could walk at speed 0
         // and never arrive.
         if (users.speed_min_m_s, users.speed_max_m_s) != (0.0, 0.0) {
-            within("users.speed_min_m_s", users.speed_min_m_s, 0.01..=50.0)?;
-            within("users.speed_max_m_s", users.speed_max_m_s, users.speed_min_m_s..=50.0)?;
+            within("users.speed_min_m_s", users.speed_min_m_s, SPEED_M_S)?;
+            within("users.speed_max_m_s", users.speed_max_m_s, users.speed_min_m_s..=*SPEED_M_S.end())?;
         }
         match &users.min_rate_mbps {
             MinRate::All(rate) => within("users.min_rate_mbps", *rate, 0.0..=1e6)?,
@@ -143,7 +157,9 @@ impl Scenario {
         within("blockage.obstacle_min_distance_m", blockage.obstacle_min_distance_m, 0.0..=10.0)?;
         // A type II Matern hard-core process retains at most 1 / (pi d^2) points per square metre.
         let densest = 1.0 / (std::f64::consts::PI * blockage.obstacle_min_distance_m.max(0.05).powi(2));
-        within("blockage.obstacles_per_m2", blockage.obstacles_per_m2, 0.0..=0.99 * densest)
+        within("blockage.obstacles_per_m2", blockage.obstacles_per_m2, 0.0..=0.99 * densest)?;
+        let most = OBSTACLES_MEAN_MAX / (self.room.length_x_m * self.room.length_y_m);
+        within("blockage.obstacles_per_m2", blockage.obstacles_per_m2, 0.0..=most)
     }
 
     fn check_runtime(&self) -> Result<(), ScenarioError> {

@@ -26,6 +26,7 @@
 //! ```
 
 mod args;
+mod bounded_file;
 mod build;
 mod builtin;
 mod check;
@@ -40,7 +41,7 @@ mod trace;
 
 pub use args::ScenarioArgs;
 pub use builtin::BUILTIN_NAMES;
-pub use check::{MIRRORS_MAX, USERS_MAX};
+pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use runtime::*;
 pub use scenario::Scenario;

@@ -1,8 +1,11 @@
 //! The text of the recorded walk that a scenario names.
 
+use std::path::Path;
+
 use thiserror::Error;
 
 use crate::Scenario;
+use crate::bounded_file::read_text;
 
 /// Why the file of a recorded walk cannot be read.
 #[derive(Debug, Error)]
@@ -20,9 +23,8 @@ impl Scenario {
     /// # Errors
     /// [`TraceFileError`] where the file cannot be read.
     pub fn read_trace(&self) -> Result<Option<String>, TraceFileError> {
-        let read = |path: &String| {
-            std::fs::read_to_string(path).map_err(|reason| TraceFileError { path: path.clone(), reason })
-        };
+        let read =
+            |path: &String| read_text(Path::new(path)).map_err(|reason| TraceFileError { path: path.clone(), reason });
         self.users.trace.as_ref().map(read).transpose()
     }
 }

@@ -8,8 +8,10 @@
 //! | 130 | a second Ctrl-C or SIGTERM ended it before its orderly end |
 
 use std::fmt;
-use std::io::{self, Write};
+use std::io;
 use std::process::ExitCode;
+
+use crate::output;
 
 /// The command failed, or it checked something and found it wrong.
 pub const FAILURE: u8 = 1;
@@ -43,8 +45,7 @@ pub fn run(program: &str, command: impl FnOnce() -> anyhow::Result<()>) -> ExitC
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            // Not eprintln!, which panics where standard error is closed.
-            drop(writeln!(io::stderr(), "{program}: {error:#}"));
+            output::note(format_args!("{program}: {error:#}"));
             ExitCode::from(code(&error))
         }
     }

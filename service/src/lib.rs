@@ -6,6 +6,9 @@
 //! - [`signals`]: Ctrl-C, SIGTERM and the end of standard input, as such a request.
 //! - [`duration`]: durations on the command line.
 //! - [`logging`]: logs to standard error, as text or as JSON.
+//! - [`output`]: text for a user on standard output and standard error.
+//! - [`printable`]: text from messages and files, made safe for a terminal.
+//! - [`process`]: memory, files and threads of this process.
 //! - [`page`]: counters, gauges and histograms of one moment, in the OpenMetrics text format.
 //! - [`exporter`]: serves the newest page under `/metrics`.
 //! - [`http`]: the HTTP server below the metrics page and the live page, with its limits.
@@ -20,7 +23,10 @@ pub mod exit;
 pub mod exporter;
 pub mod http;
 pub mod logging;
+pub mod output;
 pub mod page;
+pub mod printable;
+pub mod process;
 pub mod signals;
 pub mod source_id;
 pub mod stop;

@@ -1,8 +1,17 @@
 //! Logs to standard error: standard output holds the summary only.
+//!
+//! An event is one line. Its fields may quote a message or a file, so they are made
+//! [`printable`](crate::printable).
 
-use std::io::{IsTerminal, stderr};
+use std::fmt::{self, Debug};
+use std::io::{self, IsTerminal, Write, stderr};
 
+use tracing::field::Field;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::field::MakeExt;
+use tracing_subscriber::fmt::format::{Writer, debug_fn};
+
+use crate::printable::{printable, printable_lines};
 
 /// What is logged unless RUST_LOG says otherwise. Zenoh warns about discovery, which is switched off.
 const DEFAULT_FILTER: &str = "warn,zenoh=error,heliostat=info";
@@ -30,11 +39,83 @@ impl LogArgs {
     pub fn start(&self) {
         let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
         // A closed standard error must not end a controller.
-        let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(stderr).log_internal_errors(false);
+        let log = tracing_subscriber::fmt().with_env_filter(filter).log_internal_errors(false);
         let started = match self.log_format {
-            LogFormat::Text => log.with_ansi(stderr().is_terminal()).try_init(),
-            LogFormat::Json => log.json().flatten_event(true).try_init(),
+            LogFormat::Text => log
+                .with_writer(stderr)
+                .with_ansi(stderr().is_terminal())
+                .fmt_fields(debug_fn(write_field).delimited(" "))
+                .try_init(),
+            LogFormat::Json => log.json().flatten_event(true).with_writer(|| Printable(stderr())).try_init(),
         };
         drop(started);
+    }
+}
+
+/// Writes a field of an event or a span as text.
+fn write_field(out: &mut Writer<'_>, field: &Field, value: &dyn Debug) -> fmt::Result {
+    let value = format!("{value:?}");
+    match field.name() {
+        "message" => out.write_str(&printable(&value)),
+        // The origin of events that come through the crate log.
+        name if name.starts_with("log.") => Ok(()),
+        name => write!(out, "{}={}", name.trim_start_matches("r#"), printable(&value)),
+    }
+}
+
+/// Makes lines printable on their way to another writer.
+struct Printable<W>(W);
+
+impl<W: Write> Write for Printable<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        // One call holds complete lines.
+        self.0.write_all(printable_lines(&String::from_utf8_lossy(bytes)).as_bytes())?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Mutex, PoisonError};
+
+    use super::*;
+
+    #[derive(Clone, Default)]
+    struct Memory(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Memory {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap_or_else(PoisonError::into_inner).extend(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn an_event_is_one_line_without_escape_sequences_in_both_formats() {
+        let hostile = "\u{1b}[2J\u{9b}31m\nfaked line";
+        let memory = Memory::default();
+        let (text, json) = (memory.clone(), memory.clone());
+        let text = tracing_subscriber::fmt()
+            .with_ansi(false)
+            .fmt_fields(debug_fn(write_field).delimited(" "))
+            .with_writer(move || text.clone())
+            .finish();
+        let json = tracing_subscriber::fmt().json().with_writer(move || Printable(json.clone())).finish();
+        let event = || tracing::warn!(room = hostile, "policy {hostile}");
+        tracing::subscriber::with_default(text, event);
+        tracing::subscriber::with_default(json, event);
+        let bytes = memory.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let lines = String::from_utf8(bytes).expect("the log is text");
+        assert_eq!(lines.lines().count(), 2, "{lines}");
+        assert!(lines.contains("policy \\u001b[2J\\u009b31m\\u000afaked line"), "{lines}");
+        assert_eq!(printable_lines(&lines), lines, "no control character is left");
     }
 }

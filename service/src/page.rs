@@ -8,6 +8,8 @@ use prometheus_client::encoding::{DescriptorEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::Registry;
 
+use crate::process::usage;
+
 /// Upper ends of the buckets of times, in s: fine around the 0.5 ms budget of a decision, then coarser.
 const TIME_BUCKETS_S: [f64; 17] = [
     20e-6, 50e-6, 100e-6, 150e-6, 200e-6, 300e-6, 400e-6, 500e-6, 700e-6, 1e-3, 2e-3, 5e-3, 10e-3, 20e-3, 50e-3, 0.1,
@@ -95,9 +97,19 @@ impl Page {
     }
 
     /// Adds `heliostat_build_info` with the version and the name of the process; its value is always 1.
+    /// Adds the present usage of memory, files and threads under the standard names of Prometheus.
     pub fn build_info(&mut self, process: &str, version: &str) {
         let labels = [("process", process), ("version", version)];
         self.gauge("heliostat_build_info", "Name and version of the process; the value is always 1", &labels, 1.0);
+        let Some(usage) = usage() else { return };
+        let gauges = [
+            ("process_resident_memory_bytes", "Resident memory of the process in bytes", usage.resident_bytes),
+            ("process_open_fds", "Open file descriptors of the process", usage.files),
+            ("process_threads", "Threads of the process", usage.threads),
+        ];
+        for (name, help, value) in gauges {
+            self.gauge(name, help, &[], value as f64);
+        }
     }
 
     /// The page as text.
@@ -170,6 +182,8 @@ mod tests {
             "heliostat_decision_seconds_bucket{le=\"0.5\",room=\"a\"} 3\n",
             "heliostat_decision_seconds_bucket{le=\"+Inf\",room=\"a\"} 4\n",
             "heliostat_build_info{room=\"a\",process=\"test\",version=\"1.2.3\"} 1.0\n",
+            #[cfg(target_os = "linux")]
+            "\nprocess_resident_memory_bytes{room=\"a\"} ",
         ] {
             assert!(text.contains(wanted), "{wanted} is not in\n{text}");
         }

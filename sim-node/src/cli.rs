@@ -1,13 +1,13 @@
 //! The command line of the simulator, on its own or as a command of `heliostat`.
 
-use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use heliostat_bus::BusArgs;
 use heliostat_driver::calibration_store;
+use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{EndArgs, LogArgs, MetricsArgs};
+use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::run;
 use crate::settings::{Pace, Settings};
@@ -32,6 +32,14 @@ pub struct Args {
     /// Correct the mirrors' mounting with this file of `heliostat calibrate`
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// Keep the emergency stop over a restart, in one file per room in this folder; without it the
+    /// array starts parked
+    #[arg(long, value_name = "DIR", conflicts_with = "lockstep")]
+    state: Option<PathBuf>,
+    /// Start parked if there is no file of the room, instead of stopped; a recorded stop stays in
+    /// force
+    #[arg(long, requires = "state")]
+    start_armed: bool,
     /// Print the summary as one JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -53,6 +61,11 @@ impl Args {
             pace,
             metrics: self.metrics,
             calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,
+            record: self
+                .state
+                .clone()
+                .map(|directory| StopRecordSettings { directory: Some(directory), start_armed: self.start_armed }),
+            refuse_unnamed_rearm: false,
         })
     }
 }
@@ -67,12 +80,10 @@ pub fn run(args: Args) -> Result<()> {
     let stop = args.end.stop()?;
     args.log.start();
     let summary = run::run(&settings, &stop)?;
-    // Not println!, which panics when the reader is gone.
-    let mut out = std::io::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(&summary)?)?;
+        output::line(serde_json::to_string(&summary)?)?
     } else {
-        write!(out, "{summary}")?;
+        output::text(summary)?
     }
     Ok(())
 }

@@ -35,6 +35,7 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Re
     }
     if !stop.is_requested() {
         drain(&mut node);
+        node.keep_latch(false);
     }
     node.refused.set("dropped", node.session.received().dropped());
     node.refused.set("truth-skipped", publisher.skipped());
@@ -51,6 +52,8 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
     // Before the first report, so that its answer can respect them.
     if node.capabilities.take(now.local_ns).is_some() {
         node.publish_capabilities(now)?;
+        node.keep_latch(true);
+        node.publish_safety(now)?;
     }
     if node.reports.next_sample_ns() <= now.local_ns {
         node.room.advance(now.local_ns);

@@ -1,10 +1,13 @@
 //! The simulated room with its session, clock and counters: what live operation and lockstep share.
 
+use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
 use heliostat_driver::receive_queue::Arrival;
+use heliostat_driver::stop_record;
+use heliostat_driver::stop_record::StopRecord;
 use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_scenario::Scenario;
 use heliostat_service::{Exporter, Page};
@@ -22,7 +25,7 @@ use crate::summary::Summary;
 use crate::tick_ledger::TickLedger;
 use crate::truth_publisher::{Measurements, TruthPublisher};
 
-/// Publications of the array's capabilities in Hz.
+/// Publications of the array's capabilities and of its safety report in Hz.
 const CAPABILITIES_HZ: f64 = 1.0;
 
 /// Publications of the status in Hz.
@@ -46,11 +49,16 @@ pub(crate) struct Node {
     telemetry_sequence: u64,
     orders: u64,
     capabilities_sequence: u64,
+    safety_sequence: u64,
+    /// The emergency stop on disk.
+    record: Option<StopRecord>,
     /// Taken by the truth publisher when it is created.
     exporter: Option<Exporter>,
     has_exporter: bool,
     /// The state in the last telemetry.
     published_state: ArrayState,
+    /// The latch in the last safety report; `None` before the first.
+    published_latch: Option<Latch>,
     scenario: Scenario,
     scenario_hash: String,
     started_ns: u64,
@@ -74,6 +82,15 @@ impl Node {
         }
         let session = RoomSession::open(&settings.bus, reports, telemetry)?;
         let clock = session.clock();
+        room.refuse_unnamed_rearm(settings.refuse_unnamed_rearm);
+        let record = settings.record.as_ref().map(|record| {
+            let (record, stop_at_start) = StopRecord::open(record, &settings.bus.room, clock.now().room_ns);
+            if let Some(stop) = stop_at_start {
+                tracing::warn!("{}", stop_record::advice(&settings.bus.room, &stop));
+                room.stop(clock.now(), stop);
+            }
+            record
+        });
         // Halfway between two ticks: this samples the mean age of the angles, and does not delay a
         // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
@@ -93,9 +110,12 @@ impl Node {
             telemetry_sequence: 0,
             orders: 0,
             capabilities_sequence: 0,
+            safety_sequence: 0,
+            record,
             has_exporter: exporter.is_some(),
             exporter,
             published_state: ArrayState::Parked,
+            published_latch: None,
             scenario,
         })
     }
@@ -112,8 +132,22 @@ impl Node {
         Some(command)
     }
 
-    /// Publishes telemetry when it is due, or when the array's state has changed.
+    /// Records the emergency stop, before telemetry reports it; `again` repeats a write that
+    /// failed.
+    pub fn keep_latch(&mut self, again: bool) {
+        let Some(record) = &mut self.record else { return };
+        if let Err(error) = record.keep(self.room.array().latch(), again) {
+            tracing::error!("{error}");
+        }
+    }
+
+    /// Publishes telemetry when it is due, or when the array's state has changed; with it the
+    /// safety report, when the latch has changed.
     pub fn publish_telemetry(&mut self, now: Moment) -> Result<(), NodeError> {
+        self.keep_latch(false);
+        if self.published_latch.as_ref() != Some(self.room.array().latch()) {
+            self.publish_safety(now)?;
+        }
         let due = self.telemetry.take(now.local_ns).is_some();
         if due {
             self.room.advance(now.local_ns);
@@ -157,6 +191,13 @@ impl Node {
         self.capabilities_sequence += 1;
         let stamp = self.session.stamp(self.capabilities_sequence, now.room_ns);
         self.session.publish_capabilities(&self.room.capabilities(stamp))
+    }
+
+    pub fn publish_safety(&mut self, now: Moment) -> Result<(), NodeError> {
+        self.safety_sequence += 1;
+        self.published_latch = Some(self.room.array().latch().clone());
+        let stamp = self.session.stamp(self.safety_sequence, now.room_ns);
+        self.session.publish_safety(&self.room.safety(stamp))
     }
 
     pub fn snapshot(&self, now: Moment) -> Snapshot {
@@ -207,9 +248,15 @@ impl Node {
             counters: counts.map(|(name, count)| (name.to_owned(), count)).into_iter().chain(refused).collect(),
             gauges: gauges.map(|(name, value)| (name.to_owned(), value)).to_vec(),
             timings: vec![("loop".to_owned(), quantiles)],
-            last_problem: self.refused.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
+            last_problem: self.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
             ..NodeStatus::default()
         }
+    }
+
+    /// A stop that cannot be recorded, or the last refusal.
+    fn last_problem(&self) -> &str {
+        let record = self.record.as_ref().and_then(StopRecord::problem);
+        record.unwrap_or_else(|| self.refused.last_problem())
     }
 
     /// The status, with the metrics of the same time if they are served.
@@ -237,7 +284,7 @@ impl Node {
             refused: refused.collect(),
             loop_us: self.ticks.distribution(),
             truth_us_mean: measurements.mean_cost_s * 1e6,
-            last_problem: self.refused.last_problem().to_owned(),
+            last_problem: self.last_problem().to_owned(),
             ..Summary::default()
         };
         summary.set_rates(&measurements.tally);

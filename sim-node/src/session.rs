@@ -9,7 +9,9 @@ use heliostat_driver::clock::Clock;
 use heliostat_driver::receive_queue::ReceiveQueue;
 use heliostat_driver::session::{self, ALIVE_LIMIT, ArraySession, MessagePublisher};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{Capabilities, CodecError, MirrorTelemetry, NodeKind, SimulatorControl, Stamp, decode};
+use heliostat_proto::{
+    Capabilities, CodecError, MirrorTelemetry, NodeKind, SafetyReport, SimulatorControl, Stamp, decode,
+};
 use heliostat_service::source_id;
 use heliostat_sim::reports::Report;
 
@@ -129,6 +131,11 @@ impl RoomSession {
     /// Publishes the capabilities, and answers queries with them from now on.
     pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), NodeError> {
         Ok(self.array.publish_capabilities(capabilities)?)
+    }
+
+    /// Publishes a safety report, and answers queries with it from now on.
+    pub fn publish_safety(&mut self, safety: &SafetyReport) -> Result<(), NodeError> {
+        Ok(self.array.publish_safety(safety)?)
     }
 
     /// The room's name.

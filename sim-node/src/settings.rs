@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use heliostat_array::calibration_file::CalibrationFile;
 use heliostat_bus::BusConfig;
+use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_scenario::Scenario;
 use heliostat_service::MetricsArgs;
 
@@ -20,6 +21,11 @@ pub struct Settings {
     pub metrics: MetricsArgs,
     /// The calibration of the array at the start.
     pub calibration: Option<CalibrationFile>,
+    /// Where the emergency stop is kept over a restart; `None` for a room that starts parked and
+    /// forgets a stop.
+    pub record: Option<StopRecordSettings>,
+    /// Whether re-arms of kind 9 are refused, as in an authenticated room.
+    pub refuse_unnamed_rearm: bool,
 }
 
 /// The time base of the room.

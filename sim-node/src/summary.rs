@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use heliostat_service::printable::printable;
 use heliostat_sim::baselines::Tally;
 use serde::Serialize;
 
@@ -118,7 +119,7 @@ impl fmt::Display for Summary {
             writeln!(f, "hash            {hash}")?;
         }
         if !self.last_problem.is_empty() {
-            writeln!(f, "last problem    {}", self.last_problem)?;
+            writeln!(f, "last problem    {}", printable(&self.last_problem))?;
         }
         Ok(())
     }

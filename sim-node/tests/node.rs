@@ -23,6 +23,8 @@ fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
         pace,
         metrics: MetricsArgs::default(),
         calibration: None,
+        record: None,
+        refuse_unnamed_rearm: false,
     }
 }
 

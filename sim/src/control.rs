@@ -1,12 +1,19 @@
 //! Changes that an operator orders in a running simulated room: valid parts are applied, the others
 //! refused with a specific error.
 
+use std::ops::RangeInclusive;
+
 use heliostat_proto::{FaultKind, MirrorFault, SimulatorControl};
+use heliostat_scenario::{POWER_W, SPEED_M_S};
 use thiserror::Error;
 
 use crate::mirrors::fault::{AxisFault, drawn_share};
 use crate::room::SimulatedRoom;
-use crate::world::mobility::MobilityError;
+
+/// Time in s for which an array can be offline or restart.
+const OUTAGE_S: RangeInclusive<f64> = 0.0..=3600.0;
+/// Additional delay of commands in s, as long as the longest delay of an actuator.
+const DELAY_S: RangeInclusive<f64> = 0.0..=10.0;
 
 /// Why a part of an order is refused.
 #[derive(Debug, Error)]
@@ -19,15 +26,36 @@ pub enum OrderRefusal {
         /// Users in the room.
         present: usize,
     },
-    /// A power that is not positive.
-    #[error("invalid transmitted power {found} W: expected more than 0 W")]
+    /// A power outside its domain.
+    #[error("invalid transmitted power {found} W: expected {} to {} W", POWER_W.start(), POWER_W.end())]
     Power {
         /// The power in W.
         found: f32,
     },
-    /// Speeds that are not valid.
-    #[error(transparent)]
-    Speed(#[from] MobilityError),
+    /// Speeds outside their domain.
+    #[error(
+        "invalid speeds {min} to {max} m/s: expected {} to {} m/s, the minimum first, or both 0 for users who stand still",
+        SPEED_M_S.start(), SPEED_M_S.end()
+    )]
+    Speed {
+        /// Minimum speed in m/s.
+        min: f32,
+        /// Maximum speed in m/s.
+        max: f32,
+    },
+    /// A duration outside its domain.
+    #[error(
+        "invalid duration {found} s of the fault {}: expected {} to {} s",
+        fault.name(), expected.start(), expected.end()
+    )]
+    Duration {
+        /// The fault.
+        fault: FaultKind,
+        /// The duration in s.
+        found: f32,
+        /// The durations of such a fault in s.
+        expected: RangeInclusive<f64>,
+    },
     /// A mirror that does not exist.
     #[error("unknown mirror {found} in a fault: expected 0 to {last}")]
     Mirror {
@@ -47,7 +75,8 @@ impl OrderRefusal {
         match self {
             Self::Users { .. } => "users",
             Self::Power { .. } => "power",
-            Self::Speed(_) => "speed",
+            Self::Speed { .. } => "speed",
+            Self::Duration { .. } => "duration",
             Self::Mirror { .. } => "mirror",
             Self::Lockstep => "lockstep",
         }
@@ -65,12 +94,16 @@ pub fn apply(room: &mut SimulatedRoom, order: &SimulatorControl) -> Vec<OrderRef
         }
     }
     if let Some(found) = order.power_w
-        && !room.world_mut().set_power(f64::from(found))
+        && !(within(&POWER_W, found) && room.world_mut().set_power(f64::from(found)))
     {
         refused.push(OrderRefusal::Power { found });
     }
     if let Some([min, max]) = order.speed_m_s {
-        refused.extend(room.world_mut().set_speed(f64::from(min), f64::from(max)).err().map(OrderRefusal::Speed));
+        let walking = within(&SPEED_M_S, min) && within(&SPEED_M_S, max);
+        let valid = walking || [min, max] == [0.0, 0.0];
+        if !valid || room.world_mut().set_speed(f64::from(min), f64::from(max)).is_err() {
+            refused.push(OrderRefusal::Speed { min, max });
+        }
     }
     for fault in &order.faults {
         refused.extend(apply_fault(room, fault).err());
@@ -84,28 +117,32 @@ fn apply_fault(room: &mut SimulatedRoom, fault: &MirrorFault) -> Result<(), Orde
     if let Some(found) = fault.mirrors.iter().copied().find(|index| *index as usize >= mirrors) {
         return Err(OrderRefusal::Mirror { found, last: mirrors - 1 });
     }
-    let seconds = f64::from(fault.seconds);
+    let selected = || selected(fault, mirrors);
     let actuator = room.actuator_mut();
     match fault.fault {
-        FaultKind::Offline => actuator.go_offline(seconds),
-        FaultKind::Late => actuator.set_delay_fault(seconds),
-        FaultKind::Reboot => actuator.reboot(seconds),
-        of_axes => {
-            for mirror in selected(fault, mirrors) {
-                let (roll, yaw) = actuator.fault(mirror);
-                let (roll, yaw) = match of_axes {
-                    FaultKind::Stuck => (AxisFault::Stuck, AxisFault::Stuck),
-                    FaultKind::DeadRoll => (AxisFault::Dead, yaw),
-                    FaultKind::DeadYaw => (roll, AxisFault::Dead),
-                    FaultKind::FlippedRoll => (AxisFault::Flipped, yaw),
-                    FaultKind::FlippedYaw => (roll, AxisFault::Flipped),
-                    _ => (AxisFault::None, AxisFault::None),
-                };
-                actuator.set_fault(mirror, roll, yaw);
-            }
-        }
+        FaultKind::Offline => actuator.go_offline(duration_s(fault, OUTAGE_S)?),
+        FaultKind::Late => actuator.set_delay_fault(duration_s(fault, DELAY_S)?),
+        FaultKind::Reboot => actuator.reboot(duration_s(fault, OUTAGE_S)?),
+        FaultKind::Stuck => actuator.set_faults(&selected(), |_| (AxisFault::Stuck, AxisFault::Stuck)),
+        FaultKind::DeadRoll => actuator.set_faults(&selected(), |(_, yaw)| (AxisFault::Dead, yaw)),
+        FaultKind::DeadYaw => actuator.set_faults(&selected(), |(roll, _)| (roll, AxisFault::Dead)),
+        FaultKind::FlippedRoll => actuator.set_faults(&selected(), |(_, yaw)| (AxisFault::Flipped, yaw)),
+        FaultKind::FlippedYaw => actuator.set_faults(&selected(), |(roll, _)| (roll, AxisFault::Flipped)),
+        FaultKind::Healed => actuator.set_faults(&selected(), |_| (AxisFault::None, AxisFault::None)),
     }
     Ok(())
+}
+
+/// The duration of a fault in s.
+fn duration_s(fault: &MirrorFault, expected: RangeInclusive<f64>) -> Result<f64, OrderRefusal> {
+    let found = fault.seconds;
+    let refusal = OrderRefusal::Duration { fault: fault.fault, found, expected: expected.clone() };
+    within(&expected, found).then_some(f64::from(found)).ok_or(refusal)
+}
+
+/// Whether a number of a message lies in a domain. The ends are rounded as the number is.
+fn within(domain: &RangeInclusive<f64>, found: f32) -> bool {
+    (*domain.start() as f32..=*domain.end() as f32).contains(&found)
 }
 
 /// The mirrors of a fault: those listed, or else a share drawn without repetition.
@@ -153,6 +190,30 @@ mod tests {
         assert_eq!(names(&apply(&mut room, &invalid)), ["users", "power", "speed", "mirror"]);
         assert_eq!(room.world().forced().iter().filter(|forced| **forced).count(), 3);
         assert_eq!((room.world().model().budget.power_w, room.world().speeds_m_s()), (1.5, [0.5, 1.0]));
+    }
+
+    #[test]
+    fn values_outside_their_domain_are_refused_and_the_other_fields_are_applied() {
+        let late = |seconds| MirrorFault { fault: FaultKind::Late, seconds, ..MirrorFault::default() };
+        let reboot = |seconds| MirrorFault { fault: FaultKind::Reboot, seconds, ..MirrorFault::default() };
+        let order = |power_w, speed_m_s, faults| SimulatorControl {
+            forced_users: Some(1),
+            power_w: Some(power_w),
+            speed_m_s: Some(speed_m_s),
+            faults,
+            ..SimulatorControl::default()
+        };
+        let domain = order(0.01, [0.001, 50.0], vec![late(10.0), reboot(3600.0)]);
+        assert!(apply(&mut room(), &domain).is_empty());
+        for beyond in [
+            order(3e38, [1.0, 1e9], vec![late(10.1), reboot(1e30)]),
+            order(10_001.0, [1e-30, 1.0], vec![late(f32::MAX), reboot(3601.0)]),
+        ] {
+            let mut room = room();
+            assert_eq!(names(&apply(&mut room, &beyond)), ["power", "speed", "duration", "duration"]);
+            assert_eq!(room.world().forced().iter().filter(|forced| **forced).count(), 1);
+            assert!(!room.actuator().is_offline());
+        }
     }
 
     #[test]

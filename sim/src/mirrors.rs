@@ -46,9 +46,8 @@ impl SimulatedMirrors {
         let drive =
             ActuatorParameters { range_rad: parameters.range_rad + CALIBRATION_RESERVE_RAD, ..parameters.clone() };
         let mut actuator = Actuator::new(&drive, grid.len(), random::stream(seed, Purpose::Actuator, 0));
-        for mirror in drawn_share(table.stuck_share.unwrap_or(0.0), seed, grid.len()) {
-            actuator.set_fault(mirror, AxisFault::Stuck, AxisFault::Stuck);
-        }
+        let stuck = drawn_share(table.stuck_share.unwrap_or(0.0), seed, grid.len());
+        actuator.set_faults(&stuck, |_| (AxisFault::Stuck, AxisFault::Stuck));
         Self {
             actuator,
             hardware: format!("simulated mirrors, profile {:?}", table.profile).to_lowercase(),

@@ -4,11 +4,12 @@
 use heliostat_array::Kit;
 use heliostat_array::calibration::Unfit;
 use heliostat_array::content::Content;
+use heliostat_array::latch::LatchedStop;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_array::rules::{Array, Refusal};
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{Calibration, Capabilities, MirrorCommand, MirrorTelemetry, Stamp};
+use heliostat_proto::{Calibration, Capabilities, MirrorCommand, MirrorTelemetry, SafetyReport, Stamp};
 use heliostat_scenario::Scenario;
 
 use crate::mirrors::SimulatedMirrors;
@@ -55,6 +56,17 @@ impl SimulatedRoom {
     pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
         self.keep_time(at);
         self.kit.handle(at, content, refused)
+    }
+
+    /// Latches a stop: the room starts stopped, as its state before a restart requires.
+    pub fn stop(&mut self, at: Moment, stop: LatchedStop) {
+        self.keep_time(at);
+        self.kit.stop(at, stop);
+    }
+
+    /// Refuses re-arms of kind 9 from now on.
+    pub fn refuse_unnamed_rearm(&mut self, refuse: bool) {
+        self.kit.refuse_unnamed_rearm(refuse);
     }
 
     /// Gives the array a calibration of its mirrors' mounting.
@@ -113,6 +125,11 @@ impl SimulatedRoom {
     /// The array's capabilities.
     pub fn capabilities(&self, stamp: Stamp) -> Capabilities {
         self.kit.capabilities(stamp)
+    }
+
+    /// The emergency stop in force, and the bounds on commands.
+    pub fn safety(&self, stamp: Stamp) -> SafetyReport {
+        self.kit.safety(stamp)
     }
 
     fn keep_time(&mut self, at: Moment) {

@@ -23,5 +23,5 @@ mod wait;
 
 pub use browser::Browser;
 pub use observer::RoomObserver;
-pub use process::{Process, programs};
+pub use process::{Ended, Process, programs};
 pub use wait::wait_until;

@@ -3,7 +3,9 @@
 use std::sync::{Arc, Mutex};
 
 use heliostat_bus::{Bus, BusConfig, Class, Subscription};
-use heliostat_proto::{MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, UserReport, codec};
+use heliostat_proto::{
+    MirrorCommand, MirrorTelemetry, NodeKind, NodeStatus, Room, RoomTruth, SafetyReport, UserReport, codec,
+};
 
 use crate::wait::wait_until;
 
@@ -13,9 +15,11 @@ struct Received {
     users: (u64, Option<UserReport>),
     command: (u64, Option<MirrorCommand>),
     telemetry: (u64, Option<MirrorTelemetry>),
+    safety: (u64, Option<SafetyReport>),
     truth: (u64, Option<RoomTruth>),
     controller: (u64, Option<NodeStatus>),
     sim_node: (u64, Option<NodeStatus>),
+    driver: (u64, Option<NodeStatus>),
 }
 
 /// A session in a room that keeps the latest message of each kind.
@@ -44,7 +48,7 @@ impl RoomObserver {
         let room = config.room.clone();
         let bus = Bus::open(config).expect("the bus opens");
         let received: Arc<Mutex<Received>> = Arc::default();
-        let keys = [room.users(), room.command(), room.telemetry(), room.truth(), room.all_status()];
+        let keys = [room.users(), room.command(), room.telemetry(), room.safety(), room.truth(), room.all_status()];
         let subscriptions = keys.map(|key| {
             let received = Arc::clone(&received);
             let on_message =
@@ -84,6 +88,16 @@ impl RoomObserver {
         self.received().telemetry.1
     }
 
+    /// The number of telemetry messages.
+    pub fn telemetry_count(&self) -> u64 {
+        self.received().telemetry.0
+    }
+
+    /// The newest safety report.
+    pub fn safety(&self) -> Option<SafetyReport> {
+        self.received().safety.1
+    }
+
     /// The newest truth.
     pub fn truth(&self) -> Option<RoomTruth> {
         self.received().truth.1
@@ -92,7 +106,11 @@ impl RoomObserver {
     /// The newest status of a kind of process.
     pub fn status(&self, node: NodeKind) -> Option<NodeStatus> {
         let received = self.received();
-        if node == NodeKind::Controller { received.controller.1 } else { received.sim_node.1 }
+        match node {
+            NodeKind::Controller => received.controller.1,
+            NodeKind::Driver => received.driver.1,
+            _ => received.sim_node.1,
+        }
     }
 
     /// The value of a counter in the newest status; 0 if it is absent.
@@ -123,8 +141,10 @@ impl Received {
             "users" => keep(&mut self.users, codec::decode(payload).ok()),
             "command" => keep(&mut self.command, codec::decode(payload).ok()),
             "telemetry" => keep(&mut self.telemetry, codec::decode(payload).ok()),
+            "safety" => keep(&mut self.safety, codec::decode(payload).ok()),
             "truth" => keep(&mut self.truth, codec::decode(payload).ok()),
             name if name == NodeKind::Controller.name() => keep(&mut self.controller, codec::decode(payload).ok()),
+            name if name == NodeKind::Driver.name() => keep(&mut self.driver, codec::decode(payload).ok()),
             name if name == NodeKind::SimNode.name() => keep(&mut self.sim_node, codec::decode(payload).ok()),
             _ => {}
         }

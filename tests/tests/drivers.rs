@@ -6,7 +6,7 @@ use std::process::Child;
 use std::time::Duration;
 
 use heliostat_bus::{BusConfig, free_loopback_endpoint};
-use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Room, Stamp, UserReport, UserState, encode};
+use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room, Stamp, UserReport, UserState, encode};
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::{Process, RoomObserver, wait_until};
 use serde_json::Value;
@@ -28,14 +28,17 @@ fn python() -> Option<String> {
     None
 }
 
-/// The example driver of 2 x 3 mirrors; it is killed when dropped.
-struct PythonDriver(Child);
+/// The example driver of 2 x 3 mirrors with the folder of its stop; it is killed when dropped.
+struct PythonDriver(Child, tempfile::TempDir);
 
 impl PythonDriver {
     fn start(python: &str, room: &str, endpoints: &str) -> Self {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let arguments = ["examples/driver.py", room, endpoints, "2", "3", "60"];
-        Self(std::process::Command::new(python).args(arguments).current_dir(root).spawn().expect("python starts"))
+        let state = tempfile::tempdir().expect("a folder");
+        let mut command = std::process::Command::new(python);
+        command.args(arguments).current_dir(root).env("STATE_DIRECTORY", state.path());
+        Self(command.spawn().expect("python starts"), state)
     }
 }
 
@@ -110,12 +113,19 @@ fn a_driver_in_python_follows_the_controller() {
     let Some(python) = python() else { return };
     let (of_controller, of_tracker) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
     // A busy machine delays the check of a command.
-    let set = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=3", "--set", "control.validity_ms=20000"];
+    let set = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=3", "--set", "control.validity_ms=10000"];
     let flags = ["controller", "--room", "driven", "--listen", &of_controller, "--policy", "fixed-point"];
     let _controller = Process::heliostat(&[&flags[..], &set, &["--exit-with-parent"]].concat());
     let room = BusConfig::new(Room::new("driven").unwrap());
     let tracker = RoomObserver::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
     let _driver = PythonDriver::start(&python, "driven", &format!("{of_controller},{of_tracker}"));
+    // Its first start is stopped, by a stop without sender.
+    let mut rearm = Vec::new();
+    encode(&Rearm::default(), &mut rearm).expect("a sound re-arm");
+    wait_until("a released array", || {
+        tracker.publish(&tracker.room().rearm(), &rearm);
+        tracker.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Parked)
+    });
     let (mut tick, mut acknowledged) = (0, 0);
     wait_until("ten commands that the driver acknowledges by number, tick and angles", || {
         tick += 1;

@@ -120,7 +120,9 @@ fn a_driver_serves_metrics_and_logs_as_json() {
     );
     fs::write(&file, config).expect("a file");
     let (file, metrics) = (file.display().to_string(), metrics_at.to_string());
+    let state = folder.path().display().to_string();
     let flags = ["--metrics-listen", &metrics, "--log-format", "json", "--exit-with-parent", "--listen", &endpoint];
+    let flags = [&flags[..], &["--state", &state]].concat();
     let driver = Process::heliostat(&[&["driver", "run", "--config", &file], &flags[..]].concat());
     wait_until("the driver's metrics", || {
         let page = fetch(metrics_at);

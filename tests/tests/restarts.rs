@@ -72,7 +72,7 @@ fn the_array_parks_when_the_controller_is_killed_and_follows_the_next_one() {
 }
 
 #[test]
-fn a_superseded_controller_ends_and_names_its_successor() {
+fn a_superseded_controller_stands_by_and_names_its_successor() {
     let setting = Setting::new();
     let _room = setting.room();
     let first = setting.controller();
@@ -87,12 +87,18 @@ fn a_superseded_controller_ends_and_names_its_successor() {
         "--exit-with-parent",
         "--json",
     ]);
-    let ended = first.wait();
-    assert!(ended.refusal().contains("another controller (epoch"), "{}", ended.errors);
+    wait_until("a controller in standby", || {
+        observer.status(NodeKind::Controller).is_some_and(|status| status.state == "standby")
+    });
+    let status = observer.status(NodeKind::Controller).expect("received");
+    assert!(status.last_problem.contains("another controller (epoch"), "{}", status.last_problem);
     wait_until("an array that follows the second controller", || {
         observer.telemetry().is_some_and(|array| array.state == ArrayState::Following)
     });
     assert!(second.end().json()["commands"].as_u64() > Some(0));
+    let ended = first.end();
+    assert_eq!(ended.json()["standby"].as_bool().map(|_| ()), Some(()));
+    assert!(ended.errors.contains("ERROR"), "a standby is logged as an error: {}", ended.errors);
 }
 
 #[test]

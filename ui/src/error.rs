@@ -2,6 +2,7 @@
 
 use std::io;
 use std::net::IpAddr;
+use std::time::Duration;
 
 use heliostat_bus::BusError;
 use heliostat_channel::ChannelError;
@@ -34,6 +35,9 @@ pub enum UiError {
     /// The threads of the web server could not be started.
     #[error("the web server of the page did not start: {0}; retry, or use --no-ui")]
     Threads(io::Error),
+    /// The page has no usable token.
+    #[error("the token of the page: {0}")]
+    Token(String),
     /// The terminal cannot be used for the full-screen view.
     #[error("the terminal cannot show the full-screen view: {0}; use --plain to print lines")]
     Terminal(#[from] io::Error),
@@ -59,4 +63,18 @@ pub enum UiError {
          or add its endpoint with --connect"
     )]
     NoReceiver(&'static str),
+    /// A re-arm of an array that reports no stop.
+    #[error("no emergency stop is latched: expected a stopped array; nothing was sent")]
+    NotStopped,
+    /// An order that telemetry did not confirm.
+    #[error(
+        "the array did not confirm the {order} within {waited:?}: expected telemetry with its new state; \
+         check --room and --connect, and stop the mirrors at their power supply if they move"
+    )]
+    Unconfirmed {
+        /// Stop or re-arm.
+        order: &'static str,
+        /// How long it waited.
+        waited: Duration,
+    },
 }

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
+use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
@@ -156,7 +157,7 @@ impl View {
             time_s: self.opened.elapsed().as_secs_f64(),
             origin,
             tick,
-            policy: controller.map(|controller| controller.policy.clone()).unwrap_or_default(),
+            policy: controller.map(|controller| shown(&controller.policy)).unwrap_or_default(),
             controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
             sum_mbps: sum(&received, &users),
             users,
@@ -238,8 +239,13 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
 }
 
 fn node(at: Instant, status: &NodeStatus) -> NodeFigures {
-    let state = if at.elapsed() < EXPIRY { status.state.clone() } else { "gone".into() };
-    NodeFigures { node: status.node.name(), state, problem: status.last_problem.clone() }
+    let state = if at.elapsed() < EXPIRY { shown(&status.state) } else { "gone".into() };
+    NodeFigures { node: status.node.name(), state, problem: shown(&status.last_problem) }
+}
+
+/// A text of a message, as the terminal and the page may show it.
+fn shown(text: &str) -> String {
+    printable(text).into_owned()
 }
 
 fn time(name: &'static str, status: Option<&NodeStatus>) -> TimeFigures {

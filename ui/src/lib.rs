@@ -8,6 +8,7 @@
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
+//! - [`stop_switch`]: the emergency stop and its release, for the page and the command line.
 //! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
 //! - [`terminal`]: the same figures on a terminal, or as plain lines.
 
@@ -18,15 +19,19 @@ pub mod figures;
 pub mod guard;
 mod latency;
 mod live;
+mod order_publisher;
 pub mod orders;
 pub mod scene;
 pub mod server;
+pub mod stop_switch;
 pub mod terminal;
+mod token;
 pub mod view;
 
 pub use error::UiError;
 pub use figures::Figures;
 pub use orders::{Operator, Order, ProcessOrder};
-pub use server::{Page, PageArgs, Server};
+pub use server::{Page, PageArgs, Place, Server};
+pub use stop_switch::StopSwitch;
 pub use terminal::Display;
 pub use view::View;

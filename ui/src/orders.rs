@@ -2,30 +2,23 @@
 //!
 //! - Policy: the controller's control key.
 //! - Power, blocked users, speed and mirror faults: the simulator's control key.
-//! - Emergency stop: its own key.
+//! - Emergency stop and re-arm: keys of their own, see [`crate::stop_switch`].
 //! - Killing or restarting the controller: no message. The program that started the processes
 //!   receives a [`ProcessOrder`] over a channel, if there is one.
 
-use std::sync::Mutex;
-use std::sync::PoisonError;
 use std::sync::mpsc::Sender;
-use std::thread;
-use std::time::{Duration, Instant};
 
-use heliostat_bus::{Bus, Class, Publisher, Token};
-use heliostat_proto::{
-    ControllerControl, EmergencyStop, FaultKind, MAX_USERS, Message, MirrorFault, NodeKind, SimulatorControl, Stamp,
-    StopAction, codec,
-};
-use heliostat_service::{clock::utc_ns, source_id};
+use heliostat_bus::{Bus, Token};
+use heliostat_proto::{ControllerControl, FaultKind, MAX_USERS, MirrorFault, NodeKind, SimulatorControl};
+use heliostat_service::source_id;
 use serde::Deserialize;
 
 use crate::UiError;
+use crate::order_publisher::OrderPublisher;
+use crate::stop_switch::StopSwitch;
 
-/// Zenoh discovers the subscriber of a process that has just joined within this time.
-const DISCOVERY_LIMIT: Duration = Duration::from_secs(1);
-/// Time between two checks for a subscriber.
-const DISCOVERY_CHECK_EVERY: Duration = Duration::from_millis(20);
+/// Reason in the stops and re-arms of the page.
+const BUTTON: &str = "button";
 /// Seed that selects the mirrors that stick; a fixed seed selects the same mirrors each time.
 const STUCK_SEED: u64 = 1;
 /// Highest optical power that the page may order, in W.
@@ -86,19 +79,11 @@ pub enum ProcessOrder {
 /// Sends orders into a room.
 pub struct Operator {
     source: u64,
-    stop: OrderPublisher,
+    stop: StopSwitch,
     simulator: OrderPublisher,
     controller: OrderPublisher,
     processes: Option<Sender<ProcessOrder>>,
     _token: Token,
-}
-
-/// A publisher that numbers its messages.
-struct OrderPublisher {
-    /// Name of the receiver in errors.
-    receiver: &'static str,
-    publisher: Publisher,
-    sequence: Mutex<u64>,
 }
 
 impl Operator {
@@ -110,15 +95,11 @@ impl Operator {
     pub fn new(bus: &Bus, processes: Option<Sender<ProcessOrder>>) -> Result<Self, UiError> {
         let room = bus.room();
         let source = source_id::random();
-        let publisher = |receiver, key: &str| {
-            let publisher = bus.publisher(key, Class::RealTimeBlock)?;
-            Ok::<_, UiError>(OrderPublisher { receiver, publisher, sequence: Mutex::new(0) })
-        };
         Ok(Self {
             source,
-            stop: publisher("array", &room.stop())?,
-            simulator: publisher("simulated room", &room.simulator_control())?,
-            controller: publisher("controller", &room.controller_control())?,
+            stop: StopSwitch::new(bus, "heliostat ui")?,
+            simulator: OrderPublisher::new(bus, "simulated room", &room.simulator_control())?,
+            controller: OrderPublisher::new(bus, "controller", &room.controller_control())?,
             processes,
             _token: bus.announce(&room.alive(NodeKind::Viewer, source))?,
         })
@@ -135,6 +116,7 @@ impl Operator {
     /// - [`UiError::InvalidOrder`] if a value is outside its domain; nothing was sent.
     /// - [`UiError::NoProcessControl`] if the processes were started separately.
     /// - [`UiError::NoReceiver`] if the order was published without a subscriber.
+    /// - [`UiError::NotStopped`] for a re-arm of an array that reports no stop.
     /// - [`UiError::Bus`] if the session is closed.
     pub fn send(&self, order: &Order) -> Result<(), UiError> {
         order.check()?;
@@ -149,8 +131,8 @@ impl Operator {
             }
             Order::Stick { share } => self.set_fault(FaultKind::Stuck, *share),
             Order::Release => self.set_fault(FaultKind::Healed, 1.0),
-            Order::Stop => self.emergency_stop(StopAction::Stop),
-            Order::Rearm => self.emergency_stop(StopAction::Rearm),
+            Order::Stop => self.stop.stop(BUTTON),
+            Order::Rearm => self.stop.rearm(BUTTON),
             Order::KillController => self.control_processes(ProcessOrder::KillController, "kill the controller"),
             Order::RestartController => {
                 self.control_processes(ProcessOrder::RestartController, "restart the controller")
@@ -171,44 +153,10 @@ impl Operator {
         self.control_simulator(|control| control.faults.push(fault))
     }
 
-    fn emergency_stop(&self, action: StopAction) -> Result<(), UiError> {
-        self.stop.publish(self.source, |stamp| EmergencyStop {
-            stamp,
-            action,
-            operator: "heliostat ui".into(),
-            reason: "button".into(),
-        })
-    }
-
     fn control_processes(&self, order: ProcessOrder, action: &'static str) -> Result<(), UiError> {
         // The program that receives process orders may be ending.
         let is_sent = self.processes.as_ref().is_some_and(|processes| processes.send(order).is_ok());
         if is_sent { Ok(()) } else { Err(UiError::NoProcessControl(action)) }
-    }
-}
-
-impl OrderPublisher {
-    /// Waits up to [`DISCOVERY_LIMIT`] for a subscriber, then publishes in any case.
-    fn publish<M: Message>(&self, source: u64, message: impl FnOnce(Stamp) -> M) -> Result<(), UiError> {
-        let has_subscriber = self.await_subscriber()?;
-        // The lock is held while publishing, so that messages leave in the order of their numbers.
-        let mut sequence = self.sequence.lock().unwrap_or_else(PoisonError::into_inner);
-        *sequence += 1;
-        let mut payload = Vec::new();
-        codec::encode(&message(Stamp { source, sequence: *sequence, time_ns: utc_ns() }), &mut payload)?;
-        self.publisher.put(&payload)?;
-        if has_subscriber { Ok(()) } else { Err(UiError::NoReceiver(self.receiver)) }
-    }
-
-    fn await_subscriber(&self) -> Result<bool, UiError> {
-        let deadline = Instant::now() + DISCOVERY_LIMIT;
-        loop {
-            let has_subscriber = self.publisher.has_subscribers()?;
-            if has_subscriber || Instant::now() >= deadline {
-                return Ok(has_subscriber);
-            }
-            thread::sleep(DISCOVERY_CHECK_EVERY);
-        }
     }
 }
 

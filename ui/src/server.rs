@@ -8,12 +8,14 @@
 //! | `/order` | POST | an [`Order`] as JSON |
 //!
 //! The answer to an order is 202 if it was published to a subscriber, and 503 if there is none. An
-//! invalid order is answered with 422 and the reason.
+//! invalid order is answered with 422 and the reason. On any other than a loopback address, each
+//! request without the [token](crate::token) is answered with 401.
 //!
 //! The limits of [`heliostat_service::http`] hold for every client.
 
 use std::convert::Infallible;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use axum::Router;
@@ -21,7 +23,7 @@ use axum::body::{Body, Bytes};
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
-use axum::middleware::from_fn;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use heliostat_service::Stop;
@@ -35,6 +37,7 @@ use crate::latency::BUDGET_US;
 use crate::live::{Feed, READERS_MAX, Reader};
 use crate::orders::{Operator, Order};
 use crate::scene::Plan;
+use crate::token::{self, Gate, Token};
 use crate::{UiError, View};
 
 /// Default port of the page.
@@ -54,10 +57,40 @@ pub struct PageArgs {
     /// Port of the page; 0, or a port in use, selects a free one
     #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
     ui_port: u16,
-    /// Address of the page; any other than 127.0.0.1 gives other machines access
-    /// to the page and its buttons
+    /// Address of the page; on any other than a loopback address a browser needs the token in the
+    /// URL that is printed
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     ui_listen: IpAddr,
+    /// File with the token of the page; without it, a random token at each start. It is needed on
+    /// any other than a loopback address
+    #[arg(long, value_name = "FILE")]
+    ui_token_file: Option<PathBuf>,
+}
+
+/// Where a page is served, and to which browsers.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// Address at which it listens. On any other than a loopback address it requires a token.
+    pub address: IpAddr,
+    /// Port; 0 selects a free one.
+    pub port: u16,
+    /// File with the token; `None` for a random one.
+    pub token_file: Option<PathBuf>,
+}
+
+impl Place {
+    /// A port of 127.0.0.1.
+    pub fn loopback(port: u16) -> Self {
+        Self { address: IpAddr::V4(Ipv4Addr::LOCALHOST), port, token_file: None }
+    }
+
+    fn token(&self) -> Result<Option<Token>, UiError> {
+        match &self.token_file {
+            Some(file) => Token::read(file).map(Some),
+            None if self.address.is_loopback() => Ok(None),
+            None => Token::random().map(Some),
+        }
+    }
 }
 
 /// The data of the page and its connection to the room.
@@ -84,6 +117,7 @@ pub struct Server {
     http: http::Server,
     /// The requested port, if it was in use and a free one replaced it.
     replaced: Option<u16>,
+    token: Option<Arc<Token>>,
 }
 
 impl PageArgs {
@@ -91,9 +125,13 @@ impl PageArgs {
     ///
     /// # Errors
     /// [`UiError::CannotListen`] if the address does not belong to this machine;
-    /// [`UiError::Threads`].
+    /// [`UiError::Token`]; [`UiError::Threads`].
     pub fn serve(&self, page: impl FnOnce() -> Result<Page, UiError>) -> Result<Option<Server>, UiError> {
-        if self.no_ui { Ok(None) } else { Server::start(page()?, self.ui_listen, self.ui_port).map(Some) }
+        if self.no_ui {
+            return Ok(None);
+        }
+        let place = Place { address: self.ui_listen, port: self.ui_port, token_file: self.ui_token_file.clone() };
+        Server::start(page()?, &place).map(Some)
     }
 }
 
@@ -101,19 +139,24 @@ impl Server {
     /// Serves a page at an address, on the given port, or on a free port if that one is in use.
     ///
     /// # Errors
-    /// [`UiError::CannotListen`] if no port is available at the address; [`UiError::Threads`].
-    pub fn start(page: Page, address: IpAddr, port: u16) -> Result<Self, UiError> {
+    /// [`UiError::CannotListen`] if no port is available at the address; [`UiError::Token`];
+    /// [`UiError::Threads`].
+    pub fn start(page: Page, place: &Place) -> Result<Self, UiError> {
+        let Place { address, port, .. } = *place;
+        let token = place.token()?.map(Arc::new);
         let cannot_listen = |problem| UiError::CannotListen { address, problem };
         let bind = |port| TcpListener::bind((address, port));
         let listener = bind(port).or_else(|_| bind(0)).map_err(cannot_listen)?;
+        let bound = listener.local_addr().map_err(cannot_listen)?.port();
         let stop = Stop::default();
         let feed = Feed::start(Arc::clone(&page.view), stop.clone()).map_err(UiError::Threads)?;
-        let router = router(Shared { page: Arc::new(page), feed });
+        let gate = token.clone().map(|token| Gate { token, port: bound });
+        let router = router(Shared { page: Arc::new(page), feed }, gate);
         let limits = Limits { body_bytes: ORDER_MAX, ..Limits::default() };
         let served = http::serve("page", listener, router, limits, stop.clone());
         let http = served.inspect_err(|_| stop.request()).map_err(UiError::Threads)?;
-        let replaced = (port != 0 && http.address().port() != port).then_some(port);
-        Ok(Self { http, replaced })
+        let replaced = (port != 0 && bound != port).then_some(port);
+        Ok(Self { http, replaced, token })
     }
 
     /// The address at which it listens.
@@ -121,9 +164,10 @@ impl Server {
         self.http.address()
     }
 
-    /// The URL to open in a browser.
+    /// The URL to open in a browser, with the token if the page requires one.
     pub fn url(&self) -> String {
-        format!("http://{}/", self.address())
+        let token = self.token.as_ref().map(|token| format!("?token={}", token.as_str())).unwrap_or_default();
+        format!("http://{}/{token}", self.address())
     }
 }
 
@@ -137,16 +181,20 @@ impl std::fmt::Display for Server {
     }
 }
 
-fn router(shared: Shared) -> Router {
-    Router::new()
+fn router(shared: Shared, gate: Option<Gate>) -> Router {
+    let router = Router::new()
         .route("/order", post(order))
         .route("/live", get(live))
         .route("/room.json", get(room))
         .route("/plotly.js", get(async || reply(StatusCode::OK, JAVASCRIPT, assets::plotly())))
         .fallback(file)
         .method_not_allowed_fallback(other_method)
-        .with_state(shared)
-        .layer(from_fn(guard::check_origin))
+        .with_state(shared);
+    let guarded = match gate {
+        Some(gate) => router.layer(from_fn_with_state(gate, token::check)),
+        None => router,
+    };
+    guarded.layer(from_fn(guard::check_origin))
 }
 
 /// The static data of the page, and the past sum rates.

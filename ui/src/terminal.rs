@@ -1,9 +1,10 @@
 //! The figures on a terminal: a full-screen view, or one line at a time if output is not a
 //! terminal.
 
-use std::io::{self, IsTerminal, Stdout, Write};
+use std::io::{self, IsTerminal, Stdout};
 use std::time::Duration;
 
+use heliostat_service::output;
 use ratatui::backend::TermionBackend;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Style, Stylize};
@@ -73,7 +74,7 @@ impl Display {
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
         let figures = view.figures();
         match self {
-            Self::Lines => drop(writeln!(io::stderr(), "{}", line(&figures))),
+            Self::Lines => output::note(line(&figures)),
             Self::Screen(screen) => {
                 let history = view.history();
                 screen.terminal.draw(|frame| draw(frame, &screen.title, &figures, &history))?;

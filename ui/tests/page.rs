@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
-use heliostat_ui::{Operator, Page, Server, View};
+use heliostat_ui::{Operator, Page, Place, Server, UiError, View};
 
 /// Time limit for an action that takes some seconds on an idle machine.
 const TIME_LIMIT: Duration = Duration::from_secs(60);
@@ -23,6 +23,14 @@ struct Setting {
 
 impl Setting {
     fn new(room: &str) -> Self {
+        Self::at(room, &Place::loopback(0))
+    }
+
+    fn at(room: &str, place: &Place) -> Self {
+        Self::start(room, place).unwrap()
+    }
+
+    fn start(room: &str, place: &Place) -> Result<Self, UiError> {
         // 1024 mirrors make frames large enough to fill the socket buffers soon.
         let set = ["rows=32", "columns=32", "width_m=0.1", "height_m=0.04", "gap_m=0.005"];
         let set = set.map(|text| format!("mirrors.{text}"));
@@ -32,7 +40,7 @@ impl Setting {
         let view = Arc::new(View::open(&bus, &scenario).unwrap());
         let operator = Operator::new(&bus, None).unwrap();
         let page = Page { view, operator, room: room.to_owned(), policies: Vec::new() };
-        Self { server: Server::start(page, IpAddr::V4(Ipv4Addr::LOCALHOST), 0).unwrap(), _bus: bus }
+        Ok(Self { server: Server::start(page, place)?, _bus: bus })
     }
 
     fn address(&self) -> SocketAddr {
@@ -147,4 +155,51 @@ fn stopping_the_server_ends_the_event_streams() {
     drop(setting.server);
     assert!(begun.elapsed() < TIME_LIMIT / 2, "the server waits for an open page");
     answer.read_to_end(&mut Vec::new()).unwrap();
+}
+
+#[test]
+fn a_page_on_a_network_answers_only_with_its_token() {
+    let setting = Setting::at("token", &Place { address: IpAddr::V4(Ipv4Addr::UNSPECIFIED), ..Place::loopback(0) });
+    let answer = |request: &str| {
+        let mut answer = String::new();
+        setting.send(request).read_to_string(&mut answer).unwrap();
+        answer
+    };
+    let close = "Connection: close\r\n";
+    for path in ["/", "/page.js", "/room.json", "/live", "/?token=", "/?token=0123456789abcdef0123456789abcdef"] {
+        let refused = answer(&format!("GET {path}\n{close}\r\n"));
+        assert!(refused.starts_with("HTTP/1.1 401"), "{path}: {refused}");
+    }
+    let stop = "Content-Type: application/json\r\nContent-Length: 16\r\nConnection: close\r\n";
+    let refused = answer(&format!("POST /order\n{stop}\r\n{{\"order\":\"stop\"}}"));
+    assert!(refused.starts_with("HTTP/1.1 401"), "an order without token: {refused}");
+
+    let url = setting.server.url();
+    let (_, token) = url.split_once("?token=").expect("the printed URL holds the token");
+    let admitted = answer(&format!("GET /?token={token}\n{close}\r\n"));
+    assert!(admitted.starts_with("HTTP/1.1 303"), "{admitted}");
+    let cookie = admitted.lines().find_map(|line| line.strip_prefix("Set-Cookie: ")).expect("a cookie");
+    assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"), "{cookie}");
+    let cookie = cookie.split(';').next().unwrap();
+    assert!(answer(&format!("GET /\nCookie: {cookie}\r\n{close}\r\n")).starts_with("HTTP/1.1 200"));
+    let ordered = answer(&format!("POST /order\nCookie: {cookie}\r\n{stop}\r\n{{\"order\":\"stop\"}}"));
+    assert!(ordered.starts_with("HTTP/1.1 503"), "an order that no array receives: {ordered}");
+    assert!(
+        answer(&format!("GET /room.json\nAuthorization: Bearer {token}\r\n{close}\r\n")).starts_with("HTTP/1.1 200")
+    );
+}
+
+#[test]
+fn a_token_file_guards_a_page_on_any_address() {
+    let file = std::env::temp_dir().join(format!("heliostat-token-{}", std::process::id()));
+    let start = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        Setting::start("file", &Place { token_file: Some(file.clone()), ..Place::loopback(0) })
+    };
+    for unusable in ["", "short", "0123456789abcdef 0123456789abcdef", "0123456789abcdef;"] {
+        assert!(start(unusable).is_err_and(|error| error.to_string().contains("expected at least 16")), "{unusable:?}");
+    }
+    let setting = start("0123456789abcdefXYZ\n").unwrap();
+    std::fs::remove_file(&file).unwrap();
+    assert!(setting.server.url().ends_with("/?token=0123456789abcdefXYZ"));
 }

@@ -62,6 +62,18 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         let labels = [room, ("stream", stream), ("reason", reason)];
         page.counter("heliostat_refused", "Messages refused, by stream and reason", &labels, *count);
     }
+    let standby = f64::from(u8::from(summary.standby));
+    page.gauge("heliostat_standby", "1 while the array follows another controller", &[room], standby);
+    let unfit = f64::from(u8::from(summary.unfit.is_some()));
+    page.gauge("heliostat_array_unfit", "1 while the array does not fit the scenario", &[room], unfit);
+    for (event, count) in &summary.epoch_events {
+        let help = "Changes of the epoch or of the standby, by kind";
+        page.counter("heliostat_epoch_events", help, &[room, ("event", event.as_str())], *count);
+    }
+    for (stream, count) in &summary.missed {
+        let help = "Reports that did not arrive, by the gaps in their sequence numbers";
+        page.counter("heliostat_reports_missed", help, &[room, ("stream", stream.as_str())], *count);
+    }
     for (by, count) in [("range", summary.clipped.range), ("slew", summary.clipped.slew)] {
         let help = "Axis angles changed by a limit of range or slew rate";
         page.counter("heliostat_angles_limited", help, &[room, ("by", by)], count);

@@ -2,8 +2,14 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use heliostat_decide::core::{Controller, DegradedMode, Stage};
+use heliostat_decide::{
+    capabilities::Unfit,
+    core::{Controller, DegradedMode, Stage},
+    refusal::Stream,
+    tenure::{Standing, TenureEvent},
+};
 use heliostat_proto::{Quantiles, Room};
+use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 
 use super::stage_times::StageTimes;
@@ -33,6 +39,18 @@ pub struct Summary {
     pub fallbacks: BTreeMap<String, u64>,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
+    /// Changes of the epoch or of the standby, by kind.
+    #[serde(default)]
+    pub epoch_events: BTreeMap<String, u64>,
+    /// The array follows another controller: commands are withheld.
+    #[serde(default)]
+    pub standby: bool,
+    /// Why the array receives no commands, if it does not fit the scenario.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub unfit: Option<String>,
+    /// Reports that did not arrive, by stream, from the gaps in their sequence numbers.
+    #[serde(default)]
+    pub missed: BTreeMap<String, u64>,
     /// Axis values that the limits changed.
     pub clipped: ClippedSummary,
     /// From the last telemetry of the array; absent before the first.
@@ -95,13 +113,20 @@ impl Summary {
     pub fn of(controller: &Controller) -> Self {
         let counters = controller.counters();
         let degraded = DegradedMode::ALL.map(|mode| (mode.name().to_string(), counters.degraded(mode)));
+        let events = TenureEvent::ALL.map(|event| (event.name().to_string(), counters.tenure(event)));
+        let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
+        let refused = controller.inbox().refused().named().chain([foreign]);
         Self {
             policy: controller.policy_name().into(),
             epoch: controller.epoch(),
             decisions: counters.decisions,
             commands: counters.commands,
             fallbacks: degraded.into_iter().filter(|(_, count)| *count > 0).collect(),
-            refused: controller.inbox().refused().named().collect(),
+            refused: refused.filter(|(_, count)| *count > 0).collect(),
+            epoch_events: events.into_iter().filter(|(_, count)| *count > 0).collect(),
+            standby: controller.tenure().standing() == Standing::Standby,
+            unfit: controller.unfit().map(describe_unfit),
+            missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
             clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
             array: controller.inbox().telemetry().map(|telemetry| ArraySummary {
                 faults: telemetry.faults,
@@ -145,8 +170,17 @@ impl Summary {
         ] {
             *here += there;
         }
-        for (here, there) in [(&mut self.fallbacks, &other.fallbacks), (&mut self.refused, &other.refused)] {
+        for (here, there) in [
+            (&mut self.fallbacks, &other.fallbacks),
+            (&mut self.refused, &other.refused),
+            (&mut self.missed, &other.missed),
+            (&mut self.epoch_events, &other.epoch_events),
+        ] {
             there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
+        }
+        self.standby |= other.standby;
+        if other.unfit.is_some() {
+            self.unfit.clone_from(&other.unfit);
         }
         if !other.last_problem.is_empty() {
             self.last_problem.clone_from(&other.last_problem);
@@ -182,7 +216,17 @@ impl fmt::Display for Summary {
         }
         writeln!(formatter, "fallbacks:{}", list(&self.fallbacks))?;
         writeln!(formatter, "refused:{}", list(&self.refused))?;
+        writeln!(formatter, "reports that did not arrive:{}", list(&self.missed))?;
         write!(formatter, "angles limited: {} by range, {} by slew", self.clipped.range, self.clipped.slew)?;
+        if !self.epoch_events.is_empty() {
+            write!(formatter, "\nchanges of the epoch:{}", list(&self.epoch_events))?;
+        }
+        if self.standby {
+            write!(formatter, "\nstandby: the array follows another controller")?;
+        }
+        if let Some(unfit) = &self.unfit {
+            write!(formatter, "\nno commands: {unfit}")?;
+        }
         for granted in &self.machine {
             write!(formatter, "\n{granted}")?;
         }
@@ -194,10 +238,20 @@ impl fmt::Display for Summary {
             write!(formatter, "\nthe policy had not returned for 0.1 s at {} status checks", self.unanswered)?;
         }
         if !self.last_problem.is_empty() {
-            write!(formatter, "\nlast problem: {}", self.last_problem)?;
+            write!(formatter, "\nlast problem: {}", printable(&self.last_problem))?;
         }
         Ok(())
     }
+}
+
+/// The mismatch, and the flag of the command line that accepts it, where there is one.
+fn describe_unfit(unfit: &Unfit) -> String {
+    let advice = match unfit {
+        Unfit::Shape { .. } => "",
+        Unfit::Range { .. } => ", or accept the range with --accept-small-range",
+        Unfit::PaperAngles => ", or send them all the same with --force-paper-angles",
+    };
+    format!("{unfit}{advice}")
 }
 
 fn list(counts: &BTreeMap<String, u64>) -> String {

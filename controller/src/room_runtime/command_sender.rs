@@ -47,6 +47,12 @@ impl CommandSender {
         publish(publisher, payload, command)
     }
 
+    /// Epoch and sequence number of the last command; 0 before the first.
+    pub fn last_sent(&self) -> (u64, u64) {
+        let state = lock(&self.state);
+        (state.last.command.epoch, state.last.command.sequence)
+    }
+
     /// Publishes a command on behalf of the policy at `now`; false where the transport refuses it.
     ///
     /// Sends nothing before the first command, while another command is being sent, and to park a
@@ -76,10 +82,11 @@ struct LastCommand {
 }
 
 impl LastCommand {
-    /// Assigns the next sequence number to a command of the policy, and keeps a copy. Does not
-    /// allocate after the first command.
+    /// Assigns the next sequence number of its epoch to a command of the policy, and keeps a copy.
+    /// Does not allocate after the first command.
     fn number(&mut self, command: &mut MirrorCommand) {
-        command.sequence = self.command.sequence + 1;
+        let last = if self.command.epoch == command.epoch { self.command.sequence } else { 0 };
+        command.sequence = last + 1;
         let MirrorCommand { roll, yaw, .. } = &mut self.command;
         let (mut roll, mut yaw) = (std::mem::take(roll), std::mem::take(yaw));
         roll.clear();
@@ -135,6 +142,17 @@ mod tests {
     fn commands_are_numbered_from_one_without_a_gap() {
         let mut last = LastCommand::default();
         assert_eq!([1, 2, 3].map(|answers| number(&mut last, answers)), [1, 2, 3]);
+    }
+
+    #[test]
+    fn numbers_begin_again_with_each_epoch() {
+        let mut last = LastCommand::default();
+        let mut sequence = |epoch| {
+            let mut command = MirrorCommand { epoch, ..command(1) };
+            last.number(&mut command);
+            command.sequence
+        };
+        assert_eq!([3, 3, 4, 4].map(&mut sequence), [1, 2, 1, 2]);
     }
 
     #[test]

@@ -176,6 +176,10 @@ impl DecisionLoop {
                 return;
             }
         };
+        if stream == Stream::Telemetry {
+            let (epoch, sequence) = self.sender.last_sent();
+            self.controller.handle_sent(epoch, sequence);
+        }
         let now = self.clock.at_arrival(message.stamp().time_ns);
         match self.controller.handle_message(now, message) {
             Due::Command => {

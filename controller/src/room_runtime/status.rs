@@ -1,8 +1,9 @@
 //! The status report of one room, twice a second, for operators. No decision depends on it.
 
 use heliostat_decide::{
-    core::{Controller, DegradedMode},
+    core::{Counters, DegradedMode},
     refusal::Refusal,
+    tenure::{Tenure, TenureEvent},
 };
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
 use heliostat_service::clock::utc_ns;
@@ -30,7 +31,18 @@ pub struct Reporter {
     failed: u64,
     unsent: u64,
     orders_refused: u64,
+    foreign_arrays: u64,
+    epoch_events: [u64; TenureEvent::ALL.len()],
+    unfit: Option<String>,
     last_problem: String,
+}
+
+/// What went wrong since the last status.
+pub enum Problem {
+    /// The array receives no commands, or another sender interferes.
+    Alarm(String),
+    /// Anything else.
+    Warning(String),
 }
 
 /// A copy of the counters, taken while the decision loop is locked.
@@ -38,7 +50,7 @@ pub struct Snapshot {
     /// Counters and names.
     pub summary: Summary,
     /// What went wrong since the last snapshot.
-    pub problem: Option<String>,
+    pub problem: Option<Problem>,
     now: Nanos,
     state: String,
     swaps: SwapCounters,
@@ -55,6 +67,9 @@ impl Reporter {
             failed: 0,
             unsent: 0,
             orders_refused: 0,
+            foreign_arrays: 0,
+            epoch_events: [0; TenureEvent::ALL.len()],
+            unfit: None,
             last_problem: String::new(),
         }
     }
@@ -66,12 +81,14 @@ impl Reporter {
         summary.unsent = decision_loop.unsent();
         summary.dropped = decision_loop.superseded();
         summary.cache_warm_ups = decision_loop.cache_warm_ups();
-        let problem = self.new_problem(decision_loop, &swaps);
-        if let Some(problem) = &problem {
+        let problem = self
+            .new_alarm(&summary, controller.counters(), controller.tenure())
+            .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning));
+        if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
             self.last_problem.clone_from(problem);
         }
         summary.last_problem.clone_from(&self.last_problem);
-        let state = self.state(controller);
+        let state = self.state(&summary).to_string();
         self.decisions = summary.decisions;
         Snapshot { summary, problem, now: decision_loop.room_time_ns(), state, swaps }
     }
@@ -91,6 +108,8 @@ impl Reporter {
             ("clipped_slew", summary.clipped.slew),
             ("sources", summary.sources),
             ("epoch", summary.epoch),
+            ("standby", u64::from(summary.standby)),
+            ("array_unfit", u64::from(summary.unfit.is_some())),
             ("policies_switched", snapshot.swaps.replaced),
             ("policies_refused", snapshot.swaps.refused),
         ];
@@ -99,6 +118,8 @@ impl Reporter {
         let named = |prefix: &'static str| move |(name, count): (&String, &u64)| (format!("{prefix}{name}"), *count);
         let fallbacks = summary.fallbacks.iter().map(named("fallback:"));
         let refused = summary.refused.iter().map(named("refused:"));
+        let epochs = summary.epoch_events.iter().map(named("epoch:"));
+        let missed = summary.missed.iter().map(named("missed:"));
         let mut timed = summary.clone();
         timed.add_times(times);
         let stages = timed.stages_us.iter().map(|(name, times)| (name.clone(), *times));
@@ -107,7 +128,7 @@ impl Reporter {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
             policy: summary.policy.clone(),
-            counters: own.chain(within).chain(fallbacks).chain(refused).collect(),
+            counters: own.chain(within).chain(fallbacks).chain(refused).chain(epochs).chain(missed).collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
@@ -137,14 +158,39 @@ impl Reporter {
         }
     }
 
-    fn state(&self, controller: &Controller) -> String {
-        let counters = controller.counters();
-        match controller.superseded_by() {
-            Some(epoch) => format!("superseded by epoch {epoch}"),
-            None if counters.decisions == 0 => "waiting for position reports".into(),
-            None if counters.decisions == self.decisions => "position reports stopped".into(),
-            None => "running".into(),
+    fn state(&self, summary: &Summary) -> &'static str {
+        match summary {
+            _ if summary.unfit.is_some() => "no commands: the array does not fit",
+            _ if summary.standby => "standby",
+            _ if summary.decisions == 0 => "waiting for position reports",
+            _ if summary.decisions == self.decisions => "position reports stopped",
+            _ => "running",
         }
+    }
+
+    /// A new reason for which the array receives no commands, or a sign of another sender.
+    fn new_alarm(&mut self, summary: &Summary, counters: &Counters, tenure: &Tenure) -> Option<Problem> {
+        let unfit_before = std::mem::replace(&mut self.unfit, summary.unfit.clone());
+        if unfit_before != self.unfit {
+            return Some(match &self.unfit {
+                Some(unfit) => Problem::Alarm(format!("the array receives no commands: {unfit}")),
+                None => Problem::Warning("the array fits the scenario: it receives commands again".into()),
+            });
+        }
+        let events = TenureEvent::ALL.map(|event| counters.tenure(event));
+        let before = std::mem::replace(&mut self.epoch_events, events);
+        let rose = TenureEvent::ALL.into_iter().filter(|event| events[*event as usize] > before[*event as usize]);
+        if let Some(event) = rose.max_by_key(|event| is_alarm(*event)) {
+            let text = describe_event(event, tenure);
+            return Some(if is_alarm(event) { Problem::Alarm(text) } else { Problem::Warning(text) });
+        }
+        let foreign_before = std::mem::replace(&mut self.foreign_arrays, counters.foreign_arrays);
+        (foreign_before < counters.foreign_arrays).then(|| {
+            Problem::Warning(
+                "an announcement of an array that is not followed is refused: expected one driver in a room; stop the other"
+                    .into(),
+            )
+        })
     }
 
     /// The most serious problem since the last snapshot.
@@ -167,6 +213,33 @@ impl Reporter {
             return swaps.last_refusal.clone();
         }
         refused_rose.then(|| describe_refusal(decision_loop)).flatten()
+    }
+}
+
+fn is_alarm(event: TenureEvent) -> bool {
+    !matches!(event, TenureEvent::Resumed | TenureEvent::TookOver)
+}
+
+fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
+    let epoch = tenure.epoch();
+    match event {
+        TenureEvent::Superseded => format!(
+            "another controller (epoch {}) has superseded this one (epoch {epoch}): commands are withheld until the array accepts none of the other; stop one of the two, or keep this one as a reserve",
+            tenure.followed_epoch().unwrap_or_default()
+        ),
+        TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
+        TenureEvent::TookOver => {
+            format!("standby has ended: the array accepted no command, so this controller uses the new epoch {epoch}")
+        }
+        TenureEvent::LockedOut => format!(
+            "the array refused every command for 1 s; the new epoch {epoch} is used. Look for another sender of commands in the room"
+        ),
+        TenureEvent::ForeignSequence => format!(
+            "the array applied a command of this controller's epoch that it did not send; the new epoch {epoch} is used. Look for another sender of commands in the room"
+        ),
+        TenureEvent::ClocksDiffer => {
+            "the array refused every command for 1 s as expired: synchronise the clocks of controller and driver".into()
+        }
     }
 }
 

@@ -7,7 +7,8 @@ use std::{
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_decide::{capabilities::Examiner, refusal::Stream};
-use heliostat_proto::{Capabilities, EmergencyStop, decode, keys::parse_alive};
+use heliostat_proto::{Capabilities, EmergencyStop, Rearm, SafetyReport, decode, keys::parse_alive};
+use heliostat_service::clock::utc_ns;
 
 use super::{
     decision_loop::{DecisionLoop, PayloadHandler},
@@ -15,8 +16,8 @@ use super::{
     watchdog::Watchdog,
 };
 
-/// How long the controller waits for the capabilities of an array that is already there.
-const CAPABILITIES_WITHIN: Duration = Duration::from_millis(300);
+/// How long the controller waits for the announcements of an array that is already there.
+const ANNOUNCED_WITHIN: Duration = Duration::from_millis(300);
 
 /// Subscribes to the reports of a room and to the liveliness of its sources.
 ///
@@ -49,8 +50,8 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
     Ok(subscriptions)
 }
 
-/// Subscribes to the capabilities of the array, to stop orders, and to the kind of node that drives
-/// the mirrors.
+/// Subscribes to the announcements of the array, to orders about the emergency stop, and to the
+/// kind of node that drives the mirrors.
 ///
 /// None of this is in the decision path.
 ///
@@ -61,36 +62,90 @@ pub fn subscribe_to_array(
     decision_loop: &Arc<Mutex<DecisionLoop>>,
     watchdog: &Arc<Watchdog>,
     examiner: Examiner,
-) -> anyhow::Result<[Subscription; 3]> {
-    let room = bus.room();
-    let examiner = Arc::new(examiner);
-    let (of_array, on_capabilities) = (Arc::clone(&examiner), Arc::clone(decision_loop));
+) -> anyhow::Result<Vec<Subscription>> {
+    let mut subscriptions = vec![
+        subscribe_to_capabilities(bus, decision_loop, examiner.clone())?,
+        watch_nodes(bus, decision_loop, examiner)?,
+    ];
+    subscriptions.extend(subscribe_to_safety(bus, decision_loop, watchdog)?);
+    Ok(subscriptions)
+}
+
+fn subscribe_to_capabilities(
+    bus: &Bus,
+    decision_loop: &Arc<Mutex<DecisionLoop>>,
+    examiner: Examiner,
+) -> anyhow::Result<Subscription> {
+    let key = bus.room().capabilities();
+    let decision_loop = Arc::clone(decision_loop);
     let mut known = Capabilities::default();
     let mut examine = move |payload: &[u8]| {
         let Ok(new) = decode::<Capabilities>(payload) else { return };
-        if known == (Capabilities { stamp: known.stamp, ..new.clone() }) {
+        let is_admitted = lock(&decision_loop).controller.admits_array(new.stamp.source);
+        if is_admitted && known == (Capabilities { stamp: known.stamp, ..new.clone() }) {
             return;
         }
-        let verdict = of_array.examine(&new);
-        lock(&on_capabilities).controller.handle_capabilities(&new, verdict);
-        known = new;
+        // The examination takes long, so it does not hold the lock.
+        let verdict = if is_admitted { examiner.examine(&new) } else { Ok(()) };
+        if lock(&decision_loop).controller.handle_capabilities(&new, verdict) {
+            known = new;
+        }
     };
     // An array that is already there answers the request before the first command.
-    bus.fetch(&room.capabilities(), CAPABILITIES_WITHIN)?.iter().for_each(|payload| examine(payload));
-    let capabilities = bus.subscribe(&room.capabilities(), examine)?;
-    let (on_stop, watchdog) = (Arc::clone(decision_loop), Arc::clone(watchdog));
+    bus.fetch(&key, ANNOUNCED_WITHIN)?.iter().for_each(|payload| examine(payload));
+    Ok(bus.subscribe(&key, examine)?)
+}
+
+/// The watchdog has a latch of its own, because the decision loop can be locked when an order
+/// arrives.
+fn subscribe_to_safety(
+    bus: &Bus,
+    decision_loop: &Arc<Mutex<DecisionLoop>>,
+    watchdog: &Arc<Watchdog>,
+) -> anyhow::Result<[Subscription; 3]> {
+    let room = bus.room();
+    let shared = || (Arc::clone(decision_loop), Arc::clone(watchdog));
+    let (on_stop, watchdog) = shared();
     let stops = bus.subscribe(&room.stop(), move |payload| {
-        if let Ok(order) = decode::<EmergencyStop>(payload) {
-            watchdog.handle_stop_order(&order);
-            lock(&on_stop).controller.handle_stop_order(&order);
-        }
+        let Ok(order) = decode::<EmergencyStop>(payload) else { return };
+        watchdog.update_stop(|latch| latch.handle_order(utc_ns(), &order));
+        let decision_loop = &mut lock(&on_stop);
+        let now = decision_loop.room_time_ns();
+        decision_loop.controller.handle_stop_order(now, &order);
     })?;
-    let on_node = Arc::clone(decision_loop);
-    let nodes = bus.watch(&room.all_alive(), move |key, presence| {
-        let Some((node, _)) = parse_alive(key).filter(|_| presence == Presence::Alive) else { return };
-        if let Err(unfit) = examiner.examine_node(node) {
-            lock(&on_node).controller.handle_unfit(unfit);
-        }
+    let (on_rearm, watchdog) = shared();
+    let rearms = bus.subscribe(&room.rearm(), move |payload| {
+        let Ok(rearm) = decode::<Rearm>(payload) else { return };
+        watchdog.update_stop(|latch| latch.handle_rearm(&rearm));
+        lock(&on_rearm).controller.handle_rearm(&rearm);
     })?;
-    Ok([capabilities, stops, nodes])
+    let (on_report, watchdog) = shared();
+    let report = move |payload: &[u8]| {
+        let Ok(report) = decode::<SafetyReport>(payload) else { return };
+        if lock(&on_report).controller.handle_safety(&report) {
+            watchdog.update_stop(|latch| latch.handle_safety(&report));
+        }
+    };
+    // The first epoch must be above the one that the array follows.
+    bus.fetch(&room.safety(), ANNOUNCED_WITHIN)?.iter().for_each(|payload| report(payload));
+    Ok([stops, rearms, bus.subscribe(&room.safety(), report)?])
+}
+
+/// Withholds commands while a node that does not fit the scenario is in the room.
+fn watch_nodes(
+    bus: &Bus,
+    decision_loop: &Arc<Mutex<DecisionLoop>>,
+    examiner: Examiner,
+) -> anyhow::Result<Subscription> {
+    let decision_loop = Arc::clone(decision_loop);
+    let mut unfit_nodes = Vec::new();
+    Ok(bus.watch(&bus.room().all_alive(), move |key, presence| {
+        let Some((node, source)) = parse_alive(key) else { return };
+        let Err(unfit) = examiner.examine_node(node) else { return };
+        unfit_nodes.retain(|known| *known != source);
+        if presence == Presence::Alive {
+            unfit_nodes.push(source);
+        }
+        lock(&decision_loop).controller.handle_unfit_node((!unfit_nodes.is_empty()).then_some(unfit));
+    })?)
 }

@@ -17,8 +17,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use heliostat_decide::capabilities::StopLatch;
-use heliostat_proto::EmergencyStop;
+use heliostat_decide::guard::StopLatch;
 use heliostat_scenario::DegradedAction;
 
 use super::{command_sender::OnBehalf, locks::lock};
@@ -52,9 +51,9 @@ impl Watchdog {
         self.progress.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Applies a stop or re-arm order.
-    pub fn handle_stop_order(&self, order: &EmergencyStop) {
-        lock(&self.stop).handle(order);
+    /// Applies a message about the emergency stop.
+    pub fn update_stop(&self, apply: impl FnOnce(&mut StopLatch)) {
+        apply(&mut lock(&self.stop));
     }
 
     /// The decision loop was free.
@@ -101,7 +100,7 @@ impl StallDetector {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{Stamp, StopAction};
+    use heliostat_proto::{EmergencyStop, Stamp, StopAction};
 
     use super::*;
 
@@ -125,7 +124,8 @@ mod tests {
         let watchdog = Watchdog::new(DegradedAction::LastGood);
         let order = |action, time_ns| {
             let stamp = Stamp { time_ns, ..Stamp::default() };
-            watchdog.handle_stop_order(&EmergencyStop { stamp, action, ..EmergencyStop::default() });
+            let order = EmergencyStop { stamp, action, ..EmergencyStop::default() };
+            watchdog.update_stop(|latch| latch.handle_order(time_ns, &order));
         };
         order(StopAction::Stop, 5);
         assert_eq!(after_a_stall(&watchdog), None);

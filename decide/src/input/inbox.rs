@@ -1,19 +1,28 @@
 //! The latest report of each stream, and the rules for accepting or refusing a report.
 //!
-//! - The first source that reports owns the room. Reports of another source are refused until the
-//!   owner has been silent for `control.source_timeout_ms`. When the owner changes, the former
-//!   owner's reports are discarded, so two rooms are never mixed. The array has an owner of its
-//!   own, because another process may drive it.
-//! - A sequence number must be higher than the last of its stream.
-//! - A report must be neither older than `control.report_age_max_ms` nor from the future.
-//! - Counts must equal those of the scenario, and values must be physically possible in the room.
+//! A report is checked in this order:
 //!
-//! Each refusal is counted by stream and reason. No refusal stops the controller.
+//! 1. **Content**: counts must equal those of the scenario, and values must be physically possible
+//!    in the room.
+//! 2. **Source**: the first source whose report is accepted owns the room. Reports of another
+//!    source are refused until no report of the owner was accepted for `control.source_timeout_ms`.
+//!    When the owner changes, the former owner's reports are discarded, so two rooms are never
+//!    mixed. The array has an owner of its own, because another process may drive it.
+//! 3. **Sequence**: a number must be higher than the last of its stream, by a bounded step
+//!    ([`sequence`](crate::sequence)).
+//! 4. **Time**: a report must be neither older than `control.report_age_max_ms` nor from the
+//!    future.
+//!
+//! Only an accepted report takes ownership or renews it. Each refusal is counted by stream and
+//! reason. No refusal stops the controller.
 
 use heliostat_proto::{CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, Stamp, UserReport};
 use heliostat_scenario::Scenario;
 
-use crate::input::refusal::{Refusal, Refused, Stream};
+use crate::input::{
+    refusal::{Refusal, Refused, Stream},
+    sequence::SequenceTrack,
+};
 
 /// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;
@@ -54,7 +63,7 @@ impl Message<'_> {
     }
 }
 
-/// The source whose reports are accepted, and the arrival of its last report.
+/// The source whose reports are accepted, and the arrival of its last accepted report.
 #[derive(Clone, Copy, Debug)]
 struct Owner {
     source: u64,
@@ -94,6 +103,8 @@ pub struct Inbox {
     channel: Slot<ChannelReport>,
     obstacles: Slot<ObstacleReport>,
     telemetry: Slot<MirrorTelemetry>,
+    /// The sequence numbers of each stream, in the order of [`Stream::ALL`].
+    tracks: [SequenceTrack; Stream::ALL.len()],
     refused: Refused,
     sources: u64,
 }
@@ -110,6 +121,7 @@ impl Inbox {
             channel: Slot::default(),
             obstacles: Slot::default(),
             telemetry: Slot::default(),
+            tracks: Default::default(),
             refused: Refused::default(),
             sources: 0,
         }
@@ -122,16 +134,25 @@ impl Inbox {
     pub fn accept(&mut self, now: Nanos, message: Message<'_>) -> Result<(), Refusal> {
         let stream = message.stream();
         let stamp = *message.stamp();
+        let track = &self.tracks[stream as usize];
         let checked = self
             .rules
             .check_content(&message)
-            .and_then(|()| self.rules.check_time(now, &stamp))
             .and_then(|()| self.check_source(now, stream, stamp.source))
-            .and_then(|()| check_sequence(self.last_stamp(stream), &stamp));
+            .and_then(|()| track.check(now, &stamp, self.rules.source_timeout_ns))
+            .and_then(|()| self.rules.check_time(now, &stamp));
+        let track = &mut self.tracks[stream as usize];
         match checked {
-            Ok(()) => self.keep(message),
+            Ok(()) => {
+                track.on_accepted(now, &stamp);
+                self.renew_owner(now, stream, stamp.source);
+                self.keep(message);
+            }
             Err(Refusal::ForeignSource) => self.refused.count_foreign(stream, stamp.source),
-            Err(refusal) => self.refused.count(stream, refusal),
+            Err(refusal) => {
+                track.on_refused(&stamp);
+                self.refused.count(stream, refusal);
+            }
         }
         checked
     }
@@ -167,9 +188,19 @@ impl Inbox {
         &self.refused
     }
 
+    /// How many reports of a stream did not arrive, by the gaps in its sequence numbers.
+    pub fn missed(&self, stream: Stream) -> u64 {
+        self.tracks[stream as usize].missed()
+    }
+
     /// The source that owns the room.
     pub fn source(&self) -> Option<u64> {
         self.room.map(|owner| owner.source)
+    }
+
+    /// The source whose telemetry is followed.
+    pub fn array_source(&self) -> Option<u64> {
+        self.array.map(|owner| owner.source)
     }
 
     /// How many sources have owned the room, in succession.
@@ -181,6 +212,7 @@ impl Inbox {
     /// refused.
     pub fn handle_source_lost(&mut self, source: u64) {
         self.lost = Some(source);
+        self.tracks.iter_mut().for_each(|track| track.forget(source));
         if self.room.is_some_and(|owner| owner.source == source) {
             self.room = None;
             self.forget_room();
@@ -196,21 +228,29 @@ impl Inbox {
         self.lost = self.lost.filter(|lost| *lost != source);
     }
 
-    fn check_source(&mut self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
+    fn owner(&self, stream: Stream) -> Option<Owner> {
+        if stream == Stream::Telemetry { self.array } else { self.room }
+    }
+
+    fn check_source(&self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
         if self.lost == Some(source) {
             return Err(Refusal::SourceGone);
         }
+        // A clock that steps back must not extend the ownership.
+        let is_alive = |owner: &Owner| now.abs_diff(owner.last_report_ns) <= self.rules.source_timeout_ns;
+        match self.owner(stream).filter(is_alive) {
+            Some(owner) if owner.source != source => Err(Refusal::ForeignSource),
+            _ => Ok(()),
+        }
+    }
+
+    /// Gives ownership to the source of an accepted report, or renews it.
+    fn renew_owner(&mut self, now: Nanos, stream: Stream, source: u64) {
         let is_array = stream == Stream::Telemetry;
         let slot = if is_array { &mut self.array } else { &mut self.room };
-        match slot {
-            Some(owner) if owner.source == source => {
-                owner.last_report_ns = now;
-                return Ok(());
-            }
-            Some(owner) if now.saturating_sub(owner.last_report_ns) <= self.rules.source_timeout_ns => {
-                return Err(Refusal::ForeignSource);
-            }
-            _ => *slot = Some(Owner { source, last_report_ns: now }),
+        let former = slot.replace(Owner { source, last_report_ns: now });
+        if former.is_some_and(|owner| owner.source == source) {
+            return;
         }
         if is_array {
             self.telemetry.forget();
@@ -218,22 +258,12 @@ impl Inbox {
             self.forget_room();
             self.sources += 1;
         }
-        Ok(())
     }
 
     fn forget_room(&mut self) {
         self.users.forget();
         self.channel.forget();
         self.obstacles.forget();
-    }
-
-    fn last_stamp(&self, stream: Stream) -> Option<&Stamp> {
-        match stream {
-            Stream::Users => self.users.get().map(|report| &report.stamp),
-            Stream::Channel => self.channel.get().map(|report| &report.stamp),
-            Stream::Obstacles => self.obstacles.get().map(|report| &report.stamp),
-            Stream::Telemetry => self.telemetry.get().map(|report| &report.stamp),
-        }
     }
 
     fn keep(&mut self, message: Message<'_>) {
@@ -243,14 +273,6 @@ impl Inbox {
             Message::Obstacles(report) => self.obstacles.keep(report),
             Message::Telemetry(report) => self.telemetry.keep(report),
         }
-    }
-}
-
-fn check_sequence(last: Option<&Stamp>, stamp: &Stamp) -> Result<(), Refusal> {
-    match last.map(|last| stamp.sequence.cmp(&last.sequence)) {
-        None | Some(std::cmp::Ordering::Greater) => Ok(()),
-        Some(std::cmp::Ordering::Equal) => Err(Refusal::Repeated),
-        Some(std::cmp::Ordering::Less) => Err(Refusal::OutOfOrder),
     }
 }
 

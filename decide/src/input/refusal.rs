@@ -59,6 +59,8 @@ pub enum Refusal {
     Repeated,
     /// The sequence number is lower than the last.
     OutOfOrder,
+    /// The sequence number is too far above the last.
+    SequenceJump,
     /// Sampled too long ago.
     Stale,
     /// Sampled in the future: the clocks disagree.
@@ -75,7 +77,7 @@ pub enum Refusal {
 
 impl Refusal {
     /// All reasons, in the order of their counters.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::WrongVersion,
         Self::WrongKind,
         Self::Truncated,
@@ -88,6 +90,7 @@ impl Refusal {
         Self::SourceGone,
         Self::Repeated,
         Self::OutOfOrder,
+        Self::SequenceJump,
         Self::Stale,
         Self::FromFuture,
         Self::WrongUserCount,
@@ -111,6 +114,7 @@ impl Refusal {
             Self::SourceGone => "source-gone",
             Self::Repeated => "repeated",
             Self::OutOfOrder => "out-of-order",
+            Self::SequenceJump => "sequence-jump",
             Self::Stale => "stale",
             Self::FromFuture => "from-future",
             Self::WrongUserCount => "wrong-user-count",

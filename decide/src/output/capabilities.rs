@@ -1,12 +1,11 @@
-//! Whether the array may be commanded: its capabilities compared with the scenario, and the
-//! operator's stop.
+//! The array's capabilities compared with the scenario.
 //!
 //! [`Examiner`] compares when an announcement arrives, outside the decision path. A decision reads
-//! only the flags of [`Guard`].
+//! only the flags of the guard.
 
 use heliostat_channel::specular::bisector;
 use heliostat_channel::{ChannelModel, Vec3};
-use heliostat_proto::{AxisLimits, Capabilities, EmergencyStop, MirrorTelemetry, Nanos, NodeKind, StopAction};
+use heliostat_proto::{AxisLimits, Capabilities, NodeKind};
 use heliostat_scenario::{ChannelMode, Scenario};
 use thiserror::Error;
 
@@ -162,70 +161,6 @@ impl Examiner {
     }
 }
 
-/// The flags that a decision reads before it gives a command.
-#[derive(Clone, Debug, Default)]
-pub struct Guard {
-    unfit: Option<Unfit>,
-    /// Holds whatever the array announces.
-    forbidden: Option<Unfit>,
-    stop: StopLatch,
-}
-
-impl Guard {
-    /// Stores the result of an examination of the array.
-    pub(crate) fn set_verdict(&mut self, verdict: Result<(), Unfit>) {
-        self.unfit = verdict.err();
-    }
-
-    /// Withholds all commands from now on.
-    pub(crate) fn forbid(&mut self, unfit: Unfit) {
-        self.forbidden = Some(unfit);
-    }
-
-    /// Why the array does not fit the scenario, if it does not.
-    pub(crate) fn unfit(&self) -> Option<&Unfit> {
-        self.forbidden.as_ref().or(self.unfit.as_ref())
-    }
-
-    /// Whether commands may be sent, by the operator's orders and by the array's own state.
-    pub(crate) fn may_command(&self, telemetry: Option<&MirrorTelemetry>) -> bool {
-        let array_stopped = telemetry.is_some_and(|report| report.state == heliostat_proto::ArrayState::Stopped);
-        self.unfit().is_none() && !self.stop.is_stopped() && !array_stopped
-    }
-
-    /// Applies a stop or re-arm order.
-    pub(crate) fn handle_stop_order(&mut self, order: &EmergencyStop) {
-        self.stop.handle(order);
-    }
-}
-
-/// The latch of the emergency stop, by the rules of a driver: only a re-arm later than the last
-/// stop releases it.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct StopLatch {
-    stopped: bool,
-    /// Time of the last stop.
-    stopped_ns: Nanos,
-}
-
-impl StopLatch {
-    /// Whether a stop is latched.
-    pub fn is_stopped(&self) -> bool {
-        self.stopped
-    }
-
-    /// Applies a stop or re-arm order.
-    pub fn handle(&mut self, order: &EmergencyStop) {
-        match order.action {
-            StopAction::Stop => {
-                self.stopped = true;
-                self.stopped_ns = self.stopped_ns.max(order.stamp.time_ns);
-            }
-            StopAction::Rearm => self.stopped &= order.stamp.time_ns <= self.stopped_ns,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -281,22 +216,5 @@ mod tests {
             assert_eq!(examiner(mode, forced).examine_node(NodeKind::Driver), Ok(()));
         }
         assert_eq!(examiner("specular", Force::default()).examine_node(NodeKind::Driver), Ok(()));
-    }
-
-    #[test]
-    fn a_stop_is_latched_and_a_stopped_array_receives_no_commands() {
-        let mut guard = Guard::default();
-        assert!(guard.may_command(None));
-        let order = |action, time_ns| {
-            let stamp = heliostat_proto::Stamp { time_ns, ..Default::default() };
-            EmergencyStop { stamp, action, ..EmergencyStop::default() }
-        };
-        guard.handle_stop_order(&order(StopAction::Stop, 10));
-        guard.handle_stop_order(&order(StopAction::Rearm, 10));
-        assert!(!guard.may_command(None) && guard.stop.is_stopped());
-        guard.handle_stop_order(&order(StopAction::Rearm, 11));
-        assert!(guard.may_command(None));
-        let stopped = MirrorTelemetry { state: heliostat_proto::ArrayState::Stopped, ..MirrorTelemetry::default() };
-        assert!(!guard.may_command(Some(&stopped)));
     }
 }

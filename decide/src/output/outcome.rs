@@ -2,7 +2,7 @@
 
 use heliostat_proto::{MirrorCommand, Nanos};
 
-use crate::output::safety::Clipped;
+use crate::output::{safety::Clipped, tenure::TenureEvent};
 
 /// A stage of a decision that has just ended; a caller may record its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,11 +93,13 @@ pub enum DegradedMode {
     Held,
     /// The array is stopped, or does not fit the scenario.
     Withheld,
+    /// The array follows another controller.
+    Standby,
 }
 
 impl DegradedMode {
     /// All modes, in the order of their counters.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Late,
         Self::StaleReport,
         Self::ChannelMissing,
@@ -105,6 +107,7 @@ impl DegradedMode {
         Self::PolicyFailed,
         Self::Held,
         Self::Withheld,
+        Self::Standby,
     ];
 
     /// The name in counters.
@@ -117,6 +120,7 @@ impl DegradedMode {
             Self::PolicyFailed => "policy-failed",
             Self::Held => "held",
             Self::Withheld => "withheld",
+            Self::Standby => "standby",
         }
     }
 }
@@ -130,13 +134,25 @@ pub struct Counters {
     pub commands: u64,
     /// Axis values that the limits changed.
     pub clipped: Clipped,
+    /// Capabilities and safety reports of a source other than the array that is followed.
+    pub foreign_arrays: u64,
     degraded: [u64; DegradedMode::ALL.len()],
+    tenure: [u64; TenureEvent::ALL.len()],
 }
 
 impl Counters {
     /// Number of decisions in this degraded mode.
     pub fn degraded(&self, mode: DegradedMode) -> u64 {
         self.degraded[mode as usize]
+    }
+
+    /// Number of events of this kind.
+    pub fn tenure(&self, event: TenureEvent) -> u64 {
+        self.tenure[event as usize]
+    }
+
+    pub(crate) fn count_tenure(&mut self, event: TenureEvent) {
+        self.tenure[event as usize] += 1;
     }
 
     pub(crate) fn count_degraded(&mut self, mode: DegradedMode) {

@@ -4,6 +4,7 @@ mod actor_files;
 mod allocations;
 mod deadlines;
 mod decisions;
+mod epochs;
 mod observations;
 mod policies;
 mod reports;

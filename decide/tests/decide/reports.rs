@@ -6,7 +6,7 @@ use heliostat_decide::{
     policy::Fixed,
     refusal::{Refusal, Stream},
 };
-use heliostat_proto::{MirrorTelemetry, Obstacle, Stamp};
+use heliostat_proto::{ArrayState, MirrorTelemetry, Obstacle, Stamp, UserReport};
 
 use crate::support::{MS, Outcome, Room, SOURCE, controller, receive, scenario};
 
@@ -152,4 +152,98 @@ fn physically_impossible_values_are_refused() {
     };
     receive(&mut controller, now, Message::Telemetry(&mut telemetry));
     assert_eq!(refused(&controller, Stream::Telemetry, Refusal::WrongMirrorCount), 1);
+}
+
+/// A report of the room's own source, with another sequence number.
+fn numbered(room: &mut Room, tick: u64, sequence: u64) -> UserReport {
+    let mut report = room.positions(tick);
+    report.stamp.sequence = sequence;
+    report
+}
+
+#[test]
+fn a_report_of_the_highest_sequence_number_does_not_darken_the_room() {
+    let (mut controller, mut room) = flat(&[]);
+    room.tick(&mut controller, 1).command();
+    let forged = receive(&mut controller, Room::time(2), Message::Users(&mut numbered(&mut room, 2, u64::MAX)));
+    assert_eq!(forged, Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::SequenceJump), 1);
+    for tick in 3..=200 {
+        room.tick(&mut controller, tick).command();
+    }
+}
+
+#[test]
+fn a_stream_that_began_with_a_wild_sequence_number_recovers_after_the_source_timeout() {
+    let (mut controller, mut room) = flat(&[]);
+    receive(&mut controller, Room::time(1), Message::Users(&mut numbered(&mut room, 1, u64::MAX))).command();
+    // The channel reports go on and keep the ownership: the stream of positions recovers by itself.
+    let answered = (2..=150).filter(|tick| room.tick(&mut controller, *tick) != Outcome::Nothing);
+    let first = answered.min().expect("the stream recovers");
+    assert_eq!(first, 102, "the timeout is 1 s, and ticks are 10 ms");
+    assert_eq!(controller.inbox().sources(), 1);
+}
+
+#[test]
+fn only_an_accepted_report_renews_the_ownership() {
+    let (mut controller, mut room) = flat(&[]);
+    let mut repeated = room.positions(1);
+    receive(&mut controller, Room::time(1), Message::Users(&mut repeated.clone())).command();
+    let mut other = Room { source: 0x52, ..Room::new(&scenario(&[])) };
+    for tick in 2..=101 {
+        repeated.stamp.time_ns = Room::time(tick);
+        assert_eq!(receive(&mut controller, Room::time(tick), Message::Users(&mut repeated)), Outcome::Nothing);
+    }
+    assert_eq!(refused(&controller, Stream::Users, Refusal::Repeated), 100);
+    other.tick(&mut controller, 102).command();
+}
+
+#[test]
+fn a_stale_report_of_a_foreign_source_gets_no_command() {
+    let (mut controller, mut room) = flat(&["control.when_stale=\"park\""]);
+    room.tick(&mut controller, 100).command();
+    let mut other = Room { source: 0x52, ..Room::new(&scenario(&[])) };
+    let now = Room::time(101);
+    assert_eq!(receive(&mut controller, now, Message::Users(&mut other.positions(1))), Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::ForeignSource), 1);
+    assert_eq!(receive(&mut controller, now, Message::Users(&mut room.positions(1))).command().answers, 0);
+}
+
+#[test]
+fn telemetry_of_a_wild_sequence_number_hides_no_stop() {
+    let (mut controller, mut room) = flat(&[]);
+    let telemetry = |sequence, tick, state| MirrorTelemetry {
+        stamp: Stamp { source: 9, sequence, time_ns: Room::time(tick) },
+        state,
+        roll_commanded: vec![0.0; 9],
+        yaw_commanded: vec![0.0; 9],
+        ..MirrorTelemetry::default()
+    };
+    let following = ArrayState::Following;
+    receive(&mut controller, Room::time(1), Message::Telemetry(&mut telemetry(1, 1, following)));
+    receive(&mut controller, Room::time(2), Message::Telemetry(&mut telemetry(u64::MAX, 2, following)));
+    receive(&mut controller, Room::time(3), Message::Telemetry(&mut telemetry(2, 3, ArrayState::Stopped)));
+    assert_eq!(room.tick(&mut controller, 4), Outcome::Held(DegradedMode::Withheld));
+}
+
+#[test]
+fn an_owner_is_replaced_after_a_clock_has_stepped_back() {
+    let (mut controller, mut room) = flat(&[]);
+    room.tick(&mut controller, 1000).command();
+    let mut other = Room { source: 0x52, ..Room::new(&scenario(&[])) };
+    other.tick(&mut controller, 1).command();
+}
+
+#[test]
+fn reports_that_did_not_arrive_are_counted_by_stream() {
+    let (mut controller, mut room) = flat(&[]);
+    for (tick, sequence) in [(1, 10), (2, 11), (3, 15), (4, 16), (5, 18)] {
+        receive(&mut controller, Room::time(tick), Message::Users(&mut numbered(&mut room, tick, sequence))).command();
+    }
+    let mut gains = room.gains(5, 1e-6);
+    gains.stamp.sequence = 70;
+    receive(&mut controller, Room::time(5), Message::Channel(&mut gains.clone()));
+    gains.stamp.sequence = 72;
+    receive(&mut controller, Room::time(5), Message::Channel(&mut gains));
+    assert_eq!(Stream::ALL.map(|stream| controller.inbox().missed(stream)), [4, 1, 0, 0]);
 }

@@ -5,30 +5,23 @@ use std::time::Duration;
 use anyhow::Result;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{
-    ArrayState, CLOCK_LEAD_MAX_NS, Counters, Feedback, MirrorCommand, MirrorTelemetry, StopAction, UserReport,
-    ValidityClock,
+    ArrayState, CLOCK_LEAD_MAX_NS, Counters, Feedback, MirrorCommand, MirrorTelemetry, UserReport, ValidityClock,
 };
 
 use heliostat_service::clock::utc_ns;
 
-use super::report::{Finding, Verdict};
+use super::judging::{Outcome, ROUNDING_RAD, aims, evidence, not_judged, refused, shows, verdict};
+use super::report::Finding;
 use super::test_session::{ANSWER_TIMEOUT, TestSession, bytes};
-
-/// Tolerance for angles that were rounded to single precision, in rad.
-const ROUNDING_RAD: f64 = 1e-5;
+use super::{bound_rules, safety_rules};
 
 /// Number of commands in the burst.
 const FLOOD: usize = 300;
 
-/// Observation time of a stop after its sender has left.
-const ORPHAN_WATCH: Duration = Duration::from_millis(1500);
-
 /// A verdict with its evidence, or the reason why the rule was not judged.
-type Outcome = (Verdict, String);
-
 type Rule = (&'static str, &'static str, fn(&mut TestSession) -> Result<Outcome>);
 
-const RULES: [Rule; 18] = [
+const RULES: [Rule; 24] = [
     ("capabilities", "published each second, and in answer to queries", capabilities),
     ("telemetry", "at least ten per second, for all mirrors, with consecutive sequence numbers", telemetry),
     ("follow", "a valid command is applied and reported", follow),
@@ -44,9 +37,15 @@ const RULES: [Rule; 18] = [
     ("silence", "after its validity a command is held, then the array parks", silence),
     ("late", "a resumed command, after the end of validity, is followed and counted", late),
     ("flood", "after a burst of commands the last one is applied and telemetry continues", flood),
-    ("stop", "a stop is latched; commands are refused as stopped until a later re-arm", stop),
-    ("orphaned-stop", "a stop stays latched when its sender has left the room", orphaned_stop),
+    ("stop", "a stop is latched; commands are refused as stopped until a later re-arm", safety_rules::stop),
+    ("orphaned-stop", "a stop stays latched when its sender has left the room", safety_rules::orphaned_stop),
     ("calibration", "a valid calibration is used; an invalid one is refused with fault bit 16", calibration),
+    ("safety-report", "a safety report each second, at each stop, and in answer to queries", safety_rules::report),
+    ("named-rearm", "a re-arm releases the stop that it names, also one with a future time", safety_rules::named_rearm),
+    ("epoch-bound", "an epoch beyond the bound is refused as rejected, and locks nothing out", bound_rules::epoch),
+    ("sequence-bound", "a sequence beyond the bound is refused as rejected", bound_rules::sequence),
+    ("validity-bound", "a validity beyond the bound is refused as rejected", bound_rules::validity),
+    ("calibration-bound", "a gain or an offset beyond its bound is refused", bound_rules::calibration),
 ];
 
 /// Judges every rule.
@@ -58,14 +57,6 @@ pub fn judge(session: &mut TestSession) -> Result<Vec<Finding>> {
             Ok(Finding { rule, requirement, verdict, evidence })
         })
         .collect()
-}
-
-fn verdict(kept: bool, evidence: String) -> Result<Outcome> {
-    Ok((if kept { Verdict::Kept } else { Verdict::Broken }, evidence))
-}
-
-fn not_judged(why: &str) -> Result<Outcome> {
-    Ok((Verdict::NotJudged, why.to_owned()))
 }
 
 fn capabilities(session: &mut TestSession) -> Result<Outcome> {
@@ -285,132 +276,29 @@ fn flood(session: &mut TestSession) -> Result<Outcome> {
     verdict(applied.is_some() && alive, format!("{counted} of {FLOOD} applied, the last of them {}", applied.is_some()))
 }
 
-fn stop(session: &mut TestSession) -> Result<Outcome> {
-    let stopped_ns = utc_ns();
-    let from = session.count();
-    session.send_stop(StopAction::Stop, stopped_ns)?;
-    let Some(telemetry) = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Stopped) else {
-        return verdict(false, format!("a stop was sent; state {:?} since", session.last().state));
-    };
-    let (roll, yaw) = session.angles_at(0.7);
-    let command = session.command(roll, yaw);
-    let (refused, after) = session.send_and_count(&[bytes(&command)?])?;
-    let still = after.state == ArrayState::Stopped && after.roll_commanded == telemetry.roll_commanded;
-    let latched = refused == Counters { stopped: 1, ..Counters::default() } && still;
-    session.send_stop(StopAction::Rearm, stopped_ns - 1)?;
-    let command = session.command(roll, yaw);
-    let (early, _) = session.send_and_count(&[bytes(&command)?])?;
-    let ignored = early == Counters { stopped: 1, ..Counters::default() };
-    let from = session.count();
-    session.send_stop(StopAction::Rearm, utc_ns())?;
-    let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
-    let command = session.command(roll, yaw);
-    let (counted, after) = session.send_and_count(&[bytes(&command)?])?;
-    let follows = counted.accepted == 1 && shows(&after, &command);
-    verdict(
-        latched && ignored && parked && follows,
-        format!(
-            "commands refused {latched}, early re-arm ignored {ignored}, parked by a later one {parked}, follows again {follows}"
-        ),
-    )
-}
-
-fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
-    if !session.send_stop_and_leave(StopAction::Stop, |telemetry| telemetry.state == ArrayState::Stopped)? {
-        return verdict(false, format!("a stop was sent by another process; state {:?} since", session.last().state));
-    }
-    // Long enough for the driver to notice that the sender has left, and to report a change of
-    // state.
-    let left = session.count();
-    let released = session.wait(ORPHAN_WATCH, |received| {
-        received.telemetry[left..]
-            .iter()
-            .find(|telemetry| telemetry.state != ArrayState::Stopped)
-            .map(|telemetry| telemetry.state)
-    });
-    let (roll, yaw) = session.angles_at(0.7);
-    let command = session.command(roll, yaw);
-    let (counted, _) = session.send_and_count(&[bytes(&command)?])?;
-    let refused = counted == Counters { stopped: 1, ..Counters::default() };
-    let from = session.count();
-    session.send_stop(StopAction::Rearm, utc_ns())?;
-    let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
-    verdict(
-        released.is_none() && refused && parked,
-        format!("new state {released:?}, command refused {refused}, parked by the re-arm of another process {parked}"),
-    )
-}
-
 fn calibration(session: &mut TestSession) -> Result<Outcome> {
     let mirrors = session.capabilities.mirrors();
     let from = session.count();
-    let used = session.calibrate(mirrors, 0.0)?;
+    let used = session.calibrate(mirrors, 1.0, 0.0)?;
     let taken = session
         .telemetry(from, |telemetry| telemetry.calibration == used && telemetry.faults & fault::CALIBRATION == 0)
         .is_some();
     let from = session.count();
-    session.calibrate(mirrors + 1, 0.0)?;
+    session.calibrate(mirrors + 1, 1.0, 0.0)?;
     let flagged =
         |telemetry: &MirrorTelemetry| telemetry.faults & fault::CALIBRATION != 0 && telemetry.calibration == used;
     let size = session.telemetry(from, flagged).is_some();
-    let cleared = session.calibrate(mirrors, 0.0)?;
+    let cleared = session.calibrate(mirrors, 1.0, 0.0)?;
     let recovered = session
         .telemetry(from, |telemetry| telemetry.calibration == cleared && telemetry.faults & fault::CALIBRATION == 0);
     let from = session.count();
-    session.calibrate(mirrors, 10.0)?;
+    session.calibrate(mirrors, 1.0, 10.0)?;
     let far = session
         .telemetry(from, |telemetry| telemetry.faults & fault::CALIBRATION != 0 && telemetry.calibration == cleared);
     let (far, recovered) = (far.is_some(), recovered.is_some());
-    session.calibrate(mirrors, 0.0)?;
+    session.calibrate(mirrors, 1.0, 0.0)?;
     verdict(
         taken && size && recovered && far,
         format!("used {taken}; refused for another size {size}, beyond the hardware {far}; used again {recovered}"),
     )
-}
-
-/// Sends payloads that must be counted as `expected` and must not change anything else.
-fn refused(session: &mut TestSession, payloads: &[Vec<u8>], expected: Counters) -> Result<Outcome> {
-    let before = session.last();
-    let (counted, after) = session.send_and_count(payloads)?;
-    let unchanged = after.roll_commanded == before.roll_commanded
-        && after.yaw_commanded == before.yaw_commanded
-        && (after.epoch, after.applied_sequence) == (before.epoch, before.applied_sequence);
-    let evidence = evidence(&counted, &after);
-    // On a busy machine the validity of the last valid command may end before this, and the mirrors
-    // park.
-    let unchanged =
-        unchanged || (after.state == ArrayState::Parked && after.applied_sequence == before.applied_sequence);
-    verdict(counted == expected && unchanged, format!("{evidence}; mirrors and command unchanged {unchanged}"))
-}
-
-/// Whether telemetry reports the command and its angles.
-fn shows(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
-    let named = (telemetry.epoch, telemetry.applied_sequence, telemetry.answers)
-        == (command.epoch, command.sequence, command.answers);
-    named && telemetry.state == ArrayState::Following && aims(telemetry, command)
-}
-
-fn aims(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
-    let near = |(one, other): (&f32, &f32)| f64::from((one - other).abs()) < ROUNDING_RAD;
-    telemetry.roll_commanded.iter().zip(&command.roll).all(near)
-        && telemetry.yaw_commanded.iter().zip(&command.yaw).all(near)
-}
-
-/// The counters that changed, and the state in the telemetry.
-fn evidence(counted: &Counters, telemetry: &MirrorTelemetry) -> String {
-    let Counters { accepted, clipped, late, rejected, old_epoch, old_sequence, expired, stopped } = *counted;
-    let all = [
-        ("accepted", accepted),
-        ("clipped", clipped),
-        ("late", late),
-        ("rejected", rejected),
-        ("old_epoch", old_epoch),
-        ("old_sequence", old_sequence),
-        ("expired", expired),
-        ("stopped", stopped),
-    ];
-    let changed: Vec<String> =
-        all.iter().filter(|(_, count)| *count > 0).map(|(name, count)| format!("{name} +{count}")).collect();
-    let changed = if changed.is_empty() { "no counter changed".to_owned() } else { changed.join(", ") };
-    format!("{changed}; {:?} {}/{}", telemetry.state, telemetry.epoch, telemetry.applied_sequence).to_lowercase()
 }

@@ -1,14 +1,15 @@
 //! The session of the check: it sends messages like a controller and an operator, and keeps all
 //! answers.
 
+use std::cell::Cell;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::{
-    Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand, MirrorTelemetry, Nanos,
-    NodeKind, Stamp, StopAction, decode, encode,
+    ArrayState, Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand,
+    MirrorTelemetry, Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, decode, encode,
 };
 
 use heliostat_service::{clock::utc_ns, source_id};
@@ -31,6 +32,8 @@ pub struct Received {
     pub undecodable: Vec<CodecError>,
     /// Published capabilities.
     pub capabilities: Vec<Capabilities>,
+    /// Published safety reports.
+    pub safety: Vec<SafetyReport>,
 }
 
 /// A session with one driver.
@@ -38,28 +41,31 @@ pub struct TestSession {
     bus: Bus,
     commands: Publisher,
     stops: Publisher,
+    rearms: Publisher,
     calibrations: Publisher,
     received: Arc<(Mutex<Received>, Condvar)>,
-    _subscriptions: [Subscription; 2],
+    _subscriptions: [Subscription; 3],
     /// The capabilities at the start.
     pub capabilities: Capabilities,
     /// Whether the driver answered the query for them.
     pub answered: bool,
+    /// The safety report at the start; `None` for a driver older than this message.
+    pub safety: Option<SafetyReport>,
     /// Epoch of the next command.
     pub epoch: u64,
     /// Sequence of the last command.
     pub sequence: u64,
     source: u64,
     calibrations_sent: u64,
+    stops_sent: Cell<u64>,
 }
 
-/// Queries the driver's capabilities; repeats the query, because a new session may not know the
+/// Queries a message of the driver; repeats the query, because a new session may not know the
 /// driver yet.
-fn fetch_capabilities(bus: &Bus) -> Result<Option<Capabilities>> {
-    let key = bus.room().capabilities();
+fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
     let until = Instant::now() + ANSWER_TIMEOUT;
     loop {
-        let fetched = bus.fetch(&key, ANSWER_TIMEOUT)?.iter().find_map(|payload| decode(payload).ok());
+        let fetched = bus.fetch(key, ANSWER_TIMEOUT)?.iter().find_map(|payload| decode(payload).ok());
         if fetched.is_some() || Instant::now() >= until {
             return Ok(fetched);
         }
@@ -87,19 +93,29 @@ impl TestSession {
                 shared.1.notify_all();
             }
         })?;
-        let fetched = fetch_capabilities(&bus)?;
+        let shared = Arc::clone(&received);
+        let safety = bus.subscribe(&keys.safety(), move |payload| {
+            if let Ok(safety) = decode(payload) {
+                lock(&shared).safety.push(safety);
+                shared.1.notify_all();
+            }
+        })?;
+        let fetched = fetch(&bus, &keys.capabilities())?;
         let mut session = Self {
             commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,
             stops: bus.publisher(&keys.stop(), Class::RealTimeBlock)?,
+            rearms: bus.publisher(&keys.rearm(), Class::RealTimeBlock)?,
             calibrations: bus.publisher(&keys.calibration(), Class::RealTimeBlock)?,
             received,
-            _subscriptions: [telemetry, announced],
+            _subscriptions: [telemetry, announced, safety],
             answered: fetched.is_some(),
             capabilities: fetched.unwrap_or_default(),
             epoch: 0,
             sequence: 0,
             source: source_id::random(),
             calibrations_sent: 0,
+            stops_sent: Cell::new(0),
+            safety: None,
             bus,
         };
         if !session.answered {
@@ -113,7 +129,28 @@ impl TestSession {
         // Higher than any epoch that it has followed, like the epoch of a controller that starts
         // now.
         session.epoch = first.epoch.max(utc_ns() / 1_000_000) + 1;
+        session.safety = session.wait(ANSWER_TIMEOUT, |received| received.safety.last().cloned());
+        if first.state == ArrayState::Stopped {
+            session.release_start()?;
+        }
         Ok(session)
+    }
+
+    /// Re-arms an array that started stopped; a stop with a sender stays in force.
+    fn release_start(&mut self) -> Result<()> {
+        let stop = self.safety.clone().filter(|safety| safety.stopped);
+        let stop = stop.context("the array is stopped: re-arm it before the check, with heliostat ui")?;
+        ensure!(
+            (stop.stop_source, stop.stop_sequence) == (0, 0),
+            "the array is stopped by {:?}: {:?}; re-arm it before the check, with heliostat rearm",
+            stop.operator,
+            stop.reason
+        );
+        let from = self.count();
+        self.send_rearm(0, 0)?;
+        let released = self.telemetry(from, |telemetry| telemetry.state != ArrayState::Stopped);
+        released.context("the array started stopped, and a re-arm of that stop does not release it")?;
+        Ok(())
     }
 
     /// Ends the session.
@@ -189,9 +226,33 @@ impl TestSession {
         Ok(self.commands.put(payload)?)
     }
 
-    /// Publishes a stop or a re-arm with this time.
-    pub fn send_stop(&self, action: StopAction, time_ns: Nanos) -> Result<()> {
-        Ok(self.stops.put(&stop_message(self.source, action, time_ns)?)?)
+    /// Publishes a stop or a re-arm of kind 9 with this time; returns source and sequence of it.
+    pub fn send_stop(&self, action: StopAction, time_ns: Nanos) -> Result<(u64, u64)> {
+        let stamp = self.stop_stamp(self.source, time_ns);
+        self.stops.put(&stop_message(stamp, action)?)?;
+        Ok((stamp.source, stamp.sequence))
+    }
+
+    /// Publishes a re-arm that names a stop.
+    pub fn send_rearm(&self, stop_source: u64, stop_sequence: u64) -> Result<()> {
+        let stamp = self.stop_stamp(self.source, utc_ns());
+        let (operator, reason) = texts();
+        Ok(self.rearms.put(&bytes(&Rearm { stamp, stop_source, stop_sequence, operator, reason })?)?)
+    }
+
+    fn stop_stamp(&self, source: u64, time_ns: Nanos) -> Stamp {
+        self.stops_sent.set(self.stops_sent.get() + 1);
+        Stamp { source, sequence: self.stops_sent.get(), time_ns }
+    }
+
+    /// Waits for a safety report, from index `from` on, that fits.
+    pub fn safety_report(&self, from: usize, fits: impl Fn(&SafetyReport) -> bool) -> Option<SafetyReport> {
+        self.wait(ANSWER_TIMEOUT, |received| received.safety.iter().skip(from).find(|report| fits(report)).cloned())
+    }
+
+    /// The answer of the driver to a query of its safety report.
+    pub fn fetch_safety(&self) -> Result<Option<SafetyReport>> {
+        fetch(&self.bus, &self.bus.room().safety())
     }
 
     /// Does the same as another process, whose liveliness token disappears once the driver shows
@@ -200,17 +261,17 @@ impl TestSession {
         let source = source_id::random();
         let token = self.bus.announce(&self.bus.room().alive(NodeKind::Viewer, source))?;
         let from = self.count();
-        self.stops.put(&stop_message(source, action, utc_ns())?)?;
+        self.stops.put(&stop_message(self.stop_stamp(source, utc_ns()), action)?)?;
         let received = self.telemetry(from, shows).is_some();
         drop(token);
         Ok(received)
     }
 
-    /// Publishes a calibration for `mirrors` mirrors with this offset and gain 1; returns its
+    /// Publishes a calibration for `mirrors` mirrors with this gain and offset; returns its
     /// sequence.
-    pub fn calibrate(&mut self, mirrors: usize, offset_rad: f64) -> Result<u64> {
+    pub fn calibrate(&mut self, mirrors: usize, gain: f32, offset_rad: f64) -> Result<u64> {
         self.calibrations_sent += 1;
-        let (offsets, gains) = (vec![offset_rad as f32; mirrors], vec![1.0; mirrors]);
+        let (offsets, gains) = (vec![offset_rad as f32; mirrors], vec![gain; mirrors]);
         let calibration = Calibration {
             stamp: Stamp { source: self.source, sequence: self.calibrations_sent, time_ns: utc_ns() },
             roll_offset_rad: offsets.clone(),
@@ -250,10 +311,14 @@ pub fn bytes<T: Message>(message: &T) -> Result<Vec<u8>> {
     Ok(payload)
 }
 
-fn stop_message(source: u64, action: StopAction, time_ns: Nanos) -> Result<Vec<u8>> {
-    let stamp = Stamp { source, sequence: 1, time_ns };
-    let (operator, reason) = ("driver check".into(), "conformance check".into());
+fn stop_message(stamp: Stamp, action: StopAction) -> Result<Vec<u8>> {
+    let (operator, reason) = texts();
     bytes(&EmergencyStop { stamp, action, operator, reason })
+}
+
+/// Operator and reason of the orders of the check.
+fn texts() -> (String, String) {
+    ("driver check".into(), "conformance check".into())
 }
 
 fn total(counters: &Counters) -> u64 {

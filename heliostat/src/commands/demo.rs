@@ -4,7 +4,6 @@ pub mod child;
 mod processes;
 mod summary;
 
-use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver};
@@ -17,7 +16,7 @@ use heliostat_decide::policy::PolicyKind;
 use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
-use heliostat_service::{Stop, duration, signals};
+use heliostat_service::{Stop, duration, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
 
 use processes::Processes;
@@ -76,8 +75,7 @@ pub fn run(args: Args) -> Result<()> {
         &args.controller_arguments(endpoints, args.policy)?,
     )?;
     let (room_id, controller_id) = processes.ids();
-    drop(writeln!(
-        std::io::stderr(),
+    output::note(format_args!(
         "scenario {}: {} users, {} x {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
         scenario.name,
         scenario.users.count,
@@ -95,7 +93,7 @@ pub fn run(args: Args) -> Result<()> {
         Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {
-        drop(writeln!(std::io::stderr(), "{server}"));
+        output::note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     let watched = Watched { stop: &stop, view: &view, process_orders: received_orders, endpoints, title };

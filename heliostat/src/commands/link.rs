@@ -8,7 +8,7 @@ use heliostat_channel::blockage::{Cylinder, blocks};
 use heliostat_channel::link::ber_ook;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::QOS_PENALTY;
-use heliostat_scenario::{MinRate, Scenario, ScenarioArgs};
+use heliostat_scenario::{MinRate, Scenario, ScenarioArgs, USERS_MAX};
 use heliostat_sim::World;
 use serde::{Deserialize, Serialize};
 
@@ -127,6 +127,11 @@ fn user_rows(args: &Args, scenario: &Scenario) -> Result<Vec<UserRow>> {
         None => args.user.iter().map(|text| parse_user(text)).collect::<Result<_>>()?,
     };
     ensure!(!rows.is_empty(), "no users: give a CSV with at least one line after the header, or --user X,Y");
+    ensure!(
+        rows.len() <= USERS_MAX,
+        "{} users; expected at most {USERS_MAX}, the largest number in a room",
+        rows.len()
+    );
     let room = &scenario.room;
     for (index, row) in rows.iter().enumerate() {
         let place = row.position(scenario);

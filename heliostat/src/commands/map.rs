@@ -55,6 +55,9 @@ pub struct Args {
     json: bool,
 }
 
+/// Largest number of points of a map.
+const POINTS_MAX: f64 = 4e6;
+
 /// Lower limit of the SINR on the map: a point without light has no SINR in dB.
 const SINR_FLOOR_DB: f64 = -20.0;
 
@@ -62,6 +65,13 @@ const SINR_FLOOR_DB: f64 = -20.0;
 pub fn run(args: Args) -> Result<()> {
     let scenario = args.scenario.load()?;
     ensure!((0.5..=100.0).contains(&args.step_cm), "--step-cm {}: expected 0.5 to 100", args.step_cm);
+    let (room, step_m) = (&scenario.room, args.step_cm * 1e-2);
+    let points = room.length_x_m / step_m * (room.length_y_m / step_m);
+    ensure!(
+        points <= POINTS_MAX,
+        "--step-cm {}: {points:.0} points in this room; expected at most {POINTS_MAX}, use a larger step",
+        args.step_cm
+    );
     ensure!((0.0..=3600.0).contains(&args.at_seconds), "--at-seconds {}: expected 0 to 3600", args.at_seconds);
     let svg = args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
     ensure!(svg, "--out {}: expected a name that ends in .svg", args.out.display());

@@ -1,6 +1,5 @@
 //! `heliostat ui`: the page and the terminal view of a running room.
 
-use std::io::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,7 +8,7 @@ use clap::ValueEnum;
 use heliostat_bus::{Bus, BusArgs};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ScenarioArgs;
-use heliostat_service::{duration, signals};
+use heliostat_service::{duration, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, View};
 
 /// Time between two checks for keys and signals.
@@ -50,7 +49,7 @@ pub fn run(args: Args) -> Result<()> {
         Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {
-        drop(writeln!(std::io::stderr(), "{server}"));
+        output::note(server);
     }
     let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
     let mut display = Display::open(args.plain, &title)?;

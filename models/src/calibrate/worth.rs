@@ -16,6 +16,9 @@ use crate::evaluation::held_out::held_out_world;
 /// Time from a command to the evaluation of the mirrors in ns, longer than a servo needs.
 const SETTLED_NS: u64 = 2_000_000_000;
 
+/// Validity of a command in ms: longer than that time.
+const VALIDITY_MS: u32 = 3000;
+
 /// States of a room, and the angles that a policy commands in each.
 pub struct Evaluation {
     states: Vec<(World, MirrorAngles)>,
@@ -65,7 +68,7 @@ impl Evaluation {
                 epoch: 1,
                 sequence: index as u64 + 1,
                 time_ns: now_ns,
-                validity_ms: u32::MAX,
+                validity_ms: VALIDITY_MS,
                 roll: narrowed(&angles.roll),
                 yaw: narrowed(&angles.yaw),
                 ..MirrorCommand::default()

@@ -12,6 +12,10 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::{ACCOUNT_NAME, HEADER_NAME, Header, RecordingError};
 
+/// Longest record, and longest chunk before and after compression, in bytes. A length in the file
+/// is memory to allocate. The recorder's chunks hold some 512 KiB; other tools write 4 MiB.
+const RECORD_MAX: usize = 64 << 20;
+
 /// Opens a recording on disk.
 ///
 /// # Errors
@@ -48,7 +52,10 @@ impl<R: Read> Reading<R> {
     /// [`RecordingError::Read`], [`RecordingError::Foreign`] or [`RecordingError::Version`].
     pub fn open(source: R) -> Result<Self, RecordingError> {
         // A chunk is checked before any message in it is used: half a chunk counts as none.
-        let options = LinearReaderOptions::default().with_skip_end_magic(true).with_prevalidate_chunk_crcs(true);
+        let options = LinearReaderOptions::default()
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(RECORD_MAX);
         let header = Header::default();
         let reader = LinearReader::new_with_options(options);
         let mut reading = Self { source, reader, header, topics: HashMap::new(), account: None };

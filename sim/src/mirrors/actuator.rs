@@ -106,11 +106,23 @@ impl Actuator {
     /// # Panics
     /// If there is no such mirror.
     pub fn set_fault(&mut self, mirror: usize, roll: AxisFault, yaw: AxisFault) {
-        let mirrors = self.faults.len() / 2;
-        for (axis, fault) in [(mirror, roll), (mirrors + mirror, yaw)] {
-            self.faults[axis] = fault;
-            if fault == AxisFault::Stuck {
-                self.axes[axis] = AxisState::at_rest(self.axes[axis].angle);
+        self.set_faults(&[mirror], |_| (roll, yaw));
+    }
+
+    /// Sets the faults of both axes of some mirrors; `change` gets the previous ones, roll first.
+    ///
+    /// The time grows with the number of mirrors of the array, once a call.
+    ///
+    /// # Panics
+    /// If a mirror does not exist.
+    pub fn set_faults(&mut self, mirrors: &[usize], change: impl Fn((AxisFault, AxisFault)) -> (AxisFault, AxisFault)) {
+        for &mirror in mirrors {
+            let (roll, yaw) = change(self.fault(mirror));
+            for (axis, fault) in [(mirror, roll), (self.faults.len() / 2 + mirror, yaw)] {
+                self.faults[axis] = fault;
+                if fault == AxisFault::Stuck {
+                    self.axes[axis] = AxisState::at_rest(self.axes[axis].angle);
+                }
             }
         }
         self.take_effect();

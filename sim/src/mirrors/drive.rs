@@ -10,6 +10,10 @@ use std::collections::VecDeque;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_scenario::ActuatorParameters;
 
+/// Largest number of angles in the commands that have not taken effect, 256 MiB: a long delay must
+/// not fill the memory.
+const PENDING_ANGLES_MAX: usize = 1 << 25;
+
 /// A command that has not taken effect yet.
 #[derive(Clone, Debug)]
 struct Pending {
@@ -48,8 +52,12 @@ impl Drive {
         }
     }
 
-    /// Accepts a command at `time_s`; [`Drive::take_effect`] applies it after the delay.
+    /// Accepts a command at `time_s`; [`Drive::take_effect`] applies it after the delay. A drive with
+    /// too many commands that have not taken effect ignores it.
     pub fn command(&mut self, time_s: f64, angles: &MirrorAngles) {
+        if self.pending.len() * self.targets.len() >= PENDING_ANGLES_MAX {
+            return;
+        }
         let mut targets = self.spare.pop().unwrap_or_default();
         targets.clone_from(self.pending.back().map_or(&self.targets, |last| &last.targets));
         let mirrors = targets.len() / 2;

@@ -5,6 +5,7 @@ use std::io;
 
 use anyhow::{Context, Result};
 use heliostat_proto::Quantiles;
+use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -138,7 +139,7 @@ impl Summary {
         let problem = controller.map_or("", |controller| controller.last_problem.as_str());
         for (node, problem) in [("controller", problem), ("sim-node", room.last_problem.as_str())] {
             if !problem.is_empty() {
-                outln!("last problem of {node}: {problem}")?;
+                outln!("last problem of {node}: {}", printable(problem))?;
             }
         }
         Ok(())

@@ -2,6 +2,9 @@
 
 use std::str::FromStr;
 
+/// Largest number of values: each is a comparison of its own.
+const VALUES_MAX: usize = 1000;
+
 /// A key and its values, in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sweep {
@@ -35,10 +38,14 @@ impl FromStr for Sweep {
         let values: Vec<String> = match values.split_once("..") {
             Some((first, last)) => {
                 let number = |text: &str| text.trim_start_matches('=').parse::<u32>().map_err(|_| expected);
-                (number(first)?..=number(last)?).map(|value| value.to_string()).collect()
+                let range = number(first)?..=number(last)?;
+                range.take(VALUES_MAX + 1).map(|value| value.to_string()).collect()
             }
             None => values.split(',').map(|value| value.trim().to_owned()).collect(),
         };
+        if values.len() > VALUES_MAX {
+            return Err(format!("too many values: expected at most {VALUES_MAX}"));
+        }
         if key.trim().is_empty() || values.is_empty() || values.iter().any(String::is_empty) {
             return Err(expected.into());
         }
@@ -57,6 +64,8 @@ mod tests {
         assert_eq!(sweep.overrides().last().as_deref(), Some("users.count=4"));
         let sweep: Sweep = "noise.variance_a2=6.5e-15, 2e-15".parse().expect("a list");
         assert_eq!(sweep.values(), ["6.5e-15", "2e-15"]);
+        assert_eq!("seed=1..1000".parse::<Sweep>().expect("a range").values().len(), 1000);
+        assert!("seed=0..4294967295".parse::<Sweep>().expect_err("too many").contains("at most 1000"));
         for text in ["users.count", "=1..3", "users.count=3..1", "users.count=1,,2", "users.count=a..b"] {
             assert!(text.parse::<Sweep>().is_err(), "{text}");
         }

@@ -1,0 +1,177 @@
+//! The kit around a device: stops, re-arms, calibrations and the safety report.
+
+use heliostat_array::bounds::Bounds;
+use heliostat_array::calibration::{OFFSET_MAX_RAD, Unfit};
+use heliostat_array::content::Content;
+use heliostat_array::latch::LatchedStop;
+use heliostat_array::moment::Moment;
+use heliostat_array::refusal_counts::RefusalCounts;
+use heliostat_array::rules::RearmRefusal;
+use heliostat_array::{Device, DeviceError, Kit};
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::messages::fault;
+use heliostat_proto::{
+    ArrayState, AxisLimits, Calibration, Capabilities, CodecError, EmergencyStop, Feedback, Kind, MirrorCommand, Rearm,
+    Stamp, StopAction,
+};
+
+const MS: u64 = 1_000_000;
+const UTC: u64 = 1_800_000_000_000_000_000;
+
+fn at(ms: u64) -> Moment {
+    Moment { local_ns: ms * MS, room_ns: UTC + ms * MS }
+}
+
+/// One mirror that is always at the angle of its drive, and the calls that it received.
+#[derive(Default)]
+struct Mirror {
+    angles: Option<MirrorAngles>,
+    stops: u32,
+}
+
+impl Device for Mirror {
+    fn capabilities(&self) -> Capabilities {
+        let axis = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
+        let feedback = Feedback::ClosedLoop;
+        Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, feedback, ..Capabilities::default() }
+    }
+
+    fn travel_rad(&self) -> [[f64; 2]; 2] {
+        [[-2.0, 2.0]; 2]
+    }
+
+    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        self.angles = Some(angles.clone());
+        Ok(())
+    }
+
+    fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        if let Some(angles) = &self.angles {
+            into.clone_from(angles);
+        }
+        Ok(true)
+    }
+
+    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        self.stops += 1;
+        Ok(())
+    }
+}
+
+fn following() -> Kit<Mirror> {
+    let mut kit = Kit::new(Mirror::default());
+    kit.advance(at(0));
+    let angles = vec![0.25];
+    let command = MirrorCommand {
+        epoch: 3,
+        sequence: 1,
+        time_ns: at(0).room_ns,
+        validity_ms: 200,
+        roll: angles.clone(),
+        yaw: angles,
+        answers: 1,
+    };
+    kit.handle_command(at(0), &command).unwrap();
+    kit
+}
+
+fn stop(sequence: u64) -> EmergencyStop {
+    let stamp = Stamp { source: 7, sequence, time_ns: at(1).room_ns };
+    EmergencyStop { stamp, action: StopAction::Stop, operator: "ann".into(), reason: "smoke".into() }
+}
+
+#[test]
+fn the_safety_report_names_the_latched_stop_and_the_bounds() {
+    let mut kit = following();
+    let stamp = Stamp { source: 1, sequence: 2, time_ns: 3 };
+    let armed = kit.safety(stamp);
+    assert!(!armed.stopped && armed.stamp == stamp && armed.operator.is_empty(), "{armed:?}");
+    let bounds = Bounds::default();
+    assert_eq!(
+        (armed.validity_max_ms, armed.epoch_lead_max, armed.sequence_step_max, armed.epoch),
+        (bounds.validity_max_ms, bounds.epoch_lead_max, bounds.sequence_step_max, 3)
+    );
+    kit.handle_stop(at(5), &stop(1)).unwrap();
+    kit.handle_stop(at(6), &stop(2)).unwrap();
+    let stopped = kit.safety(stamp);
+    assert!(stopped.stopped, "{stopped:?}");
+    assert_eq!((stopped.stop_source, stopped.stop_sequence, stopped.stopped_ns), (7, 2, at(6).room_ns));
+    assert_eq!((stopped.operator.as_str(), stopped.reason.as_str()), ("ann", "smoke"));
+}
+
+#[test]
+fn a_device_that_connects_to_a_stopped_array_is_stopped_and_receives_no_angles() {
+    let mut kit = Kit::new(Mirror::default());
+    kit.stop(at(0), LatchedStop::without_sender("the last state is unknown", at(0).room_ns));
+    kit.advance(at(0));
+    assert_eq!((kit.connections(), kit.device().stops, kit.device().angles.is_none()), (1, 1, true));
+    assert_eq!(kit.telemetry(at(1), Stamp::default()).state, ArrayState::Stopped);
+    kit.handle_rearm(at(2), &Rearm::default()).unwrap();
+    assert!(kit.device().angles.is_some(), "the device parks");
+}
+
+#[test]
+fn refused_rearms_are_counted_by_name() {
+    let (mut kit, mut refused) = (following(), RefusalCounts::default());
+    let unnamed = EmergencyStop { action: StopAction::Rearm, ..stop(1) };
+    let named = |stop_sequence| Rearm { stop_source: 7, stop_sequence, ..Rearm::default() };
+    kit.handle(at(1), Content::Rearm(Ok(named(1))), &mut refused);
+    kit.handle(at(2), Content::Stop(Ok(stop(1))), &mut refused);
+    kit.handle(at(3), Content::Stop(Ok(unnamed.clone())), &mut refused);
+    kit.handle(at(4), Content::Rearm(Ok(named(2))), &mut refused);
+    kit.handle(at(5), Content::Rearm(Err(CodecError::Truncated { kind: Kind::Rearm, field: "stamp" })), &mut refused);
+    kit.refuse_unnamed_rearm(true);
+    let late = EmergencyStop { stamp: Stamp { time_ns: at(9).room_ns, ..unnamed.stamp }, ..unnamed };
+    assert_eq!(kit.handle_stop(at(6), &late), Err(RearmRefusal::Unnamed));
+    kit.handle(at(6), Content::Stop(Ok(late.clone())), &mut refused);
+    let counts = ["rearm:not-stopped", "rearm:too-early", "rearm:other-stop", "rearm:truncated", "rearm:unnamed"];
+    assert!(counts.iter().all(|name| refused.counts().get(*name) == Some(&1)), "{:?}", refused.counts());
+    assert_eq!(kit.array().state(), ArrayState::Stopped);
+    kit.refuse_unnamed_rearm(false);
+    kit.handle(at(7), Content::Stop(Ok(late)), &mut refused);
+    assert_eq!(kit.array().state(), ArrayState::Parked, "without authentication a re-arm of kind 9 counts");
+}
+
+fn calibration(sequence: u64, gain: f32, offset_rad: f64) -> Calibration {
+    Calibration {
+        stamp: Stamp { source: 7, sequence, time_ns: 0 },
+        roll_offset_rad: vec![offset_rad as f32],
+        roll_gain: vec![gain],
+        yaw_offset_rad: vec![0.0],
+        yaw_gain: vec![1.0],
+    }
+}
+
+#[test]
+fn a_calibration_beyond_its_bounds_is_refused_and_turns_no_mirror() {
+    let mut kit = following();
+    let before = kit.device().angles.clone();
+    let mut refused = RefusalCounts::default();
+    for (index, gain) in [1e-38, 0.499, 2.001, 1e30, -1.0, 0.0].into_iter().enumerate() {
+        let message = calibration(1 + index as u64, gain, 0.0);
+        assert!(matches!(kit.handle_calibration(at(1), &message), Err(Unfit::Gain { .. })), "{gain}");
+        kit.handle(at(1), Content::Calibration(Ok(message)), &mut refused);
+    }
+    for offset_rad in [0.21, -0.21, 1.5] {
+        let message = calibration(9, 1.0, offset_rad);
+        assert!(matches!(kit.handle_calibration(at(1), &message), Err(Unfit::Offset { .. })), "{offset_rad}");
+        kit.handle(at(1), Content::Calibration(Ok(message)), &mut refused);
+    }
+    assert_eq!((refused.counts()["calibration:gain"], refused.counts()["calibration:offset"]), (6, 3));
+    let telemetry = kit.telemetry(at(2), Stamp::default());
+    assert_eq!((telemetry.faults & fault::CALIBRATION, telemetry.calibration), (fault::CALIBRATION, 0));
+    assert_eq!(kit.device().angles, before);
+    for (index, (gain, offset_rad)) in
+        [(0.5, OFFSET_MAX_RAD), (2.0, -OFFSET_MAX_RAD), (1.0, 0.0)].into_iter().enumerate()
+    {
+        kit.handle_calibration(at(3), &calibration(10 + index as u64, gain, offset_rad)).unwrap();
+        let device = f64::from(gain) * 0.25 + offset_rad;
+        assert!((kit.device().angles.as_ref().unwrap().roll[0] - device).abs() < 1e-6);
+        let measured = kit.telemetry(at(4), Stamp::default()).roll_measured[0];
+        assert!((measured - 0.25).abs() < 1e-6, "measured angles compare with commanded ones: {measured}");
+    }
+}

@@ -1,0 +1,71 @@
+//! Verdicts and their evidence: what the rules of the check share.
+
+use anyhow::Result;
+use heliostat_proto::{ArrayState, Counters, MirrorCommand, MirrorTelemetry};
+
+use super::report::Verdict;
+use super::test_session::TestSession;
+
+/// Tolerance for angles that were rounded to single precision, in rad.
+pub const ROUNDING_RAD: f64 = 1e-5;
+
+/// The verdict on a rule, and its evidence.
+pub type Outcome = (Verdict, String);
+
+/// Kept or broken, with the evidence.
+pub fn verdict(kept: bool, evidence: String) -> Result<Outcome> {
+    Ok((if kept { Verdict::Kept } else { Verdict::Broken }, evidence))
+}
+
+/// Not judged, with the reason.
+pub fn not_judged(why: &str) -> Result<Outcome> {
+    Ok((Verdict::NotJudged, why.to_owned()))
+}
+
+/// Sends payloads that must be counted as `expected` and must not change anything else.
+pub fn refused(session: &mut TestSession, payloads: &[Vec<u8>], expected: Counters) -> Result<Outcome> {
+    let before = session.last();
+    let (counted, after) = session.send_and_count(payloads)?;
+    let unchanged = after.roll_commanded == before.roll_commanded
+        && after.yaw_commanded == before.yaw_commanded
+        && (after.epoch, after.applied_sequence) == (before.epoch, before.applied_sequence);
+    let evidence = evidence(&counted, &after);
+    // On a busy machine the validity of the last valid command may end before this, and the mirrors
+    // park.
+    let unchanged =
+        unchanged || (after.state == ArrayState::Parked && after.applied_sequence == before.applied_sequence);
+    verdict(counted == expected && unchanged, format!("{evidence}; mirrors and command unchanged {unchanged}"))
+}
+
+/// Whether telemetry reports the command and its angles.
+pub fn shows(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
+    let named = (telemetry.epoch, telemetry.applied_sequence, telemetry.answers)
+        == (command.epoch, command.sequence, command.answers);
+    named && telemetry.state == ArrayState::Following && aims(telemetry, command)
+}
+
+/// Whether telemetry reports the angles of the command.
+pub fn aims(telemetry: &MirrorTelemetry, command: &MirrorCommand) -> bool {
+    let near = |(one, other): (&f32, &f32)| f64::from((one - other).abs()) < ROUNDING_RAD;
+    telemetry.roll_commanded.iter().zip(&command.roll).all(near)
+        && telemetry.yaw_commanded.iter().zip(&command.yaw).all(near)
+}
+
+/// The counters that changed, and the state in the telemetry.
+pub fn evidence(counted: &Counters, telemetry: &MirrorTelemetry) -> String {
+    let Counters { accepted, clipped, late, rejected, old_epoch, old_sequence, expired, stopped } = *counted;
+    let all = [
+        ("accepted", accepted),
+        ("clipped", clipped),
+        ("late", late),
+        ("rejected", rejected),
+        ("old_epoch", old_epoch),
+        ("old_sequence", old_sequence),
+        ("expired", expired),
+        ("stopped", stopped),
+    ];
+    let changed: Vec<String> =
+        all.iter().filter(|(_, count)| *count > 0).map(|(name, count)| format!("{name} +{count}")).collect();
+    let changed = if changed.is_empty() { "no counter changed".to_owned() } else { changed.join(", ") };
+    format!("{changed}; {:?} {}/{}", telemetry.state, telemetry.epoch, telemetry.applied_sequence).to_lowercase()
+}

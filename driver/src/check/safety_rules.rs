@@ -1,0 +1,135 @@
+//! The rules of the emergency stop: latch, re-arm and safety report.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use heliostat_proto::{ArrayState, Counters, SafetyReport, StopAction};
+use heliostat_service::clock::utc_ns;
+
+use super::judging::{Outcome, not_judged, shows, verdict};
+use super::test_session::{TestSession, bytes};
+
+/// Observation time of a stop after its sender has left.
+const ORPHAN_WATCH: Duration = Duration::from_millis(1500);
+
+/// Lead of a stop from a wrong clock.
+const HOUR_NS: u64 = 3_600_000_000_000;
+
+/// Why a rule is not judged for a driver without safety reports.
+pub const NOT_SUPPORTED: &str = "not supported: the driver publishes no safety report";
+
+/// A stop is latched, and released by a later re-arm of kind 9.
+pub fn stop(session: &mut TestSession) -> Result<Outcome> {
+    let stopped_ns = utc_ns();
+    let from = session.count();
+    session.send_stop(StopAction::Stop, stopped_ns)?;
+    let Some(telemetry) = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Stopped) else {
+        return verdict(false, format!("a stop was sent; state {:?} since", session.last().state));
+    };
+    let (roll, yaw) = session.angles_at(0.7);
+    let command = session.command(roll, yaw);
+    let (refused, after) = session.send_and_count(&[bytes(&command)?])?;
+    let still = after.state == ArrayState::Stopped && after.roll_commanded == telemetry.roll_commanded;
+    let latched = refused == Counters { stopped: 1, ..Counters::default() } && still;
+    session.send_stop(StopAction::Rearm, stopped_ns - 1)?;
+    let command = session.command(roll, yaw);
+    let (early, _) = session.send_and_count(&[bytes(&command)?])?;
+    let ignored = early == Counters { stopped: 1, ..Counters::default() };
+    let from = session.count();
+    session.send_stop(StopAction::Rearm, utc_ns())?;
+    let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
+    let command = session.command(roll, yaw);
+    let (counted, after) = session.send_and_count(&[bytes(&command)?])?;
+    let follows = counted.accepted == 1 && shows(&after, &command);
+    verdict(
+        latched && ignored && parked && follows,
+        format!(
+            "commands refused {latched}, early re-arm ignored {ignored}, parked by a later one {parked}, follows again {follows}"
+        ),
+    )
+}
+
+/// A stop outlives its sender.
+pub fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
+    if !session.send_stop_and_leave(StopAction::Stop, |telemetry| telemetry.state == ArrayState::Stopped)? {
+        return verdict(false, format!("a stop was sent by another process; state {:?} since", session.last().state));
+    }
+    // Long enough for the driver to notice that the sender has left, and to report a change of
+    // state.
+    let left = session.count();
+    let released = session.wait(ORPHAN_WATCH, |received| {
+        received.telemetry[left..]
+            .iter()
+            .find(|telemetry| telemetry.state != ArrayState::Stopped)
+            .map(|telemetry| telemetry.state)
+    });
+    let (roll, yaw) = session.angles_at(0.7);
+    let command = session.command(roll, yaw);
+    let (counted, _) = session.send_and_count(&[bytes(&command)?])?;
+    let refused = counted == Counters { stopped: 1, ..Counters::default() };
+    let from = session.count();
+    session.send_stop(StopAction::Rearm, utc_ns())?;
+    let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
+    verdict(
+        released.is_none() && refused && parked,
+        format!("new state {released:?}, command refused {refused}, parked by the re-arm of another process {parked}"),
+    )
+}
+
+/// Safety reports are published, answer queries, and name the latched stop.
+pub fn report(session: &mut TestSession) -> Result<Outcome> {
+    if session.safety.is_none() {
+        return not_judged(NOT_SUPPORTED);
+    }
+    let from = session.inspect(|received| received.safety.len());
+    let periodic = session.safety_report(from, |_| true).is_some();
+    let stop = session.send_stop(StopAction::Stop, utc_ns())?;
+    let names = |report: &SafetyReport| report.stopped && (report.stop_source, report.stop_sequence) == stop;
+    let named = session.safety_report(from, names).is_some();
+    let answered = session.fetch_safety()?.is_some_and(|report| names(&report));
+    let parked = release(session, stop)?;
+    let cleared = session.fetch_safety()?.is_some_and(|report| !report.stopped);
+    verdict(
+        periodic && named && answered && parked && cleared,
+        format!(
+            "published {periodic}, names a new stop {named}, in answer to a query {answered}; \
+             reports the release {cleared}"
+        ),
+    )
+}
+
+/// A stop from a clock one hour ahead is released by its name, and by no other name.
+pub fn named_rearm(session: &mut TestSession) -> Result<Outcome> {
+    if session.safety.is_none() {
+        return not_judged(NOT_SUPPORTED);
+    }
+    let earlier = session.send_stop(StopAction::Stop, utc_ns())?;
+    let from = session.count();
+    let stop = session.send_stop(StopAction::Stop, utc_ns() + HOUR_NS)?;
+    let stopped = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Stopped).is_some();
+    for (source, sequence) in [earlier, (stop.0, stop.1 + 1), (stop.0 ^ 1, stop.1), (0, 0)] {
+        session.send_rearm(source, sequence)?;
+    }
+    let (roll, yaw) = session.angles_at(0.7);
+    let command = session.command(roll, yaw);
+    let (counted, _) = session.send_and_count(&[bytes(&command)?])?;
+    let kept = counted == Counters { stopped: 1, ..Counters::default() };
+    let parked = release(session, stop)?;
+    let command = session.command(roll, yaw);
+    let (_, after) = session.send_and_count(&[bytes(&command)?])?;
+    let follows = shows(&after, &command);
+    verdict(
+        stopped && kept && parked && follows,
+        format!(
+            "a stop one hour ahead obeyed {stopped}, other names refused {kept}, released by its name {parked}, \
+             follows again {follows}"
+        ),
+    )
+}
+
+/// Releases a stop by its name; whether the array parks.
+fn release(session: &mut TestSession, (source, sequence): (u64, u64)) -> Result<bool> {
+    let from = session.count();
+    session.send_rearm(source, sequence)?;
+    Ok(session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some())
+}

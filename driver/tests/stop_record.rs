@@ -1,0 +1,131 @@
+//! The emergency stop on disk: an unknown state starts the array stopped.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use heliostat_array::latch::{Latch, LatchedStop};
+use heliostat_driver::stop_record::{StopRecord, StopRecordSettings};
+use heliostat_proto::Room;
+
+const NOW_NS: u64 = 1_800_000_000_000_000_000;
+
+fn settings(folder: &Path, start_armed: bool) -> StopRecordSettings {
+    StopRecordSettings { directory: Some(folder.to_owned()), start_armed }
+}
+
+fn open(settings: &StopRecordSettings) -> (StopRecord, Option<LatchedStop>) {
+    StopRecord::open(settings, &Room::new("lab").unwrap(), NOW_NS)
+}
+
+fn stop() -> Latch {
+    let operator = "ann".to_owned();
+    Latch::stopped(LatchedStop {
+        source: 7,
+        sequence: 3,
+        time_ns: 5,
+        arrived_ns: 6,
+        operator,
+        ..LatchedStop::default()
+    })
+}
+
+/// The stop at the next start, with the flag that declares a first start safe.
+fn next_start(folder: &Path) -> Option<LatchedStop> {
+    open(&settings(folder, true)).1
+}
+
+#[test]
+fn a_first_start_is_stopped_unless_it_is_declared_safe() {
+    let (stopped, armed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (_, start) = open(&settings(stopped.path(), false));
+    let start = start.unwrap();
+    assert_eq!((start.source, start.sequence), (0, 0));
+    assert!(start.reason.contains("the last state is unknown") && start.reason.contains("lab.stop.toml"), "{start:?}");
+    assert_eq!(next_start(stopped.path()), Some(start), "the flag does not override a recorded stop");
+    assert_eq!(next_start(&armed.path().join("new/folder")), None);
+    assert_eq!(open(&settings(&armed.path().join("new/folder"), false)).1, None, "the state is recorded");
+    let start = open(&StopRecordSettings { directory: None, start_armed: true }).1.unwrap();
+    assert!(start.reason.contains("--state DIR"), "{start:?}");
+}
+
+#[test]
+fn a_stop_and_its_rearm_are_in_force_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut record, _) = open(&settings(folder.path(), true));
+    record.keep(&stop(), false).unwrap();
+    assert_eq!(next_start(folder.path()).as_ref(), stop().stop());
+    record.keep(&Latch::default(), false).unwrap();
+    assert_eq!(next_start(folder.path()), None);
+    let other = StopRecord::open(&settings(folder.path(), false), &Room::new("hall").unwrap(), NOW_NS).1;
+    assert!(other.is_some(), "another room has its own record");
+}
+
+#[test]
+fn a_damaged_record_starts_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut record, _) = open(&settings(folder.path(), true));
+    let file = folder.path().join("lab.stop.toml");
+    for damage in [&b""[..], b"version = 1", b"\xff\xfe", b"version = 1\nstopped = false\n\0\0"] {
+        fs::write(&file, damage).unwrap();
+        let start = next_start(folder.path()).expect("stopped");
+        assert!(start.reason.contains("lab.stop.toml"), "{start:?}");
+    }
+    record.keep(&Latch::default(), false).unwrap();
+}
+
+/// Makes it impossible to write a new file, for any user: a folder has its name.
+fn block(folder: &Path) -> PathBuf {
+    let new = folder.join("lab.stop.new");
+    fs::create_dir(&new).unwrap();
+    new
+}
+
+#[test]
+fn a_stop_that_cannot_be_written_stops_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut record, start) = open(&settings(folder.path(), true));
+    assert_eq!(start, None);
+    let blocked = block(folder.path());
+    let problem = record.keep(&stop(), false).unwrap_err().to_string();
+    assert!(problem.contains("lab.stop.toml") && problem.contains("the next start is stopped"), "{problem}");
+    assert_eq!(record.problem(), Some(problem.as_str()));
+    record.keep(&stop(), false).expect("no second attempt until it is due");
+    assert!(next_start(folder.path()).is_some());
+    record.keep(&stop(), true).unwrap_err();
+    fs::remove_dir(blocked).unwrap();
+    record.keep(&stop(), true).unwrap();
+    assert_eq!((record.problem(), next_start(folder.path()).as_ref()), (None, stop().stop()));
+}
+
+#[test]
+fn an_array_whose_state_cannot_be_recorded_starts_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    block(folder.path());
+    let start = next_start(folder.path()).expect("stopped");
+    assert!(start.reason.contains("cannot record the emergency stop"), "{start:?}");
+    let file = tempfile::NamedTempFile::new().unwrap();
+    assert!(next_start(file.path()).is_some(), "a file is no folder");
+}
+
+#[test]
+fn a_recorded_stop_of_a_clock_that_was_set_back_can_be_released_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut record, _) = open(&settings(folder.path(), true));
+    record.keep(&Latch::stopped(LatchedStop { time_ns: NOW_NS + 9, ..LatchedStop::default() }), false).unwrap();
+    assert_eq!(next_start(folder.path()).unwrap().time_ns, NOW_NS);
+}
+
+#[test]
+fn the_folder_is_that_of_the_flag_the_unit_or_the_user() {
+    let of = |given: Option<&str>, variables: &[(&str, &str)]| {
+        let variable =
+            |name: &str| variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned());
+        StopRecordSettings::of_driver(given.map(PathBuf::from), false, variable).directory
+    };
+    let all = [("STATE_DIRECTORY", "/s/a:/s/b"), ("XDG_STATE_HOME", "/x"), ("HOME", "/h")];
+    assert_eq!(of(Some("here"), &all), Some("here".into()));
+    assert_eq!(of(None, &all), Some("/s/a".into()));
+    assert_eq!(of(None, &all[1..]), Some("/x/heliostat".into()));
+    assert_eq!(of(None, &all[2..]), Some("/h/.local/state/heliostat".into()));
+    assert_eq!(of(None, &[("HOME", "")]), None);
+}

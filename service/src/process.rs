@@ -1,0 +1,40 @@
+//! What the operating system reports about this process.
+
+/// Memory, files and threads of this process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Usage {
+    /// Resident memory in bytes.
+    pub resident_bytes: u64,
+    /// Open file descriptors.
+    pub files: u64,
+    /// Threads.
+    pub threads: u64,
+}
+
+/// The present usage; `None` where the operating system has no `/proc`, as outside Linux.
+pub fn usage() -> Option<Usage> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let field = |name: &str| {
+        let line = status.lines().find_map(|line| line.strip_prefix(name))?;
+        line.split_whitespace().next()?.parse::<u64>().ok()
+    };
+    // The listing itself is one open file.
+    let files = std::fs::read_dir("/proc/self/fd").ok()?.count().saturating_sub(1) as u64;
+    Some(Usage { resident_bytes: field("VmRSS:")? * 1024, files, threads: field("Threads:")? })
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_that_is_written_to_is_resident_and_an_open_file_counts() {
+        let before = usage().expect("Linux has /proc");
+        let block = std::hint::black_box(vec![1_u8; 64 << 20]);
+        let file = std::fs::File::open("/proc/self/status").expect("it exists");
+        let after = usage().expect("Linux has /proc");
+        assert!(after.resident_bytes >= before.resident_bytes + (60 << 20), "{before:?} {after:?}");
+        assert!(after.files > before.files && after.threads >= 1, "{before:?} {after:?}");
+        drop((block, file));
+    }
+}

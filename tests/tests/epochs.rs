@@ -1,0 +1,278 @@
+//! Forged and foreign messages, and several controllers in one room: commands continue.
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_proto::{
+    ArrayState, AxisLimits, Capabilities, MirrorCommand, MirrorTelemetry, NodeKind, Stamp, UserReport, codec,
+};
+use heliostat_tests::{Process, RoomObserver, wait_until};
+
+/// A day in ms.
+const DAY_MS: u64 = 86_400_000;
+
+/// A room, and an observer that is connected to the room and to its controllers.
+struct Setting {
+    room_endpoint: String,
+    controller_endpoints: [String; 2],
+    room: Process,
+}
+
+impl Setting {
+    fn new() -> Self {
+        let free = || free_loopback_endpoint().expect("a free port");
+        let room_endpoint = free();
+        let room = Process::heliostat(&["sim-node", "--listen", &room_endpoint, "--exit-with-parent", "--json"]);
+        Self { room_endpoint, controller_endpoints: [free(), free()], room }
+    }
+
+    fn controller(&self, index: usize) -> Process {
+        Process::heliostat(&[
+            "controller",
+            "--policy",
+            "nearest",
+            "--connect",
+            &self.room_endpoint,
+            "--listen",
+            &self.controller_endpoints[index],
+            "--exit-with-parent",
+            "--json",
+        ])
+    }
+
+    /// An observer of the room and its first controller, after the first commands.
+    fn observer(&self) -> RoomObserver {
+        let observer = RoomObserver::connect("demo", &[&self.room_endpoint, &self.controller_endpoints[0]]);
+        wait_for_accepted(&observer);
+        observer
+    }
+
+    /// A session that reaches the first controller and not the room, as a forger of telemetry.
+    fn forger(&self) -> RoomObserver {
+        RoomObserver::connect("demo", &[&self.controller_endpoints[0]])
+    }
+}
+
+fn encoded<T: codec::Message>(message: &T) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    codec::encode(message, &mut bytes).expect("the message is valid");
+    bytes
+}
+
+fn telemetry(observer: &RoomObserver) -> MirrorTelemetry {
+    observer.telemetry().expect("received")
+}
+
+/// Waits until the array has accepted twenty more commands and follows them.
+fn wait_for_accepted(observer: &RoomObserver) {
+    wait_until("telemetry", || observer.telemetry().is_some());
+    let before = telemetry(observer).counters.accepted;
+    wait_until("accepted commands", || {
+        let array = telemetry(observer);
+        array.counters.accepted >= before + 20 && array.state == ArrayState::Following
+    });
+}
+
+fn counter(observer: &RoomObserver, name: &str) -> u64 {
+    observer.counter(NodeKind::Controller, name)
+}
+
+fn last_problem(observer: &RoomObserver) -> String {
+    observer.status(NodeKind::Controller).map(|status| status.last_problem).unwrap_or_default()
+}
+
+#[test]
+fn a_controller_replaces_one_whose_clock_was_a_day_ahead() {
+    let setting = Setting::new();
+    let first = setting.controller(0);
+    let observer = setting.observer();
+    // The epoch that a controller chooses whose clock is ahead, within the rules of the array.
+    let mut command = observer.command().1.expect("received");
+    first.end();
+    command = MirrorCommand { epoch: command.epoch + DAY_MS, sequence: 1, ..command };
+    let apply = || {
+        command.time_ns = telemetry(&observer).stamp.time_ns;
+        observer.publish(&observer.room().command(), &encoded(&command));
+        telemetry(&observer).epoch == command.epoch
+    };
+    wait_for_epoch(apply, &observer);
+    let ahead = telemetry(&observer).epoch;
+
+    let second = setting.controller(0);
+    wait_until("an array that follows the second controller", || telemetry(&observer).epoch > ahead);
+    wait_for_accepted(&observer);
+    let summary = second.end().json();
+    assert!(summary["epoch"].as_u64() > Some(ahead), "{summary}");
+}
+
+/// Waits for the epoch of a controller with a wrong clock. An array that bounds epochs refuses it,
+/// and then there is nothing to replace.
+fn wait_for_epoch(mut apply: impl FnMut() -> bool, observer: &RoomObserver) {
+    let refused = || telemetry(observer).counters.rejected;
+    let before = refused();
+    wait_until("an epoch a day ahead, or its refusal", || apply() || refused() > before);
+}
+
+#[test]
+fn a_report_of_the_highest_sequence_number_does_not_darken_the_room() {
+    let setting = Setting::new();
+    let controller = setting.controller(0);
+    let observer = setting.observer();
+    let real = observer.users().expect("received");
+    let forged = UserReport { stamp: Stamp { sequence: u64::MAX, ..real.stamp }, ..real };
+    observer.publish(&observer.room().users(), &encoded(&forged));
+    wait_until("the refusal", || counter(&observer, "refused:users:sequence-jump") == 1);
+    wait_for_accepted(&observer);
+    let summary = controller.end().json();
+    assert_eq!(summary["sources"].as_u64(), Some(1), "{summary}");
+    let out_of_order = summary["refused"]["users:out-of-order"].as_u64().unwrap_or(0);
+    assert_eq!(out_of_order, 0, "{summary}");
+}
+
+#[test]
+fn foreign_capabilities_do_not_end_the_controller() {
+    let setting = Setting::new();
+    let mut controller = setting.controller(0);
+    let observer = setting.observer();
+    let foreign = Capabilities {
+        stamp: Stamp { source: 666, sequence: 1, time_ns: 1 },
+        hardware: "foreign".into(),
+        rows: 3,
+        columns: 3,
+        ..Capabilities::default()
+    };
+    let key = observer.room().capabilities();
+    for _ in 0..3 {
+        observer.publish(&key, &encoded(&foreign));
+        std::thread::sleep(std::time::Duration::from_millis(300));
+    }
+    wait_until("the count of foreign announcements", || counter(&observer, "refused:array:foreign-source") >= 3);
+    assert!(controller.is_running());
+    wait_for_accepted(&observer);
+    assert_eq!(counter(&observer, "array_unfit"), 0);
+    controller.end().json();
+}
+
+#[test]
+fn an_array_that_does_not_fit_receives_no_commands_until_it_announces_other_capabilities() {
+    let setting = Setting::new();
+    let mut controller = setting.controller(0);
+    let observer = setting.observer();
+    let axis = AxisLimits { min_rad: -0.05, max_rad: 0.05, ..AxisLimits::default() };
+    let narrow = Capabilities {
+        stamp: Stamp { sequence: 1_000, ..telemetry(&observer).stamp },
+        hardware: "narrow".into(),
+        rows: 10,
+        columns: 10,
+        roll: axis,
+        yaw: axis,
+        ..Capabilities::default()
+    };
+    // The real driver announces its own every second, so the forged ones are repeated.
+    let key = observer.room().capabilities();
+    wait_until("a reported mismatch", || {
+        observer.publish(&key, &encoded(&narrow));
+        last_problem(&observer).contains("the array receives no commands: the array \"narrow\" turns from")
+    });
+    assert!(counter(&observer, "fallback:withheld") > 0);
+    assert!(controller.is_running());
+    wait_until("a fit", || counter(&observer, "array_unfit") == 0);
+    wait_for_accepted(&observer);
+    controller.end().json();
+}
+
+#[test]
+fn forged_telemetry_of_the_highest_epoch_does_not_end_the_controller() {
+    let setting = Setting::new();
+    let mut controller = setting.controller(0);
+    let observer = setting.observer();
+    let forger = setting.forger();
+    let real = telemetry(&observer);
+    let stamp = Stamp { sequence: real.stamp.sequence + 10_000, ..real.stamp };
+    forger.publish(&observer.room().telemetry(), &encoded(&MirrorTelemetry { stamp, epoch: u64::MAX, ..real }));
+    wait_until("a standby", || counter(&observer, "epoch:superseded") > 0);
+    assert!(last_problem(&observer).contains("another controller (epoch 18446744073709551615)"));
+    wait_for_accepted(&observer);
+    assert!(controller.is_running());
+    let summary = controller.end().json();
+    assert_eq!(summary["standby"].as_bool(), Some(false), "{summary}");
+}
+
+#[test]
+fn a_forged_command_in_the_epoch_of_the_controller_is_reported_and_answered_by_a_new_epoch() {
+    let setting = Setting::new();
+    let controller = setting.controller(0);
+    let observer = setting.observer();
+    let before = telemetry(&observer).epoch;
+    let key = observer.room().command();
+    // Within the bound of the array on steps of the sequence.
+    wait_until("a forged command that is accepted", || {
+        let real = observer.command().1.expect("received");
+        let forged = MirrorCommand { sequence: real.sequence + 900_000, ..real };
+        observer.publish(&key, &encoded(&forged));
+        counter(&observer, "epoch:foreign-sequence") > 0
+    });
+    assert!(last_problem(&observer).contains("that it did not send"), "{}", last_problem(&observer));
+    wait_until("a new epoch", || telemetry(&observer).epoch > before);
+    wait_for_accepted(&observer);
+    controller.end().json();
+}
+
+#[test]
+fn a_forged_command_of_a_higher_epoch_locks_out_no_controller() {
+    let setting = Setting::new();
+    let controller = setting.controller(0);
+    let observer = setting.observer();
+    let key = observer.room().command();
+    let real = observer.command().1.expect("received");
+    let epoch = real.epoch + 30_000;
+    wait_until("a forged command that is accepted", || {
+        let forged = MirrorCommand { epoch, sequence: 1, ..observer.command().1.expect("received") };
+        observer.publish(&key, &encoded(&forged));
+        telemetry(&observer).epoch >= epoch
+    });
+    wait_until("a new epoch", || telemetry(&observer).epoch > epoch);
+    wait_for_accepted(&observer);
+    let summary = controller.end().json();
+    assert_eq!(summary["epoch_events"]["superseded"].as_u64(), Some(1), "{summary}");
+    assert_eq!(summary["epoch_events"]["took-over"].as_u64(), Some(1), "{summary}");
+}
+
+#[test]
+fn two_controllers_do_not_fight_and_the_one_in_standby_takes_over() {
+    let setting = Setting::new();
+    let first = setting.controller(0);
+    let observer = setting.observer();
+    let first_epoch = telemetry(&observer).epoch;
+    let mut second = setting.controller(1);
+    wait_until("an array that follows the second controller", || telemetry(&observer).epoch > first_epoch);
+    let epoch = telemetry(&observer).epoch;
+    let state = || observer.status(NodeKind::Controller).expect("received").state;
+    wait_until("a first controller in standby", || state() == "standby");
+    std::thread::sleep(std::time::Duration::from_secs(4));
+    assert_eq!(telemetry(&observer).epoch, epoch, "the second one commands without interruption");
+    wait_for_accepted(&observer);
+
+    second.kill();
+    wait_until("an array that follows the first controller", || telemetry(&observer).epoch > epoch);
+    wait_for_accepted(&observer);
+    wait_until("a first controller that runs", || state() == "running");
+    let summary = first.end().json();
+    assert_eq!(summary["epoch_events"]["took-over"].as_u64(), Some(1), "{summary}");
+    drop(setting.room);
+}
+
+#[test]
+fn lost_reports_are_counted_by_stream() {
+    let setting = Setting::new();
+    let controller = setting.controller(0);
+    let observer = setting.observer();
+    let before = counter(&observer, "missed:users");
+    // Numbers that no message has: a report of the source with a higher number than the next.
+    wait_until("missed reports", || {
+        let real = observer.users().expect("received");
+        let forged = UserReport { stamp: Stamp { sequence: real.stamp.sequence + 50, ..real.stamp }, ..real };
+        observer.publish(&observer.room().users(), &encoded(&forged));
+        counter(&observer, "missed:users") >= before + 30
+    });
+    let summary = controller.end().json();
+    assert!(summary["missed"]["users"].as_u64() >= Some(30), "{summary}");
+}

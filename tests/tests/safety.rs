@@ -1,0 +1,318 @@
+//! The emergency stop, the bounds on messages and a restart, across processes.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpListener;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use heliostat_bus::{BusConfig, free_loopback_endpoint};
+use heliostat_proto::messages::fault;
+use heliostat_proto::{
+    ArrayState, Calibration, EmergencyStop, Message, MirrorCommand, NodeKind, Rearm, Room, Stamp, StopAction, encode,
+};
+use heliostat_service::clock::utc_ns;
+use heliostat_tests::{Process, RoomObserver, wait_until};
+
+const HOUR_NS: u64 = 3_600_000_000_000;
+
+/// A servo board of one mirror on a socket, and the lines that it received.
+fn board() -> (String, Arc<Mutex<Vec<String>>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("an address").to_string();
+    let log = Arc::new(Mutex::new(Vec::new()));
+    let lines = Arc::clone(&log);
+    std::thread::spawn(move || {
+        for stream in listener.incoming().map_while(Result::ok) {
+            let mut out = stream.try_clone().expect("a socket");
+            let mut at = "0 0".to_owned();
+            for line in BufReader::new(stream).lines().map_while(Result::ok) {
+                let answer = match line.split_once(' ').map_or((line.as_str(), ""), |parts| parts) {
+                    ("hello", _) => "heliostat 1 1 -523599 523599 1".to_owned(),
+                    ("set", angles) => {
+                        at = angles.to_owned();
+                        "ok".to_owned()
+                    }
+                    ("get", _) => format!("at {at}"),
+                    ("stop", _) => "ok".to_owned(),
+                    _ => "error unknown".to_owned(),
+                };
+                lines.lock().expect("no test panics").push(line);
+                // The driver may have been killed.
+                writeln!(out, "{answer}").ok();
+            }
+        }
+    });
+    (address, log)
+}
+
+/// A room in a test: its observer, and a real driver of one emulated mirror.
+struct DrivenRoom {
+    observer: RoomObserver,
+    endpoint: String,
+    folder: tempfile::TempDir,
+    lines: Arc<Mutex<Vec<String>>>,
+    sequence: u64,
+}
+
+impl DrivenRoom {
+    fn new(room: &str) -> Self {
+        let endpoint = free_loopback_endpoint().expect("a free port");
+        let (address, lines) = board();
+        let folder = tempfile::tempdir().expect("a folder");
+        let config = format!(
+            "rows = 1\ncolumns = 1\ncalibration_reserve_deg = 10.0\n[[boards]]\nkind = \"servo-board\"\n\
+             address = \"tcp:{address}\"\nmin_deg = -30.0\nmax_deg = 30.0\nmeasures = true\nmirrors = [0]\n"
+        );
+        fs::write(folder.path().join("array.toml"), config).expect("a file");
+        let bus = BusConfig::new(Room::new(room).expect("a room")).listen_at(&endpoint);
+        Self { observer: RoomObserver::join(&bus), endpoint, folder, lines, sequence: 0 }
+    }
+
+    fn state_folder(&self) -> std::path::PathBuf {
+        self.folder.path().join("state")
+    }
+
+    /// Starts the driver. Its first start is declared safe, unless `declare_safe` is false.
+    fn start(&self, declare_safe: bool) -> Process {
+        let text = |path: &Path| path.display().to_string();
+        let (config, state) = (text(&self.folder.path().join("array.toml")), text(&self.state_folder()));
+        let room = self.observer.room().to_string();
+        let mut flags = vec!["driver", "run", "--config", &config, "--state", &state, "--room", &room];
+        flags.extend(["--connect", &self.endpoint, "--exit-with-parent"]);
+        flags.extend(declare_safe.then_some("--start-armed"));
+        let driver = Process::heliostat(&flags);
+        let before = self.observer.telemetry_count();
+        wait_until("telemetry of the driver", || self.observer.telemetry_count() > before + 2);
+        driver
+    }
+
+    fn send<T: Message>(&self, key: &str, message: &T) {
+        let mut payload = Vec::new();
+        encode(message, &mut payload).expect("a valid message");
+        self.observer.publish(key, &payload);
+    }
+
+    /// Sends a command with the next sequence number.
+    fn command(&mut self, roll: f32, change: impl FnOnce(&mut MirrorCommand)) {
+        self.sequence += 1;
+        let mut command = MirrorCommand {
+            epoch: 5,
+            sequence: self.sequence,
+            answers: self.sequence,
+            time_ns: utc_ns(),
+            validity_ms: 5000,
+            roll: vec![roll],
+            yaw: vec![0.0],
+        };
+        change(&mut command);
+        self.send(&self.observer.room().command(), &command);
+    }
+
+    /// Sends valid commands until one is applied.
+    fn follow(&mut self) {
+        wait_until("a command that the array follows", || {
+            self.command(0.25, |_| {});
+            std::thread::sleep(std::time::Duration::from_millis(60));
+            self.telemetry_state() == Some(ArrayState::Following)
+        });
+    }
+
+    fn telemetry_state(&self) -> Option<ArrayState> {
+        self.observer.telemetry().map(|telemetry| telemetry.state)
+    }
+
+    /// Stops the array; the clock of the sender is ahead by `lead_ns`.
+    fn stop(&self, sequence: u64, lead_ns: u64) {
+        let stamp = Stamp { source: 0xabc, sequence, time_ns: utc_ns() + lead_ns };
+        let order = EmergencyStop { stamp, action: StopAction::Stop, operator: "ann".into(), reason: "smoke".into() };
+        self.send(&self.observer.room().stop(), &order);
+        wait_until("a stopped array", || self.telemetry_state() == Some(ArrayState::Stopped));
+        wait_until("a report of the stop", || {
+            self.observer.safety().is_some_and(|safety| (safety.stop_source, safety.stop_sequence) == (0xabc, sequence))
+        });
+    }
+
+    fn rearm(&self, stop_source: u64, stop_sequence: u64) {
+        let stamp = Stamp { source: 0xdef, sequence: 1, time_ns: 1 };
+        let order = Rearm { stamp, stop_source, stop_sequence, ..Rearm::default() };
+        self.send(&self.observer.room().rearm(), &order);
+    }
+
+    /// Lines that the board received, without queries.
+    fn orders(&self) -> Vec<String> {
+        let lines = self.lines.lock().expect("no test panics");
+        lines.iter().filter(|line| *line != "get").cloned().collect()
+    }
+}
+
+#[test]
+fn a_stop_survives_the_end_of_the_driver_and_no_mirror_turns_until_the_rearm() {
+    let mut room = DrivenRoom::new("kept");
+    let mut driver = room.start(true);
+    room.follow();
+    room.stop(1, 0);
+    driver.kill();
+    room.lines.lock().expect("no test panics").clear();
+    let driver = room.start(true);
+    let safety = || room.observer.safety().expect("a safety report");
+    wait_until("a report of the recorded stop", || safety().stopped && safety().operator == "ann");
+    assert_eq!((safety().stop_source, safety().stop_sequence, safety().reason.as_str()), (0xabc, 1, "smoke"));
+    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
+    let before = room.observer.telemetry().expect("telemetry").counters.stopped;
+    wait_until("refused commands", || {
+        room.command(0.25, |_| {});
+        room.observer.telemetry().is_some_and(|telemetry| telemetry.counters.stopped > before + 3)
+    });
+    assert_eq!(room.orders(), ["hello", "stop"], "the board receives no angles");
+    assert!(driver.errors().contains("the array starts stopped by ann"), "{}", driver.errors());
+    assert!(driver.errors().contains("heliostat rearm --room kept"), "{}", driver.errors());
+    room.rearm(0xabc, 1);
+    wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
+    room.follow();
+    assert_eq!(room.orders().get(2).map(String::as_str), Some("set 0 0"), "it parks first");
+}
+
+#[test]
+fn an_array_whose_last_state_is_unknown_starts_stopped_and_the_command_line_releases_it() {
+    let mut room = DrivenRoom::new("unknown");
+    let mut driver = room.start(false);
+    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
+    let safety = room.observer.safety().expect("a safety report");
+    assert_eq!((safety.stop_source, safety.stop_sequence), (0, 0));
+    assert!(safety.reason.contains("the last state is unknown"), "{safety:?}");
+    let ended = Process::heliostat(&["rearm", "--room", "unknown", "--connect", &room.endpoint]).wait();
+    // The driver does not listen, so this command does not reach it: a peer does not forward messages.
+    assert!(ended.refusal().contains("no array received the order"), "{}", ended.errors);
+    room.rearm(0, 0);
+    room.follow();
+    driver.kill();
+    drop(driver);
+    let mut driver = room.start(false);
+    assert_eq!(room.telemetry_state(), Some(ArrayState::Parked), "the re-arm is recorded");
+    driver.kill();
+    fs::write(room.state_folder().join("unknown.stop.toml"), "version = 1\nstopped = fal").expect("a file");
+    let _driver = room.start(true);
+    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped), "a damaged record is an unknown state");
+}
+
+#[test]
+fn a_stop_that_cannot_be_recorded_stops_the_array_now_and_at_the_next_start() {
+    let mut room = DrivenRoom::new("full");
+    let mut driver = room.start(true);
+    room.follow();
+    // A folder in place of the new file: no process can write it, whatever its rights.
+    fs::create_dir(room.state_folder().join("full.stop.new")).expect("a folder");
+    room.stop(1, 0);
+    wait_until("an error in the log", || driver.errors().contains("cannot record the emergency stop"));
+    assert!(driver.errors().contains("the next start is stopped"), "{}", driver.errors());
+    driver.kill();
+    let _driver = room.start(true);
+    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
+}
+
+#[test]
+fn a_stop_one_hour_ahead_is_released_by_a_rearm_that_names_it() {
+    let mut room = DrivenRoom::new("ahead");
+    let _driver = room.start(true);
+    room.follow();
+    room.stop(1, HOUR_NS);
+    let arrived_ns = room.observer.safety().expect("a safety report").stopped_ns;
+    assert!(arrived_ns <= utc_ns(), "the time of the stop is that of its arrival");
+    room.rearm(0xabc, 2);
+    room.rearm(0xabd, 1);
+    let refused = || room.observer.counter(NodeKind::Driver, "refused:rearm:other-stop");
+    wait_until("two refused re-arms", || refused() == 2);
+    assert_eq!(room.telemetry_state(), Some(ArrayState::Stopped));
+    room.rearm(0xabc, 1);
+    wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
+    room.follow();
+}
+
+#[test]
+fn no_number_at_the_end_of_its_range_locks_the_controller_out_or_holds_the_array() {
+    let mut room = DrivenRoom::new("bounds");
+    let _driver = room.start(true);
+    room.follow();
+    let counters = |room: &DrivenRoom| room.observer.telemetry().expect("telemetry").counters;
+    let changes: [fn(&mut MirrorCommand); 4] = [
+        |command| command.epoch = u64::MAX,
+        |command| command.sequence = u64::MAX,
+        |command| command.validity_ms = u32::MAX,
+        |command| (command.epoch, command.sequence) = (6, u64::MAX),
+    ];
+    for (index, change) in changes.into_iter().enumerate() {
+        room.command(0.25, change);
+        wait_until("a refused command", || counters(&room).rejected == index as u64 + 1);
+        let before = counters(&room).accepted;
+        wait_until("a valid command of the same controller", || {
+            room.command(0.25, |_| {});
+            counters(&room).accepted > before
+        });
+    }
+    let refusals = ["epoch-bound", "sequence-bound", "validity-bound"];
+    wait_until("the names of the refusals", || {
+        let counts = refusals.map(|name| room.observer.counter(NodeKind::Driver, &format!("refused:command:{name}")));
+        counts == [1, 2, 1]
+    });
+    wait_until("a parked array", || room.telemetry_state() == Some(ArrayState::Parked));
+}
+
+#[test]
+fn a_calibration_with_a_tiny_gain_turns_no_mirror_and_is_reported() {
+    let mut room = DrivenRoom::new("gains");
+    let _driver = room.start(true);
+    room.follow();
+    let turned = room.orders().last().cloned();
+    assert_eq!(turned.as_deref(), Some("set 250000 0"));
+    let stamp = Stamp { source: 9, sequence: 1, time_ns: utc_ns() };
+    let calibration = Calibration {
+        stamp,
+        roll_offset_rad: vec![0.0],
+        roll_gain: vec![1e-38],
+        yaw_offset_rad: vec![0.0],
+        yaw_gain: vec![1e-38],
+    };
+    room.send(&room.observer.room().calibration(), &calibration);
+    wait_until("the fault bit of the calibration", || {
+        room.observer.telemetry().is_some_and(|telemetry| telemetry.faults & fault::CALIBRATION != 0)
+    });
+    let telemetry = room.observer.telemetry().expect("telemetry");
+    assert_eq!((telemetry.calibration, room.orders().last().cloned()), (0, turned));
+    assert!((telemetry.roll_measured[0] - 0.25).abs() < 1e-4, "{telemetry:?}");
+    wait_until("the name of the refusal", || room.observer.counter(NodeKind::Driver, "refused:calibration:gain") == 1);
+}
+
+#[test]
+fn a_simulated_room_keeps_its_stop_where_a_folder_is_given_and_starts_parked_otherwise() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let state = folder.path().display().to_string();
+    let start = |flags: &[&str]| {
+        let endpoint = free_loopback_endpoint().expect("a free port");
+        let all = [&["sim-node", "--room", "sim", "--listen", &endpoint, "--exit-with-parent"], flags].concat();
+        let process = Process::heliostat(&all);
+        let observer = RoomObserver::connect("sim", &[&endpoint]);
+        wait_until("telemetry and a safety report", || observer.telemetry().is_some() && observer.safety().is_some());
+        (process, observer, endpoint)
+    };
+    let state_of = |observer: &RoomObserver| observer.telemetry().expect("telemetry").state;
+    let (mut room, observer, _) = start(&["--state", &state, "--start-armed"]);
+    assert_eq!(state_of(&observer), ArrayState::Parked);
+    let stamp = Stamp { source: 3, sequence: 4, time_ns: utc_ns() };
+    let order = EmergencyStop { stamp, operator: "bob".into(), ..EmergencyStop::default() };
+    let mut payload = Vec::new();
+    encode(&order, &mut payload).expect("a valid stop");
+    wait_until("a stopped room", || {
+        observer.publish(&observer.room().stop(), &payload);
+        state_of(&observer) == ArrayState::Stopped
+    });
+    room.kill();
+    let (_room, observer, endpoint) = start(&["--state", &state, "--start-armed"]);
+    assert_eq!(state_of(&observer), ArrayState::Stopped);
+    let ended = Process::heliostat(&["rearm", "--room", "sim", "--connect", &endpoint]).wait();
+    assert!(ended.output.contains("the stop: 0000000000000003/4 of \"bob\""), "{} {}", ended.output, ended.errors);
+    wait_until("a parked room", || state_of(&observer) == ArrayState::Parked);
+    drop(_room);
+    let (_room, observer, _) = start(&[]);
+    assert_eq!(state_of(&observer), ArrayState::Parked);
+}

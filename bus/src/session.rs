@@ -252,6 +252,9 @@ impl Bus {
 
     /// Closes the session; its liveliness tokens disappear at once.
     ///
+    /// The close does not wait for acknowledgements. What was published just before it arrives
+    /// unless the network loses it; confirm an order by its effect before closing.
+    ///
     /// # Errors
     /// [`BusError::Close`].
     pub fn close(self) -> Result<(), BusError> {

@@ -85,7 +85,8 @@ impl CalibrationFile {
     }
 
     fn check(&self) -> Result<(), CalibrationFileError> {
-        let expected = self.rows * self.columns;
+        // A number that saturates is longer than any list.
+        let expected = self.rows.saturating_mul(self.columns);
         for (axis, AxisCorrections { offset_deg, gain }) in [("roll", &self.roll), ("yaw", &self.yaw)] {
             for (name, values) in [("offset_deg", offset_deg), ("gain", gain)] {
                 let (list, found) = (format!("{axis}.{name}"), values.len());

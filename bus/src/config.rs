@@ -2,15 +2,25 @@
 
 use std::hash::{BuildHasher, RandomState};
 use std::net::TcpListener;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use heliostat_proto::Room;
+use serde_json::{Map, Value};
 use zenoh::config::{Config, EndPoint};
 
+use crate::access::AccessRole;
 use crate::error::BusError;
+use crate::tls::{self, Identity};
 
 /// Default endpoint: one process of a room listens there, the others connect to it.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+
+/// Default endpoint of a session with keys.
+pub const DEFAULT_TLS_ENDPOINT: &str = "tls/127.0.0.1:7447";
+
+/// Room of a process for which neither a flag nor its keys name one.
+const DEFAULT_ROOM: &str = "demo";
 
 /// Time limit for a client started from the command line to reach its router.
 const ROUTER_LIMIT: Duration = Duration::from_secs(5);
@@ -49,12 +59,25 @@ pub struct BusConfig {
     pub role: Role,
     /// Behaviour while no process answers.
     pub reach: Reach,
+    /// The certificate of the process; without one the session is neither encrypted nor
+    /// authenticated.
+    pub identity: Option<Identity>,
+    /// Whether the process may listen without a certificate where other machines reach it.
+    pub insecure: bool,
 }
 
 impl BusConfig {
-    /// A peer without endpoints.
+    /// A peer without endpoints and without a certificate.
     pub fn new(room: Room) -> Self {
-        Self { room, listen: Vec::new(), connect: Vec::new(), role: Role::Peer, reach: Reach::Eventually }
+        Self {
+            room,
+            listen: Vec::new(),
+            connect: Vec::new(),
+            role: Role::Peer,
+            reach: Reach::Eventually,
+            identity: None,
+            insecure: false,
+        }
     }
 
     /// Adds an endpoint at which to listen.
@@ -78,11 +101,31 @@ impl BusConfig {
         self
     }
 
-    /// Checks each endpoint, and that there is at least one.
+    /// Encrypts every connection, and exchanges messages only with processes of the same authority,
+    /// within the rights of their roles.
+    #[must_use]
+    pub fn secured_by(mut self, identity: Identity) -> Self {
+        self.identity = Some(identity);
+        self
+    }
+
+    /// Whether the certificates of the remote processes restrict what they publish.
+    pub fn is_authenticated(&self) -> bool {
+        self.identity.is_some()
+    }
+
+    /// Whether other machines can read or send the messages of this session without a certificate.
+    pub(crate) fn is_exposed(&self) -> bool {
+        let reaches_out = |text: &String| text.parse::<EndPoint>().is_ok_and(|endpoint| !tls::is_local(&endpoint));
+        self.identity.is_none() && self.listen.iter().chain(&self.connect).any(reaches_out)
+    }
+
+    /// Checks each endpoint, that there is at least one, and that all suit the certificate.
     ///
     /// # Errors
-    /// [`BusError::NoEndpoint`], [`BusError::ClientWithoutRouter`] or
-    /// [`BusError::InvalidEndpoint`].
+    /// [`BusError::NoEndpoint`], [`BusError::ClientWithoutRouter`], [`BusError::InvalidEndpoint`],
+    /// [`BusError::OpenListener`], [`BusError::Unencrypted`], [`BusError::NoKeys`] or
+    /// [`BusError::OtherRoom`].
     pub fn check(&self) -> Result<(), BusError> {
         if self.role == Role::Client && (self.connect.is_empty() || !self.listen.is_empty()) {
             return Err(BusError::ClientWithoutRouter);
@@ -90,11 +133,20 @@ impl BusConfig {
         if self.listen.is_empty() && self.connect.is_empty() {
             return Err(BusError::NoEndpoint);
         }
-        self.listen.iter().chain(&self.connect).try_for_each(|endpoint| check_endpoint(endpoint))
+        self.listen.iter().chain(&self.connect).try_for_each(|endpoint| check_endpoint(endpoint))?;
+        if let Some(identity) = self.identity.as_ref().filter(|identity| *identity.room() != self.room) {
+            return Err(BusError::OtherRoom { room: self.room.to_string(), of_keys: identity.room().to_string() });
+        }
+        tls::check_encryption(self.identity.as_ref(), &self.listen, &self.connect, self.insecure)
     }
 
     /// Zenoh's configuration.
     pub(crate) fn to_zenoh(&self) -> Result<Config, BusError> {
+        zenoh_config(self.settings()?.into_iter().chain(from_environment()?))
+    }
+
+    /// Zenoh's settings and their values in JSON5.
+    pub(crate) fn settings(&self) -> Result<Vec<(String, String)>, BusError> {
         self.check()?;
         let (timeout_ms, exit_on_failure) = match self.reach {
             Reach::Eventually => (-1, false),
@@ -104,7 +156,6 @@ impl BusConfig {
             Role::Peer => "\"peer\"",
             Role::Client => "\"client\"",
         };
-        let mut config = Config::default();
         let settings = [
             ("mode", mode.to_owned()),
             ("listen/endpoints", json_list(&self.listen)),
@@ -114,13 +165,31 @@ impl BusConfig {
         ];
         let fixed = FIXED_SETTINGS.iter().map(|(key, value)| (*key, (*value).to_owned()));
         let own = settings.into_iter().chain(fixed).map(|(key, value)| (key.to_owned(), value));
-        for (key, value) in own.chain(from_environment()?) {
-            config
-                .insert_json5(&key, &value)
-                .map_err(|error| BusError::Open { problem: format!("setting {key} = {value}: {error}") })?;
-        }
-        Ok(config)
+        Ok(own.chain(self.identity.iter().flat_map(Identity::zenoh_settings)).collect())
     }
+}
+
+fn zenoh_config(settings: impl Iterator<Item = (String, String)>) -> Result<Config, BusError> {
+    let mut config = Config::default();
+    for (key, value) in settings {
+        config
+            .insert_json5(&key, &value)
+            .map_err(|error| BusError::Open { problem: format!("setting {key} = {value}: {error}") })?;
+    }
+    Ok(config)
+}
+
+/// These settings as the text of a configuration file, after Zenoh has checked them.
+pub(crate) fn nested_json(settings: &[(String, String)]) -> Result<String, BusError> {
+    let invalid = |key: &str, problem: String| BusError::Open { problem: format!("setting {key}: {problem}") };
+    let config = zenoh_config(settings.iter().cloned())?;
+    let mut document = Value::Object(Map::new());
+    for (key, _) in settings {
+        let text = config.get_json(key).map_err(|error| invalid(key, error.to_string()))?;
+        let value = serde_json::from_str(&text).map_err(|error| invalid(key, error.to_string()))?;
+        *key.split('/').fold(&mut document, |inner, part| &mut inner[part]) = value;
+    }
+    Ok(format!("{document:#}"))
 }
 
 /// Settings of Zenoh that are the same for every session.
@@ -171,12 +240,35 @@ fn from_environment() -> Result<Vec<(String, String)>, BusError> {
     text.split(';').filter(|setting| !setting.trim().is_empty()).map(pair).collect()
 }
 
-/// Command-line flags for the room and the endpoints of a process.
-#[derive(Clone, Debug, clap::Args)]
+/// Command-line flags for the certificate of a process.
+#[derive(Clone, Debug, Default, PartialEq, Eq, clap::Args)]
+pub struct TlsArgs {
+    /// Encrypt and authenticate with the keys in this folder, made by `heliostat keys`; endpoints
+    /// then begin with tls/
+    #[arg(long, value_name = "DIR")]
+    pub tls: Option<PathBuf>,
+    /// Listen without --tls where other machines reach this process: each of them can then turn the
+    /// mirrors
+    #[arg(long, conflicts_with = "tls")]
+    pub insecure: bool,
+}
+
+impl TlsArgs {
+    /// The certificate of the first of these roles in the folder of `--tls`; `None` without it.
+    ///
+    /// # Errors
+    /// [`BusError::Keys`].
+    pub fn identity(&self, roles: &[AccessRole]) -> Result<Option<Identity>, BusError> {
+        Ok(self.tls.as_ref().map(|folder| Identity::load(folder, roles)).transpose()?)
+    }
+}
+
+/// Command-line flags for the room, the endpoints and the certificate of a process.
+#[derive(Clone, Debug, Default, clap::Args)]
 pub struct BusArgs {
-    /// Name of the room; messages stay within their room
-    #[arg(long, value_name = "NAME", default_value = "demo")]
-    pub room: String,
+    /// Name of the room; messages stay within their room [default: the room of --tls, or demo]
+    #[arg(long, value_name = "NAME")]
+    pub room: Option<String>,
     /// Endpoint at which to listen (repeatable); without any endpoint sim-node listens at
     /// tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT")]
@@ -188,54 +280,66 @@ pub struct BusArgs {
     /// Exchange messages only through the Zenoh router given by --connect
     #[arg(long)]
     pub client: bool,
-}
-
-impl Default for BusArgs {
-    fn default() -> Self {
-        Self { room: "demo".to_owned(), listen: Vec::new(), connect: Vec::new(), client: false }
-    }
+    /// Certificate of the process.
+    #[command(flatten)]
+    pub tls: TlsArgs,
 }
 
 impl BusArgs {
-    /// The configuration that the flags describe.
+    /// The configuration that the flags describe. With `--tls` the process has the first of these
+    /// roles that the folder holds.
     ///
     /// # Errors
-    /// [`BusError`] where a flag is invalid, or no endpoint is given.
-    pub fn config(&self) -> Result<BusConfig, BusError> {
+    /// [`BusError`] where a flag is invalid, no endpoint is given, or the keys cannot be used.
+    pub fn config(&self, roles: &[AccessRole]) -> Result<BusConfig, BusError> {
+        let identity = self.tls.identity(roles)?;
+        let room = match (&self.room, &identity) {
+            (Some(name), _) => Room::new(name)?,
+            (None, Some(identity)) => identity.room().clone(),
+            (None, None) => Room::new(DEFAULT_ROOM)?,
+        };
         let config = BusConfig {
-            room: Room::new(&self.room)?,
+            room,
             listen: self.listen.clone(),
             connect: self.connect.clone(),
             role: if self.client { Role::Client } else { Role::Peer },
             // Opening blocks a client until it reaches its router, and it then ignores signals.
             reach: if self.client { Reach::Within(ROUTER_LIMIT) } else { Reach::Eventually },
+            identity,
+            insecure: self.tls.insecure,
         };
         config.check()?;
         Ok(config)
     }
 
-    /// Like [`config`](Self::config); without any endpoint, listens at [`DEFAULT_ENDPOINT`].
+    /// Like [`config`](Self::config); without any endpoint, listens at [`DEFAULT_ENDPOINT`] or
+    /// [`DEFAULT_TLS_ENDPOINT`].
     ///
     /// # Errors
     /// As for [`config`](Self::config).
-    pub fn config_or_listen(&self) -> Result<BusConfig, BusError> {
+    pub fn config_or_listen(&self, roles: &[AccessRole]) -> Result<BusConfig, BusError> {
         let mut flags = self.clone();
         if !flags.has_endpoint() && !flags.client {
-            flags.listen.push(DEFAULT_ENDPOINT.to_owned());
+            flags.listen.push(self.default_endpoint().to_owned());
         }
-        flags.config()
+        flags.config(roles)
     }
 
-    /// Like [`config`](Self::config); without any endpoint, connects to [`DEFAULT_ENDPOINT`].
+    /// Like [`config`](Self::config); without any endpoint, connects to [`DEFAULT_ENDPOINT`] or
+    /// [`DEFAULT_TLS_ENDPOINT`].
     ///
     /// # Errors
     /// As for [`config`](Self::config).
-    pub fn config_or_connect(&self) -> Result<BusConfig, BusError> {
+    pub fn config_or_connect(&self, roles: &[AccessRole]) -> Result<BusConfig, BusError> {
         let mut flags = self.clone();
         if !flags.has_endpoint() {
-            flags.connect.push(DEFAULT_ENDPOINT.to_owned());
+            flags.connect.push(self.default_endpoint().to_owned());
         }
-        flags.config()
+        flags.config(roles)
+    }
+
+    fn default_endpoint(&self) -> &'static str {
+        if self.tls.tls.is_some() { DEFAULT_TLS_ENDPOINT } else { DEFAULT_ENDPOINT }
     }
 
     fn has_endpoint(&self) -> bool {
@@ -290,7 +394,7 @@ fn check_endpoint(text: &str) -> Result<(), BusError> {
         "quic" if endpoint.metadata().get(RELIABILITY).is_some_and(|value| value != "1") => {
             refuse("its connection would not repeat lost messages; remove \"rel\"".to_owned())
         }
-        "tcp" | "quic" => match address.rsplit_once(':') {
+        "tcp" | "tls" | "quic" => match address.rsplit_once(':') {
             None => refuse("it has no port".to_owned()),
             Some(("", _)) => refuse("it has no host".to_owned()),
             Some((_, port)) if port.parse::<u16>().is_err() => refuse(format!("\"{port}\" is not a port")),

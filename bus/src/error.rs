@@ -1,4 +1,6 @@
-//! Errors of sessions, with the remedy.
+//! Errors of sessions and of keys, with the remedy.
+
+use std::path::PathBuf;
 
 use heliostat_proto::RoomError;
 use thiserror::Error;
@@ -9,6 +11,43 @@ pub enum BusError {
     /// The name of the room is not valid in a key.
     #[error(transparent)]
     Room(#[from] RoomError),
+    /// The keys cannot be made or used.
+    #[error(transparent)]
+    Keys(#[from] KeyError),
+    /// Other machines could reach the endpoint, and the session has no certificate.
+    #[error(
+        "endpoint {endpoint}: each process that reaches it could turn the mirrors; expected an address of this machine such as tcp/127.0.0.1:7447, or --tls DIR with a tls/ endpoint (heliostat keys init makes the keys), or --insecure on an isolated network"
+    )]
+    OpenListener {
+        /// The endpoint.
+        endpoint: String,
+    },
+    /// The endpoint is not encrypted, and the session has a certificate.
+    #[error(
+        "endpoint {endpoint}: it is not encrypted; with --tls expected tls/HOST:PORT, for example tls/127.0.0.1:7447"
+    )]
+    Unencrypted {
+        /// The endpoint.
+        endpoint: String,
+    },
+    /// The endpoint is encrypted, and the session has no certificate.
+    #[error(
+        "endpoint {endpoint}: this process has no certificate for it; expected --tls DIR with the keys of the room"
+    )]
+    NoKeys {
+        /// The endpoint.
+        endpoint: String,
+    },
+    /// The keys are for another room.
+    #[error(
+        "the keys are for room \"{of_keys}\", not for \"{room}\"; omit --room, or give --tls the keys of room \"{room}\""
+    )]
+    OtherRoom {
+        /// The room of the session.
+        room: String,
+        /// The room of the keys.
+        of_keys: String,
+    },
     /// The configuration has no endpoint at all, so no connection is possible.
     #[error(
         "no endpoint: expected --listen tcp/127.0.0.1:7447 for one process and --connect tcp/127.0.0.1:7447 for the others (any free port works)"
@@ -77,6 +116,95 @@ pub enum BusError {
     #[error("no free port on 127.0.0.1: {problem}")]
     NoFreePort {
         /// Message of the operating system.
+        problem: String,
+    },
+}
+
+/// Why keys cannot be made or used.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum KeyError {
+    /// A file or folder cannot be read.
+    #[error("cannot read {}: {problem}; expected a folder made by heliostat keys init or heliostat keys issue", path.display())]
+    CannotRead {
+        /// The file or folder.
+        path: PathBuf,
+        /// The operating system's or parser's message.
+        problem: String,
+    },
+    /// A file or folder cannot be written.
+    #[error("cannot write {}: {problem}; expected a folder that this user may write", path.display())]
+    CannotWrite {
+        /// The file or folder.
+        path: PathBuf,
+        /// The operating system's message.
+        problem: String,
+    },
+    /// The file exists.
+    #[error("{} exists: expected a folder without these keys; heliostat keys renew replaces certificates", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is no certificate.
+    #[error("{}: {problem}; expected a certificate in PEM format, made by heliostat keys", path.display())]
+    NotACertificate {
+        /// The file.
+        path: PathBuf,
+        /// Its fault.
+        problem: String,
+    },
+    /// The common name is not the expected one.
+    #[error(
+        "{}: the certificate is for \"{name}\", which is no name of this file; issue it again with heliostat keys issue", path.display()
+    )]
+    ForeignName {
+        /// The file.
+        path: PathBuf,
+        /// The common name.
+        name: String,
+    },
+    /// The folder has no certificate of a suitable role.
+    #[error(
+        "{} has certificates of: {found}; expected one of: {expected}; make it with heliostat keys issue --role ROLE", folder.display()
+    )]
+    NoRole {
+        /// The folder.
+        folder: PathBuf,
+        /// The suitable roles.
+        expected: String,
+        /// The roles in the folder.
+        found: String,
+    },
+    /// The certificate is signed by another authority than that of its folder.
+    #[error("{}: another authority than ca.pem of this folder signed it; copy both from the same folder", path.display())]
+    OtherAuthority {
+        /// The certificate.
+        path: PathBuf,
+    },
+    /// The certificate has expired.
+    #[error("{}: the certificate expired on {expires}; renew it with heliostat keys renew", path.display())]
+    Expired {
+        /// The certificate.
+        path: PathBuf,
+        /// Date of its expiry.
+        expires: String,
+    },
+    /// The certificate becomes valid later.
+    #[error("{}: the certificate is not valid yet; set the clock of this machine, or issue it again", path.display())]
+    NotYetValid {
+        /// The certificate.
+        path: PathBuf,
+    },
+    /// Every user of the machine may read the private key.
+    #[error("{}: every user of this machine can read or change this private key; expected chmod 600", path.display())]
+    ReadableByOthers {
+        /// The private key.
+        path: PathBuf,
+    },
+    /// A key or a certificate could not be made.
+    #[error("cannot make a certificate: {problem}; expected hosts that are names in ASCII or IP addresses")]
+    Generation {
+        /// The library's message.
         problem: String,
     },
 }

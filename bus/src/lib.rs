@@ -14,6 +14,11 @@
 //! does not forward messages: a viewer that needs a controller and a simulator connects to both, or
 //! all three are clients of a Zenoh router.
 //!
+//! # Security
+//! [`Identity`] gives a session a certificate: connections are encrypted, and both sides apply the
+//! rights of [`AccessRole`]. [`keys`] makes the certificates. A session without one may listen on
+//! this machine only, unless [`BusConfig::insecure`] is set.
+//!
 //! # Threads
 //! Callbacks run on Zenoh's receive threads, one at a time for each subscription. A slow callback
 //! delays everything else that arrives over the same link. Callbacks may publish, but must not
@@ -26,10 +31,20 @@
 //!   opens.
 //! - `HELIOSTAT_ZENOH='key=value;key=value'` overrides settings of Zenoh, for measurements.
 
+mod access;
+mod certificate;
 mod config;
 mod error;
+pub mod keys;
 mod session;
+mod tls;
 
-pub use config::{BusArgs, BusConfig, DEFAULT_ENDPOINT, Reach, Role, free_loopback_endpoint, free_loopback_port};
-pub use error::BusError;
+pub use access::{AccessRole, UnknownRole, access_control};
+pub use certificate::Certificate;
+pub use config::{
+    BusArgs, BusConfig, DEFAULT_ENDPOINT, DEFAULT_TLS_ENDPOINT, Reach, Role, TlsArgs, free_loopback_endpoint,
+    free_loopback_port,
+};
+pub use error::{BusError, KeyError};
 pub use session::{Bus, Class, Presence, Publisher, Service, Subscription, Token};
+pub use tls::Identity;

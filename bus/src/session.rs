@@ -89,7 +89,15 @@ impl Bus {
     /// [`BusError`] names the fault of the configuration, the endpoint that does not answer, or the
     /// endpoint in use.
     pub fn open(config: &BusConfig) -> Result<Self, BusError> {
-        let session = zenoh::open(config.to_zenoh()?).wait().map_err(|error| open_error(config, &error.to_string()))?;
+        let zenoh_config = config.to_zenoh()?;
+        if config.is_exposed() {
+            tracing::warn!(
+                listen = ?config.listen,
+                connect = ?config.connect,
+                "this session is neither encrypted nor authenticated: each process on its network can turn the mirrors; give --tls DIR"
+            );
+        }
+        let session = zenoh::open(zenoh_config).wait().map_err(|error| open_error(config, &error.to_string()))?;
         Ok(Self { session, room: config.room.clone() })
     }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use heliostat_bus::BusArgs;
+use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
 use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
@@ -78,13 +78,20 @@ impl Args {
     pub fn node_config(&self) -> anyhow::Result<NodeConfig> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         source.check_used_by(self.policy).context("--model names the file of a learned policy")?;
-        let rooms: Vec<&String> = std::iter::once(&self.bus.room).chain(&self.also_room).collect();
+        let bus = self.bus.config_or_connect(&[AccessRole::Controller])?;
+        if bus.is_authenticated() && !self.also_room.is_empty() {
+            bail!(
+                "--also-room: a certificate gives rights in one room only; start one controller with --tls for each room"
+            );
+        }
+        let rooms: Vec<&str> =
+            std::iter::once(bus.room.name()).chain(self.also_room.iter().map(String::as_str)).collect();
         if let Some(twice) = rooms.iter().enumerate().find(|(index, room)| rooms[..*index].contains(room)) {
             bail!("--also-room {}: this room is already named; name each room once", twice.1);
         }
         Ok(NodeConfig {
             scenario: self.scenario.load()?,
-            bus: self.bus.config_or_connect()?,
+            bus,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
             decisions: DecisionSettings { decide_in: self.decide_in, keep_warm: self.keep_warm },
             policy: self.policy,

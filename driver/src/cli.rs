@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use heliostat_array::Kit;
 use heliostat_array::moment::Moment;
-use heliostat_bus::BusArgs;
+use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_proto::{Room, Stamp};
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
@@ -95,7 +95,7 @@ fn drive(args: &RunArgs) -> Result<()> {
         let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
         kit.handle_calibration(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
     }
-    let bus = args.bus.config_or_connect()?;
+    let bus = args.bus.config_or_connect(&[AccessRole::Driver])?;
     let stop = args.end.stop()?;
     args.log.start();
     tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
@@ -114,9 +114,9 @@ fn drive(args: &RunArgs) -> Result<()> {
 fn check_driver(args: &CheckArgs) -> Result<()> {
     let mut flags = args.bus.clone();
     if let Some(key) = &args.key {
-        flags.room = room_of(key)?.to_string();
+        flags.room = Some(room_of(key)?.to_string());
     }
-    let report = check::run(&flags.config_or_connect()?)?;
+    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?)?;
     if args.json {
         output::line(serde_json::to_string_pretty(&report)?)?
     } else {

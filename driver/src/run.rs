@@ -44,21 +44,13 @@ pub struct Settings {
     pub metrics: MetricsArgs,
     /// Where the emergency stop is kept over a restart.
     pub record: StopRecordSettings,
-    /// Whether re-arms of kind 9 are refused, as in an authenticated room.
-    pub refuse_unnamed_rearm: bool,
 }
 
 impl Settings {
     /// A driver that runs until it is stopped, serves no metrics, and starts stopped: it keeps no
     /// state.
     pub fn new(bus: BusConfig) -> Self {
-        Self {
-            bus,
-            run_for: None,
-            metrics: MetricsArgs::default(),
-            record: StopRecordSettings::default(),
-            refuse_unnamed_rearm: false,
-        }
+        Self { bus, run_for: None, metrics: MetricsArgs::default(), record: StopRecordSettings::default() }
     }
 }
 
@@ -94,7 +86,8 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     let clock = Clock::start_in(Duration::ZERO);
     let source = source_id::random();
     let (record, stop_at_start) = StopRecord::open(&settings.record, bus.room(), clock.now().room_ns);
-    kit.refuse_unnamed_rearm(settings.refuse_unnamed_rearm);
+    // Every role may publish under the key of the stop, only operators under that of the re-arm.
+    kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
     if let Some(latched) = stop_at_start {
         tracing::warn!("{}", stop_record::advice(bus.room(), &latched));
         kit.stop(clock.now(), latched);

@@ -4,7 +4,7 @@ use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::commands::{
-    bench, calibrate, completions, config, demo, doctor, eval, link, map, results, scenario, stop, ui,
+    bench, calibrate, completions, config, demo, doctor, eval, keys, link, map, results, scenario, stop, ui,
 };
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
@@ -34,6 +34,8 @@ enum Command {
     Stop(stop::StopArgs),
     /// Release the emergency stop of a room
     Rearm(stop::RearmArgs),
+    /// Make, renew and list the certificates of a room, for --tls
+    Keys(keys::Args),
     /// Estimate the mounting error of each mirror from measured gains
     Calibrate(calibrate::Args),
     /// Train a policy and export it as an ONNX file
@@ -76,6 +78,7 @@ pub fn run() -> Result<()> {
         Command::Driver(args) => heliostat_driver::cli::run(args),
         Command::Stop(args) => stop::stop(args),
         Command::Rearm(args) => stop::rearm(args),
+        Command::Keys(args) => keys::run(args),
         Command::Calibrate(args) => calibrate::run(args),
         Command::Train(args) => heliostat_models::run_train(args),
         Command::Eval(args) => eval::run(args),

@@ -13,6 +13,7 @@ pub mod config;
 pub mod demo;
 pub mod doctor;
 pub mod eval;
+pub mod keys;
 pub mod link;
 pub mod map;
 mod mirrors;

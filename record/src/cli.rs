@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use heliostat_bus::BusArgs;
+use heliostat_bus::{AccessRole, BusArgs, TlsArgs};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
@@ -71,6 +71,8 @@ pub struct ReplayArgs {
     /// Communicate through the Zenoh router given by --connect only
     #[arg(long, conflicts_with = "decide_again")]
     client: bool,
+    #[command(flatten)]
+    tls: TlsArgs,
     /// Name of the room to publish in, instead of the recorded one
     #[arg(long, value_name = "NAME", conflicts_with = "decide_again")]
     room: Option<Room>,
@@ -91,7 +93,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
     let stop = args.end.stop()?;
     let settings = recorder::Settings {
         scenario: args.scenario.load()?,
-        bus: args.bus.config_or_connect()?,
+        bus: args.bus.config_or_connect(&[AccessRole::Viewer, AccessRole::Operator])?,
         out: args.out,
         run_for: args.end.seconds,
         until_empty: args.until_empty,
@@ -131,7 +133,7 @@ pub fn replay(args: ReplayArgs) -> Result<()> {
 
 fn play(args: ReplayArgs) -> Result<()> {
     let stop = signals::stop_on_signals()?;
-    let bus = BusArgs { listen: args.listen, connect: args.connect, client: args.client, ..BusArgs::default() };
+    let bus = BusArgs { listen: args.listen, connect: args.connect, client: args.client, tls: args.tls, room: None };
     let settings = play::Settings { file: args.file, room: args.room, bus, rate: args.rate };
     let playback = play::run(&settings, &stop)?;
     print(args.json, &playback, &playback)

@@ -11,7 +11,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use heliostat_bus::{Bus, BusArgs, Class, Publisher, Token};
+use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::{
     Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Room, Stamp,
     UserReport, decode, encode,
@@ -82,8 +82,8 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
     );
     let mut reading = file::open(&settings.file).with_context(unusable)?;
     let room = settings.room.clone().unwrap_or_else(|| recorded_room.clone());
-    let flags = BusArgs { room: room.name().to_owned(), ..settings.bus.clone() };
-    let bus = Bus::open(&flags.config_or_listen()?).context("cannot join the room")?;
+    let flags = BusArgs { room: Some(room.name().to_owned()), ..settings.bus.clone() };
+    let bus = Bus::open(&flags.config_or_listen(&[AccessRole::Simulator])?).context("cannot join the room")?;
     let _array = capabilities
         .map(|payload| bus.serve(&room.capabilities(), move |answer| answer.clone_from(&payload)))
         .transpose()?;

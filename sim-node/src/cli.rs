@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use heliostat_bus::BusArgs;
+use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_driver::calibration_store;
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_scenario::ScenarioArgs;
@@ -57,7 +57,7 @@ impl Args {
         };
         Ok(Settings {
             scenario: self.scenario.load()?,
-            bus: self.bus.config_or_listen()?,
+            bus: self.bus.config_or_listen(&[AccessRole::Simulator])?,
             pace,
             metrics: self.metrics,
             calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,
@@ -65,7 +65,6 @@ impl Args {
                 .state
                 .clone()
                 .map(|directory| StopRecordSettings { directory: Some(directory), start_armed: self.start_armed }),
-            refuse_unnamed_rearm: false,
         })
     }
 }

@@ -82,7 +82,8 @@ impl Node {
         }
         let session = RoomSession::open(&settings.bus, reports, telemetry)?;
         let clock = session.clock();
-        room.refuse_unnamed_rearm(settings.refuse_unnamed_rearm);
+        // Every role may publish under the key of the stop, only operators under that of the re-arm.
+        room.refuse_unnamed_rearm(settings.bus.is_authenticated());
         let record = settings.record.as_ref().map(|record| {
             let (record, stop_at_start) = StopRecord::open(record, &settings.bus.room, clock.now().room_ns);
             if let Some(stop) = stop_at_start {

@@ -24,8 +24,6 @@ pub struct Settings {
     /// Where the emergency stop is kept over a restart; `None` for a room that starts parked and
     /// forgets a stop.
     pub record: Option<StopRecordSettings>,
-    /// Whether re-arms of kind 9 are refused, as in an authenticated room.
-    pub refuse_unnamed_rearm: bool,
 }
 
 /// The time base of the room.

@@ -24,7 +24,6 @@ fn settings(room: &str, endpoint: &str, pace: Pace) -> Settings {
         metrics: MetricsArgs::default(),
         calibration: None,
         record: None,
-        refuse_unnamed_rearm: false,
     }
 }
 

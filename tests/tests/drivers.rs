@@ -29,7 +29,10 @@ fn python() -> Option<String> {
 }
 
 /// The example driver of 2 x 3 mirrors with the folder of its stop; it is killed when dropped.
-struct PythonDriver(Child, tempfile::TempDir);
+struct PythonDriver {
+    process: Child,
+    _state: tempfile::TempDir,
+}
 
 impl PythonDriver {
     fn start(python: &str, room: &str, endpoints: &str) -> Self {
@@ -38,15 +41,15 @@ impl PythonDriver {
         let state = tempfile::tempdir().expect("a folder");
         let mut command = std::process::Command::new(python);
         command.args(arguments).current_dir(root).env("STATE_DIRECTORY", state.path());
-        Self(command.spawn().expect("python starts"), state)
+        Self { process: command.spawn().expect("python starts"), _state: state }
     }
 }
 
 impl Drop for PythonDriver {
     fn drop(&mut self) {
         // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.process.kill();
+        let _ = self.process.wait();
     }
 }
 

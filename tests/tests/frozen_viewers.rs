@@ -147,8 +147,8 @@ impl Scene {
             let port = |endpoint: &String| endpoint.rsplit_once(':').expect("an endpoint ends in a port").1.to_owned();
             let outside = endpoints.iter().map(|endpoint| format!("tcp/{}:{}", link.host_address(), port(endpoint)));
             endpoints = outside.collect();
-            setup.of_array = Launch::default().flags(&["--listen", &endpoints[0]]);
-            setup.of_controller = Launch::default().flags(&["--listen", &endpoints[1]]);
+            setup.of_array = Launch::default().flags(&["--listen", &endpoints[0], "--insecure"]);
+            setup.of_controller = Launch::default().flags(&["--listen", &endpoints[1], "--insecure"]);
         }
         let room = setup.start();
         let operator = Operator::join(&session);

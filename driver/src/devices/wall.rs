@@ -3,7 +3,8 @@
 use heliostat_array::device::{Device, DeviceError};
 use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{AxisLimits, Capabilities, Feedback, ValidityClock};
+use heliostat_proto::codec::Message;
+use heliostat_proto::{AxisLimits, Capabilities, Feedback, MAX_MIRRORS, ValidityClock};
 
 use crate::devices::board::Board;
 
@@ -53,10 +54,10 @@ impl Wall {
     /// # Errors
     /// The board, channel or mirror that does not fit.
     pub fn new(layout: Layout, boards: Vec<Mounted>) -> Result<Self, String> {
-        let count = layout.rows * layout.columns;
-        if count == 0 {
+        let count = layout.rows.saturating_mul(layout.columns);
+        if !(1..=MAX_MIRRORS).contains(&count) {
             return Err(format!(
-                "an array of {} x {} mirrors: expected at least one row and one column",
+                "an array of {} x {} mirrors: expected 1 to {MAX_MIRRORS} mirrors",
                 layout.rows, layout.columns
             ));
         }
@@ -78,9 +79,14 @@ impl Wall {
         }
         let wall = Self { layout, boards };
         let AxisLimits { min_rad, max_rad, .. } = wall.announced();
-        if min_rad >= max_rad {
+        // False too where one of them is not a number.
+        let has_range = min_rad < max_rad;
+        if !has_range {
             return Err("no range is left that all boards have: lower calibration_reserve_deg".into());
         }
+        // The configuration has double precision, the announcement single.
+        let announced = wall.capabilities().check();
+        announced.map_err(|error| format!("a board has a value that the driver cannot announce: {error}"))?;
         Ok(wall)
     }
 

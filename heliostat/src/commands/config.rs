@@ -135,6 +135,7 @@ fn document(scenario: &Scenario, bus: Option<&BusConfig>, process: Value) -> Res
             "listen": bus.listen,
             "connect": bus.connect,
             "router_patience_ms": patience_ms,
+            "certificate": bus.identity.as_ref().map(|identity| identity.role().name()),
         });
         document.insert("bus".into(), without_nulls(bus));
     }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use heliostat_bus::{Bus, BusArgs};
+use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_proto::SafetyReport;
 use heliostat_service::{duration, output};
 use heliostat_ui::StopSwitch;
@@ -50,7 +50,8 @@ struct OrderArgs {
 /// Runs `heliostat stop`.
 pub fn stop(args: StopArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
-    let (bus, switch) = args.order.join()?;
+    // Every role may stop the array, so any certificate of the folder serves.
+    let (bus, switch) = args.order.join(&[&[AccessRole::Operator], &AccessRole::ALL[..]].concat())?;
     let took = switch.stop_and_confirm(reason, *timeout)?;
     args.order.report(&bus, "stopped", took, None)?;
     drop(switch);
@@ -60,7 +61,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
 /// Runs `heliostat rearm`.
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
-    let (bus, switch) = args.order.join()?;
+    let (bus, switch) = args.order.join(&[AccessRole::Operator])?;
     let stop = switch.latched();
     let took = switch.rearm_and_confirm(reason, *timeout)?;
     args.order.report(&bus, "released", took, stop)?;
@@ -69,8 +70,8 @@ pub fn rearm(args: RearmArgs) -> Result<()> {
 }
 
 impl OrderArgs {
-    fn join(&self) -> Result<(Bus, StopSwitch)> {
-        let bus = Bus::open(&self.bus.config_or_connect()?)?;
+    fn join(&self, roles: &[AccessRole]) -> Result<(Bus, StopSwitch)> {
+        let bus = Bus::open(&self.bus.config_or_connect(roles)?)?;
         let user = || std::env::var("USER").unwrap_or_else(|_| "operator".into());
         let operator = self.operator.clone().unwrap_or_else(user);
         let switch = StopSwitch::new(&bus, &operator)?;

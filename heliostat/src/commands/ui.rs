@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::ValueEnum;
-use heliostat_bus::{Bus, BusArgs};
+use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{duration, output, signals};
@@ -38,7 +38,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let scenario = args.scenario.load()?;
-    let config = args.bus.config_or_connect()?;
+    let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
     let stop = signals::stop_on_signals()?;
 
     let bus = Bus::open(&config)?;

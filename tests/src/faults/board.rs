@@ -3,10 +3,10 @@
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::{TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Longest delay between a change of the behaviour and its effect.
 const POLL: Duration = Duration::from_millis(5);
@@ -28,8 +28,8 @@ pub enum Behaviour {
 #[derive(Default)]
 struct State {
     behaviour: Mutex<Behaviour>,
-    /// Lines `set` that it answered.
-    moves: AtomicU64,
+    /// When its mirrors were turned last, and the longest time between two turns.
+    turned: Mutex<(Option<Instant>, Duration)>,
     ended: AtomicBool,
 }
 
@@ -87,9 +87,12 @@ impl LoopbackBoard {
         *self.state.behaviour.lock().expect("no thread panics") = behaviour;
     }
 
-    /// How often its mirrors were turned.
-    pub fn moves(&self) -> u64 {
-        self.state.moves.load(Ordering::SeqCst)
+    /// Longest time between two turns of its mirrors since the last call.
+    ///
+    /// # Panics
+    /// When a thread of the board has panicked.
+    pub fn longest_pause(&self) -> Duration {
+        std::mem::take(&mut self.state.turned.lock().expect("no thread panics").1)
     }
 }
 
@@ -134,7 +137,10 @@ fn answer(line: &str, mirrors: usize, state: &State) -> String {
     match line.split_whitespace().next() {
         Some("hello") => format!("heliostat 1 {mirrors} {} {LIMIT_URAD} 0\n", -LIMIT_URAD),
         Some("set") if line.split_whitespace().count() == 1 + 2 * mirrors => {
-            state.moves.fetch_add(1, Ordering::SeqCst);
+            let now = Instant::now();
+            let (last, longest) = &mut *state.turned.lock().expect("no thread panics");
+            let pause = last.replace(now).map_or(Duration::ZERO, |last| now - last);
+            *longest = pause.max(*longest);
             "ok\n".to_owned()
         }
         Some("stop") => "ok\n".to_owned(),

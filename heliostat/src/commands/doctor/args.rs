@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use heliostat_bus::TlsArgs;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::ScenarioArgs;
 
@@ -19,12 +20,14 @@ pub struct Args {
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Name of the room
-    #[arg(long, value_name = "NAME", default_value = "demo")]
-    pub room: String,
+    /// Name of the room [default: the room of --tls, or demo]
+    #[arg(long, value_name = "NAME")]
+    pub room: Option<String>,
     /// Endpoint of a driver or simulator whose capabilities are checked (repeatable)
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
+    #[command(flatten)]
+    pub tls: TlsArgs,
     /// Port of 127.0.0.1 that must be free (repeatable)
     #[arg(long, value_name = "PORT", default_values_t = [7447], value_parser = clap::value_parser!(u16).range(1..))]
     pub port: Vec<u16>,

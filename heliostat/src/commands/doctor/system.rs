@@ -3,10 +3,10 @@
 use std::net::TcpListener;
 use std::time::Duration;
 
-use heliostat_bus::{Bus, BusConfig, Reach};
+use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
 use heliostat_decide::capabilities::{Examiner, Force};
 use heliostat_engine::ActorSource;
-use heliostat_proto::{Capabilities, Room, ValidityClock, decode};
+use heliostat_proto::{Capabilities, ValidityClock, decode};
 use heliostat_scenario::Scenario;
 use heliostat_sim::World;
 
@@ -87,8 +87,11 @@ fn check_driver(args: &Args, scenario: &Scenario) -> Check {
 }
 
 fn fetch_capabilities(args: &Args) -> anyhow::Result<Capabilities> {
-    let room = Room::new(&args.room)?;
-    let config = args.connect.iter().fold(BusConfig::new(room.clone()), |config, endpoint| config.connect_to(endpoint));
+    let flags =
+        BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
+    // A query of the capabilities needs no rights of a role.
+    let config = flags.config(&AccessRole::ALL)?;
+    let room = config.room.clone();
     let bus = Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?;
     let payloads = bus.fetch(&room.capabilities(), DRIVER_WAIT)?;
     bus.close()?;

@@ -1,0 +1,155 @@
+//! `heliostat keys`: makes, renews and lists the certificates of a room.
+
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use anyhow::Result;
+use heliostat_bus::{AccessRole, Certificate, keys};
+use heliostat_proto::Room;
+use serde_json::{Value, json};
+
+use crate::output::outln;
+
+/// Make, renew and list the certificates of a room, for --tls.
+///
+/// A folder of keys holds the authority of one room (ca.pem, ca.key). For each role it holds a
+/// certificate, a private key and a configuration for Zenoh (zenoh-ROLE.json5). A process with
+/// --tls DIR has the rights of its role in DIR. Keep ca.key on one machine: with it anyone can make
+/// certificates.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Make the authority of a room, and the keys of every role
+    Init {
+        /// Name of the room
+        #[arg(long, value_name = "NAME")]
+        room: Room,
+        /// The folder of keys; it is created, and may not hold keys
+        #[arg(long, value_name = "DIR")]
+        out: PathBuf,
+        #[command(flatten)]
+        terms: TermsArgs,
+        /// Print the certificates as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// Make the keys of one role, for one machine
+    Issue {
+        /// Role that gives the rights
+        #[arg(long, value_name = "ROLE")]
+        role: AccessRole,
+        /// The folder of keys with the authority
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+        /// The folder to write, to be copied to the machine; without it the folder of the authority
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+        #[command(flatten)]
+        terms: TermsArgs,
+        /// Print the certificates in the folder as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// Replace all certificates of a folder by new ones for the same roles and hosts
+    ///
+    /// Restart the processes that listen afterwards: they keep the certificate of their start.
+    Renew {
+        /// The folder of keys with the authority
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+        /// The folder whose certificates are replaced; without it the folder of the authority
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+        #[command(flatten)]
+        days: DaysArgs,
+        /// Print the certificates in the folder as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// List the certificates of a folder: names, roles, hosts, expiry
+    Show {
+        /// The folder of keys
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+        /// Print the certificates as one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+struct TermsArgs {
+    /// Host name or address at which the holder may listen (repeatable), apart from loopback
+    #[arg(long, value_name = "HOST")]
+    host: Vec<String>,
+    #[command(flatten)]
+    days: DaysArgs,
+}
+
+#[derive(Debug, clap::Args)]
+struct DaysArgs {
+    /// Validity of a certificate in days. Certificates cannot be revoked: a lost key is of use
+    /// until then
+    #[arg(long, value_name = "N", default_value_t = keys::DEFAULT_DAYS, value_parser = clap::value_parser!(u32).range(1..=825))]
+    days: u32,
+}
+
+impl TermsArgs {
+    fn terms(&self) -> keys::Terms {
+        keys::Terms::of_days(self.days.days, &self.host)
+    }
+}
+
+/// Runs the subcommand.
+pub fn run(args: Args) -> Result<()> {
+    let (folder, json) = match args.action {
+        Action::Init { room, out, terms, json } => {
+            keys::init(&room, &out, &terms.terms())?;
+            (out, json)
+        }
+        Action::Issue { role, dir, out, terms, json } => {
+            let out = out.unwrap_or_else(|| dir.clone());
+            keys::issue(role, &dir, &out, &terms.terms())?;
+            (out, json)
+        }
+        Action::Renew { dir, out, days, json } => {
+            let out = out.unwrap_or_else(|| dir.clone());
+            keys::renew(&dir, &out, keys::end_after(days.days))?;
+            (out, json)
+        }
+        Action::Show { dir, json } => (dir, json),
+    };
+    show(&folder, json)
+}
+
+fn show(folder: &Path, json: bool) -> Result<()> {
+    let (certificates, now) = (keys::list(folder)?, SystemTime::now());
+    if json {
+        let certificates: Vec<Value> =
+            certificates.iter().map(|(role, certificate)| document(*role, certificate, now)).collect();
+        outln!("{}", json!({ "folder": folder, "certificates": certificates }))?;
+        return Ok(());
+    }
+    outln!("{:<11} {:<34} {:<11} {:>5}  hosts", "role", "name", "expires", "days")?;
+    for (role, certificate) in &certificates {
+        let Certificate { common_name, expires, hosts, .. } = certificate;
+        outln!("{role:<11} {common_name:<34} {expires:<11} {:>5}  {}", certificate.days_left(now), hosts.join(", "))?;
+    }
+    Ok(())
+}
+
+fn document(role: AccessRole, certificate: &Certificate, now: SystemTime) -> Value {
+    json!({
+        "role": role.name(),
+        "room": certificate.room_and_role().map(|(room, _)| room.to_string()),
+        "name": certificate.common_name,
+        "hosts": certificate.hosts,
+        "expires": certificate.expires,
+        "days_left": certificate.days_left(now),
+    })
+}

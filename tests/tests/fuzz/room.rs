@@ -1,0 +1,434 @@
+//! A room in memory: the real kit, decision core and simulated room, with a tracker and a controller
+//! that keep working while an attacker sends payloads on every key.
+//!
+//! After each step the room checks what must always hold. The attacker may do anything that one
+//! process can do: delay, drop, repeat, invent. It does not change the memory of a process.
+
+use std::ops::AddAssign;
+use std::sync::OnceLock;
+
+use heliostat_array::Kit;
+use heliostat_array::content::Content;
+use heliostat_array::moment::Moment;
+use heliostat_array::refusal_counts::RefusalCounts;
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_decide::capabilities::{Examiner, Force};
+use heliostat_decide::core::{Controller, Decision, Due, Timing};
+use heliostat_decide::inbox::Message as Report;
+use heliostat_decide::policy::PolicyKind;
+use heliostat_decide::refusal::{Refusal, Stream};
+use heliostat_engine::ActorSource;
+use heliostat_proto::*;
+use heliostat_scenario::Scenario;
+use heliostat_sim::{SimulatedRoom, control};
+
+use crate::bench_device::BenchDevice;
+use crate::forge::{self, Genuine, example_of};
+use crate::script::Script;
+
+const MS: u64 = 1_000_000;
+
+/// UTC at the start of every run: the time in the examples of CONTRACT.md.
+const START_NS: Nanos = 1_767_323_045_678_000_000;
+
+/// Sources of the genuine tracker, array and operator.
+const TRACKER: u64 = 0x1234_5678_9abc_def0;
+const ARRAY: u64 = 0x51;
+const OPERATOR: u64 = 0x52;
+
+/// The smallest room: as many users and mirrors as the examples of CONTRACT.md have.
+struct Setup {
+    scenario: Scenario,
+    model: ChannelModel,
+    examiner: Examiner,
+    simulated: SimulatedRoom,
+}
+
+fn setup() -> &'static Setup {
+    static SETUP: OnceLock<Setup> = OnceLock::new();
+    SETUP.get_or_init(|| {
+        let small = ["mirrors.rows=1", "mirrors.columns=2", "users.count=1"].map(String::from);
+        let scenario = Scenario::builtin("specular").and_then(|full| full.with_overrides(&small)).expect("valid");
+        let model = scenario.channel_model().expect("valid");
+        let examiner = Examiner::new(&scenario, &model, Force { small_range: true, paper_angles: false });
+        let simulated = SimulatedRoom::new(&scenario, None, 1).expect("valid");
+        Setup { scenario, model, examiner, simulated }
+    })
+}
+
+/// What was delivered, and what the array did with the commands.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Tally {
+    /// By position in [`Kind::ALL`]: payloads, and those of them that could be decoded.
+    kinds: [(u64, u64); Kind::ALL.len()],
+    /// The counters of the kits.
+    pub counters: Counters,
+}
+
+impl Tally {
+    pub fn payloads(&self) -> u64 {
+        self.kinds.iter().map(|(delivered, _)| delivered).sum()
+    }
+
+    /// Payloads of a kind, and those of them that could be decoded.
+    pub fn of(&self, kind: Kind) -> (u64, u64) {
+        self.kinds[Self::position(kind)]
+    }
+
+    fn count(&mut self, kind: Kind, is_decoded: bool) {
+        let (delivered, decoded) = &mut self.kinds[Self::position(kind)];
+        *delivered += 1;
+        *decoded += u64::from(is_decoded);
+    }
+
+    fn position(kind: Kind) -> usize {
+        usize::from(kind.number()) - 1
+    }
+}
+
+impl AddAssign for Tally {
+    fn add_assign(&mut self, other: Self) {
+        for (sum, other) in self.kinds.iter_mut().zip(other.kinds) {
+            sum.0 += other.0;
+            sum.1 += other.1;
+        }
+        let Counters { accepted, clipped, late, rejected, old_epoch, old_sequence, expired, stopped } = other.counters;
+        let sums = &mut self.counters;
+        sums.accepted += accepted;
+        sums.clipped += clipped;
+        sums.late += late;
+        sums.rejected += rejected;
+        sums.old_epoch += old_epoch;
+        sums.old_sequence += old_sequence;
+        sums.expired += expired;
+        sums.stopped += stopped;
+    }
+}
+
+/// The processes of one room, and their clocks.
+pub struct Room {
+    kit: Kit<BenchDevice>,
+    controller: Controller,
+    simulated: SimulatedRoom,
+    refused: RefusalCounts,
+    /// Monotonic time of every process.
+    local_ns: u64,
+    /// UTC of every process.
+    room_ns: Nanos,
+    /// Number of the last message of the tracker, the array and the controller.
+    sequence: u64,
+    tick: u64,
+    tally: Tally,
+    payload: Vec<u8>,
+    encoded: Vec<u8>,
+}
+
+impl Room {
+    pub fn new(script: &mut Script<'_>) -> Self {
+        let Setup { scenario, model, simulated, .. } = setup();
+        let choice = script.byte();
+        let clock = if choice & 1 == 0 { ValidityClock::SourceTime } else { ValidityClock::Arrival };
+        // Most inputs use a policy that costs little, so that there is time for more of them.
+        let kind = if choice & 0x30 == 0 { PolicyKind::FixedPoint } else { PolicyKind::Nearest };
+        let policy = heliostat_engine::build(kind, scenario, &ActorSource::Shipped).expect("it reads no file");
+        let mut room = Self {
+            kit: Kit::new(BenchDevice::new(clock, choice & 2 == 0)),
+            controller: Controller::new(scenario, model.clone(), policy, START_NS / MS),
+            simulated: simulated.clone(),
+            refused: RefusalCounts::default(),
+            local_ns: 0,
+            room_ns: START_NS,
+            sequence: 300,
+            tick: 0,
+            tally: Tally::default(),
+            payload: Vec::new(),
+            encoded: Vec::new(),
+        };
+        room.pass_time(0);
+        room.announce();
+        room
+    }
+
+    /// Executes the choices of a script.
+    pub fn run(&mut self, script: &mut Script<'_>) {
+        while !script.is_empty() {
+            match script.below(8) {
+                0 => self.pass_time([0, 1, 9, 50, 200, 1_100, 5_000, 60_000][script.below(8)]),
+                1 | 2 => self.genuine_tick(script.byte()),
+                3 if script.one_in(8) => {
+                    let device = self.kit.device_mut();
+                    device.fails = !device.fails;
+                }
+                _ => self.attack(script),
+            }
+            if script.one_in(16) {
+                self.check_announcements();
+            }
+        }
+        self.check_announcements();
+    }
+
+    /// Delivers the payloads of a transcript, with a tick of the genuine tracker after each.
+    ///
+    /// A payload has three bytes before it: the number of its kind, and its length, low byte first.
+    pub fn replay(&mut self, transcript: &mut Script<'_>) {
+        while !transcript.is_empty() {
+            let kind = Kind::from_number(transcript.byte());
+            let length = usize::from(transcript.byte()) | usize::from(transcript.byte()) << 8;
+            self.payload.clear();
+            self.payload.extend_from_slice(transcript.take(length));
+            if let Some(kind) = kind {
+                self.deliver(kind);
+            }
+            self.pass_time(10);
+            self.genuine_tick(0);
+        }
+        self.check_announcements();
+    }
+
+    /// The attacker stops, and the operator releases a stop: the room must work again.
+    ///
+    /// The bound is far above the timeouts of the scenario and of the contract.
+    pub fn recover(&mut self) {
+        self.kit.device_mut().fails = false;
+        for _ in 0..600 {
+            self.pass_time(100);
+            if self.kit.array().state() == ArrayState::Stopped {
+                self.rearm();
+            }
+            self.announce();
+            let accepted = self.kit.array().counters().accepted;
+            self.genuine_tick(0);
+            if self.kit.array().counters().accepted > accepted {
+                return;
+            }
+        }
+        panic!(
+            "no command is accepted within a minute after the attack: the array is {:?}, its last command {:?}, \
+             the controller's epoch {}, refusals {:?}",
+            self.kit.array().state(),
+            self.kit.array().followed(),
+            self.controller.epoch(),
+            self.refused.counts(),
+        );
+    }
+
+    /// What was delivered so far.
+    pub fn tally(&mut self) -> &Tally {
+        self.tally.counters = *self.kit.array().counters();
+        &self.tally
+    }
+
+    fn now(&self) -> Moment {
+        Moment { local_ns: self.local_ns, room_ns: self.room_ns }
+    }
+
+    fn stamp(&mut self, source: u64) -> Stamp {
+        self.sequence += 1;
+        Stamp { source, sequence: self.sequence, time_ns: self.room_ns }
+    }
+
+    fn pass_time(&mut self, ms: u64) {
+        self.local_ns += ms * MS;
+        self.room_ns += ms * MS;
+        let now = self.now();
+        self.checked(|room| room.kit.advance(now));
+        // Short steps are enough to find a value that breaks the world, and cost less.
+        self.simulated.advance(self.local_ns.min(self.simulated_ns() + 20 * MS));
+        let angles = self.simulated.angles();
+        assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| angle.is_finite()), "simulated {angles:?}");
+        let decision = self.controller.poll_timeout_command(self.room_ns);
+        if let Some(Decision::Move { command, .. }) = decision {
+            check_command(command, &mut self.encoded);
+        }
+    }
+
+    fn simulated_ns(&self) -> u64 {
+        (self.simulated.world().time_s() * 1e9) as u64
+    }
+
+    /// The driver announces its array, as it does every second.
+    fn announce(&mut self) {
+        let stamp = self.stamp(ARRAY);
+        let capabilities = self.kit.capabilities(stamp);
+        self.controller.handle_capabilities(&capabilities, setup().examiner.examine(&capabilities));
+    }
+
+    /// The tracker reports, the controller decides, the array applies and reports; bits of `lost`
+    /// drop messages.
+    fn genuine_tick(&mut self, lost: u8) {
+        self.tick += 1;
+        if lost & 1 == 0 {
+            let channel = ChannelReport { stamp: self.stamp(TRACKER), tick: self.tick, ..example_of() };
+            encode(&channel, &mut self.payload).expect("valid");
+            self.deliver(Kind::ChannelReport);
+        }
+        if lost & 2 == 0 {
+            let users = UserReport { stamp: self.stamp(TRACKER), tick: self.tick, ..example_of() };
+            encode(&users, &mut self.payload).expect("valid");
+            self.deliver(Kind::UserReport);
+        }
+        if lost & 4 == 0 {
+            let (now, stamp) = (self.now(), self.stamp(ARRAY));
+            let telemetry = self.kit.telemetry(now, stamp);
+            encode(&telemetry, &mut self.payload).expect("the kit's telemetry is valid");
+            self.deliver(Kind::MirrorTelemetry);
+        }
+    }
+
+    /// The operator releases the stop that the array reports.
+    fn rearm(&mut self) {
+        let stamp = self.stamp(OPERATOR);
+        let (stop_source, stop_sequence) = self.latched_stop();
+        let order = Rearm { stamp, stop_source, stop_sequence, ..example_of() };
+        encode(&order, &mut self.payload).expect("valid");
+        self.deliver(Kind::Rearm);
+    }
+
+    /// Source and sequence of the stop that the array reports.
+    fn latched_stop(&self) -> (u64, u64) {
+        let SafetyReport { stop_source, stop_sequence, .. } = self.kit.safety(Stamp::default());
+        (stop_source, stop_sequence)
+    }
+
+    fn attack(&mut self, script: &mut Script<'_>) {
+        let kind = Kind::ALL[script.below(Kind::ALL.len())];
+        let genuine = Genuine {
+            source: if matches!(kind, Kind::MirrorTelemetry | Kind::Capabilities | Kind::SafetyReport) {
+                ARRAY
+            } else {
+                TRACKER
+            },
+            sequence: self.sequence + 1,
+            time_ns: self.room_ns,
+            epoch: self.controller.epoch(),
+            tick: self.tick,
+            stop: self.latched_stop(),
+        };
+        let mut payload = std::mem::take(&mut self.payload);
+        forge::write(script, kind, &genuine, &mut payload);
+        self.payload = payload;
+        self.deliver(kind);
+    }
+
+    /// Delivers the payload on the key of a kind to every process that subscribes to it.
+    fn deliver(&mut self, kind: Kind) {
+        let payload = std::mem::take(&mut self.payload);
+        let is_decoded = match kind {
+            Kind::UserReport => self.report::<UserReport>(Stream::Users, &payload, |report| Report::Users(report)),
+            Kind::ChannelReport => {
+                self.report::<ChannelReport>(Stream::Channel, &payload, |report| Report::Channel(report))
+            }
+            Kind::ObstacleReport => {
+                self.report::<ObstacleReport>(Stream::Obstacles, &payload, |report| Report::Obstacles(report))
+            }
+            Kind::MirrorTelemetry => {
+                self.report::<MirrorTelemetry>(Stream::Telemetry, &payload, |report| Report::Telemetry(report))
+            }
+            Kind::MirrorCommand => self.array(decode(&payload), Content::Command),
+            Kind::EmergencyStop => {
+                let order = decode::<EmergencyStop>(&payload);
+                if let Ok(order) = &order {
+                    self.controller.handle_stop_order(order);
+                }
+                self.array(order, Content::Stop)
+            }
+            Kind::Calibration => self.array(decode(&payload), Content::Calibration),
+            Kind::Capabilities => consume(&payload, |capabilities: Capabilities| {
+                let verdict = setup().examiner.examine(&capabilities);
+                self.controller.handle_capabilities(&capabilities, verdict);
+            }),
+            Kind::SimulatorControl => consume(&payload, |order: SimulatorControl| {
+                drop(control::apply(&mut self.simulated, &order));
+            }),
+            Kind::NodeStatus => consume(&payload, |_: NodeStatus| {}),
+            Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
+            Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
+            Kind::Rearm => self.array(decode(&payload), Content::Rearm),
+            Kind::SafetyReport => consume(&payload, |_: SafetyReport| {}),
+        };
+        self.tally.count(kind, is_decoded);
+        self.payload = payload;
+    }
+
+    /// Passes a report to the controller, and its command to the arrays; returns whether it could
+    /// be decoded.
+    fn report<T: Message>(
+        &mut self,
+        stream: Stream,
+        payload: &[u8],
+        wrap: impl for<'a> Fn(&'a mut T) -> Report<'a>,
+    ) -> bool {
+        let (now, controller) = (self.room_ns, &mut self.controller);
+        let mut report = match decode::<T>(payload) {
+            Ok(report) => report,
+            Err(error) => {
+                controller.handle_malformed(stream, Refusal::from(&error));
+                return false;
+            }
+        };
+        let decision = match controller.handle_message(now, wrap(&mut report)) {
+            Due::Command => controller.poll_command(now, Timing::InTime, &mut |_| {}),
+            Due::StaleCommand => controller.poll_stale_command(now),
+            Due::Nothing => return true,
+        };
+        if let Decision::Move { command, .. } = decision {
+            self.sequence += 1;
+            command.sequence = self.sequence;
+            check_command(command, &mut self.encoded);
+            let command = decode(&self.encoded);
+            self.array(command, Content::Command);
+        }
+        true
+    }
+
+    /// Passes a message to both arrays; returns whether it could be decoded.
+    fn array<T>(&mut self, message: Result<T, CodecError>, wrap: fn(Result<T, CodecError>) -> Content) -> bool {
+        let is_decoded = message.is_ok();
+        let content = wrap(message);
+        let now = self.now();
+        let simulated = Moment { local_ns: self.simulated_ns(), ..now };
+        drop(self.simulated.handle(simulated, content.clone(), &mut RefusalCounts::default()));
+        self.checked(|room| drop(room.kit.handle(now, content, &mut room.refused)));
+        is_decoded
+    }
+
+    /// Executes a step of the kit; a stopped array must not move in it.
+    fn checked(&mut self, step: impl FnOnce(&mut Self)) {
+        let state = |room: &Self| (room.kit.array().state(), room.kit.device().moves);
+        let (before, moves) = state(self);
+        step(self);
+        let (after, moves_after) = state(self);
+        if after == ArrayState::Stopped {
+            let device = self.kit.device();
+            assert!(before != ArrayState::Stopped || moves == moves_after, "a stopped array moved");
+            assert!(!device.is_connected || device.moves_since_stop == 0, "the device was not stopped");
+        }
+        let MirrorAngles { roll, yaw } = self.kit.array().target();
+        assert!(roll.iter().chain(yaw).all(|angle| angle.is_finite()), "target {roll:?} {yaw:?}");
+    }
+
+    /// Whatever arrived, the array can report its state.
+    fn check_announcements(&mut self) {
+        let (now, stamp) = (self.now(), self.stamp(ARRAY));
+        let telemetry = self.kit.telemetry(now, stamp);
+        encode(&telemetry, &mut self.encoded).expect("the kit's telemetry is valid");
+        encode(&self.kit.capabilities(stamp), &mut self.encoded).expect("the kit's capabilities are valid");
+        encode(&self.kit.safety(stamp), &mut self.encoded).expect("the kit's safety report is valid");
+        encode(&self.simulated.telemetry(stamp), &mut self.encoded).expect("the simulated telemetry is valid");
+    }
+}
+
+/// Decodes a payload for a subscriber; returns whether it could be decoded.
+fn consume<T: Message>(payload: &[u8], handle: impl FnOnce(T)) -> bool {
+    decode(payload).map(handle).is_ok()
+}
+
+/// A decided command must be valid for every driver.
+fn check_command(command: &MirrorCommand, encoded: &mut Vec<u8>) {
+    encode(command, encoded).expect("a decided command is valid");
+    let range_rad = setup().scenario.control.range_deg.to_radians();
+    for angle in command.roll.iter().chain(&command.yaw) {
+        assert!(f64::from(angle.abs()) <= range_rad, "{angle} rad is beyond the range of the scenario");
+    }
+}

@@ -39,8 +39,8 @@ struct Operator {
     telemetry: Receiver<(Instant, MirrorTelemetry)>,
     stops: Publisher,
     sequence: u64,
-    bus: Bus,
     _subscription: Subscription,
+    _bus: Bus,
 }
 
 /// What an operator observed during a time.
@@ -76,15 +76,7 @@ impl Operator {
         let subscription = bus.subscribe(&config.room.telemetry(), on_telemetry).expect("the key is valid");
         let stops = bus.publisher(&config.room.stop(), Class::RealTimeBlock).expect("the key is valid");
         wait_until("an array that receives stops", || stops.has_subscribers().expect("the session is open"));
-        Self { telemetry, stops, sequence: 0, bus, _subscription: subscription }
-    }
-
-    /// Waits for viewers that announce themselves.
-    fn wait_for_viewers(&self, count: usize) {
-        let pattern = self.bus.room().alive_of(NodeKind::Viewer);
-        wait_until("the viewers", || {
-            self.bus.alive(&pattern, Duration::from_secs(1)).expect("a valid pattern").len() >= count
-        });
+        Self { telemetry, stops, sequence: 0, _subscription: subscription, _bus: bus }
     }
 
     /// Stops and re-arms the array again and again.
@@ -162,7 +154,10 @@ impl Scene {
             Process::heliostat_under(&wrapper, &[("HELIOSTAT_ZENOH", VIEWER_LEASE)], &arguments)
         };
         let viewers: Vec<_> = (0..viewers).map(viewer).collect();
-        operator.wait_for_viewers(viewers.len());
+        let sees = |viewer: &Process, node: NodeKind| viewer.errors().contains(&format!("{node} is alive"));
+        wait_until("viewers connected to array and controller", || {
+            viewers.iter().all(|viewer| sees(viewer, NodeKind::SimNode) && sees(viewer, NodeKind::Controller))
+        });
         Self { _room: room, operator, viewers, _files: files }
     }
 
@@ -180,8 +175,8 @@ impl Scene {
             before.median_stop(),
             after.median_stop()
         );
-        // A busy machine loses commands without any accident.
-        assert!(after.lost <= 1 + 2 * before.lost, "commands are lost: {after:?}, and before {before:?}");
+        // Each stop costs about one command, and a busy machine loses some without any accident.
+        assert!(after.lost <= 1 + before.lost + before.lost / 2, "commands are lost: {after:?}, and before {before:?}");
         assert!(after.median_stop() <= STOP_LIMIT, "stops are late: {after:?}");
         assert!(after.slowest_stop() <= SLOWEST_STOP, "a stop is late: {after:?}");
     }

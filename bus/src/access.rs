@@ -130,9 +130,12 @@ impl AccessRole {
         }
     }
 
-    /// Whether it answers queries of the capabilities.
-    fn answers(self) -> bool {
-        matches!(self, Self::Driver | Self::Simulator)
+    /// Keys whose queries it answers.
+    fn answers(self, room: &Room) -> Vec<String> {
+        match self {
+            Self::Driver | Self::Simulator => vec![room.capabilities(), room.safety()],
+            _ => Vec::new(),
+        }
     }
 
     /// Rules for what a process accepts from the holder of this role.
@@ -145,9 +148,9 @@ impl AccessRole {
             rule(format!("{self} publishes"), "ingress", &["put"], &self.publishes(room)),
             rule(format!("{self} is alive"), "ingress", &["liveliness_token"], &tokens),
         ];
-        if self.answers() {
-            let messages = ["declare_queryable", "reply"];
-            rules.push(rule(format!("{self} answers"), "ingress", &messages, &[room.capabilities()]));
+        let answers = self.answers(room);
+        if !answers.is_empty() {
+            rules.push(rule(format!("{self} answers"), "ingress", &["declare_queryable", "reply"], &answers));
         }
         rules
     }

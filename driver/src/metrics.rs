@@ -9,7 +9,7 @@ use heliostat_service::Page;
 use crate::summary::Summary;
 
 /// The page of an array in its present state.
-pub(crate) fn page(room: &str, summary: &Summary, state: ArrayState) -> Page {
+pub(crate) fn page(room: &str, summary: &Summary, state: ArrayState, is_recorded: bool) -> Page {
     let mut page = Page::new(&[("room", room)]);
     page.build_info("driver", env!("CARGO_PKG_VERSION"));
     for (name, help, value) in [
@@ -27,6 +27,8 @@ pub(crate) fn page(room: &str, summary: &Summary, state: ArrayState) -> Page {
         let labels = [("reason", reason.as_str())];
         page.counter("heliostat_room_refused", "Payloads and commands refused, by reason", &labels, *count);
     }
+    let help = "1 while the state of the emergency stop is on the disk, 0 after a write that failed";
+    page.gauge("heliostat_stop_recorded", help, &[], f64::from(u8::from(is_recorded)));
     let state = format!("{state:?}").to_lowercase();
     page.gauge("heliostat_array_state_info", "State of the array; the value is always 1", &[("state", &state)], 1.0);
     page

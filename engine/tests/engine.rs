@@ -87,3 +87,57 @@ fn allocations_for_the_shipped_actor_do_not_grow() {
     println!("the inference engine allocates {count} times a run of the shipped actor, {bytes} bytes in all");
     assert_eq!((count, bytes), engine_allocations(&file, &scenario));
 }
+
+/// Resident memory of this process in bytes.
+#[cfg(target_os = "linux")]
+fn resident_bytes() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").expect("Linux has /proc");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("it states the resident memory");
+    1024.0 * line.trim_end_matches("kB").trim().parse::<f64>().expect("a number of kB")
+}
+
+/// Resident memory after each of 30 parts of so many decisions of the shipped actor: its slope in
+/// bytes a decision by least squares, and the standard error.
+#[cfg(target_os = "linux")]
+fn resident_slope(decisions: usize) -> (f64, f64) {
+    const PARTS: usize = 30;
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/actors/ddpg-specular-10x10.onnx");
+    let scenario = Scenario::builtin("specular").unwrap();
+    let model = model(&scenario);
+    let mut actor = load_actor(&source::read(&file).unwrap(), &scenario).unwrap();
+    let (observation, mut angles) = (Observation::new(&model, scenario.users.count), MirrorAngles::flat(100));
+    let mut decide = |count: usize| (0..count).for_each(|_| actor.act(&model, &observation, &mut angles).unwrap());
+    decide(2000);
+    let each = decisions / PARTS;
+    let samples: Vec<(f64, f64)> = (1..=PARTS)
+        .map(|part| {
+            decide(each);
+            ((part * each) as f64, resident_bytes())
+        })
+        .collect();
+    let mean = |of: fn(&(f64, f64)) -> f64| samples.iter().map(of).sum::<f64>() / PARTS as f64;
+    let (x, y) = (mean(|sample| sample.0), mean(|sample| sample.1));
+    let spread: f64 = samples.iter().map(|sample| (sample.0 - x).powi(2)).sum();
+    let slope = samples.iter().map(|sample| (sample.0 - x) * (sample.1 - y)).sum::<f64>() / spread;
+    let residual: f64 = samples.iter().map(|sample| (sample.1 - y - slope * (sample.0 - x)).powi(2)).sum();
+    (slope, (residual / (PARTS - 2) as f64 / spread).sqrt())
+}
+
+/// The bound allows for the other tests of this process, which run at the same time.
+#[cfg(target_os = "linux")]
+#[test]
+fn decisions_do_not_fill_the_memory() {
+    let (slope, error) = resident_slope(30_000);
+    println!("resident memory grows by {slope:.3} +- {error:.3} bytes a decision");
+    assert!(slope < 32.0, "{slope} bytes a decision");
+}
+
+/// Run by hand: `cargo test --release -p heliostat-engine -- --ignored --nocapture million`.
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "takes minutes"]
+fn a_million_decisions_do_not_fill_the_memory() {
+    let (slope, error) = resident_slope(1_000_000);
+    println!("resident memory grows by {slope:.4} +- {error:.4} bytes a decision");
+    assert!(slope < 1.0, "{slope} bytes a decision");
+}

@@ -20,7 +20,7 @@ pub const SPEED_M_S: RangeInclusive<f64> = 1e-3..=50.0;
 const OBSTACLES_MEAN_MAX: f64 = 800.0;
 /// Largest number of rays: points of all panels x mirrors x users x branches of a receiver. The
 /// time of one evaluation of the channel grows with it.
-const RAYS_MAX: usize = 1 << 32;
+const RAYS_MAX: usize = 1 << 30;
 
 impl Scenario {
     /// Checks every value.
@@ -189,7 +189,7 @@ impl Scenario {
         within("streams.obstacles.rate_hz", streams.obstacles.rate_hz, 0.0..=1000.0)?;
         within("streams.truth.rate_hz", streams.truth.rate_hz, 0.1..=1000.0)?;
         let control = &self.control;
-        within("control.validity_ms", control.validity_ms, 1.0..=60_000.0)?;
+        within("control.validity_ms", control.validity_ms, 1.0..=10_000.0)?;
         within("control.report_age_max_ms", control.report_age_max_ms, 1.0..=60_000.0)?;
         within("control.source_timeout_ms", control.source_timeout_ms, 10.0..=600_000.0)?;
         within("control.range_deg", control.range_deg, 0.01..=90.0)?;

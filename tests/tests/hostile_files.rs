@@ -8,6 +8,7 @@ use heliostat_onnx::attribute_proto::AttributeType;
 use heliostat_onnx::tensor_proto::DataType;
 use heliostat_onnx::{AttributeProto, ModelProto, NodeProto, TensorProto};
 use heliostat_record::file::{Header, Recording};
+use heliostat_scenario::Scenario;
 use heliostat_tests::{Ended, Process};
 use prost::Message;
 use tempfile::TempDir;
@@ -154,16 +155,21 @@ fn an_onnx_file_with_nul_and_control_characters_in_its_names_is_refused_in_plain
     }
 }
 
-/// A recording without messages.
+/// A recording that was cut after its header.
 fn recording(header: &Header) -> Vec<u8> {
     let folder = TempDir::new().expect("a folder");
     let file = folder.path().join("room.mcap");
-    drop(Recording::create(fs::File::create(&file).expect("a new file"), header).expect("a recording starts"));
-    fs::read(file).expect("it was written")
+    let started = Recording::create(fs::File::create(&file).expect("a new file"), header).expect("a recording starts");
+    let bytes = fs::read(file).expect("it was written");
+    // Its end would write the footer.
+    drop(started);
+    bytes
 }
 
 fn header() -> Header {
-    Header { room: "demo".into(), contract: "1".into(), ..Header::default() }
+    let scenario = Scenario::default().to_toml();
+    let scenario_hash = Scenario::hash_of(&scenario);
+    Header { room: "demo".into(), contract: "1".into(), scenario, scenario_hash, ..Header::default() }
 }
 
 /// A chunk that declares a length of its records before compression.
@@ -200,7 +206,7 @@ fn a_recording_that_declares_long_records_is_refused() {
             };
             let text = refusal(&ended);
             println!("{name}: {text}");
-            assert!(text.contains("room.mcap"), "{name}: {text}");
+            assert!(text.contains("room.mcap") && text.contains("cannot be read"), "{name}: {text}");
         }
     }
 }
@@ -244,7 +250,7 @@ fn files_and_flags_of_any_size_are_refused_with_the_bound() {
     );
     let rays = scenario(
         "[room]\nlength_x_m = 200.0\nlength_y_m = 200.0\nheight_m = 50.0\n[mirrors]\nrows = 128\ncolumns = 128\ncentre_height_m = 20.0\n\
-         [led]\npoints_per_side = 64\n[users]\ncount = 64\n",
+         [led]\npoints_per_side = 64\n[users]\ncount = 64\n[blockage]\nobstacles_per_m2 = 0.0\n",
         "rays.toml",
     );
     let large = "room.length_x_m=200";
@@ -257,7 +263,20 @@ fn files_and_flags_of_any_size_are_refused_with_the_bound() {
         (vec!["scenario", "check", "/dev/zero"], "/dev/zero"),
         (vec!["link", "--users", path(&users)], "64"),
         (vec!["link", "--user", "0,0", "--angles", "/dev/zero"], "/dev/zero"),
-        (vec!["map", "--set", large, "--set", "room.length_y_m=200", "--step-cm", "0.5"], "points"),
+        (
+            vec![
+                "map",
+                "--set",
+                large,
+                "--set",
+                "room.length_y_m=200",
+                "--set",
+                "blockage.obstacles_per_m2=0",
+                "--step-cm",
+                "0.5",
+            ],
+            "points",
+        ),
         (vec!["eval", "--sweep", "users.count=1..4000000000"], "values"),
         (vec!["controller", "--policy", "ddpg", "--model", "/dev/zero"], "/dev/zero"),
     ] {

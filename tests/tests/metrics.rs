@@ -25,9 +25,14 @@ fn fetch(address: SocketAddr) -> String {
     request().unwrap_or_default()
 }
 
+/// Whether a metric is one of the project, or a standard one of a process.
+fn is_metric(name: &str) -> bool {
+    name.starts_with("heliostat_") || name.starts_with("process_")
+}
+
 /// Names of all samples of a page, without labels.
 fn names(page: &str) -> BTreeSet<String> {
-    let samples = page.lines().filter(|line| line.starts_with("heliostat_"));
+    let samples = page.lines().filter(|line| is_metric(line));
     samples.filter_map(|line| line.split(['{', ' ']).next()).map(str::to_owned).collect()
 }
 
@@ -43,7 +48,7 @@ fn names_of_dashboard() -> BTreeSet<String> {
     let text = fs::read_to_string(file).expect("the dashboard is there");
     serde_json::from_str::<serde_json::Value>(&text).expect("the dashboard is JSON");
     text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_')
-        .filter(|word| word.starts_with("heliostat_"))
+        .filter(|word| is_metric(word))
         .map(str::to_owned)
         .collect()
 }
@@ -73,6 +78,10 @@ fn the_dashboard_uses_metrics_that_a_running_room_serves() {
             && value(&fetch(room_at), "heliostat_room_commands_total") > 10.0
     });
     let (room_page, controller_page) = (fetch(room_at), fetch(controller_at));
+    for (page, process) in [(&room_page, &room), (&controller_page, &controller)] {
+        let resident = value(page, "process_resident_memory_bytes");
+        assert!((1e6..1e9).contains(&resident), "process {}: {resident} bytes", process.id());
+    }
     let count = value(&controller_page, "heliostat_decision_seconds_count");
     assert!(count > 0.0, "{controller_page}");
     assert_eq!(count, value(&controller_page, "heliostat_decision_seconds_bucket{le=\"+Inf\",room=\"demo\"}"));

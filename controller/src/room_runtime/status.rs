@@ -229,7 +229,9 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
         ),
         TenureEvent::Resumed => format!("standby has ended: the array follows no higher epoch than {epoch}"),
         TenureEvent::TookOver => {
-            format!("standby has ended: the array accepted no command, so this controller uses the new epoch {epoch}")
+            format!(
+                "this controller takes over with the new epoch {epoch}: it has just started, or the array accepted no command of another"
+            )
         }
         TenureEvent::LockedOut => format!(
             "the array refused every command for 1 s; the new epoch {epoch} is used. Look for another sender of commands in the room"

@@ -24,6 +24,9 @@
 //! | Leading | sent |
 //! | Standby | withheld |
 //!
+//! - **A start takes over**: the first epoch of a controller may be too low, because telemetry came
+//!   after its first command. Before the array has obeyed it, it answers one higher epoch by a new
+//!   epoch of its own, and stands by from the second on.
 //! - **Standby ends** with a new epoch when reports arrive that this controller would answer, and
 //!   the array has accepted no command for [`PATIENCE_NS`] plus a spread that differs between
 //!   controllers. While the commands of another controller are accepted, it stands by.
@@ -87,7 +90,8 @@ pub enum TenureEvent {
     Superseded,
     /// Telemetry shows no higher epoch, or is absent: standby ends, with the same epoch.
     Resumed,
-    /// The array accepted no command: standby ends, with a new epoch.
+    /// A new epoch: the controller has just started, or it ends a standby in which the array
+    /// accepted no command.
     TookOver,
     /// The array refused every command: a new epoch.
     LockedOut,
@@ -172,6 +176,8 @@ pub struct Tenure {
     unaccepted: Option<Unaccepted>,
     /// New epochs since a command was last accepted.
     attempts: u8,
+    /// The array has not obeyed this controller so far.
+    is_new: bool,
 }
 
 impl Tenure {
@@ -186,6 +192,7 @@ impl Tenure {
             announced: 0,
             unaccepted: None,
             attempts: 0,
+            is_new: false,
         }
     }
 
@@ -237,6 +244,7 @@ impl Tenure {
         match self.standing {
             Standing::Waiting => {
                 self.epoch = self.first_epoch(now);
+                self.is_new = true;
                 self.standing = Standing::Leading;
             }
             Standing::Standby if !self.is_current(now) => {
@@ -269,7 +277,14 @@ impl Tenure {
 
     fn compare_leading(&mut self, now: Nanos, evidence: Evidence) -> Option<TenureEvent> {
         let is_foreign = self.is_foreign_sequence(evidence);
-        if evidence.epoch > self.epoch || (is_foreign && self.rule == Rule::Lockstep) {
+        let is_superseded = evidence.epoch > self.epoch;
+        let is_new = self.is_new && is_superseded;
+        self.is_new &= evidence.epoch < self.epoch;
+        if is_new {
+            self.renew(now, evidence);
+            return Some(TenureEvent::TookOver);
+        }
+        if is_superseded || (is_foreign && self.rule == Rule::Lockstep) {
             self.standing = Standing::Standby;
             self.unaccepted = None;
             return Some(TenureEvent::Superseded);

@@ -329,7 +329,7 @@ impl Room {
             Kind::EmergencyStop => {
                 let order = decode::<EmergencyStop>(&payload);
                 if let Ok(order) = &order {
-                    self.controller.handle_stop_order(order);
+                    self.controller.handle_stop_order(self.room_ns, order);
                 }
                 self.array(order, Content::Stop)
             }
@@ -344,8 +344,16 @@ impl Room {
             Kind::NodeStatus => consume(&payload, |_: NodeStatus| {}),
             Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
             Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
-            Kind::Rearm => self.array(decode(&payload), Content::Rearm),
-            Kind::SafetyReport => consume(&payload, |_: SafetyReport| {}),
+            Kind::Rearm => {
+                let order = decode::<Rearm>(&payload);
+                if let Ok(order) = &order {
+                    self.controller.handle_rearm(order);
+                }
+                self.array(order, Content::Rearm)
+            }
+            Kind::SafetyReport => consume(&payload, |report: SafetyReport| {
+                self.controller.handle_safety(&report);
+            }),
         };
         self.tally.count(kind, is_decoded);
         self.payload = payload;

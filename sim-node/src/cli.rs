@@ -59,7 +59,6 @@ impl Args {
         Ok(Settings {
             scenario: self.scenario.load()?,
             // Every role may publish on the key of an unnamed re-arm.
-            refuse_unnamed_rearm: bus.is_authenticated(),
             bus,
             pace,
             metrics: self.metrics,

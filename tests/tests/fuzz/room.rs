@@ -17,6 +17,7 @@ use heliostat_decide::core::{Controller, Decision, Due, Timing};
 use heliostat_decide::inbox::Message as Report;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::{Refusal, Stream};
+use heliostat_decide::tenure::Tenure;
 use heliostat_engine::ActorSource;
 use heliostat_proto::*;
 use heliostat_scenario::Scenario;
@@ -35,6 +36,7 @@ const START_NS: Nanos = 1_767_323_045_678_000_000;
 const TRACKER: u64 = 0x1234_5678_9abc_def0;
 const ARRAY: u64 = 0x51;
 const OPERATOR: u64 = 0x52;
+const CONTROLLER: u64 = 0x53;
 
 /// The smallest room: as many users and mirrors as the examples of CONTRACT.md have.
 struct Setup {
@@ -115,8 +117,10 @@ pub struct Room {
     local_ns: u64,
     /// UTC of every process.
     room_ns: Nanos,
-    /// Number of the last message of the tracker, the array and the controller.
+    /// Number of the last message of the tracker and the array.
     sequence: u64,
+    /// Epoch and number of the last command.
+    sent: (u64, u64),
     tick: u64,
     tally: Tally,
     payload: Vec<u8>,
@@ -133,12 +137,14 @@ impl Room {
         let policy = heliostat_engine::build(kind, scenario, &ActorSource::Shipped).expect("it reads no file");
         let mut room = Self {
             kit: Kit::new(BenchDevice::new(clock, choice & 2 == 0)),
-            controller: Controller::new(scenario, model.clone(), policy, START_NS / MS),
+            controller: Controller::new(scenario, model.clone(), policy, 0)
+                .with_tenure(Tenure::live(CONTROLLER, 10 * MS)),
             simulated: simulated.clone(),
             refused: RefusalCounts::default(),
             local_ns: 0,
             room_ns: START_NS,
             sequence: 300,
+            sent: (0, 0),
             tick: 0,
             tally: Tally::default(),
             payload: Vec::new(),
@@ -299,7 +305,7 @@ impl Room {
             } else {
                 TRACKER
             },
-            sequence: self.sequence + 1,
+            sequence: if kind == Kind::MirrorCommand { self.sent.1 } else { self.sequence } + 1,
             time_ns: self.room_ns,
             epoch: self.controller.epoch(),
             tick: self.tick,
@@ -375,14 +381,16 @@ impl Room {
                 return false;
             }
         };
+        controller.handle_sent(self.sent.0, self.sent.1);
         let decision = match controller.handle_message(now, wrap(&mut report)) {
             Due::Command => controller.poll_command(now, Timing::InTime, &mut |_| {}),
             Due::StaleCommand => controller.poll_stale_command(now),
             Due::Nothing => return true,
         };
         if let Decision::Move { command, .. } = decision {
-            self.sequence += 1;
-            command.sequence = self.sequence;
+            let last = if self.sent.0 == command.epoch { self.sent.1 } else { 0 };
+            self.sent = (command.epoch, last + 1);
+            command.sequence = last + 1;
             check_command(command, &mut self.encoded);
             let command = decode(&self.encoded);
             self.array(command, Content::Command);

@@ -3,6 +3,7 @@
     pip install eclipse-zenoh
     python3 examples/driver.py ROOM tcp/127.0.0.1:7447[,ENDPOINT...] ROWS COLUMNS [SECONDS]
 
+With TLS, open the session with `zenoh.Config.from_file("DIR/zenoh-driver.json5")`, a file of `heliostat keys`.
 Its mirrors are lists of angles: replace `Mirrors.turn` with calls of your hardware. The rest implements section 4 of
 CONTRACT.md, "Rules for a driver". The emergency stop is kept in $STATE_DIRECTORY, or in the present folder. The first
 start is stopped: re-arm it with `heliostat rearm`.

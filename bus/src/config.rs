@@ -193,7 +193,7 @@ pub(crate) fn nested_json(settings: &[(String, String)]) -> Result<String, BusEr
 }
 
 /// Settings of Zenoh that are the same for every session.
-const FIXED_SETTINGS: [(&str, &str); 9] = [
+const FIXED_SETTINGS: [(&str, &str); 12] = [
     // Endpoints are explicit; scouting would also delay opening.
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "false"),
@@ -212,6 +212,15 @@ const FIXED_SETTINGS: [(&str, &str); 9] = [
     // In ms. A partition without a closed connection is detected after this time; the default is 10
     // s.
     ("transport/link/tx/lease", "5000"),
+    // Connections that have not introduced themselves yet. With the defaults, 100 silent connections
+    // keep out every other process for 10 s. The number is half of the usual limit of open files.
+    ("transport/unicast/accept_pending", "512"),
+    // In ms. Connections beyond that number wait at most for this time. An introduction takes two
+    // round trips; the time also covers several lost packets.
+    ("transport/unicast/accept_timeout", "3000"),
+    // In ms. An attempt to connect that no process answers; the next one follows after the retry
+    // period.
+    ("transport/unicast/open_timeout", "3000"),
     // In bytes. Limits the memory that an unknown sender can occupy. It is above the limit of
     // payloads, so that the codec can refuse an oversized payload with a specific error.
     ("transport/link/rx/max_message_size", "16777216"),
@@ -338,6 +347,9 @@ impl BusArgs {
     }
 }
 
+/// Name of the reliability of a connection in the metadata of an endpoint.
+const RELIABILITY: &str = "rel";
+
 /// Ports below the ephemeral ranges of Linux, macOS and Windows, so that no outgoing connection and
 /// no listener at port 0 gets one.
 const PORTS_BELOW_EPHEMERAL: std::ops::Range<u16> = 20_000..32_768;
@@ -378,7 +390,11 @@ fn check_endpoint(text: &str) -> Result<(), BusError> {
     };
     let address = endpoint.address().as_str().to_owned();
     match endpoint.protocol().as_str() {
-        "tcp" | "tls" => match address.rsplit_once(':') {
+        // A datagram that is lost is not sent again, and an emergency stop could be one.
+        "quic" if endpoint.metadata().get(RELIABILITY).is_some_and(|value| value != "1") => {
+            refuse("its connection would not repeat lost messages; remove \"rel\"".to_owned())
+        }
+        "tcp" | "tls" | "quic" => match address.rsplit_once(':') {
             None => refuse("it has no port".to_owned()),
             Some(("", _)) => refuse("it has no host".to_owned()),
             Some((_, port)) if port.parse::<u16>().is_err() => refuse(format!("\"{port}\" is not a port")),

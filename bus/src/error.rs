@@ -24,7 +24,8 @@ pub enum BusError {
     },
     /// The endpoint is not encrypted, and the session has a certificate.
     #[error(
-        "endpoint {endpoint}: it is not encrypted; with --tls expected tls/HOST:PORT, for example tls/127.0.0.1:7447"
+        "endpoint {endpoint}: it is not encrypted; with --tls expected tls/HOST:PORT or quic/HOST:PORT, for example \
+         tls/127.0.0.1:7447"
     )]
     Unencrypted {
         /// The endpoint.
@@ -58,7 +59,8 @@ pub enum BusError {
     ClientWithoutRouter,
     /// The text is not an endpoint.
     #[error(
-        "endpoint \"{endpoint}\": {problem}; expected tcp/HOST:PORT, for example tcp/127.0.0.1:7447, or unixsock-stream/PATH"
+        "endpoint \"{endpoint}\": {problem}; expected tcp/HOST:PORT, for example tcp/127.0.0.1:7447, or \
+         unixsock-stream/PATH; with --tls expected tls/HOST:PORT or quic/HOST:PORT"
     )]
     InvalidEndpoint {
         /// The text.

@@ -14,6 +14,18 @@ use zenoh::sample::{Sample, SampleKind};
 use crate::config::{BusConfig, Reach};
 use crate::error::BusError;
 
+/// Zenoh must be compiled so that the close of a connection does not wait for the other side. See
+/// `.cargo/config.toml`, which sets both variables to 0.
+const _: () = assert!(
+    is_zero(option_env!("TCP_LINGER_TIMEOUT")) && is_zero(option_env!("TLS_LINGER_TIMEOUT")),
+    "Zenoh would block on closing connections: expected TCP_LINGER_TIMEOUT=0 and TLS_LINGER_TIMEOUT=0 in the \
+     environment of cargo. Build inside the repository, where .cargo/config.toml sets them, or set them by hand."
+);
+
+const fn is_zero(value: Option<&str>) -> bool {
+    matches!(value, Some(text) if matches!(text.as_bytes(), b"0"))
+}
+
 /// Quality of service of a message: its priority, and what happens to it under congestion.
 ///
 /// An express message is sent at once; others may wait for a batch. Messages of one class keep
@@ -247,6 +259,9 @@ impl Bus {
     }
 
     /// Closes the session; its liveliness tokens disappear at once.
+    ///
+    /// The close does not wait for acknowledgements. What was published just before it arrives
+    /// unless the network loses it; confirm an order by its effect before closing.
     ///
     /// # Errors
     /// [`BusError::Close`].

@@ -203,3 +203,24 @@ fn services_answer_until_they_are_dropped() {
         assert!(Instant::now() < deadline, "the service still answers");
     }
 }
+
+#[test]
+fn a_stop_published_right_before_the_close_arrives() {
+    let endpoint = free_loopback_endpoint().expect("a free port");
+    let receiving = listening(&endpoint);
+    let (_subscription, receiver) = subscribed(&receiving, &room().stop());
+    for number in 0..20_u8 {
+        let sender = connecting(&endpoint);
+        let publisher = sender.publisher(&room().stop(), Class::RealTimeBlock).expect("a valid key");
+        let deadline = Instant::now() + LIMIT;
+        while !publisher.has_subscribers().expect("the session is open") {
+            assert!(Instant::now() < deadline, "the subscriber is not discovered");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        publisher.put(&[number]).expect("the session is open");
+        drop(publisher);
+        sender.close().expect("the session closes");
+        let found = receiver.recv_timeout(Duration::from_secs(3));
+        assert_eq!(found, Ok(vec![number]), "the close discards what was published before it");
+    }
+}

@@ -117,7 +117,7 @@ const IMPURE_ALLOWED: [(&str, &str, &str); 1] = [(
 )];
 
 /// Licences that every dependency must offer.
-const LICENCES: [&str; 10] = [
+const LICENCES: [&str; 11] = [
     "MIT",
     "Apache-2.0",
     "Apache-2.0 WITH LLVM-exception",
@@ -129,6 +129,8 @@ const LICENCES: [&str; 10] = [
     "Unlicense",
     // Copyleft for its own files only, which are used unchanged (option-ext, below zenoh).
     "MPL-2.0",
+    // For data: the root certificates in webpki-roots, below zenoh, used unchanged.
+    "CDLA-Permissive-2.0",
 ];
 
 /// Packages that take long to build: a second version of one needs a reason in `SECOND_VERSIONS`.

@@ -41,6 +41,9 @@ pub fn run(args: Args) -> Result<()> {
     let config = args.bus.config_or_connect(&[AccessRole::Operator, AccessRole::Viewer])?;
     let stop = signals::stop_on_signals()?;
 
+    if config.identity.as_ref().is_some_and(|identity| identity.role() == AccessRole::Viewer) {
+        output::note("with the certificate of a viewer only the stop button acts; the others need that of an operator");
+    }
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, &scenario)?);
     let room = config.room.name().to_owned();

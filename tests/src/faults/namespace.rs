@@ -1,6 +1,7 @@
 //! A network namespace with two virtual links to this one, of which one can be interrupted.
 
-use std::process::Command;
+use std::io::Write as _;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Distinguishes the namespaces of one process.
@@ -47,6 +48,11 @@ impl Link {
         format!("{}.2", self.nets[0])
     }
 
+    /// Address outside the namespace, at the other end of the interruptible link.
+    pub fn host_address(&self) -> String {
+        format!("{}.1", self.nets[0])
+    }
+
     /// Address inside the namespace that is always reached.
     pub fn witness_address(&self) -> String {
         format!("{}.2", self.nets[1])
@@ -60,6 +66,24 @@ impl Link {
     /// Ends the interruption.
     pub fn heal(&self) {
         assert!(ip(&format!("link set {} up", self.device(0))), "the link cannot be set up");
+    }
+
+    /// Loses this share of the packets in each direction, at random; `false` where that is not
+    /// possible.
+    pub fn lose(&self, percent: u32) -> bool {
+        let (table, outer) = (self.table(), self.device(0));
+        let rules = |device: &str| {
+            format!(
+                "table netdev {table} {{\nchain in {{\ntype filter hook ingress device \"{device}\" priority 0\n\
+                 numgen random mod 100 < {percent} drop\n}}\n}}\n"
+            )
+        };
+        nft(&[], &rules(&outer)) && nft(&["ip", "netns", "exec", &self.name], &rules("in0"))
+    }
+
+    /// Name of the table of rules that lose packets.
+    fn table(&self) -> String {
+        self.name.replace('-', "_")
     }
 
     /// Name of the end in this namespace; at most 15 characters.
@@ -85,9 +109,25 @@ impl Link {
 
 impl Drop for Link {
     fn drop(&mut self) {
+        nft(&[], &format!("delete table netdev {}\n", self.table()));
         // Its links disappear with it.
         ip(&format!("netns del {}", self.name));
     }
+}
+
+/// Whether `nft` applies these rules; a wrapper starts it in a namespace.
+fn nft(wrapper: &[&str], rules: &str) -> bool {
+    let command = [wrapper, &["nft", "-f", "-"]].concat();
+    let child = Command::new(command[0])
+        .args(&command[1..])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+    child.is_ok_and(|mut child| {
+        let is_written = child.stdin.take().is_some_and(|mut input| input.write_all(rules.as_bytes()).is_ok());
+        child.wait().is_ok_and(|status| status.success()) && is_written
+    })
 }
 
 /// Whether `ip` succeeds with these arguments.

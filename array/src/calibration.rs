@@ -116,7 +116,8 @@ impl Correction {
                 if !(least..=most).contains(&f64::from(*gain)) {
                     return Err(Unfit::Gain { axis, mirror, gain: *gain });
                 }
-                if !(f64::from(*offset).abs() <= OFFSET_MAX_RAD + ROUNDING_RAD) {
+                let bound = OFFSET_MAX_RAD + ROUNDING_RAD;
+                if !(-bound..=bound).contains(&f64::from(*offset)) {
                     return Err(Unfit::Offset { axis, mirror, offset_rad: *offset });
                 }
                 let ends = range.map(|end| f64::from(*gain) * end + f64::from(*offset));

@@ -30,9 +30,6 @@ const SLEEP_MAX: Duration = Duration::from_millis(50);
 /// First and longest pause before another attempt to reach the router.
 const ROUTER_PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(5)];
 
-/// Most messages that are handled before the next telemetry, so that a flood does not delay it.
-const HANDLED_MAX: usize = 512;
-
 /// Where a driver runs.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -112,7 +109,7 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
         let work = driver.kit.next_ns().map_or(telemetry, |next_ns| clock.instant_at(next_ns));
         let wake = work.min(telemetry).min(announcement).min(Instant::now() + SLEEP_MAX);
-        driver.handle_received(wake);
+        driver.handle_received(wake, telemetry);
         let now = clock.now();
         driver.kit.advance(now);
         driver.keep_latch(false);
@@ -180,13 +177,14 @@ struct Driver<D> {
 }
 
 impl<D: Device> Driver<D> {
-    /// Handles the received messages; waits for the first until `wake`.
-    fn handle_received(&mut self, wake: Instant) {
+    /// Handles the received messages; waits for the first until `wake`. Returns at `telemetry`, so
+    /// that neither a flood nor a slow device delays the telemetry.
+    fn handle_received(&mut self, wake: Instant, telemetry: Instant) {
         let mut next = self.session.received().pop_until(wake);
-        for _ in 0..HANDLED_MAX {
-            let Some(arrival) = next else { break };
+        while let Some(arrival) = next {
             self.kit.handle(arrival.at, arrival.content, &mut self.refused);
-            next = self.session.received().pop();
+            let is_due = Instant::now() >= telemetry;
+            next = if is_due { None } else { self.session.received().pop() };
         }
     }
 

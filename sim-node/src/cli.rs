@@ -55,11 +55,9 @@ impl Args {
             Some(ticks) => Pace::Lockstep { ticks },
             None => Pace::Live { duration: self.end.seconds },
         };
-        let bus = self.bus.config_or_listen(&[AccessRole::Simulator])?;
         Ok(Settings {
             scenario: self.scenario.load()?,
-            // Every role may publish on the key of an unnamed re-arm.
-            bus,
+            bus: self.bus.config_or_listen(&[AccessRole::Simulator])?,
             pace,
             metrics: self.metrics,
             calibration: self.calibration.as_deref().map(calibration_store::load).transpose()?,

@@ -27,7 +27,7 @@ pub use effect::Effect;
 pub use namespace::Link;
 pub use promise::Promise;
 pub use proxy::{Direction, Proxy};
-pub use room::{Array, FaultRoom, Launch, Setup};
+pub use room::{Array, FaultRoom, Launch, Setup, make_keys};
 pub use system_clock::SystemClock;
 pub use table::{FAULTS, Fault};
 pub use tracker::Tracker;

@@ -38,8 +38,8 @@ fn board() -> (String, Arc<Mutex<Vec<String>>>) {
                     _ => "error unknown".to_owned(),
                 };
                 lines.lock().expect("no test panics").push(line);
-                // The driver may have been killed.
-                writeln!(out, "{answer}").ok();
+                // One write, so that the answer is not delayed; the driver may have been killed.
+                out.write_all(format!("{answer}\n").as_bytes()).ok();
             }
         }
     });
@@ -247,6 +247,7 @@ fn no_number_at_the_end_of_its_range_locks_the_controller_out_or_holds_the_array
         let before = counters(&room).accepted;
         wait_until("a valid command of the same controller", || {
             room.command(0.25, |_| {});
+            std::thread::sleep(std::time::Duration::from_millis(60));
             counters(&room).accepted > before
         });
     }

@@ -15,10 +15,18 @@ const FORGED_SOURCE: u64 = 0xbad;
 /// Timeout of a query for liveliness tokens.
 const ALIVE_LIMIT: Duration = Duration::from_millis(500);
 
+/// A publisher that is dropped earlier may take its last message with it.
+const LAST_MESSAGE: Duration = Duration::from_millis(50);
+
+/// Time between two bursts of a flood.
+const FLOOD_PAUSE: Duration = Duration::from_millis(1);
+
 /// A session that publishes into a room whose processes know nothing of it.
 pub struct Attacker {
     bus: Bus,
     room: Room,
+    /// Whether a process of the room receives what it publishes.
+    is_received: bool,
 }
 
 impl Attacker {
@@ -27,14 +35,30 @@ impl Attacker {
     /// # Panics
     /// When the bus does not open, or one of the two is absent.
     pub fn join(config: &BusConfig) -> Self {
-        let bus = Bus::open(config).expect("the bus opens");
-        let room = config.room.clone();
+        let attacker = Self { is_received: true, ..Self::outside(config) };
         wait_until("links to array and controller", || {
-            let tokens = bus.alive(&room.all_alive(), ALIVE_LIMIT).expect("the session is open");
+            let tokens = attacker.alive();
             let present = |node: NodeKind| tokens.iter().any(|token| token.contains(&format!("/alive/{node}/")));
             present(NodeKind::Controller) && (present(NodeKind::SimNode) || present(NodeKind::Driver))
         });
-        Self { bus, room }
+        attacker
+    }
+
+    /// Opens a session that the room refuses: what it publishes has no receiver.
+    ///
+    /// # Panics
+    /// When the bus does not open.
+    pub fn outside(config: &BusConfig) -> Self {
+        let bus = Bus::open(config).expect("the bus opens");
+        Self { bus, room: config.room.clone(), is_received: false }
+    }
+
+    /// The liveliness tokens that it sees.
+    ///
+    /// # Panics
+    /// When the session is closed.
+    pub fn alive(&self) -> Vec<String> {
+        self.bus.alive(&self.room.all_alive(), ALIVE_LIMIT).expect("the session is open")
     }
 
     /// The room.
@@ -64,8 +88,7 @@ impl Attacker {
         for payload in payloads {
             publisher.put(payload).expect("the bus takes a payload");
         }
-        // A publisher that is dropped at once may take its last message with it.
-        thread::sleep(Duration::from_millis(50));
+        thread::sleep(LAST_MESSAGE);
     }
 
     /// Publishes payloads at a steady rate for a duration; returns their number.
@@ -80,14 +103,16 @@ impl Attacker {
                 sent += 1;
                 publisher.put(&payload(sent)).expect("the bus takes a payload");
             }
-            thread::sleep(Duration::from_millis(1));
+            thread::sleep(FLOOD_PAUSE);
         }
         sent
     }
 
     fn publisher(&self, key: &str) -> Publisher {
         let publisher = self.bus.publisher(key, Class::RealTimeBlock).expect("the key is valid");
-        wait_until("a receiver of the attacker", || publisher.has_subscribers().expect("the session is open"));
+        if self.is_received {
+            wait_until("a receiver of the attacker", || publisher.has_subscribers().expect("the session is open"));
+        }
         publisher
     }
 }

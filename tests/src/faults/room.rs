@@ -1,11 +1,11 @@
 //! A room of real processes: an array, a controller, and for a driver a board and a tracker.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Duration;
 
-use heliostat_bus::{BusConfig, free_loopback_endpoint};
+use heliostat_bus::{AccessRole, BusConfig, Identity, free_loopback_endpoint};
 use heliostat_proto::{ArrayState, Room};
 use heliostat_service::clock::utc_ns;
 use tempfile::TempDir;
@@ -88,6 +88,8 @@ pub struct Setup {
     /// The endpoint at which the controller connects to the array, if it is another one.
     pub link_endpoint: Option<String>,
     controller_endpoint: String,
+    /// The folder of keys of a room with access control.
+    keys: Option<PathBuf>,
 }
 
 impl Setup {
@@ -104,7 +106,25 @@ impl Setup {
             array_endpoint: endpoint(),
             link_endpoint: None,
             controller_endpoint: endpoint(),
+            keys: None,
         }
+    }
+
+    /// With the keys in a folder, which it makes.
+    ///
+    /// # Panics
+    /// When the keys cannot be made.
+    #[must_use]
+    pub fn secured_by(mut self, keys: &Path) -> Self {
+        make_keys(keys);
+        let encrypted = |endpoint: &str| endpoint.replace("tcp/", "tls/");
+        self.array_endpoint = encrypted(&self.array_endpoint);
+        self.controller_endpoint = encrypted(&self.controller_endpoint);
+        let flags = ["--tls", keys.to_str().expect("the path is text")];
+        self.of_array = self.of_array.flags(&flags);
+        self.of_controller = self.of_controller.flags(&flags);
+        self.keys = Some(keys.to_path_buf());
+        self
     }
 
     /// Starts it, and waits until the array follows.
@@ -125,10 +145,17 @@ impl Setup {
         FaultRoom::start(self, Some(proxy))
     }
 
-    /// A session with direct links to array and controller.
+    /// A session with direct links to array and controller, and the rights of a viewer.
+    ///
+    /// # Panics
+    /// When the keys of the room cannot be used.
     pub fn session(&self) -> BusConfig {
         let room = Room::new(ROOM).expect("the name is valid");
-        BusConfig::new(room).connect_to(&self.array_endpoint).connect_to(&self.controller_endpoint)
+        let config = BusConfig::new(room).connect_to(&self.array_endpoint).connect_to(&self.controller_endpoint);
+        match &self.keys {
+            Some(keys) => config.secured_by(Identity::load(keys, &[AccessRole::Viewer]).expect("keys of a viewer")),
+            None => config,
+        }
     }
 }
 
@@ -302,10 +329,22 @@ fn start_array(setup: &Setup, folder: &TempDir) -> Process {
             setup.of_array.start(&[&["sim-node"], &listen[..], &rates].concat())
         }
         Array::Board => {
-            let config = folder.path().join("array.toml").display().to_string();
-            setup.of_array.start(&[&["driver", "run", "--config", &config], &listen[..]].concat())
+            let path = |name: &str| folder.path().join(name).display().to_string();
+            let (config, state) = (path("array.toml"), path("state"));
+            let driver = ["driver", "run", "--config", &config, "--state", &state, "--start-armed"];
+            setup.of_array.start(&[&driver, &listen[..]].concat())
         }
     }
+}
+
+/// Makes the keys of the room in a folder.
+///
+/// # Panics
+/// When they cannot be made.
+pub fn make_keys(folder: &Path) {
+    let folder = folder.to_str().expect("the path is text");
+    let made = Process::heliostat(&["keys", "init", "--room", ROOM, "--out", folder]).wait();
+    assert!(made.status.success(), "{}", made.errors);
 }
 
 fn start_controller(setup: &Setup) -> Process {

@@ -155,7 +155,25 @@ pub const FAULTS: &[Fault] = &[
         "400 TCP connections that send nothing are opened to the array, then the controller is killed and started again",
         FollowsAgain(5.0),
     ),
+    fault(
+        NETWORK,
+        "a_peer_without_a_certificate_does_not_stop_the_array",
+        "a process without a certificate sends 300 stops into a room with access control",
+        Follows,
+    ),
+    fault(
+        NETWORK,
+        "a_peer_of_another_authority_does_not_stop_the_array",
+        "a process with a certificate of another authority sends 300 stops into a room with access control",
+        Follows,
+    ),
     fault(DISKS, "a_full_disk_ends_the_recorder_and_not_the_room", "the file of a recorder can grow no more", Follows),
+    fault(
+        DISKS,
+        "a_stop_that_cannot_be_recorded_is_obeyed_and_outlives_the_driver",
+        "the disk of the driver's stop record is full: the array is stopped, the driver killed and started again, then the array re-armed",
+        StopsThenFollows(5.0),
+    ),
     fault(
         CLOCKS,
         "the_array_parks_while_the_clock_of_the_controller_is_1_h_ahead",
@@ -291,6 +309,12 @@ pub const FAULTS: &[Fault] = &[
         STOPS,
         "a_re_arm_that_names_another_stop_is_refused",
         "a stop, a re-arm that names another one, and the right re-arm after 1 s",
+        StopsThenFollows(5.0),
+    ),
+    fault(
+        STOPS,
+        "a_stop_outlives_the_driver_that_obeyed_it",
+        "the array is stopped, the driver killed and started again, then the array re-armed",
         StopsThenFollows(5.0),
     ),
     fault(DUPLICATES, "reports_of_a_second_tracker_are_not_mixed", "a second tracker reports for 3 s", Follows),

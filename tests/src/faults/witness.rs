@@ -13,9 +13,11 @@ use heliostat_service::clock::utc_ns;
 use crate::faults::effect::Sample;
 use crate::wait::wait_until;
 
-/// Counters of a status that report a fault, apart from `refused:` and `fallback:`.
-const NOTABLE: [&str; 7] =
-    ["dropped", "unanswered", "policies_refused", "lockouts", "superseded", "connections", "missed"];
+/// Counters of a status that report a fault.
+const NOTABLE: [&str; 4] = ["dropped", "unanswered", "policies_refused", "connections"];
+
+/// The same by the beginning of their names.
+const NOTABLE_GROUPS: [&str; 4] = ["refused:", "fallback:", "epoch:", "missed:"];
 
 /// What a witness has received.
 #[derive(Debug, Default)]
@@ -112,7 +114,7 @@ impl Witness {
     /// Counters of refusals and degraded modes, by process and its source.
     pub fn notable_counters(&self) -> BTreeMap<(String, u64), u64> {
         let is_notable =
-            |name: &str| name.starts_with("refused:") || name.starts_with("fallback:") || NOTABLE.contains(&name);
+            |name: &str| NOTABLE.contains(&name) || NOTABLE_GROUPS.iter().any(|group| name.starts_with(group));
         self.with(|received| {
             let of = |status: &NodeStatus| {
                 let (node, source) = (status.node, status.started_ns);

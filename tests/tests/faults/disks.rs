@@ -1,12 +1,16 @@
 //! Disks that take no more bytes. A limit of the file size stands for them; it needs no rights.
 
+use std::process::Command;
+
+use heliostat_proto::ArrayState;
 use heliostat_tests::faults::{Array, Launch, Setup};
 
+use crate::stops::{rearm, stop};
 use crate::{measure, wait_s};
 
-/// A program under which no file grows beyond this size, and a write beyond it fails instead of
-/// ending the process.
-fn limited(kib: u64) -> Launch {
+/// A program under which no file grows beyond this size in KiB, and a write beyond it fails instead
+/// of ending the process.
+fn limited(kib: &str) -> Launch {
     let script = format!("trap '' XFSZ; ulimit -f {kib}; exec \"$@\"");
     Launch { wrapper: ["bash", "-c", &script, "bash"].map(str::to_owned).into(), ..Launch::default() }
 }
@@ -18,11 +22,32 @@ fn a_full_disk_ends_the_recorder_and_not_the_room() {
         let file = room.folder().join("full.mcap").display().to_string();
         let mut refusal = String::new();
         let effect = room.undergo(|room| {
-            let recorder = room.start_process(&limited(64), &["record", "--out", &file]);
+            let recorder = room.start_process(&limited("64"), &["record", "--out", &file]);
             refusal = recorder.wait().refusal().to_owned();
             wait_s(0.2);
         });
         assert!(refusal.contains("no space is left"), "{refusal}");
         effect
+    });
+}
+
+#[test]
+fn a_stop_that_cannot_be_recorded_is_obeyed_and_outlives_the_driver() {
+    measure("a_stop_that_cannot_be_recorded_is_obeyed_and_outlives_the_driver", || {
+        let mut setup = Setup::new(Array::Board);
+        setup.of_array = limited("unlimited");
+        let mut room = setup.start();
+        let operator = room.attacker();
+        room.undergo(|room| {
+            let process = room.array.id().to_string();
+            let full = Command::new("prlimit").args(["--pid", &process, "--fsize=0:"]).status();
+            assert!(full.expect("there is a prlimit command").success());
+            stop(room, &operator, 0);
+            room.array.kill();
+            room.restart_array();
+            wait_s(2.0);
+            assert_eq!(room.witness.state(), Some(ArrayState::Stopped), "the next driver does not know of the stop");
+            rearm(room, &operator);
+        })
     });
 }

@@ -2,7 +2,7 @@
 
 use heliostat_proto::{
     ArrayState, Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, MirrorCommand,
-    MirrorTelemetry, NodeKind, ObstacleReport, SimulatorControl, Stamp, UserChannel, UserReport,
+    MirrorTelemetry, NodeKind, ObstacleReport, Rearm, SafetyReport, SimulatorControl, Stamp, UserChannel, UserReport,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Array, Attacker, Effect, FaultRoom, Setup, encoded};
@@ -38,6 +38,8 @@ fn valid_payloads(room: &FaultRoom) -> Vec<(String, Vec<u8>)> {
         (keys.telemetry(), encoded(&room.witness.telemetry())),
         (keys.capabilities(), encoded(&room.witness.capabilities())),
         (keys.stop(), encoded(&EmergencyStop { stamp, ..EmergencyStop::default() })),
+        (keys.rearm(), encoded(&Rearm { stamp, ..Rearm::default() })),
+        (keys.safety(), encoded(&SafetyReport { stamp, ..SafetyReport::default() })),
         (keys.calibration(), encoded(&Calibration { stamp, ..Calibration::default() })),
         (keys.simulator_control(), encoded(&SimulatorControl { stamp, ..SimulatorControl::default() })),
         (keys.controller_control(), encoded(&ControllerControl { stamp, policy: "flat".to_owned() })),

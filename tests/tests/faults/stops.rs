@@ -10,7 +10,7 @@ use crate::{measure, wait_s};
 const HOUR_NS: u64 = 3_600_000_000_000;
 
 /// Stops the array by a stop whose time is ahead by so much, and waits until it is stopped.
-fn stop(room: &FaultRoom, operator: &Attacker, ahead_ns: u64) {
+pub fn stop(room: &FaultRoom, operator: &Attacker, ahead_ns: u64) {
     let mut stop = EmergencyStop { stamp: Attacker::stamp(7), action: StopAction::Stop, ..EmergencyStop::default() };
     stop.stamp.time_ns += ahead_ns;
     operator.publish(&operator.room().stop(), &stop);
@@ -22,14 +22,17 @@ fn stop(room: &FaultRoom, operator: &Attacker, ahead_ns: u64) {
 
 /// The release of the stop in force, as the safety report names it.
 fn rearm_for(room: &FaultRoom) -> Rearm {
-    let stopped = || room.witness.safety().filter(|safety| safety.stopped);
+    // A driver that was killed has published reports too.
+    let source = room.witness.telemetry().stamp.source;
+    let stopped = || room.witness.safety().filter(|safety| safety.stopped && safety.stamp.source == source);
     wait_until("a safety report of the stop", || stopped().is_some());
     let safety = stopped().expect("received");
     let (stop_source, stop_sequence) = (safety.stop_source, safety.stop_sequence);
     Rearm { stamp: Attacker::stamp(1), stop_source, stop_sequence, ..Rearm::default() }
 }
 
-fn rearm(room: &FaultRoom, operator: &Attacker) {
+/// Releases the stop in force.
+pub fn rearm(room: &FaultRoom, operator: &Attacker) {
     operator.publish(&operator.room().rearm(), &rearm_for(room));
 }
 
@@ -69,6 +72,22 @@ fn a_re_arm_that_names_another_stop_is_refused() {
             operator.publish(&operator.room().rearm(), &wrong);
             wait_s(0.5);
             assert_eq!(room.witness.state(), Some(ArrayState::Stopped), "a re-arm of another stop released this one");
+            rearm(room, &operator);
+        })
+    });
+}
+
+#[test]
+fn a_stop_outlives_the_driver_that_obeyed_it() {
+    measure("a_stop_outlives_the_driver_that_obeyed_it", || {
+        let mut room = Setup::new(Array::Board).start();
+        let operator = room.attacker();
+        room.undergo(|room| {
+            stop(room, &operator, 0);
+            room.array.kill();
+            room.restart_array();
+            wait_s(2.0);
+            assert_eq!(room.witness.state(), Some(ArrayState::Stopped), "the next driver does not know of the stop");
             rearm(room, &operator);
         })
     });

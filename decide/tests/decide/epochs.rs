@@ -86,7 +86,7 @@ impl Room {
             for controller in self.controllers.iter_mut().filter(|controller| controller.is_alive) {
                 controller.report(self.now, &mut self.array);
             }
-            if self.now % (50 * MS) == 0 {
+            if self.now.is_multiple_of(50 * MS) {
                 self.show(self.array.shown);
             }
         }

@@ -86,10 +86,12 @@ fn row(fault: &Fault, effects: &[Effect], origin: &Origin) -> String {
         // Writing to a string cannot fail.
         let _ = write!(reported, "; {counter}");
     }
+    let is_kept = effects.iter().all(|effect| fault.promise.check(effect).is_ok());
     format!(
-        "| {} | {} | {} | {} | {} | {reported} | {} x {} | `{}` |",
+        "| {} | {}{} | {} | {} | {} | {reported} | {} x {} | `{}` |",
         fault.action,
         fault.promise,
+        if is_kept { "" } else { "; **not met**" },
         column(|effect| effect.gap_ms),
         column(|effect| effect.lost as f64),
         column(|effect| effect.recovery_ms),

@@ -130,7 +130,7 @@ of 200 ms, and parks 1000 ms after the end of validity.
 
 | column | meaning |
 | --- | --- |
-| gap | longest time between two accepted commands at the array, from telemetry; 10 ms without a fault |
+| gap | longest time between two accepted commands at the array, from telemetry, or for a fault of a board between two turns of its mirrors; 10 ms without a fault |
 | commands lost | commands that the array would have accepted at the rate of the reports, less those accepted |
 | recovery | from the end of the fault to the next accepted command |
 | reported | states of the array in telemetry, then counters of refusals and degraded modes that rose |

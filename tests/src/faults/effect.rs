@@ -5,6 +5,9 @@ use heliostat_proto::{ArrayState, MirrorTelemetry, Nanos};
 /// Clocks of witness and array that differ by more than this are those of a test that shifts them.
 const CLOCKS_DIFFER_NS: u64 = 500_000_000;
 
+/// Longer than any time between two telemetry messages of a process that runs.
+const TELEMETRY_PAUSE_NS: u64 = 500_000_000;
+
 /// One telemetry message, as the witness received it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sample {
@@ -50,7 +53,8 @@ impl Effect {
     /// The effect of a fault from `begin_ns` to `end_ns`, while reports arrive every `period_ns`.
     ///
     /// Telemetry gives the number of accepted commands and the arrival of the last one. Of several
-    /// commands between two messages, all but the first count as `period_ns` apart.
+    /// commands between two messages, all but the first count as `period_ns` apart, and none before
+    /// the first message. If telemetry paused, the process was frozen: they arrived at one time.
     ///
     /// # Panics
     /// When no command was accepted before the fault or after it.
@@ -60,7 +64,7 @@ impl Effect {
         assert!(last.accepted_ns > 0, "no command was accepted before the fault");
         let (start_ns, mut accepted, mut gap_ns, mut recovered_ns) = (last.accepted_ns, 0, 0, None);
         let mut states = vec![last.state];
-        for sample in &samples[first + 1..] {
+        for (previous, sample) in samples[first..].iter().zip(&samples[first + 1..]) {
             if states.last() != Some(&sample.state) {
                 states.push(sample.state);
             }
@@ -69,15 +73,22 @@ impl Effect {
             if new == 0 {
                 continue;
             }
-            let between_ns = sample.accepted_ns.saturating_sub(last.accepted_ns);
-            let others_ns = (new - 1) * period_ns;
-            gap_ns = gap_ns.max(between_ns.saturating_sub(others_ns)).max(between_ns / new);
-            if sample.accepted_ns > end_ns {
-                let next_ns = sample.accepted_ns.saturating_sub(others_ns).max(end_ns);
-                recovered_ns.get_or_insert(next_ns);
+            // A clock of the array that steps makes the age of one command wrong.
+            let is_wrong = sample.accepted_ns < last.accepted_ns;
+            let accepted_ns = if is_wrong { sample.seen_ns } else { sample.accepted_ns };
+            let between_ns = accepted_ns - last.accepted_ns;
+            let is_same = sample.source == last.source;
+            let paused = is_same && sample.seen_ns.saturating_sub(previous.seen_ns) > TELEMETRY_PAUSE_NS;
+            let others_ns = if paused { 0 } else { (new - 1) * period_ns };
+            // An array that has just started published no telemetry before its first command.
+            let silent_until_ns = if is_same { previous.seen_ns.min(accepted_ns) } else { 0 };
+            let first_ns = accepted_ns.saturating_sub(others_ns).max(silent_until_ns).max(last.accepted_ns);
+            gap_ns = gap_ns.max(first_ns - last.accepted_ns).max(between_ns / new);
+            if accepted_ns > end_ns {
+                recovered_ns.get_or_insert(first_ns.max(end_ns));
             }
             accepted += new;
-            last = *sample;
+            last = Sample { accepted_ns, ..*sample };
         }
         let expected = last.accepted_ns.saturating_sub(start_ns) as f64 / period_ns as f64;
         Self {
@@ -106,7 +117,27 @@ mod tests {
         // One command each 10 ms, telemetry each 50 ms, no command from 100 ms to 300 ms.
         let samples = [sample(60, 1, 5, 50), sample(110, 1, 10, 100), sample(320, 1, 12, 310), sample(370, 1, 17, 360)];
         let effect = Effect::between(&samples, 105 * MS, 290 * MS, 10 * MS);
-        assert_eq!((effect.gap_ms, effect.lost, effect.recovery_ms), (250.0 - 50.0, 19, 10.0), "{effect:?}");
+        assert_eq!((effect.gap_ms, effect.lost, effect.recovery_ms), (200.0, 19, 10.0), "{effect:?}");
+    }
+
+    #[test]
+    fn commands_that_waited_arrive_at_one_time() {
+        // Telemetry without commands until 1100 ms, then 20 commands that waited.
+        let waited = [sample(100, 1, 5, 95), sample(600, 1, 5, 95), sample(1090, 1, 5, 95), sample(1100, 1, 25, 1095)];
+        assert_eq!(Effect::between(&waited, 100 * MS, 1090 * MS, 10 * MS).gap_ms, 995.0);
+        // A frozen array publishes no telemetry, and accepts what waited when it continues.
+        let frozen = [sample(100, 1, 5, 95), sample(3105, 1, 25, 3100)];
+        assert_eq!(Effect::between(&frozen, 100 * MS, 3095 * MS, 10 * MS).gap_ms, 3005.0);
+    }
+
+    #[test]
+    fn a_step_of_the_clock_of_the_array_makes_no_gap() {
+        let stepped = [
+            sample(7_200_100, 1, 5, 7_200_095),
+            sample(7_200_110, 1, 6, 3_600_105),
+            sample(7_200_120, 1, 7, 7_200_115),
+        ];
+        assert_eq!(Effect::between(&stepped, 7_200_100 * MS, 7_200_101 * MS, 10 * MS).gap_ms, 15.0);
     }
 
     #[test]

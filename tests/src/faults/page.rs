@@ -86,10 +86,12 @@ fn row(fault: &Fault, effects: &[Effect], origin: &Origin) -> String {
         // Writing to a string cannot fail.
         let _ = write!(reported, "; {counter}");
     }
+    let is_kept = effects.iter().all(|effect| fault.promise.check(effect).is_ok());
     format!(
-        "| {} | {} | {} | {} | {} | {reported} | {} x {} | `{}` |",
+        "| {} | {}{} | {} | {} | {} | {reported} | {} x {} | `{}` |",
         fault.action,
         fault.promise,
+        if is_kept { "" } else { "; **not met**" },
         column(|effect| effect.gap_ms),
         column(|effect| effect.lost as f64),
         column(|effect| effect.recovery_ms),
@@ -128,7 +130,7 @@ of 200 ms, and parks 1000 ms after the end of validity.
 
 | column | meaning |
 | --- | --- |
-| gap | longest time between two accepted commands at the array, from telemetry; 10 ms without a fault |
+| gap | longest time between two accepted commands at the array, from telemetry, or for a fault of a board between two turns of its mirrors; 10 ms without a fault |
 | commands lost | commands that the array would have accepted at the rate of the reports, less those accepted |
 | recovery | from the end of the fault to the next accepted command |
 | reported | states of the array in telemetry, then counters of refusals and degraded modes that rose |

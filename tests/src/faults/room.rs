@@ -198,6 +198,7 @@ impl FaultRoom {
     /// When the array does not follow again within the time limit.
     pub fn undergo(&mut self, fault: impl FnOnce(&mut Self)) -> Effect {
         self.wait_until_steady();
+        wait_until("the status of array and controller", || self.witness.statuses() >= 2);
         let (counted, begin_ns) = (self.witness.notable_counters(), utc_ns());
         fault(self);
         let end_ns = utc_ns();

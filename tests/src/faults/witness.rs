@@ -105,6 +105,11 @@ impl Witness {
         self.with(|received| received.statuses.get(node.name()).cloned())
     }
 
+    /// Kinds of processes whose status was received.
+    pub fn statuses(&self) -> usize {
+        self.with(|received| received.statuses.len())
+    }
+
     /// The value of a counter in the newest status; 0 if it is absent.
     pub fn counter(&self, node: NodeKind, name: &str) -> u64 {
         let counters = self.status(node).map(|status| status.counters).unwrap_or_default();

@@ -50,7 +50,7 @@ fn behaviour_of_the_board(behaviour: Behaviour) -> Effect {
         room.board().behave(Behaviour::Prompt);
     });
     // Telemetry gives the arrival of a command, and the board the time at which mirrors turn.
-    effect.gap_ms = effect.gap_ms.max(1e3 * room.board().longest_pause().as_secs_f64());
+    effect.gap_ms = 1e3 * room.board().longest_pause().as_secs_f64();
     effect
 }
 

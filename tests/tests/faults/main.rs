@@ -23,12 +23,12 @@ fn measure(test: &str, mut run: impl FnMut() -> Effect) {
     let fault = Fault::of(test);
     let runs = std::env::var("HELIOSTAT_FAULT_RUNS").map_or(1, |runs| runs.parse().expect("a number of runs"));
     let effects: Vec<Effect> = (0..runs).map(|_| run()).collect();
-    for effect in &effects {
-        println!("{test}: {effect:?}");
-        fault.promise.check(effect).unwrap_or_else(|problem| panic!("{}: {problem}", fault.action));
-    }
+    effects.iter().for_each(|effect| println!("{test}: {effect:?}"));
     if std::env::var_os("HELIOSTAT_WRITE_FAULTS").is_some() {
         record(fault, &effects, &Origin::here());
+    }
+    for effect in &effects {
+        fault.promise.check(effect).unwrap_or_else(|problem| panic!("{}: {problem}", fault.action));
     }
 }
 

@@ -31,6 +31,10 @@ fn every_fault_of_the_table_has_a_test_of_its_name() {
 
 #[test]
 fn every_row_of_the_page_names_a_test_and_every_test_has_a_row() {
+    if std::env::var_os("HELIOSTAT_WRITE_FAULTS").is_some() {
+        println!("skipped: the page is written at this time");
+        return;
+    }
     let page = fs::read_to_string(page::path()).expect("the page of faults");
     let rows: BTreeSet<String> = page::rows(&page).into_keys().collect();
     assert_eq!(rows, tests(), "write docs/faults.md again with HELIOSTAT_WRITE_FAULTS=1");

@@ -127,7 +127,15 @@ fn users(count: u64, change: impl Fn(&mut UserReport, u64)) -> (FaultRoom, Effec
 
 #[test]
 fn stale_reports_of_the_tracker_are_refused() {
-    measure("stale_reports_of_the_tracker_are_refused", || users(100, |report, _| report.stamp.time_ns -= STALE_NS).1);
+    measure("stale_reports_of_the_tracker_are_refused", || {
+        let (room, effect) = users(100, |report, number| {
+            // Ahead of the reports that the tracker publishes meanwhile.
+            report.stamp.sequence += 1000 + number;
+            report.stamp.time_ns -= STALE_NS;
+        });
+        assert!(room.witness.counter(NodeKind::Controller, "refused:users:stale") >= 100, "{effect:?}");
+        effect
+    });
 }
 
 #[test]

@@ -65,13 +65,13 @@ impl Certificate {
     }
 
     /// Complete days until it expires; negative after that.
-    pub fn days_left(&self, now: SystemTime) -> i64 {
-        (self.validity_s.1 - unix_s(now)).div_euclid(SECONDS_A_DAY)
+    pub fn days_left(&self) -> i64 {
+        (self.validity_s.1 - unix_s(SystemTime::now())).div_euclid(SECONDS_A_DAY)
     }
 
-    /// Whether it is valid at this time; `Err` names the fault.
-    pub(crate) fn check_time(&self, path: &Path, now: SystemTime) -> Result<(), KeyError> {
-        let now_s = unix_s(now);
+    /// Whether it is valid now; `Err` names the fault.
+    pub(crate) fn check_time(&self, path: &Path) -> Result<(), KeyError> {
+        let now_s = unix_s(SystemTime::now());
         if now_s < self.validity_s.0 {
             return Err(KeyError::NotYetValid { path: path.into() });
         }

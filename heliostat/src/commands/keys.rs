@@ -1,7 +1,6 @@
 //! `heliostat keys`: makes, renews and lists the certificates of a room.
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 use anyhow::Result;
 use heliostat_bus::{AccessRole, Certificate, keys};
@@ -128,28 +127,28 @@ pub fn run(args: Args) -> Result<()> {
 }
 
 fn show(folder: &Path, json: bool) -> Result<()> {
-    let (certificates, now) = (keys::list(folder)?, SystemTime::now());
+    let certificates = keys::list(folder)?;
     if json {
         let certificates: Vec<Value> =
-            certificates.iter().map(|(role, certificate)| document(*role, certificate, now)).collect();
+            certificates.iter().map(|(role, certificate)| document(*role, certificate)).collect();
         outln!("{}", json!({ "folder": folder, "certificates": certificates }))?;
         return Ok(());
     }
     outln!("{:<11} {:<34} {:<11} {:>5}  hosts", "role", "name", "expires", "days")?;
     for (role, certificate) in &certificates {
         let Certificate { common_name, expires, hosts, .. } = certificate;
-        outln!("{role:<11} {common_name:<34} {expires:<11} {:>5}  {}", certificate.days_left(now), hosts.join(", "))?;
+        outln!("{role:<11} {common_name:<34} {expires:<11} {:>5}  {}", certificate.days_left(), hosts.join(", "))?;
     }
     Ok(())
 }
 
-fn document(role: AccessRole, certificate: &Certificate, now: SystemTime) -> Value {
+fn document(role: AccessRole, certificate: &Certificate) -> Value {
     json!({
         "role": role.name(),
         "room": certificate.room_and_role().map(|(room, _)| room.to_string()),
         "name": certificate.common_name,
         "hosts": certificate.hosts,
         "expires": certificate.expires,
-        "days_left": certificate.days_left(now),
+        "days_left": certificate.days_left(),
     })
 }

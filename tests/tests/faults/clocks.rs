@@ -80,7 +80,7 @@ fn a_controller_that_started_a_day_ahead_can_be_replaced() {
             room.restart_controller();
             wait_s(1.5);
             clock.shift(0);
-            // Its commands carry the time of now, and an epoch of tomorrow.
+            // Its commands carry the right time, and an epoch of tomorrow.
             wait_s(1.5);
             room.controller.kill();
             room.restart_controller();

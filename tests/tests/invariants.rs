@@ -53,6 +53,8 @@ const LAYOUT: &Layout = &Layout {
     pure: &["channel", "scenario", "proto", "onnx", "array", "decide", "sim"],
     single_places: &[
         ("zenoh", "bus/src"),
+        ("rcgen", "bus/src/keys"),
+        ("x509_parser", "bus/src"),
         ("tract_hir", "engine/src/tract"),
         ("tract_onnx", "engine/src/tract"),
         ("ort", "engine/src/onnxruntime"),

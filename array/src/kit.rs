@@ -174,7 +174,7 @@ impl<D: Device> Kit<D> {
         Ok(())
     }
 
-    /// Refuses re-arms of kind 9 from now on: any process that may stop can publish one.
+    /// Refuses re-arms of kind 9, because any process that may stop can publish one.
     pub fn refuse_unnamed_rearm(&mut self, refuse: bool) {
         self.unnamed_rearm_refused = refuse;
     }
@@ -192,15 +192,18 @@ impl<D: Device> Kit<D> {
     /// # Errors
     /// [`RearmRefusal`]: a re-arm that releases nothing.
     pub fn handle_stop(&mut self, now: Moment, order: &EmergencyStop) -> Result<(), RearmRefusal> {
+        if order.action == StopAction::Stop {
+            // Before a reconnection, which would turn the mirrors.
+            self.array.handle_stop(now, order)?;
+            self.halt(now);
+            return Ok(());
+        }
         self.advance(now);
-        if order.action == StopAction::Rearm && self.unnamed_rearm_refused {
+        if self.unnamed_rearm_refused {
             return Err(RearmRefusal::Unnamed);
         }
         self.array.handle_stop(now, order)?;
-        match order.action {
-            StopAction::Stop => self.halt(now),
-            StopAction::Rearm => self.apply_target(now),
-        }
+        self.apply_target(now);
         Ok(())
     }
 
@@ -215,13 +218,21 @@ impl<D: Device> Kit<D> {
         Ok(())
     }
 
-    /// Uses a calibration from now on; the present target is corrected at once.
+    /// Sets the calibration before the first step, so that nothing reaches the device.
+    ///
+    /// # Errors
+    /// [`Unfit`]: there is no calibration then.
+    pub fn set_calibration(&mut self, calibration: &Calibration) -> Result<(), Unfit> {
+        self.correction.replace(calibration, self.array.limits(), self.device.travel_rad())
+    }
+
+    /// Uses a calibration from its arrival; the present target is corrected at once.
     ///
     /// # Errors
     /// [`Unfit`]: the calibration in use remains, and telemetry reports the fault.
     pub fn handle_calibration(&mut self, now: Moment, calibration: &Calibration) -> Result<(), Unfit> {
         self.advance(now);
-        let replaced = self.correction.replace(calibration, self.array.limits(), self.device.travel_rad());
+        let replaced = self.set_calibration(calibration);
         self.calibration_refused = replaced.is_err();
         if replaced.is_ok() && self.array.state() != ArrayState::Stopped {
             self.apply_target(now);

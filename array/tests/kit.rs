@@ -115,6 +115,27 @@ fn a_device_that_connects_to_a_stopped_array_is_stopped_and_receives_no_angles()
 }
 
 #[test]
+fn a_stop_before_the_connection_is_obeyed_without_a_turn_of_the_mirrors() {
+    let mut kit = Kit::new(Mirror::default());
+    kit.handle_stop(at(0), &stop(1)).unwrap();
+    kit.advance(at(1));
+    assert_eq!(kit.connections(), 1);
+    assert!(kit.device().stops >= 1 && kit.device().angles.is_none(), "the device is stopped and not turned");
+}
+
+#[test]
+fn a_calibration_that_is_set_before_the_first_step_does_not_reach_the_device() {
+    let mut kit = Kit::new(Mirror::default());
+    kit.set_calibration(&calibration(1, 1.0, 0.01)).unwrap();
+    assert!(kit.connections() == 0 && kit.device().angles.is_none());
+    kit.stop(at(0), LatchedStop::default());
+    kit.advance(at(1));
+    assert!(kit.device().angles.is_none(), "an array that starts stopped does not turn");
+    kit.handle_rearm(at(2), &Rearm::default()).unwrap();
+    assert!((kit.device().angles.as_ref().expect("the device parks").roll[0] - 0.01).abs() < 1e-6);
+}
+
+#[test]
 fn refused_rearms_are_counted_by_name() {
     let (mut kit, mut refused) = (following(), RefusalCounts::default());
     let unnamed = EmergencyStop { action: StopAction::Rearm, ..stop(1) };

@@ -147,6 +147,12 @@ pub enum KeyError {
         /// The file.
         path: PathBuf,
     },
+    /// The folder holds the certificate of another authority.
+    #[error("{} is of another authority: expected an empty folder, or the folder of the same room", path.display())]
+    ForeignFolder {
+        /// The certificate.
+        path: PathBuf,
+    },
     /// The file is no certificate.
     #[error("{}: {problem}; expected a certificate in PEM format, made by heliostat keys", path.display())]
     NotACertificate {

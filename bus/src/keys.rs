@@ -18,7 +18,7 @@ use crate::access::AccessRole;
 use crate::certificate::Certificate;
 use crate::config::{BusConfig, DEFAULT_TLS_ENDPOINT, nested_json};
 use crate::error::{BusError, KeyError};
-use crate::tls::{AUTHORITY_CERTIFICATE, AUTHORITY_KEY, Identity, certificate_file, key_file, roles_in};
+use crate::tls::{AUTHORITY_CERTIFICATE, AUTHORITY_KEY, Identity, certificate_file, check_private, key_file, roles_in};
 
 /// Validity of a certificate unless a caller gives another. Zenoh knows no revocation, so a lost
 /// key is of use until its certificate expires.
@@ -136,6 +136,7 @@ impl Authority {
             room.ok_or_else(|| KeyError::ForeignName { path: path.clone(), name: certificate.common_name.clone() })?;
         let key_path = folder.join(AUTHORITY_KEY);
         let unreadable = |problem: String| KeyError::CannotRead { path: key_path.clone(), problem };
+        check_private(&key_path)?;
         let text = fs::read_to_string(&key_path).map_err(|error| unreadable(error.to_string()))?;
         let key = KeyPair::from_pem(&text).map_err(|error| unreadable(error.to_string()))?;
         let certificate_text =
@@ -145,6 +146,10 @@ impl Authority {
 
     /// Writes the keys of a role, in place of older ones.
     fn issue(&self, role: AccessRole, out: &Path, terms: &Terms) -> Result<(), BusError> {
+        let present = out.join(AUTHORITY_CERTIFICATE);
+        if present.exists() && Certificate::read(&present)?.own_key_id != self.certificate.own_key_id {
+            return Err(KeyError::ForeignFolder { path: present }.into());
+        }
         let key = KeyPair::generate().map_err(generation)?;
         let mut hosts: Vec<String> = LOCAL_HOSTS.map(str::to_owned).to_vec();
         hosts.extend(terms.hosts.iter().filter(|host| !LOCAL_HOSTS.contains(&host.as_str())).cloned());
@@ -212,7 +217,12 @@ const PRIVATE: u32 = 0o600;
 const PUBLIC: u32 = 0o644;
 
 fn create_folder(folder: &Path) -> Result<(), KeyError> {
-    fs::create_dir_all(folder)
+    let mut builder = fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder
+        .recursive(true)
+        .create(folder)
         .map_err(|error| KeyError::CannotWrite { path: folder.into(), problem: error.to_string() })
 }
 

@@ -109,7 +109,7 @@ fn names(roles: &[AccessRole]) -> String {
 }
 
 /// Refuses a private key that is absent, or that every user of the machine can read.
-fn check_private(path: &Path) -> Result<(), KeyError> {
+pub(crate) fn check_private(path: &Path) -> Result<(), KeyError> {
     let file = std::fs::File::open(path).and_then(|file| file.metadata());
     let metadata = file.map_err(|error| KeyError::CannotRead { path: path.into(), problem: error.to_string() })?;
     #[cfg(unix)]

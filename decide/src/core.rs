@@ -28,8 +28,8 @@
 //!
 //! The caller assigns the sequence number of each command when it sends it, from 1 in each epoch. A
 //! caller of a live room reports the last number by [`handle_sent`](Controller::handle_sent) before
-//! it passes on telemetry. Getters may be called at any time. No method waits, logs, reads a clock or, after the start-up warm-up, allocates in
-//! this project's code.
+//! it passes on telemetry. Getters may be called at any time. No method waits, logs, reads a clock
+//! or, after the start-up warm-up, allocates in this project's code.
 //!
 //! # Stages of a decision
 //!
@@ -77,7 +77,7 @@ mod array;
 mod degraded_actions;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
-use heliostat_proto::{MirrorCommand, Nanos};
+use heliostat_proto::{MirrorCommand, Nanos, NodeKind};
 use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
@@ -191,13 +191,13 @@ impl Controller {
     }
 
     /// A source has left: another source may own the room at once.
-    pub fn handle_source_lost(&mut self, source: u64) {
-        self.inbox.handle_source_lost(source);
+    pub fn handle_source_lost(&mut self, node: NodeKind, source: u64) {
+        self.inbox.handle_source_lost(node, source);
     }
 
     /// A source is alive, perhaps again.
-    pub fn handle_source_found(&mut self, source: u64) {
-        self.inbox.handle_source_found(source);
+    pub fn handle_source_found(&mut self, node: NodeKind, source: u64) {
+        self.inbox.handle_source_found(node, source);
     }
 
     /// Handles a message that arrived at `now`, and polls the command that it makes due. `mark` is
@@ -218,7 +218,7 @@ impl Controller {
     /// Decides for the tick of the last accepted position report. `mark` is called as each stage
     /// ends.
     pub fn poll_command(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
-        // The mode matters only where the action holds; without a degraded condition the policy acts.
+        // The mode matters only where the action holds; else the policy acts.
         let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
         if timing == Timing::Late {
             self.counters.count_degraded(DegradedMode::Late);

@@ -51,7 +51,7 @@ pub fn run(config: &BusConfig) -> Result<Report> {
     if present(NodeKind::Controller)? {
         bail!("a controller is in room \"{room}\": stop it first, because it would interfere with the check");
     }
-    let mut session = TestSession::start(bus)?;
+    let mut session = TestSession::start(bus, config.is_authenticated())?;
     let findings = rules::judge(&mut session)?;
     let report = Report {
         room: room.to_string(),

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use heliostat_array::Kit;
-use heliostat_array::moment::Moment;
 use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_proto::{Room, Stamp};
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
@@ -93,7 +92,7 @@ fn drive(args: &RunArgs) -> Result<()> {
     let mut kit = Kit::new(wall);
     if let Some(file) = &args.calibration {
         let corrections = calibration_store::load(file)?.message(Stamp { sequence: 1, ..Stamp::default() });
-        kit.handle_calibration(Moment::default(), &corrections).with_context(|| format!("in {}", file.display()))?;
+        kit.set_calibration(&corrections).with_context(|| format!("in {}", file.display()))?;
     }
     let bus = args.bus.config_or_connect(&[AccessRole::Driver])?;
     let stop = args.end.stop()?;

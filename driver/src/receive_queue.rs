@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
+use heliostat_proto::StopAction;
 
 /// Capacity for stops, and for all other messages; beyond it the oldest is dropped.
 const CAPACITY: usize = 256;
@@ -45,11 +46,18 @@ impl ReceiveQueue {
         let mut queue = self.lock();
         let Queue { stops, others, dropped } = &mut *queue;
         let target = if matches!(content, Content::Stop(_)) { stops } else { others };
+        let arrival = Arrival { at, content };
         if target.len() == CAPACITY {
-            target.pop_front();
             *dropped += 1;
+            // Undecodable payloads and re-arms on the key of the stop must not displace a stop.
+            let least = target.iter().position(|queued| !is_stop(queued));
+            match least {
+                Some(index) => drop(target.remove(index)),
+                None if matches!(arrival.content, Content::Stop(_)) && !is_stop(&arrival) => return,
+                None => drop(target.pop_front()),
+            }
         }
-        target.push_back(Arrival { at, content });
+        target.push_back(arrival);
         drop(queue);
         self.filled.notify_one();
     }
@@ -86,6 +94,11 @@ impl ReceiveQueue {
     }
 }
 
+/// Whether the message stops the array.
+fn is_stop(arrival: &Arrival) -> bool {
+    matches!(&arrival.content, Content::Stop(Ok(order)) if order.action == StopAction::Stop)
+}
+
 #[cfg(test)]
 mod tests {
     use heliostat_proto::{EmergencyStop, MirrorCommand};
@@ -107,6 +120,23 @@ mod tests {
         assert_eq!(queue.dropped(), 3);
         assert!(matches!(queue.pop().unwrap().content, Content::Stop(_)));
         assert_eq!(queue.pop().unwrap().at, Moment::simulated(3));
+    }
+
+    #[test]
+    fn nothing_else_on_the_key_of_the_stop_displaces_a_stop() {
+        let queue = ReceiveQueue::default();
+        queue.push(Moment::simulated(0), Content::Stop(Ok(EmergencyStop::default())));
+        let rearm = EmergencyStop { action: StopAction::Rearm, ..EmergencyStop::default() };
+        for i in 1..2 * CAPACITY as u64 {
+            queue.push(Moment::simulated(i), Content::Stop(Ok(rearm.clone())));
+        }
+        assert_eq!(queue.pop().expect("a message").at, Moment::simulated(0), "the stop is first in the queue");
+        for i in 0..=CAPACITY as u64 {
+            queue.push(Moment::simulated(i), Content::Stop(Ok(EmergencyStop::default())));
+        }
+        queue.push(Moment::simulated(9), Content::Stop(Ok(rearm)));
+        let all: Vec<Arrival> = std::iter::from_fn(|| queue.pop()).collect();
+        assert!(all.len() == CAPACITY && all.iter().all(is_stop), "a queue of stops admits no re-arm");
     }
 
     #[test]

@@ -209,6 +209,9 @@ impl<D: Device> Driver<D> {
 
     fn publish_safety(&mut self, now: Moment) -> Result<(), SessionError> {
         let stamp = self.stamp(3, now);
+        if self.published_latch != *self.kit.array().latch() {
+            stop_record::log_change(&self.room, self.kit.array().latch());
+        }
         self.published_latch.clone_from(self.kit.array().latch());
         self.session.publish_safety(&self.kit.safety(stamp))
     }
@@ -216,6 +219,7 @@ impl<D: Device> Driver<D> {
     fn publish_capabilities_and_status(&mut self, now: Moment) -> Result<(), SessionError> {
         let stamp = self.stamp(1, now);
         self.session.publish_capabilities(&self.kit.capabilities(stamp))?;
+        self.refused.set("dropped", self.session.received().dropped());
         let summary = self.summary();
         if self.logged_problem != summary.last_problem {
             if !summary.last_problem.is_empty() {

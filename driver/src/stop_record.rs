@@ -136,6 +136,16 @@ fn empty(file: &Path) -> io::Result<()> {
     OpenOptions::new().write(true).create(true).truncate(true).open(file)?.sync_all()
 }
 
+/// Logs a new stop, or the release of the last one.
+pub fn log_change(room: &str, latch: &Latch) {
+    match latch.stop() {
+        None => tracing::warn!(room, "the array is released"),
+        Some(LatchedStop { source, sequence, operator, reason, .. }) => {
+            tracing::warn!(room, "the array is stopped by {source:016x}/{sequence}, operator {operator:?}: {reason:?}")
+        }
+    }
+}
+
 /// Why an array starts stopped, and how it is released.
 pub fn advice(room: &Room, stop: &LatchedStop) -> String {
     // Escaped: both texts can come from any process of the room.

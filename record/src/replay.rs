@@ -287,7 +287,8 @@ impl<'a> Player<'a> {
                 }
             }
         } else if !presence.alive {
-            self.epochs_running().for_each(|epoch_replay| epoch_replay.controller.handle_source_lost(presence.source));
+            self.epochs_running()
+                .for_each(|epoch_replay| epoch_replay.controller.handle_source_lost(presence.node, presence.source));
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Text from a message or a file, made safe for a terminal.
 //!
-//! A terminal obeys escape sequences: they clear the screen, set its title, or show other text than
-//! the one that was sent. Everything that this crate prints or logs passes [`printable`] or
+//! A terminal executes escape sequences. They clear the screen, set its title, or show other text
+//! than the one that was sent. Everything that this crate prints or logs passes [`printable`] or
 //! [`printable_lines`]. Both write a control character as its JSON escape, so that JSON stays valid.
 
 use std::borrow::Cow;
@@ -38,7 +38,7 @@ fn escaped(text: &str, is_unsafe: impl Fn(char) -> bool) -> Cow<'_, str> {
     let mut out = String::with_capacity(text.len() + 16);
     for character in text.chars() {
         if is_unsafe(character) {
-            write!(out, "\\u{:04x}", u32::from(character)).expect("a string takes whatever it is given");
+            write!(out, "\\u{:04x}", u32::from(character)).expect("writing to a string cannot fail");
         } else {
             out.push(character);
         }

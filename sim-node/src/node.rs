@@ -59,6 +59,8 @@ pub(crate) struct Node {
     published_state: ArrayState,
     /// The latch in the last safety report; `None` before the first.
     published_latch: Option<Latch>,
+    /// Name of the room, for the log.
+    name: String,
     scenario: Scenario,
     scenario_hash: String,
     started_ns: u64,
@@ -75,14 +77,11 @@ impl Node {
         let exporter = settings.metrics.open()?;
         let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
-            room.handle_calibration(
-                Moment::default(),
-                &corrections.message(Stamp { sequence: 1, ..Stamp::default() }),
-            )?;
+            room.set_calibration(&corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
         }
         let session = RoomSession::open(&settings.bus, reports, telemetry)?;
         let clock = session.clock();
-        // Every role may publish under the key of the stop, only operators under that of the re-arm.
+        // Every role may publish under the key of the stop, only operators under that of a re-arm.
         room.refuse_unnamed_rearm(settings.bus.is_authenticated());
         let record = settings.record.as_ref().map(|record| {
             let (record, stop_at_start) = StopRecord::open(record, &settings.bus.room, clock.now().room_ns);
@@ -117,6 +116,7 @@ impl Node {
             exporter,
             published_state: ArrayState::Parked,
             published_latch: None,
+            name: settings.bus.room.to_string(),
             scenario,
         })
     }
@@ -196,7 +196,11 @@ impl Node {
 
     pub fn publish_safety(&mut self, now: Moment) -> Result<(), NodeError> {
         self.safety_sequence += 1;
-        self.published_latch = Some(self.room.array().latch().clone());
+        let latch = self.room.array().latch();
+        if self.published_latch.as_ref().is_some_and(|published| published != latch) {
+            stop_record::log_change(&self.name, latch);
+        }
+        self.published_latch = Some(latch.clone());
         let stamp = self.session.stamp(self.safety_sequence, now.room_ns);
         self.session.publish_safety(&self.room.safety(stamp))
     }

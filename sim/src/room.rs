@@ -64,18 +64,17 @@ impl SimulatedRoom {
         self.kit.stop(at, stop);
     }
 
-    /// Refuses re-arms of kind 9 from now on.
+    /// Refuses re-arms of kind 9, because any process that may stop can publish one.
     pub fn refuse_unnamed_rearm(&mut self, refuse: bool) {
         self.kit.refuse_unnamed_rearm(refuse);
     }
 
-    /// Gives the array a calibration of its mirrors' mounting.
+    /// Gives the array a calibration of its mirrors' mounting, before the first step.
     ///
     /// # Errors
     /// [`Unfit`]: the calibration in use remains.
-    pub fn handle_calibration(&mut self, at: Moment, calibration: &Calibration) -> Result<(), Unfit> {
-        self.keep_time(at);
-        self.kit.handle_calibration(at, calibration)
+    pub fn set_calibration(&mut self, calibration: &Calibration) -> Result<(), Unfit> {
+        self.kit.set_calibration(calibration)
     }
 
     /// Advances users and mirrors to a time and computes the scene.

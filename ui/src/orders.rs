@@ -7,6 +7,7 @@
 //!   receives a [`ProcessOrder`] over a channel, if there is one.
 
 use std::sync::mpsc::Sender;
+use std::time::Duration;
 
 use heliostat_bus::{Bus, Token};
 use heliostat_proto::{ControllerControl, FaultKind, MAX_USERS, MirrorFault, NodeKind, SimulatorControl};
@@ -17,6 +18,8 @@ use crate::UiError;
 use crate::order_publisher::OrderPublisher;
 use crate::stop_switch::StopSwitch;
 
+/// Longest wait for telemetry that confirms a stop; the stop is repeated until then.
+const STOP_LIMIT: Duration = Duration::from_secs(2);
 /// Reason in the stops and re-arms of the page.
 const BUTTON: &str = "button";
 /// Seed that selects the mirrors that stick; a fixed seed selects the same mirrors each time.
@@ -131,7 +134,7 @@ impl Operator {
             }
             Order::Stick { share } => self.set_fault(FaultKind::Stuck, *share),
             Order::Release => self.set_fault(FaultKind::Healed, 1.0),
-            Order::Stop => self.stop.stop(BUTTON),
+            Order::Stop => self.stop.stop_and_confirm(BUTTON, STOP_LIMIT).map(drop),
             Order::Rearm => self.stop.rearm(BUTTON),
             Order::KillController => self.control_processes(ProcessOrder::KillController, "kill the controller"),
             Order::RestartController => {

@@ -76,18 +76,21 @@ pub struct Place {
     pub port: u16,
     /// File with the token; `None` for a random one.
     pub token_file: Option<PathBuf>,
+    /// Whether the page requires a token on a loopback address too: with the keys of an operator,
+    /// every user of this machine could otherwise give orders.
+    pub authenticated: bool,
 }
 
 impl Place {
     /// A port of 127.0.0.1.
     pub fn loopback(port: u16) -> Self {
-        Self { address: IpAddr::V4(Ipv4Addr::LOCALHOST), port, token_file: None }
+        Self { address: IpAddr::V4(Ipv4Addr::LOCALHOST), port, token_file: None, authenticated: false }
     }
 
     fn token(&self) -> Result<Option<Token>, UiError> {
         match &self.token_file {
             Some(file) => Token::read(file).map(Some),
-            None if self.address.is_loopback() => Ok(None),
+            None if self.address.is_loopback() && !self.authenticated => Ok(None),
             None => Token::random().map(Some),
         }
     }
@@ -121,16 +124,21 @@ pub struct Server {
 }
 
 impl PageArgs {
-    /// Serves the page unless the flags forbid it.
+    /// Serves the page unless the flags forbid it; `authenticated` for a session with keys.
     ///
     /// # Errors
     /// [`UiError::CannotListen`] if the address does not belong to this machine;
     /// [`UiError::Token`]; [`UiError::Threads`].
-    pub fn serve(&self, page: impl FnOnce() -> Result<Page, UiError>) -> Result<Option<Server>, UiError> {
+    pub fn serve(
+        &self,
+        authenticated: bool,
+        page: impl FnOnce() -> Result<Page, UiError>,
+    ) -> Result<Option<Server>, UiError> {
         if self.no_ui {
             return Ok(None);
         }
-        let place = Place { address: self.ui_listen, port: self.ui_port, token_file: self.ui_token_file.clone() };
+        let token_file = self.ui_token_file.clone();
+        let place = Place { address: self.ui_listen, port: self.ui_port, token_file, authenticated };
         Server::start(page()?, &place).map(Some)
     }
 }
@@ -255,7 +263,9 @@ async fn order(State(Shared { page, .. }): State<Shared>, headers: HeaderMap, bo
     // Sending blocks while it waits for a subscriber.
     match http::unblock(move || page.operator.send(&order)).await {
         Ok(Ok(())) => reply(StatusCode::ACCEPTED, TEXT, ""),
-        Ok(Err(error @ UiError::NoReceiver(_))) => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string()),
+        Ok(Err(error @ (UiError::NoReceiver(_) | UiError::Unconfirmed { .. }))) => {
+            reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string())
+        }
         Ok(Err(error)) => reply(StatusCode::UNPROCESSABLE_ENTITY, TEXT, error.to_string()),
         Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
     }

@@ -89,7 +89,12 @@ impl StopSwitch {
     /// # Errors
     /// [`UiError::NotStopped`] if the array reports no stop; otherwise as [`StopSwitch::stop`].
     pub fn rearm(&self, reason: &str) -> Result<(), UiError> {
-        let Some(report) = self.await_safety() else {
+        self.rearm_of(self.await_safety().as_ref(), reason)
+    }
+
+    /// Publishes a re-arm of the stop in a report; without a report, one that is compared by time.
+    fn rearm_of(&self, report: Option<&SafetyReport>, reason: &str) -> Result<(), UiError> {
+        let Some(report) = report else {
             return self.send(StopAction::Rearm, reason);
         };
         if !report.stopped {
@@ -104,12 +109,6 @@ impl StopSwitch {
         })
     }
 
-    /// The stop in force, as the array reports it; `None` if the array is not stopped, or publishes
-    /// no safety report.
-    pub fn latched(&self) -> Option<SafetyReport> {
-        self.await_safety().filter(|report| report.stopped)
-    }
-
     /// Stops the array, and repeats the stop until telemetry confirms it; returns the time that
     /// this took.
     ///
@@ -120,12 +119,24 @@ impl StopSwitch {
     }
 
     /// Releases the array, and repeats the re-arm until telemetry confirms it; returns the time
-    /// that this took.
+    /// that this took, and the report with the released stop.
+    ///
+    /// All repetitions name the same stop, so that a stop that arrives meanwhile stays in force.
     ///
     /// # Errors
     /// [`UiError::Unconfirmed`] after `limit`; otherwise as [`StopSwitch::rearm`].
-    pub fn rearm_and_confirm(&self, reason: &str, limit: Duration) -> Result<Duration, UiError> {
-        self.repeat_until(limit, "re-arm", |state| state != ArrayState::Stopped, || self.rearm(reason))
+    pub fn rearm_and_confirm(
+        &self,
+        reason: &str,
+        limit: Duration,
+    ) -> Result<(Duration, Option<SafetyReport>), UiError> {
+        let named = self.await_safety();
+        if named.as_ref().is_some_and(|report| !report.stopped) {
+            return Err(UiError::NotStopped);
+        }
+        let is_released = |state| state != ArrayState::Stopped;
+        let took = self.repeat_until(limit, "re-arm", is_released, || self.rearm_of(named.as_ref(), reason))?;
+        Ok((took, named))
     }
 
     fn send(&self, action: StopAction, reason: &str) -> Result<(), UiError> {
@@ -150,10 +161,7 @@ impl StopSwitch {
             let result = send();
             let confirms = |seen: &Seen| seen.state.is_some_and(|(at, state)| at >= sent && is_done(state));
             if self.seen.wait(REPEAT_AFTER, confirms) {
-                return match result {
-                    Err(UiError::NotStopped) => Err(UiError::NotStopped),
-                    _ => Ok(begun.elapsed()),
-                };
+                return Ok(begun.elapsed());
             }
             if begun.elapsed() >= limit {
                 result?;

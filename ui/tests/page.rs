@@ -190,6 +190,15 @@ fn a_page_on_a_network_answers_only_with_its_token() {
 }
 
 #[test]
+fn a_page_with_keys_requires_a_token_on_a_loopback_address_too() {
+    let setting = Setting::at("keys", &Place { authenticated: true, ..Place::loopback(0) });
+    let mut answer = String::new();
+    setting.send("GET /\nConnection: close\r\n\r\n").read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 401"), "{answer}");
+    assert!(setting.server.url().contains("?token="));
+}
+
+#[test]
 fn a_token_file_guards_a_page_on_any_address() {
     let file = std::env::temp_dir().join(format!("heliostat-token-{}", std::process::id()));
     let start = |text: &str| {

@@ -1,5 +1,6 @@
 //! The emergency stop and its release, against an array of this test.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -16,6 +17,7 @@ const TIME_LIMIT: Duration = Duration::from_secs(30);
 struct Array {
     rearms: Arc<Mutex<Vec<Rearm>>>,
     legacy_rearms: Arc<Mutex<u32>>,
+    ignores_rearms: Arc<AtomicBool>,
     bus: Bus,
     safety: Publisher,
     _subscriptions: Vec<Subscription>,
@@ -39,6 +41,8 @@ impl Array {
         let (rearms, legacy_rearms) = (Arc::<Mutex<Vec<Rearm>>>::default(), Arc::<Mutex<u32>>::default());
         let (named, legacy) = (Arc::clone(&rearms), Arc::clone(&legacy_rearms));
         let on_rearm = Arc::clone(&telemetry);
+        let ignores_rearms = Arc::<AtomicBool>::default();
+        let ignores = Arc::clone(&ignores_rearms);
         let mut ignored = 0;
         let subscriptions = vec![
             bus.subscribe(&bus.room().stop(), move |payload| match decode::<EmergencyStop>(payload).unwrap().action {
@@ -52,11 +56,12 @@ impl Array {
             .unwrap(),
             bus.subscribe(&bus.room().rearm(), move |payload| {
                 named.lock().unwrap().push(decode(payload).unwrap());
-                publish(&on_rearm, &state(ArrayState::Parked));
+                let ignores = ignores.load(Ordering::Relaxed);
+                publish(&on_rearm, &state(if ignores { ArrayState::Stopped } else { ArrayState::Parked }));
             })
             .unwrap(),
         ];
-        Self { rearms, legacy_rearms, bus, safety, _subscriptions: subscriptions }
+        Self { rearms, legacy_rearms, ignores_rearms, bus, safety, _subscriptions: subscriptions }
     }
 }
 
@@ -96,6 +101,28 @@ fn a_rearm_names_the_stop_in_the_safety_report() {
     assert_eq!((&*rearm.operator, &*rearm.reason), ("ann", "clear"));
     assert_eq!(*array.legacy_rearms.lock().unwrap(), 0);
     drop(array.bus);
+}
+
+#[test]
+fn a_stop_that_arrives_during_a_rearm_stays_in_force() {
+    let endpoint = free_loopback_endpoint().unwrap();
+    let array = Array::new("later", &endpoint, 0);
+    let (_bus, switch) = switch("later", &endpoint);
+    switch.stop_and_confirm("test", TIME_LIMIT).unwrap();
+    publish(&array.safety, &SafetyReport { stopped: true, stop_source: 7, stop_sequence: 1, ..Default::default() });
+    array.ignores_rearms.store(true, Ordering::Relaxed);
+    let later = SafetyReport { stopped: true, stop_source: 8, stop_sequence: 1, ..Default::default() };
+    let error = std::thread::scope(|scope| {
+        let rearm = scope.spawn(|| switch.rearm_and_confirm("clear", Duration::from_secs(3)));
+        while array.rearms.lock().unwrap().is_empty() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        publish(&array.safety, &later);
+        rearm.join().unwrap().unwrap_err()
+    });
+    assert!(matches!(error, UiError::Unconfirmed { .. }), "{error}");
+    let rearms = array.rearms.lock().unwrap();
+    assert!(rearms.len() > 1 && rearms.iter().all(|rearm| rearm.stop_source == 7), "{rearms:?}");
 }
 
 #[test]

@@ -40,11 +40,11 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
     }
     let decision_loop = Arc::clone(&handler.decision_loop);
     subscriptions.push(bus.watch(&room.all_alive(), move |key, presence| {
-        let Some((_, source)) = parse_alive(key) else { return };
+        let Some((node, source)) = parse_alive(key) else { return };
         let controller = &mut lock(&decision_loop).controller;
         match presence {
-            Presence::Gone => controller.handle_source_lost(source),
-            Presence::Alive => controller.handle_source_found(source),
+            Presence::Gone => controller.handle_source_lost(node, source),
+            Presence::Alive => controller.handle_source_found(node, source),
         }
     })?);
     Ok(subscriptions)

@@ -49,7 +49,7 @@ impl Controller {
         true
     }
 
-    /// Gives no commands while a node in this room does not fit, whatever the array announces.
+    /// Gives no commands while a node in this room does not fit, independently of its capabilities.
     pub fn handle_unfit_node(&mut self, unfit: Option<Unfit>) {
         self.guard.set_unfit_node(unfit);
     }

@@ -16,7 +16,9 @@
 //! Only an accepted report takes ownership or renews it. Each refusal is counted by stream and
 //! reason. No refusal stops the controller.
 
-use heliostat_proto::{CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, Stamp, UserReport};
+use heliostat_proto::{
+    CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Stamp, UserReport,
+};
 use heliostat_scenario::Scenario;
 
 use crate::input::{
@@ -97,8 +99,10 @@ pub struct Inbox {
     rules: Rules,
     room: Option<Owner>,
     array: Option<Owner>,
-    /// The source that left last and has not come back.
-    lost: Option<u64>,
+    /// The source of reports that left last; its delayed reports are refused.
+    lost_room: Option<u64>,
+    /// The source of telemetry that left last.
+    lost_array: Option<u64>,
     users: Slot<UserReport>,
     channel: Slot<ChannelReport>,
     obstacles: Slot<ObstacleReport>,
@@ -116,7 +120,8 @@ impl Inbox {
             rules: Rules::new(scenario),
             room: None,
             array: None,
-            lost: None,
+            lost_room: None,
+            lost_array: None,
             users: Slot::default(),
             channel: Slot::default(),
             obstacles: Slot::default(),
@@ -208,24 +213,39 @@ impl Inbox {
         self.sources
     }
 
-    /// A source has left: it owns nothing, its reports are discarded, and its delayed reports are
-    /// refused.
-    pub fn handle_source_lost(&mut self, source: u64) {
-        self.lost = Some(source);
-        self.tracks.iter_mut().for_each(|track| track.forget(source));
-        if self.room.is_some_and(|owner| owner.source == source) {
-            self.room = None;
-            self.forget_room();
-        }
-        if self.array.is_some_and(|owner| owner.source == source) {
-            self.array = None;
-            self.telemetry.forget();
+    /// A process has left: its source owns nothing, its reports are discarded, and its delayed
+    /// reports are refused.
+    ///
+    /// Only the kind of process that publishes a stream can end the ownership of it: a token of
+    /// another kind may name any source.
+    pub fn handle_source_lost(&mut self, node: NodeKind, source: u64) {
+        for stream in Stream::ALL.into_iter().filter(|stream| publishes(node, *stream)) {
+            self.tracks[stream as usize].forget(source);
+            if stream == Stream::Telemetry {
+                self.lost_array = Some(source);
+                if self.array.is_some_and(|owner| owner.source == source) {
+                    self.array = None;
+                    self.telemetry.forget();
+                }
+            } else {
+                self.lost_room = Some(source);
+                if self.room.is_some_and(|owner| owner.source == source) {
+                    self.room = None;
+                    self.forget_room();
+                }
+            }
         }
     }
 
-    /// A source is alive.
-    pub fn handle_source_found(&mut self, source: u64) {
-        self.lost = self.lost.filter(|lost| *lost != source);
+    /// A process is alive.
+    pub fn handle_source_found(&mut self, node: NodeKind, source: u64) {
+        let is_other = |lost: &u64| *lost != source;
+        if publishes(node, Stream::Telemetry) {
+            self.lost_array = self.lost_array.filter(is_other);
+        }
+        if publishes(node, Stream::Users) {
+            self.lost_room = self.lost_room.filter(is_other);
+        }
     }
 
     fn owner(&self, stream: Stream) -> Option<Owner> {
@@ -233,7 +253,8 @@ impl Inbox {
     }
 
     fn check_source(&self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
-        if self.lost == Some(source) {
+        let lost = if stream == Stream::Telemetry { self.lost_array } else { self.lost_room };
+        if lost == Some(source) {
             return Err(Refusal::SourceGone);
         }
         // A clock that steps back must not extend the ownership.
@@ -273,6 +294,16 @@ impl Inbox {
             Message::Obstacles(report) => self.obstacles.keep(report),
             Message::Telemetry(report) => self.telemetry.keep(report),
         }
+    }
+}
+
+/// Whether a kind of process publishes a stream.
+fn publishes(node: NodeKind, stream: Stream) -> bool {
+    match node {
+        NodeKind::SimNode => true,
+        NodeKind::Driver => stream == Stream::Telemetry,
+        NodeKind::Tracker => stream != Stream::Telemetry,
+        NodeKind::Controller | NodeKind::Viewer => false,
     }
 }
 

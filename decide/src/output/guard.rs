@@ -44,7 +44,7 @@ impl Guard {
         self.unfit = verdict.err();
     }
 
-    /// Withholds all commands while a node does not fit, whatever the array announces.
+    /// Withholds all commands while a node does not fit, independently of its capabilities.
     pub fn set_unfit_node(&mut self, unfit: Option<Unfit>) {
         self.unfit_node = unfit;
     }

@@ -181,7 +181,7 @@ pub struct Tenure {
 }
 
 impl Tenure {
-    /// One epoch, whatever telemetry shows: for replay and evaluation.
+    /// One epoch, independently of telemetry: for replay and evaluation.
     pub fn fixed(epoch: u64) -> Self {
         Self {
             rule: Rule::Fixed,

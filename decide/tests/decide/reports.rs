@@ -6,7 +6,7 @@ use heliostat_decide::{
     policy::Fixed,
     refusal::{Refusal, Stream},
 };
-use heliostat_proto::{ArrayState, MirrorTelemetry, Obstacle, Stamp, UserReport};
+use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, Obstacle, Stamp, UserReport};
 
 use crate::support::{MS, Outcome, Room, SOURCE, controller, receive, scenario};
 
@@ -98,23 +98,36 @@ fn reports_of_two_sources_are_never_mixed() {
 fn a_source_that_has_left_frees_the_room_at_once() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
-    controller.handle_source_lost(0x99);
+    controller.handle_source_lost(NodeKind::SimNode, 0x99);
     assert_eq!(controller.inbox().source(), Some(SOURCE));
-    controller.handle_source_lost(SOURCE);
+    controller.handle_source_lost(NodeKind::SimNode, SOURCE);
     let mut other = Room { source: 0x52, ..room };
     assert_eq!(other.tick(&mut controller, 2).command().answers, 2);
+}
+
+#[test]
+fn a_token_of_another_kind_of_process_ends_no_ownership() {
+    let (mut controller, mut room) = flat(&[]);
+    room.tick(&mut controller, 1).command();
+    for node in [NodeKind::Viewer, NodeKind::Controller, NodeKind::Driver] {
+        controller.handle_source_lost(node, SOURCE);
+        assert_eq!(controller.inbox().source(), Some(SOURCE), "{node}");
+    }
+    assert_eq!(room.tick(&mut controller, 2).command().answers, 2);
+    controller.handle_source_lost(NodeKind::Tracker, SOURCE);
+    assert_eq!(controller.inbox().source(), None);
 }
 
 #[test]
 fn a_late_report_of_a_source_that_has_left_is_refused_until_the_source_returns() {
     let (mut controller, mut room) = flat(&[]);
     room.tick(&mut controller, 1).command();
-    controller.handle_source_lost(SOURCE);
+    controller.handle_source_lost(NodeKind::SimNode, SOURCE);
     assert_eq!(room.tick(&mut controller, 2), Outcome::Nothing);
     assert_eq!((controller.inbox().source(), refused(&controller, Stream::Users, Refusal::SourceGone)), (None, 1));
-    controller.handle_source_found(0x99);
+    controller.handle_source_found(NodeKind::SimNode, 0x99);
     assert_eq!(room.tick(&mut controller, 3), Outcome::Nothing);
-    controller.handle_source_found(SOURCE);
+    controller.handle_source_found(NodeKind::SimNode, SOURCE);
     assert_eq!(room.tick(&mut controller, 4).command().answers, 4);
 }
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use heliostat_proto::{ArrayState, Counters, SafetyReport, StopAction};
 use heliostat_service::clock::utc_ns;
 
@@ -36,7 +36,7 @@ pub fn stop(session: &mut TestSession) -> Result<Outcome> {
     let (early, _) = session.send_and_count(&[bytes(&command)?])?;
     let ignored = early == Counters { stopped: 1, ..Counters::default() };
     let from = session.count();
-    session.send_stop(StopAction::Rearm, utc_ns())?;
+    rearm_unnamed(session)?;
     let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
     let command = session.command(roll, yaw);
     let (counted, after) = session.send_and_count(&[bytes(&command)?])?;
@@ -68,7 +68,7 @@ pub fn orphaned_stop(session: &mut TestSession) -> Result<Outcome> {
     let (counted, _) = session.send_and_count(&[bytes(&command)?])?;
     let refused = counted == Counters { stopped: 1, ..Counters::default() };
     let from = session.count();
-    session.send_stop(StopAction::Rearm, utc_ns())?;
+    rearm_unnamed(session)?;
     let parked = session.telemetry(from, |telemetry| telemetry.state == ArrayState::Parked).is_some();
     verdict(
         released.is_none() && refused && parked,
@@ -128,6 +128,17 @@ pub fn named_rearm(session: &mut TestSession) -> Result<Outcome> {
 }
 
 /// Releases a stop by its name; whether the array parks.
+/// Releases the stop in force: by a re-arm of kind 9, or by its name in a room with keys, where a
+/// driver refuses kind 9.
+fn rearm_unnamed(session: &mut TestSession) -> Result<()> {
+    if !session.is_authenticated {
+        session.send_stop(StopAction::Rearm, utc_ns())?;
+        return Ok(());
+    }
+    let report = session.fetch_safety()?.context("no safety report: expected one in a room with keys")?;
+    session.send_rearm(report.stop_source, report.stop_sequence)
+}
+
 fn release(session: &mut TestSession, (source, sequence): (u64, u64)) -> Result<bool> {
     let from = session.count();
     session.send_rearm(source, sequence)?;

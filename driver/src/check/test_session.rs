@@ -58,6 +58,8 @@ pub struct TestSession {
     source: u64,
     calibrations_sent: u64,
     stops_sent: Cell<u64>,
+    /// Whether the room has keys: its driver refuses re-arms of kind 9.
+    pub is_authenticated: bool,
 }
 
 /// Queries a message of the driver; repeats the query, because a new session may not know the
@@ -74,7 +76,7 @@ fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
 }
 
 impl TestSession {
-    pub fn start(bus: Bus) -> Result<Self> {
+    pub fn start(bus: Bus, is_authenticated: bool) -> Result<Self> {
         let received = Arc::new((Mutex::new(Received::default()), Condvar::new()));
         let keys = bus.room().clone();
         let shared = Arc::clone(&received);
@@ -116,6 +118,7 @@ impl TestSession {
             calibrations_sent: 0,
             stops_sent: Cell::new(0),
             safety: None,
+            is_authenticated,
             bus,
         };
         if !session.answered {

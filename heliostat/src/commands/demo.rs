@@ -88,7 +88,7 @@ pub fn run(args: Args) -> Result<()> {
     let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(endpoints.0).connect_to(endpoints.1))?;
     let view = Arc::new(View::open(&bus, &scenario)?);
     let (process_orders, received_orders) = mpsc::channel();
-    let server = args.page.serve(|| {
+    let server = args.page.serve(false, || {
         let operator = Operator::new(&bus, Some(process_orders))?;
         Ok(Page { view: Arc::clone(&view), operator, room: args.room.clone(), policies: policy_names() })
     })?;

@@ -62,8 +62,7 @@ pub fn stop(args: StopArgs) -> Result<()> {
 pub fn rearm(args: RearmArgs) -> Result<()> {
     let OrderArgs { reason, timeout, .. } = &args.order;
     let (bus, switch) = args.order.join(&[AccessRole::Operator])?;
-    let stop = switch.latched();
-    let took = switch.rearm_and_confirm(reason, *timeout)?;
+    let (took, stop) = switch.rearm_and_confirm(reason, *timeout)?;
     args.order.report(&bus, "released", took, stop)?;
     drop(switch);
     Ok(bus.close()?)

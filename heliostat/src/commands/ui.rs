@@ -47,14 +47,17 @@ pub fn run(args: Args) -> Result<()> {
     let bus = Bus::open(&config)?;
     let view = Arc::new(View::open(&bus, &scenario)?);
     let room = config.room.name().to_owned();
-    let server = args.page.serve(|| {
+    let server = args.page.serve(config.is_authenticated(), || {
         let operator = Operator::new(&bus, None)?;
         Ok(Page { view: Arc::clone(&view), operator, room: room.clone(), policies: policy_names() })
     })?;
     if let Some(server) = &server {
         output::note(server);
     }
-    let title = server.as_ref().map_or(format!("room {room}"), |server| format!("room {room}, {server}"));
+    let title = server.as_ref().map_or(format!("room {room}"), |server| {
+        // Without the token, which would stay on the screen.
+        format!("room {room}, page at {}", server.address())
+    });
     let mut display = Display::open(args.plain, &title)?;
     let (opened, mut drawn) = (Instant::now(), Instant::now());
     let is_over = || args.seconds.is_some_and(|seconds| opened.elapsed() >= seconds);

@@ -113,7 +113,7 @@ fn page(tally: &Tally, wanted: u64, seed: u64, inputs: u64, commit: &str, taken:
          One process holds the driver's kit, the controller's decision core and the simulated room of `tests/tests/fuzz/room.rs`.\n\
          An attacker sends payloads on every key, between the messages of a genuine tracker. After each step the test checks that nothing\n\
          panicked, that a stopped array did not move, that every angle was finite and within its limits, and that every message could be encoded.\n\
-         After each attack the attacker falls silent. The array must then accept a command of the same controller within a simulated minute.\n\n\
+         After each attack the attacker stops. The array must then accept a command of the same controller within a simulated minute.\n\n\
          This command writes this page:\n\n\
          ```\n\
          HELIOSTAT_FUZZ_PAYLOADS={wanted} HELIOSTAT_FUZZ_SEED={seed} cargo test --release -p heliostat-tests --test fuzz -- --ignored --nocapture many_payloads\n\

@@ -12,6 +12,9 @@ use heliostat_array::latch::{Latch, LatchedStop};
 use heliostat_proto::{Nanos, Room};
 use thiserror::Error;
 
+/// Longest record in bytes: two texts at their limit, each character escaped.
+const RECORD_MAX: u64 = 64 * 1024;
+
 /// Where the stop is kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StopRecordSettings {
@@ -69,7 +72,7 @@ impl StopRecord {
             return (Self { file: None, tried: latch, problem: None }, stop);
         };
         let file = directory.join(format!("{room}.stop.toml"));
-        let mut latch = match fs::read_to_string(&file) {
+        let mut latch = match read(&file) {
             Ok(text) => match Latch::parse(&text) {
                 Ok(latch) => latch,
                 Err(error) => stopped(format!("the last state is unknown: {}: {error}", file.display())),
@@ -117,6 +120,16 @@ impl StopRecord {
         self.problem = Some(error.to_string());
         Err(error)
     }
+}
+
+/// Reads a record. Only a regular file is one: the start must not wait for a pipe, nor fill the
+/// memory.
+fn read(file: &Path) -> io::Result<String> {
+    let found = fs::symlink_metadata(file)?;
+    if !found.is_file() || found.len() > RECORD_MAX {
+        return Err(io::Error::other(format!("expected a regular file of at most {RECORD_MAX} bytes")));
+    }
+    fs::read_to_string(file)
 }
 
 /// Replaces a file at once, and waits until its new content is on the disk.

@@ -129,3 +129,17 @@ fn the_folder_is_that_of_the_flag_the_unit_or_the_user() {
     assert_eq!(of(None, &all[2..]), Some("/h/.local/state/heliostat".into()));
     assert_eq!(of(None, &[("HOME", "")]), None);
 }
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_regular_file_of_the_size_of_a_record_is_an_unknown_state() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("lab.stop.toml");
+    std::os::unix::fs::symlink(folder.path().join("absent"), &file).unwrap();
+    let reason = |stop: Option<LatchedStop>| stop.expect("the array starts stopped").reason;
+    assert!(reason(next_start(folder.path())).contains("expected a regular file"));
+    fs::remove_file(&file).unwrap();
+    fs::File::create(&file).unwrap().set_len(1 << 30).unwrap();
+    let reason = reason(next_start(folder.path()));
+    assert!(reason.contains("at most 65536 bytes") && reason.len() < 1024, "{reason}");
+}

@@ -47,7 +47,10 @@ impl Network for TractNetwork {
     fn run(&mut self) -> Result<&[f32], PolicyError> {
         let failed = |error: tract_onnx::prelude::TractError| PolicyError::Inference { message: format!("{error:#}") };
         let input = Tensor::from_shape(&[1, self.input.len()], &self.input).map_err(failed)?;
-        let outputs = self.plan.run(tvec!(input.into())).map_err(failed)?;
+        // tract panics on an index that a malformed network computes. Each run has a state of its own.
+        let run = catch_unwind(AssertUnwindSafe(|| self.plan.run(tvec!(input.into()))));
+        let panicked = |_| PolicyError::Inference { message: "the network panicked: repair the actor file".to_owned() };
+        let outputs = run.map_err(panicked)?.map_err(failed)?;
         let view = outputs[0].try_as_plain_ram().map_err(failed)?;
         let values = view.as_slice::<f32>().map_err(failed)?;
         self.output.clear();

@@ -19,7 +19,7 @@ pub fn line(text: impl Display) -> io::Result<()> {
 /// Writes a text that ends its last line itself to standard output.
 ///
 /// # Errors
-/// As [`line`].
+/// As [`line()`].
 pub fn text(text: impl Display) -> io::Result<()> {
     write_text(&mut io::stdout().lock(), text)
 }

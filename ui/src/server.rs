@@ -9,7 +9,7 @@
 //!
 //! The answer to an order is 202 if it was published to a subscriber, and 503 if there is none. An
 //! invalid order is answered with 422 and the reason. On any other than a loopback address, each
-//! request without the [token](crate::token) is answered with 401.
+//! request without the token is answered with 401.
 //!
 //! The limits of [`heliostat_service::http`] hold for every client.
 

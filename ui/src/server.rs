@@ -8,7 +8,7 @@
 //! | `/order` | POST | an [`Order`] as JSON |
 //!
 //! The answer to an order is 202 if it was published to a subscriber, and 503 if there is none. An
-//! invalid order is answered with 422 and the reason. On any other than a loopback address, each
+//! invalid order is answered with 422 and the reason. With keys, and on any other than a loopback address, each
 //! request without the token is answered with 401.
 //!
 //! The limits of [`heliostat_service::http`] hold for every client.
@@ -57,12 +57,12 @@ pub struct PageArgs {
     /// Port of the page; 0, or a port in use, selects a free one
     #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
     ui_port: u16,
-    /// Address of the page; on any other than a loopback address a browser needs the token in the
-    /// URL that is printed
+    /// Address of the page; with --tls, and on any other than a loopback address, a browser needs
+    /// the token in the URL that is printed
     #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     ui_listen: IpAddr,
-    /// File with the token of the page; without it, a random token at each start. It is needed on
-    /// any other than a loopback address
+    /// File with the token of the page; without it, a random token at each start where the page
+    /// requires one
     #[arg(long, value_name = "FILE")]
     ui_token_file: Option<PathBuf>,
 }

@@ -1,7 +1,7 @@
 //! The secret that admits a browser to a page on a network.
 //!
-//! A page on a loopback address needs none: only processes of this machine reach it. On any other
-//! address the server prints its URL with a token. The first request with this URL sets a cookie
+//! A page without keys on a loopback address needs none: only processes of this machine reach it. Else
+//! the server prints its URL with a token. The first request with this URL sets a cookie
 //! and redirects to the page without the token. A script sends `Authorization: Bearer TOKEN`.
 //!
 //! HTTP does not encrypt: on a network that is not trusted, a tunnel or a TLS proxy belongs in front

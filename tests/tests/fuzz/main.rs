@@ -1,4 +1,4 @@
-//! Fuzz targets: whatever arrives on a key or stands in a file, no process crashes, hangs, or
+//! Fuzz targets: for any payload and any file, no process crashes, hangs, or
 //! allocates without bound, and a stopped array does not move.
 //!
 //! Each target is a test of [bolero](https://docs.rs/bolero). Plain `cargo test` replays the files

@@ -311,15 +311,15 @@ fn nan_output(graph: &mut Graph, angles: &str, _: usize) {
     graph.node("Log", &[&below]);
 }
 
-/// Outputs small angles after some tenths of a second: a few products of large matrices that depend
-/// on the input.
+/// Outputs small angles after more than the time limit of a policy, 0.1 s, also on a fast processor:
+/// products of large matrices that depend on the input.
 fn slow(graph: &mut Graph, angles: &str, outputs: usize) {
     const SIZE: usize = 1000;
     let column = graph.constant("column", &[SIZE, 1], &vec![0.01; SIZE]);
     let row = graph.constant("row", &[outputs, SIZE], &vec![0.01; outputs * SIZE]);
     let spread = graph.node("MatMul", &[angles, &row]);
     let mut matrix = graph.node("MatMul", &[&column, &spread]);
-    for _ in 0..16 {
+    for _ in 0..32 {
         let product = graph.node("MatMul", &[&matrix, &matrix]);
         matrix = graph.node("Tanh", &[&product]);
     }
@@ -407,7 +407,9 @@ fn a_policy_without_an_answer_is_reported_and_the_array_holds() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("slow.onnx");
     std::fs::write(&file, actor(slow)).unwrap();
-    let pair = Pair::start(&[], &["--model", file.to_str().unwrap(), "--decide-in", "thread"]);
+    // A command is valid for less time than a policy may take before it times out.
+    let brief = ["--set", "control.validity_ms=50"];
+    let pair = Pair::start(&[], &[&["--model", file.to_str().unwrap(), "--decide-in", "thread"], &brief[..]].concat());
     let observer = pair.observer();
     wait_until("unanswered checks", || observer.counter(NodeKind::Controller, "unanswered") > 0);
     let problem = observer.status(NodeKind::Controller).unwrap().last_problem;

@@ -12,6 +12,13 @@ const POLICY_COLOURS = {
   "q-learning": "#e69f00", sarsa: "#f0e442", greedy: "#117733", "fixed-point": "#44aa99", nearest: "#882255", random: "#999999",
 };
 
+const TIPS = {
+  no_irs: "No IRS: the sum rate of the same users at the same time without the mirrors (without an intelligent reflecting surface).",
+  flat: "Flat: the sum rate with all mirrors flat against the wall.",
+  oracle: "Oracle: the sum rate at the best angles that a search with the true positions finds. No controller knows these positions.",
+  policy: "The sum rate with the mirrors as they are, under the policy in use.",
+};
+
 export class Charts {
   constructor(plan) {
     this.budget = plan.budget_us;
@@ -61,9 +68,13 @@ export class Charts {
       const rate = sum?.[key];
       const share = rate != null && sum.oracle > 0 && key !== "oracle" ? `${((100 * rate) / sum.oracle).toFixed(0)} %` : "";
       term.style.setProperty("--swatch", colour);
-      term.textContent = name;
+      if (!term.firstChild) {
+        const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIPS[key] });
+        term.append(explained);
+      }
+      if (term.firstChild.textContent !== name) term.firstChild.textContent = name;
       figure.children[0].textContent = rate == null ? "–" : rate.toFixed(1);
-      figure.children[1].textContent = share || (key === "oracle" ? "Mbit/s" : "");
+      figure.children[1].textContent = share;
     });
   }
 
@@ -87,7 +98,7 @@ export class Charts {
     }));
     const layout = this.layout({
       xaxis: this.axis("s ago", { range: [-SPAN_S, 0] }),
-      yaxis: this.axis("Mbit/s", { rangemode: "tozero" }),
+      yaxis: this.axis("", { rangemode: "tozero" }),
     });
     Plotly.react(this.sum, traces, layout, CONFIG);
   }

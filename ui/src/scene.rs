@@ -40,6 +40,8 @@ pub struct Plan {
 /// A user as drawn.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneUser {
+    /// Number of the user, which identifies it from frame to frame.
+    pub user: u32,
     /// Position of the detector in m.
     pub at_m: [f64; 3],
     /// The body: x, y, radius and height in m; absent if bodies do not block.
@@ -48,6 +50,24 @@ pub struct SceneUser {
     pub led: usize,
     /// Whether the direct path is blocked.
     pub blocked: bool,
+    /// The user's minimum rate in Mbit/s.
+    pub min_rate_mbps: f64,
+    /// Rate without the mirrors in Mbit/s, by the channel model.
+    pub without_mirrors_mbps: f64,
+    /// Where the controller believes the user to be; absent if it publishes no belief.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub belief: Option<Belief>,
+}
+
+/// The ellipse that holds a user's position by the controller's belief.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Belief {
+    /// Centre: x and y in m.
+    pub at_m: [f64; 2],
+    /// Semi-axes in m.
+    pub semi_axes_m: [f64; 2],
+    /// Angle between the x axis and the first semi-axis in rad.
+    pub angle_rad: f64,
 }
 
 /// The moving objects.
@@ -79,8 +99,18 @@ struct FrameState {
     gains: Vec<f64>,
 }
 
+/// What determines the rate at any point of the room.
+pub(crate) struct OpticalState {
+    /// Number of users, who share the bandwidth.
+    pub users: usize,
+    pub blockers: Vec<Cylinder>,
+    pub angles: MirrorAngles,
+}
+
 /// A user as published.
 struct ObservedUser {
+    user: u32,
+    min_rate_bps: f32,
     position: Vec3,
     /// Unit vector, or zero if unknown.
     heading: Vec3,
@@ -118,12 +148,21 @@ impl FrameBuilder {
         let angles = self.angles(telemetry.as_ref());
         let serves = state.serve(&self.view, &users, &blockers, &angles);
         let serving = state.scene.serving();
+        let budget = self.view.budget();
+        let without_mirrors = |index: usize| {
+            let sinr = budget.sinr(state.scene.los_gain()[index]);
+            budget.rate_bps(sinr, users.len()) * 1e-6
+        };
         Frame {
             mirrors_m: (0..angles.len()).map(|index| self.corners(index, &angles)).collect(),
             serves,
             unusable: telemetry.map(unusable).unwrap_or_default(),
             users: (users.iter().zip(&bodies).enumerate())
                 .map(|(index, (user, body))| SceneUser {
+                    user: user.user,
+                    min_rate_mbps: f64::from(user.min_rate_bps) * 1e-6,
+                    without_mirrors_mbps: without_mirrors(index),
+                    belief: None,
                     at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
                     led: serving[index],
@@ -132,6 +171,18 @@ impl FrameBuilder {
                 .collect(),
             obstacles_m: obstacles.iter().map(outline).collect(),
             blocked_areas_m: self.blocked_areas(&blockers),
+        }
+    }
+
+    /// The positions of the users, all cylinders that block light, and the angles of the mirrors.
+    pub(crate) fn optical_state(&self) -> OpticalState {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let (users, obstacles, telemetry) = self.latest(&mut state.headings);
+        let bodies = users.iter().filter_map(|user| self.body(user));
+        OpticalState {
+            users: users.len(),
+            blockers: obstacles.into_iter().chain(bodies).collect(),
+            angles: self.angles(telemetry.as_ref()),
         }
     }
 
@@ -150,6 +201,8 @@ impl FrameBuilder {
             let observed = |user: &heliostat_proto::TruthUser| {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
                 ObservedUser {
+                    user: user.user,
+                    min_rate_bps: user.min_rate_bps,
                     position: point(user.position_m),
                     heading: Vec3::new(cos, sin, 0.0),
                     blocked: user.los_blocked,
@@ -169,7 +222,13 @@ impl FrameBuilder {
                 *heading = Vec3::new(x, y, 0.0).normalize();
             }
             let blocked = gains.iter().any(|gains| gains.user == user.user && gains.los_gain == 0.0);
-            ObservedUser { position: point(user.position_m), heading: *heading, blocked }
+            ObservedUser {
+                user: user.user,
+                min_rate_bps: user.min_rate_bps,
+                position: point(user.position_m),
+                heading: *heading,
+                blocked,
+            }
         });
         (users.collect(), obstacles, telemetry)
     }

@@ -18,6 +18,7 @@ use heliostat_scenario::Scenario;
 
 use crate::UiError;
 use crate::latency::Window;
+use crate::problems::Problems;
 
 /// A message older than this is not displayed as current.
 pub const EXPIRY: Duration = Duration::from_secs(3);
@@ -50,6 +51,7 @@ pub(crate) struct Received {
     pub alive: BTreeSet<(&'static str, u64)>,
     pub history: VecDeque<Sample>,
     pub latency: Window,
+    pub problems: Problems,
     pub unreadable: u64,
 }
 
@@ -113,6 +115,7 @@ impl Received {
         if status.node == NodeKind::Controller {
             self.latency.take(&status);
         }
+        self.problems.take(&status);
         self.statuses.insert(status.node.name(), (Instant::now(), status));
     }
 }

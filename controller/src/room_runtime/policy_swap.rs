@@ -117,9 +117,10 @@ impl PolicySwap {
         lock(&self.counters).clone()
     }
 
-    fn run(&self, orders: &Receiver<String>, builder: &PolicyBuilder) {
-        for name in orders {
-            match builder.build(&name) {
+    fn run(&self, orders: &Receiver<ControllerControl>, builder: &PolicyBuilder) {
+        for order in orders {
+            let name = &order.policy;
+            match builder.build(name) {
                 Ok(policy) => {
                     let former = lock(&self.decision_loop).controller.replace_policy(policy);
                     lock(&self.counters).replaced += 1;
@@ -127,7 +128,9 @@ impl PolicySwap {
                     // Dropped without the lock, because that may take long.
                     drop(former);
                 }
-                Err(refusal) => self.refuse(format!("policy {name:.64} refused: {refusal}")),
+                Err(refusal) => {
+                    self.refuse(format!("{}: policy {name:.64} refused: {refusal}", order.stamp.order_name()))
+                }
             }
         }
     }
@@ -140,9 +143,10 @@ impl PolicySwap {
 }
 
 /// Passes an order on to the thread that builds.
-fn enqueue(payload: &[u8], orders: &SyncSender<String>) -> Result<(), String> {
+fn enqueue(payload: &[u8], orders: &SyncSender<ControllerControl>) -> Result<(), String> {
     let order: ControllerControl = decode(payload).map_err(|error| format!("controller/control: {error}"))?;
-    orders.try_send(order.policy).map_err(|_| "too many policies ordered at once: the last order is refused".to_owned())
+    let name = order.stamp.order_name();
+    orders.try_send(order).map_err(|_| format!("{name}: refused, because {WAITING_MAX} policies wait already"))
 }
 
 #[cfg(test)]

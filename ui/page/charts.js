@@ -3,7 +3,7 @@ import { RedrawLimiter } from "./redraw.js";
 
 const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
-const CONFIG = { displayModeBar: false, responsive: true };
+const CONFIG = { displayModeBar: false, responsive: false };
 const FONT = { family: "system-ui, sans-serif", size: 11 };
 
 // One colour for each policy, the same in every report and figure.
@@ -27,6 +27,8 @@ export class Charts {
     this.past = plan.history.map(([time_s, sum]) => ({ time_s, ...sum }));
     this.policy = "";
     this.redraw = new RedrawLimiter(500);
+    const observer = new ResizeObserver(() => this.redraw.reset());
+    for (const chart of [this.sum, this.latency]) observer.observe(chart);
   }
 
   theme(dark) {
@@ -78,8 +80,9 @@ export class Charts {
     });
   }
 
-  layout(extra) {
+  layout(chart, extra) {
     return {
+      width: chart.clientWidth, height: chart.clientHeight,
       margin: { l: 34, r: 6, t: 4, b: 30 }, font: { ...FONT, color: this.muted }, showlegend: false,
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", hovermode: "x unified",
       hoverlabel: { bgcolor: this.grid, font: { color: this.ink } }, uirevision: "kept", ...extra,
@@ -96,7 +99,7 @@ export class Charts {
       type: "scatter", mode: "lines", name, x, y: this.past.map((point) => point[key]), line: { color, dash, width },
       hovertemplate: "%{y:.1f} Mbit/s",
     }));
-    const layout = this.layout({
+    const layout = this.layout(this.sum, {
       xaxis: this.axis("s ago", { range: [-SPAN_S, 0] }),
       yaxis: this.axis("", { rangemode: "tozero" }),
     });
@@ -115,7 +118,7 @@ export class Charts {
     };
     // The edges lie between the buckets, and so does the time limit.
     const line = within - 0.5;
-    const layout = this.layout({
+    const layout = this.layout(this.latency, {
       bargap: 0.08, hovermode: "closest",
       xaxis: this.axis("us", {
         tickvals: edges_us.map((_, index) => index + 0.5), ticktext: edges_us.map(short), tickangle: 0, tickfont: { size: 9 },

@@ -30,11 +30,22 @@ function showBanner(now, ages) {
   element.dataset.kind = shown.kind;
 }
 
+// Numbers of the sentence change at most this often, so that they can be read.
+const SENTENCE_EVERY_MS = 500;
+let sentenceAt = 0;
+
+function showSentence(text) {
+  const isFigure = text.startsWith("Mirrors");
+  if (isFigure && performance.now() - sentenceAt < SENTENCE_EVERY_MS) return;
+  sentenceAt = performance.now();
+  setText(at("sentence"), text);
+}
+
 // What depends on the age of the figures, several times a second.
 function showAges(state) {
   const { now, ages, room, frame } = state;
   showBanner(now, ages);
-  setText(at("sentence"), sentence(now, ages.of("room"), room.shown, frame));
+  showSentence(sentence(now, ages.of("room"), room.shown, frame));
   ages.mark();
   if (!now) return;
   chips(now, ages);

@@ -31,8 +31,8 @@ export class Room {
       input.checked = this.shown[name];
       input.addEventListener("change", () => this.show(name, input.checked));
     }
-    new ResizeObserver(() => { this.view.resize(); changed(); }).observe(element);
-    this.view.resize();
+    // A new size clears the picture.
+    new ResizeObserver(() => { this.view.resize(); this.draw(performance.now(), 0); }).observe(element);
     this.last = performance.now();
     requestAnimationFrame((now) => this.tick(now));
   }
@@ -84,10 +84,13 @@ export class Room {
       // One more picture after the last change shows its end.
       this.wasMoving = this.motion.isMoving(now);
       this.isDirty = false;
-      const frame = this.motion.at(now);
-      this.view.draw(frame, this.motion.paths, this.shown, seconds);
-      this.frames += 1;
+      this.draw(now, seconds);
     }
     requestAnimationFrame((next) => this.tick(next));
+  }
+
+  draw(now, seconds) {
+    this.view.draw(this.motion.at(now), this.motion.paths, this.shown, seconds);
+    this.frames += 1;
   }
 }

@@ -22,6 +22,7 @@ function usersIn(users) {
   const below = users.filter((user) => user.is_rate_known && user.rate_mbps < user.min_rate_mbps).length;
   const of = `of ${users.length} ${users.length === 1 ? "user" : "users"}`;
   const rest = unknown ? ` The rate of ${unknown} ${of} is unknown.` : "";
+  if (below === users.length) return `${below === 1 ? "The user is" : `All ${below} users are`} below the minimum rate.`;
   if (below > 0) return `${below} ${of} ${below === 1 ? "is" : "are"} below the minimum rate.${rest}`;
   if (unknown) return rest.trim();
   return users.length === 1 ? "The user has the minimum rate." : `All ${users.length} users have their minimum rate.`;

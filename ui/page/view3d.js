@@ -60,12 +60,14 @@ export class View3D {
 
   draw(frame, paths, shown, seconds) {
     if (frame) this.content.place(frame, paths, shown);
-    this.renderer.render(this.content.scene, this.orbit.camera);
+    // A change of the resolution clears the picture, so it comes first.
     this.judge(seconds);
+    this.renderer.render(this.content.scene, this.orbit.camera);
   }
 
   // Adapts the resolution to the speed of the machine.
   judge(seconds) {
+    if (seconds === 0) return;
     this.spent.seconds += seconds;
     this.spent.pictures += 1;
     if (this.spent.pictures < JUDGE_AFTER) return;

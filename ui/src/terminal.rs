@@ -35,7 +35,14 @@ pub enum Display {
     /// A full-screen view on standard output.
     Screen(Box<Screen>),
     /// One line at a time on standard error; standard output is for summaries.
-    Lines,
+    Lines(Lines),
+}
+
+/// Output by lines.
+#[derive(Debug, Default)]
+pub struct Lines {
+    /// The notes that were printed last.
+    notes: Vec<String>,
 }
 
 /// A terminal in full-screen mode; dropping it restores the terminal.
@@ -52,7 +59,7 @@ impl Display {
     /// [`UiError::Terminal`] if the terminal refuses full-screen mode.
     pub fn open(plain: bool, title: &str) -> Result<Self, UiError> {
         if plain || !io::stdout().is_terminal() || !io::stdin().is_terminal() {
-            return Ok(Self::Lines);
+            return Ok(Self::Lines(Lines::default()));
         }
         let screen = io::stdout().into_raw_mode()?.into_alternate_screen()?;
         let terminal = Terminal::new(TermionBackend::new(screen))?;
@@ -63,7 +70,7 @@ impl Display {
     pub fn interval(&self) -> Duration {
         Duration::from_millis(match self {
             Self::Screen(_) => 200,
-            Self::Lines => 1000,
+            Self::Lines(_) => 1000,
         })
     }
 
@@ -74,7 +81,7 @@ impl Display {
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
         let figures = view.figures();
         match self {
-            Self::Lines => output::note(line(&figures)),
+            Self::Lines(lines) => lines.print(&figures),
             Self::Screen(screen) => {
                 let history = view.history();
                 screen.terminal.draw(|frame| draw(frame, &screen.title, &figures, &history))?;
@@ -96,6 +103,17 @@ impl Display {
             }
         }
         Ok(false)
+    }
+}
+
+impl Lines {
+    /// Prints the figures; before them the notes, if they have changed.
+    fn print(&mut self, figures: &Figures) {
+        if self.notes != figures.notes {
+            figures.notes.iter().for_each(output::note);
+            self.notes.clone_from(&figures.notes);
+        }
+        output::note(line(figures));
     }
 }
 

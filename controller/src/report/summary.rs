@@ -48,6 +48,12 @@ pub struct Summary {
     /// Why the array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub unfit: Option<String>,
+    /// Commands are sent, and no driver or simulator receives them.
+    #[serde(default)]
+    pub driver_absent: bool,
+    /// The room announces another geometry than that of this controller.
+    #[serde(default)]
+    pub geometry_differs: bool,
     /// Reports that did not arrive, by stream, from the gaps in their sequence numbers.
     #[serde(default)]
     pub missed: BTreeMap<String, u64>,
@@ -179,6 +185,8 @@ impl Summary {
             there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
         }
         self.standby |= other.standby;
+        self.driver_absent |= other.driver_absent;
+        self.geometry_differs |= other.geometry_differs;
         if other.unfit.is_some() {
             self.unfit.clone_from(&other.unfit);
         }
@@ -223,6 +231,12 @@ impl fmt::Display for Summary {
         }
         if self.standby {
             write!(formatter, "\nstandby: the array follows another controller")?;
+        }
+        if self.driver_absent {
+            write!(formatter, "\nno driver received the commands")?;
+        }
+        if self.geometry_differs {
+            write!(formatter, "\nroom and controller have different geometries")?;
         }
         if let Some(unfit) = &self.unfit {
             write!(formatter, "\nno commands: {unfit}")?;

@@ -106,6 +106,8 @@ impl TruthPublisher {
             ("flat_mbps", mean.flat),
             ("oracle_mbps", mean.oracle),
         ];
+        // Without an instant there is no mean.
+        let rates = rates.into_iter().filter(|_| self.tally.samples > 0);
         status.gauges.extend(rates.map(|(name, bps)| (name.to_owned(), bps * 1e-6)));
         if self.status_sequence % GEOMETRY_EVERY == 1 {
             self.announce_geometry(status.stamp.time_ns)?;

@@ -40,8 +40,10 @@ pub struct UserFigures {
     pub blocked: bool,
     /// Whether it is blocked by order.
     pub forced: bool,
-    /// Rate in Mbit/s.
+    /// Rate in Mbit/s; 0 where it is unknown.
     pub rate_mbps: f32,
+    /// Whether the rate is known: a receiver reported the user's SINR, or the room its truth.
+    pub is_rate_known: bool,
     /// The user's minimum rate in Mbit/s.
     pub min_rate_mbps: f32,
 }
@@ -53,7 +55,8 @@ impl UserFigures {
     }
 }
 
-/// Sum rates at the same instant in Mbit/s; references are absent in a real room.
+/// Sum rates at the same instant in Mbit/s; references are absent in a real room. The sum covers the
+/// users whose rate is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SumFigures {
     /// With the mirrors as they are.
@@ -125,7 +128,7 @@ pub struct Figures {
     pub controller_alive: bool,
     /// The users.
     pub users: Vec<UserFigures>,
-    /// Sum rates; absent without messages.
+    /// Sum rates; absent without messages, and where the rate of no user is known.
     pub sum_mbps: Option<SumFigures>,
     /// The mirror array.
     pub array: ArrayFigures,
@@ -196,6 +199,7 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
             blocked: user.los_blocked,
             forced: user.forced,
             rate_mbps: user.rate_bps * 1e-6,
+            is_rate_known: true,
             min_rate_mbps: user.min_rate_bps * 1e-6,
         };
         return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
@@ -211,6 +215,7 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
             blocked: gains.is_some_and(|gains| gains.los_gain == 0.0),
             forced: false,
             rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
+            is_rate_known: gains.is_some(),
             min_rate_mbps: user.min_rate_bps * 1e-6,
         }
     };
@@ -234,7 +239,7 @@ fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
         return Some(sum_of(&truth.sum_rate_bps));
     }
     let policy = users.iter().map(|user| f64::from(user.rate_mbps)).sum();
-    (!users.is_empty()).then_some(SumFigures { policy, ..SumFigures::default() })
+    users.iter().any(|user| user.is_rate_known).then_some(SumFigures { policy, ..SumFigures::default() })
 }
 
 fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
@@ -271,16 +276,17 @@ fn counts(
         });
         matching.map(|(_, count)| count).sum::<u64>()
     };
-    let (commands, refused) = array.map_or((0, 0), |array| (array.counters.accepted, array.counters.refused()));
+    // The array counts since its own start, also what earlier controllers sent.
+    let refused = array.map_or(0, |array| array.counters.refused());
     let all = [
         ("decisions", of(controller, "decisions"), false),
-        ("commands", commands, false),
+        ("commands", of(controller, "commands"), false),
         ("over 0.5 ms", of(controller, "over_budget"), true),
         ("ticks lost", of(room, "lost_ticks"), true),
         ("ticks late", of(room, "late_ticks"), true),
         ("fallbacks", of(controller, "fallback:*"), true),
         ("reports refused", of(controller, "refused:*"), true),
-        ("commands refused", refused, true),
+        ("array refused", refused, true),
         ("unreadable", unreadable, true),
     ];
     all.map(|(name, value, is_problem)| Count { name: name.into(), value, is_problem }).into()

@@ -142,6 +142,16 @@ impl Received {
         self.statuses.get(node).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
     }
 
+    /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
+    /// a time, so that no figures of two processes mix: the one that is displayed already, while it
+    /// is in the room and not in standby.
+    fn is_displayed(&self, status: &NodeStatus) -> bool {
+        let Some((at, known)) = self.statuses.get(status.node.name()) else { return true };
+        let is_present = self.alive.contains(&(status.node.name(), known.stamp.source)) && at.elapsed() < EXPIRY;
+        let is_standby = |of: &NodeStatus| of.counters.iter().any(|(name, count)| name == "standby" && *count > 0);
+        known.stamp.source == status.stamp.source || !is_present || (is_standby(known) && !is_standby(status))
+    }
+
     fn take_truth(&mut self, truth: RoomTruth) {
         let at = Instant::now();
         if self.history.back().is_none_or(|last| at - last.at >= HISTORY_STEP) {
@@ -154,6 +164,9 @@ impl Received {
     }
 
     fn take_status(&mut self, status: NodeStatus) {
+        if !self.is_displayed(&status) {
+            return;
+        }
         if status.node == NodeKind::Controller {
             self.latency.take(&status);
         }
@@ -219,4 +232,42 @@ fn store<M: Message + 'static>(
             Err(_) => received.unreadable += 1,
         }
     })?)
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::Stamp;
+
+    use super::*;
+
+    fn status(source: u64, decisions: u64, standby: u64) -> NodeStatus {
+        NodeStatus {
+            stamp: Stamp { source, ..Stamp::default() },
+            counters: vec![("decisions".into(), decisions), ("standby".into(), standby)],
+            ..NodeStatus::default()
+        }
+    }
+
+    fn shown(received: &Received) -> (u64, u64) {
+        let status = received.fresh_status(NodeKind::Controller.name()).expect("a fresh status");
+        (status.stamp.source, status.counters[0].1)
+    }
+
+    #[test]
+    fn the_counters_of_two_controllers_do_not_mix() {
+        let mut received = Received::default();
+        let name = NodeKind::Controller.name();
+        received.alive.extend([(name, 1), (name, 2)]);
+        received.take_status(status(1, 500, 0));
+        received.take_status(status(2, 3, 0));
+        assert_eq!(shown(&received), (1, 500), "the one that is displayed stays");
+        received.take_status(status(1, 501, 1));
+        received.take_status(status(2, 4, 0));
+        assert_eq!(shown(&received), (2, 4), "the first is in standby");
+        received.take_status(status(1, 502, 1));
+        assert_eq!(shown(&received), (2, 4), "a controller in standby replaces none");
+        received.alive.remove(&(name, 2));
+        received.take_status(status(1, 503, 0));
+        assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
 }

@@ -32,7 +32,7 @@ struct RoomPart {
     late_ticks: u64,
     commands: u64,
     loop_us: Quantiles,
-    sum_rate_mbps: SumRates,
+    sum_rate_mbps: Option<SumRates>,
     ratio_to_oracle: Option<f64>,
     qos_met: Option<f64>,
     qos_met_oracle: Option<f64>,
@@ -114,12 +114,16 @@ impl Summary {
         }
         outln!()?;
         outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
-        let rates = &room.sum_rate_mbps;
         let policy = controller.map_or("policy", |controller| controller.policy.as_str());
-        for (name, rate) in
+        if room.sum_rate_mbps.is_none() {
+            outln!("{:<26}{:>9}", policy, "unknown")?;
+        }
+        let named = |rates: &SumRates| {
             [(policy, rates.policy), ("no IRS", rates.no_irs), ("flat", rates.flat), ("oracle with QoS", rates.oracle)]
-        {
-            outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
+                .map(|(name, rate)| (name, rate, rates.oracle))
+        };
+        for (name, rate, oracle) in room.sum_rate_mbps.iter().flat_map(named) {
+            outln!("{name:<26}{rate:>9.2}{:>14}", share((oracle > 0.0).then(|| rate / oracle)))?;
         }
         outln!(
             "share of users with their minimum rate: {} (oracle {})",

@@ -91,7 +91,7 @@ impl RoomRuntime {
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let policy = heliostat_engine::build(config.policy, scenario, &actor)?;
+        let (policy, findings) = heliostat_engine::build_tried(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
         let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure);
@@ -119,6 +119,7 @@ impl RoomRuntime {
         let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
+        policy_swap.report(findings);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {

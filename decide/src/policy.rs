@@ -22,7 +22,7 @@ mod sine_cosine;
 mod warm_up;
 mod with_fallback;
 
-pub use actor::Actor;
+pub use actor::{Actor, Finding};
 pub use engine::{Engine, Network};
 pub use fixed::Fixed;
 pub use proposal::{Policy, PolicyError, TimeSource};

@@ -31,6 +31,7 @@ pub struct Reporter {
     failed: u64,
     unsent: u64,
     orders_refused: u64,
+    policy_warnings: u64,
     foreign_arrays: u64,
     epoch_events: [u64; TenureEvent::ALL.len()],
     unfit: Option<String>,
@@ -67,6 +68,7 @@ impl Reporter {
             failed: 0,
             unsent: 0,
             orders_refused: 0,
+            policy_warnings: 0,
             foreign_arrays: 0,
             epoch_events: [0; TenureEvent::ALL.len()],
             unfit: None,
@@ -203,6 +205,7 @@ impl Reporter {
         let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
         let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
         let order_refused = rose(&mut self.orders_refused, swaps.refused);
+        let policy_warned = rose(&mut self.policy_warnings, swaps.warnings);
         if failed_rose && let Some(failure) = controller.last_failure() {
             return Some(format!("policy {}: {failure}", controller.policy_name()));
         }
@@ -211,6 +214,9 @@ impl Reporter {
         }
         if order_refused {
             return swaps.last_refusal.clone();
+        }
+        if policy_warned {
+            return swaps.last_warning.clone();
         }
         refused_rose.then(|| describe_refusal(decision_loop)).flatten()
     }

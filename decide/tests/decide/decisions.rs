@@ -3,11 +3,13 @@
 use heliostat_decide::{
     core::{DegradedMode, Stage},
     inbox::Message,
-    policy::{Fixed, PolicyError, PolicyKind},
+    policy::{Actor, Fixed, PolicyError, PolicyKind},
 };
 use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
 
-use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, build, build_with, controller, receive, scenario};
+use crate::support::{
+    ActorRecipe, FixedEngine, MS, Outcome, Room, Scripted, build, build_with, controller, receive, scenario,
+};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
@@ -43,9 +45,9 @@ fn a_value_that_is_not_finite_is_never_commanded() {
 #[test]
 fn an_actor_with_values_that_are_not_finite_falls_back() {
     let scenario = scenario(&[]);
-    let file = ActorRecipe { bias: f32::NAN, ..ActorRecipe::fitting(&scenario) }.file();
-    let actor = build_with(PolicyKind::Ddpg, &scenario, &file).unwrap();
-    let mut controller = controller(&scenario, actor);
+    let file = ActorRecipe::fitting(&scenario).file();
+    let actor = Actor::load(&file, &scenario, &FixedEngine(f32::NAN)).unwrap();
+    let mut controller = controller(&scenario, Box::new(actor));
     Room::new(&scenario).tick(&mut controller, 1).command();
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
 }

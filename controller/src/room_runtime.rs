@@ -40,7 +40,7 @@ use heliostat_service::{clock::utc_ns, source_id};
 use crate::{
     config::{NodeConfig, Pace},
     report::{
-        stage_times::StageTimes,
+        stage_times::{PolicyTimes, StageTimes},
         summary::{RoomReport, Summary},
     },
 };
@@ -71,6 +71,7 @@ pub struct RoomRuntime {
     spare_times: StageTimes,
     /// Since the start.
     times: StageTimes,
+    policy_times: PolicyTimes,
     /// As of the last status check.
     summary: Summary,
 }
@@ -135,6 +136,7 @@ impl RoomRuntime {
             reporter: Reporter::new(identity),
             spare_times: StageTimes::new(),
             times: StageTimes::new(),
+            policy_times: PolicyTimes::default(),
             summary: Summary::default(),
         })
     }
@@ -151,7 +153,7 @@ impl RoomRuntime {
 
     /// The room's report as of the last status check.
     pub fn report(&self) -> RoomReport<'_> {
-        RoomReport { room: &self.room, summary: &self.summary, times: &self.times }
+        RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
     }
 
     /// Executes the action for absent reports or for a policy timeout, if that is due.
@@ -174,8 +176,14 @@ impl RoomRuntime {
             return;
         };
         std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
+        let former = std::mem::take(&mut decision_loop.former_times);
         let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters());
         drop(decision_loop);
+        for (policy, mut times) in former {
+            self.policy_times.add(&policy, &times);
+            self.times.absorb(&mut times);
+        }
+        self.policy_times.add(&snapshot.summary.policy, &self.spare_times);
         self.times.absorb(&mut self.spare_times);
         match &snapshot.problem {
             Some(Problem::Alarm(problem)) => tracing::error!(room = %self.room, "{problem}"),
@@ -187,7 +195,7 @@ impl RoomRuntime {
         let report = self.reporter.report(&snapshot, &self.times);
         self.publish_status(&report);
         self.summary = snapshot.summary;
-        self.summary.add_times(&self.times);
+        self.summary.add_times(&self.times, &self.policy_times);
     }
 
     /// Stops serving: unsubscribes, ends the room's thread, and withdraws the liveliness token.

@@ -19,6 +19,7 @@ mod proposal;
 mod pso;
 mod registry;
 mod sine_cosine;
+mod tally;
 mod warm_up;
 mod with_fallback;
 
@@ -27,5 +28,6 @@ pub use engine::{Engine, Network};
 pub use fixed::Fixed;
 pub use proposal::{Policy, PolicyError, TimeSource};
 pub use registry::{BuildError, PolicyKind, Resources, build, build_fallback};
+pub use tally::{Tallies, Tally};
 pub use warm_up::warm_up;
 pub use with_fallback::{ProposedBy, WithFallback};

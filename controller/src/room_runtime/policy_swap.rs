@@ -25,6 +25,7 @@ use heliostat_proto::{ControllerControl, decode};
 use heliostat_scenario::Scenario;
 
 use super::{decision_loop::DecisionLoop, locks::lock};
+use crate::report::stage_times::StageTimes;
 
 /// Orders that wait while a policy is being built; further orders are refused.
 const WAITING_MAX: usize = 4;
@@ -127,7 +128,8 @@ impl PolicySwap {
             match builder.build(&name) {
                 Ok((policy, findings)) => {
                     self.report(findings);
-                    let former = lock(&self.decision_loop).controller.replace_policy(policy);
+                    let fresh = StageTimes::new();
+                    let former = lock(&self.decision_loop).replace_policy(policy, fresh);
                     lock(&self.counters).replaced += 1;
                     tracing::info!(policy = name, "policy replaced");
                     // Dropped without the lock, because that may take long.

@@ -1,7 +1,7 @@
 //! The status report of one room, twice a second, for operators. No decision depends on it.
 
 use heliostat_decide::{
-    core::{Counters, DegradedMode},
+    core::{Counters, DegradedMode, Stage},
     refusal::Refusal,
     tenure::{Tenure, TenureEvent},
 };
@@ -122,10 +122,8 @@ impl Reporter {
         let refused = summary.refused.iter().map(named("refused:"));
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));
-        let mut timed = summary.clone();
-        timed.add_times(times);
-        let stages = timed.stages_us.iter().map(|(name, times)| (name.clone(), *times));
-        let totals = [("decision".to_string(), timed.decision_us), ("age".to_string(), timed.age_us)];
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),

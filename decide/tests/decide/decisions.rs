@@ -190,3 +190,29 @@ fn the_core_is_deterministic() {
         assert!(first == run(), "{kind:?}");
     }
 }
+
+#[test]
+fn each_policy_is_credited_with_its_own_commands_and_not_with_those_of_the_fallback() {
+    let scenario = scenario(&["control.fallback=flat"]);
+    // Angles far beyond any range, as a network without an activation at its end gives.
+    let far = Scripted(|observation, out| {
+        out.roll.fill(1e30);
+        out.yaw.fill(-1e30);
+        match observation.tick {
+            2 => Err(PolicyError::Inference { message: "broken".into() }),
+            _ => Ok(()),
+        }
+    });
+    let mut controller = controller(&scenario, Box::new(far));
+    let mut room = Room::new(&scenario);
+    (1..=3).for_each(|tick| drop(room.tick(&mut controller, tick)));
+    controller.replace_policy(build(PolicyKind::Nearest, &scenario).unwrap());
+    (4..=5).for_each(|tick| drop(room.tick(&mut controller, tick)));
+    controller.replace_policy(Box::new(Scripted(|_, _| Ok(()))));
+    room.tick(&mut controller, 6);
+    let [scripted, nearest] = controller.tallies() else { panic!("{:?}", controller.tallies()) };
+    assert_eq!((scripted.policy.as_str(), nearest.policy.as_str()), ("scripted", "nearest"));
+    assert_eq!((scripted.decisions, scripted.commands, scripted.fallbacks), (4, 3, 1));
+    assert_eq!((nearest.decisions, nearest.commands, nearest.fallbacks), (2, 2, 0));
+    assert_eq!((scripted.clipped.range, nearest.clipped.range), (2 * 18, 0));
+}

@@ -198,3 +198,32 @@ impl Summary {
 fn list(counts: &BTreeMap<String, u64>) -> String {
     counts.iter().map(|(name, count)| format!(" {name} {count}")).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn controller(policies: &Value) -> ControllerPart {
+        let none = BTreeMap::<String, u64>::new();
+        let part = serde_json::json!({
+            "policy": "nearest", "policies": policies, "clipped": ClippedSummary::default(), "decisions": 9,
+            "over_budget": 0, "over_budget_by": none, "decision_us": Quantiles::default(), "stages_us": {},
+            "age_us": Quantiles::default(), "fallbacks": none, "refused": none, "last_problem": "",
+        });
+        ControllerPart::deserialize(&part).expect("complete")
+    }
+
+    fn policy(commands: u64, fallbacks: u64) -> Value {
+        serde_json::json!(PolicySummary { commands, fallbacks, ..PolicySummary::default() })
+    }
+
+    #[test]
+    fn the_rates_are_credited_to_a_policy_only_if_no_other_gave_angles() {
+        let alone = controller(&serde_json::json!({ "nearest": policy(9, 0) }));
+        assert_eq!(alone.credited(), ["nearest"]);
+        let changed = controller(&serde_json::json!({ "ddpg": policy(4, 0), "nearest": policy(5, 0) }));
+        assert_eq!(changed.credited(), ["ddpg", "nearest"]);
+        let failed = controller(&serde_json::json!({ "ddpg": policy(0, 4), "nearest": policy(5, 0) }));
+        assert_eq!(failed.credited(), ["nearest", "fallback"]);
+    }
+}

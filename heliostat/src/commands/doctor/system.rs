@@ -9,6 +9,7 @@ use heliostat_decide::policy::Finding;
 use heliostat_engine::ActorSource;
 use heliostat_proto::{Capabilities, ValidityClock, decode};
 use heliostat_scenario::Scenario;
+use heliostat_service::counted::counted;
 use heliostat_sim::World;
 
 use super::args::Args;
@@ -35,10 +36,10 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         }
     };
     let found = format!(
-        "{}: {} mode, {} users, {} x {} mirrors, configuration {}",
+        "{}: {} mode, {}, {} x {} mirrors, configuration {}",
         scenario.name,
         scenario.channel.mode.name(),
-        scenario.users.count,
+        counted(scenario.users.count, "user"),
         scenario.mirrors.rows,
         scenario.mirrors.columns,
         scenario.hash()
@@ -59,8 +60,8 @@ fn check_policy(args: &Args, scenario: &Scenario) -> Check {
             return Check::fail("policy", format!("{error:#}"), advice);
         }
     };
-    let file = args.model.as_ref().map_or(String::new(), |path| format!(", from {}", path.display()));
-    let mut found = format!("{}{file}, fits the scenario", policy.name());
+    let name = args.model.as_ref().map_or(policy.name().to_owned(), |path| path.display().to_string());
+    let mut found = format!("{name} fits the scenario");
     let mut warnings = Vec::new();
     for finding in findings {
         match finding {

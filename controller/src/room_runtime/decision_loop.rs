@@ -107,7 +107,6 @@ pub struct DecisionLoop {
     last_malformed: Option<CodecError>,
 }
 
-#[derive(Default)]
 struct Buffers {
     users: UserReport,
     channel: ChannelReport,
@@ -116,6 +115,15 @@ struct Buffers {
 }
 
 impl Buffers {
+    fn new() -> Self {
+        Self {
+            users: UserReport::buffer(),
+            channel: ChannelReport::buffer(),
+            obstacles: ObstacleReport::default(),
+            telemetry: MirrorTelemetry::default(),
+        }
+    }
+
     fn decode(&mut self, stream: Stream, payload: &[u8]) -> Result<Message<'_>, CodecError> {
         match stream {
             Stream::Users => decode_into(&mut self.users, payload).map(|()| Message::Users(&mut self.users)),
@@ -147,7 +155,7 @@ impl DecisionLoop {
             sender,
             watchdog,
             warmer: CacheWarmer::new(false),
-            buffers: Buffers::default(),
+            buffers: Buffers::new(),
             due: None,
             deadline,
             was_late: false,

@@ -120,6 +120,7 @@ impl Reporter {
         let refused = summary.refused.iter().map(named("refused:"));
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));
+        let users = summary.users.iter().map(named("users:"));
         let mut timed = summary.clone();
         timed.add_times(times);
         let stages = timed.stages_us.iter().map(|(name, times)| (name.clone(), *times));
@@ -128,7 +129,14 @@ impl Reporter {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
             policy: summary.policy.clone(),
-            counters: own.chain(within).chain(fallbacks).chain(refused).chain(epochs).chain(missed).collect(),
+            counters: own
+                .chain(within)
+                .chain(fallbacks)
+                .chain(refused)
+                .chain(epochs)
+                .chain(missed)
+                .chain(users)
+                .collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()

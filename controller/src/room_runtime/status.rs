@@ -146,13 +146,21 @@ impl Reporter {
         let refused = summary.refused.iter().map(named("refused:"));
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));
+        let users = summary.users.iter().map(named("users:"));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
         let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
             policy: summary.policy.clone(),
-            counters: own.chain(within).chain(fallbacks).chain(refused).chain(epochs).chain(missed).collect(),
+            counters: own
+                .chain(within)
+                .chain(fallbacks)
+                .chain(refused)
+                .chain(epochs)
+                .chain(missed)
+                .chain(users)
+                .collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()

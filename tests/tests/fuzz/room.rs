@@ -320,7 +320,7 @@ impl Room {
             Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
             Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
             Kind::RoomGeometry => consume(&payload, |report: RoomGeometry| {
-                drop(Scenario::from_geometry_toml(&report.toml));
+                drop(Scenario::from_geometry_toml(&report.scenario));
             }),
             Kind::Rearm => {
                 let order = decode::<Rearm>(&payload);

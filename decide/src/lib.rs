@@ -77,5 +77,5 @@ mod output;
 pub mod policy;
 
 pub use input::{inbox, refusal, sequence};
-pub use observe::{observation, observer};
+pub use observe::{observation, observer, selection, slots};
 pub use output::{capabilities, guard, outcome, safety, tenure};

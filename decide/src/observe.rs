@@ -2,3 +2,5 @@
 
 pub mod observation;
 pub mod observer;
+pub mod selection;
+pub mod slots;

@@ -100,5 +100,5 @@ export function counters(now) {
   const counts = now.counts.map((count) => [count.name, String(count.value), count.is_problem && count.value > 0 ? "bad" : ""]);
   list(at("counts"), [...counts, faults]);
   const problems = now.nodes.filter((node) => node.problem).map((node) => `${node.node}: ${node.problem}`);
-  setText(at("problem"), problems.join("; "));
+  setText(at("problem"), [...now.notes, ...problems].join("; "));
 }

@@ -30,13 +30,15 @@ function showBanner(now, ages) {
   element.dataset.kind = shown.kind;
 }
 
-// Numbers of the sentence change at most this often, so that they can be read.
+// The rate in the sentence changes at most this often, so that it can be read; a change of the users is
+// shown at once, as in the table.
 const SENTENCE_EVERY_MS = 500;
 let sentenceAt = 0;
 
 function showSentence(text) {
-  const isFigure = text.startsWith("Mirrors");
-  if (isFigure && performance.now() - sentenceAt < SENTENCE_EVERY_MS) return;
+  const withoutRate = (sentence) => sentence.replace(/[\d.]+ Mbit/, "");
+  const isSame = withoutRate(text) === withoutRate(at("sentence").textContent);
+  if (isSame && performance.now() - sentenceAt < SENTENCE_EVERY_MS) return;
   sentenceAt = performance.now();
   setText(at("sentence"), text);
 }
@@ -88,6 +90,8 @@ async function start() {
       show();
     },
     frame: (frame) => {
+      // The next figures load the page again.
+      if (frame.geometry !== plan.geometry) return;
       state.frame = frame;
       room.update(frame);
     },

@@ -6,7 +6,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use heliostat_channel::{LinkBudget, Scene, Vec3};
+use heliostat_channel::{ChannelModel, LinkBudget, Scene, Vec3};
 use heliostat_proto::NodeKind;
 use serde::Serialize;
 
@@ -42,12 +42,12 @@ pub struct FloorMaps {
 
 impl View {
     /// The link budget with the optical power that the room reports.
-    pub(crate) fn budget(&self) -> LinkBudget {
+    pub(crate) fn budget(&self, model: &ChannelModel) -> LinkBudget {
         let received = self.received();
         let status = received.statuses.get(NodeKind::SimNode.name());
         let gauges = status.map_or(&[][..], |(_, status)| &status.gauges);
         let power = gauges.iter().find(|(name, _)| name == "power_w").map(|(_, watts)| *watts);
-        let mut budget = self.model.budget.clone();
+        let mut budget = model.budget.clone();
         budget.power_w = power.filter(|watts| *watts > 0.0).unwrap_or(budget.power_w);
         budget
     }
@@ -83,8 +83,8 @@ impl FloorMaps {
 
     fn compute(&self, with_mirrors: bool) -> FloorMap {
         let now = self.frames.optical_state();
-        let (model, room, budget) = (&self.view.model, &self.view.scenario.room, self.view.budget());
-        let height_m = self.view.scenario.receiver.height_m;
+        let (model, room, budget) = (&now.room.model, &now.room.scenario.room, self.view.budget(&now.room.model));
+        let height_m = now.room.scenario.receiver.height_m;
         let longest = room.length_x_m.max(room.length_y_m);
         let points = |length: f64| ((POINTS as f64 * length / longest).round() as usize).max(1);
         let (columns, rows) = (points(room.length_x_m), points(room.length_y_m));

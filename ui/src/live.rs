@@ -92,8 +92,6 @@ impl Feed {
     fn work(&self, page: &Page) {
         let view = &page.view;
         let frames = FrameBuilder::new(Arc::clone(view));
-        let mirrors = u32::try_from(view.model.mirrors.len()).unwrap_or(u32::MAX);
-        let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));
         let mut last_frame: Option<Instant> = None;
         while !self.stop.wait_for(FIGURES_EVERY) {
             // Follows the array without a reader too, so that a page that opens later sees it.
@@ -104,6 +102,8 @@ impl Feed {
             let orders = page.operator.answers(view);
             let figures = LiveFigures { figures: view.figures(), page: &page.id(), orders, stop };
             let figures = event("figures", &figures);
+            let mirrors = u32::try_from(view.shown_room().model.mirrors.len()).unwrap_or(u32::MAX);
+            let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));
             let is_due = last_frame.is_none_or(|at| at.elapsed() >= frame_every);
             let frame = is_due.then(|| {
                 last_frame = Some(Instant::now());

@@ -5,17 +5,25 @@
 //! gains of the direct path replace modelled gains, because they include blockage that no survey
 //! reports.
 //!
+//! Users may come and go with every report, in any order. A user is known by its number: reports
+//! about positions and about gains are matched by it, and it keeps its index in the observation as
+//! long as possible ([`Slots`]). A user without a measured gain has the modelled one, and a measured
+//! gain of an unknown user is ignored.
+//!
 //! With `control.prediction = "constant-velocity"` each user is assumed to walk on at the reported
 //! velocity. The prediction covers the age of the report and half of the interval until the next
 //! report, during which the command holds. No user is predicted to leave the room.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
-use heliostat_proto::{ChannelReport, Nanos, UserReport, UserState};
+use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, Nanos, UserReport};
 use heliostat_scenario::{Prediction, Scenario};
 
 use crate::{
     input::inbox::Inbox,
-    observe::observation::{Observation, RoomState},
+    observe::{
+        observation::{Observation, RoomState},
+        slots::Slots,
+    },
 };
 
 /// Below this speed in m/s a velocity does not show the direction that a user faces; half of the
@@ -60,17 +68,20 @@ impl Lead {
     }
 }
 
-/// Fills observations from the inbox; its buffers are reused.
+/// Fills observations from the inbox; its buffers are reused and have room for [`MAX_USERS`] users.
 pub struct Observer {
     body: Option<Body>,
     lead: Option<Lead>,
-    ids: Vec<u32>,
+    slots: Slots,
+    /// The users of the report, in its order.
+    reported: Vec<u32>,
     /// Unit vectors in the floor plane; zero while unknown.
     headings: Vec<Vec3>,
+    former_headings: Vec<Vec3>,
     positions: Vec<Vec3>,
     velocities: Vec<Vec3>,
     min_rate_bps: Vec<f64>,
-    measured_los_gain: Vec<f64>,
+    los_gain: Vec<f64>,
     blockers: Vec<Cylinder>,
     /// All false: blockage of unknown cause shows in measured gains.
     forced: Vec<bool>,
@@ -79,16 +90,18 @@ pub struct Observer {
 /// Where the gains of the direct paths came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LosSource {
-    /// A channel report.
-    Measured,
-    /// The model, because there is no channel report of acceptable age.
+    /// A channel report; of the users whom it lacks, the model.
+    Measured {
+        /// The number of those users.
+        unmeasured: usize,
+    },
+    /// The model, because there is no channel report of acceptable age, or it lacks every user.
     Modelled,
 }
 
 impl Observer {
-    /// An observer of a scenario's users.
+    /// An observer of a scenario's room.
     pub fn new(scenario: &Scenario) -> Self {
-        let users = scenario.users.count;
         let blockage = &scenario.blockage;
         Self {
             body: blockage.bodies.then_some(Body {
@@ -97,14 +110,16 @@ impl Observer {
                 offset_m: blockage.body_offset_m,
             }),
             lead: Lead::of(scenario),
-            ids: vec![0; users],
-            headings: vec![Vec3::zeros(); users],
-            positions: vec![Vec3::zeros(); users],
-            velocities: vec![Vec3::zeros(); users],
-            min_rate_bps: vec![0.0; users],
-            measured_los_gain: vec![0.0; users],
-            blockers: Vec::new(),
-            forced: vec![false; users],
+            slots: Slots::default(),
+            reported: Vec::with_capacity(MAX_USERS),
+            headings: Vec::with_capacity(MAX_USERS),
+            former_headings: Vec::with_capacity(MAX_USERS),
+            positions: Vec::with_capacity(MAX_USERS),
+            velocities: Vec::with_capacity(MAX_USERS),
+            min_rate_bps: Vec::with_capacity(MAX_USERS),
+            los_gain: Vec::with_capacity(MAX_USERS),
+            blockers: Vec::with_capacity(MAX_OBSTACLES + MAX_USERS),
+            forced: Vec::with_capacity(MAX_USERS),
         }
     }
 
@@ -115,14 +130,15 @@ impl Observer {
         }
     }
 
-    /// Discards the directions that the users face.
+    /// Discards the users, and the directions that they face.
     pub fn forget(&mut self) {
-        self.headings.fill(Vec3::zeros());
+        self.slots.clear();
+        self.headings.clear();
     }
 
     /// Fills an observation from the latest reports at `now`; `None` without a position report.
     ///
-    /// Does not allocate after an observation with the same number of obstacles.
+    /// Does not allocate.
     pub fn observe(
         &mut self,
         model: &ChannelModel,
@@ -132,20 +148,8 @@ impl Observer {
     ) -> Option<LosSource> {
         let report = inbox.users()?;
         let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
-        for (index, user) in report.users.iter().enumerate() {
-            let [x, y] = user.velocity_m_s.map(f64::from);
-            if self.ids[index] != user.user {
-                self.ids[index] = user.user;
-                self.headings[index] = Vec3::zeros();
-            }
-            self.velocities[index] = Vec3::new(x, y, 0.0);
-            let reported = Vec3::from_iterator(user.position_m.map(f64::from));
-            let predicted = |lead: Lead| lead.predict(reported, &self.velocities[index], age_s);
-            self.positions[index] = self.lead.map_or(reported, predicted);
-            self.min_rate_bps[index] = f64::from(user.min_rate_bps);
-        }
+        self.place_users(report, age_s);
         self.place_blockers(inbox);
-        let measured = inbox.channel(now).is_some_and(|channel| self.take_gains(report, channel));
         into.set_state(
             model,
             &RoomState {
@@ -155,24 +159,60 @@ impl Observer {
                 min_rate_bps: &self.min_rate_bps,
                 blockers: &self.blockers,
                 forced: &self.forced,
-                measured_los_gain: measured.then_some(self.measured_los_gain.as_slice()),
+                measured_los_gain: None,
             },
         );
-        Some(if measured { LosSource::Measured } else { LosSource::Modelled })
+        into.ids.copy_from_slice(self.slots.ids());
+        Some(match inbox.channel(now) {
+            Some(channel) => self.take_gains(channel, into),
+            None => LosSource::Modelled,
+        })
     }
 
-    /// Copies each user's measured gain; false where a user is missing from the channel report.
-    fn take_gains(&mut self, users: &UserReport, channel: &ChannelReport) -> bool {
-        let gain_of = |(slot, user): (usize, &UserState)| {
-            let same_place = channel.users.get(slot).filter(|entry| entry.user == user.user);
-            let entry = same_place.or_else(|| channel.users.iter().find(|entry| entry.user == user.user))?;
-            Some(f64::from(entry.los_gain))
-        };
-        let gains = users.users.iter().enumerate().map(gain_of);
-        self.measured_los_gain.iter_mut().zip(gains).all(|(place, gain)| {
-            *place = gain.unwrap_or(0.0);
-            gain.is_some()
-        })
+    /// Gives slots to the users of a report, and fills the lists of the slots.
+    fn place_users(&mut self, report: &UserReport, age_s: f64) {
+        let Self { lead, slots, reported, headings, former_headings, .. } = self;
+        reported.clear();
+        reported.extend(report.users.iter().map(|user| user.user));
+        if slots.assign(reported) {
+            former_headings.clone_from(headings);
+            headings.clear();
+            headings.extend(slots.former().iter().map(|slot| slot.map_or(Vec3::zeros(), |slot| former_headings[slot])));
+        }
+        self.positions.clear();
+        self.velocities.clear();
+        self.min_rate_bps.clear();
+        self.forced.clear();
+        for (slot, id) in slots.ids().iter().enumerate() {
+            let same_place = report.users.get(slot).filter(|user| user.user == *id);
+            let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
+            let [x, y] = user.velocity_m_s.map(f64::from);
+            let velocity = Vec3::new(x, y, 0.0);
+            let reported = Vec3::from_iterator(user.position_m.map(f64::from));
+            self.positions.push(lead.map_or(reported, |lead| lead.predict(reported, &velocity, age_s)));
+            self.velocities.push(velocity);
+            self.min_rate_bps.push(f64::from(user.min_rate_bps));
+            self.forced.push(false);
+        }
+    }
+
+    /// Replaces each user's modelled gain by the measured one, where there is one.
+    fn take_gains(&mut self, channel: &ChannelReport, into: &mut Observation) -> LosSource {
+        self.los_gain.clear();
+        self.los_gain.extend_from_slice(into.scene.los_gain());
+        let mut unmeasured = 0;
+        for (slot, (id, gain)) in self.slots.ids().iter().zip(&mut self.los_gain).enumerate() {
+            let same_place = channel.users.get(slot).filter(|entry| entry.user == *id);
+            match same_place.or_else(|| channel.users.iter().find(|entry| entry.user == *id)) {
+                Some(entry) => *gain = f64::from(entry.los_gain),
+                None => unmeasured += 1,
+            }
+        }
+        if unmeasured > 0 && unmeasured == self.los_gain.len() {
+            return LosSource::Modelled;
+        }
+        into.scene.set_los_gain(&self.los_gain);
+        LosSource::Measured { unmeasured }
     }
 
     fn place_blockers(&mut self, inbox: &Inbox) {

@@ -23,8 +23,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
-use super::row::{Row, Rows};
-use super::settings::{Loop, RANDOM_DRAWS, Settings};
+use super::row::{Rows, rows};
+use super::settings::{RANDOM_DRAWS, Settings};
 use crate::evaluation::held_out::{SETTLE_S, best_angles, held_out_seed};
 
 /// Sampling times of an episode.
@@ -71,16 +71,16 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     }
     bar.reset();
     bar.set_length(settings.policies.len() as u64);
-    let mut rows = Vec::new();
+    let mut runs = Vec::new();
     for evaluated in &settings.policies {
         bar.set_message(format!("policies: {}", evaluated.name()));
         let trainings = evaluated.trainings(scenario, settings.training_seed).into_iter();
-        let runs: Vec<Run> =
+        let of_policy: Vec<Run> =
             trainings.map(|one| run(settings, &one, &episodes, &mut evaluator)).collect::<anyhow::Result<_>>()?;
-        rows.push(Row::new(&runs, &oracle, (evaluated, Loop::ClosedLoop)));
+        runs.push(of_policy);
         bar.inc(1);
     }
-    Ok((Row::of_oracle(&oracle, Loop::ClosedLoop), rows))
+    Ok(rows(settings, &runs, &oracle))
 }
 
 fn episodes(settings: &Settings) -> Vec<Episode> {

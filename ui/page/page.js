@@ -30,24 +30,15 @@ function showBanner(now, ages) {
   element.dataset.kind = shown.kind;
 }
 
-// The rate in the sentence changes at most this often, so that it can be read; a change of the users is
-// shown at once, as in the table.
-const SENTENCE_EVERY_MS = 500;
-let sentenceAt = 0;
-
-function showSentence(text) {
-  const withoutRate = (sentence) => sentence.replace(/[\d.]+ Mbit/, "");
-  const isSame = withoutRate(text) === withoutRate(at("sentence").textContent);
-  if (isSame && performance.now() - sentenceAt < SENTENCE_EVERY_MS) return;
-  sentenceAt = performance.now();
-  setText(at("sentence"), text);
-}
+// Figures are shown at most this often, so that they can be read. All parts show the same event, so that
+// sentence and table agree.
+const SHOW_EVERY_MS = 250;
 
 // What depends on the age of the figures, several times a second.
 function showAges(state) {
   const { now, ages, room, frame } = state;
   showBanner(now, ages);
-  showSentence(sentence(now, ages.of("room"), room.shown, frame));
+  setText(at("sentence"), sentence(now, ages.of("room"), room.shown, frame));
   ages.mark();
   if (!now) return;
   chips(now, ages);
@@ -81,6 +72,7 @@ async function start() {
   addEventListener("heat", ({ detail }) => showHeat(detail));
   new Live(plan.page, {
     figures: (now) => {
+      if (state.ages.silence * 1000 < SHOW_EVERY_MS && state.now) return;
       state.now = now;
       state.ages.take(now);
       users(now, room.shown, state.frame);

@@ -5,15 +5,21 @@
 //! gains of the direct path replace modelled gains, because they include blockage that no survey
 //! reports.
 //!
-//! With `control.prediction = "constant-velocity"` each user is assumed to walk on at the reported
-//! velocity. The prediction covers the age of the report and half of the interval until the next
-//! report, during which the command holds. No user is predicted to leave the room.
+//! `control.belief` says where the users are while the command is in force: at their reported
+//! positions (`none`), further on at their reported velocity (`constant-velocity`), or where a
+//! filter of all reports predicts them (`filter`, [`belief`](crate::belief)). The prediction covers
+//! the age of the report, the settling time of the mirrors, and half of the interval until the next
+//! report. No user is predicted to leave the room.
+//!
+//! With the filter, a measured gain of the direct path shows only whether the path is clear; the
+//! gain is then that of the model at the predicted place.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, Nanos, UserReport, UserState};
-use heliostat_scenario::{Prediction, Scenario};
+use heliostat_scenario::{self as scenario, Scenario};
 
 use crate::{
+    belief::Belief,
     input::inbox::Inbox,
     observe::observation::{Observation, RoomState},
 };
@@ -41,29 +47,56 @@ struct Lead {
 }
 
 impl Lead {
-    fn of(scenario: &Scenario) -> Option<Self> {
-        match scenario.control.prediction {
-            Prediction::None => None,
-            Prediction::ConstantVelocity => Some(Self {
-                half_interval_s: 0.5 / scenario.streams.positions.rate_hz,
-                settling_s: 0.0,
-                half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
-            }),
+    fn new(scenario: &Scenario) -> Self {
+        Self {
+            half_interval_s: 0.5 / scenario.streams.positions.rate_hz,
+            settling_s: 0.0,
+            half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
         }
     }
 
-    /// The position of a user who walks on.
-    fn predict(&self, position: Vec3, velocity: &Vec3, age_s: f64) -> Vec3 {
-        let ahead = position + velocity * (age_s + self.half_interval_s + self.settling_s);
+    /// From the sampling of a report of this age to the middle of the command's time in force, in s.
+    fn ahead_s(&self, age_s: f64) -> f64 {
+        age_s + self.half_interval_s + self.settling_s
+    }
+
+    fn within_room(&self, position: Vec3) -> Vec3 {
         let [half_x, half_y] = self.half_room_m;
-        Vec3::new(ahead.x.clamp(-half_x, half_x), ahead.y.clamp(-half_y, half_y), ahead.z)
+        Vec3::new(position.x.clamp(-half_x, half_x), position.y.clamp(-half_y, half_y), position.z)
+    }
+}
+
+/// How users are predicted.
+enum Motion {
+    /// At their reported positions.
+    AsReported,
+    /// At their reported velocities.
+    ConstantVelocity(Lead),
+    /// By the filter.
+    Filter(Lead, Box<Belief>),
+}
+
+impl Motion {
+    /// Position and velocity of the user at this index of a report of this age.
+    fn predict(&self, index: usize, user: &UserState, age_s: f64) -> (Vec3, Vec3) {
+        let reported = Vec3::from_iterator(user.position_m.map(f64::from));
+        let [x, y] = user.velocity_m_s.map(f64::from);
+        let velocity = Vec3::new(x, y, 0.0);
+        match self {
+            Self::AsReported => (reported, velocity),
+            Self::ConstantVelocity(lead) => (lead.within_room(reported + velocity * lead.ahead_s(age_s)), velocity),
+            Self::Filter(lead, belief) => match belief.estimate(index, lead.ahead_s(age_s)) {
+                Some(estimate) => (lead.within_room(estimate.position), estimate.velocity),
+                None => (reported, velocity),
+            },
+        }
     }
 }
 
 /// Fills observations from the inbox; its buffers are reused.
 pub struct Observer {
     body: Option<Body>,
-    lead: Option<Lead>,
+    motion: Motion,
     ids: Vec<u32>,
     /// Unit vectors in the floor plane; zero while unknown.
     headings: Vec<Vec3>,
@@ -96,7 +129,11 @@ impl Observer {
                 height_m: blockage.body_height_m,
                 offset_m: blockage.body_offset_m,
             }),
-            lead: Lead::of(scenario),
+            motion: match scenario.control.belief {
+                scenario::Belief::None => Motion::AsReported,
+                scenario::Belief::ConstantVelocity => Motion::ConstantVelocity(Lead::new(scenario)),
+                scenario::Belief::Filter => Motion::Filter(Lead::new(scenario), Box::new(Belief::new(scenario, users))),
+            },
             ids: vec![0; users],
             headings: vec![Vec3::zeros(); users],
             positions: vec![Vec3::zeros(); users],
@@ -110,13 +147,32 @@ impl Observer {
 
     /// Extends the prediction by the settling time of the mirrors, in s, where users are predicted.
     pub fn set_settling(&mut self, settling_s: f64) {
-        if let Some(lead) = &mut self.lead {
-            lead.settling_s = settling_s;
+        match &mut self.motion {
+            Motion::AsReported => {}
+            Motion::ConstantVelocity(lead) | Motion::Filter(lead, _) => lead.settling_s = settling_s,
         }
     }
 
-    /// Discards the directions that the users face.
+    /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
+    pub fn handle_users(&mut self, report: &UserReport) {
+        if let Motion::Filter(_, belief) = &mut self.motion {
+            belief.handle_users(report);
+        }
+    }
+
+    /// The belief of the filter; absent where `control.belief` is another one.
+    pub fn belief(&self) -> Option<&Belief> {
+        match &self.motion {
+            Motion::Filter(_, belief) => Some(belief),
+            Motion::AsReported | Motion::ConstantVelocity(_) => None,
+        }
+    }
+
+    /// Forgets the users: another source reports from now on.
     pub fn forget(&mut self) {
+        if let Motion::Filter(_, belief) = &mut self.motion {
+            belief.forget();
+        }
         self.headings.fill(Vec3::zeros());
     }
 
@@ -133,18 +189,16 @@ impl Observer {
         let report = inbox.users()?;
         let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
         for (index, user) in report.users.iter().enumerate() {
-            let [x, y] = user.velocity_m_s.map(f64::from);
             if self.ids[index] != user.user {
                 self.ids[index] = user.user;
                 self.headings[index] = Vec3::zeros();
             }
-            self.velocities[index] = Vec3::new(x, y, 0.0);
-            let reported = Vec3::from_iterator(user.position_m.map(f64::from));
-            let predicted = |lead: Lead| lead.predict(reported, &self.velocities[index], age_s);
-            self.positions[index] = self.lead.map_or(reported, predicted);
+            let (position, velocity) = self.motion.predict(index, user, age_s);
+            (self.positions[index], self.velocities[index]) = (position, velocity);
             self.min_rate_bps[index] = f64::from(user.min_rate_bps);
         }
         self.place_blockers(inbox);
+        let filters = matches!(self.motion, Motion::Filter(..));
         let measured = inbox.channel(now).is_some_and(|channel| self.take_gains(report, channel));
         into.set_state(
             model,
@@ -155,9 +209,14 @@ impl Observer {
                 min_rate_bps: &self.min_rate_bps,
                 blockers: &self.blockers,
                 forced: &self.forced,
-                measured_los_gain: measured.then_some(self.measured_los_gain.as_slice()),
+                measured_los_gain: (measured && !filters).then_some(self.measured_los_gain.as_slice()),
             },
         );
+        if measured && filters {
+            for (user, gain) in self.measured_los_gain.iter().enumerate() {
+                into.scene.set_los_blocked(user, *gain <= 0.0);
+            }
+        }
         Some(if measured { LosSource::Measured } else { LosSource::Modelled })
     }
 

@@ -228,8 +228,10 @@ mod tests {
         assert!((alone - Vec3::new(1.5, 0.5, 0.9)).norm() < 0.05, "{alone:?}");
         let other = |user| (user, [-2.0, 1.0, 1.2], [0.0, 0.4]);
         let come_and_go = |tick| if tick % 3 == 0 { vec![other(3)] } else { vec![other(9), other(3)] };
-        assert_eq!(after_walk(come_and_go, true), alone);
-        assert_eq!(after_walk(come_and_go, false), alone);
+        // The noise of the reports is learned from all users, so the weights differ a little.
+        for first in [true, false] {
+            assert!((after_walk(come_and_go, first) - alone).norm() < 1e-3);
+        }
     }
 
     #[test]

@@ -113,6 +113,13 @@ impl MirrorTelemetry {
     }
 }
 
+impl Stamp {
+    /// The name of a control message in the last problem of the process that refuses it.
+    pub fn order_name(&self) -> String {
+        format!("order {} of {:016x}", self.sequence, self.source)
+    }
+}
+
 impl NodeStatus {
     /// Sets the latest problem, cut to the length that a message may hold.
     pub fn set_problem(&mut self, problem: &str) {

@@ -172,7 +172,8 @@ impl Node {
                     self.room.advance(now.local_ns);
                     self.orders += 1;
                     for refusal in control::apply(&mut self.room, &order) {
-                        self.refused.note("control", refusal.name(), &refusal);
+                        let problem = format!("{}: {refusal}", order.stamp.order_name());
+                        self.refused.note("control", refusal.name(), &problem);
                     }
                 }
                 Err(error) => self.refused.note("control", error.name(), &error),
@@ -182,9 +183,10 @@ impl Node {
 
     /// Refuses the orders of operators: in lockstep the seed determines the run.
     pub fn refuse_orders(&mut self) {
-        for _ in self.session.new_orders() {
+        for order in self.session.new_orders() {
             let refusal = control::OrderRefusal::Lockstep;
-            self.refused.note("control", refusal.name(), &refusal);
+            let name = order.map(|order| order.stamp.order_name()).unwrap_or_default();
+            self.refused.note("control", refusal.name(), &format!("{name}: {refusal}"));
         }
     }
 

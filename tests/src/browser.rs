@@ -41,6 +41,14 @@ impl Browser {
     /// # Panics
     /// When a browser is required and missing, or does not start.
     pub fn open(url: &str) -> Option<Self> {
+        Self::open_with(url, &[])
+    }
+
+    /// The same in a browser with more flags.
+    ///
+    /// # Panics
+    /// As [`Browser::open`].
+    pub fn open_with(url: &str, more: &[&str]) -> Option<Self> {
         let driver = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
         let mut driver = match driver {
             Ok(driver) => driver,
@@ -54,7 +62,9 @@ impl Browser {
         let profile = tempfile::tempdir().expect("a temporary folder");
         let mut flags: Vec<String> = FLAGS.map(String::from).into();
         flags.push(format!("--user-data-dir={}", profile.path().display()));
-        let capabilities = json!({ "alwaysMatch": { "goog:chromeOptions": { "args": flags } } });
+        flags.extend(more.iter().map(|flag| (*flag).to_owned()));
+        let (options, logs) = (json!({ "args": flags }), json!({ "browser": "ALL" }));
+        let capabilities = json!({ "alwaysMatch": { "goog:chromeOptions": options, "goog:loggingPrefs": logs } });
         let sessions = format!("http://127.0.0.1:{port}/session");
         let session =
             call(&sessions, &json!({ "capabilities": capabilities })).expect("chromedriver starts a Chromium");
@@ -105,6 +115,17 @@ impl Browser {
     pub fn resize(&self, width: u32, height: u32) {
         let size = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
         self.devtools("Emulation.setDeviceMetricsOverride", size);
+    }
+
+    /// Errors that the page wrote to the console since the last call.
+    ///
+    /// # Panics
+    /// When the browser refuses.
+    pub fn console_errors(&self) -> Vec<String> {
+        let log = self.command("se/log", &json!({ "type": "browser" }));
+        let entries = log.as_array().cloned().unwrap_or_default();
+        let errors = entries.iter().filter(|entry| entry["level"] == "SEVERE");
+        errors.map(|entry| entry["message"].to_string()).collect()
     }
 
     /// A screenshot of the page as PNG.

@@ -3,13 +3,20 @@ import { RedrawLimiter } from "./redraw.js";
 
 const SPAN_S = 90;
 const KEEP_EVERY_S = 0.2;
-const CONFIG = { displayModeBar: false, responsive: true };
+const CONFIG = { displayModeBar: false, responsive: false };
 const FONT = { family: "system-ui, sans-serif", size: 11 };
 
 // One colour for each policy, the same in every report and figure.
 const POLICY_COLOURS = {
   actor: "#0072b2", ddpg: "#0072b2", analytic: "#56b4e9", "ddpg-basis": "#009e73", "ddpg-raw": "#cc79a7", dql: "#d55e00",
   "q-learning": "#e69f00", sarsa: "#f0e442", greedy: "#117733", "fixed-point": "#44aa99", nearest: "#882255", random: "#999999",
+};
+
+const TIPS = {
+  no_irs: "No IRS: the sum rate of the same users at the same time without the mirrors (without an intelligent reflecting surface).",
+  flat: "Flat: the sum rate with all mirrors flat against the wall.",
+  oracle: "Oracle: the sum rate at the best angles that a search with the true positions finds. No controller knows these positions.",
+  policy: "The sum rate with the mirrors as they are, under the policy in use.",
 };
 
 export class Charts {
@@ -20,6 +27,8 @@ export class Charts {
     this.past = plan.history.map(([time_s, sum]) => ({ time_s, ...sum }));
     this.policy = "";
     this.redraw = new RedrawLimiter(500);
+    const observer = new ResizeObserver(() => this.redraw.reset());
+    for (const chart of [this.sum, this.latency]) observer.observe(chart);
   }
 
   theme(dark) {
@@ -61,14 +70,19 @@ export class Charts {
       const rate = sum?.[key];
       const share = rate != null && sum.oracle > 0 && key !== "oracle" ? `${((100 * rate) / sum.oracle).toFixed(0)} %` : "";
       term.style.setProperty("--swatch", colour);
-      term.textContent = name;
+      if (!term.firstChild) {
+        const explained = Object.assign(document.createElement("dfn"), { tabIndex: 0, title: TIPS[key] });
+        term.append(explained);
+      }
+      if (term.firstChild.textContent !== name) term.firstChild.textContent = name;
       figure.children[0].textContent = rate == null ? "–" : rate.toFixed(1);
-      figure.children[1].textContent = share || (key === "oracle" ? "Mbit/s" : "");
+      figure.children[1].textContent = share;
     });
   }
 
-  layout(extra) {
+  layout(chart, extra) {
     return {
+      width: chart.clientWidth, height: chart.clientHeight,
       margin: { l: 34, r: 6, t: 4, b: 30 }, font: { ...FONT, color: this.muted }, showlegend: false,
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", hovermode: "x unified",
       hoverlabel: { bgcolor: this.grid, font: { color: this.ink } }, uirevision: "kept", ...extra,
@@ -85,9 +99,9 @@ export class Charts {
       type: "scatter", mode: "lines", name, x, y: this.past.map((point) => point[key]), line: { color, dash, width },
       hovertemplate: "%{y:.1f} Mbit/s",
     }));
-    const layout = this.layout({
+    const layout = this.layout(this.sum, {
       xaxis: this.axis("s ago", { range: [-SPAN_S, 0] }),
-      yaxis: this.axis("Mbit/s", { rangemode: "tozero" }),
+      yaxis: this.axis("", { rangemode: "tozero" }),
     });
     Plotly.react(this.sum, traces, layout, CONFIG);
   }
@@ -104,7 +118,7 @@ export class Charts {
     };
     // The edges lie between the buckets, and so does the time limit.
     const line = within - 0.5;
-    const layout = this.layout({
+    const layout = this.layout(this.latency, {
       bargap: 0.08, hovermode: "closest",
       xaxis: this.axis("us", {
         tickvals: edges_us.map((_, index) => index + 0.5), ticktext: edges_us.map(short), tickangle: 0, tickfont: { size: 9 },

@@ -89,7 +89,7 @@ pub struct NodeFigures {
     pub node: &'static str,
     /// Its state; "gone" if its last status is old.
     pub state: String,
-    /// Its last problem; empty if there was none.
+    /// Its last problem; empty if its cause is gone.
     pub problem: String,
 }
 
@@ -113,11 +113,24 @@ pub struct Count {
     pub is_problem: bool,
 }
 
+/// Time since the last message of each process in s; absent before the first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Ages {
+    /// Users and rates: the true state of a simulated room, else the users' reports.
+    pub room: Option<f64>,
+    /// Telemetry of the array.
+    pub array: Option<f64>,
+    /// Status of the controller.
+    pub controller: Option<f64>,
+}
+
 /// All figures at one instant.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Figures {
     /// Time since the view opened, in s.
     pub time_s: f64,
+    /// How old the figures are.
+    pub ages_s: Ages,
     /// Where the figures come from.
     pub origin: Origin,
     /// Number of the tick.
@@ -172,7 +185,8 @@ impl View {
             sum_mbps: sum(&received, &users),
             users,
             array: array(model.mirrors.len(), &received, gauge("faulty_mirrors").unwrap_or(0.0) as usize),
-            nodes: received.statuses.values().map(|(at, status)| node(*at, status)).collect(),
+            nodes: received.statuses.values().map(|(at, status)| node(&received, *at, status)).collect(),
+            ages_s: ages(&received),
             times: vec![time("decision", controller), time("loop", room), time("age", controller)],
             latency: received.latency.histogram(),
             counts: counts(controller, room, Received::fresh(&received.telemetry), received.unreadable),
@@ -239,7 +253,9 @@ fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
         return Some(sum_of(&truth.sum_rate_bps));
     }
     let policy = users.iter().map(|user| f64::from(user.rate_mbps)).sum();
-    users.iter().any(|user| user.is_rate_known).then_some(SumFigures { policy, ..SumFigures::default() })
+    // A sum without the unknown rates would be too small.
+    let is_known = !users.is_empty() && users.iter().all(|user| user.is_rate_known);
+    is_known.then_some(SumFigures { policy, ..SumFigures::default() })
 }
 
 fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
@@ -247,9 +263,22 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
     SumFigures { policy: sum.policy * 1e-6, no_irs: mbps(sum.no_irs), flat: mbps(sum.flat), oracle: mbps(sum.oracle) }
 }
 
-fn node(at: Instant, status: &NodeStatus) -> NodeFigures {
+fn node(received: &Received, at: Instant, status: &NodeStatus) -> NodeFigures {
     let state = if at.elapsed() < EXPIRY { shown(&status.state) } else { "gone".into() };
-    NodeFigures { node: status.node.name(), state, problem: shown(&status.last_problem) }
+    NodeFigures { node: status.node.name(), state, problem: shown(received.problems.current(status.node.name())) }
+}
+
+fn ages(received: &Received) -> Ages {
+    let age = |at: Instant| at.elapsed().as_secs_f64();
+    // The figures come from the truth while it is fresh.
+    let truth = received.truth.as_ref().map(|(at, _)| *at);
+    let users = received.users.as_ref().map(|(at, _)| *at);
+    let shown = if Received::fresh(&received.truth).is_some() { truth } else { users.or(truth) };
+    Ages {
+        room: shown.map(age),
+        array: received.telemetry.as_ref().map(|(at, _)| age(*at)),
+        controller: received.statuses.get(NodeKind::Controller.name()).map(|(at, _)| age(*at)),
+    }
 }
 
 /// A text of a message, as the terminal and the page may show it.

@@ -9,6 +9,8 @@
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
+//! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
+//! - [`floor`]: the rate over the floor, for the heat map.
 //! - [`stop_switch`]: the emergency stop and its release, for the page and the command line.
 //! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
 //! - [`terminal`]: the same figures on a terminal, or as plain lines.
@@ -17,14 +19,19 @@ mod assets;
 mod blocked_area;
 mod error;
 pub mod figures;
+pub mod floor;
 pub mod guard;
 mod latency;
 mod live;
+mod order_answer;
+pub mod order_log;
 mod order_publisher;
 pub mod orders;
+mod problems;
 pub mod scene;
 pub mod server;
 mod shown_room;
+pub mod stop_state;
 pub mod stop_switch;
 pub mod terminal;
 mod token;

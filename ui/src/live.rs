@@ -1,5 +1,8 @@
 //! Live data for open pages, as server-sent events.
 //!
+//! Each event `figures` has the id of the page that [`crate::server`] serves. If it changes, another
+//! server or another room is behind the address, and an open page loads itself again.
+//!
 //! One thread computes each event once, for all pages, and only while a page is open. A page that
 //! reads slowly skips to the newest event; the server drops one that does not read at all.
 
@@ -12,13 +15,16 @@ use heliostat_service::Stop;
 use serde::Serialize;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
-use crate::View;
+use crate::figures::Figures;
+use crate::order_log::OrderFigures;
 use crate::scene::FrameBuilder;
+use crate::server::Page;
+use crate::stop_state::StopFigures;
 
 /// Time between two `figures` events.
 const FIGURES_EVERY: Duration = Duration::from_millis(100);
 /// Time between two `frame` events of a small array.
-const FRAME_EVERY: Duration = Duration::from_millis(200);
+const FRAME_EVERY: Duration = Duration::from_millis(100);
 /// Minimum time between two frames, for each mirror. A mirror takes up to 100 bytes of JSON, so
 /// this limits the data rate to 1 MB/s for each page.
 const FRAME_TIME_PER_MIRROR: Duration = Duration::from_micros(100);
@@ -32,6 +38,17 @@ struct Events {
     frame: Bytes,
     /// Increases with each frame; 0 before the first.
     frame_number: u64,
+}
+
+/// The content of an event `figures`.
+#[derive(Serialize)]
+struct LiveFigures<'a> {
+    #[serde(flatten)]
+    figures: Figures,
+    page: &'a str,
+    /// Newest first.
+    orders: Vec<OrderFigures>,
+    stop: StopFigures,
 }
 
 /// Computes the events for all open pages until the server stops.
@@ -55,14 +72,14 @@ impl Feed {
     ///
     /// # Errors
     /// The error of the operating system if it starts no thread.
-    pub fn start(view: Arc<View>, stop: Stop) -> std::io::Result<Arc<Self>> {
+    pub fn start(page: Arc<Page>, stop: Stop) -> std::io::Result<Arc<Self>> {
         let feed = Arc::new(Self {
             newest: watch::Sender::new(Events::default()),
             permits: Arc::new(Semaphore::new(READERS_MAX)),
             stop,
         });
         let thread = Arc::clone(&feed);
-        thread::Builder::new().name("live".into()).spawn(move || thread.work(&view))?;
+        thread::Builder::new().name("live".into()).spawn(move || thread.work(&page))?;
         Ok(feed)
     }
 
@@ -72,14 +89,19 @@ impl Feed {
         Some(Reader { newest: self.newest.subscribe(), frame_number: 0, stop: self.stop.clone(), _permit: permit })
     }
 
-    fn work(&self, view: &Arc<View>) {
+    fn work(&self, page: &Page) {
+        let view = &page.view;
         let frames = FrameBuilder::new(Arc::clone(view));
         let mut last_frame: Option<Instant> = None;
         while !self.stop.wait_for(FIGURES_EVERY) {
+            // Follows the array without a reader too, so that a page that opens later sees it.
+            let stop = page.operator.stop_figures();
             if self.newest.receiver_count() == 0 {
                 continue;
             }
-            let figures = event("figures", &view.figures());
+            let orders = page.operator.answers(view);
+            let figures = LiveFigures { figures: view.figures(), page: &page.id(), orders, stop };
+            let figures = event("figures", &figures);
             let mirrors = u32::try_from(view.shown_room().model.mirrors.len()).unwrap_or(u32::MAX);
             let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));
             let is_due = last_frame.is_none_or(|at| at.elapsed() >= frame_every);

@@ -7,16 +7,20 @@
 //!   receives a [`ProcessOrder`] over a channel, if there is one.
 
 use std::sync::mpsc::Sender;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use heliostat_bus::{Bus, Token};
 use heliostat_proto::{ControllerControl, FaultKind, MAX_USERS, MirrorFault, NodeKind, SimulatorControl};
+use heliostat_service::printable::printable;
 use heliostat_service::source_id;
 use serde::Deserialize;
 
-use crate::UiError;
+use crate::order_log::{OrderFigures, OrderLog};
 use crate::order_publisher::OrderPublisher;
+use crate::stop_state::{StopFigures, StopState};
 use crate::stop_switch::StopSwitch;
+use crate::{UiError, View};
 
 /// Longest wait for telemetry that confirms a stop; the stop is repeated until then.
 const STOP_LIMIT: Duration = Duration::from_secs(2);
@@ -86,6 +90,8 @@ pub struct Operator {
     simulator: OrderPublisher,
     controller: OrderPublisher,
     processes: Option<Sender<ProcessOrder>>,
+    log: OrderLog,
+    stop_state: Mutex<StopState>,
     _token: Token,
 }
 
@@ -104,8 +110,15 @@ impl Operator {
             simulator: OrderPublisher::new(bus, "simulated room", &room.simulator_control())?,
             controller: OrderPublisher::new(bus, "controller", &room.controller_control())?,
             processes,
+            log: OrderLog::default(),
+            stop_state: Mutex::default(),
             _token: bus.announce(&room.alive(NodeKind::Viewer, source))?,
         })
+    }
+
+    /// The random id of this operator in its messages.
+    pub(crate) fn source(&self) -> u64 {
+        self.source
     }
 
     /// Whether this operator can kill and restart the controller.
@@ -113,27 +126,53 @@ impl Operator {
         self.processes.is_some()
     }
 
-    /// Checks an order and sends it. The published state shows whether the order takes effect.
+    /// Checks an order and sends it; returns its number. The state of its receiver is the answer, see
+    /// [`Operator::answers`].
     ///
     /// # Errors
     /// - [`UiError::InvalidOrder`] if a value is outside its domain; nothing was sent.
     /// - [`UiError::NoProcessControl`] if the processes were started separately.
     /// - [`UiError::NoReceiver`] if the order was published without a subscriber.
     /// - [`UiError::NotStopped`] for a re-arm of an array that reports no stop.
+    /// - [`UiError::Unconfirmed`] for a stop that the array did not confirm.
     /// - [`UiError::Bus`] if the session is closed.
-    pub fn send(&self, order: &Order) -> Result<(), UiError> {
-        order.check()?;
+    pub fn send(&self, order: &Order, view: &View) -> Result<u64, UiError> {
+        let id = self.log.begin(order, view.reported());
+        let sent = order.check().and_then(|()| self.publish(order, id));
+        // Telemetry can confirm a stop at any later time.
+        if let Err(error) = &sent
+            && !matches!(error, UiError::Unconfirmed { .. })
+        {
+            self.log.refused(id, error.to_string());
+        }
+        sent.map(|()| id)
+    }
+
+    /// The last orders and their answers, newest first.
+    pub fn answers(&self, view: &View) -> Vec<OrderFigures> {
+        self.log.review(&view.reported())
+    }
+
+    /// The emergency stop, as far as the array confirmed it.
+    pub fn stop_figures(&self) -> StopFigures {
+        let mut state = self.stop_state.lock().unwrap_or_else(PoisonError::into_inner);
+        let (array, safety) = self.stop.reported();
+        state.update(self.log.stop_ordered(), array, safety)
+    }
+
+    fn publish(&self, order: &Order, id: u64) -> Result<(), UiError> {
         match order {
-            Order::Policy { name } => {
-                self.controller.publish(self.source, |stamp| ControllerControl { stamp, policy: name.clone() })
-            }
-            Order::Power { watts } => self.control_simulator(|control| control.power_w = Some(*watts)),
-            Order::Blocked { users } => self.control_simulator(|control| control.forced_users = Some(*users)),
+            Order::Policy { name } => self.controller.publish(self.source, |stamp| {
+                self.log.published(id, stamp.order_name());
+                ControllerControl { stamp, policy: name.clone() }
+            }),
+            Order::Power { watts } => self.control_simulator(id, |control| control.power_w = Some(*watts)),
+            Order::Blocked { users } => self.control_simulator(id, |control| control.forced_users = Some(*users)),
             Order::Speed { max_m_s } => {
-                self.control_simulator(|control| control.speed_m_s = Some([max_m_s / 20.0, *max_m_s]))
+                self.control_simulator(id, |control| control.speed_m_s = Some([max_m_s / 20.0, *max_m_s]))
             }
-            Order::Stick { share } => self.set_fault(FaultKind::Stuck, *share),
-            Order::Release => self.set_fault(FaultKind::Healed, 1.0),
+            Order::Stick { share } => self.set_fault(id, FaultKind::Stuck, *share),
+            Order::Release => self.set_fault(id, FaultKind::Healed, 1.0),
             Order::Stop => self.stop.stop_and_confirm(BUTTON, STOP_LIMIT).map(drop),
             Order::Rearm => self.stop.rearm(BUTTON),
             Order::KillController => self.control_processes(ProcessOrder::KillController, "kill the controller"),
@@ -143,17 +182,18 @@ impl Operator {
         }
     }
 
-    fn control_simulator(&self, set: impl FnOnce(&mut SimulatorControl)) -> Result<(), UiError> {
+    fn control_simulator(&self, id: u64, set: impl FnOnce(&mut SimulatorControl)) -> Result<(), UiError> {
         self.simulator.publish(self.source, |stamp| {
+            self.log.published(id, stamp.order_name());
             let mut control = SimulatorControl { stamp, ..SimulatorControl::default() };
             set(&mut control);
             control
         })
     }
 
-    fn set_fault(&self, fault: FaultKind, share: f32) -> Result<(), UiError> {
+    fn set_fault(&self, id: u64, fault: FaultKind, share: f32) -> Result<(), UiError> {
         let fault = MirrorFault { fault, share, seed: STUCK_SEED, ..MirrorFault::default() };
-        self.control_simulator(|control| control.faults.push(fault))
+        self.control_simulator(id, |control| control.faults.push(fault))
     }
 
     fn control_processes(&self, order: ProcessOrder, action: &'static str) -> Result<(), UiError> {
@@ -164,6 +204,24 @@ impl Operator {
 }
 
 impl Order {
+    /// The order in words, for the page.
+    pub(crate) fn in_words(&self) -> String {
+        match self {
+            Self::Policy { name } => format!("policy {}", printable(name)),
+            Self::Power { watts } => format!("optical power {watts} W"),
+            Self::Blocked { users: 0 } => "block no direct path".into(),
+            Self::Blocked { users: 1 } => "block the direct path of 1 user".into(),
+            Self::Blocked { users } => format!("block the direct path of {users} users"),
+            Self::Speed { max_m_s } => format!("walking speed {max_m_s} m/s"),
+            Self::Stick { share } => format!("jam {:.0} % of the mirrors", share * 100.0),
+            Self::Release => "release the jammed mirrors".into(),
+            Self::Stop => "stop".into(),
+            Self::Rearm => "re-arm".into(),
+            Self::KillController => "kill the controller".into(),
+            Self::RestartController => "restart the controller".into(),
+        }
+    }
+
     /// Checks every value against its domain. The receiver checks it again with its own limits.
     fn check(&self) -> Result<(), UiError> {
         let invalid = |name, value: String, expected| Err(UiError::InvalidOrder { name, value, expected });

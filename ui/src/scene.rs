@@ -58,6 +58,24 @@ pub struct SceneUser {
     pub led: usize,
     /// Whether the direct path is blocked.
     pub blocked: bool,
+    /// The user's minimum rate in Mbit/s.
+    pub min_rate_mbps: f64,
+    /// Rate without the mirrors in Mbit/s, by the channel model.
+    pub without_mirrors_mbps: f64,
+    /// Where the controller believes the user to be; absent if it publishes no belief.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub belief: Option<Belief>,
+}
+
+/// The ellipse that holds a user's position by the controller's belief.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Belief {
+    /// Centre: x and y in m.
+    pub at_m: [f64; 2],
+    /// Semi-axes in m.
+    pub semi_axes_m: [f64; 2],
+    /// Angle between the x axis and the first semi-axis in rad.
+    pub angle_rad: f64,
 }
 
 /// The moving objects.
@@ -94,9 +112,19 @@ struct FrameState {
     gains: Vec<f64>,
 }
 
+/// What determines the rate at any point of the room.
+pub(crate) struct OpticalState {
+    pub room: Arc<ShownRoom>,
+    /// Number of users, who share the bandwidth.
+    pub users: usize,
+    pub blockers: Vec<Cylinder>,
+    pub angles: MirrorAngles,
+}
+
 /// A user as published.
 struct ObservedUser {
     user: u32,
+    min_rate_bps: f32,
     position: Vec3,
     /// Unit vector, or zero if unknown.
     heading: Vec3,
@@ -141,6 +169,11 @@ impl FrameBuilder {
         let angles = angles(room.model.mirrors.len(), telemetry.as_ref());
         let serves = state.serve(&users, &blockers, &angles);
         let serving = state.scene.serving();
+        let budget = self.view.budget(&room.model);
+        let without_mirrors = |index: usize| {
+            let sinr = budget.sinr(state.scene.los_gain()[index]);
+            budget.rate_bps(sinr, users.len()) * 1e-6
+        };
         Frame {
             geometry: room.id.clone(),
             mirrors_m: (0..angles.len()).map(|index| corners(&room.model.mirrors, index, &angles)).collect(),
@@ -149,6 +182,9 @@ impl FrameBuilder {
             users: (users.iter().zip(&bodies).enumerate())
                 .map(|(index, (user, body))| SceneUser {
                     user: user.user,
+                    min_rate_mbps: f64::from(user.min_rate_bps) * 1e-6,
+                    without_mirrors_mbps: without_mirrors(index),
+                    belief: None,
                     at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
                     led: serving[index],
@@ -157,6 +193,20 @@ impl FrameBuilder {
                 .collect(),
             obstacles_m: obstacles.iter().map(outline).collect(),
             blocked_areas_m: blocked_areas(&room, &blockers),
+        }
+    }
+
+    /// The positions of the users, all cylinders that block light, and the angles of the mirrors.
+    pub(crate) fn optical_state(&self) -> OpticalState {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let (users, obstacles, telemetry) = self.latest(&mut state.headings);
+        let room = self.view.shown_room();
+        let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
+        OpticalState {
+            users: users.len(),
+            blockers: obstacles.into_iter().chain(bodies).collect(),
+            angles: angles(room.model.mirrors.len(), telemetry.as_ref()),
+            room,
         }
     }
 
@@ -179,6 +229,7 @@ impl FrameBuilder {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
                 ObservedUser {
                     user: user.user,
+                    min_rate_bps: user.min_rate_bps,
                     position: point(user.position_m),
                     heading: Vec3::new(cos, sin, 0.0),
                     blocked: user.los_blocked,
@@ -199,7 +250,13 @@ impl FrameBuilder {
                 *heading = Vec3::new(x, y, 0.0).normalize();
             }
             let blocked = gains.iter().any(|gains| gains.user == user.user && gains.los_gain == 0.0);
-            ObservedUser { user: user.user, position: point(user.position_m), heading: *heading, blocked }
+            ObservedUser {
+                user: user.user,
+                min_rate_bps: user.min_rate_bps,
+                position: point(user.position_m),
+                heading: *heading,
+                blocked,
+            }
         });
         (users.collect(), obstacles, telemetry)
     }

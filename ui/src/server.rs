@@ -4,16 +4,19 @@
 //! | --- | --- | --- |
 //! | `/` and its files | GET | the page |
 //! | `/room.json` | GET | the static data and the sum rates of the last 90 s, JSON |
-//! | `/live` | GET | events `figures` (10 a second) and `frame` (at most 5 a second), JSON |
+//! | `/live` | GET | events `figures` (10 a second) and `frame` (at most 10 a second), JSON |
+//! | `/floor.json` | GET | the rate over the floor, JSON; `?mirrors=0` without the mirrors |
 //! | `/order` | POST | an [`Order`] as JSON |
 //!
-//! The answer to an order is 202 if it was published to a subscriber, and 503 if there is none. An
+//! The answer to an order is 202 with its number if it was published to a subscriber, and 503 if there is none.
+//! The events `figures` have the answers of the receivers under these numbers. An
 //! invalid order is answered with 422 and the reason. With keys, and on any other than a loopback address, each
 //! request without the token is answered with 401.
 //!
 //! The limits of [`heliostat_service::http`] hold for every client.
 
 use std::convert::Infallible;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,6 +35,7 @@ use serde::Serialize;
 
 use crate::assets::{self, JAVASCRIPT};
 use crate::figures::SumFigures;
+use crate::floor::FloorMaps;
 use crate::guard;
 use crate::latency::BUDGET_US;
 use crate::live::{Feed, READERS_MAX, Reader};
@@ -113,6 +117,7 @@ pub struct Page {
 struct Shared {
     page: Arc<Page>,
     feed: Arc<Feed>,
+    floor: Arc<FloorMaps>,
 }
 
 /// A page that is being served; dropping it ends the server.
@@ -143,6 +148,17 @@ impl PageArgs {
     }
 }
 
+impl Page {
+    /// Identifies this server and its room: it changes with a new process, and with the plan.
+    pub(crate) fn id(&self) -> String {
+        let mut hasher = DefaultHasher::new();
+        self.operator.source().hash(&mut hasher);
+        // Serialization of a plan cannot fail: it holds only numbers, texts and lists.
+        serde_json::to_string(&self.view.plan(&self.room)).unwrap_or_default().hash(&mut hasher);
+        format!("{:016x}", hasher.finish())
+    }
+}
+
 impl Server {
     /// Serves a page at an address, on the given port, or on a free port if that one is in use.
     ///
@@ -157,9 +173,11 @@ impl Server {
         let listener = bind(port).or_else(|_| bind(0)).map_err(cannot_listen)?;
         let bound = listener.local_addr().map_err(cannot_listen)?.port();
         let stop = Stop::default();
-        let feed = Feed::start(Arc::clone(&page.view), stop.clone()).map_err(UiError::Threads)?;
+        let floor = Arc::new(FloorMaps::new(Arc::clone(&page.view)));
+        let page = Arc::new(page);
+        let feed = Feed::start(Arc::clone(&page), stop.clone()).map_err(UiError::Threads)?;
         let gate = token.clone().map(|token| Gate { token, port: bound });
-        let router = router(Shared { page: Arc::new(page), feed }, gate);
+        let router = router(Shared { page, feed, floor }, gate);
         let limits = Limits { body_bytes: ORDER_MAX, ..Limits::default() };
         let served = http::serve("page", listener, router, limits, stop.clone());
         let http = served.inspect_err(|_| stop.request()).map_err(UiError::Threads)?;
@@ -194,6 +212,7 @@ fn router(shared: Shared, gate: Option<Gate>) -> Router {
         .route("/order", post(order))
         .route("/live", get(live))
         .route("/room.json", get(room))
+        .route("/floor.json", get(floor))
         .route("/plotly.js", get(async || reply(StatusCode::OK, JAVASCRIPT, assets::plotly())))
         .fallback(file)
         .method_not_allowed_fallback(other_method)
@@ -208,6 +227,8 @@ fn router(shared: Shared, gate: Option<Gate>) -> Router {
 /// The static data of the page, and the past sum rates.
 #[derive(Serialize)]
 struct RoomJson {
+    /// As in the events `figures`.
+    page: String,
     #[serde(flatten)]
     plan: Plan,
     policies: Vec<String>,
@@ -218,6 +239,7 @@ struct RoomJson {
 
 async fn room(State(Shared { page, .. }): State<Shared>) -> Response {
     let room = RoomJson {
+        page: page.id(),
         plan: page.view.plan(&page.room),
         policies: page.policies.clone(),
         controls_processes: page.operator.controls_processes(),
@@ -226,6 +248,19 @@ async fn room(State(Shared { page, .. }): State<Shared>) -> Response {
     };
     match serde_json::to_string(&room) {
         Ok(room) => reply(StatusCode::OK, JSON, room),
+        Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
+    }
+}
+
+async fn floor(State(Shared { floor, .. }): State<Shared>, uri: Uri) -> Response {
+    let with_mirrors = uri.query() != Some("mirrors=0");
+    // A map takes some milliseconds of computation.
+    match http::unblock(move || floor.map(with_mirrors)).await {
+        Ok(Some(map)) => match serde_json::to_string(&map) {
+            Ok(map) => reply(StatusCode::OK, JSON, map),
+            Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
+        },
+        Ok(None) => reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, "no report of the room is recent: expected a room\n"),
         Err(error) => reply(StatusCode::INTERNAL_SERVER_ERROR, TEXT, error.to_string()),
     }
 }
@@ -261,8 +296,8 @@ async fn order(State(Shared { page, .. }): State<Shared>, headers: HeaderMap, bo
         Err(error) => return reply(StatusCode::UNPROCESSABLE_ENTITY, TEXT, format!("invalid order: {error}\n")),
     };
     // Sending blocks while it waits for a subscriber.
-    match http::unblock(move || page.operator.send(&order)).await {
-        Ok(Ok(())) => reply(StatusCode::ACCEPTED, TEXT, ""),
+    match http::unblock(move || page.operator.send(&order, &page.view)).await {
+        Ok(Ok(id)) => reply(StatusCode::ACCEPTED, JSON, format!("{{\"id\":{id}}}")),
         Ok(Err(error @ (UiError::NoReceiver(_) | UiError::Unconfirmed { .. }))) => {
             reply(StatusCode::SERVICE_UNAVAILABLE, TEXT, error.to_string())
         }

@@ -13,6 +13,7 @@ use heliostat_service::source_id;
 
 use crate::UiError;
 use crate::order_publisher::OrderPublisher;
+use crate::view::Dated;
 
 /// A report older than this says nothing about the array.
 const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
@@ -34,8 +35,8 @@ pub struct StopSwitch {
 /// What the array reported last, with arrival times.
 #[derive(Default)]
 struct Seen {
-    state: Option<(Instant, ArrayState)>,
-    safety: Option<(Instant, SafetyReport)>,
+    state: Dated<ArrayState>,
+    safety: Dated<SafetyReport>,
 }
 
 #[derive(Default)]
@@ -73,6 +74,12 @@ impl StopSwitch {
             seen,
             _subscriptions: subscriptions,
         })
+    }
+
+    /// What the array reported last: its state and its safety report, with their arrival times.
+    pub(crate) fn reported(&self) -> (Dated<ArrayState>, Dated<SafetyReport>) {
+        let seen = self.seen.lock();
+        (seen.state, seen.safety.clone())
     }
 
     /// Publishes a stop.

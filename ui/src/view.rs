@@ -17,6 +17,7 @@ use heliostat_scenario::Scenario;
 
 use crate::UiError;
 use crate::latency::Window;
+use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
 
 /// A message older than this is not displayed as current.
@@ -56,6 +57,7 @@ pub(crate) struct Received {
     pub alive: BTreeSet<(&'static str, u64)>,
     pub history: VecDeque<Sample>,
     pub latency: Window,
+    pub problems: Problems,
     pub unreadable: u64,
 }
 
@@ -170,6 +172,7 @@ impl Received {
         if status.node == NodeKind::Controller {
             self.latency.take(&status);
         }
+        self.problems.take(&status);
         self.statuses.insert(status.node.name(), (Instant::now(), status));
     }
 }

@@ -123,9 +123,10 @@ impl PolicySwap {
         lock(&self.counters).clone()
     }
 
-    fn run(&self, orders: &Receiver<String>, builder: &PolicyBuilder) {
-        for name in orders {
-            match builder.build(&name) {
+    fn run(&self, orders: &Receiver<ControllerControl>, builder: &PolicyBuilder) {
+        for order in orders {
+            let name = &order.policy;
+            match builder.build(name) {
                 Ok((policy, findings)) => {
                     self.report(findings);
                     let fresh = StageTimes::new();
@@ -135,7 +136,9 @@ impl PolicySwap {
                     // Dropped without the lock, because that may take long.
                     drop(former);
                 }
-                Err(refusal) => self.refuse(format!("policy {name:.64} refused: {refusal}")),
+                Err(refusal) => {
+                    self.refuse(format!("{}: policy {name:.64} refused: {refusal}", order.stamp.order_name()))
+                }
             }
         }
     }
@@ -163,9 +166,10 @@ impl PolicySwap {
 }
 
 /// Passes an order on to the thread that builds.
-fn enqueue(payload: &[u8], orders: &SyncSender<String>) -> Result<(), String> {
+fn enqueue(payload: &[u8], orders: &SyncSender<ControllerControl>) -> Result<(), String> {
     let order: ControllerControl = decode(payload).map_err(|error| format!("controller/control: {error}"))?;
-    orders.try_send(order.policy).map_err(|_| "too many policies ordered at once: the last order is refused".to_owned())
+    let name = order.stamp.order_name();
+    orders.try_send(order).map_err(|_| format!("{name}: refused, because {WAITING_MAX} policies wait already"))
 }
 
 #[cfg(test)]

@@ -1,10 +1,13 @@
-// The buttons: each sends an order. A pressed button shows the published state, not the last click.
+// The buttons: each sends an order. A pressed button shows the published state, and the message beside the
+// buttons shows the answer of the process that received the order, never the click.
 
 const POWERS_W = [0.5, 1, 2, 4];
 const SPEEDS = [["0 m/s", 0], ["0.5 m/s", 0.5], ["2 m/s", 2], ["4 m/s", 4]];
 const BLOCKED_MAX = 8;
+// A message of the page itself, for example without a connection, is shown this long.
+const OWN_MESSAGE_MS = 10000;
 
-export class Buttons {
+export class Orders {
   constructor(plan) {
     this.plan = plan;
     this.status = document.getElementById("order-status");
@@ -29,6 +32,7 @@ export class Buttons {
 
   // Shows the published state.
   update(now) {
+    this.answers(now.orders);
     const pressed = (buttons, value) => {
       for (const [button, of] of buttons) button.setAttribute("aria-pressed", String(value != null && Math.abs(of - value) < 1e-6));
     };
@@ -78,11 +82,36 @@ export class Buttons {
       const answer = await fetch("/order", {
         method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order),
       });
-      this.status.textContent = answer.ok ? `sent: ${what}` : `refused: ${await answer.text()}`;
-      this.status.className = answer.ok ? "" : "bad";
+      // The next event has the answer of the receiver to an order that reached the server.
+      this.own(answer.ok || answer.status === 503 || answer.status === 422 ? null : `refused: ${await answer.text()}`);
     } catch (error) {
-      this.status.textContent = `not sent: ${error.message}`;
-      this.status.className = "bad";
+      this.own(`not sent: ${what}: ${error.message}`);
     }
+  }
+
+  // A message of the page itself.
+  own(text) {
+    this.message = text && { text, until: performance.now() + OWN_MESSAGE_MS };
+    this.show();
+  }
+
+  // The newest order that still has something to say.
+  answers(orders) {
+    this.newest = orders[0] ?? null;
+    this.show();
+  }
+
+  show() {
+    if (this.message && performance.now() > this.message.until) this.message = null;
+    const WORDS = { sent: "sent, not answered yet", done: "done", refused: "refused", "no-answer": "no answer" };
+    let [text, state] = ["", ""];
+    if (this.message) [text, state] = [this.message.text, "bad"];
+    else if (this.newest) {
+      const { what, state: answer, reason } = this.newest;
+      text = `${what}: ${WORDS[answer]}${reason ? `: ${reason}` : ""}`;
+      state = answer === "done" ? "good" : answer === "sent" ? "" : "bad";
+    }
+    if (this.status.textContent !== text) this.status.textContent = text;
+    if (this.status.className !== state) this.status.className = state;
   }
 }

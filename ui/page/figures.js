@@ -1,0 +1,104 @@
+// The figures beside the room: state chips, users, counters, times and problems.
+import { userColour } from "./geometry.js";
+import { seconds } from "./sentence.js";
+
+const at = (id) => document.getElementById(id);
+const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+const setClass = (element, name) => { if (element.className !== name) element.className = name; };
+
+function chip(id, text, state = "") {
+  setText(at(id), text);
+  setClass(at(id), state);
+}
+
+// The state of each process; a state that is old or unknown is never green.
+export function chips(now, ages) {
+  const silent = (process) => (ages.of(process) === Infinity ? "no report" : `no report for ${seconds(ages.of(process))}`);
+  if (ages.isStale("controller") || !now.controller_alive) {
+    const isGone = !now.controller_alive && ages.silence < 1;
+    chip("chip-policy", now.policy || "–", "old");
+    chip("chip-controller", isGone ? "gone" : silent("controller"), "bad");
+  } else {
+    chip("chip-policy", now.policy || "–");
+    chip("chip-controller", "alive", "good");
+  }
+  const stuck = now.array.unusable ? `, ${now.array.unusable} of ${now.array.mirrors} unusable` : "";
+  if (ages.isStale("array")) chip("chip-array", silent("array"), "bad");
+  else chip("chip-array", now.array.state + stuck, now.array.state === "following" && !stuck ? "good" : "bad");
+  if (ages.isStale("room") || now.origin === "no-data") chip("chip-room", silent("room"), "bad");
+  else chip("chip-room", now.origin);
+}
+
+// One row for each user, by id: users come and go.
+export function users(now, shown, frame) {
+  const body = at("users");
+  const without = new Map((frame?.users ?? []).map((user) => [user.user, user.without_mirrors_mbps]));
+  const rateOf = (user) => (shown.wall ? (user.is_rate_known ? user.rate_mbps : null) : without.get(user.user) ?? null);
+  const largest = Math.max(1, ...now.users.map((user) => Math.max(rateOf(user) ?? 0, user.min_rate_mbps)));
+  const rows = new Map([...body.rows].map((row) => [row.dataset.user, row]));
+  now.users.forEach((user, index) => {
+    const row = rows.get(String(user.user)) ?? newRow(user.user);
+    rows.delete(String(user.user));
+    if (body.rows[index] !== row) body.insertBefore(row, body.rows[index] ?? null);
+    fill(row, user, rateOf(user), largest);
+  });
+  for (const row of rows.values()) row.remove();
+  setText(at("rates-title"), shown.wall ? "Rate of each user" : "Rate of each user without the mirrors");
+}
+
+function newRow(user) {
+  const row = document.createElement("tr");
+  row.dataset.user = user;
+  row.innerHTML = '<td><span class="swatch"></span><span></span></td><td></td><td class="number"></td>' +
+    '<td class="number"></td><td><div class="bar"><i></i><b></b></div></td>';
+  row.querySelector(".swatch").style.background = userColour(user);
+  row.querySelector(".bar i").style.background = userColour(user);
+  return row;
+}
+
+function fill(row, user, rate, largest) {
+  const [name, path, figure, minimum, bar] = row.cells;
+  const below = rate !== null && rate < user.min_rate_mbps;
+  setText(name.lastChild, String(user.user));
+  setText(path, user.forced ? "blocked (order)" : user.blocked ? "blocked" : "clear");
+  setText(figure, rate === null ? "unknown" : rate.toFixed(rate < 100 ? 2 : 1));
+  setClass(figure, below ? "number bad" : "number");
+  setText(minimum, below ? `${user.min_rate_mbps.toFixed(1)} not met` : user.min_rate_mbps.toFixed(1));
+  setClass(minimum, figure.className);
+  bar.querySelector("i").style.width = `${(100 * (rate ?? 0)) / largest}%`;
+  bar.querySelector("b").style.left = `${(100 * user.min_rate_mbps) / largest}%`;
+}
+
+function list(element, entries) {
+  while (element.children.length > entries.length) element.lastChild.remove();
+  entries.forEach(([name, value, state], index) => {
+    if (!element.children[index]) element.insertAdjacentHTML("beforeend", "<div><dt></dt><dd></dd></div>");
+    const [term, figure] = element.children[index].children;
+    setText(term, name);
+    setText(figure, value);
+    setClass(figure, state ?? "");
+  });
+}
+
+function quantiles(times) {
+  const body = at("quantiles").tBodies[0];
+  times.forEach(({ name, us }, index) => {
+    const row = body.rows[index] ?? body.insertRow();
+    const cells = [name, ...(us ? [us.p50, us.p99, us.max].map((value) => value.toFixed(0)) : ["–", "–", "–"])];
+    cells.forEach((text, column) => {
+      const cell = row.cells[column] ?? row.insertCell();
+      if (column > 0) setClass(cell, "number");
+      setText(cell, text);
+    });
+  });
+}
+
+// Counters, times, faults and problems.
+export function counters(now) {
+  quantiles(now.times);
+  const faults = ["faults", now.array.faults.join(", ") || "none", now.array.faults.length ? "bad" : ""];
+  const counts = now.counts.map((count) => [count.name, String(count.value), count.is_problem && count.value > 0 ? "bad" : ""]);
+  list(at("counts"), [...counts, faults]);
+  const problems = now.nodes.filter((node) => node.problem).map((node) => `${node.node}: ${node.problem}`);
+  setText(at("problem"), [...now.notes, ...problems].join("; "));
+}

@@ -1,0 +1,72 @@
+// The sentence above the room, and the banner: both say what is unknown, and neither shows old values.
+
+// Figures older than this are stale, in s.
+export const STALE_S = 1;
+
+const rounded = (mbps) => (Math.abs(mbps) < 10 ? mbps.toFixed(1) : mbps.toFixed(0));
+export const seconds = (age) => (age < 10 ? age.toFixed(1) : age.toFixed(0)) + " s";
+
+// What the mirrors add to the sum rate.
+function mirrorsIn(sum) {
+  if (!sum) return "The rates are unknown.";
+  if (sum.no_irs == null) return `The sum rate is ${rounded(sum.policy)} Mbit/s; the rate without mirrors is unknown.`;
+  const gain = sum.policy - sum.no_irs;
+  if (Math.abs(gain) < 0.05) return "Mirrors add nothing to the sum rate.";
+  return gain > 0 ? `Mirrors add ${rounded(gain)} Mbit/s.` : `Mirrors take ${rounded(-gain)} Mbit/s away.`;
+}
+
+// How many users are below their minimum rate.
+function usersIn(users) {
+  if (users.length === 0) return "No user is in the room.";
+  const unknown = users.filter((user) => !user.is_rate_known).length;
+  const below = users.filter((user) => user.is_rate_known && user.rate_mbps < user.min_rate_mbps).length;
+  const of = `of ${users.length} ${users.length === 1 ? "user" : "users"}`;
+  const rest = unknown ? ` The rate of ${unknown} ${of} is unknown.` : "";
+  if (below === users.length) return `${below === 1 ? "The user is" : `All ${below} users are`} below the minimum rate.`;
+  if (below > 0) return `${below} ${of} ${below === 1 ? "is" : "are"} below the minimum rate.${rest}`;
+  if (unknown) return rest.trim();
+  return users.length === 1 ? "The user has the minimum rate." : `All ${users.length} users have their minimum rate.`;
+}
+
+// How many users lose their link without the mirrors, while the room is shown without them.
+function withoutIn(users) {
+  const known = users.filter((user) => user.without_mirrors_mbps != null);
+  if (known.length < users.length || users.length === 0) return "The rates without the mirrors are unknown.";
+  const below = known.filter((user) => user.without_mirrors_mbps < user.min_rate_mbps);
+  if (!below.length) return `Without the mirrors, all ${users.length} users have their minimum rate.`;
+  const names = below.map((user) => user.user).join(", ");
+  return `Without the mirrors, ${below.length} of ${users.length} users ${below.length === 1 ? "is" : "are"} below the minimum rate: ${names}.`;
+}
+
+// The sentence for figures of an age in s; `now` is null before the first figures.
+export function sentence(now, age, shown, frame) {
+  if (now === null) return "Waiting for the first report of the room.";
+  if (now.ages_s.room == null) return "No room has reported yet: users and rates are unknown.";
+  if (age > STALE_S || now.origin === "no-data") {
+    return `The room has not reported for ${seconds(age)}: users and rates are unknown.`;
+  }
+  if (shown?.wall === false && frame) return withoutIn(frame.users);
+  return now.users.length === 0 ? usersIn(now.users) : `${mirrorsIn(now.sum_mbps)} ${usersIn(now.users)}`;
+}
+
+// The banner: `null`, or its text and kind. `silence` is the time since the last event of the server in s.
+export function banner(now, silence, arrayAge) {
+  if (now === null) return silence > 3 ? { kind: "bad", text: "No connection to the server of this page." } : null;
+  if (silence > STALE_S) {
+    return { kind: "bad", text: `No connection to the server of this page for ${seconds(silence)}. Everything below is old.` };
+  }
+  const { phase, since_s, operator, reason } = now.stop;
+  const by = operator ? ` Ordered by ${operator}${reason ? ` (${reason})` : ""}.` : "";
+  switch (phase) {
+    case "requested": return { kind: "bad", text: "Stop requested. The array has not confirmed it yet." };
+    case "unconfirmed":
+      return { kind: "bad", text: `The array has not confirmed the stop for ${seconds(since_s)}. If the mirrors move, cut their power supply.` };
+    case "confirmed":
+      if (arrayAge > STALE_S) {
+        return { kind: "bad", text: `The array confirmed the stop, but has not reported for ${seconds(arrayAge)}: its state is unknown.${by}` };
+      }
+      return { kind: "stop", text: `The array has confirmed the stop: it follows no commands.${by} Re-arm releases it.` };
+    case "released": return { kind: "good", text: "The stop is released: the array has confirmed it." };
+    default: return null;
+  }
+}

@@ -1,0 +1,206 @@
+//! The answer to an order, from what its receiver reports.
+
+use std::time::{Duration, Instant};
+
+use heliostat_proto::{ArrayState, NodeKind, NodeStatus};
+use heliostat_service::printable::printable;
+
+use crate::View;
+use crate::order_log::Answer;
+use crate::orders::Order;
+use crate::view::{EXPIRY, Received};
+
+/// Reported and ordered values differ at most by the rounding to 32 bits.
+const TOLERANCE: f64 = 1e-4;
+/// A status that arrives this long after an order describes the time after the order.
+const SETTLED: Duration = Duration::from_millis(1500);
+
+/// What the processes report, as far as it answers orders.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Reported {
+    pub controller: Option<(Instant, NodeStatus)>,
+    pub simulator: Option<(Instant, NodeStatus)>,
+    pub array: Option<(Instant, ArrayState)>,
+    pub controller_alive: bool,
+}
+
+impl View {
+    /// What the processes report.
+    pub(crate) fn reported(&self) -> Reported {
+        let received = self.received();
+        let status = |node: NodeKind| {
+            let status = received.statuses.get(node.name()).filter(|(at, _)| at.elapsed() < EXPIRY);
+            status.cloned()
+        };
+        Reported {
+            controller: status(NodeKind::Controller),
+            simulator: status(NodeKind::SimNode),
+            array: Received::fresh(&received.telemetry)
+                .and(received.telemetry.as_ref())
+                .map(|(at, array)| (*at, array.state)),
+            controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
+        }
+    }
+}
+
+/// A published order.
+#[derive(Clone, Debug)]
+pub(crate) struct Published {
+    pub order: Order,
+    pub at: Instant,
+    /// The name of its message in the last problem of the receiver; empty if no message was sent.
+    pub tag: String,
+    /// What the processes reported before.
+    pub before: Reported,
+}
+
+impl Published {
+    /// The answer, if there is one yet.
+    pub fn answer(&self, now: &Reported) -> Option<Answer> {
+        let is_done = match &self.order {
+            Order::Policy { name } => return self.policy(name, now),
+            Order::Stop => self.array(now, |state| state == ArrayState::Stopped),
+            Order::Rearm => self.array(now, |state| state != ArrayState::Stopped),
+            Order::KillController => !now.controller_alive,
+            Order::RestartController => now.controller_alive,
+            Order::Power { .. }
+            | Order::Blocked { .. }
+            | Order::Speed { .. }
+            | Order::Stick { .. }
+            | Order::Release => {
+                return self.simulator(now);
+            }
+        };
+        is_done.then_some(Answer::Done)
+    }
+
+    fn array(&self, now: &Reported, is_done: impl Fn(ArrayState) -> bool) -> bool {
+        now.array.is_some_and(|(at, state)| at > self.at && is_done(state))
+    }
+
+    fn policy(&self, name: &str, now: &Reported) -> Option<Answer> {
+        let (at, status) = now.controller.as_ref().filter(|(at, _)| *at > self.at)?;
+        let refusal = self.refusal(status);
+        let before = self.before.controller.as_ref().map(|(_, status)| status);
+        let rose = |counter: &str| before.is_none_or(|before| count(before, counter) != count(status, counter));
+        let is_settled = at.duration_since(self.at) > SETTLED;
+        if refusal.is_some() {
+            return refusal;
+        }
+        if status.policy == name && (rose("policies_switched") || is_settled) {
+            return Some(Answer::Done);
+        }
+        // A later problem replaced the reason.
+        let is_refused = is_settled && before.is_some() && rose("policies_refused") && !rose("policies_switched");
+        is_refused.then(|| Answer::Refused("the controller refused it; its log has the reason".into()))
+    }
+
+    fn simulator(&self, now: &Reported) -> Option<Answer> {
+        let (_, status) = now.simulator.as_ref().filter(|(at, _)| *at > self.at)?;
+        if let Some(refusal) = self.refusal(status) {
+            return Some(refusal);
+        }
+        let is = |name: &str, value: f64| gauge(status, name).is_some_and(|gauge| (gauge - value).abs() < TOLERANCE);
+        let is_done = match &self.order {
+            Order::Power { watts } => is("power_w", f64::from(*watts)),
+            Order::Speed { max_m_s } => is("speed_max_m_s", f64::from(*max_m_s)),
+            Order::Blocked { users } => is("forced_users", f64::from(*users)),
+            Order::Stick { .. } => gauge(status, "faulty_mirrors").is_some_and(|count| count > 0.0),
+            Order::Release => is("faulty_mirrors", 0.0),
+            _ => false,
+        };
+        is_done.then_some(Answer::Done)
+    }
+
+    /// The refusal of this order in a status.
+    fn refusal(&self, status: &NodeStatus) -> Option<Answer> {
+        let (_, reason) = status.last_problem.split_once(&self.tag).filter(|_| !self.tag.is_empty())?;
+        Some(Answer::Refused(printable(reason.trim_start_matches([':', ' '])).into_owned()))
+    }
+}
+
+fn count(status: &NodeStatus, name: &str) -> u64 {
+    status.counters.iter().find(|(counter, _)| counter == name).map_or(0, |(_, count)| *count)
+}
+
+fn gauge(status: &NodeStatus, name: &str) -> Option<f64> {
+    status.gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::Stamp;
+
+    use super::*;
+
+    fn tag(source: u64, sequence: u64) -> String {
+        Stamp { source, sequence, ..Stamp::default() }.order_name()
+    }
+
+    const POLICY: &str = "fixed-point";
+
+    fn published(order: Order) -> Published {
+        let before = Reported { controller: Some((Instant::now(), status("greedy", 0, ""))), ..Reported::default() };
+        Published { order, at: Instant::now(), tag: tag(7, 3), before }
+    }
+
+    fn status(policy: &str, switched: u64, problem: &str) -> NodeStatus {
+        NodeStatus {
+            policy: policy.into(),
+            counters: vec![("policies_switched".into(), switched)],
+            last_problem: problem.into(),
+            ..NodeStatus::default()
+        }
+    }
+
+    fn later(status: NodeStatus) -> Option<(Instant, NodeStatus)> {
+        Some((Instant::now() + Duration::from_millis(1), status))
+    }
+
+    #[test]
+    fn a_policy_order_is_answered_by_the_status_of_the_controller_only() {
+        let order = published(Order::Policy { name: POLICY.into() });
+        let answer = |status| order.answer(&Reported { controller: status, ..Reported::default() });
+        assert_eq!(answer(None), None);
+        assert_eq!(answer(later(status("greedy", 0, ""))), None);
+        assert_eq!(answer(later(status(POLICY, 1, ""))), Some(Answer::Done));
+        // A status from before the order is no answer to it.
+        assert_eq!(answer(Some((order.before.controller.as_ref().unwrap().0, status(POLICY, 1, "")))), None);
+        let refusal = format!("{}: there is no such policy", tag(7, 3));
+        assert_eq!(
+            answer(later(status("greedy", 0, &refusal))),
+            Some(Answer::Refused("there is no such policy".into()))
+        );
+    }
+
+    #[test]
+    fn the_refusal_of_another_order_is_no_answer() {
+        let order = published(Order::Policy { name: POLICY.into() });
+        for other in [tag(7, 4), tag(8, 3), String::new()] {
+            let problem = format!("{other}: there is no such policy");
+            let now = Reported { controller: later(status("greedy", 0, &problem)), ..Reported::default() };
+            assert_eq!(order.answer(&now), None, "{problem}");
+        }
+    }
+
+    #[test]
+    fn only_telemetry_after_a_stop_confirms_it() {
+        let order = published(Order::Stop);
+        let answer = |at, state| order.answer(&Reported { array: Some((at, state)), ..Reported::default() });
+        let after = order.at + Duration::from_millis(1);
+        assert_eq!(answer(order.at, ArrayState::Stopped), None);
+        assert_eq!(answer(after, ArrayState::Following), None);
+        assert_eq!(answer(after, ArrayState::Stopped), Some(Answer::Done));
+    }
+
+    #[test]
+    fn a_value_is_answered_by_the_gauge_of_the_room() {
+        let order = published(Order::Power { watts: 0.5 });
+        let answer = |watts: f64| {
+            let status = NodeStatus { gauges: vec![("power_w".into(), watts)], ..NodeStatus::default() };
+            order.answer(&Reported { simulator: later(status), ..Reported::default() })
+        };
+        assert_eq!(answer(2.0), None);
+        assert_eq!(answer(0.5), Some(Answer::Done));
+    }
+}

@@ -1,0 +1,144 @@
+//! The orders of the page and their answers.
+//!
+//! An order is answered by the state of the process that received it, never by the click. Every
+//! message of an order has a sequence number. A process that refuses it names the order in its last
+//! problem, as [`order_name`](heliostat_proto::Stamp::order_name) writes it.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+
+use crate::order_answer::{Published, Reported};
+use crate::orders::Order;
+
+/// After this time without an answer, the page says that there is none.
+const ANSWER_LIMIT: Duration = Duration::from_secs(5);
+/// An order that took effect is shown this long.
+const DONE_SHOWN: Duration = Duration::from_secs(5);
+/// A refusal, or a missing answer, is shown this long unless a later order of its kind succeeds.
+const REFUSAL_SHOWN: Duration = Duration::from_secs(20);
+/// Maximum number of orders that are kept.
+const ENTRIES_MAX: usize = 16;
+
+/// The state of an order.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case", tag = "state", content = "reason")]
+pub enum Answer {
+    /// Published; the receiver has not answered yet.
+    Sent,
+    /// The state of the receiver is as ordered.
+    Done,
+    /// It had no effect, for this reason.
+    Refused(String),
+    /// The state of the receiver is not as ordered, and it named no reason.
+    NoAnswer,
+}
+
+/// An order as the page shows it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct OrderFigures {
+    /// Number of the order, as in the answer to its request.
+    pub id: u64,
+    /// The order in words.
+    pub what: String,
+    /// Its state.
+    #[serde(flatten)]
+    pub answer: Answer,
+}
+
+/// An order, from its request until it is no longer shown.
+#[derive(Clone, Debug)]
+struct Entry {
+    id: u64,
+    published: Published,
+    answer: Answer,
+    changed: Instant,
+}
+
+/// The last orders.
+#[derive(Debug, Default)]
+pub(crate) struct OrderLog {
+    entries: Mutex<Vec<Entry>>,
+}
+
+impl OrderLog {
+    /// Begins an order; returns its number.
+    pub fn begin(&self, order: &Order, before: Reported) -> u64 {
+        let mut entries = self.lock();
+        let id = entries.last().map_or(1, |last| last.id + 1);
+        if entries.len() >= ENTRIES_MAX {
+            entries.remove(0);
+        }
+        let now = Instant::now();
+        let published = Published { order: order.clone(), at: now, tag: String::new(), before };
+        entries.push(Entry { id, published, answer: Answer::Sent, changed: now });
+        id
+    }
+
+    /// Notes the name of a published order.
+    pub fn published(&self, id: u64, tag: String) {
+        self.change(id, |entry| entry.published.tag = tag);
+    }
+
+    /// Notes that an order was not sent, or reached no receiver.
+    pub fn refused(&self, id: u64, reason: String) {
+        self.change(id, |entry| entry.set(Answer::Refused(reason)));
+    }
+
+    /// When the last stop was ordered, unless a re-arm was ordered after it.
+    pub fn stop_ordered(&self) -> Option<Instant> {
+        let entries = self.lock();
+        let last = entries.iter().rev().find(|entry| matches!(entry.published.order, Order::Stop | Order::Rearm))?;
+        (last.published.order == Order::Stop).then_some(last.published.at)
+    }
+
+    /// Compares the orders with what the processes report, and returns those to show, newest first.
+    pub fn review(&self, reported: &Reported) -> Vec<OrderFigures> {
+        let mut entries = self.lock();
+        for entry in entries.iter_mut().filter(|entry| matches!(entry.answer, Answer::Sent | Answer::NoAnswer)) {
+            match entry.published.answer(reported) {
+                Some(answer) => entry.set(answer),
+                None if entry.answer == Answer::Sent && entry.published.at.elapsed() >= ANSWER_LIMIT => {
+                    entry.set(Answer::NoAnswer);
+                }
+                None => {}
+            }
+        }
+        let is_superseded = |entry: &Entry| {
+            let kind = std::mem::discriminant(&entry.published.order);
+            entries.iter().any(|later| later.id > entry.id && std::mem::discriminant(&later.published.order) == kind)
+        };
+        let shown = entries.iter().rev().filter(|entry| match entry.answer {
+            Answer::Sent => true,
+            Answer::Done => entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported).is_some(),
+            Answer::Refused(_) | Answer::NoAnswer => entry.changed.elapsed() < REFUSAL_SHOWN,
+        });
+        let shown = shown.filter(|entry| !is_superseded(entry));
+        shown
+            .map(|entry| OrderFigures {
+                id: entry.id,
+                what: entry.published.order.in_words(),
+                answer: entry.answer.clone(),
+            })
+            .collect()
+    }
+
+    fn change(&self, id: u64, change: impl FnOnce(&mut Entry)) {
+        if let Some(entry) = self.lock().iter_mut().find(|entry| entry.id == id) {
+            change(entry);
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Entry>> {
+        // Each change is complete before the lock is released.
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Entry {
+    fn set(&mut self, answer: Answer) {
+        self.answer = answer;
+        self.changed = Instant::now();
+    }
+}

@@ -1,0 +1,89 @@
+//! The problems that processes report, for as long as their cause lasts.
+//!
+//! A status repeats the last problem of its process for ever. It counts as current while its cause
+//! is counted again and again, and some seconds after that.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use heliostat_proto::NodeStatus;
+
+/// A problem is current this long after its last occurrence.
+const CURRENT: Duration = Duration::from_secs(5);
+/// Beginnings of the names of counters that rise with problems.
+const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refused", "unsent", "unanswered"];
+/// Counters that are above 0 as long as a problem lasts.
+const LASTING: [&str; 2] = ["array_unfit", "standby"];
+
+/// The last problem of each process, by the name of its kind.
+#[derive(Debug, Default)]
+pub(crate) struct Problems {
+    last: BTreeMap<&'static str, Occurrence>,
+}
+
+#[derive(Debug)]
+struct Occurrence {
+    text: String,
+    count: u64,
+    at: Instant,
+}
+
+impl Problems {
+    /// Notes the problem of a status that arrived now.
+    pub fn take(&mut self, status: &NodeStatus) {
+        let counted = status.counters.iter().filter(|(name, _)| COUNTED.iter().any(|start| name.starts_with(start)));
+        let count = counted.map(|(_, count)| count).sum();
+        let lasts = status.counters.iter().any(|(name, count)| *count > 0 && LASTING.contains(&name.as_str()));
+        let last = self.last.get(status.node.name());
+        let is_same = last.is_some_and(|last| last.text == status.last_problem && last.count == count);
+        if lasts || !is_same {
+            let occurrence = Occurrence { text: status.last_problem.clone(), count, at: Instant::now() };
+            self.last.insert(status.node.name(), occurrence);
+        }
+    }
+
+    /// The problem of a process, if it is current; else empty.
+    pub fn current(&self, node: &str) -> &str {
+        self.last.get(node).filter(|last| last.at.elapsed() < CURRENT).map_or("", |last| &last.text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn status(problem: &str, counters: &[(&str, u64)]) -> NodeStatus {
+        let counters = counters.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect();
+        NodeStatus { last_problem: problem.into(), counters, ..NodeStatus::default() }
+    }
+
+    fn age(problems: &mut Problems, by: Duration) {
+        problems.last.values_mut().for_each(|last| last.at -= by);
+    }
+
+    #[test]
+    fn a_problem_ends_some_seconds_after_its_cause() {
+        let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
+        let stopped = |count| status("the array is stopped", &[("refused:command:stopped", count)]);
+        problems.take(&stopped(1));
+        assert_eq!(problems.current(node), "the array is stopped");
+        age(&mut problems, CURRENT);
+        assert_eq!(problems.current(node), "");
+        // The cause is counted again.
+        problems.take(&stopped(2));
+        assert_eq!(problems.current(node), "the array is stopped");
+        age(&mut problems, CURRENT);
+        problems.take(&stopped(2));
+        assert_eq!(problems.current(node), "", "the text alone is no new problem");
+    }
+
+    #[test]
+    fn a_lasting_problem_is_current_without_new_counts() {
+        let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
+        let unfit = status("the array receives no commands", &[("array_unfit", 1)]);
+        problems.take(&unfit);
+        age(&mut problems, CURRENT);
+        problems.take(&unfit);
+        assert_eq!(problems.current(node), "the array receives no commands");
+    }
+}

@@ -16,6 +16,8 @@
 pub mod cache_warmer;
 pub mod command_sender;
 pub mod decision_loop;
+mod driver_presence;
+mod geometry;
 mod locks;
 mod policy_swap;
 pub mod receive_queue;
@@ -46,11 +48,13 @@ use crate::{
 };
 use command_sender::CommandSender;
 use decision_loop::{DecisionLoop, PayloadHandler};
+use driver_presence::DriverPresence;
+use geometry::GeometryExchange;
 use locks::{lock_within, try_lock};
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
-use status::{Identity, Problem, Reporter};
+use status::{Conditions, Identity, Problem, Reporter};
 use watchdog::{POLICY_TIMEOUT, Watchdog};
 
 /// A room that is being served.
@@ -66,6 +70,8 @@ pub struct RoomRuntime {
     /// Dropped when the room is closed.
     declared: Option<(Vec<Subscription>, Token)>,
     status: Publisher,
+    geometry: GeometryExchange,
+    driver: DriverPresence,
     reporter: Reporter,
     /// Exchanged with the decision loop's times, so that its lock is held only for an instant.
     spare_times: StageTimes,
@@ -121,6 +127,10 @@ impl RoomRuntime {
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
         policy_swap.report(findings);
+        let (mut geometry, announced) = GeometryExchange::open(bus, scenario, source)?;
+        let (driver, tokens) = DriverPresence::open(bus)?;
+        subscriptions.extend([announced, tokens]);
+        geometry.announce_if_due(started_ns);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {
@@ -133,6 +143,8 @@ impl RoomRuntime {
             policy_swap,
             thread,
             declared: Some((subscriptions, token)),
+            geometry,
+            driver,
             reporter: Reporter::new(identity),
             spare_times: StageTimes::new(),
             times: StageTimes::new(),
@@ -171,13 +183,20 @@ impl RoomRuntime {
 
     /// Takes the new stage times, publishes a status report, and updates the summary.
     pub fn check_status(&mut self) {
+        // Before the lock: the comparison reads text that another process wrote.
+        self.geometry.compare_newest();
+        self.geometry.announce_if_due(utc_ns());
         let Some(mut decision_loop) = lock_within(&self.decision_loop, POLICY_TIMEOUT) else {
             self.report_stall();
             return;
         };
         std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
+        let conditions = Conditions {
+            driver_absent: self.driver.is_absent(Instant::now(), &decision_loop.controller),
+            geometry: self.geometry.problem().map(str::to_owned),
+        };
         let former = std::mem::take(&mut decision_loop.former_times);
-        let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters());
+        let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters(), conditions);
         drop(decision_loop);
         for (policy, mut times) in former {
             self.policy_times.add(&policy, &times);

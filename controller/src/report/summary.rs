@@ -43,6 +43,9 @@ pub struct Summary {
     pub fallbacks: BTreeMap<String, u64>,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
+    /// Users without a measured gain or without a place in the policy, one for each decision.
+    #[serde(default)]
+    pub users: BTreeMap<String, u64>,
     /// Changes of the epoch or of the standby, by kind.
     #[serde(default)]
     pub epoch_events: BTreeMap<String, u64>,
@@ -52,6 +55,12 @@ pub struct Summary {
     /// Why the array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub unfit: Option<String>,
+    /// Commands are sent, and no driver or simulator receives them.
+    #[serde(default)]
+    pub driver_absent: bool,
+    /// The room announces another geometry than that of this controller.
+    #[serde(default)]
+    pub geometry_differs: bool,
     /// Reports that did not arrive, by stream, from the gaps in their sequence numbers.
     #[serde(default)]
     pub missed: BTreeMap<String, u64>,
@@ -152,6 +161,8 @@ impl Summary {
         let counters = controller.counters();
         let degraded = DegradedMode::ALL.map(|mode| (mode.name().to_string(), counters.degraded(mode)));
         let events = TenureEvent::ALL.map(|event| (event.name().to_string(), counters.tenure(event)));
+        let users = [("unmeasured", counters.unmeasured_users), ("unserved", counters.unserved_users)]
+            .map(|(name, count)| (name.to_string(), count));
         let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
         let refused = controller.inbox().refused().named().chain([foreign]);
         Self {
@@ -166,6 +177,7 @@ impl Summary {
             commands: counters.commands,
             fallbacks: degraded.into_iter().filter(|(_, count)| *count > 0).collect(),
             refused: refused.filter(|(_, count)| *count > 0).collect(),
+            users: users.into_iter().filter(|(_, count)| *count > 0).collect(),
             epoch_events: events.into_iter().filter(|(_, count)| *count > 0).collect(),
             standby: controller.tenure().standing() == Standing::Standby,
             unfit: controller.unfit().map(describe_unfit),
@@ -218,6 +230,7 @@ impl Summary {
             (&mut self.fallbacks, &other.fallbacks),
             (&mut self.refused, &other.refused),
             (&mut self.missed, &other.missed),
+            (&mut self.users, &other.users),
             (&mut self.epoch_events, &other.epoch_events),
         ] {
             there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
@@ -226,6 +239,8 @@ impl Summary {
             self.policies.entry(name.clone()).or_default().add(policy);
         }
         self.standby |= other.standby;
+        self.driver_absent |= other.driver_absent;
+        self.geometry_differs |= other.geometry_differs;
         if other.unfit.is_some() {
             self.unfit.clone_from(&other.unfit);
         }
@@ -269,11 +284,24 @@ impl fmt::Display for Summary {
         writeln!(formatter, "refused:{}", list(&self.refused))?;
         writeln!(formatter, "reports that did not arrive:{}", list(&self.missed))?;
         write!(formatter, "angles limited: {} by range, {} by slew", self.clipped.range, self.clipped.slew)?;
+        if !self.users.is_empty() {
+            write!(
+                formatter,
+                "\nusers without a measured gain, or beyond the policy's capacity, summed over decisions:{}",
+                list(&self.users)
+            )?;
+        }
         if !self.epoch_events.is_empty() {
             write!(formatter, "\nchanges of the epoch:{}", list(&self.epoch_events))?;
         }
         if self.standby {
             write!(formatter, "\nstandby: the array follows another controller")?;
+        }
+        if self.driver_absent {
+            write!(formatter, "\nno driver received the commands")?;
+        }
+        if self.geometry_differs {
+            write!(formatter, "\nroom and controller have different geometries")?;
         }
         if let Some(unfit) = &self.unfit {
             write!(formatter, "\nno commands: {unfit}")?;

@@ -110,7 +110,6 @@ pub struct DecisionLoop {
     last_malformed: Option<CodecError>,
 }
 
-#[derive(Default)]
 struct Buffers {
     users: UserReport,
     channel: ChannelReport,
@@ -119,6 +118,15 @@ struct Buffers {
 }
 
 impl Buffers {
+    fn new() -> Self {
+        Self {
+            users: UserReport::buffer(),
+            channel: ChannelReport::buffer(),
+            obstacles: ObstacleReport::default(),
+            telemetry: MirrorTelemetry::default(),
+        }
+    }
+
     fn decode(&mut self, stream: Stream, payload: &[u8]) -> Result<Message<'_>, CodecError> {
         match stream {
             Stream::Users => decode_into(&mut self.users, payload).map(|()| Message::Users(&mut self.users)),
@@ -151,7 +159,7 @@ impl DecisionLoop {
             sender,
             watchdog,
             warmer: CacheWarmer::new(false),
-            buffers: Buffers::default(),
+            buffers: Buffers::new(),
             due: None,
             deadline,
             was_late: false,

@@ -15,7 +15,10 @@ use super::{
     proposal::{Policy, PolicyError},
 };
 use crate::{
-    observe::observation::{Observation, ObservationEncoder},
+    observe::{
+        observation::{Observation, ObservationEncoder},
+        selection::Selection,
+    },
     output::safety::check_finite,
 };
 
@@ -26,6 +29,7 @@ pub struct Actor {
     name: String,
     info: ActorInfo,
     encoder: ObservationEncoder,
+    selection: Selection,
     network: Box<dyn Network>,
 }
 
@@ -41,7 +45,8 @@ impl Actor {
         let network = engine
             .load(&file.bytes, encoder.len())
             .map_err(|message| ActorError::Engine { origin: file.origin.clone(), message })?;
-        Ok(Self { name: "actor".into(), info, encoder, network })
+        let selection = Selection::new(encoder.users_max());
+        Ok(Self { name: "actor".into(), info, encoder, selection, network })
     }
 
     /// The same actor under the name of a policy, for summaries.
@@ -99,8 +104,13 @@ impl Policy for Actor {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        self.encoder.encode(model, observation, self.network.input_mut())?;
+        let chosen = self.selection.choose(observation).iter().copied();
+        self.encoder.encode_users(model, observation, chosen, self.network.input_mut())?;
         self.run(out)
+    }
+
+    fn users_max(&self) -> usize {
+        self.encoder.users_max()
     }
 
     fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {

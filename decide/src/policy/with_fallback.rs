@@ -40,6 +40,11 @@ impl WithFallback {
         self.policy.as_ref()
     }
 
+    /// How many of this number of users the policy leaves out.
+    pub fn unserved(&self, users: usize) -> usize {
+        users.saturating_sub(self.policy.users_max())
+    }
+
     /// The last failure of the policy.
     pub fn last_failure(&self) -> Option<&PolicyError> {
         self.last_failure.as_ref()

@@ -87,7 +87,7 @@ pub fn run(args: Args) -> Result<()> {
         endpoints.1
     ));
     let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(endpoints.0).connect_to(endpoints.1))?;
-    let view = Arc::new(View::open(&bus, &scenario)?);
+    let view = Arc::new(View::open(&bus, Some(&scenario))?);
     let (process_orders, received_orders) = mpsc::channel();
     let server = args.page.serve(false, || {
         let operator = Operator::new(&bus, Some(process_orders))?;

@@ -33,7 +33,7 @@ struct RoomPart {
     late_ticks: u64,
     commands: u64,
     loop_us: Quantiles,
-    sum_rate_mbps: SumRates,
+    sum_rate_mbps: Option<SumRates>,
     ratio_to_oracle: Option<f64>,
     qos_met: Option<f64>,
     qos_met_oracle: Option<f64>,
@@ -163,20 +163,26 @@ impl Summary {
         }
         outln!()?;
         outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
-        let rates = &room.sum_rate_mbps;
         // One mean covers the complete run, so it is credited to one policy only if no other acted.
         let credited = match credited.as_deref() {
             Some([policy]) => policy.as_str(),
             Some(_) => "all of these policies",
             None => "policy",
         };
-        for (name, rate) in [
-            (credited, rates.policy),
-            ("no IRS", rates.no_irs),
-            ("flat", rates.flat),
-            ("oracle with QoS", rates.oracle),
-        ] {
-            outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
+        if room.sum_rate_mbps.is_none() {
+            outln!("{credited:<26}{:>9}", "unknown")?;
+        }
+        let named = |rates: &SumRates| {
+            [
+                (credited, rates.policy),
+                ("no IRS", rates.no_irs),
+                ("flat", rates.flat),
+                ("oracle with QoS", rates.oracle),
+            ]
+            .map(|(name, rate)| (name, rate, rates.oracle))
+        };
+        for (name, rate, oracle) in room.sum_rate_mbps.iter().flat_map(named) {
+            outln!("{name:<26}{rate:>9.2}{:>14}", share((oracle > 0.0).then(|| rate / oracle)))?;
         }
         outln!(
             "share of users with their minimum rate: {} (oracle {})",

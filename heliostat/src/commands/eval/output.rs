@@ -11,7 +11,7 @@ use super::sweep::Sweep;
 use crate::output::outln;
 
 /// The oracle's row, then those of the policies.
-fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
+pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     let policies = report.policies.iter().map(|(name, row)| (name.as_str(), row));
     std::iter::once(("(oracle)", &report.oracle)).chain(policies)
 }
@@ -120,7 +120,8 @@ fn ber(spread: Spread) -> String {
     }
 }
 
-fn interval(spread: Spread, digits: usize) -> String {
+/// A mean with half the width of its interval, or without it where it is missing.
+pub(super) fn interval(spread: Spread, digits: usize) -> String {
     if spread.ci95.is_nan() {
         return number(spread.mean, digits);
     }
@@ -128,7 +129,7 @@ fn interval(spread: Spread, digits: usize) -> String {
 }
 
 /// A number, or a dash for NaN.
-fn number(value: f64, digits: usize) -> String {
+pub(super) fn number(value: f64, digits: usize) -> String {
     if value.is_nan() { "-".into() } else { format!("{value:.digits$}") }
 }
 

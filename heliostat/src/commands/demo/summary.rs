@@ -64,12 +64,20 @@ struct ControllerPart {
     last_problem: String,
 }
 
+/// Least share of the commands of a policy that shares the credit for the rates. A stalled machine
+/// causes single fallbacks, which do not change a mean.
+const CREDITED_MIN: f64 = 0.02;
+
 impl ControllerPart {
-    /// The policies that gave angles, and the fallback if it did.
+    /// The policies, and the fallback, that gave at least [`CREDITED_MIN`] of the commands.
     fn credited(&self) -> Vec<String> {
-        let own = self.policies.iter().filter(|(_, figures)| figures.commands > 0);
+        let sum = |count: fn(&PolicySummary) -> u64| self.policies.values().map(count).sum::<u64>();
+        let fallbacks = sum(|figures| figures.fallbacks);
+        let all = sum(|figures| figures.commands) + fallbacks;
+        let is_credited = |count: u64| count > 0 && count as f64 >= CREDITED_MIN * all as f64;
+        let own = self.policies.iter().filter(|(_, figures)| is_credited(figures.commands));
         let mut names: Vec<String> = own.map(|(name, _)| name.clone()).collect();
-        if self.policies.values().any(|figures| figures.fallbacks > 0) {
+        if is_credited(fallbacks) {
             names.push("fallback".into());
         }
         if names.is_empty() { vec![self.policy.clone()] } else { names }
@@ -77,7 +85,7 @@ impl ControllerPart {
 
     /// Prints a line for each policy, where the figures of all are not those of one.
     fn print_policies(&self) -> io::Result<()> {
-        if self.credited().len() < 2 {
+        if self.policies.len() < 2 && self.policies.values().all(|figures| figures.fallbacks == 0) {
             return Ok(());
         }
         outln!(
@@ -227,6 +235,8 @@ mod tests {
     fn the_rates_are_credited_to_a_policy_only_if_no_other_gave_angles() {
         let alone = controller(&serde_json::json!({ "nearest": policy(9, 0) }));
         assert_eq!(alone.credited(), ["nearest"]);
+        let stalled = controller(&serde_json::json!({ "nearest": policy(400, 3) }));
+        assert_eq!(stalled.credited(), ["nearest"]);
         let changed = controller(&serde_json::json!({ "ddpg": policy(4, 0), "nearest": policy(5, 0) }));
         assert_eq!(changed.credited(), ["ddpg", "nearest"]);
         let failed = controller(&serde_json::json!({ "ddpg": policy(0, 4), "nearest": policy(5, 0) }));

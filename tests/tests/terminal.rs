@@ -23,7 +23,7 @@ impl Terminal {
         let endpoint = free_loopback_endpoint().expect("a free port");
         let inner = format!("{} ui --no-ui --connect {endpoint}; stty -a", heliostat.display());
         let script = Command::new("script")
-            .args(["-q", "-f", "-e", "-c", &format!("sh -c '{inner}'"), "/dev/null"])
+            .args(["-q", "-f", "-e", "-c", &format!("sh -c 'stty rows 24 cols 80; {inner}'"), "/dev/null"])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn();

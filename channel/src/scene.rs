@@ -25,6 +25,8 @@ pub struct Scene {
     users: usize,
     mirrors: usize,
     branches: usize,
+    /// Whether the model is one of the paper's, which needs more tables.
+    paper: bool,
     /// [`Combining::Best`] for a single branch, since all rules are then equal.
     combining: Combining,
     positions: Vec<Vec3>,
@@ -61,6 +63,7 @@ impl Scene {
             users,
             mirrors,
             branches,
+            paper,
             combining: if branches == 1 { Combining::Best } else { model.receiver.combining },
             positions: vec![Vec3::zeros(); users],
             serving: vec![0; users],
@@ -75,6 +78,26 @@ impl Scene {
             directions: vec![Vec3::zeros(); paper_pairs],
             inverse_distance: vec![0.0; paper_pairs],
         }
+    }
+
+    /// Changes the number of users; gains are undefined until the next [`Scene::update`].
+    ///
+    /// Allocates only beyond the largest number of users so far.
+    pub fn resize(&mut self, users: usize) {
+        let (pairs, branches) = (users * self.mirrors, users * self.branches);
+        let paper_pairs = if self.paper { pairs } else { 0 };
+        self.users = users;
+        self.positions.resize(users, Vec3::zeros());
+        self.serving.resize(users, 0);
+        self.los_gain.resize(users, 0.0);
+        self.los_blocked.resize(users, false);
+        self.los_branch.resize(branches, 0.0);
+        self.los_clear.resize(branches, 0.0);
+        self.irs_path_clear.resize(pairs, false);
+        self.steering_gain.resize(pairs, 0.0);
+        self.steering_branch.resize(if self.branches > 1 { paper_pairs * self.branches } else { 0 }, 0.0);
+        self.directions.resize(paper_pairs, Vec3::zeros());
+        self.inverse_distance.resize(paper_pairs, 0.0);
     }
 
     /// Number of users K.
@@ -132,6 +155,23 @@ impl Scene {
             let share = gain / self.combining.combine(branch);
             branch.iter_mut().for_each(|value| *value *= share);
         }
+    }
+
+    /// Replaces the blockage of one user's line-of-sight path by an observed one until the next
+    /// update; a clear path has its modelled gain.
+    ///
+    /// # Panics
+    /// When there is no such user.
+    pub fn set_los_blocked(&mut self, user: usize, blocked: bool) {
+        let range = user * self.branches..(user + 1) * self.branches;
+        let branch = &mut self.los_branch[range.clone()];
+        if blocked {
+            branch.fill(0.0);
+        } else {
+            branch.copy_from_slice(&self.los_clear[range]);
+        }
+        self.los_gain[user] = self.combining.combine(branch);
+        self.los_blocked[user] = blocked;
     }
 
     /// Sets the steering gains of these mirrors to zero until the next update, as if their paths

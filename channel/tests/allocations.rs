@@ -4,7 +4,7 @@ mod common;
 
 use common::{PAPER, Random, Room, angle_diversity, led};
 use heliostat_channel::decode::{aim_at_point, decode};
-use heliostat_channel::{Combining, MirrorAngles, Scene};
+use heliostat_channel::{Combining, Method, MinimumRates, MirrorAngles, Scene, Solver};
 
 #[test]
 fn a_step_does_not_allocate() {
@@ -31,5 +31,27 @@ fn a_step_does_not_allocate() {
         });
         assert_eq!(counted.count_total, 0);
         assert!(each.iter().any(|gain| *gain > 0.0));
+    }
+}
+
+#[test]
+fn users_who_come_and_go_do_not_make_scene_and_solver_allocate() {
+    for room in [Room::paper(), Room::paper().with_mode(PAPER)] {
+        let model = room.model();
+        let mut random = Random::new(42);
+        let positions = random.positions(20);
+        let (mut scene, mut solver) = (Scene::new(&model, 20), Solver::with_capacity(1, 20, 100));
+        let mut angles = MirrorAngles::flat(100);
+        let former = [None; 20];
+        for users in [3, 1, 20, 7] {
+            let counted = allocation_counter::measure(|| {
+                scene.resize(users);
+                scene.update(&model, &positions[..users], &[], &[false; 20][..users]);
+                solver.change_users(&former[..users]);
+                solver.solve(&model, &scene, &MinimumRates::NONE, Method::Greedy { passes: 1 }, &mut angles);
+                solver.solve(&model, &scene, &MinimumRates::NONE, Method::Oracle, &mut angles);
+            });
+            assert_eq!(counted.count_total, 0, "{users} users");
+        }
     }
 }

@@ -367,3 +367,31 @@ fn many_users_and_many_mirrors() {
         }
     }
 }
+
+#[test]
+fn a_solver_whose_users_change_equals_a_new_one() {
+    let mut random = Random::new(77);
+    let mut solver = Solver::with_capacity(2, 12, 9);
+    for users in [2, 5, 1, 12, 3, 7] {
+        let state = State::new(&mut random, users, (3, 3), users / 2, NOISE_A2[1]);
+        let problem = state.problem(50.0);
+        solver.change_users(&vec![None; users]);
+        let mut fresh = solver_for(&problem);
+        assert_eq!(solver.fixed_point(&problem), fresh.fixed_point(&problem), "{users} users");
+        assert_eq!((solver.served(), solver.weights()), (fresh.served(), fresh.weights()), "{users} users");
+        assert_eq!(solver.oracle(&problem), fresh.oracle(&problem), "{users} users");
+    }
+}
+
+#[test]
+fn the_weights_of_the_last_solution_stay_with_their_users() {
+    let mut random = Random::new(78);
+    let state = State::new(&mut random, 4, (3, 3), 2, NOISE_A2[1]);
+    let mut solver = Solver::with_capacity(4, 6, 9);
+    solver.greedy(&state.problem(50.0), 3);
+    let (weights, served) = (solver.weights().to_vec(), solver.served().to_vec());
+    solver.change_users(&[Some(3), None, Some(1), None, Some(0)]);
+    assert_eq!(solver.weights(), [weights[3], 0.0, weights[1], 0.0, weights[0]]);
+    let now_at = |user: &usize| [4, 2, 0, 0][*user];
+    assert_eq!(solver.served(), served.iter().map(now_at).collect::<Vec<_>>());
+}

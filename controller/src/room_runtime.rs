@@ -42,7 +42,7 @@ use heliostat_service::{clock::utc_ns, source_id};
 use crate::{
     config::{NodeConfig, Pace},
     report::{
-        stage_times::StageTimes,
+        stage_times::{PolicyTimes, StageTimes},
         summary::{RoomReport, Summary},
     },
 };
@@ -77,6 +77,7 @@ pub struct RoomRuntime {
     spare_times: StageTimes,
     /// Since the start.
     times: StageTimes,
+    policy_times: PolicyTimes,
     /// As of the last status check.
     summary: Summary,
 }
@@ -97,7 +98,7 @@ impl RoomRuntime {
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let policy = heliostat_engine::build(config.policy, scenario, &actor)?;
+        let (policy, findings) = heliostat_engine::build_tried(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
         let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure);
@@ -125,6 +126,7 @@ impl RoomRuntime {
         let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
+        policy_swap.report(findings);
         let (mut geometry, announced) = GeometryExchange::open(bus, scenario, source)?;
         let (driver, tokens) = DriverPresence::open(bus)?;
         subscriptions.extend([announced, tokens]);
@@ -146,6 +148,7 @@ impl RoomRuntime {
             reporter: Reporter::new(identity),
             spare_times: StageTimes::new(),
             times: StageTimes::new(),
+            policy_times: PolicyTimes::default(),
             summary: Summary::default(),
         })
     }
@@ -162,7 +165,7 @@ impl RoomRuntime {
 
     /// The room's report as of the last status check.
     pub fn report(&self) -> RoomReport<'_> {
-        RoomReport { room: &self.room, summary: &self.summary, times: &self.times }
+        RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
     }
 
     /// Executes the action for absent reports or for a policy timeout, if that is due.
@@ -192,8 +195,14 @@ impl RoomRuntime {
             driver_absent: self.driver.is_absent(Instant::now(), &decision_loop.controller),
             geometry: self.geometry.problem().map(str::to_owned),
         };
+        let former = std::mem::take(&mut decision_loop.former_times);
         let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters(), conditions);
         drop(decision_loop);
+        for (policy, mut times) in former {
+            self.policy_times.add(&policy, &times);
+            self.times.absorb(&mut times);
+        }
+        self.policy_times.add(&snapshot.summary.policy, &self.spare_times);
         self.times.absorb(&mut self.spare_times);
         match &snapshot.problem {
             Some(Problem::Alarm(problem)) => tracing::error!(room = %self.room, "{problem}"),
@@ -205,7 +214,7 @@ impl RoomRuntime {
         let report = self.reporter.report(&snapshot, &self.times);
         self.publish_status(&report);
         self.summary = snapshot.summary;
-        self.summary.add_times(&self.times);
+        self.summary.add_times(&self.times, &self.policy_times);
     }
 
     /// Stops serving: unsubscribes, ends the room's thread, and withdraws the liveliness token.

@@ -39,6 +39,15 @@
 //! 3. **Infer**: the policy proposes angles; if it fails, the fallback does.
 //! 4. **Make safe**: limit the proposal to range and slew rate.
 //!
+//! # Users
+//!
+//! A position report may have 0 to 64 users, and other users than the last one. The reports are
+//! matched by the users' numbers ([`observer`](crate::observer)). A user without an entry in the
+//! channel report has a modelled gain. A policy with fewer slots serves the users with the largest
+//! minimum rates ([`selection`](crate::selection)). For a report without users the command repeats
+//! the last angles, or has flat mirrors where there was no command. Counters have the users without
+//! an entry, and those without a slot.
+//!
 //! # Degraded modes
 //!
 //! Each degraded condition has one action and one counter. Where the table names a key, that key
@@ -49,7 +58,7 @@
 //! | --- | --- | --- | --- |
 //! | The predicted latency exceeds `deadline_ms`. | `when_late` | repeat the last command | `late` |
 //! | The position report is older than `report_age_max_ms`. | `when_stale` | no command | `stale-report` |
-//! | No channel report is newer than `report_age_max_ms`, or the report lacks a user. | `when_channel_missing` | the policy decides on modelled direct gains | `channel-missing` |
+//! | No channel report is newer than `report_age_max_ms`, or the report lacks every user. | `when_channel_missing` | the policy decides on modelled direct gains | `channel-missing` |
 //! | No position report was accepted for `report_age_max_ms`. | `when_silent` | no command | `silence` |
 //! | The policy does not return within 0.1 s: policy timeout. | `when_unanswered` | no command | `unanswered` |
 //! | The policy fails, or an angle is not finite. | `fallback` | the fixed point decides | `policy-failed` |
@@ -77,7 +86,7 @@ mod array;
 mod degraded_actions;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
-use heliostat_proto::{MirrorCommand, Nanos, NodeKind};
+use heliostat_proto::{MAX_USERS, MirrorCommand, Nanos, NodeKind};
 use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
@@ -91,7 +100,7 @@ use crate::{
         observer::{LosSource, Observer},
     },
     output::{guard::Guard, safety::Limits, tenure::Tenure},
-    policy::{self, Policy, PolicyError, ProposedBy, WithFallback},
+    policy::{self, Policy, PolicyError, ProposedBy, Tally, WithFallback},
 };
 use degraded_actions::{DegradedActions, LastReport};
 
@@ -126,7 +135,7 @@ impl Controller {
     /// A controller of a scenario's room with this policy, which commands under one epoch; see
     /// [`with_tenure`](Self::with_tenure).
     pub fn new(scenario: &Scenario, model: ChannelModel, policy: Box<dyn Policy>, epoch: u64) -> Self {
-        let observation = Observation::new(&model, scenario.users.count);
+        let observation = Observation::with_capacity(&model, scenario.users.count, MAX_USERS);
         let mirrors = model.mirrors.len();
         let validity_ms = scenario.control.validity_ms.round() as u32;
         Self {
@@ -171,6 +180,9 @@ impl Controller {
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
+                if let Some(report) = self.inbox.users() {
+                    self.observer.handle_users(report);
+                }
                 self.last_report = Some(LastReport { accepted_ns: now, silence_handled: false });
                 Due::Command
             }
@@ -226,7 +238,8 @@ impl Controller {
         }
         if matches!(action, DegradedAction::Policy | DegradedAction::Fallback) {
             match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
-                Some(LosSource::Measured) => {}
+                Some(_) if self.observation.users() == 0 => action = self.without_users(),
+                Some(LosSource::Measured { unmeasured }) => self.counters.unmeasured_users += unmeasured as u64,
                 Some(LosSource::Modelled) => {
                     self.counters.count_degraded(DegradedMode::ChannelMissing);
                     if action == DegradedAction::Policy {
@@ -247,6 +260,7 @@ impl Controller {
             mark(Stage::Observed);
         }
         self.counters.decisions += 1;
+        self.policy.tallies.count_decision();
         let tick = self.inbox.users().map_or(0, |report| report.tick);
         self.execute((action, mode), tick, now, mark)
     }
@@ -254,6 +268,7 @@ impl Controller {
     /// Executes the action for a position report that was too old.
     pub fn poll_stale_command(&mut self, now: Nanos) -> Decision<'_> {
         self.counters.decisions += 1;
+        self.policy.tallies.count_decision();
         self.counters.count_degraded(DegradedMode::StaleReport);
         self.execute((self.actions.stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
     }
@@ -286,7 +301,7 @@ impl Controller {
             return;
         }
         let observed = self.observer.observe(&self.model, &self.inbox, self.command.time_ns, &mut self.observation);
-        if observed.is_some() {
+        if observed.is_some() && self.observation.users() > 0 {
             // The next decision overwrites this proposal before it reads it.
             self.policy.warm_cache(&self.model, &self.observation, &mut self.proposed);
         }
@@ -320,6 +335,11 @@ impl Controller {
         self.policy.policy().name()
     }
 
+    /// The figures of each policy since the start.
+    pub fn tallies(&self) -> &[Tally] {
+        self.policy.tallies.all()
+    }
+
     /// The last failure of the policy.
     pub fn last_failure(&self) -> Option<&PolicyError> {
         self.policy.last_failure()
@@ -346,8 +366,13 @@ impl Controller {
             }
         }
         let elapsed_s = self.settle_angles(now);
+        let mut is_own = false;
         let proposed = match action {
-            DegradedAction::Policy => self.propose(),
+            DegradedAction::Policy => {
+                let by = self.propose();
+                is_own = by == ProposedBy::Policy;
+                by != ProposedBy::None
+            }
             DegradedAction::Fallback => self.policy.fall_back(&self.model, &self.observation, &mut self.proposed),
             DegradedAction::LastGood => self.repeat(),
             DegradedAction::Park => {
@@ -365,6 +390,7 @@ impl Controller {
         let clipped = self.limits.bound(&self.observation.angles, elapsed_s, &mut self.proposed);
         self.counters.clipped.range += clipped.range;
         self.counters.clipped.slew += clipped.slew;
+        self.policy.tallies.count_command(is_own, clipped);
         self.complete_command(tick, now);
         mark(Stage::MadeSafe);
         let sampled_ns = self.inbox.users().map_or(now, |report| report.stamp.time_ns);
@@ -395,13 +421,20 @@ impl Controller {
         self.interval_s
     }
 
-    /// Lets the policy propose, or else the fallback; false where both fail.
-    fn propose(&mut self) -> bool {
+    /// The action for a report without users: no angle is better than the last one.
+    fn without_users(&self) -> DegradedAction {
+        if self.has_command { DegradedAction::LastGood } else { DegradedAction::Park }
+    }
+
+    /// Lets the policy propose, or else the fallback.
+    fn propose(&mut self) -> ProposedBy {
         let by = self.policy.propose(&self.model, &self.observation, &mut self.proposed);
         if by == ProposedBy::Fallback {
             self.counters.count_degraded(DegradedMode::PolicyFailed);
+        } else {
+            self.counters.unserved_users += self.policy.unserved(self.observation.users()) as u64;
         }
-        by != ProposedBy::None
+        by
     }
 
     /// Proposes the last command; false where there is none.

@@ -33,7 +33,7 @@ pub enum CodecError {
         found: u8,
     },
     /// The payload holds another kind of message than expected.
-    #[error("payload holds a {found}: expected a {expected}")]
+    #[error("payload of the kind \"{found}\": expected \"{expected}\"")]
     WrongKind {
         /// Kind found.
         found: Kind,
@@ -128,16 +128,6 @@ pub enum CodecError {
         /// Number of mirrors of the array.
         expected: usize,
     },
-    /// The report is about another number of users.
-    #[error("{kind} about {found} users: expected {expected}")]
-    WrongUsers {
-        /// Kind of message.
-        kind: Kind,
-        /// Number of users found.
-        found: usize,
-        /// Number of users expected.
-        expected: usize,
-    },
 }
 
 impl CodecError {
@@ -154,7 +144,6 @@ impl CodecError {
             Self::NotFinite { .. } => "not-finite",
             Self::OutOfDomain { .. } => "implausible",
             Self::WrongMirrors { .. } => "wrong-mirror-count",
-            Self::WrongUsers { .. } => "wrong-user-count",
         }
     }
 }

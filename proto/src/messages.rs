@@ -75,22 +75,16 @@ pub mod fault {
 }
 
 impl UserReport {
-    /// Checks that the report has this number of users.
-    ///
-    /// # Errors
-    /// [`CodecError::WrongUsers`].
-    pub fn check_users(&self, expected: usize) -> Result<(), CodecError> {
-        check_users(Kind::UserReport, self.users.len(), expected)
+    /// An empty report with memory for the largest number of users, to decode into.
+    pub fn buffer() -> Self {
+        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
     }
 }
 
 impl ChannelReport {
-    /// Checks that the report has this number of users.
-    ///
-    /// # Errors
-    /// [`CodecError::WrongUsers`].
-    pub fn check_users(&self, expected: usize) -> Result<(), CodecError> {
-        check_users(Kind::ChannelReport, self.users.len(), expected)
+    /// An empty report with memory for the largest number of users, to decode into.
+    pub fn buffer() -> Self {
+        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
     }
 }
 
@@ -155,8 +149,4 @@ impl Calibration {
 
 fn check_mirrors(kind: Kind, found: usize, expected: usize) -> Result<(), CodecError> {
     if found == expected { Ok(()) } else { Err(CodecError::WrongMirrors { kind, found, expected }) }
-}
-
-fn check_users(kind: Kind, found: usize, expected: usize) -> Result<(), CodecError> {
-    if found == expected { Ok(()) } else { Err(CodecError::WrongUsers { kind, found, expected }) }
 }

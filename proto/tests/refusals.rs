@@ -57,7 +57,7 @@ fn a_payload_without_header_is_refused() {
 fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
-    assert_eq!(error.to_string(), "payload holds a user report: expected a mirror command");
+    assert_eq!(error.to_string(), "payload of the kind \"user report\": expected \"mirror command\"");
     for number in [0, 16, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
@@ -400,9 +400,6 @@ fn counts_are_compared_with_those_of_the_receiver() {
     assert!(mirror_telemetry().check_mirrors(3).is_err());
     assert!(capabilities().check_mirrors(3).is_err());
     assert!(calibration().check_mirrors(3).is_err());
-    assert_eq!(user_report().check_users(1), Ok(()));
-    let error = channel_report().check_users(5).expect_err("the report is about one user");
-    assert_eq!(error, CodecError::WrongUsers { kind: Kind::ChannelReport, found: 1, expected: 5 });
 }
 
 #[test]

@@ -71,7 +71,7 @@ impl ScenarioArgs {
 
     /// A relative path of a trace starts at the folder of the file; in an override it starts at the
     /// working directory.
-    fn find_trace(&self, scenario: &mut Scenario) {
+    pub fn find_trace(&self, scenario: &mut Scenario) {
         let by_flag = |text: &String| text.split_once('=').is_some_and(|(key, _)| key.trim() == "users.trace");
         if let Some(trace) = &mut scenario.users.trace
             && !self.overrides.iter().any(by_flag)

@@ -102,7 +102,7 @@ fn the_controller_counts_invalid_payloads_by_cause() {
         let counter = format!("refused:users:{name}");
         wait_until(&counter, || observer.counter(NodeKind::Controller, &counter) > 0);
     };
-    refuse("wrong-user-count", &|report| report.users.truncate(2));
+    refuse("duplicate-user", &|report| report.users[4].user = 0);
     refuse("stale", &|report| report.stamp.time_ns -= 10_000_000_000);
     refuse("from-future", &|report| report.stamp.time_ns += 10_000_000_000);
     refuse("outside-room", &|report| report.users[0].position_m = [99.0, 0.0, 0.85]);

@@ -32,6 +32,17 @@ impl Assignment {
         }
     }
 
+    /// Changes the number of users. `now_at` gives the new index of a user, or `None` for one who
+    /// has left; the mirrors of such a user serve user 0.
+    pub(super) fn resize(&mut self, users: usize, now_at: impl Fn(usize) -> Option<usize>) {
+        for served in &mut self.served {
+            *served = now_at(*served).unwrap_or(0);
+        }
+        self.amplitude.resize(users, 0.0);
+        self.inverse.resize(users, 1.0);
+        self.nats = f64::NEG_INFINITY;
+    }
+
     pub(super) fn copy_from(&mut self, other: &Assignment) {
         self.served.copy_from_slice(&other.served);
         self.amplitude.copy_from_slice(&other.amplitude);

@@ -50,6 +50,19 @@ impl NormalSearch {
         }
     }
 
+    /// Changes the number of users.
+    pub(super) fn resize(&mut self, users: usize) {
+        for pairs in &mut self.gain_vector {
+            pairs.resize(users * self.best.len(), 0.0);
+        }
+        for list in [&mut self.amplitude, &mut self.weights, &mut self.best_amplitude] {
+            list.resize(users, 0.0);
+        }
+        for (_, weights) in &mut self.followed {
+            weights.resize(users, 0.0);
+        }
+    }
+
     /// Multiplies gains and directions; a direction that is not finite counts as gain 0.
     pub(super) fn load(&mut self, table: &Table, directions: &[Vec3]) {
         assert_eq!(directions.len(), table.by_user.len(), "one direction a user and mirror");

@@ -37,6 +37,8 @@ pub(super) struct Search {
     trial: Assignment,
     /// The best assignments of all starts of the oracle, best first.
     shortlist: Vec<Assignment>,
+    /// How many entries of the shortlist are in use.
+    refined: usize,
     starts: Starts,
     /// Fingerprints of the assignments from which single moves have started.
     searched: Vec<u64>,
@@ -60,11 +62,9 @@ impl Search {
         Self {
             best: Assignment::new(users, mirrors),
             trial: Assignment::new(users, mirrors),
-            shortlist: vec![
-                Assignment::new(users, mirrors);
-                (REFINED_WORK / (users * mirrors)).clamp(*REFINED.start(), *REFINED.end())
-            ],
-            searched: Vec::with_capacity(2 * Starts::new(users).len()),
+            shortlist: vec![Assignment::new(users, mirrors); *REFINED.end()],
+            refined: refined(users, mirrors),
+            searched: Vec::with_capacity(2 * Starts::LEN_MAX),
             starts: Starts::new(users),
             allowed: vec![true; users],
             weights: vec![0.0; users],
@@ -74,6 +74,28 @@ impl Search {
             owners: vec![0.0; mirrors],
             inverse_fill: vec![0.0; users],
             scratch: Scratch::new(mirrors),
+        }
+    }
+
+    /// Changes the number of users, as [`Assignment::resize`] does.
+    pub(super) fn resize(&mut self, users: usize, now_at: impl Fn(usize) -> Option<usize>) {
+        self.best.resize(users, &now_at);
+        self.trial.resize(users, &now_at);
+        for entry in &mut self.shortlist {
+            entry.resize(users, &now_at);
+        }
+        self.refined = refined(users, self.owners.len());
+        self.starts.resize(users);
+        self.allowed.resize(users, true);
+        let lists = [
+            &mut self.weights,
+            &mut self.trial_weights,
+            &mut self.amplitude,
+            &mut self.effective,
+            &mut self.inverse_fill,
+        ];
+        for list in lists {
+            list.resize(users, 0.0);
         }
     }
 
@@ -138,8 +160,8 @@ impl Search {
             }
         }
         self.best.nats = f64::NEG_INFINITY;
-        let small = self.shortlist.len() == *REFINED.end();
-        for index in 0..self.shortlist.len() {
+        let small = self.refined == *REFINED.end();
+        for index in 0..self.refined {
             if self.shortlist[index].nats > f64::NEG_INFINITY {
                 self.trial.copy_from(&self.shortlist[index]);
                 self.refine(table, utility);
@@ -353,10 +375,16 @@ impl Search {
     fn shortlist_trial(&mut self) {
         let nats = self.trial.nats;
         let same = |entry: &Assignment| (entry.nats - nats).abs() <= 1e-12 * nats.abs();
-        let place = self.shortlist.partition_point(|entry| entry.nats > nats + 1e-12 * nats.abs());
-        if place < self.shortlist.len() && !same(&self.shortlist[place]) {
-            self.shortlist[place..].rotate_right(1);
-            self.shortlist[place].copy_from(&self.trial);
+        let shortlist = &mut self.shortlist[..self.refined];
+        let place = shortlist.partition_point(|entry| entry.nats > nats + 1e-12 * nats.abs());
+        if place < shortlist.len() && !same(&shortlist[place]) {
+            shortlist[place..].rotate_right(1);
+            shortlist[place].copy_from(&self.trial);
         }
     }
+}
+
+/// The number of assignments that the oracle refines for this size of problem.
+fn refined(users: usize, mirrors: usize) -> usize {
+    (REFINED_WORK / (users * mirrors)).clamp(*REFINED.start(), *REFINED.end())
 }

@@ -18,6 +18,8 @@ pub struct Solver {
     normals: NormalSearch,
     /// Weights of the last solution.
     weights: Vec<f64>,
+    /// The former weights, while the users change.
+    former_weights: Vec<f64>,
 }
 
 impl Solver {
@@ -35,7 +37,47 @@ impl Solver {
             search: Search::new(users, mirrors),
             normals: NormalSearch::new(users, mirrors),
             weights: vec![0.0; users],
+            former_weights: vec![0.0; users],
         }
+    }
+
+    /// A solver for `users` users that can grow to `users_max` without an allocation; see
+    /// [`Solver::change_users`].
+    ///
+    /// # Panics
+    /// When the number of users or of mirrors is 0, or `users` is above `users_max`.
+    pub fn with_capacity(users: usize, users_max: usize, mirrors: usize) -> Self {
+        assert!(users <= users_max, "{users} users, expected at most {users_max}");
+        let mut solver = Self::new(users_max, mirrors);
+        solver.resize(users, |_| Some(0));
+        solver.weights.truncate(users);
+        solver
+    }
+
+    /// Changes the users: `former[k]` is the index that user k had, or `None` for a new one.
+    ///
+    /// The weights of the last solution move with their users, and a new user starts with the weight
+    /// 0, for which a fixed point substitutes the neutral weight. Mirrors that served a user who has
+    /// left serve user 0. Does not allocate up to the capacity.
+    ///
+    /// # Panics
+    /// When `former` is empty.
+    pub fn change_users(&mut self, former: &[Option<usize>]) {
+        assert!(!former.is_empty(), "0 users: expected at least one");
+        self.former_weights.clear();
+        self.former_weights.extend_from_slice(&self.weights);
+        let carried = former.iter().map(|index| index.map_or(0.0, |index| self.former_weights[index]));
+        self.weights.clear();
+        self.weights.extend(carried);
+        self.resize(former.len(), |index| former.iter().position(|entry| *entry == Some(index)));
+    }
+
+    fn resize(&mut self, users: usize, now_at: impl Fn(usize) -> Option<usize>) {
+        self.users = users;
+        self.table.resize(users);
+        self.utility.resize(users);
+        self.search.resize(users, now_at);
+        self.normals.resize(users);
     }
 
     /// Damped fixed point over the weights, from the weights of the last solution and from neutral

@@ -34,6 +34,20 @@ impl Starts {
         }
     }
 
+    /// Changes the number of users.
+    pub(super) fn resize(&mut self, users: usize) {
+        self.users = users;
+        for order in [&mut self.by_reach, &mut self.by_rise] {
+            order.clear();
+            order.extend(0..users);
+        }
+        self.reach.resize(users, 0.0);
+        self.rise.resize(users, 0.0);
+    }
+
+    /// Largest length of the list for any number of users.
+    pub(super) const LEN_MAX: usize = (1 << COMPLETE_USERS_MAX) - 1;
+
     /// Whether every subset is in the list.
     pub(super) fn complete(&self) -> bool {
         self.users <= COMPLETE_USERS_MAX

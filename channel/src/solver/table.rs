@@ -40,6 +40,12 @@ impl Utility {
         Self { min_nats: vec![0.0; users], threshold: vec![0.0; users], penalty: 0.0, bps_per_nat: 0.0 }
     }
 
+    /// Changes the number of users.
+    pub(super) fn resize(&mut self, users: usize) {
+        self.min_nats.resize(users, 0.0);
+        self.threshold.resize(users, 0.0);
+    }
+
     /// Loads scales and minimum rates.
     pub(super) fn load(&mut self, problem: &Problem) {
         self.bps_per_nat = problem.rate_scale_bps * std::f64::consts::LOG2_E;
@@ -169,6 +175,15 @@ impl Table {
             useful: Vec::with_capacity(mirrors),
             largest: vec![0.0; users],
         }
+    }
+
+    /// Changes the number of users; the entries are undefined until the next load.
+    pub(super) fn resize(&mut self, users: usize) {
+        self.users = users;
+        self.los_amplitude.resize(users, 0.0);
+        self.largest.resize(users, 0.0);
+        self.by_mirror.resize(users * self.mirrors, 0.0);
+        self.by_user.resize(users * self.mirrors, 0.0);
     }
 
     /// Loads the gains of the problem; a gain that is negative or not finite counts as 0.

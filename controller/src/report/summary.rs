@@ -5,6 +5,7 @@ use std::{collections::BTreeMap, fmt};
 use heliostat_decide::{
     capabilities::Unfit,
     core::{Controller, DegradedMode, Stage},
+    policy::Tally,
     refusal::Stream,
     tenure::{Standing, TenureEvent},
 };
@@ -12,13 +13,16 @@ use heliostat_proto::{Quantiles, Room};
 use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 
-use super::stage_times::StageTimes;
+use super::stage_times::{PolicyTimes, StageTimes};
 
 /// The report on one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// The policy.
+    /// The policy in charge at the end.
     pub policy: String,
+    /// The figures of each policy that was in charge.
+    #[serde(default)]
+    pub policies: BTreeMap<String, PolicySummary>,
     /// The epoch of the commands.
     pub epoch: u64,
     /// Decisions on position reports: commands, and decisions to send none.
@@ -39,6 +43,9 @@ pub struct Summary {
     pub fallbacks: BTreeMap<String, u64>,
     /// Messages refused, by stream and reason.
     pub refused: BTreeMap<String, u64>,
+    /// Users without a measured gain or without a place in the policy, one for each decision.
+    #[serde(default)]
+    pub users: BTreeMap<String, u64>,
     /// Changes of the epoch or of the standby, by kind.
     #[serde(default)]
     pub epoch_events: BTreeMap<String, u64>,
@@ -83,6 +90,38 @@ pub struct Summary {
     pub last_problem: String,
 }
 
+/// The figures of one policy.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PolicySummary {
+    /// Decisions on position reports while it was in charge.
+    pub decisions: u64,
+    /// Commands with its own angles.
+    pub commands: u64,
+    /// Commands while it was in charge with angles of the fallback or of a degraded action.
+    pub fallbacks: u64,
+    /// Axis values of its own that the limits changed.
+    pub clipped: ClippedSummary,
+    /// From the entry of the callback to the end of the publication, while it was in charge.
+    pub decision_us: Quantiles,
+}
+
+impl PolicySummary {
+    fn of(tally: &Tally) -> Self {
+        let Tally { decisions, commands, fallbacks, clipped, .. } = *tally;
+        let clipped = ClippedSummary { range: clipped.range, slew: clipped.slew };
+        Self { decisions, commands, fallbacks, clipped, decision_us: Quantiles::default() }
+    }
+
+    /// Adds the counts of another room; the times are added apart.
+    fn add(&mut self, other: &Self) {
+        self.decisions += other.decisions;
+        self.commands += other.commands;
+        self.fallbacks += other.fallbacks;
+        self.clipped.range += other.clipped.range;
+        self.clipped.slew += other.clipped.slew;
+    }
+}
+
 /// One room's part of a report.
 #[derive(Clone, Copy)]
 pub struct RoomReport<'a> {
@@ -92,6 +131,8 @@ pub struct RoomReport<'a> {
     pub summary: &'a Summary,
     /// Its times since the start.
     pub times: &'a StageTimes,
+    /// The decision times of each of its policies.
+    pub policy_times: &'a PolicyTimes,
 }
 
 /// The state of an array by its telemetry.
@@ -120,15 +161,23 @@ impl Summary {
         let counters = controller.counters();
         let degraded = DegradedMode::ALL.map(|mode| (mode.name().to_string(), counters.degraded(mode)));
         let events = TenureEvent::ALL.map(|event| (event.name().to_string(), counters.tenure(event)));
+        let users = [("unmeasured", counters.unmeasured_users), ("unserved", counters.unserved_users)]
+            .map(|(name, count)| (name.to_string(), count));
         let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
         let refused = controller.inbox().refused().named().chain([foreign]);
         Self {
             policy: controller.policy_name().into(),
+            policies: controller
+                .tallies()
+                .iter()
+                .map(|tally| (tally.policy.clone(), PolicySummary::of(tally)))
+                .collect(),
             epoch: controller.epoch(),
             decisions: counters.decisions,
             commands: counters.commands,
             fallbacks: degraded.into_iter().filter(|(_, count)| *count > 0).collect(),
             refused: refused.filter(|(_, count)| *count > 0).collect(),
+            users: users.into_iter().filter(|(_, count)| *count > 0).collect(),
             epoch_events: events.into_iter().filter(|(_, count)| *count > 0).collect(),
             standby: controller.tenure().standing() == Standing::Standby,
             unfit: controller.unfit().map(describe_unfit),
@@ -149,13 +198,14 @@ impl Summary {
         if let [room] = rooms {
             return room.summary.clone();
         }
-        let (mut all, mut times) = (Self::default(), StageTimes::new());
+        let (mut all, mut times, mut policy_times) = (Self::default(), StageTimes::new(), PolicyTimes::default());
         for room in rooms {
             all.add(room.summary);
             times.absorb(&mut room.times.clone());
+            policy_times.add_all(room.policy_times);
             all.rooms.insert(room.room.to_string(), room.summary.clone());
         }
-        all.add_times(&times);
+        all.add_times(&times, &policy_times);
         all
     }
 
@@ -180,9 +230,13 @@ impl Summary {
             (&mut self.fallbacks, &other.fallbacks),
             (&mut self.refused, &other.refused),
             (&mut self.missed, &other.missed),
+            (&mut self.users, &other.users),
             (&mut self.epoch_events, &other.epoch_events),
         ] {
             there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
+        }
+        for (name, policy) in &other.policies {
+            self.policies.entry(name.clone()).or_default().add(policy);
         }
         self.standby |= other.standby;
         self.driver_absent |= other.driver_absent;
@@ -196,7 +250,10 @@ impl Summary {
     }
 
     /// Adds the times.
-    pub fn add_times(&mut self, times: &StageTimes) {
+    pub fn add_times(&mut self, times: &StageTimes, policy_times: &PolicyTimes) {
+        for (name, policy) in &mut self.policies {
+            policy.decision_us = policy_times.decision_us(name);
+        }
         let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
         self.over_budget = times.over_budget();
         self.over_budget_by = by_stage.into_iter().filter(|(_, count)| *count > 0).collect();
@@ -208,7 +265,7 @@ impl Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(formatter, "policy {}, epoch {}", self.policy, self.epoch)?;
+        writeln!(formatter, "policy {} at the end, epoch {}", self.policy, self.epoch)?;
         writeln!(
             formatter,
             "decisions {}, commands {}, unsent {}, dropped {}, cache warm-ups {}",
@@ -222,10 +279,18 @@ impl fmt::Display for Summary {
             let Quantiles { p50, p90, p99, p999, max, .. } = times;
             writeln!(formatter, "{name:<12}{p50:>10.1}{p90:>10.1}{p99:>10.1}{p999:>10.1}{max:>10.1}")?;
         }
+        self.write_policies(formatter)?;
         writeln!(formatter, "fallbacks:{}", list(&self.fallbacks))?;
         writeln!(formatter, "refused:{}", list(&self.refused))?;
         writeln!(formatter, "reports that did not arrive:{}", list(&self.missed))?;
         write!(formatter, "angles limited: {} by range, {} by slew", self.clipped.range, self.clipped.slew)?;
+        if !self.users.is_empty() {
+            write!(
+                formatter,
+                "\nusers without a measured gain, or beyond the policy's capacity, summed over decisions:{}",
+                list(&self.users)
+            )?;
+        }
         if !self.epoch_events.is_empty() {
             write!(formatter, "\nchanges of the epoch:{}", list(&self.epoch_events))?;
         }
@@ -253,6 +318,24 @@ impl fmt::Display for Summary {
         }
         if !self.last_problem.is_empty() {
             write!(formatter, "\nlast problem: {}", printable(&self.last_problem))?;
+        }
+        Ok(())
+    }
+}
+
+impl Summary {
+    /// One line for each policy that was in charge.
+    fn write_policies(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = ["decisions", "commands", "fallbacks", "limited", "p50 (us)", "p99 (us)"];
+        write!(formatter, "{:<14}", "policy")?;
+        names.iter().try_for_each(|name| write!(formatter, "{name:>10}"))?;
+        writeln!(formatter)?;
+        for (name, policy) in &self.policies {
+            let limited = policy.clipped.range + policy.clipped.slew;
+            let counts = [policy.decisions, policy.commands, policy.fallbacks, limited];
+            write!(formatter, "{name:<14}")?;
+            counts.iter().try_for_each(|count| write!(formatter, "{count:>10}"))?;
+            writeln!(formatter, "{:>10.1}{:>10.1}", policy.decision_us.p50, policy.decision_us.p99)?;
         }
         Ok(())
     }

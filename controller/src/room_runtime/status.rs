@@ -1,7 +1,7 @@
 //! The status report of one room, twice a second, for operators. No decision depends on it.
 
 use heliostat_decide::{
-    core::{Counters, DegradedMode},
+    core::{Counters, DegradedMode, Stage},
     refusal::Refusal,
     tenure::{Tenure, TenureEvent},
 };
@@ -34,6 +34,7 @@ pub struct Reporter {
     failed: u64,
     unsent: u64,
     orders_refused: u64,
+    policy_warnings: u64,
     foreign_arrays: u64,
     epoch_events: [u64; TenureEvent::ALL.len()],
     unfit: Option<String>,
@@ -80,6 +81,7 @@ impl Reporter {
             failed: 0,
             unsent: 0,
             orders_refused: 0,
+            policy_warnings: 0,
             foreign_arrays: 0,
             epoch_events: [0; TenureEvent::ALL.len()],
             unfit: None,
@@ -144,15 +146,21 @@ impl Reporter {
         let refused = summary.refused.iter().map(named("refused:"));
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));
-        let mut timed = summary.clone();
-        timed.add_times(times);
-        let stages = timed.stages_us.iter().map(|(name, times)| (name.clone(), *times));
-        let totals = [("decision".to_string(), timed.decision_us), ("age".to_string(), timed.age_us)];
+        let users = summary.users.iter().map(named("users:"));
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
             policy: summary.policy.clone(),
-            counters: own.chain(within).chain(fallbacks).chain(refused).chain(epochs).chain(missed).collect(),
+            counters: own
+                .chain(within)
+                .chain(fallbacks)
+                .chain(refused)
+                .chain(epochs)
+                .chain(missed)
+                .chain(users)
+                .collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
             ..self.blank()
@@ -244,6 +252,7 @@ impl Reporter {
         let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
         let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
         let order_refused = rose(&mut self.orders_refused, swaps.refused);
+        let policy_warned = rose(&mut self.policy_warnings, swaps.warnings);
         if failed_rose && let Some(failure) = controller.last_failure() {
             return Some(format!("policy {}: {failure}", controller.policy_name()));
         }
@@ -252,6 +261,9 @@ impl Reporter {
         }
         if order_refused {
             return swaps.last_refusal.clone();
+        }
+        if policy_warned {
+            return swaps.last_warning.clone();
         }
         refused_rose.then(|| describe_refusal(decision_loop)).flatten()
     }

@@ -2,8 +2,8 @@
 //!
 //! A report is checked in this order:
 //!
-//! 1. **Content**: counts must equal those of the scenario, and values must be physically possible
-//!    in the room.
+//! 1. **Content**: the number of mirrors must be that of the scenario, each user must appear once,
+//!    and values must be physically possible in the room. The number of users is free.
 //! 2. **Source**: the first source whose report is accepted owns the room. Reports of another
 //!    source are refused until no report of the owner was accepted for `control.source_timeout_ms`.
 //!    When the owner changes, the former owner's reports are discarded, so two rooms are never
@@ -122,8 +122,8 @@ impl Inbox {
             array: None,
             lost_room: None,
             lost_array: None,
-            users: Slot::default(),
-            channel: Slot::default(),
+            users: Slot { report: UserReport::buffer(), filled: false },
+            channel: Slot { report: ChannelReport::buffer(), filled: false },
             obstacles: Slot::default(),
             telemetry: Slot::default(),
             tracks: Default::default(),
@@ -310,7 +310,6 @@ fn publishes(node: NodeKind, stream: Stream) -> bool {
 /// What a scenario states about its reports.
 #[derive(Clone, Debug)]
 struct Rules {
-    users: usize,
     mirrors: usize,
     half_x_m: f64,
     half_y_m: f64,
@@ -323,7 +322,6 @@ impl Rules {
     fn new(scenario: &Scenario) -> Self {
         let nanoseconds = |milliseconds: f64| (milliseconds * 1e6) as Nanos;
         Self {
-            users: scenario.users.count,
             mirrors: scenario.mirror_count(),
             half_x_m: scenario.room.length_x_m / 2.0,
             half_y_m: scenario.room.length_y_m / 2.0,
@@ -346,16 +344,14 @@ impl Rules {
     fn check_content(&self, message: &Message<'_>) -> Result<(), Refusal> {
         match message {
             Message::Users(report) => self.check_users(report),
-            Message::Channel(report) => self.check_channel(report),
-            Message::Obstacles(report) => self.check_obstacles(report),
+            Message::Channel(report) => check_channel(report),
+            Message::Obstacles(report) => check_obstacles(report),
             Message::Telemetry(report) => self.check_telemetry(report),
         }
     }
 
     fn check_users(&self, report: &UserReport) -> Result<(), Refusal> {
-        if report.users.len() != self.users {
-            return Err(Refusal::WrongUserCount);
-        }
+        check_distinct(report.users.iter().map(|user| user.user))?;
         let inside = |position: &[f32; 3]| {
             let [x, y, z] = position.map(f64::from);
             x.abs() <= self.half_x_m + OUTSIDE_MARGIN_M
@@ -368,22 +364,26 @@ impl Rules {
         plausible(report.users.iter().all(|user| user.min_rate_bps >= 0.0))
     }
 
-    fn check_channel(&self, report: &ChannelReport) -> Result<(), Refusal> {
-        if report.users.len() != self.users {
-            return Err(Refusal::WrongUserCount);
-        }
-        // A gain is the received share of the transmitted light.
-        plausible(report.users.iter().all(|user| (0.0..=1.0).contains(&user.los_gain)))
-    }
-
-    fn check_obstacles(&self, report: &ObstacleReport) -> Result<(), Refusal> {
-        plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m >= 0.0 && obstacle.height_m >= 0.0))
-    }
-
     fn check_telemetry(&self, report: &MirrorTelemetry) -> Result<(), Refusal> {
         let commanded = [report.roll_commanded.len(), report.yaw_commanded.len()];
         if commanded == [self.mirrors; 2] { Ok(()) } else { Err(Refusal::WrongMirrorCount) }
     }
+}
+
+/// Each user may appear once. The codec bounds the number of entries.
+fn check_distinct(ids: impl Iterator<Item = u32> + Clone) -> Result<(), Refusal> {
+    let is_repeated = |(index, id): (usize, u32)| ids.clone().take(index).any(|earlier| earlier == id);
+    if ids.clone().enumerate().any(is_repeated) { Err(Refusal::DuplicateUser) } else { Ok(()) }
+}
+
+fn check_channel(report: &ChannelReport) -> Result<(), Refusal> {
+    check_distinct(report.users.iter().map(|user| user.user))?;
+    // A gain is the received share of the transmitted light.
+    plausible(report.users.iter().all(|user| (0.0..=1.0).contains(&user.los_gain)))
+}
+
+fn check_obstacles(report: &ObstacleReport) -> Result<(), Refusal> {
+    plausible(report.obstacles.iter().all(|obstacle| obstacle.radius_m >= 0.0 && obstacle.height_m >= 0.0))
 }
 
 fn plausible(holds: bool) -> Result<(), Refusal> {

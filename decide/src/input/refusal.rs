@@ -65,8 +65,8 @@ pub enum Refusal {
     Stale,
     /// Sampled in the future: the clocks disagree.
     FromFuture,
-    /// Another number of users than the scenario has.
-    WrongUserCount,
+    /// Two entries for one user.
+    DuplicateUser,
     /// Another number of mirrors than the scenario has.
     WrongMirrorCount,
     /// A position outside the room.
@@ -93,7 +93,7 @@ impl Refusal {
         Self::SequenceJump,
         Self::Stale,
         Self::FromFuture,
-        Self::WrongUserCount,
+        Self::DuplicateUser,
         Self::WrongMirrorCount,
         Self::OutsideRoom,
         Self::Implausible,
@@ -117,7 +117,7 @@ impl Refusal {
             Self::SequenceJump => "sequence-jump",
             Self::Stale => "stale",
             Self::FromFuture => "from-future",
-            Self::WrongUserCount => "wrong-user-count",
+            Self::DuplicateUser => "duplicate-user",
             Self::WrongMirrorCount => "wrong-mirror-count",
             Self::OutsideRoom => "outside-room",
             Self::Implausible => "implausible",
@@ -138,7 +138,6 @@ impl From<&CodecError> for Refusal {
             CodecError::NotFinite { .. } => Self::NotFinite,
             CodecError::OutOfDomain { .. } => Self::Implausible,
             CodecError::WrongMirrors { .. } => Self::WrongMirrorCount,
-            CodecError::WrongUsers { .. } => Self::WrongUserCount,
         }
     }
 }

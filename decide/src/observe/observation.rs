@@ -78,6 +78,8 @@ const NO_AMPLITUDE: f32 = 1e-6;
 pub struct Observation {
     /// The tick that the reports belong to.
     pub tick: u64,
+    /// K numbers of the users, all different; a policy keeps what it remembers of a user by it.
+    pub ids: Vec<u32>,
     /// K positions in m, room frame.
     pub positions: Vec<Vec3>,
     /// K velocities in m/s, room frame.
@@ -111,17 +113,25 @@ pub struct RoomState<'a> {
 }
 
 impl Observation {
-    /// An observation of `users` users at the origin, with every mirror at (0, 0).
+    /// An observation of the users 0 to `users` - 1 at the origin, with every mirror at (0, 0).
     pub fn new(model: &ChannelModel, users: usize) -> Self {
         let mirrors = model.mirrors.len();
         Self {
             tick: 0,
+            ids: (0..users as u32).collect(),
             positions: vec![Vec3::zeros(); users],
             velocities: vec![Vec3::zeros(); users],
             min_rate_bps: vec![0.0; users],
             scene: Scene::new(model, users),
             angles: MirrorAngles { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors] },
         }
+    }
+
+    /// The same, with memory for `users_max` users.
+    pub fn with_capacity(model: &ChannelModel, users: usize, users_max: usize) -> Self {
+        let mut observation = Self::new(model, users_max);
+        observation.resize(users);
+        observation
     }
 
     /// How many users the observation holds.
@@ -134,11 +144,17 @@ impl Observation {
         self.angles.roll.len()
     }
 
-    /// Copies a state and recomputes blockage and gains for it. Does not allocate.
+    /// Copies a state and recomputes blockage and gains for it. Does not allocate up to the largest
+    /// number of users so far.
+    ///
+    /// A state of another number of users numbers them from 0; the caller may change `ids`.
     ///
     /// # Panics
-    /// If the length of a slice is not the number of users.
+    /// If the slices differ in their number of users.
     pub fn set_state(&mut self, model: &ChannelModel, state: &RoomState<'_>) {
+        if state.positions.len() != self.users() {
+            self.resize(state.positions.len());
+        }
         self.tick = state.tick;
         self.positions.copy_from_slice(state.positions);
         self.velocities.copy_from_slice(state.velocities);
@@ -147,6 +163,15 @@ impl Observation {
         if let Some(gains) = state.measured_los_gain {
             self.scene.set_los_gain(gains);
         }
+    }
+
+    fn resize(&mut self, users: usize) {
+        self.ids.clear();
+        self.ids.extend(0..users as u32);
+        self.positions.resize(users, Vec3::zeros());
+        self.velocities.resize(users, Vec3::zeros());
+        self.min_rate_bps.resize(users, 0.0);
+        self.scene.resize(users);
     }
 
     /// Copies the angles of the last command. Does not allocate.
@@ -258,29 +283,46 @@ impl ObservationEncoder {
         start..start + self.users_max
     }
 
-    /// Writes the vector of an observation. Does not allocate.
+    /// Writes the vector of an observation, each user in the slot of the same index. Does not
+    /// allocate.
     ///
     /// # Errors
     /// [`EncodeError`] where users, mirrors or buffer do not fit.
     pub fn encode(&self, model: &ChannelModel, observation: &Observation, out: &mut [f32]) -> Result<(), EncodeError> {
-        self.check(observation, out)?;
-        let users = observation.users();
+        self.encode_users(model, observation, 0..observation.users(), out)
+    }
+
+    /// Writes the vector with some users of an observation: the first of `chosen` in slot 0, and so
+    /// on. Does not allocate.
+    ///
+    /// All users share the bandwidth, so the minimum rates are relative to the share of one of all.
+    ///
+    /// # Errors
+    /// As [`encode`](Self::encode).
+    ///
+    /// # Panics
+    /// If `chosen` has the index of no user.
+    pub fn encode_users(
+        &self,
+        model: &ChannelModel,
+        observation: &Observation,
+        chosen: impl ExactSizeIterator<Item = usize>,
+        out: &mut [f32],
+    ) -> Result<(), EncodeError> {
+        let users = chosen.len();
+        self.check(users, observation.mirrors(), out)?;
         let amplitude_scale = model.budget.amplitude_scale();
-        let min_rate_scale = users as f64 / model.budget.bandwidth_hz;
-
-        let present = &mut out[self.present()];
-        present[..users].fill(1.0);
-        present[users..].fill(0.0);
-
-        let positions = &mut out[self.positions()];
-        for (slot, position) in positions.chunks_exact_mut(3).zip(&observation.positions) {
-            write_scaled(slot, position.as_slice(), 1.0);
+        let min_rate_scale = observation.users() as f64 / model.budget.bandwidth_hz;
+        out[..self.angles().start].fill(0.0);
+        out[self.present()][..users].fill(1.0);
+        for (slot, user) in chosen.enumerate() {
+            let pairs = user * self.mirrors..(user + 1) * self.mirrors;
+            write_scaled(&mut out[self.positions()][3 * slot..][..3], observation.positions[user].as_slice(), 1.0);
+            out[self.los_amplitude()][slot] = (amplitude_scale * observation.scene.los_gain()[user]) as f32;
+            out[self.min_rate()][slot] = (min_rate_scale * observation.min_rate_bps[user]) as f32;
+            let row = &mut out[self.steering_amplitude()][slot * self.mirrors..][..self.mirrors];
+            write_scaled(row, &observation.scene.steering_gain()[pairs], amplitude_scale);
         }
-        positions[3 * users..].fill(0.0);
-
-        write_scaled(&mut out[self.los_amplitude()], observation.scene.los_gain(), amplitude_scale);
-        write_scaled(&mut out[self.min_rate()], &observation.min_rate_bps, min_rate_scale);
-        write_scaled(&mut out[self.steering_amplitude()], observation.scene.steering_gain(), amplitude_scale);
 
         let (roll, yaw) = out[self.angles()].split_at_mut(self.mirrors);
         write_scaled(roll, &observation.angles.roll, 1.0);
@@ -323,12 +365,12 @@ impl ObservationEncoder {
         }
     }
 
-    fn check(&self, observation: &Observation, out: &[f32]) -> Result<(), EncodeError> {
-        if observation.users() > self.users_max {
-            return Err(EncodeError::Users { users: observation.users(), capacity: self.users_max });
+    fn check(&self, users: usize, mirrors: usize, out: &[f32]) -> Result<(), EncodeError> {
+        if users > self.users_max {
+            return Err(EncodeError::Users { users, capacity: self.users_max });
         }
-        if observation.mirrors() != self.mirrors {
-            return Err(EncodeError::Mirrors { found: observation.mirrors(), expected: self.mirrors });
+        if mirrors != self.mirrors {
+            return Err(EncodeError::Mirrors { found: mirrors, expected: self.mirrors });
         }
         if out.len() != self.len() {
             return Err(EncodeError::Buffer { found: out.len(), expected: self.len() });
@@ -359,11 +401,9 @@ fn following(previous: &Range<usize>, length: usize) -> Range<usize> {
     previous.end..previous.end + length
 }
 
-/// Writes `scale` times the values, and zeros where the part is longer than they are.
+/// Writes `scale` times the values.
 fn write_scaled(part: &mut [f32], values: &[f64], scale: f64) {
-    let (filled, rest) = part.split_at_mut(values.len());
-    for (slot, value) in filled.iter_mut().zip(values) {
+    for (slot, value) in part.iter_mut().zip(values) {
         *slot = (scale * value) as f32;
     }
-    rest.fill(0.0);
 }

@@ -5,17 +5,32 @@
 //! gains of the direct path replace modelled gains, because they include blockage that no survey
 //! reports.
 //!
-//! With `control.prediction = "constant-velocity"` each user is assumed to walk on at the reported
-//! velocity. The prediction covers the age of the report and half of the interval until the next
-//! report, during which the command holds. No user is predicted to leave the room.
+//! Users may come and go with every report, in any order. A user is known by its number: reports
+//! about positions and about gains are matched by it, and it keeps its index in the observation as
+//! long as possible ([`Slots`]). A user without a measured gain has the modelled one, and a measured
+//! gain of an unknown user is ignored.
+//!
+//! `control.belief` says where the users are while the command is in force: at their reported
+//! positions (`none`), further on at their reported velocity (`constant-velocity`), or where a
+//! filter of all reports predicts them (`filter`, [`belief`](crate::belief)). The prediction covers
+//! the age of the report, the settling time of the mirrors, and half of the interval until the next
+//! report. No user is predicted to leave the room.
+//!
+//! With the filter, a measured gain of the direct path shows only whether the path is clear; the
+//! gain is then that of the model at the predicted place.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
-use heliostat_proto::{ChannelReport, Nanos, UserReport, UserState};
-use heliostat_scenario::{Prediction, Scenario};
+use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, Nanos, UserReport};
+use heliostat_scenario::Scenario;
 
 use crate::{
+    belief::Belief,
     input::inbox::Inbox,
-    observe::observation::{Observation, RoomState},
+    observe::{
+        observation::{Observation, RoomState},
+        prediction::Prediction,
+        slots::Slots,
+    },
 };
 
 /// Below this speed in m/s a velocity does not show the direction that a user faces; half of the
@@ -30,47 +45,20 @@ struct Body {
     offset_m: f64,
 }
 
-/// How far ahead users are predicted, and the bounds of their positions.
-#[derive(Clone, Copy, Debug)]
-struct Lead {
-    /// Half of the time between reports in s.
-    half_interval_s: f64,
-    /// Settling time of the mirrors in s.
-    settling_s: f64,
-    half_room_m: [f64; 2],
-}
-
-impl Lead {
-    fn of(scenario: &Scenario) -> Option<Self> {
-        match scenario.control.prediction {
-            Prediction::None => None,
-            Prediction::ConstantVelocity => Some(Self {
-                half_interval_s: 0.5 / scenario.streams.positions.rate_hz,
-                settling_s: 0.0,
-                half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
-            }),
-        }
-    }
-
-    /// The position of a user who walks on.
-    fn predict(&self, position: Vec3, velocity: &Vec3, age_s: f64) -> Vec3 {
-        let ahead = position + velocity * (age_s + self.half_interval_s + self.settling_s);
-        let [half_x, half_y] = self.half_room_m;
-        Vec3::new(ahead.x.clamp(-half_x, half_x), ahead.y.clamp(-half_y, half_y), ahead.z)
-    }
-}
-
-/// Fills observations from the inbox; its buffers are reused.
+/// Fills observations from the inbox; its buffers are reused and have room for [`MAX_USERS`] users.
 pub struct Observer {
     body: Option<Body>,
-    lead: Option<Lead>,
-    ids: Vec<u32>,
+    prediction: Prediction,
+    slots: Slots,
+    /// The users of the report, in its order.
+    reported: Vec<u32>,
     /// Unit vectors in the floor plane; zero while unknown.
     headings: Vec<Vec3>,
+    former_headings: Vec<Vec3>,
     positions: Vec<Vec3>,
     velocities: Vec<Vec3>,
     min_rate_bps: Vec<f64>,
-    measured_los_gain: Vec<f64>,
+    los_gain: Vec<f64>,
     blockers: Vec<Cylinder>,
     /// All false: blockage of unknown cause shows in measured gains.
     forced: Vec<bool>,
@@ -79,16 +67,18 @@ pub struct Observer {
 /// Where the gains of the direct paths came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LosSource {
-    /// A channel report.
-    Measured,
-    /// The model, because there is no channel report of acceptable age.
+    /// A channel report; of the users whom it lacks, the model.
+    Measured {
+        /// The number of those users.
+        unmeasured: usize,
+    },
+    /// The model, because there is no channel report of acceptable age, or it lacks every user.
     Modelled,
 }
 
 impl Observer {
-    /// An observer of a scenario's users.
+    /// An observer of a scenario's room.
     pub fn new(scenario: &Scenario) -> Self {
-        let users = scenario.users.count;
         let blockage = &scenario.blockage;
         Self {
             body: blockage.bodies.then_some(Body {
@@ -96,33 +86,45 @@ impl Observer {
                 height_m: blockage.body_height_m,
                 offset_m: blockage.body_offset_m,
             }),
-            lead: Lead::of(scenario),
-            ids: vec![0; users],
-            headings: vec![Vec3::zeros(); users],
-            positions: vec![Vec3::zeros(); users],
-            velocities: vec![Vec3::zeros(); users],
-            min_rate_bps: vec![0.0; users],
-            measured_los_gain: vec![0.0; users],
-            blockers: Vec::new(),
-            forced: vec![false; users],
+            prediction: Prediction::new(scenario),
+            slots: Slots::default(),
+            reported: Vec::with_capacity(MAX_USERS),
+            headings: Vec::with_capacity(MAX_USERS),
+            former_headings: Vec::with_capacity(MAX_USERS),
+            positions: Vec::with_capacity(MAX_USERS),
+            velocities: Vec::with_capacity(MAX_USERS),
+            min_rate_bps: Vec::with_capacity(MAX_USERS),
+            los_gain: Vec::with_capacity(MAX_USERS),
+            blockers: Vec::with_capacity(MAX_OBSTACLES + MAX_USERS),
+            forced: Vec::with_capacity(MAX_USERS),
         }
     }
 
     /// Extends the prediction by the settling time of the mirrors, in s, where users are predicted.
     pub fn set_settling(&mut self, settling_s: f64) {
-        if let Some(lead) = &mut self.lead {
-            lead.settling_s = settling_s;
-        }
+        self.prediction.set_settling(settling_s);
     }
 
-    /// Discards the directions that the users face.
+    /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
+    pub fn handle_users(&mut self, report: &UserReport) {
+        self.prediction.handle_users(report);
+    }
+
+    /// The belief of the filter; absent where `control.belief` is another one.
+    pub fn belief(&self) -> Option<&Belief> {
+        self.prediction.belief()
+    }
+
+    /// Discards the users, and the directions that they face.
     pub fn forget(&mut self) {
-        self.headings.fill(Vec3::zeros());
+        self.prediction.forget();
+        self.slots.clear();
+        self.headings.clear();
     }
 
     /// Fills an observation from the latest reports at `now`; `None` without a position report.
     ///
-    /// Does not allocate after an observation with the same number of obstacles.
+    /// Does not allocate.
     pub fn observe(
         &mut self,
         model: &ChannelModel,
@@ -132,20 +134,8 @@ impl Observer {
     ) -> Option<LosSource> {
         let report = inbox.users()?;
         let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
-        for (index, user) in report.users.iter().enumerate() {
-            let [x, y] = user.velocity_m_s.map(f64::from);
-            if self.ids[index] != user.user {
-                self.ids[index] = user.user;
-                self.headings[index] = Vec3::zeros();
-            }
-            self.velocities[index] = Vec3::new(x, y, 0.0);
-            let reported = Vec3::from_iterator(user.position_m.map(f64::from));
-            let predicted = |lead: Lead| lead.predict(reported, &self.velocities[index], age_s);
-            self.positions[index] = self.lead.map_or(reported, predicted);
-            self.min_rate_bps[index] = f64::from(user.min_rate_bps);
-        }
+        self.place_users(report, age_s);
         self.place_blockers(inbox);
-        let measured = inbox.channel(now).is_some_and(|channel| self.take_gains(report, channel));
         into.set_state(
             model,
             &RoomState {
@@ -155,24 +145,64 @@ impl Observer {
                 min_rate_bps: &self.min_rate_bps,
                 blockers: &self.blockers,
                 forced: &self.forced,
-                measured_los_gain: measured.then_some(self.measured_los_gain.as_slice()),
+                measured_los_gain: None,
             },
         );
-        Some(if measured { LosSource::Measured } else { LosSource::Modelled })
+        into.ids.copy_from_slice(self.slots.ids());
+        Some(match inbox.channel(now) {
+            Some(channel) => self.take_gains(channel, into),
+            None => LosSource::Modelled,
+        })
     }
 
-    /// Copies each user's measured gain; false where a user is missing from the channel report.
-    fn take_gains(&mut self, users: &UserReport, channel: &ChannelReport) -> bool {
-        let gain_of = |(slot, user): (usize, &UserState)| {
-            let same_place = channel.users.get(slot).filter(|entry| entry.user == user.user);
-            let entry = same_place.or_else(|| channel.users.iter().find(|entry| entry.user == user.user))?;
-            Some(f64::from(entry.los_gain))
-        };
-        let gains = users.users.iter().enumerate().map(gain_of);
-        self.measured_los_gain.iter_mut().zip(gains).all(|(place, gain)| {
-            *place = gain.unwrap_or(0.0);
-            gain.is_some()
-        })
+    /// Gives slots to the users of a report, and fills the lists of the slots.
+    fn place_users(&mut self, report: &UserReport, age_s: f64) {
+        let Self { prediction, slots, reported, headings, former_headings, .. } = self;
+        reported.clear();
+        reported.extend(report.users.iter().map(|user| user.user));
+        if slots.assign(reported) {
+            former_headings.clone_from(headings);
+            headings.clear();
+            headings.extend(slots.former().iter().map(|slot| slot.map_or(Vec3::zeros(), |slot| former_headings[slot])));
+        }
+        self.positions.clear();
+        self.velocities.clear();
+        self.min_rate_bps.clear();
+        self.forced.clear();
+        for (slot, id) in slots.ids().iter().enumerate() {
+            let same_place = report.users.get(slot).filter(|user| user.user == *id);
+            let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
+            let (position, velocity) = prediction.predict(user, age_s);
+            self.positions.push(position);
+            self.velocities.push(velocity);
+            self.min_rate_bps.push(f64::from(user.min_rate_bps));
+            self.forced.push(false);
+        }
+    }
+
+    /// Replaces each user's modelled gain by the measured one, where there is one.
+    fn take_gains(&mut self, channel: &ChannelReport, into: &mut Observation) -> LosSource {
+        self.los_gain.clear();
+        self.los_gain.extend_from_slice(into.scene.los_gain());
+        let mut unmeasured = 0;
+        for (slot, (id, gain)) in self.slots.ids().iter().zip(&mut self.los_gain).enumerate() {
+            let same_place = channel.users.get(slot).filter(|entry| entry.user == *id);
+            match same_place.or_else(|| channel.users.iter().find(|entry| entry.user == *id)) {
+                Some(entry) => *gain = f64::from(entry.los_gain),
+                None => unmeasured += 1,
+            }
+        }
+        if unmeasured > 0 && unmeasured == self.los_gain.len() {
+            return LosSource::Modelled;
+        }
+        if self.prediction.models_gains() {
+            for (user, gain) in self.los_gain.iter().enumerate() {
+                into.scene.set_los_blocked(user, *gain <= 0.0);
+            }
+        } else {
+            into.scene.set_los_gain(&self.los_gain);
+        }
+        LosSource::Measured { unmeasured }
     }
 
     fn place_blockers(&mut self, inbox: &Inbox) {

@@ -134,6 +134,10 @@ pub struct Counters {
     pub commands: u64,
     /// Axis values that the limits changed.
     pub clipped: Clipped,
+    /// Users beyond the capacity of the policy, one for each decision.
+    pub unserved_users: u64,
+    /// Users with a modelled gain because the channel report lacks them, one for each decision.
+    pub unmeasured_users: u64,
     /// Capabilities and safety reports of a source other than the array that is followed.
     pub foreign_arrays: u64,
     degraded: [u64; DegradedMode::ALL.len()],

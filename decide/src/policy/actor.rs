@@ -4,6 +4,8 @@
 //! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run. The
 //! actor writes into one input buffer that it keeps.
 
+mod trial;
+
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
 
@@ -13,15 +15,21 @@ use super::{
     proposal::{Policy, PolicyError},
 };
 use crate::{
-    observe::observation::{Observation, ObservationEncoder},
+    observe::{
+        observation::{Observation, ObservationEncoder},
+        selection::Selection,
+    },
     output::safety::check_finite,
 };
+
+pub use trial::Finding;
 
 /// An actor that fits the room, ready to run.
 pub struct Actor {
     name: String,
     info: ActorInfo,
     encoder: ObservationEncoder,
+    selection: Selection,
     network: Box<dyn Network>,
 }
 
@@ -37,7 +45,8 @@ impl Actor {
         let network = engine
             .load(&file.bytes, encoder.len())
             .map_err(|message| ActorError::Engine { origin: file.origin.clone(), message })?;
-        Ok(Self { name: "actor".into(), info, encoder, network })
+        let selection = Selection::new(encoder.users_max());
+        Ok(Self { name: "actor".into(), info, encoder, selection, network })
     }
 
     /// The same actor under the name of a policy, for summaries.
@@ -95,8 +104,13 @@ impl Policy for Actor {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        self.encoder.encode(model, observation, self.network.input_mut())?;
+        let chosen = self.selection.choose(observation).iter().copied();
+        self.encoder.encode_users(model, observation, chosen, self.network.input_mut())?;
         self.run(out)
+    }
+
+    fn users_max(&self) -> usize {
+        self.encoder.users_max()
     }
 
     fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {

@@ -11,6 +11,7 @@
 //! the proposals depend on the seed alone.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::QOS_PENALTY};
+use heliostat_proto::MAX_USERS;
 use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -82,7 +83,7 @@ impl Population {
             objectives: vec![f64::NEG_INFINITY; POPULATION],
             best: flat,
             best_objective: f64::NEG_INFINITY,
-            rates_bps: vec![0.0; scenario.users.count],
+            rates_bps: Vec::with_capacity(MAX_USERS),
             monotonic_ns,
             begun_ns: 0,
             evaluations: 0,
@@ -155,6 +156,7 @@ impl Population {
     fn evaluate(&mut self, model: &ChannelModel, observation: &Observation, index: usize) {
         self.evaluations += 1;
         let place = &self.places[index];
+        self.rates_bps.resize(observation.users(), 0.0);
         observation.scene.rates_bps(model, place, &mut self.rates_bps);
         let users = self.rates_bps.iter().zip(&observation.min_rate_bps);
         let objective = users.map(|(rate, min_rate)| rate - QOS_PENALTY * (min_rate - rate).max(0.0)).sum();

@@ -6,8 +6,10 @@ use heliostat_channel::{
     solver::{Method, MinimumRates, QOS_PENALTY, Solver},
 };
 
+use heliostat_proto::MAX_USERS;
+
 use super::proposal::{Policy, PolicyError};
-use crate::observe::observation::Observation;
+use crate::observe::{observation::Observation, slots::Slots};
 
 /// Passes of single mirror moves after the fixed point; docs/evaluation.md compares the result with
 /// the oracle.
@@ -19,6 +21,8 @@ pub struct ModelBased {
     name: &'static str,
     method: Method,
     solver: Solver,
+    /// The users of the solver's weights.
+    slots: Slots,
     /// A copy of the solver's weights during a cache warm-up.
     saved_weights: Vec<f64>,
 }
@@ -40,7 +44,13 @@ impl ModelBased {
     }
 
     fn new(name: &'static str, method: Method, users: usize, mirrors: usize) -> Self {
-        Self { name, method, solver: Solver::new(users, mirrors), saved_weights: Vec::with_capacity(users) }
+        Self {
+            name,
+            method,
+            solver: Solver::with_capacity(users, MAX_USERS, mirrors),
+            slots: Slots::of(users),
+            saved_weights: Vec::with_capacity(MAX_USERS),
+        }
     }
 }
 
@@ -55,6 +65,9 @@ impl Policy for ModelBased {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
+        if self.slots.follow(&observation.ids) {
+            self.solver.change_users(self.slots.former());
+        }
         let minimum_rates = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
         self.solver.solve(model, &observation.scene, &minimum_rates, self.method, out);
         Ok(())
@@ -63,6 +76,10 @@ impl Policy for ModelBased {
     fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
         if self.method == Method::Oracle {
             // The search takes longer than a tick, so it would delay the next report.
+            return;
+        }
+        if self.slots.ids() != observation.ids {
+            // The weights of the users to come must not be lost.
             return;
         }
         self.saved_weights.clear();

@@ -2,6 +2,8 @@
 
 use heliostat_channel::{ChannelModel, Mode, decode, mirrors::MirrorAngles};
 
+use heliostat_proto::MAX_USERS;
+
 use super::proposal::{Policy, PolicyError};
 use crate::observe::observation::Observation;
 
@@ -15,9 +17,9 @@ pub struct Nearest {
 }
 
 impl Nearest {
-    /// For this number of users.
-    pub fn new(users: usize) -> Self {
-        Self { weights: vec![1.0; users] }
+    /// Without users yet.
+    pub fn new() -> Self {
+        Self { weights: Vec::with_capacity(MAX_USERS) }
     }
 }
 
@@ -49,6 +51,7 @@ impl Policy for Nearest {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
+        self.weights.resize(observation.users(), 1.0);
         match model.mode {
             Mode::Specular => decode::decode(model, &observation.scene, &self.weights, out),
             Mode::Paper { .. } => face_served(model, observation, out),

@@ -5,6 +5,7 @@
 //! this project's code.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::SolverError};
+use heliostat_proto::MAX_USERS;
 use thiserror::Error;
 
 use crate::{
@@ -17,7 +18,8 @@ pub trait Policy: Send {
     /// The name on the command line and in summaries.
     fn name(&self) -> &str;
 
-    /// Writes the angles for an observation; `out` has the size of the model's array.
+    /// Writes the angles for an observation of at least one user; `out` has the size of the model's
+    /// array. The users may differ from those of the last call.
     ///
     /// # Errors
     /// [`PolicyError`] where the policy gives no angles; the contents of `out` are then
@@ -28,6 +30,11 @@ pub trait Policy: Send {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError>;
+
+    /// The largest number of users that it serves; it leaves out the others of an observation.
+    fn users_max(&self) -> usize {
+        MAX_USERS
+    }
 
     /// Runs the code of [`act`](Self::act) so that code and data stay in the processor's caches,
     /// without an effect on later proposals.

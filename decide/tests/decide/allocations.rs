@@ -88,6 +88,43 @@ fn no_policy_without_a_network_allocates() {
     }
 }
 
+/// Users who come and go: one at first, then up to the largest number of the contract, and none.
+fn crowds() -> Vec<[Vec<u8>; 3]> {
+    let mut room = Room::new(&scenario(&[]));
+    (1..=26)
+        .map(|tick| {
+            let count = if tick < 6 { 1 } else { [3, 2, 5, 0, 12, 1, 64][tick as usize % 7] };
+            let mut ids: Vec<u32> = (0..count).map(|user| user * 7 + tick as u32 % 3).collect();
+            if tick % 2 == 0 {
+                ids.reverse();
+            }
+            let (gains, users) = (room.gains_of(tick, 1e-6, &ids), room.positions_of(tick, &ids));
+            let mut payloads = [Vec::new(), Vec::new(), Vec::new()];
+            encode(&room.survey(tick, Vec::new()), &mut payloads[0]).unwrap();
+            encode(&gains, &mut payloads[1]).unwrap();
+            encode(&users, &mut payloads[2]).unwrap();
+            payloads
+        })
+        .collect()
+}
+
+#[test]
+fn users_who_come_and_go_do_not_make_the_decision_allocate() {
+    let scenario = scenario(&["mirrors.rows=4", "mirrors.columns=4"]);
+    let (source, crowds) = (actor_of(&scenario), crowds());
+    for kind in PolicyKind::value_variants().iter().filter(|kind| **kind != PolicyKind::Exhaustive) {
+        let mut controller = controller(&scenario, build_with(*kind, &scenario, &source).unwrap());
+        controller.warm_up(0..2);
+        let mut scratch =
+            Scratch { users: UserReport::buffer(), channel: ChannelReport::buffer(), ..Scratch::default() };
+        for (index, payloads) in crowds.iter().enumerate() {
+            let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
+            assert!(index < 4 || counted == 0, "{kind:?}, tick {}: {counted}", index + 1);
+        }
+        assert_eq!(controller.counters().commands, 26, "{kind:?}");
+    }
+}
+
 #[test]
 fn cache_warm_ups_do_not_allocate() {
     let scenario = large();

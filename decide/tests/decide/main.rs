@@ -9,3 +9,4 @@ mod observations;
 mod policies;
 mod reports;
 mod support;
+mod users;

@@ -132,12 +132,13 @@ fn a_late_report_of_a_source_that_has_left_is_refused_until_the_source_returns()
 }
 
 #[test]
-fn a_report_about_another_number_of_users_is_refused() {
+fn a_report_with_two_entries_for_one_user_is_refused() {
     let (mut controller, mut room) = flat(&[]);
-    room.users = 4;
-    assert_eq!(room.tick(&mut controller, 1), Outcome::Nothing);
-    assert_eq!(refused(&controller, Stream::Users, Refusal::WrongUserCount), 1);
-    assert_eq!(refused(&controller, Stream::Channel, Refusal::WrongUserCount), 1);
+    let (mut gains, mut users) = (room.gains_of(1, 1e-6, &[4, 4]), room.positions_of(1, &[7, 3, 7]));
+    receive(&mut controller, Room::time(1), Message::Channel(&mut gains));
+    assert_eq!(receive(&mut controller, Room::time(1), Message::Users(&mut users)), Outcome::Nothing);
+    assert_eq!(refused(&controller, Stream::Users, Refusal::DuplicateUser), 1);
+    assert_eq!(refused(&controller, Stream::Channel, Refusal::DuplicateUser), 1);
     assert_eq!(controller.inbox().source(), None, "a report that is refused does not claim the room");
 }
 

@@ -87,16 +87,27 @@ impl Room {
     }
 
     pub fn positions(&mut self, tick: u64) -> UserReport {
+        let ids: Vec<u32> = (0..self.users as u32).collect();
+        self.positions_of(tick, &ids)
+    }
+
+    /// The positions of these users, in this order.
+    pub fn positions_of(&mut self, tick: u64, ids: &[u32]) -> UserReport {
         let stamp = self.stamp(tick);
-        let users = (0..self.users).map(|user| walker(user, self.users, tick)).collect();
-        UserReport { stamp, tick, users }
+        UserReport { stamp, tick, users: ids.iter().map(|id| walker(*id, self.users, tick)).collect() }
     }
 
     /// All users measure the same gain of the direct path.
     pub fn gains(&mut self, tick: u64, los_gain: f32) -> ChannelReport {
+        let ids: Vec<u32> = (0..self.users as u32).collect();
+        self.gains_of(tick, los_gain, &ids)
+    }
+
+    /// The gains of these users, in this order.
+    pub fn gains_of(&mut self, tick: u64, los_gain: f32, ids: &[u32]) -> ChannelReport {
         let stamp = self.stamp(tick);
-        let one = |user: usize| UserChannel { user: user as u32, los_gain, irs_gain: 0.0, sinr: 0.0 };
-        ChannelReport { stamp, tick, users: (0..self.users).map(one).collect() }
+        let one = |user: &u32| UserChannel { user: *user, los_gain, irs_gain: 0.0, sinr: 0.0 };
+        ChannelReport { stamp, tick, users: ids.iter().map(one).collect() }
     }
 
     pub fn survey(&mut self, tick: u64, obstacles: Vec<Obstacle>) -> ObstacleReport {
@@ -110,11 +121,11 @@ impl Room {
     }
 }
 
-fn walker(user: usize, users: usize, tick: u64) -> UserState {
-    let turn = std::f64::consts::TAU * user as f64 / users as f64 + 0.01 * tick as f64;
+fn walker(user: u32, users: usize, tick: u64) -> UserState {
+    let turn = std::f64::consts::TAU * f64::from(user) / users as f64 + 0.01 * tick as f64;
     let (sin, cos) = turn.sin_cos();
     UserState {
-        user: user as u32,
+        user,
         position_m: [(1.4 * cos) as f32, (1.1 * sin) as f32, 0.85],
         velocity_m_s: [(-1.4 * sin) as f32, (1.1 * cos) as f32],
         min_rate_bps: 1e6,
@@ -264,6 +275,15 @@ impl Network for BiasNetwork {
 
     fn run(&mut self) -> Result<&[f32], PolicyError> {
         Ok(&self.bias)
+    }
+}
+
+/// Whatever the network, its nine rolls and nine yaws have this value.
+pub struct FixedEngine(pub f32);
+
+impl Engine for FixedEngine {
+    fn load(&self, _: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        Ok(Box::new(BiasNetwork { input: vec![0.0; input_length], bias: vec![self.0; 18] }))
     }
 }
 

@@ -110,18 +110,31 @@ impl ControllerPart {
 pub struct Summary {
     #[serde(flatten)]
     room: RoomPart,
-    /// `None` if it was killed by order.
+    /// Of the last controller; `None` if it was killed by order.
     #[serde(flatten)]
     controller: Option<ControllerPart>,
+    /// Controllers that were started: the figures of the room cover all of them.
+    controllers_started: u64,
 }
 
 impl Summary {
     /// Joins the summaries of the two processes.
-    pub fn new(room: &Value, controller: Option<&Value>) -> Result<Self> {
+    pub fn new(room: &Value, controller: Option<&Value>, controllers_started: u64) -> Result<Self> {
         let room = RoomPart::deserialize(room).context("the summary of sim-node is incomplete")?;
         let controller = controller.map(ControllerPart::deserialize).transpose();
         let controller = controller.context("the summary of the controller is incomplete")?;
-        Ok(Self { room, controller })
+        Ok(Self { room, controller, controllers_started })
+    }
+
+    /// Which figures belong to which controller, if there were several.
+    fn several_controllers(&self) -> Option<String> {
+        let count = self.controllers_started;
+        (count > 1).then(|| {
+            format!(
+                "{count} controllers were started: ticks, commands, loop and sum rate cover all of them; \
+                 decisions, age, fallbacks and refusals are those of the last one"
+            )
+        })
     }
 
     /// Prints a table.
@@ -139,6 +152,9 @@ impl Summary {
             room.late_ticks,
             room.unattended_ticks
         )?;
+        if let Some(note) = self.several_controllers() {
+            outln!("{note}")?;
+        }
         outln!()?;
         outln!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
         let times = [
@@ -165,6 +181,7 @@ impl Summary {
         outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
         // One mean covers the complete run, so it is credited to one policy only if no other acted.
         let credited = match credited.as_deref() {
+            _ if self.controllers_started > 1 => "policies of all controllers",
             Some([policy]) => policy.as_str(),
             Some(_) => "all of these policies",
             None => "policy",
@@ -216,6 +233,17 @@ fn list(counts: &BTreeMap<String, u64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_summary_tells_the_figures_of_the_last_controller_from_those_of_all() {
+        let room = serde_json::to_value(heliostat_sim_node::Summary::default()).expect("a summary has a JSON form");
+        let of = |controllers| Summary::new(&room, None, controllers).expect("a complete summary");
+        assert_eq!(of(1).several_controllers(), None);
+        let note = of(2).several_controllers().expect("a note");
+        assert!(note.starts_with("2 controllers were started: ticks, commands"), "{note}");
+        let json = serde_json::to_value(of(2)).expect("a summary has a JSON form");
+        assert_eq!((json["controllers_started"].as_u64(), json["sum_rate_mbps"].is_null()), (Some(2), true));
+    }
 
     fn controller(policies: &Value) -> ControllerPart {
         let none = BTreeMap::<String, u64>::new();

@@ -3,6 +3,7 @@
 //! A mirror *serves* the user to whom it has the largest gain at its present angles, by the same
 //! channel model that gives the rates. Lengths are in m, rounded to millimetres.
 
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use heliostat_channel::{Cylinder, MirrorAngles, Scene, Vec3};
@@ -75,7 +76,8 @@ pub struct FrameBuilder {
 
 struct FrameState {
     scene: Scene,
-    headings: Vec<Vec3>,
+    /// Of the users of the last position report, by their numbers.
+    headings: HashMap<u32, Vec3>,
     gains: Vec<f64>,
 }
 
@@ -105,7 +107,7 @@ impl View {
 impl FrameBuilder {
     /// A builder without users.
     pub fn new(view: Arc<View>) -> Self {
-        let state = FrameState { scene: Scene::new(&view.model, 0), headings: Vec::new(), gains: Vec::new() };
+        let state = FrameState { scene: Scene::new(&view.model, 0), headings: HashMap::new(), gains: Vec::new() };
         Self { view, state: Mutex::new(state) }
     }
 
@@ -136,7 +138,7 @@ impl FrameBuilder {
     }
 
     /// The latest users, obstacles and telemetry.
-    fn latest(&self, headings: &mut Vec<Vec3>) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+    fn latest(&self, headings: &mut HashMap<u32, Vec3>) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
         let received = self.view.received();
         let telemetry = Received::fresh(&received.telemetry).cloned();
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
@@ -161,9 +163,10 @@ impl FrameBuilder {
         let obstacles = Received::fresh(&received.obstacles).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(cylinder).collect();
         let Some(report) = Received::fresh(&received.users) else { return (Vec::new(), obstacles, telemetry) };
-        headings.resize(report.users.len(), Vec3::zeros());
+        headings.retain(|id, _| report.users.iter().any(|user| user.user == *id));
         let gains = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
-        let users = report.users.iter().zip(headings).map(|(user, heading)| {
+        let users = report.users.iter().map(|user| {
+            let heading = headings.entry(user.user).or_default();
             let [x, y] = user.velocity_m_s.map(f64::from);
             if x.hypot(y) > WALKING_M_S {
                 *heading = Vec3::new(x, y, 0.0).normalize();

@@ -5,6 +5,11 @@
 //! equal mean spacing, each at a random offset within its interval, so that they fall anywhere
 //! between two reports. The controller decides in zero simulated time.
 //! `streams.positions.latency_ms` gives the age of a report.
+//!
+//! With `users.arrivals` users come and go at times that depend on the seed alone: oracle and
+//! policies have the same users at each sampling time, so that the comparison stays paired. A sum
+//! rate is that of the users present. It counts as 0 at a time without users, which has no ratio and
+//! no share of users.
 
 use std::time::{Duration, Instant};
 
@@ -102,7 +107,7 @@ fn solve(scenario: &Scenario, episode: &Episode, evaluator: &mut Evaluator) -> a
         world.step((instant_ns - now_ns) as f64 * 1e-9);
         now_ns = *instant_ns;
         let angles = best_angles(&mut solver, evaluator.model(), world.scene(), world.min_rate_bps());
-        samples.push(evaluator.evaluate(world.scene(), &angles));
+        samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), &angles));
     }
     Ok(samples)
 }
@@ -125,7 +130,10 @@ fn run(
             let mut lockstep = Lockstep::new(&scenario, episode.seed, controller)?;
             lockstep.names_unusable = evaluated.is_aware();
             let mut samples = Vec::new();
-            let mut look = |room: &SimulatedRoom| samples.push(evaluator.evaluate(room.world().scene(), room.angles()));
+            let mut look = |room: &SimulatedRoom| {
+                let world = room.world();
+                samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), room.angles()));
+            };
             let done = lockstep.run(&episode.instants_ns, &mut look);
             done.with_context(|| format!("policy {}", evaluated.name()))?;
             run.groups.push(samples);

@@ -38,6 +38,9 @@ struct RoomPart {
     qos_met: Option<f64>,
     qos_met_oracle: Option<f64>,
     blocked_users_mean: f64,
+    /// Users who entered and left; empty where they stay.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    turnover: BTreeMap<String, u64>,
     #[serde(rename(serialize = "refused_by_room"))]
     refused: BTreeMap<String, u64>,
     #[serde(rename(serialize = "room_problem"))]
@@ -58,6 +61,8 @@ struct ControllerPart {
     stages_us: BTreeMap<String, Quantiles>,
     age_us: Quantiles,
     fallbacks: BTreeMap<String, u64>,
+    #[serde(rename(serialize = "users_limited"))]
+    users: BTreeMap<String, u64>,
     #[serde(rename(serialize = "refused_by_controller"))]
     refused: BTreeMap<String, u64>,
     #[serde(rename(serialize = "controller_problem"))]
@@ -208,6 +213,8 @@ impl Summary {
         )?;
         outln!("blocked users: {:.2} on average", room.blocked_users_mean)?;
         for (what, counts) in [
+            ("users", Some(&room.turnover)),
+            ("users limited, summed over decisions", controller.map(|controller| &controller.users)),
             ("fallbacks", controller.map(|controller| &controller.fallbacks)),
             ("refused by the controller", controller.map(|controller| &controller.refused)),
             ("refused by the room", Some(&room.refused)),

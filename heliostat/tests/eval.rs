@@ -195,3 +195,28 @@ fn stuck_mirrors_lower_the_rate_and_an_unaware_policy_meets_fewer_minimum_rates(
     let table = String::from_utf8(eval(&flags).stdout).expect("text");
     assert!(table.contains("sum rate in Mbit/s") && table.contains("fixed-point-unaware"), "{table}");
 }
+
+#[test]
+fn one_seed_has_no_interval_and_the_table_says_so() {
+    let calibrate = ["calibrate", "--seeds", "1", "--states", "2", "--mounting-deg", "1"];
+    let small = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
+    let run = |arguments: &[&str]| Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).output();
+    for output in [
+        eval(&["--policies", "flat", "--states", "2", "--seeds", "1", "--closed-loop"]),
+        run(&[&calibrate[..], &small].concat()).expect("the program starts"),
+    ] {
+        let text = String::from_utf8(output.stdout).expect("text");
+        assert!(output.status.success() && !text.contains("NaN"), "{text}");
+        assert!(text.contains("one seed gives no confidence interval: use --seeds 2 or more"), "{text}");
+        assert!(!text.contains("1 seeds") && !text.contains("1 arrays"), "{text}");
+    }
+}
+
+#[test]
+fn a_comparison_that_fails_leaves_no_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let csv = folder.path().join("figures.csv");
+    let csv = csv.to_str().expect("a plain path");
+    refusal(&["--policies", "own.onnx", "--states", "1", "--seeds", "1", "--csv", csv]);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
+}

@@ -4,14 +4,14 @@ mod html;
 mod output;
 mod sweep;
 
-use std::fs::File;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{EvaluatedPolicy, Loop, Settings, compare};
 use heliostat_scenario::ScenarioArgs;
 
+use super::whole_file;
 use crate::output::outln;
 use html::Destination;
 use sweep::Sweep;
@@ -126,15 +126,12 @@ pub fn run(args: Args) -> Result<()> {
         Some(sweep) => sweep.overrides().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
     };
     if let Some(file) = &args.csv {
-        // An unwritable file is refused before the work starts; existing content stays until the
-        // end.
-        let opened = File::options().create(true).append(true).open(file);
-        opened.with_context(|| format!("cannot write {}: expected a file in a folder that exists", file.display()))?;
+        whole_file::check_writable(file)?;
     }
     let html = args.html.as_deref().map(Destination::new).transpose()?;
     let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
     if let Some(file) = &args.csv {
-        output::write_csv(file, sweep, &reports).with_context(|| format!("cannot write {}", file.display()))?;
+        whole_file::write(file, &output::csv(sweep, &reports)?)?;
     }
     if let Some(html) = html {
         html.write(&settings[0].scenario, sweep, &reports)?;

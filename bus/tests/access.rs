@@ -14,7 +14,7 @@ use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
-const KEYS: [&str; 19] = [
+const KEYS: [&str; 22] = [
     "users",
     "channel",
     "obstacles",
@@ -33,18 +33,21 @@ const KEYS: [&str; 19] = [
     "controller/control",
     "mirrors/rearm",
     "mirrors/safety",
+    "geometry/controller",
+    "geometry/sim-node",
+    "geometry/driver",
     "something/else",
 ];
 
 /// The keys on which each role may publish, written down independently of the program.
 const RIGHTS: [(AccessRole, &str); 8] = [
     (AccessRole::Tracker, "users channel obstacles mirrors/stop status/tracker"),
-    (AccessRole::Controller, "mirrors/command mirrors/stop status/controller"),
+    (AccessRole::Controller, "mirrors/command mirrors/stop status/controller geometry/controller"),
     (AccessRole::Driver, "mirrors/telemetry mirrors/capabilities mirrors/safety mirrors/stop status/driver"),
     (
         AccessRole::Simulator,
         "users channel obstacles truth mirrors/telemetry mirrors/capabilities mirrors/safety mirrors/stop \
-         status/sim-node status/tracker",
+         status/sim-node status/tracker geometry/sim-node",
     ),
     (AccessRole::Operator, "mirrors/stop mirrors/rearm sim/control controller/control status/viewer"),
     (AccessRole::Calibrator, "mirrors/calibration mirrors/stop status/viewer"),

@@ -375,7 +375,7 @@ fn a_solver_whose_users_change_equals_a_new_one() {
     for users in [2, 5, 1, 12, 3, 7] {
         let state = State::new(&mut random, users, (3, 3), users / 2, NOISE_A2[1]);
         let problem = state.problem(50.0);
-        solver.change_users(&vec![None; users]);
+        solver.set_users(users);
         let mut fresh = solver_for(&problem);
         assert_eq!(solver.fixed_point(&problem), fresh.fixed_point(&problem), "{users} users");
         assert_eq!((solver.served(), solver.weights()), (fresh.served(), fresh.weights()), "{users} users");

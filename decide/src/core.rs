@@ -180,6 +180,9 @@ impl Controller {
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
+                if let Some(report) = self.inbox.users() {
+                    self.observer.handle_users(report);
+                }
                 self.last_report = Some(LastReport { accepted_ns: now, silence_handled: false });
                 Due::Command
             }

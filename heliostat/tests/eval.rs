@@ -72,20 +72,30 @@ fn the_same_seed_gives_the_same_figures_in_both_loops() {
     }
 }
 
-/// Exact reports and instant mirrors lose little; late and noisy reports lose more, and prediction
-/// recovers a part.
+/// Exact reports and instant mirrors lose little; late and noisy reports lose more, a prediction
+/// recovers a part, and the filter recovers most.
 #[test]
 fn a_closed_loop_loses_rate_with_late_reports() {
-    let flags = ["--policies", "greedy", "--closed-loop", "--predicted", "--states", "60", "--seeds", "1"];
+    let flags = [
+        "--policies",
+        "greedy",
+        "--closed-loop",
+        "--beliefs",
+        "none,constant-velocity,filter",
+        "--states",
+        "60",
+        "--seeds",
+        "1",
+    ];
     let exact = report(&flags);
-    let exact = mean(&exact, "greedy", "ratio_to_oracle");
     let hall = report(&[&flags[..], &["--scenario", "hall"]].concat());
-    let (late, predicted) =
-        (mean(&hall, "greedy", "ratio_to_oracle"), mean(&hall, "greedy+prediction", "ratio_to_oracle"));
+    let [exact, late, predicted, filtered] =
+        [(&exact, "none"), (&hall, "none"), (&hall, "constant-velocity"), (&hall, "filter")]
+            .map(|(report, belief)| mean(report, &format!("greedy+{belief}"), "ratio_to_oracle"));
     assert!(exact > 0.95 && late < exact - 0.02, "{exact} {late}");
-    assert!(predicted > late, "{predicted} {late}");
-    let met = mean(&hall, "greedy", "qos_met");
-    assert!((mean(&hall, "greedy", "outage_time") - (1.0 - met)).abs() < 1e-12);
+    assert!(predicted > late && filtered > predicted + 0.02, "{late} {predicted} {filtered}");
+    let met = mean(&hall, "greedy+filter", "qos_met");
+    assert!((mean(&hall, "greedy+filter", "outage_time") - (1.0 - met)).abs() < 1e-12);
 }
 
 #[test]

@@ -16,12 +16,14 @@
 //! ```
 
 mod arithmetic;
+mod call;
 mod layout;
 
 use std::collections::HashMap;
 
 use crate::tensor::{Data, Tensor};
-use crate::{AttributeProto, GraphProto, ModelProto, NodeProto};
+use crate::{GraphProto, ModelProto};
+use call::Call;
 
 /// Largest number of multiplications and values of one evaluation: a fraction of a second.
 const WORK_MAX: usize = 50_000_000;
@@ -68,7 +70,7 @@ impl Reference {
             if work > WORK_MAX {
                 return Err(format!("more than {WORK_MAX} multiplications"));
             }
-            let outputs = call.evaluate().ok_or_else(|| format!("the operator {} as it is used here", node.op_type))?;
+            let outputs = evaluate(&call).ok_or_else(|| format!("the operator {} as it is used here", node.op_type))?;
             let names = node.output.iter().filter(|name| !name.is_empty());
             values.extend(names.cloned().zip(outputs));
         }
@@ -80,79 +82,10 @@ impl Reference {
     }
 }
 
-/// One operator with its inputs.
-struct Call<'a> {
-    node: &'a NodeProto,
-    inputs: Vec<Option<&'a Tensor>>,
-}
-
-impl<'a> Call<'a> {
-    /// The outputs; `None` for an operator, or a use of it, that is not known.
-    fn evaluate(&self) -> Option<Vec<Tensor>> {
-        if self.node.op_type == "MaxPool" {
-            return layout::max_pool(self);
-        }
-        arithmetic::evaluate(self).or_else(|| layout::evaluate(self)).map(|output| vec![output])
+/// The outputs of an operator; `None` where it, or this use of it, is not known.
+fn evaluate(call: &Call<'_>) -> Option<Vec<Tensor>> {
+    if call.node.op_type == "MaxPool" {
+        return layout::max_pool(call);
     }
-
-    /// An estimate of the multiplications, before any of them.
-    fn work(&self) -> usize {
-        let size = |tensor: &Tensor| tensor.shape.iter().product::<usize>();
-        let values = self.inputs.iter().flatten().map(|tensor| size(tensor)).fold(0_usize, usize::saturating_add);
-        match (self.node.op_type.as_str(), self.inputs.as_slice()) {
-            // Each value of the left table meets a row of the right one.
-            ("MatMul" | "Gemm", [Some(left), Some(right), ..]) => {
-                size(left).saturating_mul(right.shape.last().copied().unwrap_or(1).max(1))
-            }
-            // By broadcasting.
-            ("Add" | "Sub" | "Mul" | "Div" | "Pow" | "Max" | "Min", [Some(left), Some(right), ..]) => {
-                let shape = arithmetic::broadcast(&left.shape, &right.shape).unwrap_or_default();
-                shape.iter().fold(1, |product, extent| usize::saturating_mul(product, *extent))
-            }
-            ("Gather", [Some(table), Some(indices)]) => size(table).saturating_mul(size(indices)),
-            _ => values,
-        }
-    }
-
-    fn input(&self, index: usize) -> Option<&'a Tensor> {
-        self.inputs.get(index).copied().flatten()
-    }
-
-    fn floats(&self, index: usize) -> Option<&'a [f32]> {
-        match &self.input(index)?.data {
-            Data::Floats(values) => Some(values),
-            Data::Integers(_) => None,
-        }
-    }
-
-    fn integers(&self, index: usize) -> Option<&'a [i64]> {
-        match &self.input(index)?.data {
-            Data::Integers(values) => Some(values),
-            Data::Floats(_) => None,
-        }
-    }
-
-    fn attribute(&self, name: &str) -> Option<&'a AttributeProto> {
-        self.node.attribute.iter().find(|attribute| attribute.name == name)
-    }
-
-    fn integer(&self, name: &str, default: i64) -> i64 {
-        self.attribute(name).map_or(default, |attribute| attribute.i)
-    }
-
-    fn float(&self, name: &str, default: f32) -> f32 {
-        self.attribute(name).map_or(default, |attribute| attribute.f)
-    }
-}
-
-/// An axis that may be counted from the end.
-fn axis_of(axis: i64, rank: usize) -> Option<usize> {
-    let axis = if axis < 0 { axis + rank as i64 } else { axis };
-    usize::try_from(axis).ok().filter(|axis| *axis < rank)
-}
-
-/// The extents before, at and after an axis: a tensor is `before` blocks of `at` rows of `after`
-/// values.
-fn around(shape: &[usize], axis: usize) -> (usize, usize, usize) {
-    (shape[..axis].iter().product(), shape[axis], shape[axis + 1..].iter().product())
+    arithmetic::evaluate(call).or_else(|| layout::evaluate(call)).map(|output| vec![output])
 }

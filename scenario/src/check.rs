@@ -9,6 +9,10 @@ use crate::tables::{ChannelMode, MinRate, Wall};
 
 /// Largest number of users of a room: the limit of the contract.
 pub const USERS_MAX: usize = 64;
+/// Largest rate of arrivals: 1000 a second.
+const ARRIVALS_PER_MIN_MAX: f64 = 60_000.0;
+/// Mean durations of a stay in s.
+const STAY_S: RangeInclusive<f64> = 0.01..=1e6;
 /// Largest number of mirrors of an array: the limit of the contract.
 pub const MIRRORS_MAX: usize = 16_384;
 /// Optical power of an access point in W.
@@ -36,7 +40,8 @@ impl Scenario {
         self.check_users()?;
         let points = self.led.positions_m.len() * self.led.points_per_side.pow(2);
         // An empty list stands for a preset; see `build`.
-        let rays = points * self.mirror_count() * self.users.count * self.receiver.branches.len().max(1);
+        let users = self.users.arrivals.as_ref().map_or(self.users.count, |arrivals| arrivals.max_users);
+        let rays = points * self.mirror_count() * users * self.receiver.branches.len().max(1);
         count("led.points_per_side (points x mirrors x users x branches)", rays, 1..=RAYS_MAX)?;
         self.check_runtime()
     }
@@ -147,6 +152,15 @@ impl Scenario {
                 rates.iter().try_for_each(|rate| within("users.min_rate_mbps", *rate, 0.0..=1e6))?;
             }
         }
+        if let Some(arrivals) = &users.arrivals {
+            within("users.arrivals.rate_per_min", arrivals.rate_per_min, 0.0..=ARRIVALS_PER_MIN_MAX)?;
+            within("users.arrivals.mean_stay_s", arrivals.mean_stay_s, STAY_S)?;
+            count("users.arrivals.max_users", arrivals.max_users, users.count..=USERS_MAX)?;
+            if let Some(trace) = &users.trace {
+                let expected = "expected no recorded walk, since its users do not enter and leave: remove users.trace or users.arrivals";
+                return invalid("users.trace", trace, expected);
+            }
+        }
         let blockage = &self.blockage;
         count("blockage.forced_users", blockage.forced_users, 0..=users.count)?;
         within("blockage.body_radius_m", blockage.body_radius_m, 0.01..=2.0)?;
@@ -195,6 +209,12 @@ impl Scenario {
         within("control.range_deg", control.range_deg, 0.01..=90.0)?;
         within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)?;
         within("control.deadline_ms", control.deadline_ms, 0.0..=60_000.0)?;
+        let walk = &control.walk;
+        within("control.walk.changes_per_s", walk.changes_per_s, 0.0..=100.0)?;
+        within("control.walk.speed_m_s", walk.speed_m_s, 0.01..=100.0)?;
+        within("control.walk.standing", walk.standing, 0.0..=1.0)?;
+        within("control.walk.curving", walk.curving, 0.0..=1.0 - walk.standing)?;
+        within("control.walk.turn_rate_deg_per_s", walk.turn_rate_deg_per_s, 1.0..=720.0)?;
         let no_positions = "the policy has no positions";
         without_decision("control.when_stale", control.when_stale, no_positions)?;
         without_decision("control.when_silent", control.when_silent, no_positions)?;

@@ -21,24 +21,27 @@ pub struct Checked {
     /// The scenario, with defaults in place of the refused keys; `None` where the rest of the text
     /// cannot be read.
     pub scenario: Option<Scenario>,
+    /// The tables of the refused keys, as "users".
+    pub refused_tables: Vec<String>,
 }
 
 impl Scenario {
     /// Checks the text of a file, and continues after each problem.
     pub fn check_all(text: &str) -> Checked {
         let mut text = text.to_owned();
-        let mut problems = Vec::new();
+        let (mut problems, mut refused_tables) = (Vec::new(), Vec::new());
         loop {
             let problem = match Self::from_toml(&text) {
-                Ok(scenario) => return Checked { problems, scenario: Some(scenario) },
+                Ok(scenario) => return Checked { problems, scenario: Some(scenario), refused_tables },
                 Err(problem) => problem,
             };
             let refused = entry_of(&text, &problem);
             problems.push(problem);
+            refused_tables.extend(refused.as_ref().and_then(|entry| table_of(&text, entry.start)));
             let rest = refused.map(|entry| without(&text, entry)).filter(|rest| DeTable::parse(rest).is_ok());
             match rest {
                 Some(rest) if problems.len() < PROBLEMS_MAX => text = rest,
-                _ => return Checked { problems, scenario: None },
+                _ => return Checked { problems, scenario: None, refused_tables },
             }
         }
     }
@@ -85,6 +88,13 @@ fn by_place(table: &DeTable<'_>, place: usize) -> Option<Range<usize>> {
     })
 }
 
+/// The top-level table of a place in the text.
+fn table_of(text: &str, place: usize) -> Option<String> {
+    let document = DeTable::parse(text).ok()?;
+    let holds = |value: &DeValue<'_>| matches!(value, DeValue::Table(inner) if by_place(inner, place).is_some());
+    document.get_ref().iter().find(|(_, value)| holds(value.get_ref())).map(|(key, _)| key.get_ref().to_string())
+}
+
 /// The text without an entry; the numbers of the lines stay.
 fn without(text: &str, entry: Range<usize>) -> String {
     let line_start = text[..entry.start].rfind('\n').map_or(0, |end| end + 1);
@@ -124,7 +134,10 @@ mod tests {
         ] {
             assert_eq!(found.iter().filter(|text| text.contains(expected)).count(), 1, "{expected}: {found:#?}");
         }
-        assert!(Scenario::check_all(text).scenario.is_some());
+        let checked = Scenario::check_all(text);
+        assert!(checked.scenario.is_some());
+        let users = checked.refused_tables.iter().filter(|table| *table == "users").count();
+        assert_eq!(users, 2, "{:?}", checked.refused_tables);
     }
 
     #[test]

@@ -290,7 +290,7 @@ pub enum MinRate {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Users {
-    /// Number of users.
+    /// Number of users, with arrivals that at the start.
     pub count: usize,
     /// Minimum speed in m/s; 0 only if the maximum is 0 too, so that all users stand still.
     pub speed_min_m_s: f64,
@@ -302,11 +302,41 @@ pub struct Users {
     /// path starts at the folder of the scenario file, in `--set` at the working directory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
+    /// Users who enter and leave the simulated room; absent: the users stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arrivals: Option<Arrivals>,
 }
 
 impl Default for Users {
     fn default() -> Self {
-        Self { count: 5, speed_min_m_s: 0.1, speed_max_m_s: 2.0, min_rate_mbps: MinRate::All(1.0), trace: None }
+        Self {
+            count: 5,
+            speed_min_m_s: 0.1,
+            speed_max_m_s: 2.0,
+            min_rate_mbps: MinRate::All(1.0),
+            trace: None,
+            arrivals: None,
+        }
+    }
+}
+
+/// Users who enter and leave: a Poisson process of arrivals, and stays of exponential duration.
+///
+/// The users at the start leave too. An arrival at a full room does not enter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Arrivals {
+    /// Mean number of arrivals a minute.
+    pub rate_per_min: f64,
+    /// Mean duration of a stay in s.
+    pub mean_stay_s: f64,
+    /// Largest number of users in the room.
+    pub max_users: usize,
+}
+
+impl Default for Arrivals {
+    fn default() -> Self {
+        Self { rate_per_min: 5.0, mean_stay_s: 60.0, max_users: 10 }
     }
 }
 

@@ -21,4 +21,4 @@ mod truth_publisher;
 
 pub use error::NodeError;
 pub use settings::{Pace, Settings};
-pub use summary::Summary;
+pub use summary::{Summary, TurnoverSummary};

@@ -21,7 +21,7 @@ use crate::error::NodeError;
 use crate::metrics;
 use crate::session::RoomSession;
 use crate::settings::{Pace, Settings};
-use crate::summary::Summary;
+use crate::summary::{Summary, TurnoverSummary};
 use crate::tick_ledger::TickLedger;
 use crate::truth_publisher::{Measurements, TruthPublisher};
 
@@ -95,7 +95,7 @@ impl Node {
         // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
         Ok(Self {
-            reports: Reports::new(&scenario.streams, scenario.users.count, scenario.seed, session.source()),
+            reports: Reports::new(&scenario.streams, scenario.seed, session.source()),
             telemetry: Schedule::new(scenario.streams.telemetry.rate_hz, between_ticks_ns),
             truth: Schedule::new(scenario.streams.truth.rate_hz, between_ticks_ns),
             status: Schedule::new(STATUS_HZ, between_ticks_ns),
@@ -231,6 +231,10 @@ impl Node {
             ("clipped_commands", summary.clipped_commands),
             ("orders", self.orders),
         ];
+        let turnover = summary.turnover.map(|turnover| {
+            [("entered", turnover.entered), ("left", turnover.left), ("turned_away", turnover.turned_away)]
+        });
+        let turnover = turnover.into_iter().flatten().map(|(name, count)| (format!("users_{name}"), count));
         let refused = summary.refused.into_iter().map(|(name, count)| (format!("refused:{name}"), count));
         let world = self.room.world();
         let [slowest, fastest] = world.speeds_m_s();
@@ -239,6 +243,7 @@ impl Node {
             ("speed_min_m_s", slowest),
             ("speed_max_m_s", fastest),
             ("forced_users", world.forced().iter().filter(|forced| **forced).count() as f64),
+            ("users", world.ids().len() as f64),
             ("faulty_mirrors", self.room.actuator().faulty_mirrors() as f64),
         ];
         let us = summary.loop_us;
@@ -252,7 +257,12 @@ impl Node {
             state,
             scenario: self.scenario_hash.clone(),
             started_ns: self.started_ns,
-            counters: counts.map(|(name, count)| (name.to_owned(), count)).into_iter().chain(refused).collect(),
+            counters: counts
+                .map(|(name, count)| (name.to_owned(), count))
+                .into_iter()
+                .chain(turnover)
+                .chain(refused)
+                .collect(),
             gauges: gauges.map(|(name, value)| (name.to_owned(), value)).to_vec(),
             timings: vec![("loop".to_owned(), quantiles)],
             last_problem: self.last_problem().chars().take(PROBLEM_CHARACTERS).collect(),
@@ -289,6 +299,7 @@ impl Node {
             commands: counters.accepted,
             clipped_commands: counters.clipped,
             refused: refused.collect(),
+            turnover: self.room.world().turnover().map(TurnoverSummary::from),
             loop_us: self.ticks.distribution(),
             truth_us_mean: measurements.mean_cost_s * 1e6,
             last_problem: self.last_problem().to_owned(),

@@ -5,6 +5,7 @@ use std::fmt;
 
 use heliostat_service::printable::printable;
 use heliostat_sim::baselines::Tally;
+use heliostat_sim::world::arrivals::Turnover;
 use serde::Serialize;
 
 use crate::tick_ledger::Distribution;
@@ -20,6 +21,24 @@ pub struct SumRatesMbps {
     pub flat: f64,
     /// With the angles of the oracle.
     pub oracle: f64,
+}
+
+/// The users who entered and left.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct TurnoverSummary {
+    /// Users who entered after the start.
+    pub entered: u64,
+    /// Users who left.
+    pub left: u64,
+    /// Arrivals at a full room.
+    pub turned_away: u64,
+}
+
+impl From<Turnover> for TurnoverSummary {
+    fn from(turnover: Turnover) -> Self {
+        let Turnover { entered, left, turned_away } = turnover;
+        Self { entered, left, turned_away }
+    }
 }
 
 /// The result of a run.
@@ -62,6 +81,9 @@ pub struct Summary {
     pub qos_met_oracle: Option<f64>,
     /// Mean number of users whose direct path is blocked.
     pub blocked_users_mean: f64,
+    /// The users who entered and left; absent where the users stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub turnover: Option<TurnoverSummary>,
     /// Lockstep: hash of all commands and of all computed instants; the same seed gives the same
     /// hash.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -114,6 +136,9 @@ impl fmt::Display for Summary {
         writeln!(f, "ratio to oracle {}", share(self.ratio_to_oracle))?;
         writeln!(f, "minimum rates   met {} (oracle {})", share(self.qos_met), share(self.qos_met_oracle))?;
         writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?;
+        if let Some(TurnoverSummary { entered, left, turned_away }) = self.turnover {
+            writeln!(f, "users           {entered} entered, {left} left, {turned_away} found the room full")?;
+        }
         for (name, count) in &self.refused {
             writeln!(f, "refused         {name}: {count}")?;
         }

@@ -197,7 +197,7 @@ impl PublisherThread {
 
 fn room_truth(stamp: Stamp, at: &Snapshot, measured: &Measured) -> RoomTruth {
     let user = |user: usize| TruthUser {
-        user: user as u32,
+        user: at.ids[user],
         position_m: [at.positions[user].x as f32, at.positions[user].y as f32, at.positions[user].z as f32],
         heading_rad: at.headings[user] as f32,
         los_blocked: measured.los_blocked[user],

@@ -21,6 +21,8 @@ pub struct Snapshot {
     pub time_ns: u64,
     /// Whether the array has accepted a command yet; earlier instants are not counted.
     pub commanded: bool,
+    /// Numbers of the users.
+    pub ids: Vec<u32>,
     /// Positions of the receivers in m.
     pub positions: Vec<Vec3>,
     /// Heading of each user, in radians from +x towards +y.
@@ -46,6 +48,7 @@ impl Snapshot {
             tick: 0,
             time_ns: 0,
             commanded: true,
+            ids: world.ids().to_vec(),
             positions: world.positions().to_vec(),
             headings: world.users().iter().map(Walker::heading).collect(),
             blockers: world.blockers().to_vec(),
@@ -80,7 +83,7 @@ pub struct Measured {
 }
 
 /// Computes the rates of instants; owns a model, scene and solver, so that it can run on another
-/// thread.
+/// thread. The number of users may differ from instant to instant.
 #[derive(Debug)]
 pub struct Baselines {
     model: ChannelModel,
@@ -96,28 +99,41 @@ impl Baselines {
     /// Baselines for the room of this world.
     pub fn new(world: &World) -> Self {
         let model = world.model().clone();
-        let (users, mirrors) = (world.users().len(), model.mirrors.len());
+        let (users, mirrors) = (world.users().len().max(1), model.mirrors.len());
         Self {
             scene: Scene::new(&model, users),
             solver: Solver::new(users, mirrors),
             flat: MirrorAngles::flat(mirrors),
             best: MirrorAngles::flat(mirrors),
-            rates: vec![0.0; users],
-            measured: Measured {
-                rates_bps: vec![0.0; users],
-                sinr: vec![0.0; users],
-                los_gain: vec![0.0; users],
-                irs_gain: vec![0.0; users],
-                los_blocked: vec![false; users],
-                ..Measured::default()
-            },
+            rates: Vec::new(),
+            measured: Measured::default(),
             model,
+        }
+    }
+
+    /// Sizes the buffers for this number of users.
+    fn resize(&mut self, users: usize) {
+        let measured = &mut self.measured;
+        for list in [
+            &mut self.rates,
+            &mut measured.rates_bps,
+            &mut measured.sinr,
+            &mut measured.los_gain,
+            &mut measured.irs_gain,
+        ] {
+            list.resize(users, 0.0);
+        }
+        measured.los_blocked.resize(users, false);
+        self.scene.resize(users);
+        if users > 0 {
+            self.solver.set_users(users);
         }
     }
 
     /// Computes one instant.
     pub fn measure(&mut self, at: &Snapshot) -> &Measured {
-        let Self { model, scene, solver, flat, best, rates, measured } = self;
+        self.resize(at.positions.len());
+        let Self { model, scene, solver, flat, best, rates, measured, .. } = self;
         model.budget.clone_from(&at.budget);
         scene.update(model, &at.positions, &at.blockers, &at.forced);
         measured.los_blocked.copy_from_slice(scene.los_blocked());
@@ -138,7 +154,9 @@ impl Baselines {
         measured.sum_rates_bps.flat = rates.iter().sum();
 
         let minimum_rates = MinimumRates { min_rate_bps: &at.min_rate_bps, qos_penalty: QOS_PENALTY };
-        solver.solve(model, scene, &minimum_rates, Method::Oracle, best);
+        if scene.users() > 0 {
+            solver.solve(model, scene, &minimum_rates, Method::Oracle, best);
+        }
         scene.rates_bps(model, best, rates);
         measured.sum_rates_bps.oracle = rates.iter().sum();
         measured.met_oracle = met(rates);
@@ -172,7 +190,8 @@ impl Tally {
         self.blocked += measured.los_blocked.iter().filter(|blocked| **blocked).count() as u64;
     }
 
-    /// Mean sum rates in bit/s; zero before the first instant.
+    /// Mean over the instants of the sum rates of the users present, in bit/s; zero before the first
+    /// instant. An instant without users has a sum rate of 0.
     pub fn mean_sum_rates_bps(&self) -> SumRates {
         let mean = |sum: f64| sum / self.samples.max(1) as f64;
         SumRates {
@@ -193,5 +212,40 @@ impl Tally {
     /// Mean number of users whose direct path is off.
     pub fn blocked_users_mean(&self) -> f64 {
         self.blocked as f64 / self.samples.max(1) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_scenario::Scenario;
+
+    use super::*;
+
+    #[test]
+    fn instants_may_have_other_users_and_none() {
+        let overrides = [
+            "users.count=12",
+            "users.arrivals.rate_per_min=0",
+            "users.arrivals.mean_stay_s=2",
+            "users.arrivals.max_users=12",
+        ];
+        let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides.map(String::from)).unwrap();
+        let mut world = World::new(&scenario, None, 1).unwrap();
+        let flat = MirrorAngles::flat(100);
+        let (mut baselines, mut tally, mut sizes) = (Baselines::new(&world), Tally::default(), Vec::new());
+        loop {
+            let at = Snapshot::new(&world, &flat);
+            let measured = baselines.measure(&at).clone();
+            tally.add(&measured);
+            sizes.push(measured.rates_bps.len());
+            if sizes.last() == Some(&0) {
+                assert_eq!(measured.sum_rates_bps, SumRates::default());
+                break;
+            }
+            assert_eq!(measured, *Baselines::new(&world).measure(&at), "{sizes:?}");
+            world.step(1.0);
+        }
+        assert!(sizes.len() > 3 && sizes[0] == 12, "{sizes:?}");
+        assert!(tally.mean_sum_rates_bps().oracle > 0.0 && tally.qos_met().1 <= 1.0);
     }
 }

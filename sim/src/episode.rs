@@ -108,7 +108,7 @@ impl Episode {
         let streams = &scenario.streams;
         Ok(Self {
             room,
-            reports: Reports::new(streams, scenario.users.count, seed, SOURCE),
+            reports: Reports::new(streams, seed, SOURCE),
             telemetry: Schedule::new(streams.telemetry.rate_hz, 0),
             telemetry_sequence: 0,
             start_ns,

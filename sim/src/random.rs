@@ -27,6 +27,8 @@ pub enum Purpose {
     Faults,
     /// Measurement noise during calibration of an array.
     CalibrationNoise,
+    /// When users enter, and how long they stay.
+    Arrivals,
 }
 
 impl Purpose {
@@ -40,6 +42,7 @@ impl Purpose {
             Self::ChannelNoise => 5,
             Self::Faults => 6,
             Self::CalibrationNoise => 7,
+            Self::Arrivals => 8,
         }
     }
 }

@@ -65,7 +65,7 @@ pub struct Reports {
 
 impl Reports {
     /// The streams of a scenario; `source` is the id in every stamp.
-    pub fn new(settings: &Streams, users: usize, seed: u64, source: u64) -> Self {
+    pub fn new(settings: &Streams, seed: u64, source: u64) -> Self {
         Self {
             source,
             positions: Schedule::new(settings.positions.rate_hz, 0),
@@ -79,8 +79,8 @@ impl Reports {
             obstacle_sequence: 0,
             late_ticks: 0,
             waiting: BTreeMap::new(),
-            irs_gain: vec![0.0; users],
-            sinr: vec![0.0; users],
+            irs_gain: Vec::new(),
+            sinr: Vec::new(),
         }
     }
 
@@ -146,33 +146,35 @@ impl Reports {
         // Noise is drawn even where its size is 0, so that one noise does not change the others.
         let rng = &mut self.position_noise;
         let mut noisy = |value: f64, spread: f64| (value + spread * random::normal(rng)) as f32;
-        let report = |(user, (walker, min_rate)): (usize, (&Walker, &f64))| UserState {
-            user: user as u32,
+        let report = |((user, walker), min_rate): ((&u32, &Walker), &f64)| UserState {
+            user: *user,
             position_m: [walker.position.x, walker.position.y, walker.position.z].map(|value| noisy(value, spread)),
             velocity_m_s: walker.velocity.map(|value| noisy(value, velocity_spread)),
             min_rate_bps: *min_rate as f32,
         };
-        let users = world.users().iter().zip(world.min_rate_bps()).enumerate().map(report).collect();
+        let users = world.ids().iter().zip(world.users()).zip(world.min_rate_bps()).map(report).collect();
         UserReport { stamp, tick: self.tick, users }
     }
 
     fn channel_report(&mut self, now: Moment, world: &World, angles: &MirrorAngles) -> ChannelReport {
         self.channel_sequence += 1;
         let stamp = self.stamp(self.channel_sequence, now);
+        self.irs_gain.resize(world.ids().len(), 0.0);
+        self.sinr.resize(world.ids().len(), 0.0);
         world.scene().irs_gain(world.model(), angles, &mut self.irs_gain);
         world.scene().sinr(world.model(), angles, &mut self.sinr);
         let spread = self.settings.channel.noise_relative;
         let rng = &mut self.channel_noise;
         let mut factor = || (1.0 + spread * random::normal(rng)).max(0.0);
-        let gains = world.scene().los_gain().iter().zip(&self.irs_gain).zip(&self.sinr).enumerate();
-        let users = gains.map(|(user, ((los_gain, irs_gain), sinr))| {
+        let gains = world.scene().los_gain().iter().zip(&self.irs_gain).zip(&self.sinr).zip(world.ids());
+        let users = gains.map(|(((los_gain, irs_gain), sinr), user)| {
             let (los_factor, irs_factor) = (factor(), factor());
             let (measured_los, measured_irs) = (los_gain * los_factor, irs_gain * irs_factor);
             let total = los_gain + irs_gain;
             // SINR is proportional to the square of the total gain.
             let sinr_factor = if total > 0.0 { ((measured_los + measured_irs) / total).powi(2) } else { 1.0 };
             UserChannel {
-                user: user as u32,
+                user: *user,
                 los_gain: measured_los as f32,
                 irs_gain: measured_irs as f32,
                 sinr: (sinr * sinr_factor) as f32,

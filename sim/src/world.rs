@@ -4,6 +4,7 @@
 //! numbers come from the seed, one stream for each purpose ([`crate::random`]), so that a change of
 //! one setting does not change the rest. [`World::step`] does not allocate.
 //!
+//! - [`arrivals`]: when users enter and leave.
 //! - [`walker`]: the floor and one user's receiver.
 //! - [`mobility`], [`trace`]: random and recorded walks.
 //! - [`obstacles`]: the hard-core process.
@@ -12,12 +13,14 @@ use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
 use heliostat_scenario::{Blockage, Scenario};
 use thiserror::Error;
 
-use self::mobility::{Mobility, MobilityError, Speeds};
+use self::arrivals::{Arrivals, Change, Turnover};
+use self::mobility::{Mobility, MobilityError, RandomWaypoint, Speeds};
 use self::obstacles::{HardCore, ObstacleError};
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
 use crate::random::{self, Purpose};
 
+pub mod arrivals;
 pub mod mobility;
 pub mod obstacles;
 pub mod trace;
@@ -60,13 +63,27 @@ pub struct World {
     hard_core: HardCore,
     blockage: Blockage,
     mobility: Mobility,
+    seed: u64,
+    /// Number of users at the start.
+    users: usize,
+    /// `None`: the users stay.
+    arrivals: Option<Arrivals>,
+    settings: Option<heliostat_scenario::Arrivals>,
+    /// Numbers of the users, in the order of entry as all lists of users.
+    ids: Vec<u32>,
+    /// A receiver before its first step.
+    start: Walker,
     walkers: Vec<Walker>,
     positions: Vec<Vec3>,
     /// Obstacles first, then one body for each user when bodies block.
     blockers: Vec<Cylinder>,
     obstacles: usize,
+    /// Number of users, counted from the first present, whose direct path is off.
+    forced_users: usize,
     forced: Vec<bool>,
     min_rate_bps: Vec<f64>,
+    /// Minimum rates of the users at the start; those who enter have them in turn.
+    min_rates_bps: Vec<f64>,
     scene: Scene,
     time_s: f64,
 }
@@ -97,17 +114,24 @@ impl World {
             speeds,
             hard_core: HardCore::new(blockage.obstacles_per_m2, blockage.obstacle_min_distance_m)?,
             mobility,
-            walkers: vec![Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] }; users],
-            positions: vec![start; users],
+            seed,
+            users,
+            arrivals: None,
+            settings: scenario.users.arrivals.clone(),
+            ids: Vec::new(),
+            start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
+            walkers: Vec::new(),
+            positions: Vec::new(),
             blockers: Vec::new(),
             obstacles: 0,
-            forced: (0..users).map(|user| user < blockage.forced_users).collect(),
-            min_rate_bps: scenario.min_rate_bps(),
+            forced_users: blockage.forced_users,
+            forced: Vec::new(),
+            min_rate_bps: Vec::new(),
+            min_rates_bps: scenario.min_rate_bps(),
             time_s: 0.0,
             blockage,
         };
-        world.place_obstacles(seed);
-        world.refresh();
+        world.begin(seed);
         Ok(world)
     }
 
@@ -122,10 +146,25 @@ impl World {
     /// A recorded walk continues.
     pub fn restart(&mut self, seed: u64) {
         if let Mobility::RandomWaypoint(_) = self.mobility {
-            self.mobility = Mobility::random_waypoint(self.floor, self.speeds, self.walkers.len(), seed);
+            self.mobility = Mobility::random_waypoint(self.floor, self.speeds, self.users, seed);
         }
         self.time_s = 0.0;
+        self.begin(seed);
+    }
+
+    /// Places the users of the start and the obstacles.
+    fn begin(&mut self, seed: u64) {
+        self.seed = seed;
+        self.arrivals = self.settings.as_ref().map(|settings| Arrivals::new(settings, self.users, seed));
         self.place_obstacles(seed);
+        // Once for the largest number of users, so that later changes do not allocate.
+        let most = self.settings.as_ref().map_or(self.users, |settings| settings.max_users.max(self.users));
+        for users in [most, self.users] {
+            self.ids.clear();
+            self.ids.extend(0..users as u32);
+            self.resize_lists();
+        }
+        self.mobility.reserve(most);
         self.refresh();
     }
 
@@ -139,6 +178,42 @@ impl World {
     pub fn advance(&mut self, dt_s: f64) {
         self.time_s += dt_s;
         self.mobility.step(dt_s);
+        let mut changed = false;
+        while let Some(change) = self.arrivals.as_mut().and_then(|arrivals| arrivals.next_change(self.time_s)) {
+            changed = true;
+            match change {
+                Change::Enter { at_s, id } => {
+                    let walk =
+                        RandomWaypoint::new(self.floor, self.speeds, random::stream(self.seed, Purpose::Walk, id));
+                    self.mobility.enter(walk, self.time_s - at_s);
+                    self.ids.push(id);
+                }
+                Change::Leave { index } => {
+                    self.mobility.leave(index);
+                    self.ids.remove(index);
+                }
+            }
+        }
+        if changed {
+            self.resize_lists();
+        }
+    }
+
+    /// Gives the lists of users the length of `ids`; [`World::refresh`] fills the others.
+    fn resize_lists(&mut self) {
+        let users = self.ids.len();
+        self.walkers.resize(users, self.start);
+        self.positions.resize(users, self.start.position);
+        self.forced.clear();
+        self.forced.extend((0..users).map(|user| user < self.forced_users));
+        let rates = &self.min_rates_bps;
+        self.min_rate_bps.clear();
+        self.min_rate_bps.extend(self.ids.iter().map(|id| rates[*id as usize % rates.len()]));
+        if self.blockage.bodies {
+            let (radius_m, height_m) = (self.blockage.body_radius_m, self.blockage.body_height_m);
+            self.blockers.resize(self.obstacles + users, Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m });
+        }
+        self.scene.resize(users);
     }
 
     /// Updates positions, blockers and scene.
@@ -153,6 +228,16 @@ impl World {
             body.y_m = walker.position.y - offset * walker.direction[1];
         }
         self.scene.update(&self.model, &self.positions, &self.blockers, &self.forced);
+    }
+
+    /// The users' numbers, in the order of entry, as all lists of users. No number is used twice.
+    pub fn ids(&self) -> &[u32] {
+        &self.ids
+    }
+
+    /// The users who entered and left; `None` where the users stay.
+    pub fn turnover(&self) -> Option<Turnover> {
+        self.arrivals.as_ref().map(Arrivals::turnover)
     }
 
     /// The users' receivers: positions, headings and velocities.
@@ -203,6 +288,7 @@ impl World {
     /// Forces the direct paths of the first `users` users off and those of the others on, from the
     /// next refresh on.
     pub fn set_forced(&mut self, users: usize) {
+        self.forced_users = users;
         for (user, forced) in self.forced.iter_mut().enumerate() {
             *forced = user < users;
         }
@@ -241,10 +327,6 @@ impl World {
         self.blockers
             .extend(points.into_iter().map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)));
         self.obstacles = self.blockers.len();
-        if blockage.bodies {
-            let body = cylinder([0.0, 0.0], blockage.body_radius_m, blockage.body_height_m);
-            self.blockers.extend(std::iter::repeat_n(body, self.walkers.len()));
-        }
     }
 }
 

@@ -14,7 +14,7 @@ fn run(overrides: &[&str], until_ms: u64) -> Vec<(u64, Report)> {
     let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
     let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
     let mut room = SimulatedRoom::new(&scenario, None, 3).unwrap();
-    let mut reports = Reports::new(&scenario.streams, scenario.users.count, 3, SOURCE);
+    let mut reports = Reports::new(&scenario.streams, 3, SOURCE);
     let mut out = Vec::new();
     loop {
         let now = reports.next_sample_ns().min(reports.next_release_ns());
@@ -119,4 +119,26 @@ fn gain_noise_is_relative_and_a_blocked_path_remains_blocked() {
     let deviation = (ratios.iter().map(|r| (r - 1.0).powi(2)).sum::<f64>() / ratios.len() as f64).sqrt();
     assert!((deviation / 0.1 - 1.0).abs() < 0.05, "{deviation}");
     assert_eq!(users(&quiet), users(&noisy));
+}
+
+#[test]
+fn reports_have_the_users_of_their_moment_and_channel_entries_match_them() {
+    let arrivals = [
+        "users.arrivals.rate_per_min=240",
+        "users.arrivals.mean_stay_s=1",
+        "users.arrivals.max_users=8",
+        "streams.channel.latency_ms=25",
+    ];
+    let reports = run(&arrivals, 10_000);
+    let (users, channels) = (users(&reports), channels(&reports));
+    let ids = |report: &UserReport| report.users.iter().map(|user| user.user).collect::<Vec<_>>();
+    let mut sizes: Vec<usize> = users.iter().map(|(_, report)| report.users.len()).collect();
+    for (_, channel) in &channels {
+        let same = users.iter().find(|(_, report)| report.stamp.time_ns == channel.stamp.time_ns);
+        let Some((_, report)) = same else { continue };
+        assert_eq!(channel.users.iter().map(|user| user.user).collect::<Vec<_>>(), ids(report));
+    }
+    sizes.sort_unstable();
+    sizes.dedup();
+    assert!(sizes.len() > 4, "{sizes:?}");
 }

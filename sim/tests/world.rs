@@ -133,3 +133,79 @@ fn a_recorded_walk_moves_the_users_and_an_invalid_one_is_refused_with_its_line()
     let error = with(None).unwrap_err();
     assert!(error.to_string().starts_with("users.trace: walk.csv"), "{error}");
 }
+
+const ARRIVALS: [&str; 3] =
+    ["users.arrivals.rate_per_min=60", "users.arrivals.mean_stay_s=4", "users.arrivals.max_users=9"];
+
+/// The users of each step of a run, with their positions.
+fn turnover(world: &mut World, step_s: f64, steps: usize) -> Vec<Vec<(u32, [f64; 3])>> {
+    (0..steps)
+        .map(|_| {
+            world.step(step_s);
+            let users = world.users().iter().map(|user| user.position.into());
+            world.ids().iter().copied().zip(users).collect()
+        })
+        .collect()
+}
+
+#[test]
+fn users_come_and_go_by_the_seed_and_no_number_is_used_twice() {
+    let run = |seed| turnover(&mut world(&ARRIVALS, seed), 0.25, 400);
+    let states = run(3);
+    assert_eq!(states, run(3));
+    assert_ne!(states, run(4));
+    let counts: Vec<usize> = states.iter().map(Vec::len).collect();
+    assert!(counts.iter().all(|count| *count <= 9) && counts.iter().any(|count| *count != 5), "{counts:?}");
+    let (mut seen, mut gone) = (Vec::new(), Vec::new());
+    for state in &states {
+        let present: Vec<u32> = state.iter().map(|(id, _)| *id).collect();
+        assert!(present.is_sorted() && present.iter().all(|id| !gone.contains(id)), "{present:?} after {gone:?}");
+        gone.extend(seen.iter().filter(|id| !present.contains(id)).copied());
+        seen = present;
+    }
+    assert!(gone.len() > 50, "{}", gone.len());
+}
+
+#[test]
+fn a_user_walks_the_same_way_whoever_else_comes_and_goes() {
+    let (mut alone, mut crowd) = (world(&["users.count=5"], 8), world(&ARRIVALS, 8));
+    for _ in 0..20 {
+        alone.step(0.1);
+        crowd.step(0.1);
+        for (id, user) in crowd.ids().iter().zip(crowd.users()).filter(|(id, _)| **id < 5) {
+            assert_eq!(user, &alone.users()[*id as usize]);
+        }
+        assert_eq!(alone.obstacles(), crowd.obstacles());
+    }
+}
+
+#[test]
+fn every_list_of_a_world_has_one_entry_for_each_user() {
+    let mut world =
+        world(&[&ARRIVALS[..], &["users.min_rate_mbps=[1,2,3,4,5]", "blockage.forced_users=2"]].concat(), 2);
+    for _ in 0..200 {
+        world.step(0.2);
+        let users = world.ids().len();
+        assert_eq!([world.users().len(), world.positions().len(), world.scene().users()], [users; 3]);
+        assert_eq!(world.blockers().len() - world.obstacles().len(), users);
+        let forced = world.forced().iter().filter(|forced| **forced).count();
+        assert_eq!((world.forced().len(), forced), (users, users.min(2)));
+        let expected: Vec<f64> = world.ids().iter().map(|id| 1e6 * f64::from(id % 5 + 1)).collect();
+        assert_eq!(world.min_rate_bps(), expected);
+    }
+    let turnover = world.turnover().unwrap();
+    assert!(turnover.entered > 10 && turnover.left > 10, "{turnover:?}");
+}
+
+#[test]
+fn arrivals_that_are_absent_or_never_come_change_no_bit_of_the_walks() {
+    let never = ["users.arrivals.rate_per_min=0", "users.arrivals.mean_stay_s=1000000"];
+    assert_eq!(bits(&mut world(&[], 5)), bits(&mut world(&never, 5)));
+}
+
+#[test]
+fn arrivals_and_a_recorded_walk_exclude_each_other() {
+    let both = ["users.trace=\"walk.csv\"", "users.arrivals.rate_per_min=1"].map(String::from);
+    let refusal = Scenario::builtin("specular").unwrap().with_overrides(&both).unwrap_err().to_string();
+    assert!(refusal.contains("users.trace") && refusal.contains("remove users.trace or users.arrivals"), "{refusal}");
+}

@@ -4,6 +4,8 @@
 //! - [`Process`]: a built program as a process.
 //! - [`RoomObserver`]: a session that receives the messages of a room.
 //! - [`Browser`]: a browser with one page.
+//! - [`PythonExample`]: an example in Python as a process.
+//! - [`containers`]: a container engine with base images.
 //! - [`faults`]: rooms of processes, faults, and the measurement of their effects.
 //! - [`architecture`]: checks of the architecture rules, based on [`module_graph`], [`packages`]
 //!   and [`rust_source`].
@@ -13,15 +15,18 @@
 
 pub mod architecture;
 mod browser;
+pub mod containers;
 pub mod faults;
 pub mod module_graph;
 mod observer;
 pub mod packages;
 mod process;
+mod python;
 pub mod rust_source;
 mod wait;
 
 pub use browser::Browser;
 pub use observer::RoomObserver;
 pub use process::{Ended, Process, programs};
+pub use python::{PythonExample, python};
 pub use wait::wait_until;

@@ -328,5 +328,10 @@ fn the_containers_pass_flags_that_the_programs_accept() {
     let lock = fs::read_to_string(root().join("Cargo.lock")).expect("a lock file");
     let zenoh = lock.split_once("name = \"zenoh\"\nversion = \"").expect("zenoh is there").1;
     let version = zenoh.split('"').next().expect("a version");
-    assert!(compose.contains(&format!("image: eclipse/zenoh:{version}\n")), "the router is not zenoh {version}");
+    // The build of the router reads the version with this command.
+    let command = image.lines().find_map(|line| Some(line.split_once("version=$(")?.1)).expect("a command");
+    let command = command.trim_end_matches([' ', '\\']);
+    let command = command.strip_suffix(')').expect("the command ends its line");
+    let output = Command::new("bash").args(["-c", command]).current_dir(root()).output().expect("bash runs");
+    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), version, "{command}");
 }

@@ -1,56 +1,17 @@
 //! Drivers across processes: the simulated array and one in Python keep the contract, and the
 //! controller drives both.
 
-use std::path::Path;
-use std::process::Child;
 use std::time::Duration;
 
 use heliostat_bus::{BusConfig, free_loopback_endpoint};
 use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Rearm, Room, Stamp, UserReport, UserState, encode};
 use heliostat_service::clock::utc_ns;
-use heliostat_tests::{Process, RoomObserver, wait_until};
+use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
 use serde_json::Value;
 
-/// A Python interpreter with the package `eclipse-zenoh`; `None` if it is missing and not required.
-fn python() -> Option<String> {
-    let python = std::env::var("HELIOSTAT_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = std::process::Command::new(&python).args(["-c", "import zenoh; zenoh.Config"]).output();
-    if found.is_ok_and(|output| output.status.success()) {
-        return Some(python);
-    }
-    assert!(
-        std::env::var_os("HELIOSTAT_REQUIRE_PYTHON").is_none(),
-        "{python} has no package eclipse-zenoh, which is required where HELIOSTAT_REQUIRE_PYTHON is set"
-    );
-    println!(
-        "skipped: {python} has no package eclipse-zenoh (pip install eclipse-zenoh; HELIOSTAT_PYTHON names another)"
-    );
-    None
-}
-
-/// The example driver of 2 x 3 mirrors with the folder of its stop; it is killed when dropped.
-struct PythonDriver {
-    process: Child,
-    _state: tempfile::TempDir,
-}
-
-impl PythonDriver {
-    fn start(python: &str, room: &str, endpoints: &str) -> Self {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        let arguments = ["examples/driver.py", room, endpoints, "2", "3", "60"];
-        let state = tempfile::tempdir().expect("a folder");
-        let mut command = std::process::Command::new(python);
-        command.args(arguments).current_dir(root).env("STATE_DIRECTORY", state.path());
-        Self { process: command.spawn().expect("python starts"), _state: state }
-    }
-}
-
-impl Drop for PythonDriver {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
+/// The example driver of 2 x 3 mirrors.
+fn python_driver(python: &str, room: &str, endpoints: &str) -> PythonExample {
+    PythonExample::start(python, "driver.py", &[room, endpoints, "2", "3", "60"])
 }
 
 /// Verdicts by rule.
@@ -83,7 +44,7 @@ fn a_check_of_an_empty_room_is_refused() {
 fn a_driver_in_python_keeps_every_rule() {
     let Some(python) = python() else { return };
     let endpoint = free_loopback_endpoint().unwrap();
-    let _driver = PythonDriver::start(&python, "python", &endpoint);
+    let _driver = python_driver(&python, "python", &endpoint);
     let verdicts = check(&["--listen", &endpoint, "--room", "python"]);
     assert!(verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }
@@ -121,7 +82,7 @@ fn a_driver_in_python_follows_the_controller() {
     let _controller = Process::heliostat(&[&flags[..], &set, &["--exit-with-parent"]].concat());
     let room = BusConfig::new(Room::new("driven").unwrap());
     let tracker = RoomObserver::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
-    let _driver = PythonDriver::start(&python, "driven", &format!("{of_controller},{of_tracker}"));
+    let _driver = python_driver(&python, "driven", &format!("{of_controller},{of_tracker}"));
     // Its first start is stopped, by a stop without sender.
     let mut rearm = Vec::new();
     encode(&Rearm::default(), &mut rearm).expect("a sound re-arm");

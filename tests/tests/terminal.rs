@@ -1,29 +1,37 @@
 //! The full-screen view in a pseudo-terminal: it leaves the terminal as it was.
 
 use std::io::{Read, Write};
+use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
-use heliostat_bus::free_loopback_endpoint;
 use heliostat_tests::{programs, wait_until};
 
 const TO_ALTERNATE_SCREEN: &str = "\u{1b}[?1049h";
 const TO_MAIN_SCREEN: &str = "\u{1b}[?1049l";
 
+/// Generous limit of the restoration, which may not wait for the close of the session.
+const RESTORE_LIMIT: Duration = Duration::from_secs(5);
+
 /// `heliostat ui` and then `stty` in a pseudo-terminal.
 struct Terminal {
     script: Child,
     output: Arc<Mutex<Vec<u8>>>,
+    /// Accepts connections, and never answers.
+    _silent: TcpListener,
 }
 
 impl Terminal {
     /// `None` without the program `script`, unless CI requires it.
     fn start() -> Option<Self> {
         let heliostat = programs().join("heliostat");
-        let endpoint = free_loopback_endpoint().expect("a free port");
+        let silent = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
+        let endpoint = format!("tcp/{}", silent.local_addr().expect("bound"));
         let inner = format!("{} ui --no-ui --connect {endpoint}; stty -a", heliostat.display());
         let script = Command::new("script")
-            .args(["-q", "-f", "-e", "-c", &format!("sh -c '{inner}'"), "/dev/null"])
+            .args(["-q", "-f", "-e", "-c", &format!("sh -c 'stty rows 24 cols 80; {inner}'"), "/dev/null"])
+            .env("HELIOSTAT_ZENOH", "transport/unicast/open_timeout=60000")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn();
@@ -44,7 +52,7 @@ impl Terminal {
                 kept.lock().expect("no reader panics").extend(&bytes[..count]);
             }
         });
-        Some(Self { script, output })
+        Some(Self { script, output, _silent: silent })
     }
 
     fn text(&self) -> String {
@@ -89,6 +97,9 @@ fn the_terminal_is_restored_after_q_ctrl_c_and_sigterm() {
         wait_until("the full-screen view", || terminal.text().contains("q quits"));
         assert!(terminal.text().contains(TO_ALTERNATE_SCREEN));
         end(&mut terminal);
+        let asked = Instant::now();
+        wait_until("the main screen", || terminal.text().contains(TO_MAIN_SCREEN));
+        assert!(asked.elapsed() < RESTORE_LIMIT, "{name}: restored after {:?}", asked.elapsed());
         wait_until("the settings of the terminal", || terminal.text().contains("echoe"));
         let text = terminal.text();
         let (_, after) =

@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn users_beyond_the_screen_are_counted() {
         check(&drawn(60, 15, &figures(20)), &["\"0    ", "\"3    ", "16 more", "oracle     50.00"]);
-        check(&drawn(80, 24, &figures(20)), &["\"7    ", "12 more", "oracle     50.00", "fallbacks   700006"]);
+        check(&drawn(80, 24, &figures(20)), &["\"7    ", "12 more", "oracle     50.00", "fallbacks    700006"]);
     }
 
     #[test]

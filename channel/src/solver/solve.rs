@@ -54,6 +54,19 @@ impl Solver {
         solver
     }
 
+    /// Changes the number of users and forgets the last solution; no effect for the present number.
+    ///
+    /// # Panics
+    /// When the number is 0.
+    pub fn set_users(&mut self, users: usize) {
+        assert!(users > 0, "0 users: expected at least one");
+        if users != self.users {
+            self.weights.clear();
+            self.weights.resize(users, 0.0);
+            self.resize(users, |_| None);
+        }
+    }
+
     /// Changes the users: `former[k]` is the index that user k had, or `None` for a new one.
     ///
     /// The weights of the last solution move with their users, and a new user starts with the weight

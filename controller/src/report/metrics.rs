@@ -74,6 +74,10 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         let help = "Changes of the epoch or of the standby, by kind";
         page.counter("heliostat_epoch_events", help, &[room, ("event", event.as_str())], *count);
     }
+    for (reason, count) in &summary.users {
+        let help = "Users without a measured gain or beyond the policy's capacity, one for each decision";
+        page.counter("heliostat_users_limited", help, &[room, ("reason", reason.as_str())], *count);
+    }
     for (stream, count) in &summary.missed {
         let help = "Reports that did not arrive, by the gaps in their sequence numbers";
         page.counter("heliostat_reports_missed", help, &[room, ("stream", stream.as_str())], *count);

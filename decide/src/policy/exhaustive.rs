@@ -10,7 +10,6 @@ use crate::observe::observation::Observation;
 /// Tries everything; for arrays of a dozen mirrors at most, and only where mirrors obey the law of
 /// reflection.
 pub struct Exhaustive {
-    users: usize,
     solver: Solver,
 }
 
@@ -29,7 +28,7 @@ impl Exhaustive {
         if assignments > ASSIGNMENTS_MAX {
             return Err(SolverError::TooMany { users, mirrors, assignments });
         }
-        Ok(Self { users, solver: Solver::new(users, mirrors) })
+        Ok(Self { solver: Solver::new(users, mirrors) })
     }
 }
 
@@ -44,11 +43,7 @@ impl Policy for Exhaustive {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError> {
-        if observation.users() != self.users {
-            // Its result does not depend on the last one.
-            self.users = observation.users();
-            self.solver.change_users(&vec![None; self.users]);
-        }
+        self.solver.set_users(observation.users());
         let minimum_rates = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
         self.solver.exhaustive(&Problem::of_scene(model, &observation.scene, &minimum_rates))?;
         decode::aim(model, &observation.scene, self.solver.served(), out);

@@ -101,8 +101,9 @@ pub fn run(args: Args) -> Result<()> {
     watch(&args, &watched, &mut processes)?;
     drop(server);
 
+    let controllers = processes.controllers();
     let (room_summary, controller_summary) = processes.finish()?;
-    let summary = summary::Summary::new(&room_summary, controller_summary.as_ref())?;
+    let summary = summary::Summary::new(&room_summary, controller_summary.as_ref(), controllers)?;
     if args.json {
         outln!("{}", serde_json::to_string(&summary)?)?;
     } else {

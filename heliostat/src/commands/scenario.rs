@@ -109,7 +109,7 @@ fn problems(args: &ScenarioArgs) -> Result<(Option<Scenario>, Vec<String>)> {
         }
     };
     // With the default of a refused key, lines of the walk could be refused without a reason.
-    let is_certain = !problems.iter().any(|problem| problem.contains("users.") || problem.contains("room."));
+    let is_certain = !checked.refused_tables.iter().any(|table| table == "users" || table == "room");
     if let (Some(text), Some(path), true) = (&trace, &scenario.users.trace, is_certain) {
         let of_trace = World::trace_problems(&scenario, text);
         problems.extend(of_trace.iter().map(|problem| format!("users.trace: {path}: {problem}")));

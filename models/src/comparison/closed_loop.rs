@@ -5,8 +5,13 @@
 //! equal mean spacing, each at a random offset within its interval, so that they fall anywhere
 //! between two reports. The controller decides in zero simulated time.
 //! `streams.positions.latency_ms` gives the age of a report.
+//!
+//! With `users.arrivals` users come and go at times that depend on the seed alone: oracle and
+//! policies have the same users at each sampling time, so that the comparison stays paired. A sum
+//! rate is that of the users present. It counts as 0 at a time without users, which has no ratio and
+//! no share of users.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use heliostat_array::moment::Moment;
@@ -33,9 +38,6 @@ const INSTANTS: usize = 20;
 /// Mean time between two samples in ns.
 const SPACING_NS: u64 = 250_000_000;
 
-/// From the controller's start to the first sampling interval in ns.
-const LEAD_NS: u64 = 1_000_000_000;
-
 /// One room and its sampling times.
 pub(super) struct Episode {
     pub seed: u64,
@@ -45,9 +47,10 @@ pub(super) struct Episode {
 }
 
 impl Episode {
-    pub fn new(seed: u64, set: u64, instants: usize) -> Self {
+    pub fn new(seed: u64, set: u64, instants: usize, warm: Duration) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
-        let share = |index: u64| start_ns() + LEAD_NS + index * SPACING_NS + generator.random_range(0..SPACING_NS);
+        let first_ns = start_ns() + warm.as_nanos() as u64;
+        let share = |index: u64| first_ns + index * SPACING_NS + generator.random_range(0..SPACING_NS);
         Self { seed, set, instants_ns: (0..instants as u64).map(share).collect() }
     }
 }
@@ -88,7 +91,7 @@ fn episodes(settings: &Settings) -> Vec<Episode> {
     for set in 0..settings.seeds as u64 {
         for (index, first) in (0..settings.states).step_by(INSTANTS).enumerate() {
             let seed = held_out_seed(settings.scenario.seed.wrapping_add(set), index as u64);
-            episodes.push(Episode::new(seed, set, INSTANTS.min(settings.states - first)));
+            episodes.push(Episode::new(seed, set, INSTANTS.min(settings.states - first), settings.warm));
         }
     }
     episodes
@@ -104,7 +107,7 @@ fn solve(scenario: &Scenario, episode: &Episode, evaluator: &mut Evaluator) -> a
         world.step((instant_ns - now_ns) as f64 * 1e-9);
         now_ns = *instant_ns;
         let angles = best_angles(&mut solver, evaluator.model(), world.scene(), world.min_rate_bps());
-        samples.push(evaluator.evaluate(world.scene(), &angles));
+        samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), &angles));
     }
     Ok(samples)
 }
@@ -127,7 +130,10 @@ fn run(
             let mut lockstep = Lockstep::new(&scenario, episode.seed, controller)?;
             lockstep.names_unusable = evaluated.is_aware();
             let mut samples = Vec::new();
-            let mut look = |room: &SimulatedRoom| samples.push(evaluator.evaluate(room.world().scene(), room.angles()));
+            let mut look = |room: &SimulatedRoom| {
+                let world = room.world();
+                samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), room.angles()));
+            };
             let done = lockstep.run(&episode.instants_ns, &mut look);
             done.with_context(|| format!("policy {}", evaluated.name()))?;
             run.groups.push(samples);
@@ -187,12 +193,12 @@ impl Lockstep {
             Event::Channel(report) => Message::Channel(report),
             Event::Users(report) => Message::Users(report),
         };
-        let mut observed = Instant::now();
+        let arrived = Instant::now();
         let decisions_us = &mut self.decisions_us;
-        let mut mark = |stage| match stage {
-            Stage::Observed => observed = Instant::now(),
-            Stage::Inferred => decisions_us.push(observed.elapsed().as_secs_f64() * 1e6),
-            _ => {}
+        let mut mark = |stage| {
+            if stage == Stage::Inferred {
+                decisions_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+            }
         };
         match self.controller.handle_and_poll(now.room_ns, message, &mut mark) {
             Some(Decision::Move { command, .. }) => {

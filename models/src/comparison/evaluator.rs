@@ -10,7 +10,7 @@ use crate::evaluation::held_out::met;
 pub(crate) struct Sample {
     /// Sum of the users' rates in Mbit/s.
     pub sum_rate_mbps: f64,
-    /// Share of users whose minimum rate is met.
+    /// Share of users whose minimum rate is met; NaN without users.
     pub met: f64,
     /// Jain's fairness index of the rates.
     pub jain: f64,
@@ -74,6 +74,18 @@ impl Evaluator {
 
     pub fn model(&self) -> &ChannelModel {
         &self.model
+    }
+
+    /// Evaluates angles in a state with other users, who have these minimum rates. Without users
+    /// the sum rate is 0, and the shares and means over users are NaN.
+    pub fn evaluate_users(&mut self, scene: &Scene, min_rate_bps: &[f64], angles: &MirrorAngles) -> Sample {
+        let users = scene.users();
+        self.min_rate_bps.clear();
+        self.min_rate_bps.extend_from_slice(min_rate_bps);
+        self.sinr.resize(users, 0.0);
+        self.rates_bps.resize(users, 0.0);
+        let sample = self.evaluate(scene, angles);
+        if users > 0 { sample } else { Sample { jain: f64::NAN, ..sample } }
     }
 
     /// Evaluates angles in one state.

@@ -5,6 +5,7 @@
 //! the spill of each spot onto other users and the average over the LED's panel, which the steering
 //! table of the decoder ignores.
 
+use anyhow::ensure;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::{ChannelModel, Vec3};
 use heliostat_decide::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
@@ -58,6 +59,9 @@ pub struct Outcome {
     pub sum_rate_mbps: f64,
 }
 
+/// Why arrivals are refused.
+pub(crate) const FIXED_USERS: &str = "users.arrivals: training and held-out states need a fixed number of users; remove the arrivals, or measure them with `heliostat eval --closed-loop`";
+
 /// A simulated room with the learner's buffers.
 pub struct Environment {
     world: World,
@@ -73,6 +77,7 @@ impl Environment {
     /// # Errors
     /// The scenario describes no room, or it has more than [`USERS_CAPACITY`] users.
     pub fn new(scenario: &Scenario, seed: u64) -> anyhow::Result<Self> {
+        ensure!(scenario.users.arrivals.is_none(), FIXED_USERS);
         let world = World::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
         let users = scenario.users.count;
         let mut observation = Observation::new(world.model(), users);

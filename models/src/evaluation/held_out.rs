@@ -5,7 +5,7 @@
 //! evaluation applies to its angles and to the policy's. The oracle ignores the spill of a spot onto
 //! other users, so a ratio slightly above 1 is possible.
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::{Method, MinimumRates, QOS_PENALTY, Solver};
 use heliostat_channel::{ChannelModel, Scene};
@@ -14,7 +14,7 @@ use heliostat_sim::World;
 use serde::Serialize;
 
 use super::statistics::Estimate;
-use crate::environment::room::Environment;
+use crate::environment::room::{Environment, FIXED_USERS};
 
 /// Seconds that users walk before a state is taken, so that positions and headings are those of a
 /// continuing walk.
@@ -31,12 +31,13 @@ pub(crate) fn held_out_seed(set: u64, index: u64) -> u64 {
 
 /// A held-out room at the time of its state.
 pub(crate) fn held_out_world(scenario: &Scenario, set: u64, index: u64) -> anyhow::Result<World> {
+    ensure!(scenario.users.arrivals.is_none(), FIXED_USERS);
     let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), held_out_seed(set, index))?;
     world.step(SETTLE_S);
     Ok(world)
 }
 
-/// The angles of the oracle with minimum rates.
+/// The angles of the oracle with minimum rates; flat mirrors without users.
 pub(crate) fn best_angles(
     solver: &mut Solver,
     model: &ChannelModel,
@@ -44,6 +45,10 @@ pub(crate) fn best_angles(
     min_rate_bps: &[f64],
 ) -> MirrorAngles {
     let mut angles = MirrorAngles::flat(model.mirrors.len());
+    if scene.users() == 0 {
+        return angles;
+    }
+    solver.set_users(scene.users());
     solver.solve(model, scene, &MinimumRates { min_rate_bps, qos_penalty: QOS_PENALTY }, Method::Oracle, &mut angles);
     angles
 }

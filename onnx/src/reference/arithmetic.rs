@@ -1,6 +1,6 @@
 //! Operators that compute: element by element, products of tables, and reductions.
 
-use super::{Call, around, axis_of};
+use super::call::{Call, around, axis_of, broadcast};
 use crate::tensor::{Data, Tensor};
 
 /// The output of an arithmetic operator; `None` for any other.
@@ -72,18 +72,6 @@ fn clip(call: &Call<'_>) -> Option<Tensor> {
             value
         }
     })
-}
-
-/// The shape of two tensors by the rules of broadcasting; `None` where they do not fit.
-pub fn broadcast(left: &[usize], right: &[usize]) -> Option<Vec<usize>> {
-    let rank = left.len().max(right.len());
-    let extent = |shape: &[usize], axis: usize| (axis + shape.len()).checked_sub(rank).map_or(1, |axis| shape[axis]);
-    let pair = |axis| match (extent(left, axis), extent(right, axis)) {
-        (a, b) if a == b || b == 1 => Some(a),
-        (1, b) => Some(b),
-        _ => None,
-    };
-    (0..rank).map(pair).collect()
 }
 
 /// For each value of the broadcast shape, the index of the tensor's value.

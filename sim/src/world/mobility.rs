@@ -192,6 +192,29 @@ impl Mobility {
         Self::RandomWaypoint(walks)
     }
 
+    /// A user who has walked for `walked_s` seconds enters after the others, with the walk of its
+    /// number; no effect on a recorded walk.
+    pub fn enter(&mut self, mut walk: RandomWaypoint, walked_s: f64) {
+        if let Self::RandomWaypoint(walks) = self {
+            walk.step(walked_s);
+            walks.push(walk);
+        }
+    }
+
+    /// The user at this index leaves; no effect on a recorded walk.
+    pub fn leave(&mut self, index: usize) {
+        if let Self::RandomWaypoint(walks) = self {
+            walks.remove(index);
+        }
+    }
+
+    /// Makes room for this number of users in all.
+    pub fn reserve(&mut self, users: usize) {
+        if let Self::RandomWaypoint(walks) = self {
+            walks.reserve(users.saturating_sub(walks.len()));
+        }
+    }
+
     /// Moves on by `dt_s` seconds.
     pub fn step(&mut self, dt_s: f64) {
         match self {

@@ -16,6 +16,8 @@ pub struct Processes {
     room: ChildProcess,
     /// `None` after it was killed by order.
     controller: Option<ChildProcess>,
+    /// Controllers started so far.
+    controllers: u64,
 }
 
 impl Processes {
@@ -24,6 +26,7 @@ impl Processes {
         Ok(Self {
             room: ChildProcess::start("sim-node", room)?,
             controller: Some(ChildProcess::start("controller", controller)?),
+            controllers: 1,
         })
     }
 
@@ -46,10 +49,16 @@ impl Processes {
             ProcessOrder::RestartController if self.controller.is_none() => {
                 self.controller =
                     Some(ChildProcess::start("controller", &arguments()?).context("the controller was not restarted")?);
+                self.controllers += 1;
             }
             ProcessOrder::RestartController => {}
         }
         Ok(())
+    }
+
+    /// Controllers started so far.
+    pub fn controllers(&self) -> u64 {
+        self.controllers
     }
 
     /// Ends both, and returns their summaries; `None` for a killed controller.

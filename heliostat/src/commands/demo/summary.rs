@@ -38,6 +38,9 @@ struct RoomPart {
     qos_met: Option<f64>,
     qos_met_oracle: Option<f64>,
     blocked_users_mean: f64,
+    /// Users who entered and left; empty where they stay.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    turnover: BTreeMap<String, u64>,
     #[serde(rename(serialize = "refused_by_room"))]
     refused: BTreeMap<String, u64>,
     #[serde(rename(serialize = "room_problem"))]
@@ -58,18 +61,28 @@ struct ControllerPart {
     stages_us: BTreeMap<String, Quantiles>,
     age_us: Quantiles,
     fallbacks: BTreeMap<String, u64>,
+    #[serde(rename(serialize = "users_limited"))]
+    users: BTreeMap<String, u64>,
     #[serde(rename(serialize = "refused_by_controller"))]
     refused: BTreeMap<String, u64>,
     #[serde(rename(serialize = "controller_problem"))]
     last_problem: String,
 }
 
+/// Least share of the commands of a policy that shares the credit for the rates. A stalled machine
+/// causes single fallbacks, which do not change a mean.
+const CREDITED_MIN: f64 = 0.02;
+
 impl ControllerPart {
-    /// The policies that gave angles, and the fallback if it did.
+    /// The policies, and the fallback, that gave at least [`CREDITED_MIN`] of the commands.
     fn credited(&self) -> Vec<String> {
-        let own = self.policies.iter().filter(|(_, figures)| figures.commands > 0);
+        let sum = |count: fn(&PolicySummary) -> u64| self.policies.values().map(count).sum::<u64>();
+        let fallbacks = sum(|figures| figures.fallbacks);
+        let all = sum(|figures| figures.commands) + fallbacks;
+        let is_credited = |count: u64| count > 0 && count as f64 >= CREDITED_MIN * all as f64;
+        let own = self.policies.iter().filter(|(_, figures)| is_credited(figures.commands));
         let mut names: Vec<String> = own.map(|(name, _)| name.clone()).collect();
-        if self.policies.values().any(|figures| figures.fallbacks > 0) {
+        if is_credited(fallbacks) {
             names.push("fallback".into());
         }
         if names.is_empty() { vec![self.policy.clone()] } else { names }
@@ -77,7 +90,7 @@ impl ControllerPart {
 
     /// Prints a line for each policy, where the figures of all are not those of one.
     fn print_policies(&self) -> io::Result<()> {
-        if self.credited().len() < 2 {
+        if self.policies.len() < 2 && self.policies.values().all(|figures| figures.fallbacks == 0) {
             return Ok(());
         }
         outln!(
@@ -102,18 +115,31 @@ impl ControllerPart {
 pub struct Summary {
     #[serde(flatten)]
     room: RoomPart,
-    /// `None` if it was killed by order.
+    /// Of the last controller; `None` if it was killed by order.
     #[serde(flatten)]
     controller: Option<ControllerPart>,
+    /// Controllers that were started: the figures of the room cover all of them.
+    controllers_started: u64,
 }
 
 impl Summary {
     /// Joins the summaries of the two processes.
-    pub fn new(room: &Value, controller: Option<&Value>) -> Result<Self> {
+    pub fn new(room: &Value, controller: Option<&Value>, controllers_started: u64) -> Result<Self> {
         let room = RoomPart::deserialize(room).context("the summary of sim-node is incomplete")?;
         let controller = controller.map(ControllerPart::deserialize).transpose();
         let controller = controller.context("the summary of the controller is incomplete")?;
-        Ok(Self { room, controller })
+        Ok(Self { room, controller, controllers_started })
+    }
+
+    /// Which figures belong to which controller, if there were several.
+    fn several_controllers(&self) -> Option<String> {
+        let count = self.controllers_started;
+        (count > 1).then(|| {
+            format!(
+                "{count} controllers were started: ticks, commands, loop and sum rate cover all of them; \
+                 decisions, age, fallbacks and refusals are those of the last one"
+            )
+        })
     }
 
     /// Prints a table.
@@ -131,6 +157,9 @@ impl Summary {
             room.late_ticks,
             room.unattended_ticks
         )?;
+        if let Some(note) = self.several_controllers() {
+            outln!("{note}")?;
+        }
         outln!()?;
         outln!("{:<26}{:>9}{:>9}{:>9}{:>9}{:>9}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
         let times = [
@@ -157,6 +186,7 @@ impl Summary {
         outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
         // One mean covers the complete run, so it is credited to one policy only if no other acted.
         let credited = match credited.as_deref() {
+            _ if self.controllers_started > 1 => "policies of all controllers",
             Some([policy]) => policy.as_str(),
             Some(_) => "all of these policies",
             None => "policy",
@@ -183,6 +213,8 @@ impl Summary {
         )?;
         outln!("blocked users: {:.2} on average", room.blocked_users_mean)?;
         for (what, counts) in [
+            ("users", Some(&room.turnover)),
+            ("users limited, summed over decisions", controller.map(|controller| &controller.users)),
             ("fallbacks", controller.map(|controller| &controller.fallbacks)),
             ("refused by the controller", controller.map(|controller| &controller.refused)),
             ("refused by the room", Some(&room.refused)),
@@ -209,6 +241,17 @@ fn list(counts: &BTreeMap<String, u64>) -> String {
 mod tests {
     use super::*;
 
+    #[test]
+    fn the_summary_tells_the_figures_of_the_last_controller_from_those_of_all() {
+        let room = serde_json::to_value(heliostat_sim_node::Summary::default()).expect("a summary has a JSON form");
+        let of = |controllers| Summary::new(&room, None, controllers).expect("a complete summary");
+        assert_eq!(of(1).several_controllers(), None);
+        let note = of(2).several_controllers().expect("a note");
+        assert!(note.starts_with("2 controllers were started: ticks, commands"), "{note}");
+        let json = serde_json::to_value(of(2)).expect("a summary has a JSON form");
+        assert_eq!((json["controllers_started"].as_u64(), json["sum_rate_mbps"].is_null()), (Some(2), true));
+    }
+
     fn controller(policies: &Value) -> ControllerPart {
         let none = BTreeMap::<String, u64>::new();
         let part = serde_json::json!({
@@ -227,6 +270,8 @@ mod tests {
     fn the_rates_are_credited_to_a_policy_only_if_no_other_gave_angles() {
         let alone = controller(&serde_json::json!({ "nearest": policy(9, 0) }));
         assert_eq!(alone.credited(), ["nearest"]);
+        let stalled = controller(&serde_json::json!({ "nearest": policy(400, 3) }));
+        assert_eq!(stalled.credited(), ["nearest"]);
         let changed = controller(&serde_json::json!({ "ddpg": policy(4, 0), "nearest": policy(5, 0) }));
         assert_eq!(changed.credited(), ["ddpg", "nearest"]);
         let failed = controller(&serde_json::json!({ "ddpg": policy(0, 4), "nearest": policy(5, 0) }));

@@ -208,6 +208,7 @@ mod tests {
         let actor = heliostat_engine::ActorSource::Shipped;
         let policies = policies.iter().map(|name| EvaluatedPolicy::parse(name, &actor).expect("a policy")).collect();
         let settings = Settings {
+            warm: Settings::WARM,
             scenario: scenario.clone(),
             policies,
             states: 3,

@@ -1,0 +1,205 @@
+//! A container engine of its own for a test: `dockerd` with its data in a temporary folder, and base
+//! images made by `debootstrap`, because a test reaches no image registry.
+
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use tempfile::TempDir;
+
+use crate::process::programs;
+use crate::wait::wait_until;
+
+/// The Debian release of the base images in deploy/container/Containerfile.
+const RELEASE: &str = "bookworm";
+
+/// A running engine; its containers, images and networks end with it.
+pub struct Engine {
+    daemon: Child,
+    folder: TempDir,
+    /// The words before the arguments of compose.
+    compose: Vec<&'static str>,
+    _alone: MutexGuard<'static, ()>,
+}
+
+/// Engines change the firewall of the machine when they start, and share the archive of the base image:
+/// a test process has one at a time.
+static ALONE: Mutex<()> = Mutex::new(());
+
+impl Engine {
+    /// Starts an engine. `None`, with the reason on standard output, where one is impossible and
+    /// not required.
+    ///
+    /// # Panics
+    /// When it is impossible and HELIOSTAT_REQUIRE_CONTAINERS is set.
+    pub fn start() -> Option<Self> {
+        or_skip(Self::compose_words().and_then(Self::started))
+    }
+
+    fn started(compose: Vec<&'static str>) -> Result<Self, String> {
+        let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        let log = fs::File::create(path("log")).expect("a log");
+        let mut daemon = Command::new("dockerd");
+        daemon.arg("--data-root").arg(path("data")).arg("--exec-root").arg(path("exec"));
+        daemon.arg("--pidfile").arg(path("pid")).arg("--host").arg(format!("unix://{}", path("socket").display()));
+        // Compose makes networks of its own, and the default one could be another engine's.
+        daemon.arg("--bridge=none").stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+        let mut engine = Self { daemon: daemon.spawn().expect("dockerd starts"), folder, compose, _alone: alone };
+        let mut has_ended = false;
+        wait_until("dockerd", || {
+            has_ended = engine.daemon.try_wait().is_ok_and(|status| status.is_some());
+            has_ended || runs(engine.command("docker").arg("info"))
+        });
+        if has_ended {
+            let log = fs::read_to_string(engine.folder.path().join("log")).unwrap_or_default();
+            return Err(format!("dockerd cannot run here: {}", log.lines().last().unwrap_or_default()));
+        }
+        Ok(engine)
+    }
+
+    /// How compose is called, or why no engine can run here.
+    fn compose_words() -> Result<Vec<&'static str>, String> {
+        let is_root = fs::metadata("/proc/self").is_ok_and(|own| own.uid() == 0);
+        if !is_root {
+            return Err("dockerd and debootstrap need root".into());
+        }
+        for (program, package) in [("dockerd", "docker.io"), ("docker", "docker.io"), ("debootstrap", "debootstrap")] {
+            if !runs(Command::new(program).arg("--version")) {
+                return Err(format!("there is no {program} (Debian's package {package})"));
+            }
+        }
+        let ways = [vec!["docker", "compose"], vec!["docker-compose"]];
+        let found = ways.into_iter().find(|words| runs(Command::new(words[0]).args(&words[1..]).arg("version")));
+        found.ok_or_else(|| "there is no compose (Debian's package docker-compose)".into())
+    }
+
+    /// A base image of Debian with systemd, under this name; made once, and kept in the target
+    /// folder. `None`, with the reason on standard output, where it cannot be made and is not required.
+    ///
+    /// # Panics
+    /// When it cannot be made and HELIOSTAT_REQUIRE_CONTAINERS is set.
+    pub fn import_base(&self, name: &str) -> Option<()> {
+        or_skip(base()).map(|file| {
+            self.docker(&["import", file.to_str().expect("a plain path"), name]);
+        })
+    }
+
+    /// Runs `docker` with these arguments, and returns its standard output.
+    ///
+    /// # Panics
+    /// When it fails.
+    pub fn docker(&self, arguments: &[&str]) -> String {
+        let output = self.command("docker").args(arguments).output().expect("docker runs");
+        text("docker", arguments, &output)
+    }
+
+    /// Runs compose for deploy/container/compose.yaml with these arguments and environment variables.
+    ///
+    /// # Panics
+    /// When it fails.
+    pub fn compose(&self, variables: &[(&str, String)], arguments: &[&str]) -> String {
+        let file = crate::process::workspace().join("deploy/container/compose.yaml");
+        let mut command = self.command(self.compose[0]);
+        command.args(&self.compose[1..]).args(["-p", "heliostat", "-f"]).arg(file).args(arguments);
+        let output = command.envs(variables.iter().cloned()).output().expect("compose runs");
+        text("compose", arguments, &output)
+    }
+
+    fn command(&self, program: &str) -> Command {
+        let mut command = Command::new(program);
+        command.env("DOCKER_HOST", format!("unix://{}", self.folder.path().join("socket").display()));
+        // The old builder: the new one is a package of its own for some clients.
+        command.env("DOCKER_BUILDKIT", "0");
+        command
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        // The network bridges of the engine end with its containers and networks. Errors have no
+        // effect on the result of the test.
+        let all = self.command("docker").args(["ps", "--all", "--quiet"]).output();
+        let all = all.map(|output| String::from_utf8_lossy(&output.stdout).into_owned()).unwrap_or_default();
+        let _ = self.command("docker").args(["rm", "--force", "--volumes"]).args(all.split_whitespace()).output();
+        let _ = self.command("docker").args(["network", "prune", "--force"]).output();
+        let _ = Command::new("kill").arg(self.daemon.id().to_string()).status();
+        let _ = self.daemon.wait();
+    }
+}
+
+/// The value, or `None` with the reason on standard output.
+///
+/// # Panics
+/// When there is no value and HELIOSTAT_REQUIRE_CONTAINERS is set.
+fn or_skip<T>(found: Result<T, String>) -> Option<T> {
+    match found {
+        Ok(value) => Some(value),
+        Err(reason) => {
+            let is_required = std::env::var_os("HELIOSTAT_REQUIRE_CONTAINERS").is_some();
+            assert!(!is_required, "{reason}, and HELIOSTAT_REQUIRE_CONTAINERS is set");
+            println!("skipped: {reason}");
+            None
+        }
+    }
+}
+
+/// The router `zenohd` that HELIOSTAT_ZENOHD names, or the one on the path. `None`, with the reason on
+/// standard output, where there is none and it is not required.
+///
+/// # Panics
+/// When there is none and HELIOSTAT_REQUIRE_CONTAINERS is set.
+pub fn zenohd() -> Option<PathBuf> {
+    let named = std::env::var_os("HELIOSTAT_ZENOHD").map(PathBuf::from);
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let found =
+        named.or_else(|| std::env::split_paths(&path).map(|folder| folder.join("zenohd")).find(|file| file.is_file()));
+    let is_it = found.filter(|file| runs(Command::new(file).arg("--version")));
+    or_skip(is_it.ok_or_else(|| {
+        "there is no zenohd: docs/deploy.md has the command that builds it; HELIOSTAT_ZENOHD names the file".into()
+    }))
+}
+
+/// The archive of the base image.
+fn base() -> Result<PathBuf, String> {
+    let archive = programs().join("../tmp").join(format!("heliostat-{RELEASE}.tar"));
+    if archive.is_file() {
+        return Ok(archive);
+    }
+    let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+    let root = folder.path().join(RELEASE);
+    let mut make = Command::new("debootstrap");
+    make.args(["--variant=minbase", "--include=systemd,dbus", RELEASE]).arg(&root);
+    let output = make.output().map_err(|error| error.to_string())?;
+    if !output.status.success() {
+        let last = String::from_utf8_lossy(&output.stdout).lines().last().unwrap_or_default().to_owned();
+        return Err(format!("debootstrap cannot make a base image: {last}"));
+    }
+    pack(&root, &archive)
+}
+
+/// Packs a folder; a file that is not complete never has the name of the archive.
+fn pack(root: &Path, archive: &Path) -> Result<PathBuf, String> {
+    let part = archive.with_extension("part");
+    fs::create_dir_all(archive.parent().expect("a folder")).map_err(|error| error.to_string())?;
+    let packed =
+        Command::new("tar").arg("--create").arg("--file").arg(&part).arg("--directory").arg(root).arg(".").status();
+    match packed {
+        Ok(status) if status.success() => fs::rename(&part, archive).map_err(|error| error.to_string())?,
+        _ => return Err("tar cannot pack the base image".into()),
+    }
+    Ok(archive.to_path_buf())
+}
+
+fn runs(command: &mut Command) -> bool {
+    command.output().is_ok_and(|output| output.status.success())
+}
+
+fn text(program: &str, arguments: &[&str], output: &Output) -> String {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{program} {arguments:?}: {errors}");
+    String::from_utf8_lossy(&output.stdout).trim().to_owned()
+}

@@ -186,6 +186,13 @@ class Mirrors:
             "columns": self.columns, "roll": axis, "yaw": axis, "feedback": 0, "validity_clock": 0,
             "command_rate_max_hz": 0.0, "park_after_ms": PARK_AFTER_NS // 1_000_000, "park_rad": [0.0, 0.0]}, 8)
 
+    def status(self, sequence, started_ns):
+        states = ("parked", "following", "holding", "stopped")
+        return encode({
+            "stamp": self.stamp(sequence), "node": 2, "name": "%016x" % self.source, "software": "driver.py",
+            "state": "array " + states[self.state], "scenario": "", "policy": "", "started_ns": started_ns,
+            "counters": [("commands", self.counters["accepted"])], "gauges": [], "timings": [], "last_problem": ""}, 6)
+
     def safety(self, sequence):
         return encode({
             "stamp": self.stamp(sequence), "stopped": self.latch is not None, **(self.latch or NO_STOP),
@@ -219,6 +226,7 @@ def main(room, endpoints, rows, columns, seconds="1e9"):
         declared.append(session.declare_queryable(safety_key, lambda query: query.reply(safety_key, mirrors.safety(1))))
         declared.append(session.liveliness().declare_token(base + "alive/driver/%016x" % mirrors.source))
         end, turn, reported, reports = time.monotonic() + float(seconds), 0, None, 0
+        started_ns = time.time_ns()
         while time.monotonic() < end:
             with lock:
                 mirrors.pass_time()
@@ -230,6 +238,7 @@ def main(room, endpoints, rows, columns, seconds="1e9"):
                 reported, reports = latch, reports + 1
             if turn % 20 == 0:
                 session.put(key, mirrors.capabilities(turn // 20 + 1))
+                session.put(base + "status/driver", mirrors.status(turn // 20 + 1, started_ns))
             turn += 1
             time.sleep(0.05)
     print("commands applied: %d" % mirrors.counters["accepted"])

@@ -102,9 +102,12 @@ impl AccessRole {
         let array = || [room.telemetry(), room.capabilities(), room.safety()];
         let mut keys = match self {
             Self::Tracker => reports().to_vec(),
-            Self::Controller => vec![room.command()],
+            Self::Controller => vec![room.command(), room.geometry(NodeKind::Controller)],
             Self::Driver => array().to_vec(),
-            Self::Simulator => reports().into_iter().chain(array()).chain([room.truth()]).collect(),
+            Self::Simulator => {
+                let own = [room.truth(), room.geometry(NodeKind::SimNode)];
+                reports().into_iter().chain(array()).chain(own).collect()
+            }
             Self::Operator => vec![room.rearm(), room.simulator_control(), room.controller_control()],
             Self::Calibrator => vec![room.calibration()],
             Self::Checker => vec![room.command(), room.calibration(), room.rearm()],

@@ -32,6 +32,7 @@
 //! - `HELIOSTAT_ZENOH='key=value;key=value'` overrides settings of Zenoh, for measurements.
 
 mod access;
+mod bounded_session;
 mod certificate;
 mod config;
 mod error;

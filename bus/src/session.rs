@@ -11,6 +11,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Queryable;
 use zenoh::sample::{Sample, SampleKind};
 
+use crate::bounded_session::BoundedSession;
 use crate::config::{BusConfig, Reach};
 use crate::error::BusError;
 
@@ -75,7 +76,7 @@ pub enum Presence {
 
 /// A session in a room. Dropping or [closing](Self::close) it withdraws all its declarations.
 pub struct Bus {
-    session: zenoh::Session,
+    session: BoundedSession,
     room: Room,
 }
 
@@ -98,7 +99,7 @@ impl Bus {
             );
         }
         let session = zenoh::open(zenoh_config).wait().map_err(|error| open_error(config, &error.to_string()))?;
-        Ok(Self { session, room: config.room.clone() })
+        Ok(Self { session: BoundedSession::new(session), room: config.room.clone() })
     }
 
     /// The same session in another room; [`close`](Self::close) closes it for all rooms.
@@ -260,13 +261,14 @@ impl Bus {
 
     /// Closes the session; its liveliness tokens disappear at once.
     ///
-    /// The close does not wait for acknowledgements. What was published just before it arrives
-    /// unless the network loses it; confirm an order by its effect before closing.
+    /// The close does not wait for acknowledgements, and takes a limited time. What was published
+    /// just before it arrives unless the network loses it; confirm an order by its effect before
+    /// closing.
     ///
     /// # Errors
     /// [`BusError::Close`].
     pub fn close(self) -> Result<(), BusError> {
-        self.session.close().wait().map_err(|error| BusError::Close { problem: error.to_string() })
+        self.session.close()
     }
 }
 

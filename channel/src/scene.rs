@@ -157,6 +157,23 @@ impl Scene {
         }
     }
 
+    /// Replaces the blockage of one user's line-of-sight path by an observed one until the next
+    /// update; a clear path has its modelled gain.
+    ///
+    /// # Panics
+    /// When there is no such user.
+    pub fn set_los_blocked(&mut self, user: usize, blocked: bool) {
+        let range = user * self.branches..(user + 1) * self.branches;
+        let branch = &mut self.los_branch[range.clone()];
+        if blocked {
+            branch.fill(0.0);
+        } else {
+            branch.copy_from_slice(&self.los_clear[range]);
+        }
+        self.los_gain[user] = self.combining.combine(branch);
+        self.los_blocked[user] = blocked;
+    }
+
     /// Sets the steering gains of these mirrors to zero until the next update, as if their paths
     /// were blocked.
     ///

@@ -16,6 +16,8 @@
 pub mod cache_warmer;
 pub mod command_sender;
 pub mod decision_loop;
+mod driver_presence;
+mod geometry;
 mod locks;
 mod policy_swap;
 pub mod receive_queue;
@@ -40,17 +42,19 @@ use heliostat_service::{clock::utc_ns, source_id};
 use crate::{
     config::{NodeConfig, Pace},
     report::{
-        stage_times::StageTimes,
+        stage_times::{PolicyTimes, StageTimes},
         summary::{RoomReport, Summary},
     },
 };
 use command_sender::CommandSender;
 use decision_loop::{DecisionLoop, PayloadHandler};
+use driver_presence::DriverPresence;
+use geometry::GeometryExchange;
 use locks::{lock_within, try_lock};
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
-use status::{Identity, Problem, Reporter};
+use status::{Conditions, Identity, Problem, Reporter};
 use watchdog::{POLICY_TIMEOUT, Watchdog};
 
 /// A room that is being served.
@@ -66,11 +70,14 @@ pub struct RoomRuntime {
     /// Dropped when the room is closed.
     declared: Option<(Vec<Subscription>, Token)>,
     status: Publisher,
+    geometry: GeometryExchange,
+    driver: DriverPresence,
     reporter: Reporter,
     /// Exchanged with the decision loop's times, so that its lock is held only for an instant.
     spare_times: StageTimes,
     /// Since the start.
     times: StageTimes,
+    policy_times: PolicyTimes,
     /// As of the last status check.
     summary: Summary,
 }
@@ -91,7 +98,7 @@ impl RoomRuntime {
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let policy = heliostat_engine::build(config.policy, scenario, &actor)?;
+        let (policy, findings) = heliostat_engine::build_tried(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
         let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure);
@@ -119,6 +126,11 @@ impl RoomRuntime {
         let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
+        policy_swap.report(findings);
+        let (mut geometry, announced) = GeometryExchange::open(bus, scenario, source)?;
+        let (driver, tokens) = DriverPresence::open(bus)?;
+        subscriptions.extend([announced, tokens]);
+        geometry.announce_if_due(started_ns);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
         let identity = Identity { source, started_ns, scenario: scenario.hash() };
         Ok(Self {
@@ -131,9 +143,12 @@ impl RoomRuntime {
             policy_swap,
             thread,
             declared: Some((subscriptions, token)),
+            geometry,
+            driver,
             reporter: Reporter::new(identity),
             spare_times: StageTimes::new(),
             times: StageTimes::new(),
+            policy_times: PolicyTimes::default(),
             summary: Summary::default(),
         })
     }
@@ -150,7 +165,7 @@ impl RoomRuntime {
 
     /// The room's report as of the last status check.
     pub fn report(&self) -> RoomReport<'_> {
-        RoomReport { room: &self.room, summary: &self.summary, times: &self.times }
+        RoomReport { room: &self.room, summary: &self.summary, times: &self.times, policy_times: &self.policy_times }
     }
 
     /// Executes the action for absent reports or for a policy timeout, if that is due.
@@ -168,13 +183,26 @@ impl RoomRuntime {
 
     /// Takes the new stage times, publishes a status report, and updates the summary.
     pub fn check_status(&mut self) {
+        // Before the lock: the comparison reads text that another process wrote.
+        self.geometry.compare_newest();
+        self.geometry.announce_if_due(utc_ns());
         let Some(mut decision_loop) = lock_within(&self.decision_loop, POLICY_TIMEOUT) else {
             self.report_stall();
             return;
         };
         std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
-        let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters());
+        let conditions = Conditions {
+            driver_absent: self.driver.is_absent(Instant::now(), &decision_loop.controller),
+            geometry: self.geometry.problem().map(str::to_owned),
+        };
+        let former = std::mem::take(&mut decision_loop.former_times);
+        let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters(), conditions);
         drop(decision_loop);
+        for (policy, mut times) in former {
+            self.policy_times.add(&policy, &times);
+            self.times.absorb(&mut times);
+        }
+        self.policy_times.add(&snapshot.summary.policy, &self.spare_times);
         self.times.absorb(&mut self.spare_times);
         match &snapshot.problem {
             Some(Problem::Alarm(problem)) => tracing::error!(room = %self.room, "{problem}"),
@@ -186,7 +214,7 @@ impl RoomRuntime {
         let report = self.reporter.report(&snapshot, &self.times);
         self.publish_status(&report);
         self.summary = snapshot.summary;
-        self.summary.add_times(&self.times);
+        self.summary.add_times(&self.times, &self.policy_times);
     }
 
     /// Stops serving: unsubscribes, ends the room's thread, and withdraws the liveliness token.

@@ -100,7 +100,7 @@ use crate::{
         observer::{LosSource, Observer},
     },
     output::{guard::Guard, safety::Limits, tenure::Tenure},
-    policy::{self, Policy, PolicyError, ProposedBy, WithFallback},
+    policy::{self, Policy, PolicyError, ProposedBy, Tally, WithFallback},
 };
 use degraded_actions::{DegradedActions, LastReport};
 
@@ -180,6 +180,9 @@ impl Controller {
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
+                if let Some(report) = self.inbox.users() {
+                    self.observer.handle_users(report);
+                }
                 self.last_report = Some(LastReport { accepted_ns: now, silence_handled: false });
                 Due::Command
             }
@@ -257,6 +260,7 @@ impl Controller {
             mark(Stage::Observed);
         }
         self.counters.decisions += 1;
+        self.policy.tallies.count_decision();
         let tick = self.inbox.users().map_or(0, |report| report.tick);
         self.execute((action, mode), tick, now, mark)
     }
@@ -264,6 +268,7 @@ impl Controller {
     /// Executes the action for a position report that was too old.
     pub fn poll_stale_command(&mut self, now: Nanos) -> Decision<'_> {
         self.counters.decisions += 1;
+        self.policy.tallies.count_decision();
         self.counters.count_degraded(DegradedMode::StaleReport);
         self.execute((self.actions.stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
     }
@@ -330,6 +335,11 @@ impl Controller {
         self.policy.policy().name()
     }
 
+    /// The figures of each policy since the start.
+    pub fn tallies(&self) -> &[Tally] {
+        self.policy.tallies.all()
+    }
+
     /// The last failure of the policy.
     pub fn last_failure(&self) -> Option<&PolicyError> {
         self.policy.last_failure()
@@ -356,8 +366,13 @@ impl Controller {
             }
         }
         let elapsed_s = self.settle_angles(now);
+        let mut is_own = false;
         let proposed = match action {
-            DegradedAction::Policy => self.propose(),
+            DegradedAction::Policy => {
+                let by = self.propose();
+                is_own = by == ProposedBy::Policy;
+                by != ProposedBy::None
+            }
             DegradedAction::Fallback => self.policy.fall_back(&self.model, &self.observation, &mut self.proposed),
             DegradedAction::LastGood => self.repeat(),
             DegradedAction::Park => {
@@ -375,6 +390,7 @@ impl Controller {
         let clipped = self.limits.bound(&self.observation.angles, elapsed_s, &mut self.proposed);
         self.counters.clipped.range += clipped.range;
         self.counters.clipped.slew += clipped.slew;
+        self.policy.tallies.count_command(is_own, clipped);
         self.complete_command(tick, now);
         mark(Stage::MadeSafe);
         let sampled_ns = self.inbox.users().map_or(now, |report| report.stamp.time_ns);
@@ -410,15 +426,15 @@ impl Controller {
         if self.has_command { DegradedAction::LastGood } else { DegradedAction::Park }
     }
 
-    /// Lets the policy propose, or else the fallback; false where both fail.
-    fn propose(&mut self) -> bool {
+    /// Lets the policy propose, or else the fallback.
+    fn propose(&mut self) -> ProposedBy {
         let by = self.policy.propose(&self.model, &self.observation, &mut self.proposed);
         if by == ProposedBy::Fallback {
             self.counters.count_degraded(DegradedMode::PolicyFailed);
         } else {
             self.counters.unserved_users += self.policy.unserved(self.observation.users()) as u64;
         }
-        by != ProposedBy::None
+        by
     }
 
     /// Proposes the last command; false where there is none.

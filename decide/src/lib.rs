@@ -13,6 +13,7 @@
 //! - [`inbox`]: the latest report of each stream; refuses stale, foreign and malformed reports
 //!   ([`refusal`]).
 //! - [`observer`]: turns the inbox into an [`observation`], which a policy reads.
+//! - [`belief`]: where each user is at the time the command acts, from all reports so far.
 //! - [`policy`]: proposes angles; [`safety`] limits them.
 //! - [`capabilities`]: compares the array with the scenario. [`guard`] applies the emergency stop,
 //!   and [`tenure`] chooses the epoch and stands by for another controller.
@@ -70,6 +71,7 @@
 //! # }
 //! ```
 
+pub mod belief;
 pub mod core;
 mod input;
 mod observe;

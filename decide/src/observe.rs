@@ -2,5 +2,6 @@
 
 pub mod observation;
 pub mod observer;
+pub mod prediction;
 pub mod selection;
 pub mod slots;

@@ -19,13 +19,15 @@ mod proposal;
 mod pso;
 mod registry;
 mod sine_cosine;
+mod tally;
 mod warm_up;
 mod with_fallback;
 
-pub use actor::Actor;
+pub use actor::{Actor, Finding};
 pub use engine::{Engine, Network};
 pub use fixed::Fixed;
 pub use proposal::{Policy, PolicyError, TimeSource};
 pub use registry::{BuildError, PolicyKind, Resources, build, build_fallback};
+pub use tally::{Tallies, Tally};
 pub use warm_up::warm_up;
 pub use with_fallback::{ProposedBy, WithFallback};

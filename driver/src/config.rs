@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, ensure};
 use heliostat_proto::{AxisLimits, ValidityClock};
 use serde::Deserialize;
 
@@ -130,6 +130,10 @@ impl BoardConfig {
                 measures,
                 mirrors,
             } => {
+                ensure!(
+                    min_deg < max_deg,
+                    "{at}: min_deg = {min_deg} and max_deg = {max_deg}: expected min_deg below max_deg, for example -30 and 30"
+                );
                 let radians = |degrees: &f64| degrees.to_radians() as f32;
                 let axis = AxisLimits {
                     min_rad: radians(min_deg),
@@ -184,6 +188,8 @@ mod tests {
     fn errors_name_the_board_or_mirror_that_does_not_fit() {
         let problem = |from: &str, to: &str| format!("{:#}", wall(&TWO_BOARDS.replace(from, to)).err().expect(to));
         assert!(problem("mirrors = [2]", "mirrors = [1]").contains("mirror 1 is turned by 2 channels"));
+        let turned = problem("min_deg = -20.0", "min_deg = 40.0");
+        assert!(turned.contains("127.0.0.1:9000: min_deg = 40 and max_deg = 30: expected min_deg below"), "{turned}");
         assert!(problem("mirrors = [2]", "mirrors = [7]").contains("unknown mirror 7"));
         assert!(problem("mirrors = [2]", "mirrors = [2, 2]").contains("1 channels but 2 mirrors"));
         assert!(problem("columns = 3", "columns = 4").contains("mirror 3 is turned by 0 channels"));

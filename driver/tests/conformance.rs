@@ -14,11 +14,11 @@ use heliostat_channel::MirrorAngles;
 use heliostat_driver::check::{self, Report, Verdict};
 use heliostat_driver::clock::Clock;
 use heliostat_driver::run::Settings;
-use heliostat_driver::session::ArraySession;
+use heliostat_driver::session::{ArraySession, MessagePublisher};
 use heliostat_driver::stop_record::StopRecordSettings;
 use heliostat_driver::{Device, DeviceError, Kit, run};
 use heliostat_proto::{
-    AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, Room, Stamp, StopAction, ValidityClock,
+    AxisLimits, Capabilities, EmergencyStop, Feedback, NodeKind, NodeStatus, Room, Stamp, StopAction, ValidityClock,
 };
 use heliostat_service::Stop;
 
@@ -121,6 +121,8 @@ enum Flaw {
     ReleasesAnyName,
     UsesAnyGain,
     PublishesNoSafety,
+    PublishesNoStatus,
+    PublishesAnothersStatus,
 }
 
 /// A driver with one flaw: a correct kit whose messages are changed on the way in or out.
@@ -128,6 +130,7 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let bus = Bus::open(bus).unwrap();
     let clock = Clock::start_in(Duration::ZERO);
     let mut session = ArraySession::open(&bus, clock, Class::HighDrop).unwrap();
+    let mut statuses = MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::LowDrop).unwrap();
     let _token = bus.announce(&bus.room().alive(NodeKind::Driver, 1)).unwrap();
     let left = Arc::new(AtomicBool::new(false));
     let watcher = Arc::clone(&left);
@@ -206,13 +209,20 @@ fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
         if Instant::now() >= announcement {
             announcement += Duration::from_secs(1);
             session.publish_capabilities(&Capabilities { stamp, ..announced.clone() }).unwrap();
+            let source = if flaw == Flaw::PublishesAnothersStatus { 2 } else { stamp.source };
+            let status =
+                NodeStatus { stamp: Stamp { source, ..stamp }, node: NodeKind::Driver, ..NodeStatus::default() };
+            statuses.encode(&status).unwrap();
+            if flaw != Flaw::PublishesNoStatus {
+                statuses.put().unwrap();
+            }
         }
     }
 }
 
 #[test]
 fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
-    let cases: [(Flaw, &str, &[&str]); 10] = [
+    let cases: [(Flaw, &str, &[&str]); 12] = [
         (Flaw::IgnoresStops, "ignores-stops", &["stop", "orphaned-stop", "safety-report", "named-rearm"]),
         (Flaw::ReleasesOrphanedStops, "releases-stops", &["orphaned-stop"]),
         (Flaw::FollowsAnySequence, "sequences", &["old-sequence", "old-epoch", "epoch-bound", "sequence-bound"]),
@@ -223,6 +233,8 @@ fn each_driver_with_a_flaw_fails_exactly_the_rules_that_it_breaks() {
         (Flaw::FollowsAnyValidity, "validity", &["validity-bound"]),
         (Flaw::ReleasesAnyName, "names", &["named-rearm"]),
         (Flaw::UsesAnyGain, "gains", &["calibration-bound"]),
+        (Flaw::PublishesNoStatus, "no-status", &["status"]),
+        (Flaw::PublishesAnothersStatus, "foreign-status", &["status"]),
     ];
     std::thread::scope(|scope| {
         let runs = cases.map(|(flaw, room, expected)| {

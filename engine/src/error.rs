@@ -19,12 +19,15 @@ pub enum SourceError {
     },
     /// No actor is built in for this array and mode.
     #[error(
-        "no built-in actor {expected}; built in: {available}. Train one with `heliostat train {policy}` for this scenario and give \
-         its file, or choose the policy fixed-point, which needs no file"
+        "no actor is built in for {policy} with {room} (it would be {expected}); built in: {available}. \
+         Train one with `heliostat train {policy}` for this scenario and give its file, or choose the policy fixed-point, \
+         which needs no file"
     )]
     NotShipped {
         /// The learned policy's name.
         policy: String,
+        /// The array and the mode of the room.
+        room: String,
         /// File name of the actor that fits.
         expected: String,
         /// The built-in ones.

@@ -17,7 +17,7 @@ mod tract;
 use std::{sync::OnceLock, time::Instant};
 
 use heliostat_decide::policy::{
-    self, Actor, Policy, PolicyKind, Resources,
+    self, Actor, Finding, Policy, PolicyKind, Resources,
     actor_file::{ActorError, ActorFile},
 };
 use heliostat_scenario::Scenario;
@@ -39,6 +39,25 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, source: &ActorSource) -> Res
     let actor = if kind.is_learned() { Some(source.fetch(kind, scenario)?) } else { None };
     let resources = Resources { actor: actor.as_ref(), engine: &ThisEngine, monotonic_ns };
     Ok(policy::build(kind, scenario, &resources)?)
+}
+
+/// Builds a policy for a room and, if it is learned, tries it on sampled observations: for a
+/// controller, and for checks before a run.
+///
+/// # Errors
+/// As [`build`], and where the engine does not evaluate the network as a reference evaluation does.
+pub fn build_tried(
+    kind: PolicyKind,
+    scenario: &Scenario,
+    source: &ActorSource,
+) -> Result<(Box<dyn Policy>, Vec<Finding>), BuildError> {
+    if !kind.is_learned() {
+        return Ok((build(kind, scenario, source)?, Vec::new()));
+    }
+    let file = source.fetch(kind, scenario)?;
+    let mut actor = load_actor(&file, scenario).map_err(policy::BuildError::from)?.named(kind.name());
+    let findings = actor.try_out(&file, scenario, monotonic_ns).map_err(policy::BuildError::from)?;
+    Ok((Box::new(actor), findings))
 }
 
 /// Loads an actor for a room.

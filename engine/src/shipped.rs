@@ -49,7 +49,9 @@ pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Resu
             };
             let available = names().filter(of_policy).collect::<Vec<_>>().join(", ");
             let available = if available.is_empty() { "none of this policy".into() } else { available };
-            Err(SourceError::NotShipped { policy: policy.name(), expected, available })
+            let (rows, columns) = (scenario.mirrors.rows, scenario.mirrors.columns);
+            let room = format!("{rows} x {columns} mirrors in the mode {}", scenario.channel.mode.name());
+            Err(SourceError::NotShipped { policy: policy.name(), room, expected, available })
         }
     }
 }

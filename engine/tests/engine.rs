@@ -44,7 +44,13 @@ fn a_folder_is_no_file() {
 fn an_array_without_a_built_in_actor_is_told_what_to_do() {
     let Err(error) = build(PolicyKind::Ddpg, &scenario(&[]), &ActorSource::Shipped) else { panic!("accepted") };
     let text = error.to_string();
-    let words = ["ddpg-specular-3x3.onnx", "heliostat train", "give its file", "policy fixed-point"];
+    let words = [
+        "ddpg with 3 x 3 mirrors in the mode specular",
+        "ddpg-specular-3x3.onnx",
+        "heliostat train",
+        "give its file",
+        "policy fixed-point",
+    ];
     assert!(words.iter().all(|word| text.contains(word)), "{text}");
 }
 

@@ -80,7 +80,10 @@ pub fn run() -> Result<()> {
         Command::Rearm(args) => stop::rearm(args),
         Command::Keys(args) => keys::run(args),
         Command::Calibrate(args) => calibrate::run(args),
-        Command::Train(args) => heliostat_models::run_train(args),
+        Command::Train(args) => {
+            let stop = heliostat_service::signals::stop_on_signals()?;
+            heliostat_models::run_train(args, &|| stop.is_requested())
+        }
         Command::Eval(args) => eval::run(args),
         Command::Reproduce(args) => heliostat_reproduce::run_reproduce(args),
         Command::Link(args) => link::run(args),

@@ -21,6 +21,7 @@ pub mod results;
 pub mod scenario;
 pub mod stop;
 pub mod ui;
+mod whole_file;
 
 /// Longest CSV file in bytes; the longest useful one has a line for each mirror.
 const CSV_BYTES_MAX: u64 = 16 << 20;

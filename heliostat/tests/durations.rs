@@ -4,7 +4,7 @@ use std::process::Command;
 
 #[test]
 fn every_command_refuses_an_invalid_duration_in_the_same_words() {
-    let commands: [&[&str]; 8] = [
+    let commands: [&[&str]; 10] = [
         &["demo"],
         &["ui"],
         &["controller"],
@@ -13,15 +13,18 @@ fn every_command_refuses_an_invalid_duration_in_the_same_words() {
         &["record", "--out", "none.mcap"],
         &["bench", "env"],
         &["bench", "decide"],
+        &["stop"],
+        &["rearm"],
     ];
     for command in commands {
+        let flag = if matches!(command, ["stop" | "rearm"]) { "--timeout" } else { "--seconds" };
         for value in ["x", "-1", "0", "1e9", "nan"] {
-            let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).args(["--seconds", value]).output();
+            let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).args([flag, value]).output();
             let ended = ended.expect("the program starts");
             let errors = String::from_utf8_lossy(&ended.stderr);
             let expected = format!("invalid duration \"{value}\": expected seconds between 0.01 and 10000000");
-            assert!(errors.contains(&expected), "{command:?} --seconds {value}: {errors}");
-            assert_eq!(ended.status.code(), Some(2), "{command:?} --seconds {value}");
+            assert!(errors.contains(&expected), "{command:?} {flag} {value}: {errors}");
+            assert_eq!(ended.status.code(), Some(2), "{command:?} {flag} {value}");
         }
     }
 }

@@ -72,20 +72,30 @@ fn the_same_seed_gives_the_same_figures_in_both_loops() {
     }
 }
 
-/// Exact reports and instant mirrors lose little; late and noisy reports lose more, and prediction
-/// recovers a part.
+/// Exact reports and instant mirrors lose little; late and noisy reports lose more, a prediction
+/// recovers a part, and the filter recovers most.
 #[test]
 fn a_closed_loop_loses_rate_with_late_reports() {
-    let flags = ["--policies", "greedy", "--closed-loop", "--predicted", "--states", "60", "--seeds", "1"];
+    let flags = [
+        "--policies",
+        "greedy",
+        "--closed-loop",
+        "--beliefs",
+        "none,constant-velocity,filter",
+        "--states",
+        "60",
+        "--seeds",
+        "1",
+    ];
     let exact = report(&flags);
-    let exact = mean(&exact, "greedy", "ratio_to_oracle");
     let hall = report(&[&flags[..], &["--scenario", "hall"]].concat());
-    let (late, predicted) =
-        (mean(&hall, "greedy", "ratio_to_oracle"), mean(&hall, "greedy+prediction", "ratio_to_oracle"));
+    let [exact, late, predicted, filtered] =
+        [(&exact, "none"), (&hall, "none"), (&hall, "constant-velocity"), (&hall, "filter")]
+            .map(|(report, belief)| mean(report, &format!("greedy+{belief}"), "ratio_to_oracle"));
     assert!(exact > 0.95 && late < exact - 0.02, "{exact} {late}");
-    assert!(predicted > late, "{predicted} {late}");
-    let met = mean(&hall, "greedy", "qos_met");
-    assert!((mean(&hall, "greedy", "outage_time") - (1.0 - met)).abs() < 1e-12);
+    assert!(predicted > late && filtered > predicted + 0.02, "{late} {predicted} {filtered}");
+    let met = mean(&hall, "greedy+filter", "qos_met");
+    assert!((mean(&hall, "greedy+filter", "outage_time") - (1.0 - met)).abs() < 1e-12);
 }
 
 #[test]
@@ -194,4 +204,29 @@ fn stuck_mirrors_lower_the_rate_and_an_unaware_policy_meets_fewer_minimum_rates(
     assert!(of(1, "fixed-point", "qos_met") > of(1, "fixed-point-unaware", "qos_met") + 0.05, "{all}");
     let table = String::from_utf8(eval(&flags).stdout).expect("text");
     assert!(table.contains("sum rate in Mbit/s") && table.contains("fixed-point-unaware"), "{table}");
+}
+
+#[test]
+fn one_seed_has_no_interval_and_the_table_says_so() {
+    let calibrate = ["calibrate", "--seeds", "1", "--states", "2", "--mounting-deg", "1"];
+    let small = ["--set", "mirrors.rows=2", "--set", "mirrors.columns=2"];
+    let run = |arguments: &[&str]| Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).output();
+    for output in [
+        eval(&["--policies", "flat", "--states", "2", "--seeds", "1", "--closed-loop"]),
+        run(&[&calibrate[..], &small].concat()).expect("the program starts"),
+    ] {
+        let text = String::from_utf8(output.stdout).expect("text");
+        assert!(output.status.success() && !text.contains("NaN"), "{text}");
+        assert!(text.contains("one seed gives no confidence interval: use --seeds 2 or more"), "{text}");
+        assert!(!text.contains("1 seeds") && !text.contains("1 arrays"), "{text}");
+    }
+}
+
+#[test]
+fn a_comparison_that_fails_leaves_no_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let csv = folder.path().join("figures.csv");
+    let csv = csv.to_str().expect("a plain path");
+    refusal(&["--policies", "own.onnx", "--states", "1", "--seeds", "1", "--csv", csv]);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
 }

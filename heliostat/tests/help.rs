@@ -34,6 +34,33 @@ fn scenario_new_writes_a_file_that_check_accepts() {
 }
 
 #[test]
+fn scenario_check_lists_every_problem_of_the_file_and_of_its_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("a plain path").to_owned();
+    let check = |room: &str| {
+        std::fs::write(at("room.toml"), room).expect("writable");
+        let output = heliostat(&["scenario", "check", "--json", &at("room.toml")]);
+        assert_eq!(output.status.code(), Some(1));
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+        let errors = String::from_utf8(output.stderr).expect("text");
+        let problems = json["problems"].as_array().expect("a list").clone();
+        problems.iter().for_each(|problem| assert!(errors.contains(problem.as_str().expect("text")), "{errors}"));
+        problems.iter().map(|problem| problem.as_str().expect("text").to_owned()).collect::<Vec<_>>()
+    };
+    std::fs::write(at("walk.csv"), "time,user,x,y\n0,0,9,0\n0,1,0,0\n1,1,b,0\n").expect("writable");
+    let found =
+        check("[users]\ncount = 2\ntrace = \"walk.csv\"\n[mirrors]\nreflectivity = 2\n[control]\nvalidty_ms = 1\n");
+    let expected = ["line 5: mirrors.reflectivity", "validty_ms", "walk.csv: line 2", "walk.csv: line 4"];
+    assert_eq!(found.len(), expected.len(), "{found:#?}");
+    for text in expected {
+        assert_eq!(found.iter().filter(|problem| problem.contains(text)).count(), 1, "{text}: {found:#?}");
+    }
+    std::fs::write(at("walk.csv"), "time,user,x,y\n0,0,1,0\n").expect("writable");
+    let found = check("[users]\ncount = 1\ntrace = \"walk.csv\"\n");
+    assert!(matches!(&found[..], [only] if only.contains("walk.csv: all samples are of the time 0 s")), "{found:?}");
+}
+
+#[test]
 fn scenario_check_reads_the_recording_beside_the_file_and_names_lines() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name).to_str().expect("a plain path").to_owned();

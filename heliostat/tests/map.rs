@@ -66,6 +66,51 @@ fn the_svg_is_well_formed_and_labelled() {
     }
 }
 
+/// The width and height of the coloured floor in pixels.
+fn floor_size(svg: &str) -> [f64; 2] {
+    let number = |element: &str, name: &str| -> f64 {
+        let text = element.split_once(&format!(" {name}=\"")).expect("an attribute").1;
+        text.split('"').next().expect("a value").parse().expect("a number")
+    };
+    let rectangles = svg.split("<rect").skip(1).map(|rest| rest.split('>').next().expect("an end"));
+    let coloured: Vec<[f64; 4]> = rectangles
+        .filter(|element| !element.contains("#FFFFFF"))
+        .map(|element| ["x", "y", "width", "height"].map(|name| number(element, name)))
+        .collect();
+    // The cells of the floor come first; the colour bar starts at the right of them.
+    let [x0, y0, ..] = coloured[0];
+    let row = coloured.iter().take_while(|[_, y, ..]| (y - y0).abs() < 1.0);
+    let right = row.clone().map(|[x, _, width, _]| x + width).fold(0.0, f64::max);
+    let cells = coloured.iter().filter(|[x, ..]| *x < right);
+    let floor = cells.take_while(|[x, y, ..]| *x >= x0 - 1.0 && *y <= y0 + 1.0);
+    let top = floor.map(|[_, y, ..]| *y).fold(f64::INFINITY, f64::min);
+    [right - x0, y0 + coloured[0][3] - top]
+}
+
+#[test]
+fn a_map_has_the_same_scale_on_both_axes_and_states_it() {
+    for (x_m, y_m) in [(8.0, 4.0), (4.0, 8.0), (5.0, 5.0)] {
+        let sizes = [format!("room.length_x_m={x_m}"), format!("room.length_y_m={y_m}")];
+        let (figures, svg) = map(&["--set", &sizes[0], "--set", &sizes[1], "--array", "none"]);
+        let scale = figure(&figures, "pixels_per_m");
+        let [width, height] = floor_size(&svg);
+        assert!((width / x_m - scale).abs() < 0.02 * scale, "{x_m} m are {width} pixels: {figures}");
+        assert!((height / y_m - scale).abs() < 0.02 * scale, "{y_m} m are {height} pixels: {figures}");
+        assert!(svg.contains("1 m") && elements(&svg)[0] == "svg", "no scale bar");
+    }
+}
+
+#[test]
+fn an_onnx_actor_gives_the_angles() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../models/actors/ddpg-specular-10x10.onnx");
+    let [own, built_in] = [file, "ddpg"].map(|array| map(&["--array", array]).0);
+    for name in ["min", "mean", "max"] {
+        assert_eq!(figure(&own, name), figure(&built_in, name), "{name}");
+    }
+    let output = heliostat(&["map", "--array", "absent.onnx"]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no actor at absent.onnx"));
+}
+
 #[test]
 fn a_map_without_mirrors_has_the_direct_path_only() {
     let clear = ["--set", "blockage.bodies=false", "--set", "blockage.obstacles_per_m2=0", "--set", "led.side_m=0"];

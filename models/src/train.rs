@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use heliostat_decide::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
 use heliostat_decide::policy::actor_file::key;
 use heliostat_engine::shipped;
@@ -15,9 +15,13 @@ use crate::networks::on_one_thread;
 use crate::training::card::{Card, ScoreRow, hardware};
 use crate::training::checkpoint;
 use crate::training::curve::Curve;
+use crate::training::pace::{Pace, rounded};
 use crate::training::{Algorithm, Preset, Training};
 
 /// Train a policy for a scenario and export it as an ONNX actor.
+///
+/// Ctrl-C ends the run after the current episode: it saves a checkpoint and prints the command that
+/// resumes. A resumed run gives the same actor as an uninterrupted one.
 #[derive(Clone, Debug, clap::Args)]
 pub struct TrainArgs {
     /// Algorithm
@@ -65,15 +69,20 @@ const FORCED: [usize; 3] = [0, 2, 5];
 /// User counts of the final scores, in addition to the scenario's own.
 const USERS: [usize; 2] = [3, 8];
 
-/// Runs the command.
+/// Whether the run has to end, as Ctrl-C requests.
+type StopRequested<'a> = &'a (dyn Fn() -> bool + Sync);
+
+/// Runs the command. Where `stop_requested` returns true, it saves the run and returns an error with
+/// the command that resumes.
 ///
 /// # Errors
-/// The scenario or an option is invalid, or a file cannot be read or written.
-pub fn run_train(args: TrainArgs) -> anyhow::Result<()> {
-    on_one_thread(|| train(&args))?
+/// The scenario or an option is invalid, a file cannot be read or written, or the run is
+/// interrupted.
+pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
+    on_one_thread(|| train(&args, stop_requested))?
 }
 
-fn train(args: &TrainArgs) -> anyhow::Result<()> {
+fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
     let scenario = args.scenario.load()?;
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
@@ -89,9 +98,27 @@ fn train(args: &TrainArgs) -> anyhow::Result<()> {
     }
     let resumed = training.episodes_done() > 0;
     let start = Instant::now();
-    learn(&mut training, args, &checkpoint)?;
+    learn(&mut training, args, &checkpoint, stop_requested)?;
+    if stop_requested() {
+        bail!(interrupted(&mut training, args, &checkpoint)?);
+    }
     let duration = (!resumed).then(|| start.elapsed());
-    finish(&training, args, duration)
+    match final_scores(&training, args.states as usize, stop_requested)? {
+        Some(scores) => finish(&training, args, duration, &scores),
+        None => bail!(interrupted(&mut training, args, &checkpoint)?),
+    }
+}
+
+/// Saves the run, and returns the message that says how to resume it.
+fn interrupted(training: &mut Training, args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<String> {
+    checkpoint::save(training, checkpoint)?;
+    Ok(format!(
+        "interrupted after {} of {} episodes; saved: {}\nresume with: {}",
+        training.episodes_done(),
+        training.run().episodes,
+        checkpoint.display(),
+        args.resuming_command(training.run().seed)
+    ))
 }
 
 impl TrainArgs {
@@ -107,38 +134,79 @@ impl TrainArgs {
     fn command(&self, seed: u64) -> String {
         let preset = if self.preset == Preset::Paper { " --preset paper" } else { "" };
         let (algorithm, scenario) = (self.algorithm.name, &self.scenario.scenario);
+        let scenario = quoted(scenario);
         let mut command = format!("heliostat train {algorithm} --scenario {scenario} --seed {seed}{preset}");
-        let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", value]);
+        let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", &quoted(value)]);
         self.scenario.overrides.iter().for_each(|text| add("--set", text));
         self.options.iter().for_each(|text| add("--option", text));
         self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
         self.steps.iter().for_each(|count| add("--steps", &count.to_string()));
         command
     }
+
+    /// The command that resumes the run in its folder.
+    fn resuming_command(&self, seed: u64) -> String {
+        let mut command = self.command(seed);
+        command.push_str(&format!(" --out {}", quoted(&self.out.to_string_lossy())));
+        command.extend(self.every.map(|every| format!(" --every {every}")));
+        command.push_str(&format!(" --states {}", self.states));
+        if self.json {
+            command.push_str(" --json");
+        }
+        command + " --resume"
+    }
 }
 
-fn learn(training: &mut Training, args: &TrainArgs, checkpoint: &Path) -> anyhow::Result<()> {
+/// A word of a shell command, in quotes where it needs them.
+fn quoted(word: &str) -> String {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_./=,:+@%".contains(letter);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.into()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+/// Trains until the last episode, or until a stop is requested.
+fn learn(
+    training: &mut Training,
+    args: &TrainArgs,
+    checkpoint: &Path,
+    stop_requested: StopRequested<'_>,
+) -> anyhow::Result<()> {
     let episodes = training.run().episodes;
     let every = args.every.map_or((episodes / 10).clamp(1, 100), |every| every as usize);
     let mut curve = Curve::open(&args.out.join("curve.csv"), training.episodes_done())?;
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(episodes as u64) };
-    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes, {eta} left  {msg}")?);
+    bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes  {msg}")?);
     bar.set_message("solving held-out states");
     bar.set_position(training.episodes_done() as u64);
     let mut states = training_states(training.scenario())?;
-    while training.episodes_done() < episodes {
+    let (mut pace, mut quality) = (Pace::default(), String::new());
+    while training.episodes_done() < episodes && !stop_requested() {
+        let begun = Instant::now();
         let episode = training.run_episode()?;
+        pace.add_episode(begun.elapsed());
         let due = episode.number % every == 0 || episode.number == episodes;
+        let begun = Instant::now();
         let score = if due { Some(states.score(|room| training.act(room))?) } else { None };
         curve.add(&episode, score.as_ref())?;
         bar.inc(1);
         if let Some(score) = score {
             checkpoint::save(training, checkpoint)?;
+            pace.add_evaluation(begun.elapsed());
             let (ratio, met) = (score.ratio_to_oracle.mean, score.qos_met);
-            bar.set_message(format!("{ratio:.3} of the oracle, minimum rates met {met:.3}"));
+            quality = format!(", {ratio:.3} of the oracle, minimum rates met {met:.3}");
         }
+        let left = episodes - episode.number;
+        let remaining = pace.remaining(left, left.div_ceil(every)).map_or("unknown".into(), rounded);
+        bar.set_message(format!("{remaining} left{quality}"));
     }
-    bar.finish();
+    if training.episodes_done() < episodes {
+        bar.abandon()
+    } else {
+        bar.finish()
+    }
     Ok(())
 }
 
@@ -169,20 +237,24 @@ fn room(scenario: &Scenario, users: usize, forced: usize) -> Scenario {
     room
 }
 
-/// Scores the trained actor and writes it with its card.
-fn finish(training: &Training, args: &TrainArgs, duration: Option<Duration>) -> anyhow::Result<()> {
+/// Writes the trained actor with its card.
+fn finish(
+    training: &Training,
+    args: &TrainArgs,
+    duration: Option<Duration>,
+    scores: &[ScoreRow],
+) -> anyhow::Result<()> {
     let (algorithm, seed) = (args.algorithm, training.run().seed);
-    let scores = final_scores(training, args.states as usize)?;
     let command = args.command(seed);
-    let bytes = onnx_file(training, &command, &scores)?;
+    let bytes = onnx_file(training, &command, scores)?;
     let file = shipped::file_name(algorithm.policy, training.scenario(), seed);
     let path = args.out.join(&file);
     std::fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
-    let card = Card { file: &file, command: &command, algorithm, training, duration, scores: &scores };
+    let card = Card { file: &file, command: &command, algorithm, training, duration, scores };
     let card_path = path.with_extension("md");
     std::fs::write(&card_path, card.markdown()).with_context(|| format!("cannot write {}", card_path.display()))?;
     if args.json {
-        println!("{}", report((&path, &command), training, duration, &scores));
+        println!("{}", report((&path, &command), training, duration, scores));
     } else {
         println!("{}", card.markdown());
         println!("actor: {}\ncard:  {}", path.display(), card_path.display());
@@ -190,7 +262,12 @@ fn finish(training: &Training, args: &TrainArgs, duration: Option<Duration>) -> 
     Ok(())
 }
 
-fn final_scores(training: &Training, states: usize) -> anyhow::Result<Vec<ScoreRow>> {
+/// The scores of the trained actor; `None` where a stop is requested before the last.
+fn final_scores(
+    training: &Training,
+    states: usize,
+    stop_requested: StopRequested<'_>,
+) -> anyhow::Result<Option<Vec<ScoreRow>>> {
     let mut users = USERS.to_vec();
     users.push(training.scenario().users.count);
     users.sort_unstable();
@@ -198,6 +275,9 @@ fn final_scores(training: &Training, states: usize) -> anyhow::Result<Vec<ScoreR
     let mut rows = Vec::new();
     for &users in &users {
         for forced in forced_counts(users) {
+            if stop_requested() {
+                return Ok(None);
+            }
             let mut held_out = HeldOut::default();
             held_out.add(&room(training.scenario(), users, forced), states)?;
             let upper_bound = held_out
@@ -212,7 +292,7 @@ fn final_scores(training: &Training, states: usize) -> anyhow::Result<Vec<ScoreR
             });
         }
     }
-    Ok(rows)
+    Ok(Some(rows))
 }
 
 /// The trained actor as an ONNX file with its metadata.

@@ -14,6 +14,7 @@ pub mod checkpoint;
 pub mod curve;
 pub mod exploration;
 pub mod learner;
+pub mod pace;
 pub mod replay;
 pub mod run;
 pub mod settings;

@@ -1,4 +1,4 @@
-//! The protobuf messages of ONNX files, and a builder of graphs.
+//! The protobuf messages of ONNX files, a builder of graphs, and a reference evaluation.
 //!
 //! `src/generated.rs` is generated from `proto/onnx.proto3`, the definition that ONNX 1.23.2
 //! publishes under the licence Apache-2.0. That file documents every message and field.
@@ -17,6 +17,8 @@
 //! ```
 
 pub mod graph;
+pub mod reference;
+pub mod tensor;
 
 #[allow(missing_docs, unused_qualifications, clippy::all)]
 #[rustfmt::skip]

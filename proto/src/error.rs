@@ -33,7 +33,7 @@ pub enum CodecError {
         found: u8,
     },
     /// The payload holds another kind of message than expected.
-    #[error("payload holds a {found}: expected a {expected}")]
+    #[error("payload of the kind \"{found}\": expected \"{expected}\"")]
     WrongKind {
         /// Kind found.
         found: Kind,

@@ -84,6 +84,7 @@ impl Place {
 #[derive(Clone, Copy)]
 pub(crate) struct Bounds {
     entries: usize,
+    text: usize,
     least: f64,
     most: f64,
     expected: &'static str,
@@ -91,11 +92,17 @@ pub(crate) struct Bounds {
 
 impl Bounds {
     /// No rule; a list has no entries until [`at_most`](Self::at_most) allows some.
-    pub(crate) const NONE: Self = Self { entries: 0, least: f64::MIN, most: f64::MAX, expected: "a finite number" };
+    pub(crate) const NONE: Self =
+        Self { entries: 0, text: MAX_TEXT, least: f64::MIN, most: f64::MAX, expected: "a finite number" };
 
     /// A list has at most this many entries.
     pub(crate) const fn at_most(self, entries: usize) -> Self {
         Self { entries, ..self }
+    }
+
+    /// A text has at most this many bytes.
+    pub(crate) const fn text_at_most(self, text: usize) -> Self {
+        Self { text, ..self }
     }
 
     /// Each number is 0 or above.
@@ -138,9 +145,9 @@ plain_values! {
     u64, |_, _, _| Ok(());
     f32, |number, place, bounds| place.check_number(f64::from(*number), bounds);
     f64, |number, place, bounds| place.check_number(*number, bounds);
-    String, |text, place, _| match text.len() {
-        0..=MAX_TEXT => Ok(()),
-        found => Err(place.too_many(found as u64, MAX_TEXT)),
+    String, |text, place, bounds| match text.len() {
+        found if found <= bounds.text => Ok(()),
+        found => Err(place.too_many(found as u64, bounds.text)),
     };
 }
 

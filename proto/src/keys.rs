@@ -100,6 +100,11 @@ impl Room {
         self.key(format_args!("status/*"))
     }
 
+    /// Pattern for the geometry that each process announces.
+    pub fn all_geometry(&self) -> String {
+        self.key(format_args!("geometry/*"))
+    }
+
     /// Key of the liveliness token of one instance; `source` is the id in its stamps.
     pub fn alive(&self, node: NodeKind, source: u64) -> String {
         self.key(format_args!("alive/{node}/{source:016x}"))

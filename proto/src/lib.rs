@@ -50,11 +50,12 @@ pub use error::CodecError;
 pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
-    CLOCK_LEAD_MAX_NS, MAX_ENTRIES, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_TEXT, MAX_USERS, Nanos, VERSION,
+    CLOCK_LEAD_MAX_NS, MAX_ENTRIES, MAX_GEOMETRY, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_TEXT, MAX_USERS, Nanos,
+    VERSION,
 };
 pub use messages::{
     Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, MirrorCommand, MirrorTelemetry,
-    NodeStatus, ObstacleReport, Rearm, RoomTruth, SafetyReport, SimulatorControl, UserReport,
+    NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, UserReport,
 };
 pub use structures::{
     ArrayState, AxisLimits, Counters, FaultKind, Feedback, MirrorFault, NodeKind, Obstacle, Quantiles, Stamp,

@@ -25,5 +25,8 @@ pub const MAX_TEXT: usize = 1024;
 /// this.
 pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
 
+/// Longest text of a [`RoomGeometry`](crate::RoomGeometry) in bytes of UTF-8.
+pub const MAX_GEOMETRY: usize = 16_384;
+
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
 pub type Nanos = u64;

@@ -9,7 +9,7 @@ use crate::fields::{
     Bounds, Place, Value, field_name, implement_value, mirrors_within_limit, same_length, same_length_or_empty,
 };
 use crate::kind::Kind;
-use crate::limits::{MAX_ENTRIES, MAX_MIRRORS, MAX_OBSTACLES, MAX_TEXT, MAX_USERS, Nanos};
+use crate::limits::{MAX_ENTRIES, MAX_GEOMETRY, MAX_MIRRORS, MAX_OBSTACLES, MAX_TEXT, MAX_USERS, Nanos};
 use crate::structures::{
     ArrayState, AxisLimits, Counters, Feedback, MirrorFault, NodeKind, Obstacle, Quantiles, Stamp, StopAction,
     SumRates, TruthUser, UserChannel, UserState, ValidityClock,

@@ -23,7 +23,8 @@
 //!
 //! - The type of a field is a number, a bool, a text, an `Option`, an array, a `Vec`, a pair, or a
 //!   type of `structures.rs`. Every `f32` and `f64` must be finite, every text at most
-//!   [`MAX_TEXT`](crate::MAX_TEXT) bytes long. The type implies both rules.
+//!   [`MAX_TEXT`](crate::MAX_TEXT) bytes long. The type implies both rules; `text_at_most` sets
+//!   another length.
 //! - `where` adds rules for one field: the methods of `Bounds` in `fields.rs`. A `Vec` needs
 //!   `at_most`.
 //! - `requires` adds rules that involve several fields: functions at the end of `fields.rs`.
@@ -296,6 +297,16 @@ macro_rules! message_table {
                 epoch_lead_max: u64,
                 /// Largest difference between the sequence numbers of two accepted commands of an epoch.
                 sequence_step_max: u64,
+            }
+
+            /// Geometry and channel of a room, by the scenario of the process that publishes it.
+            #[derive(Eq)]
+            message RoomGeometry(kind: 15, name: "room geometry", key: geometry(node: NodeKind) = "geometry/{node}") {
+                /// Source, sequence, time.
+                stamp: Stamp,
+                /// The tables of a scenario file that describe room, channel, access points, array,
+                /// receiver, noise, bandwidth and bodies, as TOML.
+                scenario: String where text_at_most(MAX_GEOMETRY),
             }
         }
     };

@@ -29,7 +29,8 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<SimulatorControl>(payload)?;
     one::<ControllerControl>(payload)?;
     one::<Rearm>(payload)?;
-    one::<SafetyReport>(payload)
+    one::<SafetyReport>(payload)?;
+    one::<RoomGeometry>(payload)
 }
 
 fn finite() -> impl Strategy<Value = f32> {
@@ -78,7 +79,7 @@ proptest! {
 
     #[test]
     fn altered_payloads_are_decoded_or_refused(
-        which in 0usize..14,
+        which in 0usize..15,
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in any::<prop::sample::Index>(),
     ) {

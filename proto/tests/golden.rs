@@ -44,7 +44,10 @@ const SAFETY_REPORT: &str = "\
     010ef0bdf3d589cf959a12ac0280cffea7a4deb2c31801f0bdf3d589cf959a12ac0280cffea7a4deb2c31803616e6e047465737407904ee0\
     d403c0843d";
 
-const ALL: [&str; 14] = [
+const ROOM_GEOMETRY: &str = "\
+    010ff0bdf3d589cf959a12ac0280cffea7a4deb2c318165b726f6f6d5d0a6865696768745f6d203d20322e350a";
+
+const ALL: [&str; 15] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -59,6 +62,7 @@ const ALL: [&str; 14] = [
     CONTROLLER_CONTROL,
     REARM,
     SAFETY_REPORT,
+    ROOM_GEOMETRY,
 ];
 
 fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -82,6 +86,7 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&controller_control(), CONTROLLER_CONTROL);
     check_bytes(&rearm(), REARM);
     check_bytes(&safety_report(), SAFETY_REPORT);
+    check_bytes(&room_geometry(), ROOM_GEOMETRY);
 }
 
 /// The numbers of each enumeration are those in CONTRACT.md.

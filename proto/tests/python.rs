@@ -25,7 +25,7 @@ for kind, text in SAMPLES.items():
         assert refused(payload[:length], kind), (kind, length)
     assert refused(payload + b"\0", kind), kind
     assert refused(b"\2" + payload[1:], kind), kind
-    assert refused(payload, kind % 14 + 1), kind
+    assert refused(payload, kind % 15 + 1), kind
 
 command = decode(bytes.fromhex(SAMPLES[4]), 4)
 assert command == {"epoch": 7, "sequence": 300, "answers": 1000, "time_ns": 1767323045678000000, "validity_ms": 200,
@@ -41,6 +41,17 @@ for wrong in [dict(command, yaw=[0.0]), dict(command, roll=[math.nan, 0.0]), dic
     try:
         encode(wrong, 4)
         raise AssertionError(wrong)
+    except Refused:
+        pass
+geometry = decode(bytes.fromhex(SAMPLES[15]), 15)
+assert geometry["scenario"] == "[room]\nheight_m = 2.5\n", geometry
+longest = dict(geometry, scenario="x" * 16384)
+assert decode(encode(longest, 15), 15) == longest
+for wrong, kind in [(dict(geometry, scenario="x" * 16385), 15),
+                    (dict(decode(bytes.fromhex(SAMPLES[12]), 12), policy="x" * 1025), 12)]:
+    try:
+        encode(wrong, kind)
+        raise AssertionError(kind)
     except Refused:
         pass
 print("valid")

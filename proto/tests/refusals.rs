@@ -31,6 +31,7 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::ControllerControl => decode::<ControllerControl>(payload).err(),
         Kind::Rearm => decode::<Rearm>(payload).err(),
         Kind::SafetyReport => decode::<SafetyReport>(payload).err(),
+        Kind::RoomGeometry => decode::<RoomGeometry>(payload).err(),
     }
 }
 
@@ -56,8 +57,8 @@ fn a_payload_without_header_is_refused() {
 fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
-    assert_eq!(error.to_string(), "payload holds a user report: expected a mirror command");
-    for number in [0, 15, 255] {
+    assert_eq!(error.to_string(), "payload of the kind \"user report\": expected \"mirror command\"");
+    for number in [0, 16, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }
@@ -423,4 +424,29 @@ fn liveliness_keys_survive_a_round_trip() {
     for other in [room.users(), room.all_alive(), format!("{key}/more"), "heliostat/v2/demo/alive/driver/1".into()] {
         assert_eq!(keys::parse_alive(&other), None, "{other}");
     }
+}
+
+#[test]
+fn a_geometry_text_may_be_longer_than_other_texts_up_to_its_own_limit() {
+    let geometry = |length: usize| RoomGeometry { scenario: "x".repeat(length), ..room_geometry() };
+    let mut payload = encoded(&geometry(MAX_GEOMETRY));
+    assert_eq!(decode(&payload), Ok(geometry(MAX_GEOMETRY)));
+    let refused = CodecError::TooMany {
+        kind: Kind::RoomGeometry,
+        field: "scenario",
+        found: MAX_GEOMETRY as u64 + 1,
+        limit: MAX_GEOMETRY,
+    };
+    assert_eq!(encode(&geometry(MAX_GEOMETRY + 1), &mut payload), Err(refused.clone()));
+    let longest = encoded(&geometry(MAX_GEOMETRY));
+    let length_at = longest.len() - MAX_GEOMETRY - 3;
+    assert_eq!(longest[length_at..length_at + 3], [0x80, 0x80, 0x01], "16384 as a varint");
+    let mut longer = longest;
+    longer[length_at] = 0x81;
+    longer.push(b'x');
+    assert_eq!(refusal::<RoomGeometry>(&longer), refused);
+    assert_eq!(
+        Room::new("demo").expect("a valid name").geometry(NodeKind::SimNode),
+        "heliostat/v1/demo/geometry/sim-node"
+    );
 }

@@ -2,7 +2,7 @@
 
 use heliostat_proto::{
     Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, EmergencyStop, Kind, Message,
-    MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm, RoomTruth, SafetyReport,
+    MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport,
     SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
 };
 
@@ -16,6 +16,7 @@ pub enum Received {
     Telemetry(MirrorTelemetry),
     Status(NodeStatus),
     Truth(RoomTruth),
+    Geometry(RoomGeometry),
     Other(Kind, Stamp),
 }
 
@@ -51,6 +52,7 @@ impl Received {
             Kind::ControllerControl => stamped::<ControllerControl>(payload, |message| message.stamp),
             Kind::Rearm => stamped::<Rearm>(payload, |message| message.stamp),
             Kind::SafetyReport => stamped::<SafetyReport>(payload, |message| message.stamp),
+            Kind::RoomGeometry => decode(payload).map(Self::Geometry),
         }
     }
 
@@ -66,6 +68,7 @@ impl Received {
             Self::Telemetry(telemetry) => telemetry.stamp,
             Self::Status(status) => status.stamp,
             Self::Truth(truth) => truth.stamp,
+            Self::Geometry(geometry) => geometry.stamp,
             Self::Other(_, stamp) => *stamp,
         };
         Origin { source: stamp.source, sequence: stamp.sequence, time_ns: stamp.time_ns }

@@ -185,7 +185,8 @@ fn write_parts(report: &Report, page: &mut String) -> std::fmt::Result {
     writeln!(page, "</table></details>")
 }
 
-fn escape(text: &str) -> String {
+/// A text for an element or an attribute of a page.
+pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
@@ -195,7 +196,8 @@ fn code(text: &str) -> String {
     parts.map(|(index, part)| if index % 2 == 1 { format!("<code>{part}</code>") } else { part.to_owned() }).collect()
 }
 
-const STYLE: &str = "
+/// The look of every page of results.
+pub const STYLE: &str = "
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1280px; padding: 0 1.5rem; color: #222; }
 h1 { font-size: 1.7rem; } h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; } h3 { margin-bottom: 0; }
 section { margin: 1rem 0 2.5rem; } .plot { width: 100%; }

@@ -58,7 +58,7 @@ pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
     if folder.join("checkpoint.safetensors").exists() {
         command.push("--resume");
     }
-    run_train(Train::parse_from(command).args)?;
+    run_train(Train::parse_from(command).args, &|| false)?;
     let actors = fs::read_dir(&folder)?.filter_map(|entry| Some(entry.ok()?.path()));
     let trained =
         actors.filter(|path| path.extension().is_some_and(|extension| extension == "onnx")).collect::<Vec<_>>();

@@ -21,6 +21,35 @@ pub struct ScenarioArgs {
     pub seed: Option<u64>,
 }
 
+/// A scenario that a viewer draws instead of the geometry that the room announces.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct ViewerScenarioArgs {
+    /// Draw this scenario file (TOML) or built-in one, instead of the geometry that the room announces
+    #[arg(long, value_name = "FILE")]
+    pub scenario: Option<String>,
+    /// Override any key of that scenario, for example --set mirrors.rows=8 (repeatable)
+    #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Accepted as for the other commands; a viewer makes no random choice
+    #[arg(long, hide = true)]
+    pub seed: Option<u64>,
+}
+
+impl ViewerScenarioArgs {
+    /// The scenario that the flags name; `None` without a flag.
+    ///
+    /// # Errors
+    /// As [`ScenarioArgs::load`].
+    pub fn load(&self) -> Result<Option<Scenario>, ScenarioError> {
+        if self.scenario.is_none() && self.overrides.is_empty() {
+            return Ok(None);
+        }
+        let scenario = self.scenario.clone().unwrap_or_else(|| BUILTIN_NAMES[0].into());
+        let args = ScenarioArgs { scenario, overrides: self.overrides.clone(), seed: self.seed };
+        args.load().map(Some)
+    }
+}
+
 impl ScenarioArgs {
     /// Reads the scenario and applies the overrides.
     ///
@@ -42,7 +71,7 @@ impl ScenarioArgs {
 
     /// A relative path of a trace starts at the folder of the file; in an override it starts at the
     /// working directory.
-    fn find_trace(&self, scenario: &mut Scenario) {
+    pub fn find_trace(&self, scenario: &mut Scenario) {
         let by_flag = |text: &String| text.split_once('=').is_some_and(|(key, _)| key.trim() == "users.trace");
         if let Some(trace) = &mut scenario.users.trace
             && !self.overrides.iter().any(by_flag)

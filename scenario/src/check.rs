@@ -209,6 +209,12 @@ impl Scenario {
         within("control.range_deg", control.range_deg, 0.01..=90.0)?;
         within("control.slew_deg_per_s", control.slew_deg_per_s, 0.0..=1e6)?;
         within("control.deadline_ms", control.deadline_ms, 0.0..=60_000.0)?;
+        let walk = &control.walk;
+        within("control.walk.changes_per_s", walk.changes_per_s, 0.0..=100.0)?;
+        within("control.walk.speed_m_s", walk.speed_m_s, 0.01..=100.0)?;
+        within("control.walk.standing", walk.standing, 0.0..=1.0)?;
+        within("control.walk.curving", walk.curving, 0.0..=1.0 - walk.standing)?;
+        within("control.walk.turn_rate_deg_per_s", walk.turn_rate_deg_per_s, 1.0..=720.0)?;
         let no_positions = "the policy has no positions";
         without_decision("control.when_stale", control.when_stale, no_positions)?;
         without_decision("control.when_silent", control.when_silent, no_positions)?;

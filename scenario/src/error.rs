@@ -63,6 +63,16 @@ pub enum ScenarioError {
     },
 }
 
+impl ScenarioError {
+    /// The message in one line. Of a parser's message this is the last line, which gives the reason.
+    pub fn in_one_line(&self) -> String {
+        match self {
+            Self::Parse { origin, message } => format!("{origin}: {}", message.lines().last().unwrap_or_default()),
+            other => other.to_string(),
+        }
+    }
+}
+
 fn place(line: &Option<usize>) -> String {
     line.map(|line| format!("line {line}: ")).unwrap_or_default()
 }

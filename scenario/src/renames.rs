@@ -29,7 +29,7 @@ pub enum Rename {
 }
 
 /// All renamed keys and values of scenario files.
-pub const RENAMES: &[Rename] = &[];
+pub const RENAMES: &[Rename] = &[Rename::Key { old: "control.prediction", new: "control.belief" }];
 
 /// A table of renames, applied to the parsed text of a scenario.
 #[derive(Clone, Copy, Debug)]

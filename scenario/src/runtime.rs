@@ -285,15 +285,49 @@ pub enum DegradedAction {
     Park,
 }
 
-/// The compensation of the age of a position report.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// What the controller believes about users between two position reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-pub enum Prediction {
-    /// Users are assumed to be at their reported positions.
+pub enum Belief {
+    /// Users are at their reported positions.
     None,
-    /// Users are assumed to move at their reported velocity, until the middle of the validity of
-    /// the command.
+    /// Users move at their reported velocity, until the middle of the validity of the command.
     ConstantVelocity,
+    /// Users move as a filter of all their reports predicts, until the same time.
+    Filter,
+}
+
+impl std::fmt::Display for Belief {
+    /// The name as in a scenario file.
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(match self {
+            Self::None => "none",
+            Self::ConstantVelocity => "constant-velocity",
+            Self::Filter => "filter",
+        })
+    }
+}
+
+/// Prior knowledge about walks, for the filter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Walk {
+    /// Changes of direction or speed per second.
+    pub changes_per_s: f64,
+    /// Standard deviation of each velocity component in m/s.
+    pub speed_m_s: f64,
+    /// Probability that a user stands after a change.
+    pub standing: f64,
+    /// Probability that a user walks on a curve after a change.
+    pub curving: f64,
+    /// Turn rate on a curve in degrees per second.
+    pub turn_rate_deg_per_s: f64,
+}
+
+impl Default for Walk {
+    fn default() -> Self {
+        Self { changes_per_s: 0.3, speed_m_s: 0.8, standing: 0.1, curving: 0.2, turn_rate_deg_per_s: 45.0 }
+    }
 }
 
 /// Limits and degraded modes of the controller.
@@ -329,8 +363,10 @@ pub struct Control {
     pub when_silent: DegradedAction,
     /// The action at a policy timeout: the policy does not return for 0.1 s.
     pub when_unanswered: DegradedAction,
-    /// The compensation of the age of a position report.
-    pub prediction: Prediction,
+    /// What the controller believes about users between two position reports.
+    pub belief: Belief,
+    /// Prior knowledge about walks, for the belief `filter`.
+    pub walk: Walk,
     /// Maximum number of evaluations of a metaheuristic policy per decision.
     pub search_evaluations: u32,
     /// Maximum search time of a metaheuristic policy per decision, in us; 0 is no limit.
@@ -352,7 +388,8 @@ impl Default for Control {
             when_channel_missing: DegradedAction::Policy,
             when_silent: DegradedAction::Hold,
             when_unanswered: DegradedAction::Hold,
-            prediction: Prediction::None,
+            belief: Belief::Filter,
+            walk: Walk::default(),
             search_evaluations: 2000,
             search_time_us: 500.0,
         }

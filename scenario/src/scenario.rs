@@ -200,12 +200,12 @@ fn short_hash(text: &str) -> String {
     Sha256::digest(text).iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioError {
+pub(crate) fn parse_error(origin: &str, error: &toml::de::Error) -> ScenarioError {
     ScenarioError::Parse { origin: origin.into(), message: error.to_string().trim_end().into() }
 }
 
 /// Adds the line of the refused key, if the file sets it.
-fn with_line(error: ScenarioError, text: &str) -> ScenarioError {
+pub(crate) fn with_line(error: ScenarioError, text: &str) -> ScenarioError {
     match error {
         ScenarioError::Invalid { key, value, expected, line: None } => {
             let line = line_of(text, &key);

@@ -18,6 +18,7 @@
 //! crate. No decision waits for a server: each server runs on a thread of its own.
 
 pub mod clock;
+pub mod counted;
 pub mod duration;
 pub mod exit;
 pub mod exporter;

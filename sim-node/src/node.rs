@@ -122,7 +122,7 @@ impl Node {
     }
 
     pub fn truth_publisher(&mut self) -> Result<TruthPublisher, NodeError> {
-        TruthPublisher::new(self.room.world(), &self.session, self.exporter.take())
+        TruthPublisher::new(self.room.world(), &self.session, self.scenario.geometry_toml(), self.exporter.take())
     }
 
     /// Gives an arrival to the array at time `at`; returns the command if it was one that was

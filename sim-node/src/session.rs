@@ -40,6 +40,13 @@ pub(crate) struct RoomSession {
     _declared: (Token, [Subscription; 2]),
 }
 
+/// Publishers of what only viewers receive.
+pub(crate) struct ViewerPublishers {
+    pub truth: MessagePublisher,
+    pub status: MessagePublisher,
+    pub geometry: MessagePublisher,
+}
+
 impl RoomSession {
     /// Opens a session and declares everything, unless another driver or simulator is in the room.
     ///
@@ -95,12 +102,15 @@ impl RoomSession {
         self.array.received()
     }
 
-    /// Publishers of truth and status, for use on another thread.
-    pub fn viewer_publishers(&self) -> Result<(MessagePublisher, MessagePublisher), NodeError> {
+    /// Publishers of truth, status and geometry, for use on another thread.
+    pub fn viewer_publishers(&self) -> Result<ViewerPublishers, NodeError> {
         let keys = self.bus.room();
-        let truth = MessagePublisher::new(&self.bus, &keys.truth(), Class::LowDrop)?;
-        let status = MessagePublisher::new(&self.bus, &keys.status(NodeKind::SimNode), Class::LowDrop)?;
-        Ok((truth, status))
+        let publisher = |key: String| MessagePublisher::new(&self.bus, &key, Class::LowDrop);
+        Ok(ViewerPublishers {
+            truth: publisher(keys.truth())?,
+            status: publisher(keys.status(NodeKind::SimNode))?,
+            geometry: publisher(keys.geometry(NodeKind::SimNode))?,
+        })
     }
 
     /// Publishes a report; `before` runs between its encoding and its publication.

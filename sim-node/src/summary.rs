@@ -71,8 +71,8 @@ pub struct Summary {
     pub truth_samples: u64,
     /// Mean time to compute such an instant, with the oracle, in us.
     pub truth_us_mean: f64,
-    /// Mean sum rates over those instants.
-    pub sum_rate_mbps: SumRatesMbps,
+    /// Mean sum rates over those instants; absent before the first command.
+    pub sum_rate_mbps: Option<SumRatesMbps>,
     /// Sum rate of the policy over that of the oracle; absent before the first command.
     pub ratio_to_oracle: Option<f64>,
     /// Share of users and instants with the minimum rate met.
@@ -97,12 +97,12 @@ impl Summary {
     pub fn set_rates(&mut self, tally: &Tally) {
         let mean = tally.mean_sum_rates_bps();
         self.truth_samples = tally.samples;
-        self.sum_rate_mbps = SumRatesMbps {
+        self.sum_rate_mbps = (tally.samples > 0).then_some(SumRatesMbps {
             policy: mean.policy * 1e-6,
             no_irs: mean.no_irs * 1e-6,
             flat: mean.flat * 1e-6,
             oracle: mean.oracle * 1e-6,
-        };
+        });
         self.blocked_users_mean = tally.blocked_users_mean();
         if tally.samples > 0 {
             self.ratio_to_oracle = (mean.oracle > 0.0).then(|| mean.policy / mean.oracle);
@@ -115,7 +115,6 @@ impl Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let rates = &self.sum_rate_mbps;
         let share = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.3}"));
         writeln!(f, "scenario        {} ({}), seed {}", self.scenario, self.scenario_hash, self.seed)?;
         writeln!(
@@ -126,11 +125,14 @@ impl fmt::Display for Summary {
         writeln!(f, "commands        {} ({} clipped)", self.commands, self.clipped_commands)?;
         let us = &self.loop_us;
         writeln!(f, "loop, us        p50 {:.0}  p90 {:.0}  p99 {:.0}  max {:.0}", us.p50, us.p90, us.p99, us.max)?;
-        writeln!(
-            f,
-            "sum rate Mbit/s policy {:.1}  no IRS {:.1}  flat {:.1}  oracle {:.1}",
-            rates.policy, rates.no_irs, rates.flat, rates.oracle
-        )?;
+        match &self.sum_rate_mbps {
+            None => writeln!(f, "sum rate        unknown: no command was accepted")?,
+            Some(rates) => writeln!(
+                f,
+                "sum rate Mbit/s policy {:.1}  no IRS {:.1}  flat {:.1}  oracle {:.1}",
+                rates.policy, rates.no_irs, rates.flat, rates.oracle
+            )?,
+        }
         writeln!(f, "ratio to oracle {}", share(self.ratio_to_oracle))?;
         writeln!(f, "minimum rates   met {} (oracle {})", share(self.qos_met), share(self.qos_met_oracle))?;
         writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?;

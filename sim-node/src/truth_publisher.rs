@@ -1,4 +1,5 @@
-//! Publishes the truth of the room with reference rates, and the status of the simulator.
+//! Publishes the truth of the room with reference rates, the status of the simulator, and the
+//! geometry of the room.
 //!
 //! In live operation this runs on a separate thread, so that the oracle does not delay a tick.
 
@@ -6,8 +7,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-use heliostat_driver::session::MessagePublisher;
-use heliostat_proto::{NodeStatus, RoomTruth, Stamp, TruthUser};
+use heliostat_proto::{NodeStatus, RoomGeometry, RoomTruth, Stamp, TruthUser};
 use heliostat_service::{Exporter, Page};
 use heliostat_sim::baselines::{Baselines, Measured, Snapshot, Tally};
 use heliostat_sim::reports;
@@ -15,10 +15,13 @@ use heliostat_sim::world::World;
 
 use crate::error::NodeError;
 use crate::metrics;
-use crate::session::RoomSession;
+use crate::session::{RoomSession, ViewerPublishers};
 
 /// Capacity for jobs of the thread; beyond it a job is skipped and counted.
 const JOBS_MAX: usize = 4;
+
+/// Status messages for each announcement of the geometry, which is due once a second.
+const GEOMETRY_EVERY: u64 = 2;
 
 /// Computes the reference rates and publishes truth, status and metrics.
 pub(crate) struct TruthPublisher {
@@ -26,8 +29,9 @@ pub(crate) struct TruthPublisher {
     tally: Tally,
     cost_s: f64,
     source: u64,
-    truth: MessagePublisher,
-    status: MessagePublisher,
+    publishers: ViewerPublishers,
+    /// Its stamp is that of the last publication.
+    geometry: RoomGeometry,
     exporter: Option<Exporter>,
     /// The latest computed instant.
     measured: Option<Measured>,
@@ -44,15 +48,20 @@ pub(crate) struct Measurements {
 }
 
 impl TruthPublisher {
-    pub fn new(world: &World, session: &RoomSession, exporter: Option<Exporter>) -> Result<Self, NodeError> {
-        let (truth, status) = session.viewer_publishers()?;
+    /// `geometry` is that of the scenario, as TOML.
+    pub fn new(
+        world: &World,
+        session: &RoomSession,
+        geometry: String,
+        exporter: Option<Exporter>,
+    ) -> Result<Self, NodeError> {
         Ok(Self {
             baselines: Baselines::new(world),
             tally: Tally::default(),
             cost_s: 0.0,
             source: session.source(),
-            truth,
-            status,
+            publishers: session.viewer_publishers()?,
+            geometry: RoomGeometry { scenario: geometry, ..RoomGeometry::default() },
             exporter,
             measured: None,
             truth_sequence: 0,
@@ -74,8 +83,8 @@ impl TruthPublisher {
         }
         self.truth_sequence += 1;
         let stamp = Stamp { source: self.source, sequence: self.truth_sequence, time_ns: at.time_ns };
-        self.truth.encode(&room_truth(stamp, at, measured))?;
-        self.truth.put()?;
+        self.publishers.truth.encode(&room_truth(stamp, at, measured))?;
+        self.publishers.truth.put()?;
         Ok(measured)
     }
 
@@ -97,9 +106,21 @@ impl TruthPublisher {
             ("flat_mbps", mean.flat),
             ("oracle_mbps", mean.oracle),
         ];
+        // Without an instant there is no mean.
+        let rates = rates.into_iter().filter(|_| self.tally.samples > 0);
         status.gauges.extend(rates.map(|(name, bps)| (name.to_owned(), bps * 1e-6)));
-        self.status.encode(&status)?;
-        Ok(self.status.put()?)
+        if self.status_sequence % GEOMETRY_EVERY == 1 {
+            self.announce_geometry(status.stamp.time_ns)?;
+        }
+        self.publishers.status.encode(&status)?;
+        Ok(self.publishers.status.put()?)
+    }
+
+    fn announce_geometry(&mut self, time_ns: u64) -> Result<(), NodeError> {
+        let sequence = self.geometry.stamp.sequence + 1;
+        self.geometry.stamp = Stamp { source: self.source, sequence, time_ns };
+        self.publishers.geometry.encode(&self.geometry)?;
+        Ok(self.publishers.geometry.put()?)
     }
 
     pub fn measurements(&self) -> Measurements {

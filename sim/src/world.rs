@@ -135,6 +135,12 @@ impl World {
         Ok(world)
     }
 
+    /// All problems of the text of a scenario's recorded walk.
+    pub fn trace_problems(scenario: &Scenario, text: &str) -> Vec<TraceError> {
+        let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
+        Trace::problems(text, scenario.users.count, &floor)
+    }
+
     /// Restarts at time 0 with another seed: new walks and new obstacles in the same room.
     ///
     /// A recorded walk continues.

@@ -349,6 +349,9 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
         let late = controller.pointer("/fallbacks/late").and_then(Value::as_f64).unwrap_or(0.0);
         let failed = number(&controller, &format!("/fallbacks/{cause}"));
         assert_eq!(failed + late, number(&controller, "/decisions"), "{controller}");
+        // No command is credited to the policy.
+        assert_eq!(number(&controller, "/policies/ddpg/commands"), 0.0, "{controller}");
+        assert_eq!(number(&controller, "/policies/ddpg/fallbacks") > 0.0, moves, "{controller}");
     }
 }
 

@@ -87,7 +87,7 @@ function figures(now) {
   const counts = now.counts.map((count) => [count.name, String(count.value), count.is_problem && count.value > 0 ? "bad" : ""]);
   list(at("counts"), [...counts, faults]);
   const problem = now.nodes.filter((node) => node.problem).map((node) => `${node.node}: ${node.problem}`);
-  setText(at("problem"), problem.join("; "));
+  setText(at("problem"), [...now.notes, ...problem].join("; "));
 }
 
 async function start() {
@@ -107,6 +107,7 @@ async function start() {
   const live = new EventSource("/live");
   live.addEventListener("figures", (event) => {
     const now = JSON.parse(event.data);
+    if (now.geometry !== plan.geometry) { location.reload(); return; }
     figures(now);
     buttons.update(now);
     charts.update(now);

@@ -6,6 +6,7 @@
 
 use std::time::Instant;
 
+use heliostat_channel::ChannelModel;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
 use heliostat_service::printable::printable;
@@ -39,8 +40,10 @@ pub struct UserFigures {
     pub blocked: bool,
     /// Whether it is blocked by order.
     pub forced: bool,
-    /// Rate in Mbit/s.
+    /// Rate in Mbit/s; 0 where it is unknown.
     pub rate_mbps: f32,
+    /// Whether the rate is known: a receiver reported the user's SINR, or the room its truth.
+    pub is_rate_known: bool,
     /// The user's minimum rate in Mbit/s.
     pub min_rate_mbps: f32,
 }
@@ -52,7 +55,8 @@ impl UserFigures {
     }
 }
 
-/// Sum rates at the same instant in Mbit/s; references are absent in a real room.
+/// Sum rates at the same instant in Mbit/s; references are absent in a real room. The sum covers the
+/// users whose rate is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SumFigures {
     /// With the mirrors as they are.
@@ -124,7 +128,7 @@ pub struct Figures {
     pub controller_alive: bool,
     /// The users.
     pub users: Vec<UserFigures>,
-    /// Sum rates; absent without messages.
+    /// Sum rates; absent without messages, and where the rate of no user is known.
     pub sum_mbps: Option<SumFigures>,
     /// The mirror array.
     pub array: ArrayFigures,
@@ -140,15 +144,21 @@ pub struct Figures {
     pub power_w: Option<f64>,
     /// Highest walking speed in m/s, if the room reports it.
     pub speed_m_s: Option<f64>,
+    /// The hash of the drawn geometry, as in the plan: another one needs another plan.
+    pub geometry: String,
+    /// What the user should know about the room; see [`View::notes`].
+    pub notes: Vec<String>,
 }
 
 impl View {
     /// The current figures.
     pub fn figures(&self) -> Figures {
+        let (room, notes) = (self.shown_room(), self.notes());
+        let (geometry, model) = (room.id.clone(), &room.model);
         let received = self.received();
-        let (origin, tick, users) = self.users(&received);
-        let controller = fresh_status(&received, NodeKind::Controller);
-        let room = fresh_status(&received, NodeKind::SimNode);
+        let (origin, tick, users) = users(model, &received);
+        let controller = received.fresh_status(NodeKind::Controller.name());
+        let room = received.fresh_status(NodeKind::SimNode.name());
         let gauge = |name: &str| {
             let gauges = room.map_or(&[][..], |room| &room.gauges);
             gauges.iter().find(|(gauge, _)| gauge == name).map(|(_, value)| *value)
@@ -161,13 +171,15 @@ impl View {
             controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
             sum_mbps: sum(&received, &users),
             users,
-            array: self.array(&received, gauge("faulty_mirrors").unwrap_or(0.0) as usize),
+            array: array(model.mirrors.len(), &received, gauge("faulty_mirrors").unwrap_or(0.0) as usize),
             nodes: received.statuses.values().map(|(at, status)| node(*at, status)).collect(),
             times: vec![time("decision", controller), time("loop", room), time("age", controller)],
             latency: received.latency.histogram(),
             counts: counts(controller, room, Received::fresh(&received.telemetry), received.unreadable),
             power_w: gauge("power_w"),
             speed_m_s: gauge("speed_max_m_s"),
+            geometry,
+            notes,
         }
     }
 
@@ -177,52 +189,49 @@ impl View {
         let since = |at: Instant| at.saturating_duration_since(self.opened).as_secs_f64();
         self.received().history.iter().map(|sample| (since(sample.at), sum_of(&sample.sum))).collect()
     }
-
-    fn users(&self, received: &Received) -> (Origin, u64, Vec<UserFigures>) {
-        if let Some(truth) = Received::fresh(&received.truth) {
-            let user = |user: &heliostat_proto::TruthUser| UserFigures {
-                user: user.user,
-                position_m: user.position_m,
-                blocked: user.los_blocked,
-                forced: user.forced,
-                rate_mbps: user.rate_bps * 1e-6,
-                min_rate_mbps: user.min_rate_bps * 1e-6,
-            };
-            return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
-        }
-        let Some(report) = Received::fresh(&received.users) else { return (Origin::NoData, 0, Vec::new()) };
-        let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
-        let user = |user: &heliostat_proto::UserState| {
-            let gains = channel.iter().find(|gains| gains.user == user.user);
-            let rate = |sinr: f32| self.model.budget.rate_bps(f64::from(sinr), report.users.len());
-            UserFigures {
-                user: user.user,
-                position_m: user.position_m,
-                blocked: gains.is_some_and(|gains| gains.los_gain == 0.0),
-                forced: false,
-                rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
-                min_rate_mbps: user.min_rate_bps * 1e-6,
-            }
-        };
-        (Origin::Measured, report.tick, report.users.iter().map(user).collect())
-    }
-
-    fn array(&self, received: &Received, faulty: usize) -> ArrayFigures {
-        let mirrors = self.model.mirrors.len();
-        let Some(telemetry) = Received::fresh(&received.telemetry) else {
-            return ArrayFigures { state: "no telemetry", mirrors, ..ArrayFigures::default() };
-        };
-        ArrayFigures {
-            state: state_name(telemetry.state),
-            mirrors,
-            unusable: telemetry.unusable.len().max(faulty),
-            faults: fault_names(telemetry.faults),
-        }
-    }
 }
 
-fn fresh_status(received: &Received, node: NodeKind) -> Option<&NodeStatus> {
-    received.statuses.get(node.name()).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
+fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFigures>) {
+    if let Some(truth) = Received::fresh(&received.truth) {
+        let user = |user: &heliostat_proto::TruthUser| UserFigures {
+            user: user.user,
+            position_m: user.position_m,
+            blocked: user.los_blocked,
+            forced: user.forced,
+            rate_mbps: user.rate_bps * 1e-6,
+            is_rate_known: true,
+            min_rate_mbps: user.min_rate_bps * 1e-6,
+        };
+        return (Origin::Simulated, truth.tick, truth.users.iter().map(user).collect());
+    }
+    let Some(report) = Received::fresh(&received.users) else { return (Origin::NoData, 0, Vec::new()) };
+    let channel = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
+    let user = |user: &heliostat_proto::UserState| {
+        let gains = channel.iter().find(|gains| gains.user == user.user);
+        let rate = |sinr: f32| model.budget.rate_bps(f64::from(sinr), report.users.len());
+        UserFigures {
+            user: user.user,
+            position_m: user.position_m,
+            blocked: gains.is_some_and(|gains| gains.los_gain == 0.0),
+            forced: false,
+            rate_mbps: gains.map_or(0.0, |gains| rate(gains.sinr) * 1e-6) as f32,
+            is_rate_known: gains.is_some(),
+            min_rate_mbps: user.min_rate_bps * 1e-6,
+        }
+    };
+    (Origin::Measured, report.tick, report.users.iter().map(user).collect())
+}
+
+fn array(mirrors: usize, received: &Received, faulty: usize) -> ArrayFigures {
+    let Some(telemetry) = Received::fresh(&received.telemetry) else {
+        return ArrayFigures { state: "no telemetry", mirrors, ..ArrayFigures::default() };
+    };
+    ArrayFigures {
+        state: state_name(telemetry.state),
+        mirrors,
+        unusable: telemetry.unusable.len().max(faulty),
+        faults: fault_names(telemetry.faults),
+    }
 }
 
 fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
@@ -230,7 +239,7 @@ fn sum(received: &Received, users: &[UserFigures]) -> Option<SumFigures> {
         return Some(sum_of(&truth.sum_rate_bps));
     }
     let policy = users.iter().map(|user| f64::from(user.rate_mbps)).sum();
-    (!users.is_empty()).then_some(SumFigures { policy, ..SumFigures::default() })
+    users.iter().any(|user| user.is_rate_known).then_some(SumFigures { policy, ..SumFigures::default() })
 }
 
 fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
@@ -267,16 +276,17 @@ fn counts(
         });
         matching.map(|(_, count)| count).sum::<u64>()
     };
-    let (commands, refused) = array.map_or((0, 0), |array| (array.counters.accepted, array.counters.refused()));
+    // The array counts since its own start, also what earlier controllers sent.
+    let refused = array.map_or(0, |array| array.counters.refused());
     let all = [
         ("decisions", of(controller, "decisions"), false),
-        ("commands", commands, false),
+        ("commands", of(controller, "commands"), false),
         ("over 0.5 ms", of(controller, "over_budget"), true),
         ("ticks lost", of(room, "lost_ticks"), true),
         ("ticks late", of(room, "late_ticks"), true),
         ("fallbacks", of(controller, "fallback:*"), true),
         ("reports refused", of(controller, "refused:*"), true),
-        ("commands refused", refused, true),
+        ("array refused", refused, true),
         ("unreadable", unreadable, true),
     ];
     all.map(|(name, value, is_problem)| Count { name: name.into(), value, is_problem }).into()

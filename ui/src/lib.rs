@@ -5,6 +5,7 @@
 //! neither the controller nor the simulator.
 //!
 //! - [`view`]: subscribes to every topic, and keeps the latest message of each.
+//! - `shown_room`: the room that is drawn: announced, given, or the default.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
@@ -23,6 +24,7 @@ mod order_publisher;
 pub mod orders;
 pub mod scene;
 pub mod server;
+mod shown_room;
 pub mod stop_switch;
 pub mod terminal;
 mod token;
@@ -32,6 +34,7 @@ pub use error::UiError;
 pub use figures::Figures;
 pub use orders::{Operator, Order, ProcessOrder};
 pub use server::{Page, PageArgs, Place, Server};
+pub use shown_room::GeometrySource;
 pub use stop_switch::StopSwitch;
 pub use terminal::Display;
 pub use view::View;

@@ -74,14 +74,14 @@ impl Feed {
 
     fn work(&self, view: &Arc<View>) {
         let frames = FrameBuilder::new(Arc::clone(view));
-        let mirrors = u32::try_from(view.model.mirrors.len()).unwrap_or(u32::MAX);
-        let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));
         let mut last_frame: Option<Instant> = None;
         while !self.stop.wait_for(FIGURES_EVERY) {
             if self.newest.receiver_count() == 0 {
                 continue;
             }
             let figures = event("figures", &view.figures());
+            let mirrors = u32::try_from(view.shown_room().model.mirrors.len()).unwrap_or(u32::MAX);
+            let frame_every = FRAME_EVERY.max(FRAME_TIME_PER_MIRROR.saturating_mul(mirrors));
             let is_due = last_frame.is_none_or(|at| at.elapsed() >= frame_every);
             let frame = is_due.then(|| {
                 last_frame = Some(Instant::now());

@@ -3,15 +3,18 @@
 //! A mirror *serves* the user to whom it has the largest gain at its present angles, by the same
 //! channel model that gives the rates. Lengths are in m, rounded to millimetres.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use heliostat_channel::{Cylinder, MirrorAngles, Scene, Vec3};
+use heliostat_channel::{Cylinder, MirrorAngles, MirrorArray, Scene, Vec3};
 use heliostat_proto::MirrorTelemetry;
+use heliostat_scenario::Scenario;
+use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
 use crate::blocked_area::blocked_area;
+use crate::shown_room::{GeometrySource, ShownRoom};
 use crate::view::Received;
 
 /// Below this speed in m/s a user keeps the previous heading.
@@ -28,6 +31,10 @@ pub struct Plan {
     pub room: String,
     /// Name of the scenario.
     pub scenario: String,
+    /// The hash of the geometry; frames of another one do not fit this plan.
+    pub geometry: String,
+    /// Where the geometry comes from.
+    pub geometry_source: GeometrySource,
     /// Extents along x, y and z in m.
     pub size_m: [f64; 3],
     /// Centres of the access points in m.
@@ -41,6 +48,8 @@ pub struct Plan {
 /// A user as drawn.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneUser {
+    /// Number of the user in the reports.
+    pub user: u32,
     /// Position of the detector in m.
     pub at_m: [f64; 3],
     /// The body: x, y, radius and height in m; absent if bodies do not block.
@@ -54,9 +63,11 @@ pub struct SceneUser {
 /// The moving objects.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Frame {
+    /// The hash of the geometry, as in the plan.
+    pub geometry: String,
     /// Corners of each mirror: four times x, y, z in m.
     pub mirrors_m: Vec<[f64; 12]>,
-    /// For each mirror the index of the user that it serves; -1 for none.
+    /// For each mirror the index in `users` of the user that it serves; -1 for none.
     pub serves: Vec<i32>,
     /// Indices of the mirrors that do not follow commands.
     pub unusable: Vec<u32>,
@@ -75,14 +86,17 @@ pub struct FrameBuilder {
 }
 
 struct FrameState {
+    /// The room of `scene`.
+    room: Arc<ShownRoom>,
     scene: Scene,
-    /// Of the users of the last position report, by their numbers.
-    headings: HashMap<u32, Vec3>,
+    /// By the number of the user.
+    headings: BTreeMap<u32, Vec3>,
     gains: Vec<f64>,
 }
 
 /// A user as published.
 struct ObservedUser {
+    user: u32,
     position: Vec3,
     /// Unit vector, or zero if unknown.
     heading: Vec3,
@@ -92,14 +106,17 @@ struct ObservedUser {
 impl View {
     /// The static objects of the room.
     pub fn plan(&self, room: &str) -> Plan {
-        let size = &self.scenario.room;
+        let shown = self.shown_room();
+        let size = &shown.scenario.room;
         Plan {
             room: room.to_owned(),
-            scenario: self.scenario.name.clone(),
+            scenario: printable(&shown.scenario.name).into_owned(),
+            geometry: shown.id.clone(),
+            geometry_source: shown.source,
             size_m: [size.length_x_m, size.length_y_m, size.height_m],
-            leds_m: self.model.leds.iter().map(|led| rounded(&led.position)).collect(),
-            mirrors_m: self.model.mirrors.positions().iter().map(rounded).collect(),
-            detector_height_m: self.scenario.receiver.height_m,
+            leds_m: shown.model.leds.iter().map(|led| rounded(&led.position)).collect(),
+            mirrors_m: shown.model.mirrors.positions().iter().map(rounded).collect(),
+            detector_height_m: shown.scenario.receiver.height_m,
         }
     }
 }
@@ -107,25 +124,31 @@ impl View {
 impl FrameBuilder {
     /// A builder without users.
     pub fn new(view: Arc<View>) -> Self {
-        let state = FrameState { scene: Scene::new(&view.model, 0), headings: HashMap::new(), gains: Vec::new() };
+        let state = FrameState::new(view.shown_room());
         Self { view, state: Mutex::new(state) }
     }
 
     /// The current frame.
     pub fn frame(&self) -> Frame {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let room = self.view.shown_room();
+        if !Arc::ptr_eq(&room, &state.room) {
+            *state = FrameState::new(Arc::clone(&room));
+        }
         let (users, obstacles, telemetry) = self.latest(&mut state.headings);
-        let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| self.body(user)).collect();
+        let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| body(&room.scenario, user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
-        let angles = self.angles(telemetry.as_ref());
-        let serves = state.serve(&self.view, &users, &blockers, &angles);
+        let angles = angles(room.model.mirrors.len(), telemetry.as_ref());
+        let serves = state.serve(&users, &blockers, &angles);
         let serving = state.scene.serving();
         Frame {
-            mirrors_m: (0..angles.len()).map(|index| self.corners(index, &angles)).collect(),
+            geometry: room.id.clone(),
+            mirrors_m: (0..angles.len()).map(|index| corners(&room.model.mirrors, index, &angles)).collect(),
             serves,
             unusable: telemetry.map(unusable).unwrap_or_default(),
             users: (users.iter().zip(&bodies).enumerate())
                 .map(|(index, (user, body))| SceneUser {
+                    user: user.user,
                     at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
                     led: serving[index],
@@ -133,12 +156,15 @@ impl FrameBuilder {
                 })
                 .collect(),
             obstacles_m: obstacles.iter().map(outline).collect(),
-            blocked_areas_m: self.blocked_areas(&blockers),
+            blocked_areas_m: blocked_areas(&room, &blockers),
         }
     }
 
     /// The latest users, obstacles and telemetry.
-    fn latest(&self, headings: &mut HashMap<u32, Vec3>) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
+    fn latest(
+        &self,
+        headings: &mut BTreeMap<u32, Vec3>,
+    ) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
         let received = self.view.received();
         let telemetry = Received::fresh(&received.telemetry).cloned();
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
@@ -152,6 +178,7 @@ impl FrameBuilder {
             let observed = |user: &heliostat_proto::TruthUser| {
                 let (sin, cos) = f64::from(user.heading_rad).sin_cos();
                 ObservedUser {
+                    user: user.user,
                     position: point(user.position_m),
                     heading: Vec3::new(cos, sin, 0.0),
                     blocked: user.los_blocked,
@@ -163,87 +190,38 @@ impl FrameBuilder {
         let obstacles = Received::fresh(&received.obstacles).map_or(&[][..], |report| &report.obstacles);
         let obstacles = obstacles.iter().map(cylinder).collect();
         let Some(report) = Received::fresh(&received.users) else { return (Vec::new(), obstacles, telemetry) };
-        headings.retain(|id, _| report.users.iter().any(|user| user.user == *id));
+        headings.retain(|number, _| report.users.iter().any(|user| user.user == *number));
         let gains = Received::fresh(&received.channel).map_or(&[][..], |report| &report.users);
         let users = report.users.iter().map(|user| {
-            let heading = headings.entry(user.user).or_default();
+            let heading = headings.entry(user.user).or_insert_with(Vec3::zeros);
             let [x, y] = user.velocity_m_s.map(f64::from);
             if x.hypot(y) > WALKING_M_S {
                 *heading = Vec3::new(x, y, 0.0).normalize();
             }
             let blocked = gains.iter().any(|gains| gains.user == user.user && gains.los_gain == 0.0);
-            ObservedUser { position: point(user.position_m), heading: *heading, blocked }
+            ObservedUser { user: user.user, position: point(user.position_m), heading: *heading, blocked }
         });
         (users.collect(), obstacles, telemetry)
-    }
-
-    fn body(&self, user: &ObservedUser) -> Option<Cylinder> {
-        let blockage = &self.view.scenario.blockage;
-        let axis = user.position - blockage.body_offset_m * user.heading;
-        blockage.bodies.then_some(Cylinder {
-            x_m: axis.x,
-            y_m: axis.y,
-            radius_m: blockage.body_radius_m,
-            height_m: blockage.body_height_m,
-        })
-    }
-
-    /// The angles of the mirrors: measured, else commanded, else flat.
-    fn angles(&self, telemetry: Option<&MirrorTelemetry>) -> MirrorAngles {
-        let mirrors = self.view.model.mirrors.len();
-        let Some(telemetry) = telemetry.filter(|telemetry| telemetry.check_mirrors(mirrors).is_ok()) else {
-            return MirrorAngles::flat(mirrors);
-        };
-        let choose = |measured: &[f32], commanded: &[f32]| {
-            let angles = if measured.is_empty() { commanded } else { measured };
-            angles.iter().map(|angle| f64::from(*angle)).collect()
-        };
-        MirrorAngles {
-            roll: choose(&telemetry.roll_measured, &telemetry.roll_commanded),
-            yaw: choose(&telemetry.yaw_measured, &telemetry.yaw_commanded),
-        }
-    }
-
-    /// Corners of a mirror, in order along its edge.
-    fn corners(&self, index: usize, angles: &MirrorAngles) -> [f64; 12] {
-        let array = &self.view.model.mirrors;
-        let normal = array.normal(angles.roll[index], angles.yaw[index]);
-        // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays
-        // horizontal.
-        let flat_width = array.room_from_wall(&Vec3::x());
-        let width = Vec3::z().cross(&normal).try_normalize(1e-9).unwrap_or(flat_width);
-        let height = normal.cross(&width);
-        let (half_width, half_height) = (array.spec().mirror_width_m / 2.0, array.spec().mirror_height_m / 2.0);
-        let mut corners = [0.0; 12];
-        for (corner, (x, z)) in corners.chunks_exact_mut(3).zip([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) {
-            let at = array.positions()[index] + x * half_width * width + z * half_height * height;
-            corner.copy_from_slice(&rounded(&at));
-        }
-        corners
-    }
-
-    fn blocked_areas(&self, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>> {
-        let room = &self.view.scenario.room;
-        let (extents, height) = ((room.length_x_m / 2.0, room.length_y_m / 2.0), self.view.scenario.receiver.height_m);
-        let pairs = self.view.model.leds.iter().flat_map(|led| blockers.iter().map(move |blocker| (led, blocker)));
-        let areas = pairs.map(|(led, blocker)| blocked_area(blocker, &led.position, height, extents));
-        let drawable = areas.filter(|corners| corners.len() > 2);
-        drawable.map(|corners| corners.into_iter().map(|corner| corner.map(millimetres)).collect()).collect()
     }
 }
 
 impl FrameState {
+    fn new(room: Arc<ShownRoom>) -> Self {
+        Self { scene: Scene::new(&room.model, 0), room, headings: BTreeMap::new(), gains: Vec::new() }
+    }
+
     /// Index of the user that each mirror serves, or -1.
-    fn serve(&mut self, view: &View, users: &[ObservedUser], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
+    fn serve(&mut self, users: &[ObservedUser], blockers: &[Cylinder], angles: &MirrorAngles) -> Vec<i32> {
+        let model = &self.room.model;
         let (count, mirrors) = (users.len(), angles.len());
         if self.scene.users() != count {
-            self.scene = Scene::new(&view.model, count);
+            self.scene = Scene::new(model, count);
             self.gains = vec![0.0; count * mirrors];
         }
         let positions: Vec<Vec3> = users.iter().map(|user| user.position).collect();
         let blocked: Vec<bool> = users.iter().map(|user| user.blocked).collect();
-        self.scene.update(&view.model, &positions, blockers, &blocked);
-        self.scene.irs_gain_each(&view.model, angles, &mut self.gains);
+        self.scene.update(model, &positions, blockers, &blocked);
+        self.scene.irs_gain_each(model, angles, &mut self.gains);
         let best = |mirror: usize| {
             let gain = |user: usize| self.gains[user * mirrors + mirror];
             let best = (0..count).max_by(|a, b| gain(*a).total_cmp(&gain(*b)));
@@ -251,6 +229,58 @@ impl FrameState {
         };
         (0..mirrors).map(best).collect()
     }
+}
+
+fn body(scenario: &Scenario, user: &ObservedUser) -> Option<Cylinder> {
+    let blockage = &scenario.blockage;
+    let axis = user.position - blockage.body_offset_m * user.heading;
+    blockage.bodies.then_some(Cylinder {
+        x_m: axis.x,
+        y_m: axis.y,
+        radius_m: blockage.body_radius_m,
+        height_m: blockage.body_height_m,
+    })
+}
+
+/// The angles of the mirrors: measured, else commanded, else flat.
+fn angles(mirrors: usize, telemetry: Option<&MirrorTelemetry>) -> MirrorAngles {
+    let Some(telemetry) = telemetry.filter(|telemetry| telemetry.check_mirrors(mirrors).is_ok()) else {
+        return MirrorAngles::flat(mirrors);
+    };
+    let choose = |measured: &[f32], commanded: &[f32]| {
+        let angles = if measured.is_empty() { commanded } else { measured };
+        angles.iter().map(|angle| f64::from(*angle)).collect()
+    };
+    MirrorAngles {
+        roll: choose(&telemetry.roll_measured, &telemetry.roll_commanded),
+        yaw: choose(&telemetry.yaw_measured, &telemetry.yaw_commanded),
+    }
+}
+
+/// Corners of a mirror, in order along its edge.
+fn corners(array: &MirrorArray, index: usize, angles: &MirrorAngles) -> [f64; 12] {
+    let normal = array.normal(angles.roll[index], angles.yaw[index]);
+    // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays
+    // horizontal.
+    let flat_width = array.room_from_wall(&Vec3::x());
+    let width = Vec3::z().cross(&normal).try_normalize(1e-9).unwrap_or(flat_width);
+    let height = normal.cross(&width);
+    let (half_width, half_height) = (array.spec().mirror_width_m / 2.0, array.spec().mirror_height_m / 2.0);
+    let mut corners = [0.0; 12];
+    for (corner, (x, z)) in corners.chunks_exact_mut(3).zip([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) {
+        let at = array.positions()[index] + x * half_width * width + z * half_height * height;
+        corner.copy_from_slice(&rounded(&at));
+    }
+    corners
+}
+
+fn blocked_areas(shown: &ShownRoom, blockers: &[Cylinder]) -> Vec<Vec<[f64; 2]>> {
+    let room = &shown.scenario.room;
+    let (extents, height) = ((room.length_x_m / 2.0, room.length_y_m / 2.0), shown.scenario.receiver.height_m);
+    let pairs = shown.model.leds.iter().flat_map(|led| blockers.iter().map(move |blocker| (led, blocker)));
+    let areas = pairs.map(|(led, blocker)| blocked_area(blocker, &led.position, height, extents));
+    let drawable = areas.filter(|corners| corners.len() > 2);
+    drawable.map(|corners| corners.into_iter().map(|corner| corner.map(millimetres)).collect()).collect()
 }
 
 /// The unusable mirrors: those that the driver reports, else those far from their command.

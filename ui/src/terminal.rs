@@ -1,41 +1,38 @@
 //! The figures on a terminal: a full-screen view, or one line at a time if output is not a
 //! terminal.
 
-use std::io::{self, IsTerminal, Stdout};
+mod drawing;
+
+use std::io::{self, IsTerminal, Stdout, Write};
 use std::time::Duration;
 
 use heliostat_service::output;
+use ratatui::Terminal;
 use ratatui::backend::TermionBackend;
-use ratatui::layout::{Constraint, Layout, Rect};
-use ratatui::style::{Color, Style, Stylize};
-use ratatui::symbols::Marker;
+use ratatui::style::Color;
 use ratatui::termion::event::Key;
 use ratatui::termion::input::{Keys, TermRead};
 use ratatui::termion::raw::{IntoRawMode, RawTerminal};
 use ratatui::termion::screen::{AlternateScreen, IntoAlternateScreen};
 use ratatui::termion::{AsyncReader, async_stdin};
-use ratatui::text::{Line, Span};
-use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph, Row, Table};
-use ratatui::{Frame, Terminal};
 
-use crate::figures::{Figures, SumFigures, TimeFigures};
+use crate::figures::{Figures, Origin, SumFigures, TimeFigures};
 use crate::{UiError, View};
-
-/// Length of the longest bar in characters.
-const BAR: usize = 28;
-/// The Okabe-Ito palette, which is distinguishable with colour-vision deficiency.
-const POLICY: Color = Color::Rgb(0x56, 0xB4, 0xE9);
-const FLAT: Color = Color::Rgb(0x99, 0x99, 0x99);
-const NO_IRS: Color = Color::Rgb(0xBB, 0xBB, 0xBB);
-const GOOD: Color = Color::Rgb(0x00, 0x9E, 0x73);
-const BAD: Color = Color::Rgb(0xD5, 0x5E, 0x00);
+use drawing::{FLAT, NO_IRS, ORACLE, POLICY, draw};
 
 /// The output of the figures.
 pub enum Display {
     /// A full-screen view on standard output.
     Screen(Box<Screen>),
     /// One line at a time on standard error; standard output is for summaries.
-    Lines,
+    Lines(Lines),
+}
+
+/// Output by lines.
+#[derive(Debug, Default)]
+pub struct Lines {
+    /// The notes that were printed last.
+    notes: Vec<String>,
 }
 
 /// A terminal in full-screen mode; dropping it restores the terminal.
@@ -43,6 +40,18 @@ pub struct Screen {
     terminal: Terminal<TermionBackend<AlternateScreen<RawTerminal<Stdout>>>>,
     keys: Keys<AsyncReader>,
     title: String,
+    _flush: FlushOutput,
+}
+
+/// Writes out what the fields before it wrote when they were dropped: the terminal is restored at
+/// once, although a session that is still open may delay the end of the process.
+struct FlushOutput;
+
+impl Drop for FlushOutput {
+    fn drop(&mut self) {
+        // An error of a closed terminal has no remedy.
+        let _ = io::stdout().flush();
+    }
 }
 
 impl Display {
@@ -52,18 +61,23 @@ impl Display {
     /// [`UiError::Terminal`] if the terminal refuses full-screen mode.
     pub fn open(plain: bool, title: &str) -> Result<Self, UiError> {
         if plain || !io::stdout().is_terminal() || !io::stdin().is_terminal() {
-            return Ok(Self::Lines);
+            return Ok(Self::Lines(Lines::default()));
         }
         let screen = io::stdout().into_raw_mode()?.into_alternate_screen()?;
         let terminal = Terminal::new(TermionBackend::new(screen))?;
-        Ok(Self::Screen(Box::new(Screen { terminal, keys: async_stdin().keys(), title: title.to_owned() })))
+        Ok(Self::Screen(Box::new(Screen {
+            terminal,
+            keys: async_stdin().keys(),
+            title: title.to_owned(),
+            _flush: FlushOutput,
+        })))
     }
 
     /// Time between two updates.
     pub fn interval(&self) -> Duration {
         Duration::from_millis(match self {
             Self::Screen(_) => 200,
-            Self::Lines => 1000,
+            Self::Lines(_) => 1000,
         })
     }
 
@@ -74,7 +88,7 @@ impl Display {
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
         let figures = view.figures();
         match self {
-            Self::Lines => output::note(line(&figures)),
+            Self::Lines(lines) => lines.print(&figures),
             Self::Screen(screen) => {
                 let history = view.history();
                 screen.terminal.draw(|frame| draw(frame, &screen.title, &figures, &history))?;
@@ -99,6 +113,17 @@ impl Display {
     }
 }
 
+impl Lines {
+    /// Prints the figures; before them the notes, if they have changed.
+    fn print(&mut self, figures: &Figures) {
+        if self.notes != figures.notes {
+            figures.notes.iter().for_each(output::note);
+            self.notes.clone_from(&figures.notes);
+        }
+        output::note(line(figures));
+    }
+}
+
 impl Drop for Screen {
     fn drop(&mut self) {
         // The drop of the inner types restores mode and screen; an error of a closed terminal has
@@ -109,7 +134,7 @@ impl Drop for Screen {
 
 /// The figures in one line.
 fn line(figures: &Figures) -> String {
-    let Some(sum) = &figures.sum_mbps else { return "no messages from the room".into() };
+    let Some(sum) = &figures.sum_mbps else { return without_rates(figures) };
     let blocked = figures.users.iter().filter(|user| user.blocked).count();
     let others = named(sum)[1..].iter().map(|(name, rate, _)| format!("{name} {rate:.1}")).collect::<Vec<_>>();
     let others = if others.is_empty() { String::new() } else { format!(" ({})", others.join(", ")) };
@@ -125,138 +150,13 @@ fn line(figures: &Figures) -> String {
     )
 }
 
-fn draw(frame: &mut Frame, title: &str, figures: &Figures, history: &[(f64, SumFigures)]) {
-    let users = u16::try_from(figures.users.len()).unwrap_or(u16::MAX).saturating_add(3);
-    let [head, users_area, middle, foot] = Layout::vertical([
-        Constraint::Length(2),
-        Constraint::Length(users.min(frame.area().height / 3)),
-        Constraint::Min(9),
-        Constraint::Length(2),
-    ])
-    .areas(frame.area());
-    let [rates, times] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(46)]).areas(middle);
-    frame.render_widget(heading(title, figures), head);
-    draw_users(frame, users_area, figures);
-    draw_rates(frame, rates, figures, history);
-    draw_times(frame, times, figures);
-    let problems = figures.nodes.iter().filter(|node| !node.problem.is_empty());
-    let mut lines: Vec<Line> =
-        problems.map(|node| Line::from(format!("{}: {}", node.node, node.problem)).fg(BAD)).take(1).collect();
-    lines.push(Line::from("q quits").dim());
-    frame.render_widget(Paragraph::new(lines), foot);
-}
-
-fn heading(title: &str, figures: &Figures) -> Paragraph<'static> {
-    let state = figures.array.state;
-    let is_normal = matches!(state, "following" | "holding");
-    let unusable = match figures.array.unusable {
-        0 => String::new(),
-        some => format!(", {some} of {} mirrors unusable", figures.array.mirrors),
-    };
-    let controller = if figures.controller_alive { "" } else { "  no controller" };
-    Paragraph::new(vec![
-        Line::from(vec![Span::from("Heliostat  ").bold(), Span::from(title.to_owned()).dim()]),
-        Line::from(vec![
-            Span::from(format!("policy {}  tick {}  mirrors ", figures.policy, figures.tick)),
-            Span::from(format!("{state}{unusable}")).fg(if is_normal { GOOD } else { BAD }),
-            Span::from(controller).fg(BAD),
-        ]),
-    ])
-}
-
-fn draw_users(frame: &mut Frame, area: Rect, figures: &Figures) {
-    let largest = figures.users.iter().map(|user| user.rate_mbps).fold(1.0, f32::max);
-    let rows = figures.users.iter().map(|user| {
-        let [x, y, _] = user.position_m;
-        let direct = match (user.blocked, user.forced) {
-            (true, true) => "blocked (order)",
-            (true, false) => "blocked",
-            (false, _) => "clear",
-        };
-        let (met, colour) = if user.is_met() { ("met", GOOD) } else { ("below", BAD) };
-        Row::new(vec![
-            Line::from(user.user.to_string()),
-            Line::from(format!("{x:>5.2}, {y:>5.2}")),
-            Line::from(direct),
-            Line::from(format!("{:>7.2}", user.rate_mbps)),
-            Line::from(format!("{:>5.1}", user.min_rate_mbps)),
-            Line::from(met).fg(colour),
-            Line::from("█".repeat((user.rate_mbps / largest * BAR as f32).round() as usize)).fg(colour),
-        ])
-    });
-    let widths = [4, 13, 15, 8, 7, 5, BAR as u16].map(Constraint::Length);
-    let header = Row::new(["user", "position (m)", "direct path", "Mbit/s", "minimum", "", ""]).dim();
-    frame.render_widget(Table::new(rows, widths).header(header).block(Block::new().title("Rates".bold())), area);
-}
-
-fn draw_rates(frame: &mut Frame, area: Rect, figures: &Figures, history: &[(f64, SumFigures)]) {
-    let Some(sum) = &figures.sum_mbps else {
-        return frame.render_widget(Paragraph::new("no messages from the room".fg(BAD)), area);
-    };
-    let [bars, chart] = Layout::vertical([Constraint::Length(5), Constraint::Min(4)]).areas(area);
-    let best = sum.oracle.unwrap_or(sum.policy).max(sum.policy).max(1e-9);
-    let lines = named(sum).into_iter().map(|(name, rate, colour)| {
-        let share = rate / best;
-        Line::from(vec![
-            Span::from(format!("{name:<7} {rate:>8.2} Mbit/s {:>6.1} %  ", share * 100.0)),
-            Span::from("█".repeat((share.clamp(0.0, 1.0) * BAR as f64).round() as usize)).fg(colour),
-        ])
-    });
-    let title = Line::from("Sum rate".bold());
-    frame.render_widget(Paragraph::new(std::iter::once(title).chain(lines).collect::<Vec<_>>()), bars);
-    draw_history(frame, chart, history);
-}
-
-fn draw_history(frame: &mut Frame, area: Rect, history: &[(f64, SumFigures)]) {
-    let (Some(first), Some(last)) = (history.first(), history.last()) else { return };
-    let series = |rate: fn(&SumFigures) -> Option<f64>| -> Vec<(f64, f64)> {
-        history.iter().filter_map(|(at, sum)| Some((*at, rate(sum)?))).collect()
-    };
-    let lines = [
-        ("no IRS", NO_IRS, series(|sum| sum.no_irs)),
-        ("flat", FLAT, series(|sum| sum.flat)),
-        ("oracle", Color::Reset, series(|sum| sum.oracle)),
-        ("policy", POLICY, series(|sum| Some(sum.policy))),
-    ];
-    let top = lines.iter().flat_map(|(_, _, points)| points).map(|(_, rate)| *rate).fold(1.0, f64::max);
-    let datasets = lines.iter().map(|(name, colour, points)| {
-        let style = Style::new().fg(*colour);
-        Dataset::default().name(*name).marker(Marker::Braille).graph_type(GraphType::Line).style(style).data(points)
-    });
-    let chart = Chart::new(datasets.collect())
-        .legend_position(None)
-        .x_axis(Axis::default().bounds([first.0, last.0.max(first.0 + 1.0)]))
-        .y_axis(
-            Axis::default().bounds([0.0, top]).labels(["0".to_owned(), format!("{top:.0}")]).style(Style::new().dim()),
-        );
-    frame.render_widget(chart, area);
-}
-
-fn draw_times(frame: &mut Frame, area: Rect, figures: &Figures) {
-    let [times, counts] =
-        Layout::vertical([Constraint::Length(figures.times.len() as u16 + 3), Constraint::Fill(1)]).areas(area);
-    let rows = figures
-        .times
-        .iter()
-        .map(|of| Row::new([of.name.to_owned(), time(of, |us| us.p50), time(of, |us| us.p99), time(of, |us| us.max)]));
-    let header = Row::new(["", "p50", "p99", "max"]).dim();
-    let widths = [Constraint::Length(9), Constraint::Length(11), Constraint::Length(11), Constraint::Length(11)];
-    frame.render_widget(Table::new(rows, widths).header(header).block(Block::new().title("Times".bold())), times);
-    let counts_shown = figures.counts.iter().map(|count| {
-        let colour = if count.is_problem && count.value > 0 { BAD } else { Color::Reset };
-        Row::new([Line::from(count.name.clone()), Line::from(format!("{:>10}", count.value)).fg(colour)])
-    });
-    let table = Table::new(counts_shown, [Constraint::Length(20), Constraint::Length(10)]);
-    frame.render_widget(table.block(Block::new().title("Counts".bold())), counts);
-}
-
 /// The known sum rates by name, the policy first.
 fn named(sum: &SumFigures) -> Vec<(&'static str, f64, Color)> {
     let all = [
         ("policy", Some(sum.policy), POLICY),
         ("no IRS", sum.no_irs, NO_IRS),
         ("flat", sum.flat, FLAT),
-        ("oracle", sum.oracle, Color::Reset),
+        ("oracle", sum.oracle, ORACLE),
     ];
     all.into_iter().filter_map(|(name, rate, colour)| Some((name, rate?, colour))).collect()
 }
@@ -265,29 +165,43 @@ fn time(of: &TimeFigures, which: fn(&heliostat_proto::Quantiles) -> f64) -> Stri
     of.us.as_ref().map_or("-".into(), |us| format!("{:.0} us", which(us)))
 }
 
+/// Why there are no sum rates.
+fn without_rates(figures: &Figures) -> String {
+    match figures.origin {
+        Origin::NoData => "no messages from the room".into(),
+        Origin::Simulated | Origin::Measured => {
+            format!("tick {:>6}  {}  sum rate unknown: no measured gains", figures.tick, figures.array.state)
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use heliostat_proto::Quantiles;
     use ratatui::backend::TestBackend;
 
     use super::*;
-    use crate::figures::{ArrayFigures, Count, NodeFigures, Origin, UserFigures};
+    use crate::figures::{ArrayFigures, Count, NodeFigures, UserFigures};
 
-    fn figures() -> Figures {
-        let user = |user, rate_mbps, blocked| UserFigures {
+    fn figures(users: u32) -> Figures {
+        let user = |user: u32| UserFigures {
             user,
-            rate_mbps,
-            blocked,
+            rate_mbps: if user == 1 { 0.25 } else { 12.5 + user as f32 },
+            is_rate_known: true,
+            blocked: user == 0,
             min_rate_mbps: 1.0,
             ..UserFigures::default()
         };
-        let us = |p99| Some(Quantiles { count: 9, p50: p99 / 2.0, p99, max: p99 * 2.0, ..Quantiles::default() });
+        let us = |p99| Some(Quantiles { count: 9, p50: p99 / 2.0, p99, max: p99 * 20.0, ..Quantiles::default() });
+        let counts =
+            ["decisions", "commands", "over 0.5 ms", "ticks lost", "ticks late", "fallbacks", "reports refused"];
+        let counts = counts.into_iter().chain(["array refused", "unreadable"]).zip(700_001..);
         Figures {
             origin: Origin::Simulated,
             tick: 4711,
             policy: "greedy".into(),
             controller_alive: true,
-            users: vec![user(0, 12.5, true), user(1, 0.25, false)],
+            users: (0..users).map(user).collect(),
             sum_mbps: Some(SumFigures { policy: 40.0, no_irs: Some(10.0), flat: Some(20.0), oracle: Some(50.0) }),
             array: ArrayFigures { state: "stopped", mirrors: 100, unusable: 25, faults: vec!["mirror"] },
             nodes: vec![NodeFigures {
@@ -300,56 +214,82 @@ mod tests {
                 TimeFigures { name: "loop", us: us(900.0) },
                 TimeFigures { name: "age", us: None },
             ],
-            counts: vec![Count { name: "fallbacks".into(), value: 3, is_problem: true }],
+            counts: counts.map(|(name, value)| Count { name: name.into(), value, is_problem: true }).collect(),
+            notes: vec!["no driver receives the commands".into()],
             ..Figures::default()
         }
     }
 
-    fn drawn(width: u16, height: u16) -> String {
+    fn drawn(width: u16, height: u16, figures: &Figures) -> String {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("a backend in memory");
-        let history = [(0.0, figures().sum_mbps.expect("set")), (9.0, figures().sum_mbps.expect("set"))];
+        let sum = figures.sum_mbps.unwrap_or_default();
         terminal
-            .draw(|frame| draw(frame, "room demo", &figures(), &history))
+            .draw(|frame| draw(frame, "room demo", figures, &[(0.0, sum), (9.0, sum)]))
             .expect("drawing into memory does not fail");
         terminal.backend().to_string()
     }
 
-    #[test]
-    fn the_screen_shows_every_figure() {
-        let screen = drawn(100, 30);
-        for text in [
-            "room demo",
-            "policy greedy",
-            "tick 4711",
-            "stopped, 25 of 100 mirrors unusable",
-            "blocked",
-            "12.50",
-            "below",
-            "80.0 %",
-            "300 us",
-            "fallbacks",
-            "a policy failed",
-            "q quits",
-        ] {
+    fn check(screen: &str, texts: &[&str]) {
+        for text in texts {
             assert!(screen.contains(text), "no {text:?} in\n{screen}");
         }
+    }
+
+    const USERS: [&str; 7] = ["direct path", "minimum", "blocked", "12.50", "below", "15.50", "16.50"];
+
+    #[test]
+    fn the_screen_is_complete_at_80_by_24() {
+        let screen = drawn(80, 24, &figures(5));
+        check(&screen, &USERS);
+        check(&screen, &["room demo", "policy greedy", "tick 4711", "stopped, 25 of 100 mirrors unusable"]);
+        check(
+            &screen,
+            &["policy     40.00   80.0 %", "oracle     50.00  100.0 %", "150 us", "300 us", "18000 us", "age"],
+        );
+        check(&screen, &["decisions                700001", "fallbacks", "reports refused", "array refused", "700009"]);
+        check(&screen, &["a policy failed", "no driver receives the commands"]);
+        check(&screen, &["q quits", "■ minimum met", "■ below", "■ policy", "■ no IRS", "■ flat", "■ oracle"]);
+        assert!(screen.contains('⠉') || screen.contains('⠒'), "no chart in\n{screen}");
+    }
+
+    #[test]
+    fn all_users_and_sum_rates_are_visible_at_60_by_15() {
+        let screen = drawn(60, 15, &figures(5));
+        check(&screen, &USERS);
+        check(&screen, &["policy     40.00", "oracle     50.00", "no driver receives", "q quits", "■ minimum met"]);
+    }
+
+    #[test]
+    fn users_beyond_the_screen_are_counted() {
+        check(&drawn(60, 15, &figures(20)), &["\"0    ", "\"3    ", "16 more", "oracle     50.00"]);
+        check(&drawn(80, 24, &figures(20)), &["\"7    ", "12 more", "oracle     50.00", "fallbacks   700006"]);
     }
 
     #[test]
     fn a_small_window_causes_no_panic() {
         for (width, height) in [(1, 1), (20, 5), (40, 12)] {
-            drawn(width, height);
+            drawn(width, height, &figures(5));
         }
     }
 
     #[test]
     fn a_line_holds_the_figures_or_reports_their_absence() {
-        let text = line(&figures());
+        let text = line(&figures(2));
         assert!(
             text.contains("tick   4711") && text.contains("40.0 Mbit/s (no IRS 10.0, flat 20.0, oracle 50.0)"),
             "{text}"
         );
         assert!(text.contains("blocked 1/2") && text.contains("decision p99 300 us"), "{text}");
         assert_eq!(line(&Figures::default()), "no messages from the room");
+    }
+
+    #[test]
+    fn an_unknown_rate_is_shown_as_unknown_and_not_as_zero() {
+        let users = vec![UserFigures { user: 7, ..UserFigures::default() }];
+        let measured = Figures { origin: Origin::Measured, sum_mbps: None, users, ..figures(0) };
+        assert_eq!(line(&measured), "tick   4711  stopped  sum rate unknown: no measured gains");
+        let screen = drawn(80, 24, &measured);
+        check(&screen, &["sum rate unknown", "7     0.00,  0.00 clear            unknown"]);
+        assert!(!screen.contains("below\n") && !screen.contains("0.00 %"), "{screen}");
     }
 }

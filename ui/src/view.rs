@@ -8,19 +8,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Presence, Subscription};
-use heliostat_channel::ChannelModel;
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, Room, RoomTruth, SumRates,
-    UserReport, codec,
+    ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry, RoomTruth,
+    SumRates, UserReport, codec,
 };
 use heliostat_scenario::Scenario;
 
 use crate::UiError;
 use crate::latency::Window;
+use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
 
 /// A message older than this is not displayed as current.
 pub const EXPIRY: Duration = Duration::from_secs(3);
+/// Time after the start within which a process of the room announces its geometry.
+const ANNOUNCED_WITHIN: Duration = Duration::from_secs(3);
 /// Time span of the chart of sum rates.
 const HISTORY: Duration = Duration::from_secs(90);
 /// Time between two points of that chart.
@@ -44,6 +46,10 @@ pub(crate) struct Received {
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
     pub telemetry: Dated<MirrorTelemetry>,
+    /// The geometry that the simulator announces, as TOML.
+    pub room_geometry: Dated<Arc<str>>,
+    /// The geometry that the controller announces, as TOML.
+    pub controller_geometry: Dated<Arc<str>>,
     /// By the name of the kind of process.
     pub statuses: BTreeMap<&'static str, (Instant, NodeStatus)>,
     /// Kind and source of the processes in the room.
@@ -56,23 +62,23 @@ pub(crate) struct Received {
 /// A view of one room.
 pub struct View {
     pub(crate) opened: Instant,
-    pub(crate) scenario: Scenario,
-    pub(crate) model: ChannelModel,
+    chooser: RoomChooser,
     received: Arc<Mutex<Received>>,
     _subscriptions: Vec<Subscription>,
 }
 
 impl View {
-    /// Subscribes to the room of a session; the scenario describes the room.
+    /// Subscribes to the room of a session. Without a scenario, the view shows the geometry that
+    /// the room announces.
     ///
     /// # Errors
     /// [`UiError::Channel`] for a scenario that the channel model refuses, [`UiError::Bus`] if the
     /// session is closed.
-    pub fn open(bus: &Bus, scenario: &Scenario) -> Result<Self, UiError> {
-        let model = scenario.channel_model()?;
+    pub fn open(bus: &Bus, scenario: Option<&Scenario>) -> Result<Self, UiError> {
+        let chooser = RoomChooser::new(scenario)?;
         let received: Arc<Mutex<Received>> = Arc::default();
         let subscriptions = subscribe(bus, &received)?;
-        Ok(Self { opened: Instant::now(), scenario: scenario.clone(), model, received, _subscriptions: subscriptions })
+        Ok(Self { opened: Instant::now(), chooser, received, _subscriptions: subscriptions })
     }
 
     /// Whether messages of the room and of a controller have arrived.
@@ -87,6 +93,39 @@ impl View {
         self.received().statuses.get(NodeKind::Controller.name()).map(|(_, status)| status.policy.clone())
     }
 
+    /// What the user should know about the room: differing scenarios, an unknown geometry, commands
+    /// without a driver.
+    pub fn notes(&self) -> Vec<String> {
+        let (room, mut notes) = self.chooser.choose(self.announcements());
+        if room.source == GeometrySource::Default && notes.is_empty() && self.opened.elapsed() > ANNOUNCED_WITHIN {
+            notes.push(format!(
+                "no process announces the geometry of the room: the picture shows the scenario {}; give --scenario FILE",
+                room.scenario.name
+            ));
+        }
+        let controller = NodeKind::Controller.name();
+        let is_absent =
+            |status: &NodeStatus| status.counters.iter().any(|(name, count)| name == "driver_absent" && *count > 0);
+        if self.received().fresh_status(controller).is_some_and(is_absent) {
+            notes.push("no driver receives the commands: start a driver or a simulator".into());
+        }
+        notes
+    }
+
+    /// The room to draw. Takes the lock of the messages, so it must not be held.
+    pub(crate) fn shown_room(&self) -> Arc<ShownRoom> {
+        self.chooser.choose(self.announcements()).0
+    }
+
+    /// The newest announcements. Those of a process that has left count until another one announces.
+    fn announcements(&self) -> Announcements {
+        let received = self.received();
+        let (room, controller) = (&received.room_geometry, &received.controller_geometry);
+        let is_outdated = Received::fresh(room).is_none() && Received::fresh(controller).is_some();
+        let text = |of: &Dated<Arc<str>>| of.as_ref().map(|(_, text)| Arc::clone(text));
+        Announcements { sim_node: if is_outdated { None } else { text(room) }, controller: text(controller) }
+    }
+
     pub(crate) fn received(&self) -> MutexGuard<'_, Received> {
         lock(&self.received)
     }
@@ -96,6 +135,21 @@ impl Received {
     /// The message, unless it is old.
     pub fn fresh<T>(message: &Dated<T>) -> Option<&T> {
         message.as_ref().filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, message)| message)
+    }
+
+    /// The status of a kind of process, unless it is old.
+    pub fn fresh_status<'a>(&'a self, node: &str) -> Option<&'a NodeStatus> {
+        self.statuses.get(node).filter(|(at, _)| at.elapsed() < EXPIRY).map(|(_, status)| status)
+    }
+
+    /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
+    /// a time, so that no figures of two processes mix: the one that is displayed already, while it
+    /// is in the room and not in standby.
+    fn is_displayed(&self, status: &NodeStatus) -> bool {
+        let Some((at, known)) = self.statuses.get(status.node.name()) else { return true };
+        let is_present = self.alive.contains(&(status.node.name(), known.stamp.source)) && at.elapsed() < EXPIRY;
+        let is_standby = |of: &NodeStatus| of.counters.iter().any(|(name, count)| name == "standby" && *count > 0);
+        known.stamp.source == status.stamp.source || !is_present || (is_standby(known) && !is_standby(status))
     }
 
     fn take_truth(&mut self, truth: RoomTruth) {
@@ -110,6 +164,9 @@ impl Received {
     }
 
     fn take_status(&mut self, status: NodeStatus) {
+        if !self.is_displayed(&status) {
+            return;
+        }
         if status.node == NodeKind::Controller {
             self.latency.take(&status);
         }
@@ -144,8 +201,20 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
             received.telemetry = Some((Instant::now(), telemetry))
         })?,
         store(bus, &room.all_status(), received, Received::take_status)?,
+        store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
+            keep_text(&mut received.room_geometry, geometry.scenario)
+        })?,
+        store(bus, &room.geometry(NodeKind::Controller), received, |received, geometry: RoomGeometry| {
+            keep_text(&mut received.controller_geometry, geometry.scenario)
+        })?,
         alive,
     ])
+}
+
+/// Keeps an announcement; an unchanged text keeps its memory.
+fn keep_text(kept: &mut Dated<Arc<str>>, text: String) {
+    let known = kept.take().map(|(_, known)| known).filter(|known| **known == *text);
+    *kept = Some((Instant::now(), known.unwrap_or_else(|| text.into())));
 }
 
 fn store<M: Message + 'static>(
@@ -163,4 +232,42 @@ fn store<M: Message + 'static>(
             Err(_) => received.unreadable += 1,
         }
     })?)
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::Stamp;
+
+    use super::*;
+
+    fn status(source: u64, decisions: u64, standby: u64) -> NodeStatus {
+        NodeStatus {
+            stamp: Stamp { source, ..Stamp::default() },
+            counters: vec![("decisions".into(), decisions), ("standby".into(), standby)],
+            ..NodeStatus::default()
+        }
+    }
+
+    fn shown(received: &Received) -> (u64, u64) {
+        let status = received.fresh_status(NodeKind::Controller.name()).expect("a fresh status");
+        (status.stamp.source, status.counters[0].1)
+    }
+
+    #[test]
+    fn the_counters_of_two_controllers_do_not_mix() {
+        let mut received = Received::default();
+        let name = NodeKind::Controller.name();
+        received.alive.extend([(name, 1), (name, 2)]);
+        received.take_status(status(1, 500, 0));
+        received.take_status(status(2, 3, 0));
+        assert_eq!(shown(&received), (1, 500), "the one that is displayed stays");
+        received.take_status(status(1, 501, 1));
+        received.take_status(status(2, 4, 0));
+        assert_eq!(shown(&received), (2, 4), "the first is in standby");
+        received.take_status(status(1, 502, 1));
+        assert_eq!(shown(&received), (2, 4), "a controller in standby replaces none");
+        received.alive.remove(&(name, 2));
+        received.take_status(status(1, 503, 0));
+        assert_eq!(shown(&received), (1, 503), "the second has left");
+    }
 }

@@ -37,7 +37,7 @@ impl Setting {
         let scenario = Scenario::builtin("specular").unwrap().with_overrides(&set).unwrap();
         let endpoint = free_loopback_endpoint().unwrap();
         let bus = Bus::open(&BusConfig::new(Room::new(room).unwrap()).listen_at(&endpoint)).unwrap();
-        let view = Arc::new(View::open(&bus, &scenario).unwrap());
+        let view = Arc::new(View::open(&bus, Some(&scenario)).unwrap());
         let operator = Operator::new(&bus, None).unwrap();
         let page = Page { view, operator, room: room.to_owned(), policies: Vec::new() };
         Ok(Self { server: Server::start(page, place)?, _bus: bus })

@@ -4,6 +4,7 @@
 //! Histograms are allocated once. A reader exchanges them for empty ones, so that no decision waits
 //! for a quantile.
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
@@ -165,6 +166,34 @@ impl StageTimes {
     /// Ages of the positions on which decisions are based, in us.
     pub fn age_us(&self) -> Quantiles {
         quantiles_us(&self.age)
+    }
+}
+
+/// Distributions of the decision times of each policy since the start.
+#[derive(Clone, Debug, Default)]
+pub struct PolicyTimes(BTreeMap<String, Histogram<u64>>);
+
+impl PolicyTimes {
+    /// Adds the decisions of one policy.
+    pub fn add(&mut self, policy: &str, times: &StageTimes) {
+        self.add_decisions(policy, &times.decision);
+    }
+
+    /// Adds the decisions of all policies of another room.
+    pub fn add_all(&mut self, other: &Self) {
+        other.0.iter().for_each(|(policy, decisions)| self.add_decisions(policy, decisions));
+    }
+
+    /// The times of one policy in us.
+    pub fn decision_us(&self, policy: &str) -> Quantiles {
+        self.0.get(policy).map(quantiles_us).unwrap_or_default()
+    }
+
+    fn add_decisions(&mut self, policy: &str, decisions: &Histogram<u64>) {
+        match self.0.get_mut(policy) {
+            Some(all) => all.add(decisions).expect("both were made with the same bounds"),
+            None => drop(self.0.insert(policy.to_owned(), decisions.clone())),
+        }
     }
 }
 

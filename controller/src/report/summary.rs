@@ -5,6 +5,7 @@ use std::{collections::BTreeMap, fmt};
 use heliostat_decide::{
     capabilities::Unfit,
     core::{Controller, DegradedMode, Stage},
+    policy::Tally,
     refusal::Stream,
     tenure::{Standing, TenureEvent},
 };
@@ -12,13 +13,16 @@ use heliostat_proto::{Quantiles, Room};
 use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 
-use super::stage_times::StageTimes;
+use super::stage_times::{PolicyTimes, StageTimes};
 
 /// The report on one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// The policy.
+    /// The policy in charge at the end.
     pub policy: String,
+    /// The figures of each policy that was in charge.
+    #[serde(default)]
+    pub policies: BTreeMap<String, PolicySummary>,
     /// The epoch of the commands.
     pub epoch: u64,
     /// Decisions on position reports: commands, and decisions to send none.
@@ -51,6 +55,12 @@ pub struct Summary {
     /// Why the array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub unfit: Option<String>,
+    /// Commands are sent, and no driver or simulator receives them.
+    #[serde(default)]
+    pub driver_absent: bool,
+    /// The room announces another geometry than that of this controller.
+    #[serde(default)]
+    pub geometry_differs: bool,
     /// Reports that did not arrive, by stream, from the gaps in their sequence numbers.
     #[serde(default)]
     pub missed: BTreeMap<String, u64>,
@@ -80,6 +90,38 @@ pub struct Summary {
     pub last_problem: String,
 }
 
+/// The figures of one policy.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PolicySummary {
+    /// Decisions on position reports while it was in charge.
+    pub decisions: u64,
+    /// Commands with its own angles.
+    pub commands: u64,
+    /// Commands while it was in charge with angles of the fallback or of a degraded action.
+    pub fallbacks: u64,
+    /// Axis values of its own that the limits changed.
+    pub clipped: ClippedSummary,
+    /// From the entry of the callback to the end of the publication, while it was in charge.
+    pub decision_us: Quantiles,
+}
+
+impl PolicySummary {
+    fn of(tally: &Tally) -> Self {
+        let Tally { decisions, commands, fallbacks, clipped, .. } = *tally;
+        let clipped = ClippedSummary { range: clipped.range, slew: clipped.slew };
+        Self { decisions, commands, fallbacks, clipped, decision_us: Quantiles::default() }
+    }
+
+    /// Adds the counts of another room; the times are added apart.
+    fn add(&mut self, other: &Self) {
+        self.decisions += other.decisions;
+        self.commands += other.commands;
+        self.fallbacks += other.fallbacks;
+        self.clipped.range += other.clipped.range;
+        self.clipped.slew += other.clipped.slew;
+    }
+}
+
 /// One room's part of a report.
 #[derive(Clone, Copy)]
 pub struct RoomReport<'a> {
@@ -89,6 +131,8 @@ pub struct RoomReport<'a> {
     pub summary: &'a Summary,
     /// Its times since the start.
     pub times: &'a StageTimes,
+    /// The decision times of each of its policies.
+    pub policy_times: &'a PolicyTimes,
 }
 
 /// The state of an array by its telemetry.
@@ -123,6 +167,11 @@ impl Summary {
         let refused = controller.inbox().refused().named().chain([foreign]);
         Self {
             policy: controller.policy_name().into(),
+            policies: controller
+                .tallies()
+                .iter()
+                .map(|tally| (tally.policy.clone(), PolicySummary::of(tally)))
+                .collect(),
             epoch: controller.epoch(),
             decisions: counters.decisions,
             commands: counters.commands,
@@ -149,13 +198,14 @@ impl Summary {
         if let [room] = rooms {
             return room.summary.clone();
         }
-        let (mut all, mut times) = (Self::default(), StageTimes::new());
+        let (mut all, mut times, mut policy_times) = (Self::default(), StageTimes::new(), PolicyTimes::default());
         for room in rooms {
             all.add(room.summary);
             times.absorb(&mut room.times.clone());
+            policy_times.add_all(room.policy_times);
             all.rooms.insert(room.room.to_string(), room.summary.clone());
         }
-        all.add_times(&times);
+        all.add_times(&times, &policy_times);
         all
     }
 
@@ -185,7 +235,12 @@ impl Summary {
         ] {
             there.iter().for_each(|(name, count)| *here.entry(name.clone()).or_default() += count);
         }
+        for (name, policy) in &other.policies {
+            self.policies.entry(name.clone()).or_default().add(policy);
+        }
         self.standby |= other.standby;
+        self.driver_absent |= other.driver_absent;
+        self.geometry_differs |= other.geometry_differs;
         if other.unfit.is_some() {
             self.unfit.clone_from(&other.unfit);
         }
@@ -195,7 +250,10 @@ impl Summary {
     }
 
     /// Adds the times.
-    pub fn add_times(&mut self, times: &StageTimes) {
+    pub fn add_times(&mut self, times: &StageTimes, policy_times: &PolicyTimes) {
+        for (name, policy) in &mut self.policies {
+            policy.decision_us = policy_times.decision_us(name);
+        }
         let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
         self.over_budget = times.over_budget();
         self.over_budget_by = by_stage.into_iter().filter(|(_, count)| *count > 0).collect();
@@ -207,7 +265,7 @@ impl Summary {
 
 impl fmt::Display for Summary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(formatter, "policy {}, epoch {}", self.policy, self.epoch)?;
+        writeln!(formatter, "policy {} at the end, epoch {}", self.policy, self.epoch)?;
         writeln!(
             formatter,
             "decisions {}, commands {}, unsent {}, dropped {}, cache warm-ups {}",
@@ -221,6 +279,7 @@ impl fmt::Display for Summary {
             let Quantiles { p50, p90, p99, p999, max, .. } = times;
             writeln!(formatter, "{name:<12}{p50:>10.1}{p90:>10.1}{p99:>10.1}{p999:>10.1}{max:>10.1}")?;
         }
+        self.write_policies(formatter)?;
         writeln!(formatter, "fallbacks:{}", list(&self.fallbacks))?;
         writeln!(formatter, "refused:{}", list(&self.refused))?;
         writeln!(formatter, "reports that did not arrive:{}", list(&self.missed))?;
@@ -238,6 +297,12 @@ impl fmt::Display for Summary {
         if self.standby {
             write!(formatter, "\nstandby: the array follows another controller")?;
         }
+        if self.driver_absent {
+            write!(formatter, "\nno driver received the commands")?;
+        }
+        if self.geometry_differs {
+            write!(formatter, "\nroom and controller have different geometries")?;
+        }
         if let Some(unfit) = &self.unfit {
             write!(formatter, "\nno commands: {unfit}")?;
         }
@@ -253,6 +318,24 @@ impl fmt::Display for Summary {
         }
         if !self.last_problem.is_empty() {
             write!(formatter, "\nlast problem: {}", printable(&self.last_problem))?;
+        }
+        Ok(())
+    }
+}
+
+impl Summary {
+    /// One line for each policy that was in charge.
+    fn write_policies(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = ["decisions", "commands", "fallbacks", "limited", "p50 (us)", "p99 (us)"];
+        write!(formatter, "{:<14}", "policy")?;
+        names.iter().try_for_each(|name| write!(formatter, "{name:>10}"))?;
+        writeln!(formatter)?;
+        for (name, policy) in &self.policies {
+            let limited = policy.clipped.range + policy.clipped.slew;
+            let counts = [policy.decisions, policy.commands, policy.fallbacks, limited];
+            write!(formatter, "{name:<14}")?;
+            counts.iter().try_for_each(|count| write!(formatter, "{count:>10}"))?;
+            writeln!(formatter, "{:>10.1}{:>10.1}", policy.decision_us.p50, policy.decision_us.p99)?;
         }
         Ok(())
     }

@@ -24,6 +24,7 @@ use std::{
 use heliostat_decide::{
     core::{Controller, Decision, Due, Stage, Timing},
     inbox::Message,
+    policy::Policy,
     refusal::{Refusal, Stream},
 };
 use heliostat_proto::{ChannelReport, CodecError, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode_into};
@@ -89,6 +90,8 @@ pub struct DecisionLoop {
     pub controller: Controller,
     /// Stage times since the status loop last took them.
     pub times: StageTimes,
+    /// The same of policies that were replaced since then, each with the policy's name.
+    pub former_times: Vec<(String, StageTimes)>,
     clock: RoomClock,
     sender: Arc<CommandSender>,
     watchdog: Arc<Watchdog>,
@@ -151,6 +154,7 @@ impl DecisionLoop {
         Self {
             controller,
             times: StageTimes::new(),
+            former_times: Vec::new(),
             clock,
             sender,
             watchdog,
@@ -227,6 +231,14 @@ impl DecisionLoop {
             Timing::Late => self.warmer.on_late_decision(ended),
         }
         self.last_decision = Some(ended);
+    }
+
+    /// Replaces the policy, and returns the former one. `fresh` is empty: the times of the former
+    /// policy are kept apart.
+    pub fn replace_policy(&mut self, policy: Box<dyn Policy>, fresh: StageTimes) -> Box<dyn Policy> {
+        let times = std::mem::replace(&mut self.times, fresh);
+        self.former_times.push((self.controller.policy_name().to_owned(), times));
+        self.controller.replace_policy(policy)
     }
 
     /// Executes the action for the absence of position reports, if that is due.

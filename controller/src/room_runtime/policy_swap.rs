@@ -18,13 +18,14 @@ use heliostat_bus::{Bus, Subscription};
 use heliostat_channel::ChannelModel;
 use heliostat_decide::{
     core::WARM_UP_RUNS,
-    policy::{Policy, PolicyKind, warm_up},
+    policy::{Finding, Policy, PolicyKind, warm_up},
 };
 use heliostat_engine::ActorSource;
 use heliostat_proto::{ControllerControl, decode};
 use heliostat_scenario::Scenario;
 
 use super::{decision_loop::DecisionLoop, locks::lock};
+use crate::report::stage_times::StageTimes;
 
 /// Orders that wait while a policy is being built; further orders are refused.
 const WAITING_MAX: usize = 4;
@@ -47,6 +48,10 @@ pub struct SwapCounters {
     pub refused: u64,
     /// The last refusal.
     pub last_refusal: Option<String>,
+    /// Warnings of the trials of learned policies.
+    pub warnings: u64,
+    /// The last of them.
+    pub last_warning: Option<String>,
 }
 
 /// Builds policies for the room of a scenario.
@@ -65,13 +70,14 @@ impl PolicyBuilder {
     ///
     /// # Errors
     /// Why the name is unknown, or the policy does not fit the room.
-    pub fn build(&self, name: &str) -> Result<Box<dyn Policy>, String> {
+    pub fn build(&self, name: &str) -> Result<(Box<dyn Policy>, Vec<Finding>), String> {
         let kind = PolicyKind::from_str(name, false).map_err(|_| unknown(name))?;
         let (configured, source) = &self.configured;
         let source = if kind == *configured { source } else { &ActorSource::Shipped };
-        let mut policy = heliostat_engine::build(kind, &self.scenario, source).map_err(|error| error.to_string())?;
+        let tried = heliostat_engine::build_tried(kind, &self.scenario, source);
+        let (mut policy, findings) = tried.map_err(|error| error.to_string())?;
         warm_up(&mut [policy.as_mut()], &self.model, self.scenario.users.count, warm_up_runs());
-        Ok(policy)
+        Ok((policy, findings))
     }
 }
 
@@ -120,14 +126,31 @@ impl PolicySwap {
     fn run(&self, orders: &Receiver<String>, builder: &PolicyBuilder) {
         for name in orders {
             match builder.build(&name) {
-                Ok(policy) => {
-                    let former = lock(&self.decision_loop).controller.replace_policy(policy);
+                Ok((policy, findings)) => {
+                    self.report(findings);
+                    let fresh = StageTimes::new();
+                    let former = lock(&self.decision_loop).replace_policy(policy, fresh);
                     lock(&self.counters).replaced += 1;
                     tracing::info!(policy = name, "policy replaced");
                     // Dropped without the lock, because that may take long.
                     drop(former);
                 }
                 Err(refusal) => self.refuse(format!("policy {name:.64} refused: {refusal}")),
+            }
+        }
+    }
+
+    /// Logs the notes of a policy's trial, and passes the warnings to the status report, which logs
+    /// them.
+    pub fn report(&self, findings: Vec<Finding>) {
+        for finding in findings {
+            match finding {
+                Finding::Note(note) => tracing::info!("{note}"),
+                Finding::Warning(warning) => {
+                    let mut counters = lock(&self.counters);
+                    counters.warnings += 1;
+                    counters.last_warning = Some(warning);
+                }
             }
         }
     }
@@ -157,9 +180,17 @@ mod tests {
     #[test]
     fn a_known_policy_is_built_and_an_unknown_one_is_refused_with_its_name() {
         let builder = builder(Scenario::default());
-        assert_eq!(builder.build("greedy").expect("it is there").name(), "greedy");
+        assert_eq!(builder.build("greedy").expect("it is there").0.name(), "greedy");
         let refusal = builder.build("clairvoyant").err().expect("no such policy");
         assert!(refusal.contains("\"clairvoyant\"") && refusal.contains("fixed-point"), "{refusal}");
+    }
+
+    #[test]
+    fn a_policy_worse_than_flat_mirrors_is_built_with_a_warning() {
+        let (policy, findings) = builder(Scenario::default()).build("ddpg-raw").expect("it is there");
+        assert_eq!(policy.name(), "ddpg-raw");
+        let [Finding::Warning(warning)] = &findings[..] else { panic!("expected one warning: {findings:?}") };
+        assert!(warning.contains("worse than flat mirrors"), "{warning}");
     }
 
     #[test]

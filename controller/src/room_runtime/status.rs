@@ -1,7 +1,7 @@
 //! The status report of one room, twice a second, for operators. No decision depends on it.
 
 use heliostat_decide::{
-    core::{Counters, DegradedMode},
+    core::{Counters, DegradedMode, Stage},
     refusal::Refusal,
     tenure::{Tenure, TenureEvent},
 };
@@ -10,6 +10,9 @@ use heliostat_service::clock::utc_ns;
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
 use crate::report::{stage_times::StageTimes, summary::Summary};
+
+/// The problem of commands without a receiver.
+const DRIVER_ABSENT: &str = "no driver receives the commands: there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
 
 /// The reporting node.
 #[derive(Clone, Debug)]
@@ -31,10 +34,21 @@ pub struct Reporter {
     failed: u64,
     unsent: u64,
     orders_refused: u64,
+    policy_warnings: u64,
     foreign_arrays: u64,
     epoch_events: [u64; TenureEvent::ALL.len()],
     unfit: Option<String>,
+    conditions: Conditions,
     last_problem: String,
+}
+
+/// What is wrong in the room outside the decision loop.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Conditions {
+    /// Commands are sent, and there is no sign of a driver.
+    pub driver_absent: bool,
+    /// Why the room's geometry is not that of this controller.
+    pub geometry: Option<String>,
 }
 
 /// What went wrong since the last status.
@@ -67,15 +81,22 @@ impl Reporter {
             failed: 0,
             unsent: 0,
             orders_refused: 0,
+            policy_warnings: 0,
             foreign_arrays: 0,
             epoch_events: [0; TenureEvent::ALL.len()],
             unfit: None,
+            conditions: Conditions::default(),
             last_problem: String::new(),
         }
     }
 
     /// Copies the counters; the decision loop is locked meanwhile.
-    pub fn take_snapshot(&mut self, decision_loop: &DecisionLoop, swaps: SwapCounters) -> Snapshot {
+    pub fn take_snapshot(
+        &mut self,
+        decision_loop: &DecisionLoop,
+        swaps: SwapCounters,
+        conditions: Conditions,
+    ) -> Snapshot {
         let controller = &decision_loop.controller;
         let mut summary = Summary::of(controller);
         summary.unsent = decision_loop.unsent();
@@ -83,11 +104,14 @@ impl Reporter {
         summary.cache_warm_ups = decision_loop.cache_warm_ups();
         let problem = self
             .new_alarm(&summary, controller.counters(), controller.tenure())
+            .or_else(|| self.new_condition(conditions))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning));
         if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
             self.last_problem.clone_from(problem);
         }
         summary.last_problem.clone_from(&self.last_problem);
+        summary.driver_absent = self.conditions.driver_absent;
+        summary.geometry_differs = self.conditions.geometry.is_some();
         let state = self.state(&summary).to_string();
         self.decisions = summary.decisions;
         Snapshot { summary, problem, now: decision_loop.room_time_ns(), state, swaps }
@@ -110,6 +134,8 @@ impl Reporter {
             ("epoch", summary.epoch),
             ("standby", u64::from(summary.standby)),
             ("array_unfit", u64::from(summary.unfit.is_some())),
+            ("driver_absent", u64::from(summary.driver_absent)),
+            ("geometry_differs", u64::from(summary.geometry_differs)),
             ("policies_switched", snapshot.swaps.replaced),
             ("policies_refused", snapshot.swaps.refused),
         ];
@@ -121,10 +147,8 @@ impl Reporter {
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));
         let users = summary.users.iter().map(named("users:"));
-        let mut timed = summary.clone();
-        timed.add_times(times);
-        let stages = timed.stages_us.iter().map(|(name, times)| (name.clone(), *times));
-        let totals = [("decision".to_string(), timed.decision_us), ("age".to_string(), timed.age_us)];
+        let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
+        let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
         NodeStatus {
             stamp: Stamp { source: self.identity.source, sequence: self.sequence, time_ns: snapshot.now },
             state: snapshot.state.clone(),
@@ -172,6 +196,7 @@ impl Reporter {
             _ if summary.standby => "standby",
             _ if summary.decisions == 0 => "waiting for position reports",
             _ if summary.decisions == self.decisions => "position reports stopped",
+            _ if summary.driver_absent => "no driver receives the commands",
             _ => "running",
         }
     }
@@ -201,6 +226,22 @@ impl Reporter {
         })
     }
 
+    /// A condition that began or ended; a second one is reported at the next snapshot.
+    fn new_condition(&mut self, now: Conditions) -> Option<Problem> {
+        let was_absent = std::mem::replace(&mut self.conditions.driver_absent, now.driver_absent);
+        if was_absent != now.driver_absent {
+            let text =
+                if now.driver_absent { DRIVER_ABSENT } else { "a driver is in the room and receives the commands" };
+            return Some(Problem::Warning(text.into()));
+        }
+        let before = std::mem::replace(&mut self.conditions.geometry, now.geometry);
+        if before == self.conditions.geometry {
+            return None;
+        }
+        let ended = || "the room announces no other geometry than this controller".into();
+        Some(Problem::Warning(self.conditions.geometry.clone().unwrap_or_else(ended)))
+    }
+
     /// The most serious problem since the last snapshot.
     fn new_problem(&mut self, decision_loop: &DecisionLoop, swaps: &SwapCounters) -> Option<String> {
         let controller = &decision_loop.controller;
@@ -211,6 +252,7 @@ impl Reporter {
         let unsent_rose = rose(&mut self.unsent, decision_loop.unsent());
         let refused_rose = rose(&mut self.refused, controller.inbox().refused().total());
         let order_refused = rose(&mut self.orders_refused, swaps.refused);
+        let policy_warned = rose(&mut self.policy_warnings, swaps.warnings);
         if failed_rose && let Some(failure) = controller.last_failure() {
             return Some(format!("policy {}: {failure}", controller.policy_name()));
         }
@@ -219,6 +261,9 @@ impl Reporter {
         }
         if order_refused {
             return swaps.last_refusal.clone();
+        }
+        if policy_warned {
+            return swaps.last_warning.clone();
         }
         refused_rose.then(|| describe_refusal(decision_loop)).flatten()
     }

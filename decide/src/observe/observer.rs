@@ -10,18 +10,25 @@
 //! long as possible ([`Slots`]). A user without a measured gain has the modelled one, and a measured
 //! gain of an unknown user is ignored.
 //!
-//! With `control.prediction = "constant-velocity"` each user is assumed to walk on at the reported
-//! velocity. The prediction covers the age of the report and half of the interval until the next
-//! report, during which the command holds. No user is predicted to leave the room.
+//! `control.belief` says where the users are while the command is in force: at their reported
+//! positions (`none`), further on at their reported velocity (`constant-velocity`), or where a
+//! filter of all reports predicts them (`filter`, [`belief`](crate::belief)). The prediction covers
+//! the age of the report, the settling time of the mirrors, and half of the interval until the next
+//! report. No user is predicted to leave the room.
+//!
+//! With the filter, a measured gain of the direct path shows only whether the path is clear; the
+//! gain is then that of the model at the predicted place.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, Nanos, UserReport};
-use heliostat_scenario::{Prediction, Scenario};
+use heliostat_scenario::Scenario;
 
 use crate::{
+    belief::Belief,
     input::inbox::Inbox,
     observe::{
         observation::{Observation, RoomState},
+        prediction::Prediction,
         slots::Slots,
     },
 };
@@ -38,40 +45,10 @@ struct Body {
     offset_m: f64,
 }
 
-/// How far ahead users are predicted, and the bounds of their positions.
-#[derive(Clone, Copy, Debug)]
-struct Lead {
-    /// Half of the time between reports in s.
-    half_interval_s: f64,
-    /// Settling time of the mirrors in s.
-    settling_s: f64,
-    half_room_m: [f64; 2],
-}
-
-impl Lead {
-    fn of(scenario: &Scenario) -> Option<Self> {
-        match scenario.control.prediction {
-            Prediction::None => None,
-            Prediction::ConstantVelocity => Some(Self {
-                half_interval_s: 0.5 / scenario.streams.positions.rate_hz,
-                settling_s: 0.0,
-                half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
-            }),
-        }
-    }
-
-    /// The position of a user who walks on.
-    fn predict(&self, position: Vec3, velocity: &Vec3, age_s: f64) -> Vec3 {
-        let ahead = position + velocity * (age_s + self.half_interval_s + self.settling_s);
-        let [half_x, half_y] = self.half_room_m;
-        Vec3::new(ahead.x.clamp(-half_x, half_x), ahead.y.clamp(-half_y, half_y), ahead.z)
-    }
-}
-
 /// Fills observations from the inbox; its buffers are reused and have room for [`MAX_USERS`] users.
 pub struct Observer {
     body: Option<Body>,
-    lead: Option<Lead>,
+    prediction: Prediction,
     slots: Slots,
     /// The users of the report, in its order.
     reported: Vec<u32>,
@@ -109,7 +86,7 @@ impl Observer {
                 height_m: blockage.body_height_m,
                 offset_m: blockage.body_offset_m,
             }),
-            lead: Lead::of(scenario),
+            prediction: Prediction::new(scenario),
             slots: Slots::default(),
             reported: Vec::with_capacity(MAX_USERS),
             headings: Vec::with_capacity(MAX_USERS),
@@ -125,13 +102,22 @@ impl Observer {
 
     /// Extends the prediction by the settling time of the mirrors, in s, where users are predicted.
     pub fn set_settling(&mut self, settling_s: f64) {
-        if let Some(lead) = &mut self.lead {
-            lead.settling_s = settling_s;
-        }
+        self.prediction.set_settling(settling_s);
+    }
+
+    /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
+    pub fn handle_users(&mut self, report: &UserReport) {
+        self.prediction.handle_users(report);
+    }
+
+    /// The belief of the filter; absent where `control.belief` is another one.
+    pub fn belief(&self) -> Option<&Belief> {
+        self.prediction.belief()
     }
 
     /// Discards the users, and the directions that they face.
     pub fn forget(&mut self) {
+        self.prediction.forget();
         self.slots.clear();
         self.headings.clear();
     }
@@ -171,7 +157,7 @@ impl Observer {
 
     /// Gives slots to the users of a report, and fills the lists of the slots.
     fn place_users(&mut self, report: &UserReport, age_s: f64) {
-        let Self { lead, slots, reported, headings, former_headings, .. } = self;
+        let Self { prediction, slots, reported, headings, former_headings, .. } = self;
         reported.clear();
         reported.extend(report.users.iter().map(|user| user.user));
         if slots.assign(reported) {
@@ -186,10 +172,8 @@ impl Observer {
         for (slot, id) in slots.ids().iter().enumerate() {
             let same_place = report.users.get(slot).filter(|user| user.user == *id);
             let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
-            let [x, y] = user.velocity_m_s.map(f64::from);
-            let velocity = Vec3::new(x, y, 0.0);
-            let reported = Vec3::from_iterator(user.position_m.map(f64::from));
-            self.positions.push(lead.map_or(reported, |lead| lead.predict(reported, &velocity, age_s)));
+            let (position, velocity) = prediction.predict(user, age_s);
+            self.positions.push(position);
             self.velocities.push(velocity);
             self.min_rate_bps.push(f64::from(user.min_rate_bps));
             self.forced.push(false);
@@ -211,7 +195,13 @@ impl Observer {
         if unmeasured > 0 && unmeasured == self.los_gain.len() {
             return LosSource::Modelled;
         }
-        into.scene.set_los_gain(&self.los_gain);
+        if self.prediction.models_gains() {
+            for (user, gain) in self.los_gain.iter().enumerate() {
+                into.scene.set_los_blocked(user, *gain <= 0.0);
+            }
+        } else {
+            into.scene.set_los_gain(&self.los_gain);
+        }
         LosSource::Measured { unmeasured }
     }
 

@@ -4,6 +4,8 @@
 //! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run. The
 //! actor writes into one input buffer that it keeps.
 
+mod trial;
+
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_scenario::Scenario;
 
@@ -19,6 +21,8 @@ use crate::{
     },
     output::safety::check_finite,
 };
+
+pub use trial::Finding;
 
 /// An actor that fits the room, ready to run.
 pub struct Actor {

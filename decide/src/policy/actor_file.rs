@@ -7,7 +7,8 @@
 use std::borrow::Cow;
 
 use heliostat_onnx::{
-    ModelProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto::dimension::Value as Dimension, type_proto,
+    ModelProto, ValueInfoProto, tensor::first_not_finite, tensor_proto::DataType,
+    tensor_shape_proto::dimension::Value as Dimension, type_proto,
 };
 use heliostat_scenario::Scenario;
 use prost::Message;
@@ -22,6 +23,8 @@ pub const OUTPUT_NAME: &str = "angles";
 
 /// The keys of the metadata that every actor carries.
 pub mod key {
+    /// Beginning of all keys.
+    pub const PREFIX: &str = "heliostat.";
     /// Version of the observation's layout.
     pub const OBSERVATION_VERSION: &str = "heliostat.observation_version";
     /// Largest number of users.
@@ -86,9 +89,48 @@ pub enum ActorError {
         /// Mirrors by the metadata.
         mirrors: usize,
     },
+    /// The file has no metadata of an actor at all.
+    #[error(
+        "{origin} is an ONNX file without the metadata of an actor (\"{}\" and others): add the entries that \
+         `heliostat config --as-json actor` prints for the scenario, or export an actor with `heliostat train`",
+        key::OBSERVATION_VERSION
+    )]
+    NoMetadata {
+        /// The file.
+        origin: String,
+    },
+    /// A tensor holds a value that is not finite.
+    #[error(
+        "{origin}: the tensor {tensor} holds a value that is not finite, expected finite weights; \
+         export the actor again, or train it again if the training diverged"
+    )]
+    NotFinite {
+        /// The file.
+        origin: String,
+        /// The tensor's name.
+        tensor: String,
+    },
+    /// The engine computes other angles than the reference evaluation.
+    #[error(
+        "{origin}: the inference engine and the reference evaluation give other angles on {differing} of {compared} \
+         observations ({example}), expected equal ones; check the network for invalid operations such as 0/0, and \
+         export it again with other operators"
+    )]
+    Disagrees {
+        /// The file.
+        origin: String,
+        /// Observations on which the angles differ.
+        differing: usize,
+        /// Observations compared.
+        compared: usize,
+        /// One of the differences.
+        example: String,
+    },
     /// A metadata entry is missing or unreadable.
     #[error(
-        "{origin} has no usable metadata \"{key}\" (found {found:?}); export the actor again with `heliostat train`"
+        "{origin} has no usable metadata \"{key}\" (found {found}), expected the entries that \
+         `heliostat config --as-json actor` prints; export the actor again with `heliostat train`",
+        found = found.as_ref().map_or("none".to_owned(), |value| format!("{value:?}"))
     )]
     Metadata {
         /// The file.
@@ -158,8 +200,15 @@ impl ActorInfo {
         let origin = file.origin.clone();
         let not_onnx = |message: String| ActorError::NotOnnx { origin: origin.clone(), message };
         let model = ModelProto::decode(file.bytes.as_ref()).map_err(|error| not_onnx(error.to_string()))?;
+        let not_finite = first_not_finite(&model);
         let graph = model.graph.ok_or_else(|| not_onnx("it holds no graph".into()))?;
+        if let Some(tensor) = not_finite {
+            return Err(ActorError::NotFinite { origin: file.origin.clone(), tensor });
+        }
         let entries: Vec<_> = model.metadata_props.into_iter().map(|entry| (entry.key, entry.value)).collect();
+        if !entries.iter().any(|(key, _)| key.starts_with(key::PREFIX)) {
+            return Err(ActorError::NoMetadata { origin: file.origin.clone() });
+        }
         let reader = MetadataReader { origin: &file.origin, entries: &entries };
         let info = Self {
             observation_version: reader.number(key::OBSERVATION_VERSION)?,

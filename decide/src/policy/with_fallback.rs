@@ -4,6 +4,7 @@ use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 
 use super::{
     proposal::{Policy, PolicyError},
+    tally::Tallies,
     warm_up::warm_up,
 };
 use crate::{observe::observation::Observation, output::safety};
@@ -13,6 +14,8 @@ pub struct WithFallback {
     policy: Box<dyn Policy>,
     fallback: Option<Box<dyn Policy>>,
     last_failure: Option<PolicyError>,
+    /// The figures of each policy.
+    pub tallies: Tallies,
 }
 
 /// Which policy has proposed angles.
@@ -29,7 +32,7 @@ pub enum ProposedBy {
 impl WithFallback {
     /// A policy, with or without a fallback.
     pub fn new(policy: Box<dyn Policy>, fallback: Option<Box<dyn Policy>>) -> Self {
-        Self { policy, fallback, last_failure: None }
+        Self { tallies: Tallies::new(policy.name()), policy, fallback, last_failure: None }
     }
 
     /// The policy.
@@ -49,6 +52,7 @@ impl WithFallback {
 
     /// Replaces the policy, and returns the former one.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
+        self.tallies.switch_to(policy.name());
         std::mem::replace(&mut self.policy, policy)
     }
 

@@ -1,16 +1,18 @@
 //! Actors that are refused, and the text of the refusals.
 
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
 use heliostat_channel::MirrorAngles;
 use heliostat_decide::{
     observation::Observation,
     policy::{
-        Policy,
+        Actor, Engine, Network, Policy, PolicyError,
         actor_file::{ActorError, ActorFile, key},
     },
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{ActorRecipe, load_actor, model, scenario};
+use crate::support::{ActorRecipe, FixedEngine, load_actor, model, scenario};
 
 fn refusal(recipe: &ActorRecipe, scenario: &Scenario) -> ActorError {
     match load_actor(&recipe.file(), scenario) {
@@ -134,9 +136,80 @@ fn an_actor_of_another_geometry_is_refused_and_one_of_another_noise_is_not() {
 #[test]
 fn an_output_that_is_not_finite_is_an_error() {
     let scenario = scenario(&[]);
-    let recipe = ActorRecipe { bias: f32::INFINITY, ..ActorRecipe::fitting(&scenario) };
-    let mut actor = load_actor(&recipe.file(), &scenario).unwrap();
+    let recipe = ActorRecipe::fitting(&scenario);
+    let mut actor = Actor::load(&recipe.file(), &scenario, &FixedEngine(f32::INFINITY)).unwrap();
     let vector = vec![0.0; recipe.input_length];
     let error = actor.answer(&vector, &mut MirrorAngles::flat(9)).unwrap_err();
     assert!(error.to_string().contains("mirror 0"), "{error}");
+}
+
+#[test]
+fn a_file_with_weights_that_are_not_finite_is_refused_with_the_name_of_the_tensor() {
+    let scenario = scenario(&[]);
+    for bias in [f32::NAN, f32::INFINITY] {
+        let error = refusal(&ActorRecipe { bias, ..ActorRecipe::fitting(&scenario) }, &scenario);
+        assert_contains(&error, &["test.onnx", "tensor bias", "not finite"]);
+    }
+}
+
+#[test]
+fn a_file_without_any_metadata_says_which_command_prints_what_is_needed() {
+    let scenario = scenario(&[]);
+    let recipe = ActorRecipe { metadata: vec![("author", "a stranger".into())], ..ActorRecipe::fitting(&scenario) };
+    let error = refusal(&recipe, &scenario);
+    assert_contains(
+        &error,
+        &["without the metadata of an actor", "heliostat config --as-json actor", "heliostat train"],
+    );
+    let error = refusal(&ActorRecipe::fitting(&scenario).without_metadata(key::USERS_MAX), &scenario).to_string();
+    assert!(error.contains("found none") && !error.contains("None"), "{error}");
+}
+
+/// Runs of the networks of [`CountingEngine`].
+static RUNS: AtomicU64 = AtomicU64::new(0);
+
+struct CountingEngine;
+
+struct Counting(Vec<f32>, [f32; 18]);
+
+impl Engine for CountingEngine {
+    fn load(&self, _: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        Ok(Box::new(Counting(vec![0.0; input_length], [0.25; 18])))
+    }
+}
+
+impl Network for Counting {
+    fn input_mut(&mut self) -> &mut [f32] {
+        &mut self.0
+    }
+
+    fn run(&mut self) -> Result<&[f32], PolicyError> {
+        RUNS.fetch_add(1, Relaxed);
+        Ok(&self.1)
+    }
+}
+
+#[test]
+fn a_slow_network_is_tried_only_once() {
+    /// Each reading is 0.3 s later, as if a run took that long.
+    fn slow_clock() -> u64 {
+        static NOW: AtomicU64 = AtomicU64::new(0);
+        NOW.fetch_add(300_000_000, Relaxed)
+    }
+    let scenario = scenario(&[]);
+    let file = ActorRecipe::fitting(&scenario).file();
+    let mut actor = Actor::load(&file, &scenario, &CountingEngine).unwrap();
+    actor.try_out(&file, &scenario, slow_clock).unwrap();
+    assert_eq!(RUNS.load(Relaxed), 1);
+    actor.try_out(&file, &scenario, || 0).unwrap();
+    assert!(RUNS.load(Relaxed) > 8, "{RUNS:?}");
+}
+
+#[test]
+fn an_engine_that_computes_other_angles_than_the_file_is_refused() {
+    let scenario = scenario(&[]);
+    let file = ActorRecipe::fitting(&scenario).file();
+    let mut actor = Actor::load(&file, &scenario, &FixedEngine(0.5)).unwrap();
+    let error = actor.try_out(&file, &scenario, || 0).unwrap_err();
+    assert_contains(&error, &["test.onnx", "8 of 8 observations", "0.5 by the engine", "0.25 by the reference"]);
 }

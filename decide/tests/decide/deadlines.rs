@@ -137,7 +137,7 @@ fn walk(scenario: &Scenario, kind: PolicyKind, warm_ups: usize) -> Vec<MirrorCom
 
 #[test]
 fn cache_warm_ups_change_no_later_command() {
-    let ahead = scenario(&["control.prediction=constant-velocity", "control.slew_deg_per_s=600"]);
+    let ahead = scenario(&["control.belief=constant-velocity", "control.slew_deg_per_s=600"]);
     for scenario in [scenario(&[]), ahead] {
         for kind in [PolicyKind::Ddpg, PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Nearest] {
             assert_eq!(walk(&scenario, kind, 0), walk(&scenario, kind, 3), "{kind:?}");

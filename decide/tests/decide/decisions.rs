@@ -3,11 +3,13 @@
 use heliostat_decide::{
     core::{DegradedMode, Stage},
     inbox::Message,
-    policy::{Fixed, PolicyError, PolicyKind},
+    policy::{Actor, Fixed, PolicyError, PolicyKind},
 };
 use heliostat_proto::{ArrayState, AxisLimits, Capabilities, MirrorTelemetry, Stamp, encode};
 
-use crate::support::{ActorRecipe, MS, Outcome, Room, Scripted, build, build_with, controller, receive, scenario};
+use crate::support::{
+    ActorRecipe, FixedEngine, MS, Outcome, Room, Scripted, build, build_with, controller, receive, scenario,
+};
 
 #[test]
 fn a_failing_policy_is_replaced_and_counted() {
@@ -43,9 +45,9 @@ fn a_value_that_is_not_finite_is_never_commanded() {
 #[test]
 fn an_actor_with_values_that_are_not_finite_falls_back() {
     let scenario = scenario(&[]);
-    let file = ActorRecipe { bias: f32::NAN, ..ActorRecipe::fitting(&scenario) }.file();
-    let actor = build_with(PolicyKind::Ddpg, &scenario, &file).unwrap();
-    let mut controller = controller(&scenario, actor);
+    let file = ActorRecipe::fitting(&scenario).file();
+    let actor = Actor::load(&file, &scenario, &FixedEngine(f32::NAN)).unwrap();
+    let mut controller = controller(&scenario, Box::new(actor));
     Room::new(&scenario).tick(&mut controller, 1).command();
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 1);
 }
@@ -187,4 +189,30 @@ fn the_core_is_deterministic() {
         assert!(first.len() > 200 * 72);
         assert!(first == run(), "{kind:?}");
     }
+}
+
+#[test]
+fn each_policy_is_credited_with_its_own_commands_and_not_with_those_of_the_fallback() {
+    let scenario = scenario(&["control.fallback=flat"]);
+    // Angles far beyond any range, as a network without an activation at its end gives.
+    let far = Scripted(|observation, out| {
+        out.roll.fill(1e30);
+        out.yaw.fill(-1e30);
+        match observation.tick {
+            2 => Err(PolicyError::Inference { message: "broken".into() }),
+            _ => Ok(()),
+        }
+    });
+    let mut controller = controller(&scenario, Box::new(far));
+    let mut room = Room::new(&scenario);
+    (1..=3).for_each(|tick| drop(room.tick(&mut controller, tick)));
+    controller.replace_policy(build(PolicyKind::Nearest, &scenario).unwrap());
+    (4..=5).for_each(|tick| drop(room.tick(&mut controller, tick)));
+    controller.replace_policy(Box::new(Scripted(|_, _| Ok(()))));
+    room.tick(&mut controller, 6);
+    let [scripted, nearest] = controller.tallies() else { panic!("{:?}", controller.tallies()) };
+    assert_eq!((scripted.policy.as_str(), nearest.policy.as_str()), ("scripted", "nearest"));
+    assert_eq!((scripted.decisions, scripted.commands, scripted.fallbacks), (4, 3, 1));
+    assert_eq!((nearest.decisions, nearest.commands, nearest.fallbacks), (2, 2, 0));
+    assert_eq!((scripted.clipped.range, nearest.clipped.range), (2 * 18, 0));
 }

@@ -162,7 +162,7 @@ fn an_observation_that_does_not_fit_the_vector_is_an_error() {
 
 #[test]
 fn measured_gains_replace_modelled_ones() {
-    let scenario = scenario(&[]);
+    let scenario = scenario(&["control.belief=none"]);
     let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
     let mut room = Room::new(&scenario);
     receive(&mut controller, Room::time(1), Message::Users(&mut room.positions(1)));
@@ -186,7 +186,7 @@ fn measured_gains_replace_modelled_ones() {
 /// is between LED and device.
 #[test]
 fn bodies_stand_behind_walking_users() {
-    let scenario = scenario(&["users.count=1", "receiver.height_m=1.0"]);
+    let scenario = scenario(&["users.count=1", "receiver.height_m=1.0", "control.belief=none"]);
     let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
     let mut room = Room::new(&scenario);
     let mut gain_when_walking = |tick, velocity: f32| {
@@ -261,8 +261,8 @@ fn users_are_predicted_to_walk_on_but_not_through_walls() {
         receive(&mut controller, Room::time(3), Message::Users(&mut report)).command();
         controller.observation().positions[0]
     };
-    assert_eq!(place("control.prediction=none", 1.0), Vec3::new(1.0, 0.5, f64::from(0.85_f32)));
-    let ahead = place("control.prediction=constant-velocity", 1.0);
+    assert_eq!(place("control.belief=none", 1.0), Vec3::new(1.0, 0.5, f64::from(0.85_f32)));
+    let ahead = place("control.belief=constant-velocity", 1.0);
     assert!((ahead - Vec3::new(1.05, 0.475, f64::from(0.85_f32))).norm() < 1e-9, "{ahead}");
-    assert_eq!(place("control.prediction=constant-velocity", 2.49).x, 2.5);
+    assert_eq!(place("control.belief=constant-velocity", 2.49).x, 2.5);
 }

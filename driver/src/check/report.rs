@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use heliostat_service::counted::counted;
 use serde::Serialize;
 
 /// The result for one rule.
@@ -53,7 +54,14 @@ impl Report {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "room {}: {}, driver {}, {} mirrors", self.room, self.hardware, self.driver, self.mirrors)?;
+        writeln!(
+            f,
+            "room {}: {}, driver {}, {}",
+            self.room,
+            self.hardware,
+            self.driver,
+            counted(self.mirrors, "mirror")
+        )?;
         for Finding { rule, requirement, verdict, evidence } in &self.findings {
             let word = match verdict {
                 Verdict::Kept => "kept",

@@ -12,18 +12,22 @@ use heliostat_service::clock::utc_ns;
 
 use super::judging::{Outcome, ROUNDING_RAD, aims, evidence, not_judged, refused, shows, verdict};
 use super::report::Finding;
-use super::test_session::{ANSWER_TIMEOUT, TestSession, bytes};
+use super::test_session::{ANSWER_TIMEOUT, Received, TestSession, bytes};
 use super::{bound_rules, safety_rules};
 
 /// Number of commands in the burst.
 const FLOOD: usize = 300;
 
+/// Statuses that must arrive within the timeout of an answer.
+const STATUSES: usize = 2;
+
 /// A verdict with its evidence, or the reason why the rule was not judged.
 type Rule = (&'static str, &'static str, fn(&mut TestSession) -> Result<Outcome>);
 
-const RULES: [Rule; 24] = [
+const RULES: [Rule; 25] = [
     ("capabilities", "published each second, and in answer to queries", capabilities),
     ("telemetry", "at least ten per second, for all mirrors, with consecutive sequence numbers", telemetry),
+    ("status", "a node status about once a second, from the source of the telemetry", status),
     ("follow", "a valid command is applied and reported", follow),
     ("measured", "measured angles only with closed-loop feedback, and near the commanded ones", measured),
     ("undecodable", "an undecodable payload is refused as rejected", undecodable),
@@ -89,6 +93,19 @@ fn telemetry(session: &mut TestSession) -> Result<Outcome> {
     let rate_hz = (count.saturating_sub(1)) as f64 / (span_ns as f64 * 1e-9).max(1e-9);
     let kept = many.is_some() && complete && gaps == 0 && undecodable == 0 && rate_hz >= 9.0;
     verdict(kept, format!("{count} messages at {rate_hz:.1} Hz, {gaps} gaps, {undecodable} undecodable"))
+}
+
+fn status(session: &mut TestSession) -> Result<Outcome> {
+    let source = session.last().stamp.source;
+    let from = session.inspect(|received| received.statuses.len());
+    let of_source = |received: &Received| {
+        let valid = received.statuses[from..].iter().filter_map(|(node, status)| Some((node, status.as_ref().ok()?)));
+        valid.filter(|(node, status)| **node == status.node && status.stamp.source == source).count()
+    };
+    let kept = session.wait(ANSWER_TIMEOUT, |received| (of_source(received) >= STATUSES).then_some(())).is_some();
+    let (found, all) = session.inspect(|received| (of_source(received), received.statuses.len() - from));
+    let waited_s = ANSWER_TIMEOUT.as_secs();
+    verdict(kept, format!("{found} valid messages of the driver's source within {waited_s} s, {} others", all - found))
 }
 
 fn follow(session: &mut TestSession) -> Result<Outcome> {

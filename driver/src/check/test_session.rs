@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::{
     ArrayState, Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand,
-    MirrorTelemetry, Nanos, NodeKind, Rearm, SafetyReport, Stamp, StopAction, decode, encode,
+    MirrorTelemetry, Nanos, NodeKind, NodeStatus, Rearm, SafetyReport, Stamp, StopAction, decode, encode,
 };
 
 use heliostat_service::{clock::utc_ns, source_id};
@@ -34,6 +34,8 @@ pub struct Received {
     pub capabilities: Vec<Capabilities>,
     /// Published safety reports.
     pub safety: Vec<SafetyReport>,
+    /// Statuses of drivers and simulators, with the kind of node that their key names.
+    pub statuses: Vec<(NodeKind, Result<NodeStatus, CodecError>)>,
 }
 
 /// A session with one driver.
@@ -44,7 +46,7 @@ pub struct TestSession {
     rearms: Publisher,
     calibrations: Publisher,
     received: Arc<(Mutex<Received>, Condvar)>,
-    _subscriptions: [Subscription; 3],
+    _subscriptions: Vec<Subscription>,
     /// The capabilities at the start.
     pub capabilities: Capabilities,
     /// Whether the driver answered the query for them.
@@ -102,6 +104,14 @@ impl TestSession {
                 shared.1.notify_all();
             }
         })?;
+        let mut subscriptions = vec![telemetry, announced, safety];
+        for node in [NodeKind::Driver, NodeKind::SimNode] {
+            let shared = Arc::clone(&received);
+            subscriptions.push(bus.subscribe(&keys.status(node), move |payload| {
+                lock(&shared).statuses.push((node, decode(payload)));
+                shared.1.notify_all();
+            })?);
+        }
         let fetched = fetch(&bus, &keys.capabilities())?;
         let mut session = Self {
             commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,
@@ -109,7 +119,7 @@ impl TestSession {
             rearms: bus.publisher(&keys.rearm(), Class::RealTimeBlock)?,
             calibrations: bus.publisher(&keys.calibration(), Class::RealTimeBlock)?,
             received,
-            _subscriptions: [telemetry, announced, safety],
+            _subscriptions: subscriptions,
             answered: fetched.is_some(),
             capabilities: fetched.unwrap_or_default(),
             epoch: 0,

@@ -9,6 +9,7 @@ use heliostat_models::calibrate::{Method, Row, Settings, Study, study};
 use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_models::evaluation::Estimate;
 use heliostat_scenario::ScenarioArgs;
+use heliostat_service::counted::counted;
 
 use crate::output::outln;
 
@@ -94,7 +95,13 @@ pub fn run(args: Args) -> Result<()> {
 fn print(study: &Study) -> Result<()> {
     let Study { scenario, policy, seed, seeds, states, rows, .. } = study;
     outln!(
-        "{scenario}, {policy}: sum rate in Mbit/s over {seeds} arrays (seeds from {seed}) with {states} states each; ± is the 95 % confidence interval of the mean"
+        "{scenario}, {policy}: sum rate in Mbit/s over {} (seeds from {seed}) with {} each; {}",
+        counted(*seeds, "array"),
+        counted(*states, "state"),
+        match seeds {
+            1 => "one seed gives no confidence interval: use --seeds 2 or more",
+            _ => "± is the 95 % confidence interval of the mean",
+        }
     )?;
     outln!(
         "{:>8} {:>14} {:>14} {:>14} {:>15} {:>15} {:>9} {:>8} {:>9} {:>8}",
@@ -135,5 +142,8 @@ fn print(study: &Study) -> Result<()> {
 }
 
 fn plus_minus(estimate: &Estimate, digits: usize) -> String {
+    if estimate.ci95.is_nan() {
+        return format!("{:.digits$}", estimate.mean);
+    }
     format!("{:.digits$} ±{:.digits$}", estimate.mean, estimate.ci95)
 }

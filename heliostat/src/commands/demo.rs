@@ -16,6 +16,7 @@ use heliostat_decide::policy::PolicyKind;
 use heliostat_engine::ActorSource;
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
+use heliostat_service::counted::counted;
 use heliostat_service::{Stop, duration, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, ProcessOrder, View};
 
@@ -76,9 +77,9 @@ pub fn run(args: Args) -> Result<()> {
     )?;
     let (room_id, controller_id) = processes.ids();
     output::note(format_args!(
-        "scenario {}: {} users, {} x {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
+        "scenario {}: {}, {} x {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
         scenario.name,
-        scenario.users.count,
+        counted(scenario.users.count, "user"),
         scenario.mirrors.rows,
         scenario.mirrors.columns,
         endpoints.0,
@@ -86,7 +87,7 @@ pub fn run(args: Args) -> Result<()> {
         endpoints.1
     ));
     let bus = Bus::open(&BusConfig::new(room.clone()).connect_to(endpoints.0).connect_to(endpoints.1))?;
-    let view = Arc::new(View::open(&bus, &scenario)?);
+    let view = Arc::new(View::open(&bus, Some(&scenario))?);
     let (process_orders, received_orders) = mpsc::channel();
     let server = args.page.serve(false, || {
         let operator = Operator::new(&bus, Some(process_orders))?;

@@ -7,6 +7,8 @@ mod system;
 
 use anyhow::{Result, bail};
 
+use heliostat_service::counted::counted;
+
 use crate::output::outln;
 pub use args::Args;
 use check::{Check, Verdict};
@@ -29,7 +31,6 @@ pub fn run(args: Args) -> Result<()> {
     }
     match failures {
         0 => Ok(()),
-        1 => bail!("1 check failed"),
-        _ => bail!("{failures} checks failed"),
+        _ => bail!("{} failed", counted(failures, "check")),
     }
 }

@@ -1,17 +1,21 @@
 //! `heliostat eval`: policies on the same states, compared with the oracle.
 
+mod html;
 mod output;
 mod sweep;
 
-use std::fs::File;
 use std::path::PathBuf;
+use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{EvaluatedPolicy, Loop, Settings, compare};
-use heliostat_scenario::ScenarioArgs;
+use heliostat_scenario::{Belief, ScenarioArgs};
+use heliostat_service::duration::seconds;
 
+use super::whole_file;
 use crate::output::outln;
+use html::Destination;
 use sweep::Sweep;
 
 /// The default policies; the first only if an actor is built in for the room.
@@ -25,7 +29,7 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 /// default each policy observes exact held-out states, and its mirrors move instantly. With
 /// --closed-loop, reports and mirrors have the rate, delay, noise and dynamics of the scenario. The
 /// oracle still knows the true state and moves its mirrors instantly. The decision time is that of
-/// the policy alone.
+/// the policy; in closed loop it includes belief and observation.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -52,9 +56,12 @@ pub struct Args {
     /// Simulate reports, delays, noise and mirror dynamics, instead of using held-out states
     #[arg(long)]
     closed_loop: bool,
-    /// Add a row for each policy with constant-velocity prediction of the users
-    #[arg(long, requires = "closed_loop")]
-    predicted: bool,
+    /// Evaluate each policy with these beliefs about the users, instead of the scenario's
+    #[arg(long, requires = "closed_loop", value_name = "A,B,C", value_delimiter = ',', value_enum)]
+    beliefs: Vec<Belief>,
+    /// Time in s from the controller's start to the first measured instant of an episode
+    #[arg(long, requires = "closed_loop", value_name = "SECONDS", default_value = "1", value_parser = seconds)]
+    warm: Duration,
     /// Add a row for each policy that ignores which mirrors are unusable
     #[arg(long, requires = "closed_loop")]
     unaware: bool,
@@ -65,6 +72,9 @@ pub struct Args {
     /// Also write the figures to a CSV file, one line for each policy
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+    /// Also write a report with tables and plots to one HTML file that needs no other file
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -97,9 +107,13 @@ impl Args {
             policies.retain(|evaluated| self.model.is_some() || evaluated.fits(&scenario));
         }
         let policies = policies.into_iter().flat_map(|evaluated| {
-            let predicted = if self.predicted { evaluated.predicted() } else { None };
+            let mut believing: Vec<_> =
+                self.beliefs.iter().filter_map(|belief| evaluated.with_belief(*belief)).collect();
             let unaware = self.unaware.then(|| evaluated.unaware());
-            [Some(evaluated), predicted, unaware].into_iter().flatten()
+            if believing.is_empty() {
+                believing.push(evaluated);
+            }
+            believing.into_iter().chain(unaware)
         });
         Ok(Settings {
             scenario,
@@ -107,6 +121,7 @@ impl Args {
             states: self.states as usize,
             seeds: self.seeds as usize,
             mode: if self.closed_loop { Loop::ClosedLoop } else { Loop::Static },
+            warm: self.warm,
             training_seed: self.training_seed,
         })
     }
@@ -121,14 +136,15 @@ pub fn run(args: Args) -> Result<()> {
         Some(sweep) => sweep.overrides().map(|change| args.settings(Some(change))).collect::<Result<_>>()?,
     };
     if let Some(file) = &args.csv {
-        // An unwritable file is refused before the work starts; existing content stays until the
-        // end.
-        let opened = File::options().create(true).append(true).open(file);
-        opened.with_context(|| format!("cannot write {}: expected a file in a folder that exists", file.display()))?;
+        whole_file::check_writable(file)?;
     }
+    let html = args.html.as_deref().map(Destination::new).transpose()?;
     let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
     if let Some(file) = &args.csv {
-        output::write_csv(file, sweep, &reports).with_context(|| format!("cannot write {}", file.display()))?;
+        whole_file::write(file, &output::csv(sweep, &reports)?)?;
+    }
+    if let Some(html) = html {
+        html.write(&settings[0].scenario, sweep, &reports)?;
     }
     match sweep {
         None if args.json => outln!("{}", serde_json::to_string(&reports[0])?)?,

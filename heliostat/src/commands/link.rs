@@ -9,6 +9,7 @@ use heliostat_channel::link::ber_ook;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::solver::QOS_PENALTY;
 use heliostat_scenario::{MinRate, Scenario, ScenarioArgs, USERS_MAX};
+use heliostat_service::counted::counted;
 use heliostat_sim::World;
 use serde::{Deserialize, Serialize};
 
@@ -29,8 +30,9 @@ pub struct Args {
     #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, conflicts_with = "users")]
     user: Vec<String>,
     /// Mirror angles: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or
-    /// aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), or a CSV with the
-    /// header roll_deg,yaw_deg and one line for each mirror in index order
+    /// aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), an ONNX actor
+    /// (FILE.onnx), or a CSV with the header roll_deg,yaw_deg and one line for each mirror in index
+    /// order
     #[arg(long, value_name = "HOW|FILE", default_value = "oracle", allow_hyphen_values = true)]
     angles: String,
     /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header
@@ -163,7 +165,12 @@ fn parse_user(text: &str) -> Result<UserRow> {
 
 fn set_user_count(scenario: &mut Scenario, count: usize) -> Result<()> {
     if let MinRate::Each(rates) = &scenario.users.min_rate_mbps {
-        ensure!(rates.len() == count, "users.min_rate_mbps has {} entries for {count} users", rates.len());
+        ensure!(
+            rates.len() == count,
+            "users.min_rate_mbps lists {} for {}",
+            counted(rates.len(), "value"),
+            counted(count, "user")
+        );
     }
     scenario.users.count = count;
     scenario.blockage.forced_users = scenario.blockage.forced_users.min(count);
@@ -275,9 +282,9 @@ fn print_table(report: &LinkBudgetReport) -> io::Result<()> {
         let mut blocked = link.los_blocked_by.join(", ");
         if link.mirrors_blocked > 0 {
             blocked.push_str(&format!(
-                "{}{} mirrors",
+                "{}{}",
                 if blocked.is_empty() { "" } else { "; " },
-                link.mirrors_blocked
+                counted(link.mirrors_blocked, "mirror")
             ));
         }
         outln!(

@@ -14,6 +14,7 @@ use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim::World;
 
 use super::mirrors::Instant;
+use super::whole_file;
 use crate::output::outln;
 use picture::Picture;
 use quantity::Quantity;
@@ -31,8 +32,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "rate")]
     what: Quantity,
     /// Mirror angles: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle or a
-    /// policy (flat, nearest, fixed-point, greedy, actor, random) for the users of the scenario, or
-    /// a CSV with the header roll_deg,yaw_deg
+    /// policy (flat, nearest, fixed-point, greedy, actor, random) or an ONNX actor (FILE.onnx) for
+    /// the users of the scenario, or a CSV with the header roll_deg,yaw_deg
     #[arg(
         long,
         value_name = "HOW|FILE",
@@ -75,6 +76,7 @@ pub fn run(args: Args) -> Result<()> {
     ensure!((0.0..=3600.0).contains(&args.at_seconds), "--at-seconds {}: expected 0 to 3600", args.at_seconds);
     let svg = args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
     ensure!(svg, "--out {}: expected a name that ends in .svg", args.out.display());
+    whole_file::check_writable(&args.out)?;
     let mut world = World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
     world.step(args.at_seconds);
     let instant = Instant::new(&scenario, world.model(), world.positions(), world.blockers(), world.forced());
@@ -82,17 +84,20 @@ pub fn run(args: Args) -> Result<()> {
     let mut evaluate = |scene: &Scene| value(args.what, &scenario, world.model(), scene, &angles);
     let map = over_floor(&scenario, &world, args.step_cm * 1e-2, &mut evaluate);
     let picture = Picture { quantity: args.what, mirrors: &args.array, scenario: &scenario, world: &world, map: &map };
-    picture.draw(&args.out).with_context(|| format!("cannot draw {}", args.out.display()))?;
+    let (svg, pixels_per_m) = picture.draw().with_context(|| format!("cannot draw {}", args.out.display()))?;
+    whole_file::write(&args.out, svg.as_bytes())?;
     let ([min, max], mean) = (map.range(), map.mean());
     if args.json {
         let summary = serde_json::json!({
             "file": args.out, "what": args.what.label(), "array": args.array, "scenario": scenario.name,
-            "min": min, "mean": mean, "max": max, "points": map.values.len(),
+            "min": min, "mean": mean, "max": max, "points": map.values.len(), "pixels_per_m": pixels_per_m,
         });
         outln!("{summary}")?;
     } else {
         let (what, file) = (args.what.label(), args.out.display());
-        outln!("{file}: {what} from {min:.3} to {max:.3}, mean {mean:.3}")?;
+        outln!(
+            "{file}: {what} from {min:.3} to {max:.3}, mean {mean:.3}; {pixels_per_m:.1} pixels a metre on both axes"
+        )?;
     }
     Ok(())
 }

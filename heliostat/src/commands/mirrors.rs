@@ -10,6 +10,7 @@ use heliostat_decide::observation::{Observation, RoomState};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_engine::{ActorSource, build};
 use heliostat_scenario::Scenario;
+use heliostat_service::counted::counted;
 use serde::Deserialize;
 
 use super::read_csv;
@@ -72,6 +73,10 @@ impl<'a> Instant<'a> {
             decode::aim_at_point(self.model, &point, &mut angles);
         } else if let Ok(kind) = PolicyKind::from_str(how, false) {
             build(kind, self.scenario, &ActorSource::Shipped)?.act(self.model, &self.observation, &mut angles)?;
+        } else if how.to_ascii_lowercase().ends_with(".onnx") {
+            // Any learned policy: the file determines the network.
+            let mut actor = build(PolicyKind::Ddpg, self.scenario, &ActorSource::Path(how.into()))?;
+            actor.act(self.model, &self.observation, &mut angles)?;
         } else if Path::new(how).exists() {
             angles = from_file(how, mirrors)?;
         } else {
@@ -80,7 +85,7 @@ impl<'a> Instant<'a> {
                 .filter_map(|kind| Some(kind.to_possible_value()?.get_name().to_owned()))
                 .collect();
             bail!(
-                "mirrors {how}: no such file; expected a CSV of angles, none, oracle, user:N, aim:X,Y or a policy: {}",
+                "mirrors {how}: no such file; expected a CSV of angles, an ONNX actor (FILE.onnx), none, oracle, user:N, aim:X,Y or a policy: {}",
                 policies.join(", ")
             );
         }
@@ -116,7 +121,8 @@ struct AngleRow {
 
 fn from_file(file: &str, mirrors: usize) -> Result<MirrorAngles> {
     let rows: Vec<AngleRow> = read_csv(file, &["roll_deg", "yaw_deg"], &[])?;
-    ensure!(rows.len() == mirrors, "{file} has angles for {} mirrors, the scenario has {mirrors}", rows.len());
+    let found = counted(rows.len(), "mirror");
+    ensure!(rows.len() == mirrors, "{file} has angles for {found}, the scenario has {mirrors}");
     let mut angles = MirrorAngles::flat(mirrors);
     for (index, row) in rows.iter().enumerate() {
         let allowed = row.roll_deg.abs() <= 90.0 && row.yaw_deg.abs() <= 90.0;

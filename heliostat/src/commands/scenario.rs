@@ -4,11 +4,12 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
-use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
+use anyhow::{Context, Result, bail};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, ScenarioError};
 use heliostat_sim::World;
 
 use crate::output::outln;
+use heliostat_service::counted::counted;
 
 /// Check, write or print a scenario.
 #[derive(Debug, clap::Args)]
@@ -19,7 +20,7 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Check a scenario file, and report errors with their line
+    /// Check a scenario file and its recorded walk, and list every problem with its line
     Check {
         /// The file
         file: String,
@@ -66,24 +67,66 @@ pub fn run(args: Args) -> Result<()> {
 
 fn check(file: String, json: bool) -> Result<()> {
     let args = ScenarioArgs { scenario: file, ..ScenarioArgs::default() };
-    let verdict = args.load().map_err(anyhow::Error::from).and_then(|scenario| {
-        // Building the world finds further errors, such as an unreadable recording of users.
-        World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
-        Ok(scenario)
-    });
+    let (scenario, problems) = problems(&args)?;
+    let valid = problems.is_empty();
     if json {
-        let problem = verdict.as_ref().err().map(|error| format!("{error:#}"));
-        outln!("{}", serde_json::json!({ "file": args.scenario, "valid": verdict.is_ok(), "problem": problem }))?;
-    } else if let Ok(scenario) = &verdict {
+        let first = problems.first();
         outln!(
-            "{}: valid: {} mode, {} users, {} x {} mirrors, configuration {}",
+            "{}",
+            serde_json::json!({ "file": args.scenario, "valid": valid, "problem": first, "problems": problems })
+        )?;
+    } else if let Some(scenario) = scenario.filter(|_| valid) {
+        outln!(
+            "{}: valid: {} mode, {}, {} x {} mirrors, configuration {}",
             args.scenario,
             scenario.channel.mode.name(),
-            scenario.users.count,
+            counted(scenario.users.count, "user"),
             scenario.mirrors.rows,
             scenario.mirrors.columns,
             scenario.hash()
         )?;
     }
-    verdict.map(|_| ()).with_context(|| format!("{} cannot be used", args.scenario))
+    match problems.as_slice() {
+        [] => Ok(()),
+        [problem] => bail!("{} cannot be used: {problem}", args.scenario),
+        several => bail!("{} cannot be used: {} problems\n{}", args.scenario, several.len(), several.join("\n")),
+    }
+}
+
+/// The scenario, with defaults in place of refused keys, and all problems of the file and of its
+/// recorded walk.
+fn problems(args: &ScenarioArgs) -> Result<(Option<Scenario>, Vec<String>)> {
+    let text = args.text().with_context(|| format!("{} cannot be used", args.scenario))?;
+    let checked = Scenario::check_all(&text);
+    let mut problems: Vec<String> = checked.problems.iter().map(|problem| in_file(problem, &args.scenario)).collect();
+    let Some(mut scenario) = checked.scenario else { return Ok((None, problems)) };
+    args.find_trace(&mut scenario);
+    let trace = match scenario.read_trace() {
+        Ok(trace) => trace,
+        Err(error) => {
+            problems.push(error.to_string());
+            return Ok((Some(scenario), problems));
+        }
+    };
+    // With the default of a refused key, lines of the walk could be refused without a reason.
+    let is_certain = !problems.iter().any(|problem| problem.contains("users.") || problem.contains("room."));
+    if let (Some(text), Some(path), true) = (&trace, &scenario.users.trace, is_certain) {
+        let of_trace = World::trace_problems(&scenario, text);
+        problems.extend(of_trace.iter().map(|problem| format!("users.trace: {path}: {problem}")));
+    }
+    if problems.is_empty()
+        && let Err(error) = World::new(&scenario, trace.as_deref(), scenario.seed)
+    {
+        // Values that do not fit together, such as an LED behind the wall of the array.
+        problems.push(error.to_string());
+    }
+    Ok((Some(scenario), problems))
+}
+
+/// A problem as text, with the name of the file where the parser knows none.
+fn in_file(problem: &ScenarioError, file: &str) -> String {
+    match problem {
+        ScenarioError::Parse { origin, message } if origin == "scenario" => format!("{file}: {message}"),
+        other => other.to_string(),
+    }
 }

@@ -40,7 +40,7 @@ struct OrderArgs {
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
     /// Longest wait for the confirmation in seconds
-    #[arg(long, value_name = "N", default_value = "5", value_parser = duration::seconds)]
+    #[arg(long, value_name = "N", default_value = "5", value_parser = duration::seconds, allow_negative_numbers = true)]
     timeout: Duration,
     /// Print the result as JSON
     #[arg(long)]

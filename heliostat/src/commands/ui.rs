@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::ValueEnum;
 use heliostat_bus::{AccessRole, Bus, BusArgs};
 use heliostat_decide::policy::PolicyKind;
-use heliostat_scenario::ScenarioArgs;
+use heliostat_scenario::ViewerScenarioArgs;
 use heliostat_service::{duration, output, signals};
 use heliostat_ui::{Display, Operator, Page, PageArgs, View};
 
@@ -17,12 +17,12 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 /// Display a running room, simulated or real, in a browser and on the terminal.
 ///
 /// Connect to the room's process and to the controller, since peers do not forward messages, or to
-/// the router of both. The scenario describes the room: use the same as for the other processes.
-/// The page has the buttons of `heliostat demo`, except those that kill or restart the controller.
+/// the router of both. Room and controller announce the geometry that is drawn; --scenario is for a
+/// room in which neither does. The page has the buttons of `heliostat demo`, except those that kill or restart the controller.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    scenario: ScenarioArgs,
+    scenario: ViewerScenarioArgs,
     #[command(flatten)]
     bus: BusArgs,
     #[command(flatten)]
@@ -45,7 +45,7 @@ pub fn run(args: Args) -> Result<()> {
         output::note("with the certificate of a viewer only the stop button acts; the others need that of an operator");
     }
     let bus = Bus::open(&config)?;
-    let view = Arc::new(View::open(&bus, &scenario)?);
+    let view = Arc::new(View::open(&bus, scenario.as_ref())?);
     let room = config.room.name().to_owned();
     let server = args.page.serve(config.is_authenticated(), || {
         let operator = Operator::new(&bus, None)?;

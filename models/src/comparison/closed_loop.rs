@@ -11,7 +11,7 @@
 //! rate is that of the users present. It counts as 0 at a time without users, which has no ratio and
 //! no share of users.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use heliostat_array::moment::Moment;
@@ -28,8 +28,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
-use super::row::{Row, Rows};
-use super::settings::{Loop, RANDOM_DRAWS, Settings};
+use super::row::{Rows, rows};
+use super::settings::{RANDOM_DRAWS, Settings};
 use crate::evaluation::held_out::{SETTLE_S, best_angles, held_out_seed};
 
 /// Sampling times of an episode.
@@ -37,9 +37,6 @@ const INSTANTS: usize = 20;
 
 /// Mean time between two samples in ns.
 const SPACING_NS: u64 = 250_000_000;
-
-/// From the controller's start to the first sampling interval in ns.
-const LEAD_NS: u64 = 1_000_000_000;
 
 /// One room and its sampling times.
 pub(super) struct Episode {
@@ -50,9 +47,10 @@ pub(super) struct Episode {
 }
 
 impl Episode {
-    pub fn new(seed: u64, set: u64, instants: usize) -> Self {
+    pub fn new(seed: u64, set: u64, instants: usize, warm: Duration) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
-        let share = |index: u64| start_ns() + LEAD_NS + index * SPACING_NS + generator.random_range(0..SPACING_NS);
+        let first_ns = start_ns() + warm.as_nanos() as u64;
+        let share = |index: u64| first_ns + index * SPACING_NS + generator.random_range(0..SPACING_NS);
         Self { seed, set, instants_ns: (0..instants as u64).map(share).collect() }
     }
 }
@@ -76,16 +74,16 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     }
     bar.reset();
     bar.set_length(settings.policies.len() as u64);
-    let mut rows = Vec::new();
+    let mut runs = Vec::new();
     for evaluated in &settings.policies {
         bar.set_message(format!("policies: {}", evaluated.name()));
         let trainings = evaluated.trainings(scenario, settings.training_seed).into_iter();
-        let runs: Vec<Run> =
+        let of_policy: Vec<Run> =
             trainings.map(|one| run(settings, &one, &episodes, &mut evaluator)).collect::<anyhow::Result<_>>()?;
-        rows.push(Row::new(&runs, &oracle, (evaluated, Loop::ClosedLoop)));
+        runs.push(of_policy);
         bar.inc(1);
     }
-    Ok((Row::of_oracle(&oracle, Loop::ClosedLoop), rows))
+    Ok(rows(settings, &runs, &oracle))
 }
 
 fn episodes(settings: &Settings) -> Vec<Episode> {
@@ -93,7 +91,7 @@ fn episodes(settings: &Settings) -> Vec<Episode> {
     for set in 0..settings.seeds as u64 {
         for (index, first) in (0..settings.states).step_by(INSTANTS).enumerate() {
             let seed = held_out_seed(settings.scenario.seed.wrapping_add(set), index as u64);
-            episodes.push(Episode::new(seed, set, INSTANTS.min(settings.states - first)));
+            episodes.push(Episode::new(seed, set, INSTANTS.min(settings.states - first), settings.warm));
         }
     }
     episodes
@@ -195,12 +193,12 @@ impl Lockstep {
             Event::Channel(report) => Message::Channel(report),
             Event::Users(report) => Message::Users(report),
         };
-        let mut observed = Instant::now();
+        let arrived = Instant::now();
         let decisions_us = &mut self.decisions_us;
-        let mut mark = |stage| match stage {
-            Stage::Observed => observed = Instant::now(),
-            Stage::Inferred => decisions_us.push(observed.elapsed().as_secs_f64() * 1e6),
-            _ => {}
+        let mut mark = |stage| {
+            if stage == Stage::Inferred {
+                decisions_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+            }
         };
         match self.controller.handle_and_poll(now.room_ns, message, &mut mark) {
             Some(Decision::Move { command, .. }) => {

@@ -9,7 +9,7 @@ use heliostat_decide::observation::Observation;
 use heliostat_decide::policy::{Policy, PolicyKind};
 use heliostat_decide::safety::Limits;
 use heliostat_engine::{ActorSource, build, shipped};
-use heliostat_scenario::{Prediction, Scenario};
+use heliostat_scenario::{Belief, Scenario};
 use heliostat_sim::World;
 use thiserror::Error;
 
@@ -18,9 +18,6 @@ use crate::environment::room::observe;
 
 /// The name of the policy that evaluates every codeword of the codebook.
 const CODEBOOK: &str = "codebook";
-
-/// Suffix of a policy that predicts the users' positions.
-const PREDICTION_SUFFIX: &str = "+prediction";
 
 /// Suffix of a policy without telemetry of unusable mirrors.
 const UNAWARE_SUFFIX: &str = "-unaware";
@@ -44,7 +41,8 @@ enum Origin {
 pub struct EvaluatedPolicy {
     name: String,
     origin: Origin,
-    prediction: Option<Prediction>,
+    /// Replaces the scenario's belief.
+    belief: Option<Belief>,
     /// Whether telemetry leaves the unusable mirrors unnamed.
     unaware: bool,
 }
@@ -64,7 +62,7 @@ impl EvaluatedPolicy {
             let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
             Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
-        Ok(Self { name: name.into(), origin, prediction: None, unaware: false })
+        Ok(Self { name: name.into(), origin, belief: None, unaware: false })
     }
 
     /// The names of all policies.
@@ -74,16 +72,12 @@ impl EvaluatedPolicy {
         names.chain([CODEBOOK.into()]).collect()
     }
 
-    /// The same policy with constant-velocity prediction of the users, for closed loop; it replaces
-    /// the scenario's. `None` for policies that do not observe the users.
-    pub fn predicted(&self) -> Option<Self> {
+    /// The same policy with this belief about the users, for closed loop; it replaces the
+    /// scenario's. `None` for policies that do not observe the users.
+    pub fn with_belief(&self, belief: Belief) -> Option<Self> {
         use PolicyKind::{Flat, Hold, NoIrs, Random};
         let blind = matches!(self.origin, Origin::Kind(Flat | Hold | NoIrs | Random, _));
-        (!blind).then(|| Self {
-            name: format!("{}{PREDICTION_SUFFIX}", self.name),
-            prediction: Some(Prediction::ConstantVelocity),
-            ..self.clone()
-        })
+        (!blind).then(|| Self { name: format!("{}+{belief}", self.name), belief: Some(belief), ..self.clone() })
     }
 
     /// The same policy in closed loop without telemetry of unusable mirrors.
@@ -149,7 +143,7 @@ impl EvaluatedPolicy {
     /// The scenario of the policy's controller.
     pub(super) fn scenario(&self, scenario: &Scenario) -> Scenario {
         let mut scenario = scenario.clone();
-        scenario.control.prediction = self.prediction.unwrap_or(scenario.control.prediction);
+        scenario.control.belief = self.belief.unwrap_or(scenario.control.belief);
         scenario
     }
 
@@ -174,8 +168,11 @@ mod tests {
         }
         assert!(EvaluatedPolicy::names().contains(&"ddpg".to_string()));
         assert!(parse("random").unwrap().is_random() && !parse("some/where.onnx").unwrap().is_random());
-        assert_eq!(parse("greedy").unwrap().predicted().unwrap().name(), "greedy+prediction");
-        assert!(parse("flat").unwrap().predicted().is_none());
+        assert_eq!(
+            parse("greedy").unwrap().with_belief(Belief::ConstantVelocity).unwrap().name(),
+            "greedy+constant-velocity"
+        );
+        assert!(parse("flat").unwrap().with_belief(Belief::Filter).is_none());
         let message = parse("gredy").unwrap_err().to_string();
         assert!(
             message.contains("\"gredy\"") && message.contains("greedy") && message.contains("exhaustive"),

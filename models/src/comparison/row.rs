@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Run, Sample};
-use super::settings::Loop;
+use super::settings::{Loop, Settings};
 use crate::evaluation::Estimate;
 
 /// A quantity over all states. In JSON a missing number, such as the rate of blocked users without
@@ -57,11 +57,45 @@ pub struct Times {
 /// Rows of the oracle and of each policy.
 pub(super) type Rows = (Row, Vec<Row>);
 
+/// The rows of a comparison; the first policy is the one that the others are subtracted from.
+pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>]) -> Rows {
+    let of_policies = settings.policies.iter().zip(runs).enumerate().map(|(index, (evaluated, own))| Row {
+        difference_mbps: (index > 0).then(|| difference(own, &runs[0])),
+        ..Row::new(own, oracle, (evaluated, settings.mode))
+    });
+    (Row::of_oracle(oracle, settings.mode), of_policies.collect())
+}
+
+/// Sum rate of a policy minus that of the first policy, paired state by state.
+///
+/// Several runs of the first policy are averaged in each state. Their spread widens the interval,
+/// because the difference would be another one for other runs.
+fn difference(own: &[Run], first: &[Run]) -> Spread {
+    let rates = |runs: &[Run]| -> Vec<Vec<Vec<f64>>> {
+        let rates = |group: &Vec<Sample>| group.iter().map(|sample| sample.sum_rate_mbps).collect();
+        runs.iter().map(|run| run.groups.iter().map(rates).collect()).collect()
+    };
+    let first = rates(first);
+    let of_first = |group: usize, state: usize| mean(&first.iter().map(|run| run[group][state]).collect::<Vec<_>>());
+    let mut differences = rates(own);
+    for (group, values) in differences.iter_mut().flat_map(|run| run.iter_mut().enumerate()) {
+        values.iter_mut().enumerate().for_each(|(state, value)| *value -= of_first(group, state));
+    }
+    let of_runs: Vec<f64> = first.iter().map(|run| mean(&run.concat())).collect();
+    let over_runs = if of_runs.len() > 1 { Estimate::of(&of_runs).ci95 } else { 0.0 };
+    let paired = Spread::of(&differences);
+    Spread { ci95: paired.ci95.hypot(over_runs), ..paired }
+}
+
 /// The results of one policy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Row {
     /// Sum rate in Mbit/s.
     pub sum_rate_mbps: Spread,
+    /// Sum rate minus that of the first policy in Mbit/s, state by state; `None` for the first policy
+    /// and for the oracle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference_mbps: Option<Spread>,
     /// Ratio of the sum rate to that of the oracle with minimum rates, state by state; missing
     /// where no user can be served.
     pub ratio_to_oracle: Spread,
@@ -117,6 +151,7 @@ impl Row {
         };
         Self {
             sum_rate_mbps: spread(|sample| sample.sum_rate_mbps),
+            difference_mbps: None,
             ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()),
             qos_met: spread(|sample| sample.met),
             jain: spread(|sample| sample.jain),
@@ -175,6 +210,34 @@ mod tests {
         let gap = of(&[vec![f64::NAN], vec![2.0], vec![4.0]]);
         assert_eq!(gap.mean, 3.0);
         assert!(of(&[vec![f64::NAN]]).mean.is_nan() && of(&[vec![1.0, 2.0]]).ci95.is_nan());
+    }
+
+    /// Runs with one state in each group.
+    fn runs(rates: &[&[f64]]) -> Vec<Run> {
+        let sample = |rate: &f64| {
+            vec![Sample { sum_rate_mbps: *rate, met: 1.0, jain: 1.0, blocked_rate_mbps: f64::NAN, ber: 0.0 }]
+        };
+        rates.iter().map(|rates| Run { groups: rates.iter().map(sample).collect(), decisions_us: vec![] }).collect()
+    }
+
+    #[test]
+    fn paired_differences_ignore_what_both_policies_share() {
+        let first = runs(&[&[10.0, 20.0, 30.0, 40.0]]);
+        let better = difference(&runs(&[&[11.0, 22.0, 31.0, 42.0]]), &first);
+        // The differences are 1, 2, 1 and 2: a standard error of sqrt(1/3) / 2.
+        assert_eq!((better.mean, difference(&first, &first).ci95), (1.5, 0.0));
+        assert!((better.ci95 - T_3 * (1.0_f64 / 3.0).sqrt() / 2.0).abs() < 1e-9, "{better:?}");
+    }
+
+    #[test]
+    fn the_training_spread_of_the_first_policy_widens_the_difference() {
+        let own = runs(&[&[12.0, 23.0, 32.0, 43.0]]);
+        let (one, two) =
+            (runs(&[&[10.0, 20.0, 30.0, 40.0]]), runs(&[&[9.0, 19.0, 29.0, 39.0], &[11.0, 21.0, 31.0, 41.0]]));
+        let [one, two] = [one, two].map(|first| difference(&own, &first));
+        assert_eq!((one.mean, two.mean), (2.5, 2.5));
+        // Over runs: a standard error of sqrt(2) / sqrt(2).
+        assert!((two.ci95 - one.ci95.hypot(T_1)).abs() < 1e-9, "{one:?} {two:?}");
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The settings of a comparison.
 
+use std::time::Duration;
+
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
@@ -18,6 +20,11 @@ pub enum Loop {
     ClosedLoop,
 }
 
+impl Settings {
+    /// The usual time from the controller's start to the first sampling interval.
+    pub const WARM: Duration = Duration::from_secs(1);
+}
+
 /// The policies and the states of a comparison.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -31,6 +38,8 @@ pub struct Settings {
     pub seeds: usize,
     /// Static or closed loop.
     pub mode: Loop,
+    /// In closed loop, the time from the controller's start to the first sampling interval.
+    pub warm: Duration,
     /// Training seed of the built-in actors to evaluate; `None` evaluates all of them.
     pub training_seed: Option<u32>,
 }

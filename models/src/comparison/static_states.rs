@@ -11,8 +11,8 @@ use indicatif::ProgressBar;
 
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
-use super::row::{Row, Rows};
-use super::settings::{Loop, RANDOM_DRAWS, Settings};
+use super::row::{Rows, rows};
+use super::settings::{RANDOM_DRAWS, Settings};
 use crate::environment::room::observe;
 use crate::evaluation::held_out::{best_angles, held_out_world};
 
@@ -25,18 +25,18 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
     let mut evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
     let states = states(settings, bar, &evaluator)?;
     let oracle: Vec<Vec<Sample>> = solve(&states, bar, &mut evaluator);
-    let mut rows = Vec::new();
+    let mut runs = Vec::new();
     bar.reset();
     bar.set_length(settings.policies.len() as u64);
     for evaluated in &settings.policies {
         bar.set_message(format!("policies: {}", evaluated.name()));
         let trainings = evaluated.trainings(scenario, settings.training_seed).into_iter();
-        let runs: Vec<Run> =
+        let of_policy: Vec<Run> =
             trainings.map(|one| run(settings, &one, &states, &mut evaluator)).collect::<anyhow::Result<_>>()?;
-        rows.push(Row::new(&runs, &oracle, (evaluated, Loop::Static)));
+        runs.push(of_policy);
         bar.inc(1);
     }
-    Ok((Row::of_oracle(&oracle, Loop::Static), rows))
+    Ok(rows(settings, &runs, &oracle))
 }
 
 fn states(settings: &Settings, bar: &ProgressBar, evaluator: &Evaluator) -> anyhow::Result<Vec<Observation>> {

@@ -193,6 +193,10 @@ pub fn safety_report() -> SafetyReport {
     }
 }
 
+pub fn room_geometry() -> RoomGeometry {
+    RoomGeometry { stamp: stamp(), scenario: "[room]\nheight_m = 2.5\n".into() }
+}
+
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
     encode(message, &mut payload).expect("the sample is valid");
@@ -216,6 +220,7 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("controller control", encoded(&controller_control())),
         ("re-arm", encoded(&rearm())),
         ("safety report", encoded(&safety_report())),
+        ("room geometry", encoded(&room_geometry())),
     ]
 }
 

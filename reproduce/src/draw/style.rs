@@ -17,7 +17,7 @@ pub const QUOTED: [u8; 3] = [0xD5, 0x00, 0x32];
 
 /// The style of a policy, of a walking speed (`1.5 m/s`), or of a symbol on a map.
 pub fn style(name: &str) -> Style {
-    // A suffix such as "+prediction" does not change the colour.
+    // A suffix such as "+filter" does not change the colour.
     let policy = name.split(['+', ' ']).next().unwrap_or(name);
     let hex = match policy {
         "oracle" => 0x000000,
@@ -133,8 +133,8 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_keeps_its_colour_under_prediction_and_numbers_are_short() {
-        assert_eq!(style("ddpg+prediction"), style("ddpg"));
+    fn a_policy_keeps_its_colour_with_any_belief_and_numbers_are_short() {
+        assert_eq!(style("ddpg+filter"), style("ddpg"));
         assert_eq!(html(style("ddpg").rgb), "#0072B2");
         assert_eq!([0.5, 20.0, 0.0, 1e-7, 123.4].map(short_number), ["0.5", "20", "0", "1e-7", "123"]);
     }

@@ -10,7 +10,7 @@ use anyhow::Result;
 use heliostat_channel::link::ber_ook;
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::{EvaluatedPolicy, kept_sinr};
-use heliostat_scenario::{Actuator, ActuatorProfile, MinRate, Prediction, Scenario};
+use heliostat_scenario::{Actuator, ActuatorProfile, Belief, MinRate, Scenario};
 
 use super::finished_parts::{Done, groups, intervals, series};
 use crate::figure::{Axis, Figure, Panel, Quoted};
@@ -86,7 +86,7 @@ impl Aim {
         room.streams.channel.latency_ms = self.latency_ms;
         // A command is valid until the next one.
         room.control.validity_ms = room.control.validity_ms.max(4.0 * self.interval_ms);
-        room.control.prediction = if self.prediction { Prediction::ConstantVelocity } else { Prediction::None };
+        room.control.belief = if self.prediction { Belief::ConstantVelocity } else { Belief::None };
         room
     }
 

@@ -127,8 +127,15 @@ impl Baselines {
         let scenario = Scenario { seed: 0, ..sized(scenario, self.side, self.blocked)? };
         let source = ActorSource::Shipped;
         let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, &source)).collect::<Result<_, _>>()?;
-        let settings =
-            Settings { scenario, policies, states: self.states, seeds: 1, mode: Loop::Static, training_seed: Some(1) };
+        let settings = Settings {
+            scenario,
+            policies,
+            states: self.states,
+            seeds: 1,
+            mode: Loop::Static,
+            training_seed: Some(1),
+            warm: Settings::WARM,
+        };
         let report = compare_under(&settings, &ProgressBar::hidden())?;
         let oracle = std::iter::once(("oracle", &report.oracle));
         let rows = oracle.chain(report.policies.iter().map(|(name, row)| (name.as_str(), row)));

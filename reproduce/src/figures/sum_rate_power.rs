@@ -71,6 +71,7 @@ impl Power {
             scenario.led.power_w = *power_w;
             let policies = POLICIES.iter().map(|name| EvaluatedPolicy::parse(name, actor)).collect::<Result<_, _>>()?;
             let settings = Settings {
+                warm: Settings::WARM,
                 scenario,
                 policies,
                 states: self.states,

@@ -85,7 +85,19 @@ pub enum TraceError {
         /// How many users the scenario has.
         users: usize,
     },
+    /// All samples are of one time, so there is no walk.
+    #[error(
+        "all samples are of the time {time} s: expected at least two times; users who stand still need no recording, \
+         only users.speed_min_m_s = 0 and users.speed_max_m_s = 0"
+    )]
+    OneTime {
+        /// The time in s.
+        time: f64,
+    },
 }
+
+/// Largest number of problems that are listed.
+const PROBLEMS_MAX: usize = 50;
 
 #[derive(Clone, Copy, Debug)]
 struct Sample {
@@ -110,36 +122,30 @@ impl Trace {
     /// # Errors
     /// [`TraceError`], with the line.
     pub fn parse(text: &str, users: usize, floor: &Floor) -> Result<Self, TraceError> {
-        let mut samples: Vec<Vec<Sample>> = vec![Vec::new(); users];
-        let mut header_seen = false;
-        for (index, row) in text.lines().enumerate() {
-            let (line, row) = (index + 1, row.trim());
-            if row.is_empty() || row.starts_with('#') {
-                continue;
-            }
-            if !header_seen {
-                if row.split(',').map(str::trim).ne(["time", "user", "x", "y"]) {
-                    return Err(TraceError::Header { line, found: row.to_owned() });
-                }
-                header_seen = true;
-                continue;
-            }
-            let (user, sample) = parse_row(line, row, floor)?;
-            let Some(list) = samples.get_mut(user) else {
-                return Err(TraceError::User { line, user, last: users.saturating_sub(1) });
-            };
-            if let Some(previous) = list.last().filter(|previous| previous.time >= sample.time) {
-                return Err(TraceError::Order { line, user, time: sample.time, previous: previous.time });
-            }
-            list.push(sample);
+        let mut first = None;
+        let samples = read(text, users, floor, &mut |problem| {
+            first = Some(problem);
+            false
+        });
+        match first {
+            Some(problem) => Err(problem),
+            None => Ok(Self::of(samples)),
         }
-        if let Some(user) = samples.iter().position(Vec::is_empty) {
-            return Err(TraceError::Missing { user, users });
-        }
-        let times = || samples.iter().flatten().map(|sample| sample.time);
-        let start = times().fold(f64::INFINITY, f64::min);
-        let end = times().fold(f64::NEG_INFINITY, f64::max);
-        Ok(Self { users: samples, start, duration: end - start, time: 0.0 })
+    }
+
+    /// All problems of a recorded walk, at most 50 of them.
+    pub fn problems(text: &str, users: usize, floor: &Floor) -> Vec<TraceError> {
+        let mut problems = Vec::new();
+        read(text, users, floor, &mut |problem| {
+            problems.push(problem);
+            problems.len() < PROBLEMS_MAX
+        });
+        problems
+    }
+
+    fn of(users: Vec<Vec<Sample>>) -> Self {
+        let [start, end] = times(&users);
+        Self { users, start, duration: end - start, time: 0.0 }
     }
 
     /// Advances the playback by `dt_s` seconds.
@@ -171,6 +177,57 @@ impl Trace {
             }
         }
     }
+}
+
+/// The first and the last time of all samples in s.
+fn times(users: &[Vec<Sample>]) -> [f64; 2] {
+    let times = || users.iter().flatten().map(|sample| sample.time);
+    [times().fold(f64::INFINITY, f64::min), times().fold(f64::NEG_INFINITY, f64::max)]
+}
+
+/// Reads the samples of each user, and reports each problem; stops where `report` returns false.
+fn read(text: &str, users: usize, floor: &Floor, report: &mut dyn FnMut(TraceError) -> bool) -> Vec<Vec<Sample>> {
+    let mut samples: Vec<Vec<Sample>> = vec![Vec::new(); users];
+    let lines = text.lines().enumerate().map(|(index, row)| (index + 1, row.trim()));
+    let mut rows = lines.filter(|(_, row)| !row.is_empty() && !row.starts_with('#'));
+    if let Some((line, row)) = rows.next()
+        && row.split(',').map(str::trim).ne(["time", "user", "x", "y"])
+        && !report(TraceError::Header { line, found: row.to_owned() })
+    {
+        return samples;
+    }
+    let mut is_complete = true;
+    for (line, row) in rows {
+        if let Err(problem) = add_row(line, row, floor, &mut samples) {
+            is_complete = false;
+            if !report(problem) {
+                return samples;
+            }
+        }
+    }
+    for user in (0..users).filter(|user| samples[*user].is_empty()) {
+        // A refused line may have been the user's only one.
+        if is_complete && !report(TraceError::Missing { user, users }) {
+            return samples;
+        }
+    }
+    let [start, end] = times(&samples);
+    if is_complete && start == end {
+        report(TraceError::OneTime { time: start });
+    }
+    samples
+}
+
+/// Adds the sample of a row to its user.
+fn add_row(line: usize, row: &str, floor: &Floor, samples: &mut [Vec<Sample>]) -> Result<(), TraceError> {
+    let (user, sample) = parse_row(line, row, floor)?;
+    let last = samples.len().saturating_sub(1);
+    let list = samples.get_mut(user).ok_or(TraceError::User { line, user, last })?;
+    if let Some(previous) = list.last().filter(|previous| previous.time >= sample.time) {
+        return Err(TraceError::Order { line, user, time: sample.time, previous: previous.time });
+    }
+    list.push(sample);
+    Ok(())
 }
 
 fn between(a: &Sample, b: &Sample, now: f64) -> ([f64; 2], [f64; 2]) {
@@ -229,6 +286,27 @@ mod tests {
         assert_eq!(at(&trace)[0].position, Vec3::new(2.0, 1.0, 0.85));
         trace.step(1.0 + 4.0 + 0.25);
         assert_eq!(at(&trace)[0].position, Vec3::new(0.25, 0.0, 0.85));
+    }
+
+    #[test]
+    fn a_recording_of_one_row_is_refused_with_what_is_expected() {
+        let error = |text: &str, users| Trace::parse(text, users, &FLOOR).unwrap_err().to_string();
+        for (rows, users) in [("3,0,1,1\n", 1), ("3,0,1,1\n3,1,0,0\n", 2)] {
+            let text = error(&format!("time,user,x,y\n{rows}"), users);
+            assert!(text.contains("time 3 s") && text.contains("at least two times"), "{text}");
+        }
+        assert!(error("time,user,x,y\n", 1).contains("user 0 has no sample"));
+    }
+
+    #[test]
+    fn all_problems_of_a_recording_are_listed() {
+        let text = "time,user,x,y\n0,0,9,0\n0,1,1,1\n1,1,a,1\n0,1,1,1\n2,7,0,0\n";
+        let lines: Vec<String> = Trace::problems(text, 2, &FLOOR).iter().map(ToString::to_string).collect();
+        assert_eq!(lines.len(), 4, "{lines:?}");
+        for (line, number) in lines.iter().zip([2, 4, 5, 6]) {
+            assert!(line.starts_with(&format!("line {number}: ")), "{line}");
+        }
+        assert!(Trace::problems(TWO, 2, &FLOOR).is_empty());
     }
 
     #[test]

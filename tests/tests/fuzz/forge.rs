@@ -106,6 +106,7 @@ impl<'s, 'a> Forge<'s, 'a> {
             Kind::ControllerControl => encode(&self.controller_control(), out),
             Kind::Rearm => encode(&self.rearm(), out),
             Kind::SafetyReport => encode(&self.safety(), out),
+            Kind::RoomGeometry => encode(&self.geometry(), out),
         }
         .is_ok()
     }
@@ -315,6 +316,10 @@ impl<'s, 'a> Forge<'s, 'a> {
             sequence_step_max: self.whole(1_000_000),
             ..example_of()
         }
+    }
+
+    fn geometry(&mut self) -> RoomGeometry {
+        RoomGeometry { stamp: self.stamp(), scenario: self.text("[room]\nheight_m = 2.5\n") }
     }
 
     fn calibration(&mut self) -> Calibration {

@@ -319,6 +319,9 @@ impl Room {
             Kind::NodeStatus => consume(&payload, |_: NodeStatus| {}),
             Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
             Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
+            Kind::RoomGeometry => consume(&payload, |report: RoomGeometry| {
+                drop(Scenario::from_geometry_toml(&report.scenario));
+            }),
             Kind::Rearm => {
                 let order = decode::<Rearm>(&payload);
                 if let Ok(order) = &order {

@@ -91,7 +91,14 @@ impl Plan {
         let (start, mut decisions) = (Instant::now(), 0);
         for turn in 0.. {
             let turn = if turn % (SHARE + 1) == 0 { Turn::Reference } else { Turn::Measured };
-            let done = act(turn, self.block())?;
+            let mut block = self.block();
+            if let (Turn::Measured, Amount::Decisions(expected)) = (turn, self.amount) {
+                block.reports = block.reports.min(expected - decisions);
+            }
+            if block.reports == 0 {
+                continue;
+            }
+            let done = act(turn, block)?;
             if turn == Turn::Reference {
                 let enough = match self.amount {
                     Amount::Decisions(expected) => decisions >= expected,
@@ -134,6 +141,20 @@ mod tests {
     }
 
     #[test]
+    fn no_more_decisions_are_measured_than_requested() {
+        for (hz, decisions) in [(Some(200.0), 30), (None, 30), (Some(1000.0), 501)] {
+            let plan = Plan { hz, amount: Amount::Decisions(decisions) };
+            let mut measured = 0;
+            plan.take_turns(|turn, block| {
+                measured += if turn == Turn::Measured { block.reports } else { 0 };
+                Ok(block.reports)
+            })
+            .unwrap();
+            assert_eq!(measured, decisions, "{hz:?}");
+        }
+    }
+
+    #[test]
     fn the_two_sides_alternate_until_enough_is_measured() {
         let plan = Plan { hz: Some(1000.0), amount: Amount::Decisions(2500) };
         let (mut turns, mut measured) = (Vec::new(), 0);
@@ -143,7 +164,7 @@ mod tests {
             Ok(block.reports)
         })
         .unwrap();
-        assert_eq!(measured, 3000);
+        assert_eq!(measured, 2500);
         assert_eq!(turns.first(), Some(&Turn::Reference));
         assert_eq!(turns.last(), Some(&Turn::Reference));
         assert_eq!(turns.iter().filter(|turn| **turn == Turn::Reference).count(), 4);

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io;
 
 use anyhow::{Context, Result};
+use heliostat_controller::report::summary::{ClippedSummary, PolicySummary};
 use heliostat_proto::Quantiles;
 use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
@@ -32,7 +33,7 @@ struct RoomPart {
     late_ticks: u64,
     commands: u64,
     loop_us: Quantiles,
-    sum_rate_mbps: SumRates,
+    sum_rate_mbps: Option<SumRates>,
     ratio_to_oracle: Option<f64>,
     qos_met: Option<f64>,
     qos_met_oracle: Option<f64>,
@@ -49,7 +50,10 @@ struct RoomPart {
 /// The summary of the controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct ControllerPart {
+    /// The policy in charge at the end.
     policy: String,
+    policies: BTreeMap<String, PolicySummary>,
+    clipped: ClippedSummary,
     decisions: u64,
     over_budget: u64,
     over_budget_by: BTreeMap<String, u64>,
@@ -63,6 +67,39 @@ struct ControllerPart {
     refused: BTreeMap<String, u64>,
     #[serde(rename(serialize = "controller_problem"))]
     last_problem: String,
+}
+
+impl ControllerPart {
+    /// The policies that gave angles, and the fallback if it did.
+    fn credited(&self) -> Vec<String> {
+        let own = self.policies.iter().filter(|(_, figures)| figures.commands > 0);
+        let mut names: Vec<String> = own.map(|(name, _)| name.clone()).collect();
+        if self.policies.values().any(|figures| figures.fallbacks > 0) {
+            names.push("fallback".into());
+        }
+        if names.is_empty() { vec![self.policy.clone()] } else { names }
+    }
+
+    /// Prints a line for each policy, where the figures of all are not those of one.
+    fn print_policies(&self) -> io::Result<()> {
+        if self.credited().len() < 2 {
+            return Ok(());
+        }
+        outln!(
+            "{:<26}{:>10}{:>10}{:>10}{:>10}{:>10}",
+            "policy",
+            "decisions",
+            "commands",
+            "fallbacks",
+            "p50 (us)",
+            "p99 (us)"
+        )?;
+        for (name, figures) in &self.policies {
+            let PolicySummary { decisions, commands, fallbacks, decision_us: times, .. } = figures;
+            outln!("{name:<26}{decisions:>10}{commands:>10}{fallbacks:>10}{:>10.0}{:>10.0}", times.p50, times.p99)?;
+        }
+        Ok(())
+    }
 }
 
 /// Both, as one object.
@@ -88,8 +125,9 @@ impl Summary {
     pub fn print(&self) -> io::Result<()> {
         let (room, controller) = (&self.room, self.controller.as_ref());
         let share = |value: Option<f64>| value.map_or("-".to_string(), |value| format!("{value:.3}"));
-        let policy = controller.map_or("unknown (the controller was killed)", |controller| controller.policy.as_str());
-        outln!("{} (seed {}), policy {policy}", room.scenario, room.seed)?;
+        let credited = controller.map(ControllerPart::credited);
+        let policies = credited.as_ref().map_or("unknown (the controller was killed)".into(), |names| names.join(", "));
+        outln!("{} (seed {}), policy {policies}", room.scenario, room.seed)?;
         outln!(
             "ticks {}, commands {}, lost {}, late {}, unattended {}",
             room.ticks,
@@ -116,15 +154,32 @@ impl Summary {
                 controller.decisions,
                 list(&controller.over_budget_by)
             )?;
+            controller.print_policies()?;
+            let ClippedSummary { range, slew } = controller.clipped;
+            outln!("angles limited: {range} by range, {slew} by slew")?;
         }
         outln!()?;
         outln!("{:<26}{:>9}{:>14}", "sum rate", "Mbit/s", "of the oracle")?;
-        let rates = &room.sum_rate_mbps;
-        let policy = controller.map_or("policy", |controller| controller.policy.as_str());
-        for (name, rate) in
-            [(policy, rates.policy), ("no IRS", rates.no_irs), ("flat", rates.flat), ("oracle with QoS", rates.oracle)]
-        {
-            outln!("{name:<26}{rate:>9.2}{:>14}", share((rates.oracle > 0.0).then(|| rate / rates.oracle)))?;
+        // One mean covers the complete run, so it is credited to one policy only if no other acted.
+        let credited = match credited.as_deref() {
+            Some([policy]) => policy.as_str(),
+            Some(_) => "all of these policies",
+            None => "policy",
+        };
+        if room.sum_rate_mbps.is_none() {
+            outln!("{credited:<26}{:>9}", "unknown")?;
+        }
+        let named = |rates: &SumRates| {
+            [
+                (credited, rates.policy),
+                ("no IRS", rates.no_irs),
+                ("flat", rates.flat),
+                ("oracle with QoS", rates.oracle),
+            ]
+            .map(|(name, rate)| (name, rate, rates.oracle))
+        };
+        for (name, rate, oracle) in room.sum_rate_mbps.iter().flat_map(named) {
+            outln!("{name:<26}{rate:>9.2}{:>14}", share((oracle > 0.0).then(|| rate / oracle)))?;
         }
         outln!(
             "share of users with their minimum rate: {} (oracle {})",
@@ -155,4 +210,33 @@ impl Summary {
 
 fn list(counts: &BTreeMap<String, u64>) -> String {
     counts.iter().map(|(name, count)| format!(" {name} {count}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn controller(policies: &Value) -> ControllerPart {
+        let none = BTreeMap::<String, u64>::new();
+        let part = serde_json::json!({
+            "policy": "nearest", "policies": policies, "clipped": ClippedSummary::default(), "decisions": 9,
+            "over_budget": 0, "over_budget_by": none, "decision_us": Quantiles::default(), "stages_us": {},
+            "age_us": Quantiles::default(), "fallbacks": none, "refused": none, "last_problem": "",
+        });
+        ControllerPart::deserialize(&part).expect("complete")
+    }
+
+    fn policy(commands: u64, fallbacks: u64) -> Value {
+        serde_json::json!(PolicySummary { commands, fallbacks, ..PolicySummary::default() })
+    }
+
+    #[test]
+    fn the_rates_are_credited_to_a_policy_only_if_no_other_gave_angles() {
+        let alone = controller(&serde_json::json!({ "nearest": policy(9, 0) }));
+        assert_eq!(alone.credited(), ["nearest"]);
+        let changed = controller(&serde_json::json!({ "ddpg": policy(4, 0), "nearest": policy(5, 0) }));
+        assert_eq!(changed.credited(), ["ddpg", "nearest"]);
+        let failed = controller(&serde_json::json!({ "ddpg": policy(0, 4), "nearest": policy(5, 0) }));
+        assert_eq!(failed.credited(), ["nearest", "fallback"]);
+    }
 }

@@ -5,9 +5,11 @@ use std::time::Duration;
 
 use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
 use heliostat_decide::capabilities::{Examiner, Force};
+use heliostat_decide::policy::Finding;
 use heliostat_engine::ActorSource;
 use heliostat_proto::{Capabilities, ValidityClock, decode};
 use heliostat_scenario::Scenario;
+use heliostat_service::counted::counted;
 use heliostat_sim::World;
 
 use super::args::Args;
@@ -34,10 +36,10 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         }
     };
     let found = format!(
-        "{}: {} mode, {} users, {} x {} mirrors, configuration {}",
+        "{}: {} mode, {}, {} x {} mirrors, configuration {}",
         scenario.name,
         scenario.channel.mode.name(),
-        scenario.users.count,
+        counted(scenario.users.count, "user"),
         scenario.mirrors.rows,
         scenario.mirrors.columns,
         scenario.hash()
@@ -51,13 +53,25 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
 
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    match heliostat_engine::build(args.policy, scenario, &source) {
-        Ok(policy) => Check::ok("policy", format!("{} fits the scenario", policy.name())),
-        Err(error) => Check::fail(
-            "policy",
-            format!("{error:#}"),
-            "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat train ddpg",
-        ),
+    let (policy, findings) = match heliostat_engine::build_tried(args.policy, scenario, &source) {
+        Ok(tried) => tried,
+        Err(error) => {
+            let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat train ddpg";
+            return Check::fail("policy", format!("{error:#}"), advice);
+        }
+    };
+    let name = args.model.as_ref().map_or(policy.name().to_owned(), |path| path.display().to_string());
+    let mut found = format!("{name} fits the scenario");
+    let mut warnings = Vec::new();
+    for finding in findings {
+        match finding {
+            Finding::Note(note) => found.push_str(&format!("; {note}")),
+            Finding::Warning(warning) => warnings.push(warning),
+        }
+    }
+    match warnings.is_empty() {
+        true => Check::ok("policy", found),
+        false => Check::warn("policy", found, warnings.join("; ")),
     }
 }
 

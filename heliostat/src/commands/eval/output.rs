@@ -1,16 +1,17 @@
 //! A comparison as tables and as CSV.
 
 use std::io;
-use std::path::Path;
 
 use anyhow::Result;
 use heliostat_models::comparison::{Loop, Report, Row, Spread};
+
+use heliostat_service::counted::counted;
 
 use super::sweep::Sweep;
 use crate::output::outln;
 
 /// The oracle's row, then those of the policies.
-fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
+pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     let policies = report.policies.iter().map(|(name, row)| (name.as_str(), row));
     std::iter::once(("(oracle)", &report.oracle)).chain(policies)
 }
@@ -19,13 +20,11 @@ fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
 pub fn print_table(report: &Report) -> io::Result<()> {
     let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
     outln!(
-        "{}, {loop_name}: {} users, {} with a blocked direct path; {} states for each of {} seeds from {}",
+        "{}, {loop_name}: {}, {} with a blocked direct path; {}",
         report.scenario,
-        report.users,
+        counted(report.users, "user"),
         report.blocked,
-        report.states,
-        report.seeds,
-        report.seed
+        states_and_seeds(report)
     )?;
     outln!(
         "{:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
@@ -53,11 +52,12 @@ pub fn print_table(report: &Report) -> io::Result<()> {
             interval(row.qos_met, 3),
             interval(row.jain, 3),
             interval(row.blocked_rate_mbps, 2),
-            format!("{:.2e} ±{:.1e}", row.ber.mean, row.ber.ci95),
+            ber(row.ber),
             time(row.decision_us.map(|times| times.p50)),
             time(row.decision_us.map(|times| times.p99)),
         )?;
     }
+    note_on_seeds(report)?;
     outln!("trained: number of training seeds of a learned policy; the interval includes their spread")?;
     outln!(
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
@@ -73,11 +73,8 @@ pub fn print_table(report: &Report) -> io::Result<()> {
 /// key.
 pub fn print_sweep(sweep: &Sweep, reports: &[Report]) -> io::Result<()> {
     let Some(first) = reports.first() else { return Ok(()) };
-    outln!(
-        "ratio to the oracle with minimum rates, and share of minimum rates met; {} states for each of {} seeds",
-        first.states,
-        first.seeds
-    )?;
+    outln!("ratio to the oracle with minimum rates, and share of minimum rates met; {}", states_and_seeds(first))?;
+    note_on_seeds(first)?;
     print_columns(sweep, reports, |row| {
         (number(row.qos_met.mean, 3), format!("{} {}", interval(row.ratio_to_oracle, 3), number(row.qos_met.mean, 3)))
     })?;
@@ -99,7 +96,32 @@ fn print_columns(sweep: &Sweep, reports: &[Report], cell: impl Fn(&Row) -> (Stri
     Ok(())
 }
 
-fn interval(spread: Spread, digits: usize) -> String {
+fn states_and_seeds(report: &Report) -> String {
+    let states = counted(report.states, "state");
+    match report.seeds {
+        1 => format!("{states} of the seed {}", report.seed),
+        seeds => format!("{states} for each of {seeds} seeds from {}", report.seed),
+    }
+}
+
+/// Says why a figure has no interval.
+fn note_on_seeds(report: &Report) -> io::Result<()> {
+    if report.oracle.sum_rate_mbps.ci95.is_nan() {
+        outln!("one seed gives no confidence interval: use --seeds 2 or more")?;
+    }
+    Ok(())
+}
+
+fn ber(spread: Spread) -> String {
+    match (spread.mean.is_nan(), spread.ci95.is_nan()) {
+        (true, _) => "-".into(),
+        (false, true) => format!("{:.2e}", spread.mean),
+        (false, false) => format!("{:.2e} ±{:.1e}", spread.mean, spread.ci95),
+    }
+}
+
+/// A mean with half the width of its interval, or without it where it is missing.
+pub(super) fn interval(spread: Spread, digits: usize) -> String {
     if spread.ci95.is_nan() {
         return number(spread.mean, digits);
     }
@@ -107,16 +129,13 @@ fn interval(spread: Spread, digits: usize) -> String {
 }
 
 /// A number, or a dash for NaN.
-fn number(value: f64, digits: usize) -> String {
+pub(super) fn number(value: f64, digits: usize) -> String {
     if value.is_nan() { "-".into() } else { format!("{value:.digits$}") }
 }
 
-/// Writes a line for each policy; in a sweep the first column is the value of the key.
-///
-/// # Errors
-/// A file that cannot be written.
-pub fn write_csv(file: &Path, sweep: Option<&Sweep>, reports: &[Report]) -> Result<()> {
-    let mut writer = csv::Writer::from_path(file)?;
+/// A CSV file with a line for each policy; in a sweep the first column is the value of the key.
+pub fn csv(sweep: Option<&Sweep>, reports: &[Report]) -> Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
     let mut header: Vec<String> = sweep.map(|sweep| sweep.key().to_owned()).into_iter().collect();
     header.push("policy".into());
     for (name, _) in reports.iter().take(1).flat_map(|report| spreads(&report.oracle)) {
@@ -135,7 +154,7 @@ pub fn write_csv(file: &Path, sweep: Option<&Sweep>, reports: &[Report]) -> Resu
             writer.write_record(value.into_iter().chain([name.to_owned()]).chain(cells))?;
         }
     }
-    Ok(writer.flush()?)
+    Ok(writer.into_inner()?)
 }
 
 /// The figures of a row by name.

@@ -1,7 +1,6 @@
 //! The heat map as an SVG file: floor, obstacles, users, colour bar and legend.
 
 use std::f64::consts::TAU;
-use std::path::Path;
 
 use anyhow::Result;
 use heliostat_channel::Cylinder;
@@ -15,14 +14,22 @@ use super::quantity::Quantity;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Width and height of the map, of the colour bar and of the legend, in pixels.
-const MAP: u32 = 640;
+/// The longer side of the floor in pixels; the shorter one has the same scale.
+const FLOOR: f64 = 560.0;
+/// Least width and height of the part with the floor: the legend and the colour bar need them.
+const MAP_LEAST: [u32; 2] = [640, 240];
+/// Width of the colour bar and height of the legend in pixels.
 const BAR_WIDTH: u32 = 120;
 const LEGEND_HEIGHT: u32 = 40;
-/// Height of the caption above and the axis below the floor; the colour bar is aligned with the
-/// floor.
+/// Height of the caption above and the axis below the floor.
 const ABOVE: u32 = 44;
 const BELOW: u32 = 50;
+/// Margins beside the floor, and the width of its axis.
+const MARGIN: u32 = 10;
+const LEFT_AXIS: u32 = 50;
+/// Lengths of the scale bar in m; it is the longest that fits [`SCALE_BAR`] pixels.
+const SCALE_BARS_M: [f64; 8] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
+const SCALE_BAR: f64 = 120.0;
 
 /// A heat map and the objects in the room.
 pub struct Picture<'a> {
@@ -35,18 +42,36 @@ pub struct Picture<'a> {
 }
 
 impl Picture<'_> {
-    /// Draws the map into an SVG file.
-    pub fn draw(&self, out: &Path) -> Result<()> {
-        let root = SVGBackend::new(out, (MAP + BAR_WIDTH, MAP + LEGEND_HEIGHT)).into_drawing_area();
+    /// Draws the map as SVG text; returns it with the scale in pixels a metre, which is the same on
+    /// both axes.
+    pub fn draw(&self) -> Result<(String, f64)> {
+        let (x_m, y_m) = (self.scenario.room.length_x_m, self.scenario.room.length_y_m);
+        let pixels_per_m = FLOOR / x_m.max(y_m);
+        let pixels = |length_m: f64| (pixels_per_m * length_m).round().max(1.0) as u32;
+        let chart = (pixels(x_m) + LEFT_AXIS + 2 * MARGIN, pixels(y_m) + ABOVE + BELOW);
+        let (width, height) = (chart.0.max(MAP_LEAST[0]), chart.1.max(MAP_LEAST[1]));
+        let mut svg = String::new();
+        {
+            let size = (width + BAR_WIDTH, height + LEGEND_HEIGHT);
+            self.draw_on(SVGBackend::with_string(&mut svg, size).into_drawing_area(), chart, pixels_per_m)?;
+        }
+        Ok((svg, pixels_per_m))
+    }
+
+    /// Draws floor, colour bar and legend; `chart` is the size of the floor with its axes.
+    fn draw_on(&self, root: Area<'_>, chart: (u32, u32), pixels_per_m: f64) -> Result<()> {
         root.fill(&WHITE)?;
-        let (top, legend) = root.split_vertically(MAP);
-        let (floor, bar) = top.split_horizontally(MAP);
+        let (width, height) = root.dim_in_pixel();
+        let (top, legend) = root.split_vertically(height - LEGEND_HEIGHT);
+        let (left, bar) = top.split_horizontally(width - BAR_WIDTH);
+        let floor = left.margin(0, left.dim_in_pixel().1 - chart.1, 0, left.dim_in_pixel().0 - chart.0);
         let scale = Scale::of(self.quantity, self.map);
         let title = format!("{}, scenario {}", self.quantity.label(), self.scenario.name);
         top.draw(&Text::new(title, (70, 14), ("sans-serif", 20)))?;
         draw_floor(&floor, self, &scale)?;
         draw_bar(&bar, self.quantity.label(), &scale)?;
         draw_legend(&legend, self.mirrors)?;
+        draw_scale_bar(&legend, pixels_per_m)?;
         root.present()?;
         Ok(())
     }
@@ -80,11 +105,11 @@ fn draw_floor(area: &Area, picture: &Picture, scale: &Scale) -> Result<()> {
     let Picture { scenario, world, map, .. } = picture;
     let (half_x, half_y) = (scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0);
     let mut chart = ChartBuilder::on(area)
-        .margin_left(10)
-        .margin_right(10)
+        .margin_left(MARGIN)
+        .margin_right(MARGIN)
         .margin_top(ABOVE)
         .x_label_area_size(BELOW)
-        .y_label_area_size(50)
+        .y_label_area_size(LEFT_AXIS)
         .build_cartesian_2d(-half_x..half_x, -half_y..half_y)?;
     chart.configure_mesh().disable_mesh().x_desc("x (m)").y_desc("y (m)").label_style(("sans-serif", 13)).draw()?;
     let half = [half_x / map.columns as f64, half_y / map.rows as f64];
@@ -128,6 +153,18 @@ fn draw_bar(area: &Area, label: &str, scale: &Scale) -> Result<()> {
         let at = |step: i32| scale.low + f64::from(step) / 128.0 * (scale.high - scale.low);
         Rectangle::new([(0.0, at(step)), (1.0, at(step + 1))], scale.colour(at(step)).filled())
     }))?;
+    Ok(())
+}
+
+/// A line of a round length, with the length.
+fn draw_scale_bar(area: &Area, pixels_per_m: f64) -> Result<()> {
+    let fits = |length_m: &&f64| **length_m * pixels_per_m <= SCALE_BAR;
+    let length_m = SCALE_BARS_M.iter().rev().find(fits).copied().unwrap_or(SCALE_BARS_M[0]);
+    let (width, middle) = (area.dim_in_pixel().0 as i32, LEGEND_HEIGHT as i32 / 2);
+    let start = width - SCALE_BAR as i32 - 50;
+    let end = start + (length_m * pixels_per_m).round() as i32;
+    area.draw(&PathElement::new(vec![(start, middle), (end, middle)], BLACK.stroke_width(3)))?;
+    area.draw(&Text::new(format!("{length_m} m"), (end + 8, middle - 6), ("sans-serif", 14)))?;
     Ok(())
 }
 

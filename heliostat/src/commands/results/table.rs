@@ -115,7 +115,7 @@ fn policies(report: &Value, arguments: &[String]) -> Result<Vec<Row>> {
     let policies: &Map<String, Value> = report["policies"].as_object().context("expected an object `policies`")?;
     let named = arguments.iter().skip_while(|word| *word != "--policies").nth(1).map_or("", String::as_str);
     let named: Vec<&str> = named.split(',').collect();
-    // A variant of a policy, such as one with prediction, follows the policy whose name it begins
+    // A variant of a policy, such as one with another belief, follows the policy whose name it begins
     // with.
     let rank = |name: &str| {
         let fits = named.iter().enumerate().filter(|(_, policy)| name.starts_with(**policy));

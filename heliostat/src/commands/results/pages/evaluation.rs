@@ -253,9 +253,9 @@ pub static PAGE: Page = Page {
         },
         Section {
             name: "hall",
-            title: "Closed loop: hall, without and with prediction",
+            title: "Closed loop: hall, with each belief",
             about: "The oracle of the ratio knows the true state and its mirrors turn at once; the policy `oracle` solves the same problem from the reports. An episode of 20 instants counts as one sample.",
-            command: "eval --scenario hall --closed-loop --predicted --policies oracle,greedy,fixed-point,ddpg,analytic,nearest,dql,q-learning,sarsa,ddpg-basis,ddpg-raw,pso,sine-cosine,flat,random,no-irs,hold",
+            command: "eval --scenario hall --closed-loop --beliefs none,constant-velocity,filter --policies oracle,greedy,fixed-point,ddpg,analytic,nearest,dql,q-learning,sarsa,ddpg-basis,ddpg-raw,pso,sine-cosine,flat,random,no-irs,hold",
             full: "--states 200 --seeds 3",
             quick: "--states 2 --seeds 1",
             layout: Layout::Policies,

@@ -1,0 +1,63 @@
+//! Figures of each policy that has been in charge of a room.
+
+use crate::output::safety::Clipped;
+
+/// The figures of one policy.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// The policy's name.
+    pub policy: String,
+    /// Decisions on position reports while it was in charge.
+    pub decisions: u64,
+    /// Commands with its own angles.
+    pub commands: u64,
+    /// Commands while it was in charge with angles of the fallback or of a degraded action.
+    pub fallbacks: u64,
+    /// Axis values of its own that the limits changed.
+    pub clipped: Clipped,
+}
+
+/// The figures of all policies, in the order in which they came into charge. Counting does not
+/// allocate.
+#[derive(Clone, Debug)]
+pub struct Tallies {
+    all: Vec<Tally>,
+    current: usize,
+}
+
+impl Tallies {
+    /// One policy in charge, without decisions.
+    pub fn new(policy: &str) -> Self {
+        Self { all: vec![Tally { policy: policy.into(), ..Tally::default() }], current: 0 }
+    }
+
+    /// A policy comes into charge, perhaps again.
+    pub fn switch_to(&mut self, policy: &str) {
+        self.current = self.all.iter().position(|tally| tally.policy == policy).unwrap_or_else(|| {
+            self.all.push(Tally { policy: policy.into(), ..Tally::default() });
+            self.all.len() - 1
+        });
+    }
+
+    /// Counts a decision on a position report.
+    pub fn count_decision(&mut self) {
+        self.all[self.current].decisions += 1;
+    }
+
+    /// Counts a command whose angles are the policy's own, or not.
+    pub fn count_command(&mut self, is_own: bool, clipped: Clipped) {
+        let tally = &mut self.all[self.current];
+        if is_own {
+            tally.commands += 1;
+            tally.clipped.range += clipped.range;
+            tally.clipped.slew += clipped.slew;
+        } else {
+            tally.fallbacks += 1;
+        }
+    }
+
+    /// The figures of all policies.
+    pub fn all(&self) -> &[Tally] {
+        &self.all
+    }
+}

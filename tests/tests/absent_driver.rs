@@ -1,0 +1,61 @@
+//! Commands without a driver: the controller reports it, and so do viewers.
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_proto::{NodeKind, Stamp, UserReport, UserState, encode};
+use heliostat_service::clock::utc_ns;
+use heliostat_tests::{Process, RoomObserver, wait_until};
+
+const PROBLEM: &str = "no driver receives the commands";
+
+/// Publishes the positions of five users like a tracker.
+fn report(observer: &RoomObserver, sequence: u64) {
+    let user = |user: u32| UserState { user, position_m: [0.5 * user as f32 - 1.0, 0.0, 0.85], ..UserState::default() };
+    let stamp = Stamp { source: 7, sequence, time_ns: utc_ns() };
+    let mut payload = Vec::new();
+    let users = (0..5).map(user).collect();
+    encode(&UserReport { stamp, tick: sequence, users }, &mut payload).expect("a valid report");
+    observer.publish(&observer.room().users(), &payload);
+}
+
+#[test]
+fn commands_without_a_driver_are_reported_until_one_is_there() {
+    let (at, driver_at) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
+    let controller = Process::heliostat(&[
+        "controller",
+        "--policy",
+        "flat",
+        "--listen",
+        &at,
+        "--connect",
+        &driver_at,
+        "--exit-with-parent",
+        "--json",
+    ]);
+    let observer = RoomObserver::connect("demo", &[&at]);
+    let ui = Process::heliostat(&["ui", "--plain", "--no-ui", "--connect", &at]);
+    let mut sequence = 0;
+    let mut until = |what: &str, condition: &dyn Fn() -> bool| {
+        wait_until(what, || {
+            sequence += 1;
+            report(&observer, sequence);
+            condition()
+        });
+    };
+    let absent = || observer.counter(NodeKind::Controller, "driver_absent");
+    until("a report of the absence", &|| absent() == 1);
+    let status = observer.status(NodeKind::Controller).expect("a status");
+    assert!(status.last_problem.starts_with(PROBLEM), "{}", status.last_problem);
+    until("the state of the controller", &|| {
+        observer.status(NodeKind::Controller).is_some_and(|status| status.state == PROBLEM)
+    });
+    until("a note of the viewer", &|| ui.errors().contains(PROBLEM));
+
+    // The simulator drives its mirrors; the reports of the test end.
+    let room = Process::heliostat(&["sim-node", "--listen", &driver_at, "--exit-with-parent"]);
+    wait_until("the end of the absence", || absent() == 0);
+    wait_until("commands", || observer.counter(NodeKind::Controller, "commands") > 0);
+    drop(room);
+    let ended = controller.end();
+    assert_eq!(ended.errors.matches("no driver receives the commands: there is").count(), 1, "{}", ended.errors);
+    assert_eq!(ended.json()["driver_absent"], false);
+}

@@ -1,0 +1,209 @@
+//! The room that a viewer draws: the geometry that a process announces, or a scenario.
+//!
+//! In order of priority: the scenario that the user gave, the simulator's announcement, the
+//! controller's, the default scenario. Announcements are text of other processes, so a refused one
+//! is reported and the next of the list is drawn.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use heliostat_channel::{ChannelError, ChannelModel};
+use heliostat_scenario::{GeometryDifference, Scenario};
+use heliostat_service::printable::printable;
+use serde::Serialize;
+
+/// Longest text of a value or a reason in a note, in characters.
+const TEXT_CHARACTERS: usize = 160;
+
+/// Where the drawn geometry comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum GeometrySource {
+    /// The user gave a scenario.
+    Given,
+    /// The simulator announced it.
+    SimNode,
+    /// The controller announced it.
+    Controller,
+    /// The default scenario: no process announces a geometry.
+    Default,
+}
+
+/// A room as it is drawn.
+#[derive(Debug)]
+pub(crate) struct ShownRoom {
+    /// The hash of the geometry.
+    pub id: String,
+    pub source: GeometrySource,
+    pub scenario: Scenario,
+    pub model: ChannelModel,
+}
+
+impl ShownRoom {
+    fn new(source: GeometrySource, scenario: Scenario) -> Result<Self, ChannelError> {
+        let model = scenario.channel_model()?;
+        Ok(Self { id: Scenario::hash_of(&scenario.geometry_toml()), source, scenario, model })
+    }
+}
+
+/// The geometries that the processes of a room announce, as TOML.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Announcements {
+    pub sim_node: Option<Arc<str>>,
+    pub controller: Option<Arc<str>>,
+}
+
+/// Chooses the room to draw, and keeps it until an announcement changes.
+pub(crate) struct RoomChooser {
+    given: Option<Arc<ShownRoom>>,
+    fallback: Arc<ShownRoom>,
+    chosen: Mutex<Chosen>,
+}
+
+/// The choice for some announcements.
+struct Chosen {
+    announcements: Announcements,
+    room: Arc<ShownRoom>,
+    notes: Vec<String>,
+}
+
+impl RoomChooser {
+    /// A chooser that always draws the given scenario, if there is one.
+    ///
+    /// # Errors
+    /// A scenario that the channel model refuses.
+    pub fn new(given: Option<&Scenario>) -> Result<Self, ChannelError> {
+        let given = given.map(|scenario| ShownRoom::new(GeometrySource::Given, scenario.clone())).transpose()?;
+        let given = given.map(Arc::new);
+        let fallback = Arc::new(ShownRoom::new(GeometrySource::Default, Scenario::default())?);
+        let room = Arc::clone(given.as_ref().unwrap_or(&fallback));
+        let chosen = Chosen { announcements: Announcements::default(), room, notes: Vec::new() };
+        Ok(Self { given, fallback, chosen: Mutex::new(chosen) })
+    }
+
+    /// The room to draw, and what is wrong with the announcements.
+    pub fn choose(&self, announcements: Announcements) -> (Arc<ShownRoom>, Vec<String>) {
+        let mut chosen = self.chosen.lock().unwrap_or_else(PoisonError::into_inner);
+        if chosen.announcements != announcements {
+            let (room, notes) = self.evaluate(&announcements);
+            // An unchanged room keeps its identity, so that the views of it stay.
+            if room.id != chosen.room.id || room.source != chosen.room.source {
+                chosen.room = room;
+            }
+            chosen.notes = notes;
+            chosen.announcements = announcements;
+        }
+        (Arc::clone(&chosen.room), chosen.notes.clone())
+    }
+
+    fn evaluate(&self, announcements: &Announcements) -> (Arc<ShownRoom>, Vec<String>) {
+        let mut notes = Vec::new();
+        let mut read = |source, node: &str, text: &Option<Arc<str>>| {
+            let scenario = Scenario::from_geometry_toml(text.as_deref()?).map_err(|error| error.in_one_line());
+            let room =
+                scenario.and_then(|scenario| ShownRoom::new(source, scenario).map_err(|error| error.to_string()));
+            room.map_err(|reason| {
+                notes.push(format!("the geometry that {node} announces is refused: {}", shown(&reason)))
+            })
+            .ok()
+            .map(Arc::new)
+        };
+        let sim_node = read(GeometrySource::SimNode, "sim-node", &announcements.sim_node);
+        let controller = read(GeometrySource::Controller, "controller", &announcements.controller);
+        if let (Some(room), Some(controller)) = (&sim_node, &controller)
+            && let Some(GeometryDifference { key, here, there }) =
+                room.scenario.geometry_difference(&controller.scenario)
+        {
+            notes.push(format!(
+                "room and controller differ: {key} is {} in the room and {} in the controller",
+                shown(&here),
+                shown(&there)
+            ));
+        }
+        let announced = sim_node.or(controller);
+        if let (Some(given), Some(announced)) = (&self.given, &announced)
+            && let Some(GeometryDifference { key, here, there }) =
+                announced.scenario.geometry_difference(&given.scenario)
+        {
+            notes.push(format!(
+                "the picture shows another room: {key} is {} in the room and {} in the scenario of this viewer",
+                shown(&here),
+                shown(&there)
+            ));
+        }
+        let room = self.given.clone().or(announced).unwrap_or_else(|| Arc::clone(&self.fallback));
+        (room, notes)
+    }
+}
+
+/// A text of another process, cut and safe for a terminal.
+fn shown(text: &str) -> String {
+    printable(text).chars().take(TEXT_CHARACTERS).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(overrides: &[&str]) -> Scenario {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        Scenario::default().with_overrides(&overrides).expect("valid overrides")
+    }
+
+    fn text(overrides: &[&str]) -> Option<Arc<str>> {
+        Some(with(overrides).geometry_toml().into())
+    }
+
+    fn rows(
+        chooser: &RoomChooser,
+        sim_node: Option<Arc<str>>,
+        controller: Option<Arc<str>>,
+    ) -> (usize, GeometrySource) {
+        let (room, _) = chooser.choose(Announcements { sim_node, controller });
+        (room.model.mirrors.spec().rows, room.source)
+    }
+
+    #[test]
+    fn the_rooms_announcement_comes_before_the_controllers_and_both_before_the_default() {
+        let chooser = RoomChooser::new(None).expect("the default is valid");
+        assert_eq!(rows(&chooser, None, None), (10, GeometrySource::Default));
+        assert_eq!(rows(&chooser, None, text(&["mirrors.rows=8"])), (8, GeometrySource::Controller));
+        assert_eq!(rows(&chooser, text(&["mirrors.rows=6"]), text(&["mirrors.rows=8"])), (6, GeometrySource::SimNode));
+        assert_eq!(rows(&chooser, text(&["mirrors.rows=4"]), None), (4, GeometrySource::SimNode));
+        let given = RoomChooser::new(Some(&with(&["mirrors.rows=3"]))).expect("a valid scenario");
+        assert_eq!(rows(&given, text(&["mirrors.rows=6"]), None), (3, GeometrySource::Given));
+    }
+
+    #[test]
+    fn the_same_announcement_keeps_the_room_and_another_one_replaces_it() {
+        let chooser = RoomChooser::new(None).expect("the default is valid");
+        let choose =
+            |overrides: &[&str]| chooser.choose(Announcements { sim_node: text(overrides), controller: None }).0;
+        let (first, again, other) = (choose(&[]), choose(&[]), choose(&["room.height_m=4"]));
+        assert!(Arc::ptr_eq(&first, &again) && !Arc::ptr_eq(&first, &other));
+        assert_ne!(first.id, other.id);
+    }
+
+    #[test]
+    fn differences_and_refused_announcements_are_noted_with_the_key() {
+        let notes = |given: Option<&Scenario>, sim_node, controller| {
+            let chooser = RoomChooser::new(given).expect("a valid scenario");
+            chooser.choose(Announcements { sim_node, controller }).1.join("\n")
+        };
+        assert_eq!(notes(None, text(&[]), text(&["users.count=2"])), "");
+        assert_eq!(
+            notes(None, text(&[]), text(&["mirrors.rows=8"])),
+            "room and controller differ: mirrors.rows is 10 in the room and 8 in the controller"
+        );
+        assert_eq!(
+            notes(Some(&with(&["room.height_m=4"])), text(&[]), None),
+            "the picture shows another room: room.height_m is 3.0 in the room and 4.0 in the scenario of this viewer"
+        );
+        let refused = notes(None, Some("[users]\ntrace = \"a\"".into()), None);
+        let start = "the geometry that sim-node announces is refused: room geometry: unknown field `users`";
+        assert!(refused.starts_with(start), "{refused}");
+        let escape = notes(None, Some("[\"\\u001b[2J\"]\na = 1".into()), None);
+        assert!(escape.contains("unknown field") && !escape.contains('\u{1b}'), "{escape:?}");
+        let hidden = notes(None, Some("[led]\npositions_m = [[0, 0, 3]]\n[mirrors]\nrows = 0".into()), None);
+        assert!(hidden.contains("mirrors.rows = 0"), "{hidden}");
+    }
+}

@@ -108,20 +108,27 @@ fn crowds() -> Vec<[Vec<u8>; 3]> {
         .collect()
 }
 
+/// Lets a policy decide for the crowds; nothing may be allocated once the room was not empty.
+fn assert_no_allocation_for_crowds(scenario: &Scenario, kind: PolicyKind) {
+    let mut controller = controller(scenario, build_with(kind, scenario, &actor_of(scenario)).unwrap());
+    controller.warm_up(0..2);
+    let mut scratch = Scratch { users: UserReport::buffer(), channel: ChannelReport::buffer(), ..Scratch::default() };
+    for (index, payloads) in crowds().iter().enumerate() {
+        let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
+        assert!(index < 4 || counted == 0, "{kind:?}, tick {}: {counted}", index + 1);
+    }
+    assert_eq!(controller.counters().commands, 26, "{kind:?}");
+}
+
 #[test]
 fn users_who_come_and_go_do_not_make_the_decision_allocate() {
-    let scenario = scenario(&["mirrors.rows=4", "mirrors.columns=4"]);
-    let (source, crowds) = (actor_of(&scenario), crowds());
+    let small = ["mirrors.rows=4", "mirrors.columns=4"];
     for kind in PolicyKind::value_variants().iter().filter(|kind| **kind != PolicyKind::Exhaustive) {
-        let mut controller = controller(&scenario, build_with(*kind, &scenario, &source).unwrap());
-        controller.warm_up(0..2);
-        let mut scratch =
-            Scratch { users: UserReport::buffer(), channel: ChannelReport::buffer(), ..Scratch::default() };
-        for (index, payloads) in crowds.iter().enumerate() {
-            let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
-            assert!(index < 4 || counted == 0, "{kind:?}, tick {}: {counted}", index + 1);
-        }
-        assert_eq!(controller.counters().commands, 26, "{kind:?}");
+        assert_no_allocation_for_crowds(&scenario(&small), *kind);
+    }
+    for belief in ["constant-velocity", "filter"] {
+        let scenario = scenario(&[&small[..], &[&format!("control.belief={belief}")]].concat());
+        assert_no_allocation_for_crowds(&scenario, PolicyKind::FixedPoint);
     }
 }
 

@@ -7,8 +7,14 @@ use heliostat_decide::{
     policy::{Fixed, PolicyError, PolicyKind},
 };
 use heliostat_proto::{MirrorCommand, UserReport};
+use heliostat_scenario::Scenario;
 
 use crate::support::{Outcome, Room, Scripted, build, controller, receive, scenario};
+
+/// Users are where they are reported: the filter learns its noise from all users in turn.
+fn as_reported() -> Scenario {
+    scenario(&["control.belief=none"])
+}
 
 /// Reports the gains and then the positions of these users.
 fn tick(controller: &mut Controller, room: &mut Room, tick: u64, ids: &[u32]) -> Outcome {
@@ -40,7 +46,7 @@ fn every_report_is_answered_while_users_come_and_go_in_any_order() {
 #[test]
 fn a_user_is_served_by_the_answer_to_the_first_report_that_has_it() {
     // One user on each side of the room: the mirrors turn as soon as the second is the only one.
-    let scenario = scenario(&[]);
+    let scenario = as_reported();
     let mut controller = controller(&scenario, build(PolicyKind::FixedPoint, &scenario).unwrap());
     let mut room = Room::new(&scenario);
     let former = tick(&mut controller, &mut room, 1, &[0]).command();
@@ -71,7 +77,7 @@ fn a_report_without_users_repeats_the_last_angles_and_is_flat_before_any() {
 
 #[test]
 fn the_order_of_the_users_in_the_reports_changes_no_command() {
-    let scenario = scenario(&[]);
+    let scenario = as_reported();
     for kind in [PolicyKind::FixedPoint, PolicyKind::Greedy] {
         let run = |shuffle: bool| -> Vec<(Vec<f32>, Vec<f32>)> {
             let mut controller = controller(&scenario, build(kind, &scenario).unwrap());
@@ -97,7 +103,7 @@ fn the_order_of_the_users_in_the_reports_changes_no_command() {
 
 #[test]
 fn a_user_without_a_measured_gain_has_the_modelled_one_and_foreign_entries_are_ignored() {
-    let scenario = scenario(&[]);
+    let scenario = as_reported();
     let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
     let mut room = Room::new(&scenario);
     receive(&mut controller, Room::time(1), Message::Channel(&mut room.gains_of(1, 1e-3, &[8, 1, 77])));

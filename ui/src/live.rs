@@ -17,8 +17,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use crate::figures::Figures;
 use crate::order_log::OrderFigures;
+use crate::page::Page;
 use crate::scene::FrameBuilder;
-use crate::server::Page;
 use crate::stop_state::StopFigures;
 
 /// Time between two `figures` events.

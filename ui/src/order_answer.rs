@@ -4,16 +4,30 @@ use std::time::{Duration, Instant};
 
 use heliostat_proto::{ArrayState, NodeKind, NodeStatus};
 use heliostat_service::printable::printable;
+use serde::Serialize;
 
 use crate::View;
-use crate::order_log::Answer;
-use crate::orders::Order;
+use crate::order::Order;
 use crate::view::{EXPIRY, Received};
 
 /// Reported and ordered values differ at most by the rounding to 32 bits.
 const TOLERANCE: f64 = 1e-4;
 /// A status that arrives this long after an order describes the time after the order.
 const SETTLED: Duration = Duration::from_millis(1500);
+
+/// The state of an order.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case", tag = "state", content = "reason")]
+pub enum Answer {
+    /// Published; the receiver has not answered yet.
+    Sent,
+    /// The state of the receiver is as ordered.
+    Done,
+    /// It had no effect, for this reason.
+    Refused(String),
+    /// The state of the receiver is not as ordered, and it named no reason.
+    NoAnswer,
+}
 
 /// What the processes report, as far as it answers orders.
 #[derive(Clone, Debug, Default, PartialEq)]

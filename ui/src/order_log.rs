@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use crate::order_answer::{Published, Reported};
-use crate::orders::Order;
+use crate::order::Order;
+use crate::order_answer::{Answer, Published, Reported};
 
 /// After this time without an answer, the page says that there is none.
 const ANSWER_LIMIT: Duration = Duration::from_secs(5);
@@ -20,20 +20,6 @@ const DONE_SHOWN: Duration = Duration::from_secs(5);
 const REFUSAL_SHOWN: Duration = Duration::from_secs(20);
 /// Maximum number of orders that are kept.
 const ENTRIES_MAX: usize = 16;
-
-/// The state of an order.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case", tag = "state", content = "reason")]
-pub enum Answer {
-    /// Published; the receiver has not answered yet.
-    Sent,
-    /// The state of the receiver is as ordered.
-    Done,
-    /// It had no effect, for this reason.
-    Refused(String),
-    /// The state of the receiver is not as ordered, and it named no reason.
-    NoAnswer,
-}
 
 /// An order as the page shows it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

@@ -14,8 +14,8 @@ use heliostat_bus::{Bus, Token};
 use heliostat_proto::{ControllerControl, FaultKind, MAX_USERS, MirrorFault, NodeKind, SimulatorControl};
 use heliostat_service::printable::printable;
 use heliostat_service::source_id;
-use serde::Deserialize;
 
+use crate::order::{Order, ProcessOrder};
 use crate::order_log::{OrderFigures, OrderLog};
 use crate::order_publisher::OrderPublisher;
 use crate::stop_state::{StopFigures, StopState};
@@ -32,56 +32,6 @@ const STUCK_SEED: u64 = 1;
 const POWER_MAX_W: f32 = 100.0;
 /// Highest walking speed that the page may order, in m/s.
 const SPEED_MAX_M_S: f32 = 10.0;
-
-/// An order of the page.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(tag = "order", rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Order {
-    /// Switch the controller to another policy.
-    Policy {
-        /// The policy's name on the controller's command line.
-        name: String,
-    },
-    /// Change the optical power.
-    Power {
-        /// In W, more than 0.
-        watts: f32,
-    },
-    /// Block the direct paths of the first users by order, and end this for the others.
-    Blocked {
-        /// Number of users.
-        users: u32,
-    },
-    /// Change the walking speed of the users; at 0 they stand.
-    Speed {
-        /// Highest speed in m/s; the lowest is a twentieth of it.
-        max_m_s: f32,
-    },
-    /// Make some of the mirrors stick at their present angles.
-    Stick {
-        /// Share of all mirrors, above 0 and at most 1.
-        share: f32,
-    },
-    /// Make all mirrors follow commands again.
-    Release,
-    /// Emergency stop.
-    Stop,
-    /// End of the emergency stop.
-    Rearm,
-    /// Kill the controller's process.
-    KillController,
-    /// Start a new controller after the previous one was killed.
-    RestartController,
-}
-
-/// An order for the program that started the processes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ProcessOrder {
-    /// Kill the controller without a request to end.
-    KillController,
-    /// Start a controller if none runs.
-    RestartController,
-}
 
 /// Sends orders into a room.
 pub struct Operator {

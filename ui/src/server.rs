@@ -16,7 +16,6 @@
 //! The limits of [`heliostat_service::http`] hold for every client.
 
 use std::convert::Infallible;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -33,16 +32,17 @@ use heliostat_service::Stop;
 use heliostat_service::http::{self, Limits};
 use serde::Serialize;
 
+use crate::UiError;
 use crate::assets::{self, JAVASCRIPT};
 use crate::figures::SumFigures;
 use crate::floor::FloorMaps;
 use crate::guard;
 use crate::latency::BUDGET_US;
 use crate::live::{Feed, READERS_MAX, Reader};
-use crate::orders::{Operator, Order};
+use crate::order::Order;
+use crate::page::Page;
 use crate::scene::Plan;
 use crate::token::{self, Gate, Token};
-use crate::{UiError, View};
 
 /// Default port of the page.
 pub const DEFAULT_PORT: u16 = 7480;
@@ -100,18 +100,6 @@ impl Place {
     }
 }
 
-/// The data of the page and its connection to the room.
-pub struct Page {
-    /// The messages of the room.
-    pub view: Arc<View>,
-    /// Sends orders.
-    pub operator: Operator,
-    /// Name of the room in the keys.
-    pub room: String,
-    /// Names of the policies that the controller accepts.
-    pub policies: Vec<String>,
-}
-
 /// The state that all handlers share.
 #[derive(Clone)]
 struct Shared {
@@ -145,17 +133,6 @@ impl PageArgs {
         let token_file = self.ui_token_file.clone();
         let place = Place { address: self.ui_listen, port: self.ui_port, token_file, authenticated };
         Server::start(page()?, &place).map(Some)
-    }
-}
-
-impl Page {
-    /// Identifies this server and its room: it changes with a new process, and with the plan.
-    pub(crate) fn id(&self) -> String {
-        let mut hasher = DefaultHasher::new();
-        self.operator.source().hash(&mut hasher);
-        // Serialization of a plan cannot fail: it holds only numbers, texts and lists.
-        serde_json::to_string(&self.view.plan(&self.room)).unwrap_or_default().hash(&mut hasher);
-        format!("{:016x}", hasher.finish())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Operators that compute: element by element, products of tables, and reductions.
 
-use super::call::{Call, around, axis_of, broadcast};
+use crate::reference::call::{Call, around, axis_of, broadcast};
 use crate::tensor::{Data, Tensor};
 
 /// The output of an arithmetic operator; `None` for any other.

@@ -1,6 +1,6 @@
 //! Operators that select and arrange values, and pooling along columns.
 
-use super::call::{Call, around, axis_of};
+use crate::reference::call::{Call, around, axis_of};
 use crate::tensor::{Data, Tensor};
 use crate::tensor_proto::DataType;
 

@@ -1,0 +1,30 @@
+//! What a page shows, and where its orders go.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
+
+use crate::View;
+use crate::orders::Operator;
+
+/// The data of the page and its connection to the room.
+pub struct Page {
+    /// The messages of the room.
+    pub view: Arc<View>,
+    /// Sends orders.
+    pub operator: Operator,
+    /// Name of the room in the keys.
+    pub room: String,
+    /// Names of the policies that the controller accepts.
+    pub policies: Vec<String>,
+}
+
+impl Page {
+    /// Identifies this server and its room: it changes with a new process, and with the plan.
+    pub(crate) fn id(&self) -> String {
+        let mut hasher = DefaultHasher::new();
+        self.operator.source().hash(&mut hasher);
+        // Serialization of a plan cannot fail: it holds only numbers, texts and lists.
+        serde_json::to_string(&self.view.plan(&self.room)).unwrap_or_default().hash(&mut hasher);
+        format!("{:016x}", hasher.finish())
+    }
+}

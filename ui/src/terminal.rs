@@ -2,6 +2,7 @@
 //! terminal.
 
 mod drawing;
+mod texts;
 
 use std::io::{self, IsTerminal, Stdout, Write};
 use std::time::Duration;
@@ -9,16 +10,16 @@ use std::time::Duration;
 use heliostat_service::output;
 use ratatui::Terminal;
 use ratatui::backend::TermionBackend;
-use ratatui::style::Color;
 use ratatui::termion::event::Key;
 use ratatui::termion::input::{Keys, TermRead};
 use ratatui::termion::raw::{IntoRawMode, RawTerminal};
 use ratatui::termion::screen::{AlternateScreen, IntoAlternateScreen};
 use ratatui::termion::{AsyncReader, async_stdin};
 
-use crate::figures::{Figures, Origin, SumFigures, TimeFigures};
+use crate::figures::Figures;
 use crate::{UiError, View};
-use drawing::{FLAT, NO_IRS, ORACLE, POLICY, draw};
+use drawing::draw;
+use texts::line;
 
 /// The output of the figures.
 pub enum Display {
@@ -132,56 +133,13 @@ impl Drop for Screen {
     }
 }
 
-/// The figures in one line.
-fn line(figures: &Figures) -> String {
-    let Some(sum) = &figures.sum_mbps else { return without_rates(figures) };
-    let blocked = figures.users.iter().filter(|user| user.blocked).count();
-    let others = named(sum)[1..].iter().map(|(name, rate, _)| format!("{name} {rate:.1}")).collect::<Vec<_>>();
-    let others = if others.is_empty() { String::new() } else { format!(" ({})", others.join(", ")) };
-    let [decision, round, ..] = &figures.times[..] else { return String::new() };
-    format!(
-        "tick {:>6}  {}  blocked {blocked}/{}  sum rate {:6.1} Mbit/s{others}  decision p99 {}  loop p99 {}",
-        figures.tick,
-        figures.array.state,
-        figures.users.len(),
-        sum.policy,
-        time(decision, |us| us.p99),
-        time(round, |us| us.p99),
-    )
-}
-
-/// The known sum rates by name, the policy first.
-fn named(sum: &SumFigures) -> Vec<(&'static str, f64, Color)> {
-    let all = [
-        ("policy", Some(sum.policy), POLICY),
-        ("no IRS", sum.no_irs, NO_IRS),
-        ("flat", sum.flat, FLAT),
-        ("oracle", sum.oracle, ORACLE),
-    ];
-    all.into_iter().filter_map(|(name, rate, colour)| Some((name, rate?, colour))).collect()
-}
-
-fn time(of: &TimeFigures, which: fn(&heliostat_proto::Quantiles) -> f64) -> String {
-    of.us.as_ref().map_or("-".into(), |us| format!("{:.0} us", which(us)))
-}
-
-/// Why there are no sum rates.
-fn without_rates(figures: &Figures) -> String {
-    match figures.origin {
-        Origin::NoData => "no messages from the room".into(),
-        Origin::Simulated | Origin::Measured => {
-            format!("tick {:>6}  {}  sum rate unknown: no measured gains", figures.tick, figures.array.state)
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use heliostat_proto::Quantiles;
     use ratatui::backend::TestBackend;
 
     use super::*;
-    use crate::figures::{ArrayFigures, Count, NodeFigures, UserFigures};
+    use crate::figures::{ArrayFigures, Count, NodeFigures, Origin, SumFigures, TimeFigures, UserFigures};
 
     fn figures(users: u32) -> Figures {
         let user = |user: u32| UserFigures {

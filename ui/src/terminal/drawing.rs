@@ -7,8 +7,8 @@ use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph, Row, Table};
 
-use super::{named, time};
 use crate::figures::{Figures, SumFigures, UserFigures};
+use crate::terminal::texts::{FLAT, NO_IRS, ORACLE, POLICY, named, time, without_rates};
 
 /// Longest bar of a user in characters.
 const USER_BAR: u16 = 20;
@@ -23,11 +23,7 @@ const TIME_ROWS: u16 = 4;
 /// Width from which times, counts and the chart are drawn beside the sum rates.
 const WIDE: u16 = 76;
 
-/// The Okabe-Ito palette, which is distinguishable with colour-vision deficiency.
-pub(super) const POLICY: Color = Color::Rgb(0x56, 0xB4, 0xE9);
-pub(super) const FLAT: Color = Color::Rgb(0xCC, 0x79, 0xA7);
-pub(super) const NO_IRS: Color = Color::Rgb(0x99, 0x99, 0x99);
-pub(super) const ORACLE: Color = Color::Rgb(0xF0, 0xE4, 0x42);
+/// Also of the Okabe-Ito palette.
 const GOOD: Color = Color::Rgb(0x00, 0x9E, 0x73);
 const BAD: Color = Color::Rgb(0xD5, 0x5E, 0x00);
 
@@ -131,7 +127,7 @@ fn user_row(user: &UserFigures, largest: f32) -> Row<'static> {
 
 fn draw_rates(frame: &mut Frame, area: Rect, figures: &Figures, history: &[(f64, SumFigures)]) {
     let Some(sum) = &figures.sum_mbps else {
-        return frame.render_widget(Paragraph::new(super::without_rates(figures).fg(BAD)), area);
+        return frame.render_widget(Paragraph::new(without_rates(figures).fg(BAD)), area);
     };
     let rows = [Constraint::Length(SUM_ROWS), Constraint::Fill(1)];
     let [bars, chart] = Layout::vertical(rows).areas(area);

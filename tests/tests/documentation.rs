@@ -64,7 +64,7 @@ fn stopped_soon(line: &str) -> String {
 
 /// Links the repository's folders into a folder, so that a command can name them.
 fn stage(folder: &TempDir) {
-    for name in ["deploy", "docs", "models", "tests"] {
+    for name in ["deploy", "docs", "examples", "models", "tests"] {
         symlink(root().join(name), folder.path().join(name)).expect("a fresh folder takes a link");
     }
 }
@@ -110,6 +110,12 @@ fn the_readme_runs() {
 #[test]
 fn first_run_runs() {
     assert!(run("docs/tutorials/first-run.md") >= 7);
+}
+
+/// Its processes together are in tests/trackers.rs.
+#[test]
+fn own_room_runs() {
+    assert!(run("docs/tutorials/own-room.md") >= 3);
 }
 
 #[test]

@@ -1,9 +1,12 @@
-//! The tracker in Python: the controller answers its reports, and its process ends when it should.
+//! The tracker in Python: the controller answers its reports, and its process ends when it should. The
+//! tutorial of an own room: its commands together control an array.
 
+use std::fs;
+use std::path::Path;
 use std::process::{Command, ExitStatus};
 
 use heliostat_bus::{BusConfig, free_loopback_endpoint};
-use heliostat_proto::Room;
+use heliostat_proto::{ArrayState, Room};
 use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
 
 /// Waits for the end of an example.
@@ -52,4 +55,49 @@ fn a_tracker_in_python_ends_by_itself_without_a_controller() {
     let nowhere = free_loopback_endpoint().unwrap();
     let mut tracker = PythonExample::start(&python, "tracker.py", &["alone", &nowhere, "0.5"]);
     assert!(end(&mut tracker).success());
+}
+
+/// The tutorial with free ports, and with the path of a scenario file.
+fn tutorial(file: &Path) -> (String, [String; 3]) {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/tutorials/own-room.md"));
+    let page = page.expect("the tutorial is there");
+    let scenario = page.split("<<'END'\n").nth(1).and_then(|rest| rest.split("END\n").next()).expect("a scenario");
+    fs::write(file, scenario).expect("writable");
+    let endpoints = [(); 3].map(|()| free_loopback_endpoint().unwrap());
+    let named = ["tcp/127.0.0.1:17701", "tcp/127.0.0.1:17702", "tcp/127.0.0.1:17703"];
+    let page = named.iter().zip(&endpoints).fold(page, |page, (named, free)| page.replace(named, free));
+    (page.replace("room.toml", file.to_str().expect("a plain path")), endpoints)
+}
+
+#[test]
+fn the_commands_of_the_tutorial_control_an_array() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let (page, [of_controller, _, of_operator]) = tutorial(&folder.path().join("own.toml"));
+    let words = |start: &str| -> Vec<String> {
+        let line = page.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("no {start}"));
+        line.split(' ').skip(start.split(' ').count() - 1).map(str::to_owned).collect()
+    };
+    let heliostat = |start: &str, further: &[&str]| {
+        let words = words(start);
+        Process::heliostat(&words.iter().map(String::as_str).chain(further.iter().copied()).collect::<Vec<_>>())
+    };
+    let example = |file: &str| {
+        let words = words(&format!("python3 examples/{file}"));
+        PythonExample::start(&python, file, &words[1..].iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    let _controller = heliostat("heliostat controller", &["--exit-with-parent"]);
+    let _page = heliostat("heliostat ui", &["--plain", "--no-ui"]);
+    let (_tracker, _driver) = (example("tracker.py"), example("driver.py"));
+    let released = heliostat("heliostat rearm", &["--timeout", "25"]).wait();
+    assert!(released.output.contains("is released"), "{} {}", released.output, released.errors);
+    // The operator's endpoint is free again, and the driver connects to it.
+    let room = BusConfig::new(Room::new("own").unwrap());
+    let operator = RoomObserver::join(&room.listen_at(&of_operator).connect_to(&of_controller));
+    wait_until("an array that follows", || {
+        operator.telemetry().is_some_and(|telemetry| telemetry.state == ArrayState::Following)
+    });
+    let accepted = || operator.telemetry().map_or(0, |telemetry| telemetry.counters.accepted);
+    let before = accepted();
+    wait_until("twenty commands that the driver accepts", || accepted() >= before + 20);
 }

@@ -1,7 +1,7 @@
 //! A microcontroller board for servos, steppers or galvanometers, with a protocol of text lines
 //! over a serial port or a socket.
 //!
-//! Heliostat defines the protocol; `driver/reference/servo_board.ino` implements the board's side.
+//! docs/servo-board.md defines the protocol; `driver/reference/servo_board.ino` implements the board's side.
 //! Numbers are integers in urad, mechanical, roll before yaw, mirrors in order. The board answers
 //! each line of the host with one line, terminated by a newline:
 //!

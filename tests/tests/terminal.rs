@@ -85,13 +85,16 @@ impl Drop for Terminal {
 
 #[test]
 fn the_terminal_is_restored_after_q_ctrl_c_and_sigterm() {
-    let by_key = |key: &'static [u8]| move |terminal: &mut Terminal| terminal.type_key(key);
+    type End = fn(&mut Terminal);
     let by_signal = |terminal: &mut Terminal| {
         let sent = Command::new("kill").args(["-TERM", &terminal.viewer()]).status();
         assert!(sent.expect("there is a kill command").success());
     };
-    let ends: [(&str, Box<dyn Fn(&mut Terminal)>); 3] =
-        [("q", Box::new(by_key(b"q"))), ("Ctrl-C", Box::new(by_key(b"\x03"))), ("SIGTERM", Box::new(by_signal))];
+    let ends: [(&str, End); 3] = [
+        ("q", |terminal| terminal.type_key(b"q")),
+        ("Ctrl-C", |terminal| terminal.type_key(b"\x03")),
+        ("SIGTERM", by_signal),
+    ];
     for (name, end) in ends {
         let Some(mut terminal) = Terminal::start() else { return };
         wait_until("the full-screen view", || terminal.text().contains("q quits"));

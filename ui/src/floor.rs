@@ -1,7 +1,7 @@
 //! The rate over the floor, for the heat map of the page.
 //!
 //! The channel model that gives the users' rates evaluates it at the present angles of the mirrors.
-//! A map is computed when a page requests it, and at most once in [`KEPT`] for all pages.
+//! A map is computed when a page requests it, and is kept for a moment for all pages.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};

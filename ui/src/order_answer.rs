@@ -26,7 +26,7 @@ pub enum Answer {
     /// It had no effect, for this reason.
     Refused(String),
     /// The state of the receiver is not as ordered, and it named no reason.
-    NoAnswer,
+    Missing,
 }
 
 /// What the processes report, as far as it answers orders.

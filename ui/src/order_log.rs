@@ -82,11 +82,11 @@ impl OrderLog {
     /// Compares the orders with what the processes report, and returns those to show, newest first.
     pub fn review(&self, reported: &Reported) -> Vec<OrderFigures> {
         let mut entries = self.lock();
-        for entry in entries.iter_mut().filter(|entry| matches!(entry.answer, Answer::Sent | Answer::NoAnswer)) {
+        for entry in entries.iter_mut().filter(|entry| matches!(entry.answer, Answer::Sent | Answer::Missing)) {
             match entry.published.answer(reported) {
                 Some(answer) => entry.set(answer),
                 None if entry.answer == Answer::Sent && entry.published.at.elapsed() >= ANSWER_LIMIT => {
-                    entry.set(Answer::NoAnswer);
+                    entry.set(Answer::Missing);
                 }
                 None => {}
             }
@@ -98,7 +98,7 @@ impl OrderLog {
         let shown = entries.iter().rev().filter(|entry| match entry.answer {
             Answer::Sent => true,
             Answer::Done => entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported).is_some(),
-            Answer::Refused(_) | Answer::NoAnswer => entry.changed.elapsed() < REFUSAL_SHOWN,
+            Answer::Refused(_) | Answer::Missing => entry.changed.elapsed() < REFUSAL_SHOWN,
         });
         let shown = shown.filter(|entry| !is_superseded(entry));
         shown

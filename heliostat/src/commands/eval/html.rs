@@ -223,7 +223,7 @@ mod tests {
     #[test]
     fn text_from_flags_and_files_cannot_become_elements_of_the_page() {
         let (scenario, mut report) = report_of(&["flat", "nearest"]);
-        for (_, (name, _)) in report.policies.iter_mut().enumerate() {
+        for (name, _) in &mut report.policies {
             *name = format!("<script>{name}</script>&\u{1b}[2J.onnx");
         }
         let sweep: Sweep = "name=<i>a</i>,<i>b</i>".parse().expect("a sweep");

@@ -30,7 +30,8 @@ impl Terminal {
         let endpoint = format!("tcp/{}", silent.local_addr().expect("bound"));
         let inner = format!("{} ui --no-ui --connect {endpoint}; stty -a", heliostat.display());
         let script = Command::new("script")
-            .args(["-q", "-f", "-e", "-c", &format!("sh -c 'stty rows 24 cols 80; {inner}'"), "/dev/null"])
+            .args(["-q", "-f", "-e", "-c", &format!("stty rows 24 cols 80; {inner}"), "/dev/null"])
+            .env("SHELL", "/bin/sh")
             .env("HELIOSTAT_ZENOH", "transport/unicast/open_timeout=60000")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

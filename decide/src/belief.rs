@@ -11,12 +11,14 @@
 
 pub mod height;
 mod hypothesis;
+pub mod memory;
 pub mod motion;
 pub mod noise;
 
 use heliostat_channel::Vec3;
 use heliostat_proto::{Nanos, UserReport, UserState};
 use heliostat_scenario::{Scenario, Walk};
+use serde::{Deserialize, Serialize};
 
 use height::Height;
 use motion::{Motion, MotionEstimate, Sighting, WalkPriors};
@@ -32,7 +34,7 @@ const VELOCITY_NOISE_M_S: [f64; 2] = [1e-3, 2.0];
 const EQUAL_INTERVALS: f64 = 0.02;
 
 /// A user's reports and motion.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Track {
     user: u32,
     motion: Motion,
@@ -43,7 +45,7 @@ struct Track {
 }
 
 /// A reported position.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Place {
     at_m: [f64; 2],
     time_ns: Nanos,

@@ -84,9 +84,11 @@
 
 mod array;
 mod degraded_actions;
+mod journal;
+pub mod memory;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
-use heliostat_proto::{MAX_USERS, MirrorCommand, Nanos, NodeKind};
+use heliostat_proto::{InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
 use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
@@ -103,6 +105,7 @@ use crate::{
     policy::{self, Policy, PolicyError, ProposedBy, Tally, WithFallback},
 };
 use degraded_actions::{DegradedActions, LastReport};
+use journal::Journal;
 
 /// Maximum number of start-up runs on a synthetic room. They change the state of stateful
 /// policies, so replay executes this number too.
@@ -128,6 +131,9 @@ pub struct Controller {
     command: MirrorCommand,
     /// Whether `command` was given.
     has_command: bool,
+    /// Time of the last observation of a decision; absent before the first.
+    observed_ns: Option<Nanos>,
+    journal: Journal,
     counters: Counters,
 }
 
@@ -159,6 +165,8 @@ impl Controller {
                 yaw: vec![0.0; mirrors],
             },
             has_command: false,
+            observed_ns: None,
+            journal: Journal::disabled(),
             counters: Counters::default(),
             model,
         }
@@ -172,11 +180,14 @@ impl Controller {
 
     /// Handles a message that arrived at `now`; the result names the `poll_*` method to call.
     pub fn handle_message(&mut self, now: Nanos, message: Message<'_>) -> Due {
-        let stream = message.stream();
+        let (stream, stamp) = (message.stream(), *message.stamp());
         let sources = self.inbox.sources();
         let accepted = self.inbox.accept(now, message);
         if self.inbox.sources() != sources {
             self.observer.forget();
+        }
+        if accepted.is_ok() {
+            self.journal.record_message(stream, &stamp, now);
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
@@ -230,6 +241,7 @@ impl Controller {
     /// Decides for the tick of the last accepted position report. `mark` is called as each stage
     /// ends.
     pub fn poll_command(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
+        self.journal.record_decision(timing.input(), now);
         // The mode matters only where the action holds; else the policy acts.
         let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
         if timing == Timing::Late {
@@ -237,7 +249,7 @@ impl Controller {
             (action, mode) = (self.actions.late, DegradedMode::Late);
         }
         if matches!(action, DegradedAction::Policy | DegradedAction::Fallback) {
-            match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
+            match self.observe(now) {
                 Some(_) if self.observation.users() == 0 => action = self.without_users(),
                 Some(LosSource::Measured { unmeasured }) => self.counters.unmeasured_users += unmeasured as u64,
                 Some(LosSource::Modelled) => {
@@ -251,12 +263,6 @@ impl Controller {
                     (action, mode) = (DegradedAction::Hold, DegradedMode::Held);
                 }
             }
-            if let Some(telemetry) = self.inbox.telemetry() {
-                self.observation.scene.exclude_mirrors(&telemetry.unusable);
-            }
-            if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
-                self.observation.scene.restrict_to_range(&self.model, &roll, &yaw);
-            }
             mark(Stage::Observed);
         }
         self.counters.decisions += 1;
@@ -267,6 +273,7 @@ impl Controller {
 
     /// Executes the action for a position report that was too old.
     pub fn poll_stale_command(&mut self, now: Nanos) -> Decision<'_> {
+        self.journal.record_decision(InputKind::StaleDecision, now);
         self.counters.decisions += 1;
         self.policy.tallies.count_decision();
         self.counters.count_degraded(DegradedMode::StaleReport);
@@ -289,6 +296,7 @@ impl Controller {
         } else if self.actions.silent != DegradedAction::LastGood {
             return None;
         }
+        self.journal.record_decision(InputKind::SilenceDecision, now);
         Some(self.execute((self.actions.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
@@ -348,6 +356,20 @@ impl Controller {
     /// The last observation, with the angles of the last command.
     pub fn observation(&self) -> &Observation {
         &self.observation
+    }
+
+    /// Fills the observation from the latest reports, without the mirrors and pairs that cannot
+    /// serve.
+    fn observe(&mut self, now: Nanos) -> Option<LosSource> {
+        self.observed_ns = Some(now);
+        let source = self.observer.observe(&self.model, &self.inbox, now, &mut self.observation);
+        if let Some(telemetry) = self.inbox.telemetry() {
+            self.observation.scene.exclude_mirrors(&telemetry.unusable);
+        }
+        if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
+            self.observation.scene.restrict_to_range(&self.model, &roll, &yaw);
+        }
+        source
     }
 
     /// Proposes angles by `action`, limits them and completes the command.
@@ -446,6 +468,7 @@ impl Controller {
 
     fn complete_command(&mut self, tick: u64, now: Nanos) {
         self.counters.commands += 1;
+        self.journal.record_command();
         self.has_command = true;
         self.command.sequence = 0;
         self.command.answers = tick;

@@ -45,19 +45,20 @@ pub mod messages;
 mod structures;
 mod table;
 
-pub use codec::{Message, decode, decode_into, encode};
+pub use codec::{Message, StateError, decode, decode_into, decode_state, encode, encode_state};
 pub use error::CodecError;
 pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
-    CLOCK_LEAD_MAX_NS, MAX_ENTRIES, MAX_GEOMETRY, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_TEXT, MAX_USERS, Nanos,
-    VERSION,
+    CLOCK_LEAD_MAX_NS, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE,
+    MAX_TEXT, MAX_USERS, Nanos, VERSION,
 };
 pub use messages::{
-    Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, MirrorCommand, MirrorTelemetry,
-    NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, UserReport,
+    BeliefReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory, EmergencyStop,
+    MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport,
+    SimulatorControl, UserReport,
 };
 pub use structures::{
-    ArrayState, AxisLimits, Counters, FaultKind, Feedback, MirrorFault, NodeKind, Obstacle, Quantiles, Stamp,
-    StopAction, SumRates, TruthUser, UserChannel, UserState, ValidityClock,
+    ArrayState, AxisLimits, ControllerInput, Counters, FaultKind, Feedback, InputKind, MirrorFault, NodeKind, Obstacle,
+    Quantiles, Stamp, StopAction, SumRates, TruthUser, UserBelief, UserChannel, UserState, ValidityClock,
 };

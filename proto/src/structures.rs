@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::codec::{BufferFull, Reader, Unreadable, Writer};
 use crate::error::CodecError;
-use crate::fields::{Bounds, Place, Value, field_name, implement_value, ordered};
+use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, ordered};
 use crate::limits::{MAX_MIRRORS, Nanos};
 
 /// Defines structures with public fields, and reads, writes and checks them.
@@ -153,6 +153,45 @@ structures! {
         rate_bps: f32,
         /// Minimum rate that this user requires, in bit/s.
         min_rate_bps: f32 where not_negative,
+    }
+
+    /// What a controller believes about one user.
+    #[derive(Copy)]
+    structure UserBelief in users {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Position x, y, z of the detector in m.
+        position_m: [f32; 3],
+        /// Velocity along x and y in m/s.
+        velocity_m_s: [f32; 2],
+        /// Variance of x in m2.
+        xx_m2: f32 where not_negative,
+        /// Covariance of x and y in m2.
+        xy_m2: f32,
+        /// Variance of y in m2.
+        yy_m2: f32 where not_negative,
+        /// Heading of the user about z in rad, from +x towards +y; meaningless where its certainty
+        /// is 0.
+        heading_rad: f32,
+        /// Length of the mean heading vector, from 0 (unknown) to 1 (certain).
+        heading_certainty: f32 where share,
+        /// Probability that the direct path is blocked.
+        blocked_probability: f32 where share,
+    } requires { is_covariance(xy_m2, xx_m2, yy_m2) }
+
+    /// One input of a controller: a message that it handled, or a decision.
+    #[derive(Copy, Eq)]
+    structure ControllerInput in inputs {
+        /// What it is.
+        input: InputKind,
+        /// Source of the message; 0 for a decision.
+        source: u64,
+        /// Sequence number of the message; 0 for a decision.
+        sequence: u64,
+        /// Time of the controller's clock at which it handled the message or decided, in ns.
+        time_ns: Nanos,
+        /// Whether the decision gave a command; false for a message.
+        command: bool,
     }
 
     /// Sum rates in bit/s of the same moment for the policy and three references.
@@ -330,6 +369,27 @@ enumerations! {
         Late = 7 "late",
         /// The array restarts: its mirrors return to 0, and it does not answer for a while.
         Reboot = 8 "reboot",
+    }
+
+    /// Input of a controller.
+    enumeration InputKind {
+        /// It accepted a user report.
+        #[default]
+        Users = 0 "users",
+        /// It accepted a channel report.
+        Channel = 1 "channel",
+        /// It accepted an obstacle report.
+        Obstacles = 2 "obstacles",
+        /// It accepted a telemetry message.
+        Telemetry = 3 "telemetry",
+        /// It decided in time for the newest user report.
+        Decision = 4 "decision",
+        /// It decided for the newest user report after the deadline.
+        LateDecision = 5 "late-decision",
+        /// It decided because a user report was too old.
+        StaleDecision = 6 "stale-decision",
+        /// It decided because no user report arrived.
+        SilenceDecision = 7 "silence-decision",
     }
 
     /// Kind of process that takes part in a room.

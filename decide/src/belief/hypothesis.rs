@@ -10,6 +10,7 @@
 //! of a random waypoint walk.
 
 use num_complex::Complex;
+use serde::{Deserialize, Serialize};
 
 /// A point or a velocity in the floor plane: x + iy, in m or m/s.
 pub(super) type Plane = Complex<f64>;
@@ -18,7 +19,7 @@ pub(super) type Plane = Complex<f64>;
 const STRAIGHT_RAD_S: f64 = 1e-6;
 
 /// Means and variances of position and velocity. Variances are those of one axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
     pub position: Plane,
     pub velocity: Plane,
@@ -97,7 +98,7 @@ fn log_density(error: Plane, variance: f64) -> f64 {
 }
 
 /// A hypothesis and its weight.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Hypothesis {
     pub state: State,
     /// Turn rate in rad/s; 0 on a straight path.

@@ -19,6 +19,8 @@
 //! With the filter, a measured gain of the direct path shows only whether the path is clear; the
 //! gain is then that of the model at the predicted place.
 
+pub mod memory;
+
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, Nanos, UserReport};
 use heliostat_scenario::Scenario;

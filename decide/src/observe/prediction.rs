@@ -3,8 +3,9 @@
 use heliostat_channel::Vec3;
 use heliostat_proto::{MAX_USERS, UserReport, UserState};
 use heliostat_scenario::{self as scenario, Scenario};
+use serde::{Deserialize, Serialize};
 
-use crate::belief::Belief;
+use crate::belief::{Belief, memory::BeliefMemory};
 
 /// How far ahead users are predicted, and the bounds of their positions.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +35,13 @@ impl Lead {
         let [half_x, half_y] = self.half_room_m;
         Vec3::new(position.x.clamp(-half_x, half_x), position.y.clamp(-half_y, half_y), position.z)
     }
+}
+
+/// The state of a prediction, as a recording holds it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PredictionMemory {
+    settling_s: f64,
+    belief: Option<BeliefMemory>,
 }
 
 /// The prediction of all users of a room.
@@ -89,6 +97,25 @@ impl Prediction {
         match self {
             Self::Filter(_, belief) => Some(belief),
             Self::AsReported | Self::ConstantVelocity(_) => None,
+        }
+    }
+
+    /// The present state.
+    pub fn memory(&self) -> PredictionMemory {
+        let settling_s = match self {
+            Self::AsReported => 0.0,
+            Self::ConstantVelocity(lead) | Self::Filter(lead, _) => lead.settling_s,
+        };
+        PredictionMemory { settling_s, belief: self.belief().map(Belief::memory) }
+    }
+
+    /// Replaces the state; false where it is not one of this scenario.
+    pub fn restore(&mut self, memory: &PredictionMemory) -> bool {
+        self.set_settling(memory.settling_s);
+        match (self, &memory.belief) {
+            (Self::Filter(_, belief), Some(memory)) => belief.restore(memory),
+            (Self::AsReported | Self::ConstantVelocity(_), None) => true,
+            _ => false,
         }
     }
 

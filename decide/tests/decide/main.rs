@@ -5,6 +5,7 @@ mod allocations;
 mod deadlines;
 mod decisions;
 mod epochs;
+mod memory;
 mod observations;
 mod policies;
 mod reports;

@@ -131,8 +131,6 @@ pub struct Controller {
     command: MirrorCommand,
     /// Whether `command` was given.
     has_command: bool,
-    /// Time of the last observation of a decision; absent before the first.
-    observed_ns: Option<Nanos>,
     journal: Journal,
     counters: Counters,
 }
@@ -165,7 +163,6 @@ impl Controller {
                 yaw: vec![0.0; mirrors],
             },
             has_command: false,
-            observed_ns: None,
             journal: Journal::disabled(),
             counters: Counters::default(),
             model,
@@ -249,7 +246,7 @@ impl Controller {
             (action, mode) = (self.actions.late, DegradedMode::Late);
         }
         if matches!(action, DegradedAction::Policy | DegradedAction::Fallback) {
-            match self.observe(now) {
+            match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
                 Some(_) if self.observation.users() == 0 => action = self.without_users(),
                 Some(LosSource::Measured { unmeasured }) => self.counters.unmeasured_users += unmeasured as u64,
                 Some(LosSource::Modelled) => {
@@ -262,6 +259,12 @@ impl Controller {
                     self.counters.count_degraded(DegradedMode::Held);
                     (action, mode) = (DegradedAction::Hold, DegradedMode::Held);
                 }
+            }
+            if let Some(telemetry) = self.inbox.telemetry() {
+                self.observation.scene.exclude_mirrors(&telemetry.unusable);
+            }
+            if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
+                self.observation.scene.restrict_to_range(&self.model, &roll, &yaw);
             }
             mark(Stage::Observed);
         }
@@ -356,20 +359,6 @@ impl Controller {
     /// The last observation, with the angles of the last command.
     pub fn observation(&self) -> &Observation {
         &self.observation
-    }
-
-    /// Fills the observation from the latest reports, without the mirrors and pairs that cannot
-    /// serve.
-    fn observe(&mut self, now: Nanos) -> Option<LosSource> {
-        self.observed_ns = Some(now);
-        let source = self.observer.observe(&self.model, &self.inbox, now, &mut self.observation);
-        if let Some(telemetry) = self.inbox.telemetry() {
-            self.observation.scene.exclude_mirrors(&telemetry.unusable);
-        }
-        if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
-            self.observation.scene.restrict_to_range(&self.model, &roll, &yaw);
-        }
-        source
     }
 
     /// Proposes angles by `action`, limits them and completes the command.

@@ -3,10 +3,11 @@
 //! [`Controller::memory`] copies everything that later decisions depend on besides later inputs,
 //! and [`Controller::restore`] sets another controller of the same scenario and policy to it. From
 //! then on both give the same commands for the same inputs, bit for bit. Counters, the tenure and
-//! the fit of the array are not in it: they change no angle.
+//! the fit of the array are not in it, because they change no angle; the last observation is not,
+//! because each decision that reads one makes it.
 
 use heliostat_channel::MirrorAngles;
-use heliostat_proto::{ControllerInput, MirrorCommand, Nanos, StateError, decode, decode_state, encode, encode_state};
+use heliostat_proto::{ControllerInput, MirrorCommand, StateError, decode, decode_state, encode, encode_state};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -25,8 +26,6 @@ pub struct Memory {
     layout: u32,
     inbox: InboxMemory,
     observer: ObserverMemory,
-    /// Time of the last observation; absent before the first.
-    observed_ns: Option<Nanos>,
     policy: FallbackMemory,
     /// Smallest and largest roll, then yaw, in rad.
     axes_rad: [[f64; 2]; 2],
@@ -95,8 +94,7 @@ impl Controller {
         self.journal.take(into)
     }
 
-    /// The present state. Call it directly after an in-time decision, the only moment at which the
-    /// last observation follows from the state. Allocates.
+    /// The present state. Allocates.
     pub fn memory(&self) -> Memory {
         let mut command = Vec::new();
         // A command of the core always encodes.
@@ -105,7 +103,6 @@ impl Controller {
             layout: LAYOUT,
             inbox: self.inbox.memory(),
             observer: self.observer.memory(),
-            observed_ns: self.observed_ns,
             policy: self.policy.memory(),
             axes_rad: self.limits.axes_rad(),
             guard: self.guard.memory(),
@@ -144,9 +141,6 @@ impl Controller {
         self.last_report = memory.last_report;
         self.command = command;
         self.has_command = memory.has_command;
-        if let Some(observed_ns) = memory.observed_ns {
-            self.observe(observed_ns);
-        }
         self.observation.set_angles(&MirrorAngles { roll: roll.clone(), yaw: yaw.clone() });
         Ok(())
     }

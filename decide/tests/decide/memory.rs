@@ -93,7 +93,7 @@ fn the_filter_without_its_state_decides_differently() {
 
 #[test]
 fn a_restored_controller_acts_the_same_in_silence() {
-    let scenario = scenario(&["control.belief=\"filter\"", "control.when_silent=\"policy\""]);
+    let scenario = scenario(&["control.belief=\"filter\"", "control.when_silent=\"last-good\""]);
     let (_, mut first) = running(&scenario, PolicyKind::Greedy, 20);
     let mut second = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
     second.restore(&first.memory()).unwrap();

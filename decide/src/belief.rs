@@ -73,6 +73,19 @@ pub struct Belief {
     tracks: Vec<Track>,
     former: Vec<Track>,
     last_ns: Nanos,
+    innovations: Innovations,
+}
+
+/// Normalised innovation squared of the position reports of known users since the start.
+///
+/// d' S^-1 d for the deviation d of a reported position from the predicted one, where S is the
+/// covariance of the prediction plus that of the report. Its mean is 2 if both are right.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Innovations {
+    /// Number of reported positions.
+    pub count: u64,
+    /// Sum of their normalised innovations squared.
+    pub sum: f64,
 }
 
 impl Belief {
@@ -89,7 +102,13 @@ impl Belief {
             tracks: Vec::with_capacity(capacity),
             former: Vec::with_capacity(capacity),
             last_ns: 0,
+            innovations: Innovations::default(),
         }
+    }
+
+    /// How well the predictions agreed with the reports.
+    pub fn innovations(&self) -> Innovations {
+        self.innovations
     }
 
     /// Forgets all users, since another source reports from now on.
@@ -107,6 +126,9 @@ impl Belief {
         for (slot, user) in report.users.iter().enumerate() {
             let same_slot = self.former.get(slot).filter(|track| track.user == user.user);
             let known = same_slot.or_else(|| self.former.iter().find(|track| track.user == user.user)).copied();
+            if let Some(track) = &known {
+                self.compare(track, user, elapsed_s);
+            }
             let mut track = known.unwrap_or_else(|| Track::new(user.user, &self.priors));
             self.learn_noise(&track, user, time_ns);
             self.correct(&mut track, user, elapsed_s);
@@ -129,6 +151,19 @@ impl Belief {
     /// component in m/s.
     pub fn noise(&self) -> [f64; 2] {
         [self.position_noise.deviation(), self.velocity_noise.deviation()]
+    }
+
+    /// Compares a reported position with the predicted one.
+    fn compare(&mut self, track: &Track, user: &UserState, elapsed_s: f64) {
+        let MotionEstimate { position_m, position_cov_m2: [xx, xy, yy], .. } = track.motion.estimate(elapsed_s);
+        let noise = self.position_noise.deviation().powi(2);
+        let (xx, yy) = (xx + noise, yy + noise);
+        let [dx, dy] = [0, 1].map(|axis| f64::from(user.position_m[axis]) - position_m[axis]);
+        let squared = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
+        if squared.is_finite() {
+            self.innovations.count += 1;
+            self.innovations.sum += squared;
+        }
     }
 
     fn correct(&self, track: &mut Track, user: &UserState, elapsed_s: f64) {
@@ -257,6 +292,20 @@ mod tests {
         }
         let estimate = belief.estimate(7, 0.0).expect("a user");
         assert!((estimate.velocity.x - 0.8).abs() < 0.1, "{estimate:?}");
+    }
+
+    #[test]
+    fn the_innovations_of_a_straight_walk_have_the_mean_of_two_degrees_of_freedom() {
+        let mut belief = belief();
+        for tick in 1..=2000_u64 {
+            // Quantiles of a circular normal error of 0.05 m.
+            let (radius, angle) = (0.05 * (-2.0 * (1.0 - (tick as f32 * 0.618_034).fract()).ln()).sqrt(), tick as f32);
+            let position = [0.5 + radius * angle.cos(), radius * angle.sin(), 0.9];
+            belief.handle_users(&report(tick, &[(7, position, [0.0, 0.0])]));
+        }
+        let Innovations { count, sum } = belief.innovations();
+        assert_eq!(count, 1999, "the first report of a user has no prediction");
+        assert!((sum / count as f64 - 2.0).abs() < 0.4, "{}", sum / count as f64);
     }
 
     #[test]

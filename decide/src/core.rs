@@ -88,11 +88,12 @@ mod journal;
 pub mod memory;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
-use heliostat_proto::{InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
+use heliostat_proto::{BeliefReport, InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
 use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{
+    belief::{Belief, Innovations},
     input::{
         inbox::{Inbox, Message},
         refusal::{Refusal, Stream},
@@ -356,9 +357,22 @@ impl Controller {
         self.policy.last_failure()
     }
 
+    /// How well the belief's predictions agreed with the reports; absent where `control.belief`
+    /// names no filter.
+    pub fn innovations(&self) -> Option<Innovations> {
+        self.observer.belief().map(Belief::innovations)
+    }
+
     /// The last observation, with the angles of the last command.
     pub fn observation(&self) -> &Observation {
         &self.observation
+    }
+
+    /// Fills a report with the belief about the users in the decision that was polled last, at
+    /// `now`; its stamp is the caller's. False, without a change, where `control.belief` names no
+    /// filter. Does not allocate in a report with memory for all users.
+    pub fn report_beliefs(&self, now: Nanos, report: &mut BeliefReport) -> bool {
+        self.observer.report_beliefs(&self.inbox, &self.observation, now, report)
     }
 
     /// Proposes angles by `action`, limits them and completes the command.

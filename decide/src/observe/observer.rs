@@ -19,6 +19,7 @@
 //! With the filter, a measured gain of the direct path shows only whether the path is clear; the
 //! gain is then that of the model at the predicted place.
 
+mod beliefs;
 pub mod memory;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};

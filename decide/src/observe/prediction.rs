@@ -5,7 +5,7 @@ use heliostat_proto::{MAX_USERS, UserReport, UserState};
 use heliostat_scenario::{self as scenario, Scenario};
 use serde::{Deserialize, Serialize};
 
-use crate::belief::{Belief, memory::BeliefMemory};
+use crate::belief::{Belief, Estimate, memory::BeliefMemory};
 
 /// How far ahead users are predicted, and the bounds of their positions.
 #[derive(Clone, Copy, Debug)]
@@ -119,6 +119,22 @@ impl Prediction {
         }
     }
 
+    /// From the sampling of a report of this age to the time for which the belief holds, in s;
+    /// absent without a belief.
+    pub fn ahead_s(&self, age_s: f64) -> Option<f64> {
+        match self {
+            Self::Filter(lead, _) => Some(lead.ahead_s(age_s)),
+            Self::AsReported | Self::ConstantVelocity(_) => None,
+        }
+    }
+
+    /// The belief about a user of the last report, which has this age in s, within the room.
+    pub fn estimate(&self, user: u32, age_s: f64) -> Option<Estimate> {
+        let Self::Filter(lead, belief) = self else { return None };
+        let estimate = belief.estimate(user, lead.ahead_s(age_s))?;
+        Some(Estimate { position: lead.within_room(estimate.position), ..estimate })
+    }
+
     /// Position in m and velocity in m/s of a user of the last report, which has this age in s.
     pub fn predict(&self, user: &UserState, age_s: f64) -> (Vec3, Vec3) {
         let reported = Vec3::from_iterator(user.position_m.map(f64::from));
@@ -127,8 +143,8 @@ impl Prediction {
         match self {
             Self::AsReported => (reported, velocity),
             Self::ConstantVelocity(lead) => (lead.within_room(reported + velocity * lead.ahead_s(age_s)), velocity),
-            Self::Filter(lead, belief) => match belief.estimate(user.user, lead.ahead_s(age_s)) {
-                Some(estimate) => (lead.within_room(estimate.position), estimate.velocity),
+            Self::Filter(..) => match self.estimate(user.user, age_s) {
+                Some(estimate) => (estimate.position, estimate.velocity),
                 None => (reported, velocity),
             },
         }

@@ -104,7 +104,7 @@ impl AccessRole {
             Self::Tracker => reports().to_vec(),
             Self::Controller => {
                 vec![room.command(), room.geometry(NodeKind::Controller), room.belief(), room.controller_memory()]
-            },
+            }
             Self::Driver => array().to_vec(),
             Self::Simulator => {
                 let own = [room.truth(), room.geometry(NodeKind::SimNode)];

@@ -29,7 +29,7 @@ pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
 pub const MAX_GEOMETRY: usize = 16_384;
 
 /// Largest number of inputs in a [`ControllerMemory`](crate::ControllerMemory).
-pub const MAX_INPUTS: usize = 8192;
+pub const MAX_INPUTS: usize = 4096;
 
 /// Longest state in a [`ControllerMemory`](crate::ControllerMemory) in bytes.
 pub const MAX_STATE: usize = 786_432;

@@ -48,10 +48,12 @@ const ROOM_GEOMETRY: &str = "\
     010ff0bdf3d589cf959a12ac0280cffea7a4deb2c318165b726f6f6d5d0a6865696768745f6d203d20322e350a";
 
 const BELIEF_REPORT: &str = "\
-    TODO16";
+    0110f0bdf3d589cf959a12ac0280cffea7a4deb2c318e807c09292afa4deb2c31801030000c03f000080be9a99593f0000003f000080bf00\
+    00803d000000bd0000003e000000bf0000403f0000803e";
 
 const CONTROLLER_MEMORY: &str = "\
-    TODO17";
+    0111f0bdf3d589cf959a12ac0280cffea7a4deb2c31807e8070200f0bdf3d589cf959a12ac0280cffea7a4deb2c3180004000080cffea7a4\
+    deb2c31801030102ff";
 
 const ALL: [&str; 17] = [
     USER_REPORT,
@@ -125,7 +127,11 @@ fn enumerations_keep_their_numbers() {
     for (number, input) in InputKind::ALL.into_iter().enumerate() {
         let inputs = vec![heliostat_proto::ControllerInput { input, ..Default::default() }];
         let payload = encoded(&heliostat_proto::ControllerMemory { inputs, ..Default::default() });
-        assert_eq!(usize::from(payload[8]), number, "{input:?} follows the header, an empty stamp, two numbers, a length");
+        assert_eq!(
+            usize::from(payload[8]),
+            number,
+            "{input:?} follows the header, an empty stamp, two numbers, a length"
+        );
     }
 }
 

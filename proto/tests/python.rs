@@ -43,6 +43,14 @@ for wrong in [dict(command, yaw=[0.0]), dict(command, roll=[math.nan, 0.0]), dic
         raise AssertionError(wrong)
     except Refused:
         pass
+memory = decode(bytes.fromhex(SAMPLES[17]), 17)
+assert memory["state"] == bytes([1, 2, 255]) and memory["inputs"][1]["input"] == 4, memory
+for wrong in [dict(memory, state=bytes(786433)), dict(memory, inputs=[dict(memory["inputs"][0], input=8)])]:
+    try:
+        encode(wrong, 17)
+        raise AssertionError(wrong.keys())
+    except Refused:
+        pass
 geometry = decode(bytes.fromhex(SAMPLES[15]), 15)
 assert geometry["scenario"] == "[room]\nheight_m = 2.5\n", geometry
 longest = dict(geometry, scenario="x" * 16384)

@@ -2,8 +2,8 @@
 
 use heliostat_proto::{
     BeliefReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, ControllerMemory,
-    EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport,
-    SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
+    EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm,
+    RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.

@@ -2,6 +2,7 @@
 
 mod actor_files;
 mod allocations;
+mod beliefs;
 mod deadlines;
 mod decisions;
 mod epochs;

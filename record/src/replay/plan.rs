@@ -133,7 +133,9 @@ impl Plan {
             }
             let received = Received::read(&entry.data).ok();
             plan.account.count(&entry.topic, entry.data.len(), received.as_ref().map(Received::origin));
-            if let Some((input, received)) = received.as_ref().and_then(|received| Some((input_of(received)?, received))) {
+            if let Some((input, received)) =
+                received.as_ref().and_then(|received| Some((input_of(received)?, received)))
+            {
                 let origin = received.origin();
                 schedules.add_message(index, input, origin.source, origin.sequence);
             }

@@ -98,10 +98,9 @@ impl Schedule {
                 self.last.insert((kind, source), sequence);
                 self.steps.push(Step::Handle { entry, now });
             }
-            InputKind::Decision
-            | InputKind::LateDecision
-            | InputKind::StaleDecision
-            | InputKind::SilenceDecision => self.steps.push(Step::Decide { input: kind, now, gave_command }),
+            InputKind::Decision | InputKind::LateDecision | InputKind::StaleDecision | InputKind::SilenceDecision => {
+                self.steps.push(Step::Decide { input: kind, now, gave_command })
+            }
         }
     }
 }

@@ -4,6 +4,7 @@
 //! rad and mechanical.
 
 use crate::codec::{BufferFull, Message, Reader, Writer};
+use crate::enumerations::{ArrayState, Feedback, NodeKind, StopAction, ValidityClock};
 use crate::error::CodecError;
 use crate::fields::{
     Bounds, Place, Value, field_name, implement_value, mirrors_within_limit, same_length, same_length_or_empty,
@@ -13,8 +14,8 @@ use crate::limits::{
     MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_TEXT, MAX_USERS, Nanos,
 };
 use crate::structures::{
-    ArrayState, AxisLimits, ControllerInput, Counters, Feedback, MirrorFault, NodeKind, Obstacle, Quantiles, Stamp,
-    StopAction, SumRates, TruthUser, UserBelief, UserChannel, UserState, ValidityClock,
+    AxisLimits, ControllerInput, Counters, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser, UserBelief,
+    UserChannel, UserState,
 };
 use crate::table::message_table;
 

@@ -22,7 +22,7 @@
 //! need their entries too.
 //!
 //! - The type of a field is a number, a bool, a text, an `Option`, an array, a `Vec`, a pair, or a
-//!   type of `structures.rs`. Every `f32` and `f64` must be finite, every text at most
+//!   type of `structures.rs` or `enumerations.rs`. Every `f32` and `f64` must be finite, every text at most
 //!   [`MAX_TEXT`](crate::MAX_TEXT) bytes long. The type implies both rules; `text_at_most` sets
 //!   another length.
 //! - `where` adds rules for one field: the methods of `Bounds` in `fields.rs`. A `Vec` needs

@@ -17,6 +17,7 @@
 //! not compared. A lockstep epoch recorded from its first command needs neither.
 
 mod epoch;
+mod inputs;
 mod plan;
 mod player;
 mod schedule;

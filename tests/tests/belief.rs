@@ -9,7 +9,8 @@ use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_endpoint, free_l
 use heliostat_proto::{BeliefReport, MirrorCommand, Room, RoomTruth, codec};
 use heliostat_tests::{Browser, Process, wait_until};
 
-const FILTER: [&str; 4] = ["--scenario", "hall", "--set", "control.belief=\"filter\""];
+const FILTER: [&str; 6] =
+    ["--scenario", "hall", "--set", "control.belief=\"filter\"", "--set", "streams.positions.rate_hz=50"];
 
 /// A room and a controller, each with a metrics page.
 struct Setting {

@@ -15,7 +15,7 @@ use heliostat_scenario::{Belief, DegradedAction};
 use super::epoch::EpochReplay;
 use super::plan::{Clock, Plan, RecordedCommand};
 use super::schedule::EntryIndex;
-use super::scheduled::{Decided, Offered, Place, Progress};
+use super::scheduled::{Decided, Offered, Place, Progress, Tail};
 use super::settings::{SETTLE, Settings, unusable};
 use super::tally::Tally;
 use super::verdict::Verdict;
@@ -45,15 +45,6 @@ pub(super) struct Player<'a> {
     verdict: Tally,
     /// Why a recorded state was not restored.
     unrestored: Option<String>,
-}
-
-/// A message that the current controller may have handled after its last recorded state.
-struct Tail {
-    input: InputKind,
-    data: Vec<u8>,
-    arrived_ns: Nanos,
-    /// Of a position report.
-    answer: Option<RecordedCommand>,
 }
 
 impl<'a> Player<'a> {

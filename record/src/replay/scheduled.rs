@@ -5,9 +5,10 @@ use std::rc::Rc;
 
 use heliostat_decide::core::memory::Memory;
 use heliostat_decide::core::{Controller, Decision, Timing};
-use heliostat_proto::{ControllerMemory, InputKind, MirrorCommand, decode};
+use heliostat_proto::{ControllerMemory, InputKind, MirrorCommand, Nanos, decode};
 
-use super::epoch::handle;
+use super::inputs::handle;
+use super::plan::RecordedCommand;
 use super::schedule::{EntryIndex, Schedule, Step};
 
 /// A message of a stream that was read from the recording.
@@ -18,6 +19,15 @@ pub(super) struct Offered {
     pub source: u64,
     pub sequence: u64,
     pub data: Vec<u8>,
+}
+
+/// A message that the current controller may have handled after its last recorded state.
+pub(super) struct Tail {
+    pub input: InputKind,
+    pub data: Vec<u8>,
+    pub arrived_ns: Nanos,
+    /// Of a position report.
+    pub answer: Option<RecordedCommand>,
 }
 
 /// What a schedule does with a message.
@@ -121,7 +131,7 @@ impl Progress {
     }
 }
 
-fn decide(controller: &mut Controller, input: InputKind, now: u64) -> Option<MirrorCommand> {
+fn decide(controller: &mut Controller, input: InputKind, now: Nanos) -> Option<MirrorCommand> {
     let decision = match input {
         InputKind::LateDecision => controller.poll_command(now, Timing::Late, &mut |_| {}),
         InputKind::StaleDecision => controller.poll_stale_command(now),

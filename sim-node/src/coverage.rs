@@ -72,6 +72,10 @@ impl Coverage {
         else {
             return;
         };
+        // A clock that steps back leaves samples out of order.
+        if !(before.time_ns..=after.time_ns).contains(&belief.holds_ns) || before.time_ns == after.time_ns {
+            return;
+        }
         let part = (belief.holds_ns - before.time_ns) as f64 / (after.time_ns - before.time_ns) as f64;
         for user in &belief.users {
             let place = |sample: &Sample| sample.users.iter().find(|(id, _)| *id == user.user).map(|(_, place)| *place);

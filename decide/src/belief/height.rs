@@ -32,6 +32,11 @@ impl Height {
         self.variance = predicted * (1.0 - gain);
     }
 
+    /// Whether the numbers are those of a height: a recorded state may hold any.
+    pub(super) fn is_sound(&self) -> bool {
+        self.mean_m.is_finite() && self.variance >= 0.0 && self.variance.is_finite()
+    }
+
     /// The estimate in m.
     pub fn mean_m(&self) -> f64 {
         self.mean_m

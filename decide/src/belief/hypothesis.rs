@@ -124,6 +124,20 @@ pub(super) struct Hypothesis {
     pub log_weight: f64,
 }
 
+/// Largest absolute value in a sound hypothesis, in its own unit: beyond any room and walk.
+const SOUND_MAX: f64 = 1e6;
+
+impl Hypothesis {
+    /// Whether all numbers are those of a walk: a recorded state may hold any.
+    pub fn is_sound(&self) -> bool {
+        let State { position, velocity, position_var, cross, velocity_var } = self.state;
+        let numbers = [position.re, position.im, velocity.re, velocity.im, position_var, cross.re, cross.im];
+        let others = [velocity_var, self.turn_rate, self.log_weight];
+        // Comparisons with NaN are false.
+        numbers.iter().chain(&others).all(|number| number.abs() <= SOUND_MAX)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -126,9 +126,9 @@ impl Motion {
         }
     }
 
-    /// Whether the number of hypotheses is one that a motion can have: a recorded state may be any.
+    /// Whether the hypotheses are those of a motion: a recorded state may hold any.
     pub(super) fn is_sound(&self) -> bool {
-        (1..=HYPOTHESES).contains(&self.kept)
+        (1..=HYPOTHESES).contains(&self.kept) && self.bank[..self.kept].iter().all(Hypothesis::is_sound)
     }
 
     /// Moves every hypothesis on, and adds those of a change within the interval.

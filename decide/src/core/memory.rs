@@ -14,7 +14,7 @@ use thiserror::Error;
 use super::{Controller, degraded_actions::LastReport, journal::Journal};
 use crate::{
     input::inbox::memory::InboxMemory, observe::observer::memory::ObserverMemory, output::guard::GuardMemory,
-    policy::FallbackMemory,
+    output::safety::check_finite, policy::FallbackMemory,
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
@@ -127,6 +127,8 @@ impl Controller {
         if [roll.len(), yaw.len(), command.roll.len()] != [mirrors; 3] {
             return Err(other("number of mirrors"));
         }
+        let angles = MirrorAngles { roll: roll.clone(), yaw: yaw.clone() };
+        check_finite(&angles).map_err(|_| other("angles"))?;
         if !self.limits.restore_axes(memory.axes_rad) {
             return Err(other("range of the mirrors"));
         }
@@ -141,7 +143,7 @@ impl Controller {
         self.last_report = memory.last_report;
         self.command = command;
         self.has_command = memory.has_command;
-        self.observation.set_angles(&MirrorAngles { roll: roll.clone(), yaw: yaw.clone() });
+        self.observation.set_angles(&angles);
         Ok(())
     }
 }

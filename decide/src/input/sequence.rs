@@ -20,7 +20,9 @@ pub const SEQUENCE_STEP_MAX: u64 = 1_000_000;
 pub(super) struct SequenceTrack {
     last: Option<Accepted>,
     /// Messages after the last accepted one that arrived and were refused.
+    #[serde(skip)]
     refused: u64,
+    #[serde(skip)]
     missed: u64,
 }
 

@@ -37,6 +37,9 @@ impl Lead {
     }
 }
 
+/// A settling time in a recorded state above this, in s, is of no array.
+const SETTLING_MAX_S: f64 = 1e3;
+
 /// The state of a prediction, as a recording holds it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PredictionMemory {
@@ -111,6 +114,9 @@ impl Prediction {
 
     /// Replaces the state; false where it is not one of this scenario.
     pub fn restore(&mut self, memory: &PredictionMemory) -> bool {
+        if !(0.0..=SETTLING_MAX_S).contains(&memory.settling_s) {
+            return false;
+        }
         self.set_settling(memory.settling_s);
         match (self, &memory.belief) {
             (Self::Filter(_, belief), Some(memory)) => belief.restore(memory),

@@ -95,7 +95,8 @@ impl Policy for ModelBased {
 
     fn restore(&mut self, memory: &PolicyMemory) {
         let PolicyMemory { users, weights, .. } = memory;
-        if (1..=MAX_USERS).contains(&users.len()) && weights.len() == users.len() {
+        let fits = (1..=MAX_USERS).contains(&users.len()) && weights.len() == users.len();
+        if fits && weights.iter().all(|weight| weight.is_finite()) {
             if self.slots.follow(users) {
                 self.solver.change_users(self.slots.former());
             }

@@ -9,7 +9,7 @@ use anyhow::{Context, Result};
 use heliostat_decide::capabilities::{Examiner, Force};
 use heliostat_decide::core::{Controller, Decision, Timing, WARM_UP_RUNS};
 use heliostat_engine::ActorSource;
-use heliostat_proto::{Capabilities, InputKind, MirrorCommand, Nanos, NodeKind, SafetyReport, UserReport, decode};
+use heliostat_proto::{Capabilities, InputKind, MirrorCommand, NodeKind, SafetyReport, UserReport, decode};
 use heliostat_scenario::{Belief, DegradedAction};
 
 use super::epoch::EpochReplay;

@@ -20,7 +20,7 @@ impl Observer {
         let age_s = now.saturating_sub(users.stamp.time_ns) as f64 * 1e-9;
         let Some(ahead_s) = self.prediction.ahead_s(age_s) else { return false };
         report.tick = users.tick;
-        report.holds_ns = users.stamp.time_ns + (ahead_s.max(0.0) * 1e9).round() as Nanos;
+        report.holds_ns = users.stamp.time_ns.saturating_add((ahead_s.max(0.0) * 1e9).round() as Nanos);
         report.users.clear();
         for (slot, user) in observation.ids.iter().enumerate() {
             let Some(estimate) = self.prediction.estimate(*user, age_s) else { continue };

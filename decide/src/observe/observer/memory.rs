@@ -30,7 +30,9 @@ impl Observer {
     /// Replaces the state; false where it is not one of this scenario.
     pub fn restore(&mut self, memory: &ObserverMemory) -> bool {
         let ObserverMemory { prediction, slots, headings } = memory;
-        if slots.len() > MAX_USERS || headings.len() != slots.len() || !self.prediction.restore(prediction) {
+        let is_heading = |heading: &[f64; 3]| heading.iter().all(|part| part.abs() <= 1.0 + 1e-9);
+        let is_sound = slots.len() <= MAX_USERS && headings.len() == slots.len() && headings.iter().all(is_heading);
+        if !is_sound || !self.prediction.restore(prediction) {
             return false;
         }
         self.slots.follow(slots);

@@ -3,8 +3,9 @@
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{self as scenario, Scenario};
+use serde::{Deserialize, Serialize};
 
-use crate::belief::Belief;
+use crate::belief::{Belief, Estimate, memory::BeliefMemory};
 
 /// Weight of a new interval in the mean time between reports.
 const INTERVAL_WEIGHT: f64 = 0.1;
@@ -66,6 +67,25 @@ pub struct Predicted {
     /// Probability that the direct path is clear past all but bodies; absent where only the latest
     /// measurement shows it.
     pub direct_clear: Option<f64>,
+}
+
+/// A settling time or an interval in a recorded state above this, in s, is of no room.
+const TIME_MAX_S: f64 = 1e6;
+
+/// The state of a lead, as a recording holds it.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct LeadMemory {
+    settling_s: f64,
+    interval_s: f64,
+    last_ns: Nanos,
+}
+
+/// The state of a prediction, as a recording holds it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PredictionMemory {
+    /// Absent where users are at their reported positions.
+    lead: Option<LeadMemory>,
+    belief: Option<BeliefMemory>,
 }
 
 /// The prediction of all users of a room.
@@ -149,6 +169,54 @@ impl Prediction {
         }
     }
 
+    /// The present state.
+    pub fn memory(&self) -> PredictionMemory {
+        let lead = match self {
+            Self::AsReported => None,
+            Self::ConstantVelocity(lead) | Self::Filter(lead, _) => {
+                Some(LeadMemory { settling_s: lead.settling_s, interval_s: lead.interval_s, last_ns: lead.last_ns })
+            }
+        };
+        PredictionMemory { lead, belief: self.belief().map(Belief::memory) }
+    }
+
+    /// Replaces the state; false where it is not one of this scenario.
+    pub fn restore(&mut self, memory: &PredictionMemory) -> bool {
+        let in_bounds = |lead: &LeadMemory| {
+            [lead.settling_s, lead.interval_s].iter().all(|time_s| (0.0..=TIME_MAX_S).contains(time_s))
+        };
+        if !memory.lead.iter().all(in_bounds) {
+            return false;
+        }
+        if let Some(LeadMemory { settling_s, interval_s, last_ns }) = memory.lead {
+            self.set_settling(settling_s);
+            if let Self::ConstantVelocity(lead) | Self::Filter(lead, _) = self {
+                *lead = Lead { interval_s, last_ns, ..*lead };
+            }
+        }
+        match (self, &memory.lead, &memory.belief) {
+            (Self::Filter(_, belief), Some(_), Some(memory)) => belief.restore(memory),
+            (Self::AsReported, None, None) | (Self::ConstantVelocity(_), Some(_), None) => true,
+            _ => false,
+        }
+    }
+
+    /// From the sampling of a report of this age to the time for which the belief holds, in s;
+    /// absent without a belief.
+    pub fn ahead_s(&self, age_s: f64) -> Option<f64> {
+        match self {
+            Self::Filter(lead, _) => Some(lead.ahead_s(age_s)),
+            Self::AsReported | Self::ConstantVelocity(_) => None,
+        }
+    }
+
+    /// The belief about a user of the last report, which has this age in s, within the room.
+    pub fn estimate(&self, user: u32, age_s: f64) -> Option<Estimate> {
+        let Self::Filter(lead, belief) = self else { return None };
+        let estimate = belief.estimate(user, lead.ahead_s(age_s))?;
+        Some(Estimate { position: lead.within_room(estimate.position), ..estimate })
+    }
+
     /// A user of the last report, which has this age in s.
     pub fn predict(&self, user: &UserState, age_s: f64) -> Predicted {
         let position = Vec3::from_iterator(user.position_m.map(f64::from));
@@ -160,9 +228,9 @@ impl Prediction {
             Self::ConstantVelocity(lead) => {
                 Predicted { position: lead.within_room(position + velocity * lead.ahead_s(age_s)), ..as_reported }
             }
-            Self::Filter(lead, belief) => match belief.estimate(user.user, lead.ahead_s(age_s)) {
+            Self::Filter(..) => match self.estimate(user.user, age_s) {
                 Some(estimate) => Predicted {
-                    position: lead.within_room(estimate.position),
+                    position: estimate.position,
                     velocity: estimate.velocity,
                     heading: Some(estimate.heading),
                     direct_clear: Some(estimate.direct_clear),

@@ -218,12 +218,24 @@ impl<S: Storage> RoomWriter<S> {
         self.account.count(key, payload.len(), origin);
         let Some(received) = received else { return Ok(()) };
         self.check_scenario(&received);
+        if let Received::Geometry(geometry) = &received {
+            self.draw_geometry(key, &geometry.scenario);
+        }
         self.series.update(&received, arrived_ns, |topic, data| recording.derived(topic, arrived_ns, data))?;
         if self.scene.update(&received, arrived_ns) {
             let data = self.scene.draw(arrived_ns).to_vec();
             recording.derived(&self.scene.topic(), arrived_ns, &data)?;
         }
         Ok(())
+    }
+
+    /// Draws the geometry that a process of the room announces from now on.
+    fn draw_geometry(&mut self, key: &str, geometry: &str) {
+        let announces = |node: &NodeKind| key == self.room.geometry(*node);
+        let Some(node) = [NodeKind::SimNode, NodeKind::Controller].into_iter().find(announces) else { return };
+        if let Err(reason) = self.scene.announce(node, geometry) {
+            self.report(format!("the geometry that {node} announces cannot be drawn: {reason}"));
+        }
     }
 
     /// Reports a process whose scenario differs from the recorded one: such a recording cannot be

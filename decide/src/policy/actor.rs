@@ -85,7 +85,7 @@ impl Actor {
         let angles = self.network.run()?;
         let (roll, yaw) =
             angles.split_at_checked(self.info.mirrors).filter(|(_, yaw)| yaw.len() == self.info.mirrors).ok_or_else(
-                || PolicyError::Inference { message: format!("the network returned {} values", angles.len()) },
+                || PolicyError::Inference { message: format!("the output of the network has a length of {}", angles.len()) },
             )?;
         widen(roll, &mut out.roll);
         widen(yaw, &mut out.yaw);

@@ -175,7 +175,7 @@ impl Lockstep {
         let failed = self.controller.counters().degraded(DegradedMode::PolicyFailed);
         let held = self.controller.counters().degraded(DegradedMode::Held);
         match self.controller.last_failure() {
-            Some(failure) if failed + held > 0 => bail!("{failed} decisions failed, the last because {failure}"),
+            Some(failure) if failed + held > 0 => bail!("failed decisions: {failed}, the last because {failure}"),
             _ => Ok(()),
         }
     }

@@ -21,7 +21,7 @@ pub enum TraceError {
         found: String,
     },
     /// A line has another number of columns than four.
-    #[error("line {line}: {found} columns: expected 4 (time,user,x,y)")]
+    #[error("line {line}: number of columns {found}: expected 4 (time,user,x,y)")]
     Columns {
         /// Line number, from 1.
         line: usize,
@@ -78,7 +78,7 @@ pub enum TraceError {
         previous: f64,
     },
     /// A user has no sample.
-    #[error("user {user} has no sample: expected at least one for each of {users} users")]
+    #[error("user {user} has no sample: expected at least one for each user (users.count = {users})")]
     Missing {
         /// The user.
         user: usize,
@@ -312,7 +312,7 @@ mod tests {
     #[test]
     fn errors_name_the_line() {
         let error = |body: &str| Trace::parse(&format!("time,user,x,y\n{body}"), 2, &FLOOR).unwrap_err().to_string();
-        assert!(error("0,0,1").contains("line 2: 3 columns"));
+        assert!(error("0,0,1").contains("line 2: number of columns 3"));
         assert!(error("0,0,1,1\n0,0,x,1").contains("line 3: invalid x `x`"));
         assert!(error("0,0,1,NaN").contains("line 2: invalid y `NaN`"));
         assert!(error("0,-1,1,1").contains("line 2: invalid user `-1`"));

@@ -350,6 +350,11 @@ impl Controller {
         &self.observation
     }
 
+    /// What fills the observation: the belief of the filter, and the headings of the users.
+    pub fn observer(&self) -> &Observer {
+        &self.observer
+    }
+
     /// Proposes angles by `action`, limits them and completes the command.
     fn execute(
         &mut self,

@@ -38,8 +38,8 @@ impl Lead {
 
 /// The prediction of all users of a room.
 pub enum Prediction {
-    /// At their reported positions.
-    AsReported,
+    /// At their reported positions, whatever the lead.
+    AsReported(Lead),
     /// At their reported velocities.
     ConstantVelocity(Lead),
     /// By a filter of all reports.
@@ -50,7 +50,7 @@ impl Prediction {
     /// The prediction that the scenario names.
     pub fn new(scenario: &Scenario) -> Self {
         match scenario.control.belief {
-            scenario::Belief::None => Self::AsReported,
+            scenario::Belief::None => Self::AsReported(Lead::new(scenario)),
             scenario::Belief::ConstantVelocity => Self::ConstantVelocity(Lead::new(scenario)),
             scenario::Belief::Filter => Self::Filter(Lead::new(scenario), Box::new(Belief::new(scenario, MAX_USERS))),
         }
@@ -59,8 +59,16 @@ impl Prediction {
     /// Extends the prediction by the settling time of the mirrors in s.
     pub fn set_settling(&mut self, settling_s: f64) {
         match self {
-            Self::AsReported => {}
-            Self::ConstantVelocity(lead) | Self::Filter(lead, _) => lead.settling_s = settling_s,
+            Self::AsReported(lead) | Self::ConstantVelocity(lead) | Self::Filter(lead, _) => {
+                lead.settling_s = settling_s;
+            }
+        }
+    }
+
+    /// From a decision to the middle of its command's time in force, in s.
+    pub fn lead_s(&self) -> f64 {
+        match self {
+            Self::AsReported(lead) | Self::ConstantVelocity(lead) | Self::Filter(lead, _) => lead.ahead_s(0.0),
         }
     }
 
@@ -88,7 +96,7 @@ impl Prediction {
     pub fn belief(&self) -> Option<&Belief> {
         match self {
             Self::Filter(_, belief) => Some(belief),
-            Self::AsReported | Self::ConstantVelocity(_) => None,
+            Self::AsReported(_) | Self::ConstantVelocity(_) => None,
         }
     }
 
@@ -98,7 +106,7 @@ impl Prediction {
         let [x, y] = user.velocity_m_s.map(f64::from);
         let velocity = Vec3::new(x, y, 0.0);
         match self {
-            Self::AsReported => (reported, velocity),
+            Self::AsReported(_) => (reported, velocity),
             Self::ConstantVelocity(lead) => (lead.within_room(reported + velocity * lead.ahead_s(age_s)), velocity),
             Self::Filter(lead, belief) => match belief.estimate(user.user, lead.ahead_s(age_s)) {
                 Some(estimate) => (lead.within_room(estimate.position), estimate.velocity),

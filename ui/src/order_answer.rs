@@ -12,6 +12,8 @@ use crate::view::{EXPIRY, Received};
 
 /// Reported and ordered values differ at most by the rounding to 32 bits.
 const TOLERANCE: f64 = 1e-4;
+/// Telemetry of this age shows that an array is present, even without a process that is known.
+const REPORTING: Duration = Duration::from_secs(1);
 /// A status that arrives this long after an order describes the time after the order.
 const SETTLED: Duration = Duration::from_millis(1500);
 
@@ -64,7 +66,9 @@ impl View {
             simulator: status(NodeKind::SimNode),
             array: telemetry.map(|(at, array)| (*at, array.state)),
             controller_alive: is_alive(NodeKind::Controller),
-            array_present: telemetry.is_some() || is_alive(NodeKind::SimNode) || is_alive(NodeKind::Driver),
+            array_present: telemetry.is_some_and(|(at, _)| at.elapsed() < REPORTING)
+                || is_alive(NodeKind::SimNode)
+                || is_alive(NodeKind::Driver),
         }
     }
 }

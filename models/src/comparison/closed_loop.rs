@@ -302,3 +302,38 @@ impl Lockstep {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn episodes_start_in_different_parts_of_a_recording_and_end_within_it() {
+        let count = 10;
+        let starts = |seed: u64, recording_s: f64| -> Vec<f64> {
+            let episode = |index: usize| {
+                Episode::new(held_out_seed(seed, index as u64), 0, INSTANTS, Settings::WARM)
+                    .in_recording(recording_s, index, count)
+            };
+            (0..count).map(|index| episode(index).recording_from_s + SETTLE_S).collect()
+        };
+        let (warm_and_instants_s, recording_s) = (6.0, 106.0);
+        let found = starts(3, recording_s);
+        for (index, start_s) in found.iter().enumerate() {
+            // An episode ends up to 0.25 s after its last instant.
+            let part = 9.97 * index as f64..10.0 * (index + 1) as f64;
+            assert!(part.contains(start_s), "episode {index} starts at {start_s} s");
+            assert!(start_s + warm_and_instants_s <= recording_s, "episode {index} starts at {start_s} s");
+        }
+        assert_eq!(found, starts(3, recording_s));
+        assert_ne!(found, starts(4, recording_s));
+        // A recording that is shorter than an episode repeats; the starts differ all the same.
+        assert!(starts(3, 2.0).windows(2).all(|pair| pair[0] < pair[1] && pair[1] < 2.0));
+    }
+
+    #[test]
+    fn instants_do_not_depend_on_the_recording() {
+        let episode = || Episode::new(7, 0, 5, Settings::WARM);
+        assert_eq!(episode().instants_ns, episode().in_recording(60.0, 1, 2).instants_ns);
+    }
+}

@@ -123,9 +123,11 @@ fn every_policy_and_belief_has_paired_differences_from_the_first_row() {
     let first = "greedy+none";
     assert!(compared["policies"][first].get("difference_ratio").is_none());
     for name in ["greedy+filter", "flat"] {
-        for (difference, figure) in
-            [("difference_ratio", "ratio_to_oracle"), ("difference_qos_met", "qos_met"), ("difference_mbps", "sum_rate_mbps")]
-        {
+        for (difference, figure) in [
+            ("difference_ratio", "ratio_to_oracle"),
+            ("difference_qos_met", "qos_met"),
+            ("difference_mbps", "sum_rate_mbps"),
+        ] {
             let expected = mean(&compared, name, figure) - mean(&compared, first, figure);
             let found = &compared["policies"][name][difference];
             assert!((found["mean"].as_f64().expect("a mean") - expected).abs() < 1e-9, "{name} {difference}: {found}");
@@ -149,7 +151,8 @@ fn a_closed_loop_measures_the_beliefs_themselves() {
         figure["mean"].as_f64().or(figure.as_f64()).unwrap_or(f64::NAN)
     };
     // Reports are 100 ms old, and walking users cross some decimetres until the command acts.
-    let [none, predicted, filtered] = ["none", "constant-velocity", "filter"].map(|belief| of(belief, "place_error_cm"));
+    let [none, predicted, filtered] =
+        ["none", "constant-velocity", "filter"].map(|belief| of(belief, "place_error_cm"));
     assert!(none > predicted && predicted > filtered + 1.0 && filtered > 1.0, "{none} {predicted} {filtered}");
     let (median, half, most) =
         (of("filter", "place_error_median_cm"), of("filter", "coverage_50"), of("filter", "coverage_95"));

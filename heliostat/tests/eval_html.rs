@@ -63,7 +63,9 @@ fn a_report_has_the_figures_of_the_comparison() {
 #[test]
 fn a_report_of_a_closed_loop_has_a_table_of_beliefs() {
     let page = report(&["--policies", "nearest,flat", "--states", "4", "--closed-loop", "--beliefs", "none,filter"]);
-    for part in ["<th>belief</th>", "<th>none</th>", "<th>filter</th>", "place, mean (cm)", "belief, observation and policy"] {
+    for part in
+        ["<th>belief</th>", "<th>none</th>", "<th>filter</th>", "place, mean (cm)", "belief, observation and policy"]
+    {
         assert!(page.contains(part), "{part} in\n{page}");
     }
     assert!(!report(&["--policies", "nearest", "--states", "4"]).contains("<th>belief</th>"));

@@ -18,6 +18,18 @@ fn every_command_has_a_help_text() {
 }
 
 #[test]
+fn a_help_text_states_what_a_flag_requires() {
+    for (command, expected) in [
+        ("sim-node", "--start-armed With --state: start parked"),
+        ("eval", "to the first measured instant of an episode, at least 0.01"),
+    ] {
+        let help = String::from_utf8(heliostat(&[command, "--help"]).stdout).expect("text");
+        let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains(expected), "{expected} is missing in: {help}");
+    }
+}
+
+#[test]
 fn scenario_new_writes_a_file_that_check_accepts() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("room.toml");

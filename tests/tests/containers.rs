@@ -80,9 +80,8 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
         wait_until(&format!("a healthy {service}"), || state(service, ".State.Health.Status") == "healthy");
     }
 
-    let commands = || {
-        engine.get(&of_room, "/metrics").map_or(0.0, |page| metric(&page, "heliostat_room_commands_total"))
-    };
+    let commands =
+        || engine.get(&of_room, "/metrics").map_or(0.0, |page| metric(&page, "heliostat_room_commands_total"));
     wait_until("commands that the array accepts", || commands() > 10.0);
     let page = engine.get(&of_controller, "/metrics").expect("the controller serves its metrics");
     assert!(metric(&page, "heliostat_decisions_total") > 10.0, "{page}");
@@ -94,9 +93,7 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
     wait_until("the address of the page", || (ui.errors() + "\n").contains(before));
     let errors = ui.errors();
     let port = errors.split_once(before).and_then(|(_, rest)| rest.split(['/', '\n', ' ']).next()).expect("a port");
-    wait_until("the live page", || {
-        engine.get(port, "/").is_some_and(|page| page.contains("<title>Heliostat</title>"))
-    });
+    wait_until("the live page", || engine.get(port, "/").is_some_and(|page| page.contains("<title>Heliostat</title>")));
 
     // The volume keeps an emergency stop over a restart.
     order(&engine, "stop", &router);

@@ -217,8 +217,9 @@ mod tests {
     #[test]
     fn only_telemetry_after_a_stop_confirms_it() {
         let order = published(Order::Stop);
-        let answer =
-            |at, state| order.answer(&Reported { array: Some((at, state)), array_present: true, ..Reported::default() });
+        let answer = |at, state| {
+            order.answer(&Reported { array: Some((at, state)), array_present: true, ..Reported::default() })
+        };
         let after = order.at + Duration::from_millis(1);
         assert_eq!(answer(order.at, ArrayState::Stopped), None);
         assert_eq!(answer(after, ArrayState::Following), None);

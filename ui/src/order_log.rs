@@ -89,7 +89,9 @@ impl OrderLog {
         };
         let shown = entries.iter().rev().filter(|entry| match entry.answer {
             Answer::Sent => true,
-            Answer::Done => entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported) == Some(Answer::Done),
+            Answer::Done => {
+                entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported) == Some(Answer::Done)
+            }
             Answer::Refused(_) | Answer::Missing | Answer::Absent => entry.changed.elapsed() < REFUSAL_SHOWN,
         });
         let shown = shown.filter(|entry| !is_superseded(entry));

@@ -312,8 +312,11 @@ mod tests {
         let count = 10;
         let starts = |seed: u64, recording_s: f64| -> Vec<f64> {
             let episode = |index: usize| {
-                Episode::new(held_out_seed(seed, index as u64), 0, INSTANTS, Settings::WARM)
-                    .in_recording(recording_s, index, count)
+                Episode::new(held_out_seed(seed, index as u64), 0, INSTANTS, Settings::WARM).in_recording(
+                    recording_s,
+                    index,
+                    count,
+                )
             };
             (0..count).map(|index| episode(index).recording_from_s + SETTLE_S).collect()
         };

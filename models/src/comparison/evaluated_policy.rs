@@ -75,7 +75,11 @@ impl EvaluatedPolicy {
     /// The same policy with this belief about the users, for closed loop; it replaces the
     /// scenario's. `None` for policies that do not observe the users.
     pub fn with_belief(&self, belief: Belief) -> Option<Self> {
-        (!self.is_blind()).then(|| Self { name: format!("{}+{belief}", self.name), belief: Some(belief), ..self.clone() })
+        (!self.is_blind()).then(|| Self {
+            name: format!("{}+{belief}", self.name),
+            belief: Some(belief),
+            ..self.clone()
+        })
     }
 
     /// The belief with which the policy observes the users of a room; `None` for policies that do not

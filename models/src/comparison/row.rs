@@ -62,8 +62,9 @@ pub(super) type Rows = (Row, Vec<Row>);
 /// The rows of a comparison; the first policy is the one that the others are subtracted from.
 pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>]) -> Rows {
     let of_policies = settings.policies.iter().zip(runs).enumerate().map(|(index, (evaluated, own))| {
-        let minus_first =
-            |value: Value| (index > 0).then(|| difference(&values(own, oracle, value), &values(&runs[0], oracle, value)));
+        let minus_first = |value: Value| {
+            (index > 0).then(|| difference(&values(own, oracle, value), &values(&runs[0], oracle, value)))
+        };
         Row {
             difference_mbps: minus_first(|own, _| own.sum_rate_mbps),
             difference_ratio: minus_first(ratio),
@@ -79,9 +80,8 @@ type Value = fn(&Sample, &Sample) -> f64;
 
 /// A quantity in each state of each group of each run.
 fn values(runs: &[Run], oracle: &[Vec<Sample>], value: Value) -> Vec<Vec<Vec<f64>>> {
-    let of_group = |(own, best): (&Vec<Sample>, &Vec<Sample>)| {
-        own.iter().zip(best).map(|(own, best)| value(own, best)).collect()
-    };
+    let of_group =
+        |(own, best): (&Vec<Sample>, &Vec<Sample>)| own.iter().zip(best).map(|(own, best)| value(own, best)).collect();
     runs.iter().map(|run| run.groups.iter().zip(oracle).map(of_group).collect()).collect()
 }
 
@@ -253,7 +253,8 @@ mod tests {
 
     #[test]
     fn differences_of_the_ratio_leave_out_states_without_one() {
-        let sample = |sum_rate_mbps: f64| Sample { sum_rate_mbps, met: 1.0, jain: 1.0, blocked_rate_mbps: 0.0, ber: 0.0 };
+        let sample =
+            |sum_rate_mbps: f64| Sample { sum_rate_mbps, met: 1.0, jain: 1.0, blocked_rate_mbps: 0.0, ber: 0.0 };
         let run = |rates: &[f64]| {
             vec![Run { groups: rates.iter().map(|rate| vec![sample(*rate)]).collect(), ..Run::default() }]
         };

@@ -16,6 +16,11 @@ pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     std::iter::once(("(oracle)", &report.oracle)).chain(policies)
 }
 
+/// Width of the column of names.
+fn name_width(report: &Report) -> usize {
+    rows(report).map(|(name, _)| name.len()).max().unwrap_or(0).max(22)
+}
+
 /// Prints a comparison.
 pub fn print_table(report: &Report) -> io::Result<()> {
     let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
@@ -26,8 +31,9 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         report.blocked,
         states_and_seeds(report)
     )?;
+    let width = name_width(report);
     outln!(
-        "{:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+        "{:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
         "",
         "trained",
         "Mbit/s",
@@ -44,7 +50,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         let (rate, ratio) = (row.sum_rate_mbps, row.ratio_to_oracle);
         let time = |time: Option<f64>| time.map_or("-".into(), |time| format!("{time:.0}"));
         outln!(
-            "{name:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+            "{name:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
             row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()),
             interval(rate, 1),
             interval(ratio, 3),
@@ -77,11 +83,12 @@ fn print_differences(report: &Report) -> io::Result<()> {
         return Ok(());
     }
     outln!("\ndifference to {first}, paired state by state")?;
-    outln!("{:<22} {:>15} {:>15} {:>15}", "", "Mbit/s", "ratio", "QoS met")?;
+    let width = name_width(report);
+    outln!("{:<width$} {:>15} {:>15} {:>15}", "", "Mbit/s", "ratio", "QoS met")?;
     for (name, row) in others {
         let cell = |difference: Option<Spread>, digits| signed(difference.unwrap_or(Spread::MISSING), digits);
         outln!(
-            "{name:<22} {:>15} {:>15} {:>15}",
+            "{name:<width$} {:>15} {:>15} {:>15}",
             cell(row.difference_mbps, 1),
             cell(row.difference_ratio, 3),
             cell(row.difference_qos_met, 3)
@@ -98,10 +105,11 @@ fn print_beliefs(report: &Report) -> io::Result<()> {
     let columns = belief_columns();
     outln!("\nbelief about the users, against the truth at the predicted instant")?;
     let headings = columns.iter().map(|(heading, _)| format!("{heading:>18}")).collect::<Vec<_>>();
-    outln!("{:<22} {}", "", headings.join(" "))?;
+    let width = name_width(report);
+    outln!("{:<width$} {}", "", headings.join(" "))?;
     for (name, quality) in &report.beliefs {
         let cells = columns.iter().map(|(_, cell)| format!("{:>18}", cell(quality))).collect::<Vec<_>>();
-        outln!("{name:<22} {}", cells.join(" "))?;
+        outln!("{name:<width$} {}", cells.join(" "))?;
     }
     outln!("{BELIEF_NOTE}")
 }

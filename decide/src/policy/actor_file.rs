@@ -112,8 +112,8 @@ pub enum ActorError {
     },
     /// The engine computes other angles than the reference evaluation.
     #[error(
-        "{origin}: the inference engine and the reference evaluation give other angles on {differing} of the \
-         observations compared ({compared}; {example}), expected equal ones; check the network for invalid operations such as 0/0, and \
+        "{origin}: the inference engine and the reference evaluation give other angles on {differing} of {compared} \
+         observations ({example}), expected equal ones; check the network for invalid operations such as 0/0, and \
          export it again with other operators"
     )]
     Disagrees {

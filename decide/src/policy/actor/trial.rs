@@ -214,7 +214,7 @@ impl Trial {
         }
         if differing > 0 {
             findings.push(Finding::Warning(format!(
-                "{origin}: the inference engine and the reference evaluation differ: on {differing} of the observations compared ({compared}), for example {}",
+                "{origin}: the inference engine and the reference evaluation differ on {differing} of {compared} observations ({})",
                 self.last_difference
             )));
         }

@@ -379,6 +379,11 @@ impl Controller {
         self.observer.report_beliefs(&self.inbox, &self.observation, now, report)
     }
 
+    /// What fills the observation: the belief of the filter, and the headings of the users.
+    pub fn observer(&self) -> &Observer {
+        &self.observer
+    }
+
     /// Proposes angles by `action`, limits them and completes the command.
     fn execute(
         &mut self,

@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, fmt};
 
 use heliostat_decide::{
-    belief::Innovations,
+    belief::innovation::Innovations,
     capabilities::Unfit,
     core::{Controller, DegradedMode, Stage},
     policy::Tally,

@@ -24,13 +24,16 @@ impl Observer {
         report.users.clear();
         for (slot, user) in observation.ids.iter().enumerate() {
             let Some(estimate) = self.prediction.estimate(*user, age_s) else { continue };
-            let heading = self.headings.get(slot).copied().unwrap_or_default();
+            let (heading, blocked) = (estimate.heading, 1.0 - estimate.direct_clear);
+            // A path that is probably clear past unreported obstacles, and blocked nevertheless, is
+            // blocked by a body or a reported obstacle.
             let is_blocked = observation.scene.los_blocked().get(slot).is_some_and(|blocked| *blocked);
+            let blocked = if is_blocked && blocked <= 0.5 { 1.0 } else { blocked.clamp(0.0, 1.0) };
             report.users.push(UserBelief {
                 user: *user,
                 heading_rad: heading.y.atan2(heading.x) as f32,
                 heading_certainty: heading.norm().min(1.0) as f32,
-                blocked_probability: f32::from(u8::from(is_blocked)),
+                blocked_probability: blocked as f32,
                 ..of_estimate(&estimate)
             });
         }
@@ -41,7 +44,7 @@ impl Observer {
 /// Place, velocity and covariance. The covariance is cut to the bound of the contract, which
 /// rounding to f32 can exceed.
 fn of_estimate(estimate: &Estimate) -> UserBelief {
-    let Estimate { position, velocity, position_cov_m2: [xx, xy, yy] } = estimate;
+    let Estimate { position, velocity, position_cov_m2: [xx, xy, yy], .. } = estimate;
     let (xx_m2, yy_m2) = (xx.max(0.0) as f32, yy.max(0.0) as f32);
     let most = (f64::from(xx_m2) * f64::from(yy_m2)).sqrt();
     UserBelief {

@@ -33,7 +33,7 @@ impl Belief {
     pub fn restore(&mut self, memory: &BeliefMemory) -> bool {
         let BeliefMemory { position_noise, velocity_noise, tracks, last_ns, history, map } = memory;
         let [position_first, velocity_first] = &self.first_noise;
-        let is_sound = |track: &Track| track.motion.is_sound() && track.height.is_sound() && track.covered.is_sound();
+        let is_sound = |track: &Track| track.height.is_sound() && track.covered.is_sound();
         let fits = position_first.is_like(position_noise)
             && velocity_first.is_like(velocity_noise)
             && tracks.len() <= self.tracks.capacity()

@@ -79,7 +79,9 @@ fn a_restored_controller_gives_the_same_commands_with_each_belief_and_policy() {
                 room.sequence = sequence;
                 assert_eq!(tick(&mut room, &mut second, number), expected, "{belief}, {kind:?}, tick {number}");
             }
-            assert_eq!(second.memory().to_bytes().unwrap(), first.memory().to_bytes().unwrap(), "{belief}, {kind:?}");
+            let states = [&second, &first].map(|controller| controller.memory().to_bytes().unwrap());
+            let apart = states[0].iter().zip(&states[1]).position(|(one, other)| one != other);
+            assert_eq!((apart, states[0].len()), (None, states[1].len()), "{belief}, {kind:?}");
         }
     }
 }

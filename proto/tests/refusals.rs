@@ -160,7 +160,7 @@ fn lists_that_belong_together_must_have_the_same_length() {
     let expected =
         CodecError::LengthMismatch { kind: Kind::MirrorCommand, field: "yaw", found: 1, like: "roll", expected: 2 };
     assert_eq!(error, expected);
-    assert_eq!(error.to_string(), "mirror command: yaw has 1 entries: expected 2, as many as roll");
+    assert_eq!(error.to_string(), "mirror command: yaw has a length of 1: expected 2, that of roll");
     let half = MirrorTelemetry { roll_measured: vec![0.0], ..mirror_telemetry() };
     assert!(matches!(
         encode(&half, &mut Vec::new()),
@@ -398,7 +398,7 @@ fn a_refused_message_leaves_the_buffer_empty() {
 fn counts_are_compared_with_those_of_the_receiver() {
     assert_eq!(mirror_command().check_mirrors(2), Ok(()));
     let error = mirror_command().check_mirrors(100).expect_err("the command is for two mirrors");
-    assert_eq!(error.to_string(), "mirror command for 2 mirrors: expected 100, as many as the array has");
+    assert_eq!(error.to_string(), "mirror command for an array of size 2: expected 100, the number of its mirrors");
     assert!(mirror_telemetry().check_mirrors(3).is_err());
     assert!(capabilities().check_mirrors(3).is_err());
     assert!(calibration().check_mirrors(3).is_err());

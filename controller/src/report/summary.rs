@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, fmt};
 
 use heliostat_decide::{
-    belief::innovation::Innovations,
+    belief::innovations::Innovations,
     capabilities::Unfit,
     core::{Controller, DegradedMode, Stage},
     policy::Tally,

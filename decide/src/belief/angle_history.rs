@@ -11,12 +11,9 @@ const COMMANDS: usize = 64;
 /// most this in rad: a hundredth of the angle under which a device sees its own body.
 const SAME_RAD: f32 = 2e-3;
 
-/// Latest time of a command in a recorded state: no clock shows it, and sums with it do not overflow.
-const TIME_MAX_NS: Nanos = u64::MAX / 4;
-
 /// The angles of a command, and when they are valid.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-struct Entry {
+pub(super) struct Entry {
     from_ns: Nanos,
     until_ns: Nanos,
     roll: Vec<f32>,
@@ -28,13 +25,6 @@ impl Entry {
         let near = |one: &[f32], two: &[f32]| one.iter().zip(two).all(|(one, two)| (one - two).abs() <= SAME_RAD);
         near(&self.roll, &other.roll) && near(&self.yaw, &other.yaw)
     }
-}
-
-/// The state of a history, as a recording holds it: the entries from the oldest on.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct AngleMemory {
-    entries: Vec<Entry>,
-    settling_ns: Nanos,
 }
 
 /// The latest commands, in the order in which they were given.
@@ -59,33 +49,24 @@ impl AngleHistory {
         self.settling_ns = (settling_s * 1e9) as Nanos;
     }
 
-    /// The present state, without commands that ended before `oldest_ns`: no later measurement needs
-    /// them.
-    pub fn memory(&self, oldest_ns: Nanos) -> AngleMemory {
-        let (newer, older) = self.entries.split_at(self.next);
-        let entries = older.iter().chain(newer).filter(|entry| entry.until_ns > 0 && entry.until_ns >= oldest_ns);
-        AngleMemory { entries: entries.cloned().collect(), settling_ns: self.settling_ns }
+    /// The commands that were valid after a time, in their order.
+    pub(super) fn since(&self, time_ns: Nanos) -> Vec<Entry> {
+        let (later, earlier) = self.entries.split_at(self.next);
+        earlier.iter().chain(later).filter(|entry| entry.until_ns > time_ns).cloned().collect()
     }
 
-    /// Replaces the state; false where it is not one of this array.
-    pub fn restore(&mut self, memory: &AngleMemory) -> bool {
-        let AngleMemory { entries, settling_ns } = memory;
+    /// Replaces the commands; false, without a change, where they are not those of this array.
+    pub(super) fn restore(&mut self, entries: &[Entry]) -> bool {
         let mirrors = self.entries[0].roll.len();
-        let finite = |angles: &[f32]| angles.len() == mirrors && angles.iter().all(|angle| angle.is_finite());
-        let is_sound = |entry: &Entry| {
-            entry.from_ns <= entry.until_ns
-                && entry.until_ns <= TIME_MAX_NS
-                && finite(&entry.roll)
-                && finite(&entry.yaw)
-        };
-        if entries.len() > COMMANDS || *settling_ns > TIME_MAX_NS || !entries.iter().all(is_sound) {
-            return false;
+        let fits = entries.len() <= COMMANDS
+            && entries.iter().all(|entry| [entry.roll.len(), entry.yaw.len()] == [mirrors; 2])
+            && entries.iter().all(|entry| entry.roll.iter().chain(&entry.yaw).all(|angle| angle.is_finite()));
+        if fits {
+            self.clear();
+            self.entries[..entries.len()].clone_from_slice(entries);
+            self.next = entries.len() % COMMANDS;
         }
-        self.clear();
-        self.settling_ns = *settling_ns;
-        self.entries.iter_mut().zip(entries).for_each(|(own, entry)| own.clone_from(entry));
-        self.next = entries.len() % COMMANDS;
-        true
+        fits
     }
 
     /// Forgets all commands.

@@ -23,9 +23,9 @@ impl Covered {
     /// Where they are not, a lasting one is rare.
     pub const UNKNOWN_OBSTACLES: Self = Self { probability: 0.005, prior: 0.005, change: 0.01 };
 
-    /// Whether the numbers are probabilities: a recorded state may hold any.
+    /// Whether the values are probabilities: a recorded state may hold any numbers.
     pub(super) fn is_sound(&self) -> bool {
-        [self.probability, self.prior, self.change].iter().all(|number| (0.0..=1.0).contains(number))
+        [self.probability, self.prior, self.change].iter().all(|value| (0.0..=1.0).contains(value))
     }
 
     /// The probability.

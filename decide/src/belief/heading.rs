@@ -44,10 +44,11 @@ impl From<Heading> for Vec<f64> {
 impl TryFrom<Vec<f64>> for Heading {
     type Error = &'static str;
 
-    fn try_from(probability: Vec<f64>) -> Result<Self, Self::Error> {
-        let is_sound = probability.iter().all(|one| (0.0..=1.0 + 1e-9).contains(one));
-        let probability = probability.try_into().ok().filter(|_| is_sound);
-        probability.map(|probability| Self { probability }).ok_or("not the probabilities of all headings")
+    /// A recorded state may hold any numbers.
+    fn try_from(values: Vec<f64>) -> Result<Self, Self::Error> {
+        let is_sound = values.iter().all(|value| (0.0..=1.0).contains(value));
+        let probability = values.try_into().ok().filter(|_| is_sound);
+        Ok(Self { probability: probability.ok_or("a heading has 36 probabilities")? })
     }
 }
 

@@ -86,29 +86,9 @@ enum Change {
 
 /// The motion of one user.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[serde(into = "Vec<Hypothesis>", try_from = "Vec<Hypothesis>")]
 pub struct Motion {
     bank: [Hypothesis; HYPOTHESES + ADDED],
     kept: usize,
-}
-
-impl From<Motion> for Vec<Hypothesis> {
-    fn from(motion: Motion) -> Self {
-        motion.bank[..motion.kept].to_vec()
-    }
-}
-
-impl TryFrom<Vec<Hypothesis>> for Motion {
-    type Error = &'static str;
-
-    fn try_from(kept: Vec<Hypothesis>) -> Result<Self, Self::Error> {
-        if !(1..=HYPOTHESES).contains(&kept.len()) || !kept.iter().all(Hypothesis::is_sound) {
-            return Err("not the hypotheses of a motion");
-        }
-        let mut bank = [Hypothesis::default(); HYPOTHESES + ADDED];
-        bank[..kept.len()].copy_from_slice(&kept);
-        Ok(Self { bank, kept: kept.len() })
-    }
 }
 
 impl Motion {
@@ -144,6 +124,11 @@ impl Motion {
             position_cov_m2: [xx, xy, yy],
             velocity_var_m2_s2: mean.velocity_var,
         }
+    }
+
+    /// Whether the hypotheses are those of a motion: a recorded state may hold any.
+    pub(super) fn is_sound(&self) -> bool {
+        (1..=HYPOTHESES).contains(&self.kept) && self.bank[..self.kept].iter().all(Hypothesis::is_sound)
     }
 
     /// Moves every hypothesis on, and adds those of a change within the interval.

@@ -140,7 +140,7 @@ pub struct Occupancy {
 
 /// The state of a map, as a recording holds it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct OccupancyMemory {
+pub(super) struct OccupancyMemory {
     probability: Vec<f64>,
     row: usize,
 }
@@ -181,6 +181,25 @@ impl Occupancy {
             touched: Vec::with_capacity(cells),
             suspects: Vec::with_capacity(cells),
         })
+    }
+
+    /// The probability of each cell, and the row that relaxes next.
+    pub(super) fn memory(&self) -> OccupancyMemory {
+        OccupancyMemory { probability: self.probability.clone(), row: self.row }
+    }
+
+    /// Replaces the probabilities; false, without a change, where they are not those of this floor.
+    pub(super) fn restore(&mut self, memory: &OccupancyMemory) -> bool {
+        let is_probability = |value: &f64| (0.0..=1.0).contains(value);
+        let fits = memory.probability.len() == self.probability.len()
+            && memory.row < self.grid.rows
+            && memory.probability.iter().all(is_probability);
+        if fits {
+            self.probability.clone_from(&memory.probability);
+            self.row = memory.row;
+            self.list_suspects();
+        }
+        fits
     }
 
     /// Forgets everything but the mean density.
@@ -244,24 +263,6 @@ impl Occupancy {
             .for_each(|probability| *probability += RELAXATION * (self.mean - *probability));
         self.row = (self.row + 1) % self.grid.rows;
         self.list_suspects();
-    }
-
-    /// The present state between two reports.
-    pub fn memory(&self) -> OccupancyMemory {
-        OccupancyMemory { probability: self.probability.clone(), row: self.row }
-    }
-
-    /// Replaces the state; false where it is not one of this room.
-    pub fn restore(&mut self, memory: &OccupancyMemory) -> bool {
-        let OccupancyMemory { probability, row } = memory;
-        let is_sound = |probability: &f64| (BOUNDS[0]..=BOUNDS[1]).contains(probability);
-        if probability.len() != self.probability.len() || *row >= self.grid.rows || !probability.iter().all(is_sound) {
-            return false;
-        }
-        self.probability.copy_from_slice(probability);
-        self.row = *row;
-        self.list_suspects();
-        true
     }
 
     fn list_suspects(&mut self) {

@@ -102,7 +102,7 @@ impl Controller {
         Memory {
             layout: LAYOUT,
             inbox: self.inbox.memory(),
-            observer: self.observer.memory(self.inbox.oldest_ns()),
+            observer: self.observer.memory(),
             policy: self.policy.memory(),
             axes_rad: self.limits.axes_rad(),
             guard: self.guard.memory(),

@@ -128,6 +128,18 @@ impl Observer {
         self.prediction.belief()
     }
 
+    /// The directions in which the users of the last observation face, in its order: unit vectors in
+    /// the floor plane, zero while unknown. Without bodies in the scenario all are unknown.
+    pub fn headings(&self) -> &[Vec3] {
+        &self.headings
+    }
+
+    /// From a decision to the middle of its command's time in force, for which users are predicted,
+    /// in s: half of the interval between reports, and the settling time of the mirrors.
+    pub fn lead_s(&self) -> f64 {
+        self.prediction.lead_s()
+    }
+
     /// Discards the users, and the directions that they face.
     pub fn forget(&mut self) {
         self.prediction.forget();

@@ -72,7 +72,11 @@ pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Cl
     }
     for (axis, ours, theirs) in [("roll", &ours.roll, &theirs.roll), ("yaw", &ours.yaw, &theirs.yaw)] {
         if ours.len() != theirs.len() {
-            return Some(format!("{axis}: recorded {} mirrors, decided {}", theirs.len(), ours.len()));
+            return Some(format!(
+                "{axis} of another number of mirrors: recorded {}, decided {}",
+                theirs.len(),
+                ours.len()
+            ));
         }
         let differs = |(_, (ours, theirs)): &(usize, (&f32, &f32))| ours.to_bits() != theirs.to_bits();
         if let Some((mirror, (ours, theirs))) = ours.iter().zip(theirs).enumerate().find(differs) {

@@ -52,12 +52,6 @@ impl Payload {
 }
 
 impl Inbox {
-    /// A report that was sampled before this time is refused from now on: the time of the newest
-    /// accepted report of the room, less the largest age.
-    pub fn oldest_ns(&self) -> proto::Nanos {
-        self.room.map_or(0, |owner| owner.last_report_ns.saturating_sub(self.rules.age_max_ns))
-    }
-
     /// The present state.
     pub fn memory(&self) -> InboxMemory {
         InboxMemory {

@@ -24,16 +24,15 @@ impl Observer {
         report.users.clear();
         for (slot, user) in observation.ids.iter().enumerate() {
             let Some(estimate) = self.prediction.estimate(*user, age_s) else { continue };
-            let (heading, blocked) = (estimate.heading, 1.0 - estimate.direct_clear);
-            // A path that is probably clear past unreported obstacles, and blocked nevertheless, is
-            // blocked by a body or a reported obstacle.
-            let is_blocked = observation.scene.los_blocked().get(slot).is_some_and(|blocked| *blocked);
-            let blocked = if is_blocked && blocked <= 0.5 { 1.0 } else { blocked.clamp(0.0, 1.0) };
+            let heading = estimate.heading;
+            // A body or a surveyed obstacle of the observation, or else what is believed.
+            let is_modelled = observation.scene.los_blocked().get(slot).is_some_and(|blocked| *blocked);
+            let blocked = if is_modelled && estimate.direct_clear > 0.5 { 1.0 } else { 1.0 - estimate.direct_clear };
             report.users.push(UserBelief {
                 user: *user,
                 heading_rad: heading.y.atan2(heading.x) as f32,
                 heading_certainty: heading.norm().min(1.0) as f32,
-                blocked_probability: blocked as f32,
+                blocked_probability: blocked.clamp(0.0, 1.0) as f32,
                 ..of_estimate(&estimate)
             });
         }

@@ -1,7 +1,7 @@
 //! The state of an observer, as a recording holds it.
 
 use heliostat_channel::Vec3;
-use heliostat_proto::{MAX_USERS, Nanos};
+use heliostat_proto::MAX_USERS;
 use serde::{Deserialize, Serialize};
 
 use super::Observer;
@@ -18,10 +18,10 @@ pub struct ObserverMemory {
 }
 
 impl Observer {
-    /// The present state. Measurements at `oldest_ns` or later may still arrive.
-    pub fn memory(&self, oldest_ns: Nanos) -> ObserverMemory {
+    /// The present state.
+    pub fn memory(&self) -> ObserverMemory {
         ObserverMemory {
-            prediction: self.prediction.memory(oldest_ns),
+            prediction: self.prediction.memory(),
             slots: self.slots.ids().to_vec(),
             headings: self.headings.iter().map(|heading| (*heading).into()).collect(),
         }

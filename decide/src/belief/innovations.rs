@@ -15,10 +15,12 @@ pub struct Innovations {
 }
 
 impl Innovations {
-    /// Takes a reported position in m, with this standard deviation, and the predicted one.
-    pub(super) fn handle(&mut self, predicted: &MotionEstimate, reported_m: [f64; 2], noise_m: f64) {
+    /// Compares a prediction with the reported x and y in m, whose noise has this standard deviation
+    /// in m.
+    pub fn handle(&mut self, predicted: &MotionEstimate, reported_m: [f64; 2], noise_m: f64) {
         let [xx, xy, yy] = predicted.position_cov_m2;
-        let (xx, yy) = (xx + noise_m * noise_m, yy + noise_m * noise_m);
+        let noise = noise_m * noise_m;
+        let (xx, yy) = (xx + noise, yy + noise);
         let [dx, dy] = [0, 1].map(|axis| reported_m[axis] - predicted.position_m[axis]);
         let squared = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
         if squared.is_finite() {

@@ -45,7 +45,8 @@ impl Setting {
     fn recorder(&self, file: &Path) -> Process {
         let [room_at, controller_at] = &self.endpoints;
         let out = file.to_string_lossy();
-        let arguments = ["record", "--connect", room_at, "--connect", controller_at, "--json", "--out", &out];
+        let arguments =
+            ["record", "--connect", room_at, "--connect", controller_at, "--exit-with-parent", "--json", "--out", &out];
         let recorder = Process::heliostat(&[&arguments[..], &self.settings].concat());
         wait_until("something to be written", || file.metadata().is_ok_and(|metadata| metadata.len() > 100_000));
         recorder

@@ -243,6 +243,8 @@ impl ChannelEvidence {
         let expected = |sums: &[f64], unobstructed: &[f64]| -> f64 {
             sums.iter().zip(unobstructed).map(|(sum, clear)| sum * clear).sum()
         };
+        // A heading that becomes possible by this measurement must not have the gains of another user.
+        self.by_heading.fill(0.0);
         self.sum_columns(user, 0);
         let without_body = expected(&self.by_heading[..self.columns.len()], &self.unobstructed);
         let is_served = self.angles_known && without_body > SERVED * self.steering(user);

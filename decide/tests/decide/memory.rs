@@ -16,8 +16,12 @@ use crate::support::{Outcome, Room, build, controller, receive, scenario};
 const POLICIES: [PolicyKind; 5] =
     [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Pso, PolicyKind::Ddpg, PolicyKind::Nearest];
 
+/// Obstacles that no survey reports, so that the filter has a map.
+const HIDDEN: [&str; 2] = ["blockage.obstacles_per_m2=0.05", "streams.obstacles.rate_hz=0"];
+
 fn room_scenario(belief: &str) -> Scenario {
-    scenario(&[&format!("control.belief=\"{belief}\""), "control.search_time_us=0", "control.search_evaluations=60"])
+    let belief = format!("control.belief=\"{belief}\"");
+    scenario(&[&belief, HIDDEN[0], HIDDEN[1], "control.search_time_us=0", "control.search_evaluations=60"])
 }
 
 /// The users of a tick: they come and go, in another order each time.
@@ -75,7 +79,9 @@ fn a_restored_controller_gives_the_same_commands_with_each_belief_and_policy() {
                 room.sequence = sequence;
                 assert_eq!(tick(&mut room, &mut second, number), expected, "{belief}, {kind:?}, tick {number}");
             }
-            assert_eq!(second.memory().to_bytes().unwrap(), first.memory().to_bytes().unwrap(), "{belief}, {kind:?}");
+            let states = [&second, &first].map(|controller| controller.memory().to_bytes().unwrap());
+            let apart = states[0].iter().zip(&states[1]).position(|(one, other)| one != other);
+            assert_eq!((apart, states[0].len()), (None, states[1].len()), "{belief}, {kind:?}");
         }
     }
 }
@@ -126,11 +132,12 @@ fn damaged_bytes_are_refused_or_restored_without_a_panic() {
     let (_, first) = running(&scenario, PolicyKind::Greedy, 30);
     let bytes = first.memory().to_bytes().unwrap();
     let mut second = controller(&scenario, build(PolicyKind::Greedy, &scenario).unwrap());
-    for length in 0..bytes.len() {
+    for length in (0..bytes.len()).step_by(1 + bytes.len() / 2000) {
         assert!(Memory::from_bytes(&bytes[..length]).is_err(), "cut to {length}");
     }
     let mut room = Room::new(&scenario);
-    for at in 1..bytes.len() {
+    // Of the long lists of the map, a part.
+    for at in (1..bytes.len()).step_by(1 + bytes.len() / 4000) {
         for bit in [1, 0x80] {
             let mut damaged = bytes.clone();
             damaged[at] ^= bit;

@@ -86,3 +86,8 @@ export function mirrorColour(frame, index, unusable) {
   const user = frame.users[frame.serves[index]];
   return user ? userColour(user.user) : UNUSED;
 }
+
+// Ends of the mark of a believed heading: a certain one is half a metre long.
+export function headingMark({ at_m, heading }) {
+  return [at_m, [at_m[0] + 0.5 * heading[0], at_m[1] + 0.5 * heading[1]]];
+}

@@ -19,6 +19,9 @@
 //! With the filter, measured gains show headings and unreported obstacles; the gain of the direct
 //! path is then that of the model at the predicted place, or 0 where it is probably blocked.
 
+mod beliefs;
+pub mod memory;
+
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, UserReport};
 use heliostat_scenario::Scenario;

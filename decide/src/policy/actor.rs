@@ -12,7 +12,7 @@ use heliostat_scenario::Scenario;
 use super::{
     actor_file::{ActorError, ActorFile, ActorInfo},
     engine::{Engine, Network},
-    proposal::{Policy, PolicyError},
+    proposal::{Policy, PolicyError, PolicyMemory},
 };
 use crate::{
     observe::{
@@ -116,8 +116,16 @@ impl Policy for Actor {
     }
 
     fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        // An actor has no memory, and the next decision reports a failure.
+        // An actor keeps slots only, and the next decision reports a failure.
         let _ = self.act(model, observation, out);
+    }
+
+    fn memory(&self) -> PolicyMemory {
+        PolicyMemory { users: self.selection.slots().to_vec(), ..PolicyMemory::default() }
+    }
+
+    fn restore(&mut self, memory: &PolicyMemory) {
+        self.selection.set_slots(&memory.users);
     }
 }
 

@@ -46,6 +46,8 @@ pub struct Verdict {
     pub largest_difference_rad: f64,
     /// The first difference.
     pub first_difference: Option<String>,
+    /// Why a recorded state of a controller was not restored.
+    pub unrestored: Option<String>,
 }
 
 impl Verdict {
@@ -112,6 +114,9 @@ impl fmt::Display for Verdict {
         )?;
         if self.without_report > 0 {
             writeln!(formatter, "recorded commands without a report: {}", self.without_report)?;
+        }
+        if let Some(problem) = &self.unrestored {
+            writeln!(formatter, "a recorded state of the controller was not restored: {problem}")?;
         }
         match &self.first_difference {
             Some(found) => {

@@ -130,7 +130,7 @@ impl Observer {
     }
 
     /// The directions in which the users of the last observation face, in its order: unit vectors in
-    /// the floor plane, zero while unknown. Without bodies in the scenario all are unknown.
+    /// the floor plane, zero while unknown.
     pub fn headings(&self) -> &[Vec3] {
         &self.headings
     }

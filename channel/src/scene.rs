@@ -3,6 +3,7 @@
 //! [`Scene::update`] computes tables from the positions of users and blockers. [`Scene::irs_gain`],
 //! [`Scene::sinr`] and [`Scene::rates_bps`] then evaluate any angles of the mirrors. Tables over
 //! users and mirrors are user-major: index k * M + m. No function allocates after [`Scene::new`].
+//! [`Spill`] has the gains of users near the one at whom a mirror is aimed.
 //!
 //! A position that no light can reach (behind the mirror wall, at or above the LED, not a number)
 //! has gain zero and is not an error. [`decode`](crate::decode) has an example.
@@ -11,6 +12,7 @@ mod aimed;
 mod evaluate;
 mod kernel;
 mod reach;
+mod spill;
 mod steer;
 mod update;
 mod visibility;
@@ -18,6 +20,8 @@ mod visibility;
 use crate::geometry::Vec3;
 use crate::model::ChannelModel;
 use crate::receiver::Combining;
+
+pub use spill::{SPILL_USERS_MAX, Spill, SpilledGain};
 
 /// Gains of K users and M mirrors at one moment; the buffers are reused.
 #[derive(Clone, Debug)]

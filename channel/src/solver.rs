@@ -41,6 +41,7 @@
 //!     los_gain: &[0.0, 0.0],
 //!     steering_gain: &steering,
 //!     directions: None,
+//!     spill: None,
 //!     amplitude_scale: 1e7,
 //!     rate_scale_bps: 10e6,
 //!     min_rate_bps: &[],
@@ -60,6 +61,7 @@ mod normals;
 mod problem;
 mod search;
 mod solve;
+mod spill_table;
 mod starts;
 mod table;
 

@@ -258,6 +258,7 @@ fn the_oracle_depends_on_its_problem_only_and_results_are_finite() {
             los_gain: &los,
             steering_gain: &steering,
             directions: None,
+            spill: None,
             amplitude_scale: 5e6,
             rate_scale_bps: 4e6,
             min_rate_bps: &[1e6, 0.0, 3e7],

@@ -14,11 +14,12 @@ pub(super) fn search(table: &Table, utility: &Utility, best: &mut Assignment) ->
     best.served.fill(0);
     best.settle(table, utility);
     let mut search = DepthFirst { table, utility, best, served: vec![0; mirrors] };
-    // Sum of the amplitudes of the mirrors from m on, per user. Shape: (M + 1) * K.
+    // Sum of the largest amplitudes of the mirrors from m on, per user. Shape: (M + 1) * K.
     let mut ahead = vec![0.0; (mirrors + 1) * users];
     for m in (0..mirrors).rev() {
         for k in 0..users {
-            ahead[m * users + k] = ahead[(m + 1) * users + k] + table.line(m)[k];
+            let largest = (0..users).map(|aim| table.gain_of_aim(m, aim, k)).fold(0.0, f64::max);
+            ahead[m * users + k] = ahead[(m + 1) * users + k] + largest;
         }
     }
     search.descend(0, &table.los_amplitude, &ahead);
@@ -50,9 +51,13 @@ impl DepthFirst<'_> {
         let mut next = amplitude.to_vec();
         for k in 0..users {
             self.served[m] = k;
-            next[k] += self.table.line(m)[k];
+            for (user, gain) in self.table.aim(m, k) {
+                next[user] += gain;
+            }
             self.descend(m + 1, &next, ahead);
-            next[k] = amplitude[k];
+            for (user, _) in self.table.aim(m, k) {
+                next[user] = amplitude[user];
+            }
         }
     }
 }

@@ -54,6 +54,8 @@ pub(super) struct Search {
     /// gain in a SIMD register.
     owners: Vec<f64>,
     inverse_fill: Vec<f64>,
+    /// Amplitude and `inverse_fill` of the users of an aim, while its mirror is taken away.
+    before: Vec<(f64, f64)>,
     scratch: Scratch,
 }
 
@@ -73,7 +75,8 @@ impl Search {
             effective: vec![0.0; users],
             owners: vec![0.0; mirrors],
             inverse_fill: vec![0.0; users],
-            scratch: Scratch::new(mirrors),
+            before: vec![(0.0, 1.0); users],
+            scratch: Scratch::new(users, mirrors),
         }
     }
 
@@ -87,6 +90,7 @@ impl Search {
         self.refined = refined(users, self.owners.len());
         self.starts.resize(users);
         self.allowed.resize(users, true);
+        self.before.resize(users, (0.0, 1.0));
         let lists = [
             &mut self.weights,
             &mut self.trial_weights,

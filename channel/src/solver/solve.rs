@@ -6,6 +6,7 @@ use super::problem::{Problem, Solution, SolverError};
 use super::search::Search;
 use super::table::{Table, Utility};
 use crate::geometry::Vec3;
+use crate::scene::Spill;
 
 /// A solver of problems of one size, with the last solution.
 #[derive(Clone, Debug)]
@@ -16,6 +17,8 @@ pub struct Solver {
     utility: Utility,
     search: Search,
     normals: NormalSearch,
+    /// The spill of the last scene.
+    pub(super) spill: Spill,
     /// Weights of the last solution.
     weights: Vec<f64>,
     /// The former weights, while the users change.
@@ -36,6 +39,7 @@ impl Solver {
             utility: Utility::new(users),
             search: Search::new(users, mirrors),
             normals: NormalSearch::new(users, mirrors),
+            spill: Spill::new(users, mirrors),
             weights: vec![0.0; users],
             former_weights: vec![0.0; users],
         }

@@ -2,6 +2,7 @@
 //! of each user.
 
 use super::problem::Problem;
+use super::spill_table::SpillTable;
 
 /// Upper limit of an amplitude, so that no sum of squares overflows.
 const AMPLITUDE_MAX: f64 = 1e60;
@@ -160,8 +161,10 @@ pub(super) struct Table {
     pub(super) by_user: Vec<f64>,
     /// Mirrors that reach at least one user; the others cannot change a rate.
     pub(super) useful: Vec<usize>,
-    /// Largest gain to each user.
+    /// Largest gain to each user, over all aims.
     pub(super) largest: Vec<f64>,
+    /// Gains to users at whom a mirror is not aimed.
+    pub(super) spill: SpillTable,
 }
 
 impl Table {
@@ -174,6 +177,7 @@ impl Table {
             by_user: vec![0.0; users * mirrors],
             useful: Vec::with_capacity(mirrors),
             largest: vec![0.0; users],
+            spill: SpillTable::new(users, mirrors),
         }
     }
 
@@ -206,6 +210,10 @@ impl Table {
             }
             self.largest[k] = largest;
         }
+        self.spill.load(problem.spill, (self.users, self.mirrors), |gain| amplitude(gain, scale));
+        for &(k, spilled) in self.spill.entries() {
+            self.largest[k] = self.largest[k].max(spilled);
+        }
         self.useful.clear();
         let lines = self.by_mirror.chunks_exact(self.users).enumerate();
         self.useful.extend(lines.filter(|(_, line)| line.iter().any(|&gain| gain > 0.0)).map(|(m, _)| m));
@@ -215,6 +223,21 @@ impl Table {
     #[inline]
     pub(super) fn line(&self, m: usize) -> &[f64] {
         &self.by_mirror[m * self.users..(m + 1) * self.users]
+    }
+
+    /// Amplitude of user j by mirror m if it is aimed at user k.
+    #[inline]
+    pub(super) fn gain_of_aim(&self, m: usize, k: usize, j: usize) -> f64 {
+        if j == k {
+            return self.line(m)[k];
+        }
+        self.spill.of(k, m).iter().find(|(user, _)| *user == j).map_or(0.0, |(_, gain)| *gain)
+    }
+
+    /// The users that mirror m reaches if it is aimed at user k, and their amplitudes: first user k.
+    #[inline]
+    pub(super) fn aim(&self, m: usize, k: usize) -> impl Iterator<Item = (usize, f64)> + Clone {
+        std::iter::once((k, self.line(m)[k])).chain(self.spill.of(k, m).iter().copied())
     }
 }
 

@@ -21,7 +21,7 @@ use crate::geometry::Vec3;
 use crate::model::ChannelModel;
 use crate::receiver::Combining;
 
-pub use spill::{SPILL_USERS_MAX, Spill, SpilledGain};
+pub use spill::{MIDPOINTS_MAX, SPILL_USERS_MAX, Spill, SpilledGain};
 
 /// Gains of K users and M mirrors at one moment; the buffers are reused.
 #[derive(Clone, Debug)]

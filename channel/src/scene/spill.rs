@@ -1,8 +1,9 @@
-//! Light of aimed mirrors that reaches other users than the one at whom the mirror is aimed.
+//! Light of aimed mirrors that reaches several users.
 //!
-//! A mirror that is aimed at one user illuminates a spot. Every user within the spot receives its
-//! light. [`Spill`] lists these gains for all pairs of user and mirror. The gains are those of
-//! [`Scene::irs_gain_each`] at the angles of [`aim`](crate::decode::aim), to the last bit.
+//! A mirror that is aimed at a point illuminates a spot around it, and every user within the spot
+//! receives its light. [`Spill`] lists these gains for all pairs of aim and mirror. The aims are the
+//! users, and the midpoints between close users. The gains are those of [`Scene::irs_gain_each`] at
+//! the angles of [`aim`](crate::decode::aim), to the last bit.
 //!
 //! A bound of the spot's size excludes most pairs of users, so that a room without close users
 //! costs one comparison per pair. The equations of the paper have no spots: the list is then empty.
@@ -19,7 +20,11 @@ use crate::trig::{BLOCK, Lanes};
 /// Largest number of other users per aim; with more, those with the largest gains count.
 pub const SPILL_USERS_MAX: usize = 16;
 
-/// Gain of one user over a mirror that is aimed at another user.
+/// Largest number of midpoints; of more pairs of close users, those with the smallest distances
+/// count.
+pub const MIDPOINTS_MAX: usize = 16;
+
+/// Gain of one user over a mirror that is aimed at another point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpilledGain {
     /// Index of the user that receives the light.
@@ -28,40 +33,57 @@ pub struct SpilledGain {
     pub gain: f64,
 }
 
-/// The gains of other users than the one at whom a mirror is aimed; the buffers are reused.
+/// The gains of users at whom a mirror is not aimed; the buffers are reused.
 ///
-/// Pairs of user and mirror without a steering gain have none: see [`Scene::steering_gain`].
+/// The first K aims are the users, the others are midpoints between two close users of the same LED.
+/// A user at whom a mirror has no steering gain is no aim of that mirror: see
+/// [`Scene::steering_gain`]. A midpoint is an aim of the mirrors that can be aimed at both of its
+/// users and from there reach two users or more.
 #[derive(Clone, Debug, Default)]
 pub struct Spill {
     mirrors: usize,
     gains: Vec<SpilledGain>,
-    /// Index in `gains` of the first entry of each pair, and their number. Shape: K * M + 1, index
-    /// k * M + m; empty where `gains` is.
+    /// Index in `gains` of the first entry of each pair, and the number of gains. Shape: A * M + 1,
+    /// index a * M + m; empty where `gains` is.
     starts: Vec<usize>,
+    /// The points of the aims. Shape: A.
+    points: Vec<Vec3>,
+    /// The LED whose light each aim receives. Shape: A.
+    leds: Vec<usize>,
+    /// The users of each midpoint. Shape: A - K.
+    midpoints: Vec<[usize; 2]>,
+    /// Shape: A.
     extents: Vec<Extent>,
-    /// Users that may be within a spot around the present user.
+    /// Pairs of close users, with the square of their distance in m2.
+    close: Vec<(f64, [usize; 2])>,
+    /// Users that may be within the spot of the present aim.
     near: Vec<usize>,
     /// For each of them, a number per mirror that is negative if no light can reach the user.
     slack: Vec<Lanes>,
 }
 
-/// Bounds of the paths between one user and all mirrors.
+/// Bounds of the paths between one aim and all mirrors.
 #[derive(Clone, Copy, Debug)]
 struct Extent {
     /// Smallest inclination of a path, as the sine of the angle with a horizontal plane.
     least_inclination: f64,
-    /// Largest distance of a lit point from the axis of a beam, at the distance of the user, in m.
+    /// Largest distance of a lit point from the axis of a beam, at the distance of the aim, in m.
     beam_radius_m: f64,
 }
 
 impl Spill {
     /// An empty list; allocates memory for this many users and mirrors.
     pub fn new(users: usize, mirrors: usize) -> Self {
+        let aims = users + MIDPOINTS_MAX;
         Self {
             mirrors,
             gains: Vec::with_capacity(Self::len_max(users, mirrors)),
-            starts: Vec::with_capacity(users * mirrors + 1),
-            extents: Vec::with_capacity(users),
+            starts: Vec::with_capacity(aims * mirrors + 1),
+            points: Vec::with_capacity(aims),
+            leds: Vec::with_capacity(aims),
+            midpoints: Vec::with_capacity(MIDPOINTS_MAX),
+            extents: Vec::with_capacity(aims),
+            close: Vec::with_capacity(users * users.saturating_sub(1) / 2),
             near: Vec::with_capacity(users),
             slack: Vec::with_capacity(users),
         }
@@ -69,61 +91,129 @@ impl Spill {
 
     /// Largest number of gains for this many users and mirrors.
     pub(crate) fn len_max(users: usize, mirrors: usize) -> usize {
-        users.saturating_sub(1).min(SPILL_USERS_MAX) * users * mirrors
+        let others = users.saturating_sub(1).min(SPILL_USERS_MAX);
+        (others * users + users.min(SPILL_USERS_MAX) * MIDPOINTS_MAX) * mirrors
     }
 
-    /// Computes the gains for the users of a scene.
+    /// Computes aims and gains for the users of a scene.
     ///
     /// Does not allocate up to the number of users of [`Spill::new`].
     pub fn update(&mut self, model: &ChannelModel, scene: &Scene) {
-        self.mirrors = scene.mirrors;
-        self.gains.clear();
-        self.starts.clear();
+        self.clear(scene);
         if scene.paper {
             return;
         }
-        self.extents.clear();
-        self.extents.extend((0..scene.users).map(|user| Extent::of(model, scene, user)));
-        for user in 0..scene.users {
-            let (extents, near) = (&self.extents, &mut self.near);
-            near.clear();
-            near.extend((0..scene.users).filter(|other| may_share(scene, extents, user, *other)));
-            if near.is_empty() {
+        let extents = scene.positions.iter().zip(&scene.serving);
+        self.extents.extend(extents.map(|(position, led)| Extent::of(model, position, *led)));
+        self.find_midpoints(model, scene);
+        for aim in 0..self.points.len() {
+            self.near.clear();
+            for other in 0..scene.users {
+                if other != aim && self.may_reach(aim, other) {
+                    self.near.push(other);
+                }
+            }
+            if self.near.is_empty() {
                 self.starts.extend(std::iter::repeat_n(self.gains.len(), self.mirrors));
             } else {
                 with_widest_simd(
                     #[inline(always)]
-                    || self.around(model, scene, user),
+                    || self.around(model, scene, aim),
                 );
             }
         }
         self.starts.push(self.gains.len());
         if self.gains.is_empty() {
-            self.starts.clear();
+            self.clear(scene);
         }
     }
 
-    /// Whether no aimed mirror reaches a second user.
+    /// Leaves the users as the only aims, without gains.
+    fn clear(&mut self, scene: &Scene) {
+        self.mirrors = scene.mirrors;
+        self.gains.clear();
+        self.starts.clear();
+        self.extents.clear();
+        self.midpoints.clear();
+        self.points.clear();
+        self.points.extend_from_slice(&scene.positions);
+        self.leds.clear();
+        self.leds.extend_from_slice(&scene.serving);
+    }
+
+    /// Adds the midpoints between close users.
+    fn find_midpoints(&mut self, model: &ChannelModel, scene: &Scene) {
+        self.close.clear();
+        for user in 0..scene.users {
+            for other in user + 1..scene.users {
+                let near = self.may_reach(user, other) || self.may_reach(other, user);
+                if near && self.leds[user] == self.leds[other] {
+                    let apart = (self.points[other] - self.points[user]).norm_squared();
+                    self.close.push((apart, [user, other]));
+                }
+            }
+        }
+        if self.close.len() > MIDPOINTS_MAX {
+            // The indices break ties, so that the order depends on the scene only.
+            self.close.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            self.close.truncate(MIDPOINTS_MAX);
+        }
+        for (_, [user, other]) in &self.close {
+            let (point, led) = (0.5 * (self.points[*user] + self.points[*other]), self.leds[*user]);
+            self.points.push(point);
+            self.leds.push(led);
+            self.midpoints.push([*user, *other]);
+            self.extents.push(Extent::of(model, &point, led));
+        }
+    }
+
+    /// Whether no mirror that is aimed at a user reaches a second user.
     pub fn is_empty(&self) -> bool {
         self.gains.is_empty()
     }
 
-    /// The other users' gains over a mirror that is aimed at `user`, in the order of their indices.
-    pub fn of(&self, user: usize, mirror: usize) -> &[SpilledGain] {
-        let pair = user * self.mirrors + mirror;
+    /// The users of each midpoint; the first midpoint is the aim K.
+    pub fn midpoints(&self) -> &[[usize; 2]] {
+        &self.midpoints
+    }
+
+    /// The points of the aims in m. Shape: A.
+    pub fn points(&self) -> &[Vec3] {
+        &self.points
+    }
+
+    /// Index of the LED whose light a mirror reflects to each aim. Shape: A.
+    pub fn leds(&self) -> &[usize] {
+        &self.leds
+    }
+
+    /// The gains over one mirror at an aim, in the order of the users, without the user that is the
+    /// aim. Empty for a midpoint that is no aim of this mirror.
+    pub fn of(&self, aim: usize, mirror: usize) -> &[SpilledGain] {
+        let pair = aim * self.mirrors + mirror;
         match self.starts.get(pair..pair + 2) {
             Some(bounds) => &self.gains[bounds[0]..bounds[1]],
             None => &[],
         }
     }
 
-    /// Appends the gains of the users in `near` over each mirror that is aimed at `user`.
+    /// Whether a mirror can be aimed at one user, or at both users of a midpoint.
     #[inline(always)]
-    fn around(&mut self, model: &ChannelModel, scene: &Scene, user: usize) {
-        let position = scene.positions[user];
-        let target = [0, 1, 2].map(|axis| [position[axis]; BLOCK]);
+    fn can_aim(&self, scene: &Scene, aim: usize, mirror: usize) -> bool {
+        let reaches = |user: usize| scene.steering_gain[user * self.mirrors + mirror] > 0.0;
+        match aim.checked_sub(scene.users) {
+            Some(index) => self.midpoints[index].into_iter().all(reaches),
+            None => reaches(aim),
+        }
+    }
+
+    /// Appends the gains of the users in `near` over each mirror at an aim.
+    #[inline(always)]
+    fn around(&mut self, model: &ChannelModel, scene: &Scene, aim: usize) {
+        let target = [0, 1, 2].map(|axis| [self.points[aim][axis]; BLOCK]);
+        let least = if aim < scene.users { 1 } else { 2 };
         for (index, first) in (0..self.mirrors).step_by(BLOCK).enumerate() {
-            let to_led = model.directions_to_led(scene.serving[user], index);
+            let to_led = model.directions_to_led(self.leds[aim], index);
             let (roll, yaw) = bisect(&model.mirrors, index, to_led, &target);
             let turned = Turned::at(&model.mirrors, &roll, &yaw, index);
             self.slack.clear();
@@ -131,11 +221,10 @@ impl Spill {
                 let source = turned.source(&model.panels[scene.serving[*other]]);
                 self.slack.push(turned.candidates(&source, &scene.positions[*other]));
             }
-            let aimed = user * self.mirrors + first;
             for lane in 0..BLOCK.min(self.mirrors - first) {
                 let start = self.gains.len();
                 self.starts.push(start);
-                if scene.steering_gain[aimed + lane] <= 0.0 {
+                if !self.can_aim(scene, aim, first + lane) {
                     continue;
                 }
                 for (other, slack) in self.near.iter().zip(&self.slack) {
@@ -147,8 +236,23 @@ impl Spill {
                         keep(&mut self.gains, start, *other, scene.combining.combine(gains));
                     }
                 }
+                if self.gains.len() - start < least {
+                    self.gains.truncate(start);
+                }
             }
         }
+    }
+
+    /// Whether a mirror at an aim may illuminate a user, by a bound that never rejects a lit one.
+    ///
+    /// The axis of the beam passes through the aim, so the distance of the user from the axis is that
+    /// of their difference, at least |horizontal part| sin(inclination) - |vertical part|. A user of
+    /// another LED receives that LED's light over the mirror in another direction, for which the
+    /// bound does not hold.
+    fn may_reach(&self, aim: usize, user: usize) -> bool {
+        let apart = self.points[user] - self.points[aim];
+        let from_axis = apart.x.hypot(apart.y) * self.extents[aim].least_inclination - apart.z.abs();
+        self.leds[aim] != self.leds[user] || from_axis <= self.extents[user].beam_radius_m
     }
 }
 
@@ -169,9 +273,8 @@ fn keep(gains: &mut Vec<SpilledGain>, start: usize, user: usize, gain: f64) {
 }
 
 impl Extent {
-    fn of(model: &ChannelModel, scene: &Scene, user: usize) -> Self {
-        let position = &scene.positions[user];
-        let panel = &model.panels[scene.serving[user]];
+    fn of(model: &ChannelModel, position: &Vec3, led: usize) -> Self {
+        let panel = &model.panels[led];
         let (mirrors, columns) = (model.mirrors.positions(), model.mirrors.columns());
         let (lowest, highest) = (&mirrors[0], &mirrors[mirrors.len() - 1]);
         // A distance is a convex function of the mirror, so it is largest at a corner.
@@ -200,17 +303,4 @@ fn beam_radius_m(model: &ChannelModel, nearest_mirror_m: f64, panel_radius_m: f6
         return f64::INFINITY;
     }
     half_diagonal_m + (farthest_m + half_diagonal_m) / before_m * (half_diagonal_m + panel_radius_m)
-}
-
-/// Whether a mirror that is aimed at `user` may illuminate another user, by a bound that never
-/// rejects a lit one.
-///
-/// The axis of the beam passes through `user`, so the distance of the other user from the axis is
-/// that of their difference, at least |horizontal part| sin(inclination) - |vertical part|.
-/// A user of another LED receives that LED's light over the mirror in another direction, for which
-/// the bound does not hold.
-fn may_share(scene: &Scene, extents: &[Extent], user: usize, other: usize) -> bool {
-    let apart: Vec3 = scene.positions[other] - scene.positions[user];
-    let from_axis = apart.x.hypot(apart.y) * extents[user].least_inclination - apart.z.abs();
-    user != other && (scene.serving[user] != scene.serving[other] || from_axis <= extents[other].beam_radius_m)
 }

@@ -13,7 +13,9 @@ const PAIRS_MAX: usize = 200;
 /// Largest number of users for pairs of moves, whose number grows with the fourth power.
 const PAIRS_USERS_MAX: usize = 6;
 
-/// The user that each mirror serves, and the resulting amplitudes.
+/// The aim of each mirror, and the resulting amplitudes.
+///
+/// The aims are the users and the midpoints of [`Spill`](crate::scene::Spill).
 #[derive(Clone, Debug)]
 pub(super) struct Assignment {
     pub(super) served: Vec<usize>,
@@ -59,7 +61,7 @@ impl Assignment {
     /// Computes the amplitudes from `served`.
     pub(super) fn settle(&mut self, table: &Table, utility: &Utility) {
         self.amplitude.copy_from_slice(&table.los_amplitude);
-        for (m, &k) in self.served.iter().enumerate() {
+        for (m, &k) in self.served.iter().enumerate().filter(|(_, aim)| **aim < table.users) {
             self.amplitude[k] += table.by_user[k * table.mirrors + m];
         }
         self.settle_spill(table);

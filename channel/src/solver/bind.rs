@@ -2,7 +2,7 @@
 
 use super::problem::{MinimumRates, Problem, SolverError};
 use super::solve::Solver;
-use crate::decode::aim;
+use crate::decode::aim_at;
 use crate::mirrors::MirrorAngles;
 use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
@@ -68,7 +68,7 @@ impl Solver {
             Method::Greedy { passes } => solver.greedy(problem, passes),
             Method::Oracle => solver.oracle(problem),
         });
-        self.write_angles(model, scene, out);
+        self.write_angles(model, out);
         solution.objective_bps
     }
 
@@ -87,7 +87,7 @@ impl Solver {
         out: &mut MirrorAngles,
     ) -> Result<f64, SolverError> {
         let solution = self.with_spill(model, scene, min_rates, |solver, problem| solver.exhaustive(problem))?;
-        self.write_angles(model, scene, out);
+        self.write_angles(model, out);
         Ok(solution.objective_bps)
     }
 
@@ -107,9 +107,9 @@ impl Solver {
         solved
     }
 
-    fn write_angles(&self, model: &ChannelModel, scene: &Scene, out: &mut MirrorAngles) {
+    fn write_angles(&self, model: &ChannelModel, out: &mut MirrorAngles) {
         if model.mode == Mode::Specular {
-            aim(model, scene, self.served(), out);
+            aim_at(model, &self.spill, self.served(), out);
             return;
         }
         for (m, normal) in self.normals().iter().enumerate() {

@@ -7,6 +7,7 @@ mod fill;
 use super::assignment::{Assignment, Scratch};
 use super::starts::Starts;
 use super::table::{Table, Utility};
+use crate::scene::MIDPOINTS_MAX;
 
 /// Largest number of steps of one damped fixed point.
 const FIXED_POINT_STEPS: usize = 20;
@@ -40,6 +41,8 @@ pub(super) struct Search {
     /// How many entries of the shortlist are in use.
     refined: usize,
     starts: Starts,
+    /// The users of the midpoints to which `best` refers.
+    midpoints: Vec<[usize; 2]>,
     /// Fingerprints of the assignments from which single moves have started.
     searched: Vec<u64>,
     /// Users that may be assigned mirrors.
@@ -68,6 +71,7 @@ impl Search {
             refined: refined(users, mirrors),
             searched: Vec::with_capacity(2 * Starts::LEN_MAX),
             starts: Starts::new(users),
+            midpoints: Vec::with_capacity(MIDPOINTS_MAX),
             allowed: vec![true; users],
             weights: vec![0.0; users],
             trial_weights: vec![0.0; users],
@@ -82,11 +86,18 @@ impl Search {
 
     /// Changes the number of users, as [`Assignment::resize`] does.
     pub(super) fn resize(&mut self, users: usize, now_at: impl Fn(usize) -> Option<usize>) {
+        let (former_users, midpoints) = (self.allowed.len(), &self.midpoints);
+        // A midpoint becomes its first user, since no midpoint of the new users is known yet.
+        let now_at = |aim: usize| match aim.checked_sub(former_users) {
+            Some(index) => midpoints.get(index).and_then(|[user, _]| now_at(*user)),
+            None => now_at(aim),
+        };
         self.best.resize(users, &now_at);
         self.trial.resize(users, &now_at);
         for entry in &mut self.shortlist {
             entry.resize(users, &now_at);
         }
+        self.midpoints.clear();
         self.refined = refined(users, self.owners.len());
         self.starts.resize(users);
         self.allowed.resize(users, true);
@@ -101,6 +112,21 @@ impl Search {
         for list in lists {
             list.resize(users, 0.0);
         }
+    }
+
+    /// Converts the aims of `best` to those of a new problem of the same users.
+    ///
+    /// A midpoint that is no longer an aim of its mirror becomes its first user.
+    pub(super) fn follow_midpoints(&mut self, table: &Table) {
+        for (m, served) in self.best.served.iter_mut().enumerate() {
+            if let Some(index) = served.checked_sub(table.users) {
+                let users = self.midpoints[index];
+                let now = table.spill.midpoints_of(m).find(|(_, others)| *others == users);
+                *served = now.map_or(users[0], |(aim, _)| aim);
+            }
+        }
+        self.midpoints.clear();
+        self.midpoints.extend_from_slice(table.spill.midpoints());
     }
 
     /// Damped fixed point from the given weights and from neutral ones; the better goes to `best`,

@@ -168,16 +168,16 @@ impl Solver {
         Ok(self.solution(problem))
     }
 
-    /// The user that each mirror serves in the last assignment; 0 for a mirror that reaches no
-    /// user. Shape: M.
+    /// The aim of each mirror in the last assignment: a user, or from K on a midpoint of
+    /// [`Problem::spill`]; 0 for a mirror that reaches no user. Shape: M.
     pub fn served(&self) -> &[usize] {
         &self.search.best.served
     }
 
     /// One weight per user of the last solution: not negative, dimensionless. Shape: K.
     ///
-    /// After [`Solver::fixed_point`], mirror m serves user argmax_k w_k a_km. After the other
-    /// methods the weights are the derivatives of the objective, and [`Solver::served`] is a
+    /// After [`Solver::fixed_point`], the aims are those of
+    /// [`decode_sharing`](crate::decode::decode_sharing) for these weights. After the other methods the weights are the derivatives of the objective, and [`Solver::served`] is a
     /// refined assignment that no weights may reproduce.
     pub fn weights(&self) -> &[f64] {
         &self.weights
@@ -204,6 +204,7 @@ impl Solver {
         assert_eq!(problem.los_gain.len(), self.users, "one line-of-sight gain per user");
         assert_eq!(problem.steering_gain.len(), self.users * self.mirrors, "one steering gain per user and mirror");
         self.table.load(problem);
+        self.search.follow_midpoints(&self.table);
         self.utility.load(problem);
         for weight in &mut self.weights {
             if !(weight.is_finite() && *weight >= 0.0) {

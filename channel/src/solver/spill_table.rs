@@ -1,18 +1,20 @@
-//! The spill of a problem for the searches, as amplitudes: which other users receive light of a
-//! mirror that is aimed at a user.
+//! The spill of a problem for the searches, as amplitudes: which users receive light of a mirror that
+//! is not aimed at them.
 
-use crate::scene::Spill;
+use crate::scene::{MIDPOINTS_MAX, Spill};
 
-/// Amplitudes of other users for each pair of user and mirror. All lists are empty without spill.
+/// Amplitudes of users for each pair of aim and mirror. All lists are empty without spill.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SpillTable {
     users: usize,
     mirrors: usize,
     /// Users and their amplitudes.
     entries: Vec<(usize, f64)>,
-    /// Index of the first entry of each pair. Shape: K * M + 1, index k * M + m.
+    /// Index of the first entry of each pair. Shape: A * M + 1, index a * M + m.
     starts: Vec<usize>,
-    /// Whether any aim of a mirror reaches a second user. Shape: M.
+    /// The users of each midpoint. Shape: A - K.
+    midpoints: Vec<[usize; 2]>,
+    /// Whether any aim of a mirror reaches two users. Shape: M.
     shared: Vec<bool>,
     /// Whether any mirror that is aimed at the first user reaches the second. Shape: K * K.
     reaches: Vec<bool>,
@@ -24,7 +26,8 @@ impl SpillTable {
             users,
             mirrors,
             entries: Vec::with_capacity(Spill::len_max(users, mirrors)),
-            starts: Vec::with_capacity(users * mirrors + 1),
+            starts: Vec::with_capacity((users + MIDPOINTS_MAX) * mirrors + 1),
+            midpoints: Vec::with_capacity(MIDPOINTS_MAX),
             shared: Vec::with_capacity(mirrors),
             reaches: Vec::with_capacity(users * users),
         }
@@ -40,43 +43,60 @@ impl SpillTable {
         (self.users, self.mirrors) = (users, mirrors);
         self.entries.clear();
         self.starts.clear();
+        self.midpoints.clear();
         self.shared.clear();
         self.reaches.clear();
         let Some(spill) = spill.filter(|spill| !spill.is_empty()) else { return };
+        assert_eq!(spill.points().len(), users + spill.midpoints().len(), "the spill was made for other users");
+        self.midpoints.extend_from_slice(spill.midpoints());
         self.shared.resize(mirrors, false);
         self.reaches.resize(users * users, false);
-        for user in 0..users {
+        for aim in 0..users + self.midpoints.len() {
             for mirror in 0..mirrors {
                 self.starts.push(self.entries.len());
-                for spilled in spill.of(user, mirror) {
+                for spilled in spill.of(aim, mirror) {
                     self.entries.push((spilled.user, amplitude(spilled.gain)));
                     self.shared[mirror] = true;
-                    self.reaches[user * users + spilled.user] = true;
+                    if aim < users {
+                        self.reaches[aim * users + spilled.user] = true;
+                    }
                 }
             }
         }
         self.starts.push(self.entries.len());
     }
 
-    /// Whether no aim reaches a second user.
+    /// Whether no aim reaches two users.
     pub(super) fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// Whether any aim of mirror m reaches a second user.
+    /// Whether any aim of mirror m reaches two users.
     #[inline]
     pub(super) fn shares(&self, m: usize) -> bool {
         !self.shared.is_empty() && self.shared[m]
     }
 
-    /// The other users that mirror m reaches if it is aimed at user k, and their amplitudes.
+    /// The users that mirror m reaches from an aim, except the aim itself, and their amplitudes.
     #[inline]
-    pub(super) fn of(&self, k: usize, m: usize) -> &[(usize, f64)] {
+    pub(super) fn of(&self, aim: usize, m: usize) -> &[(usize, f64)] {
         if self.starts.is_empty() {
             return &[];
         }
-        let pair = k * self.mirrors + m;
+        let pair = aim * self.mirrors + m;
         &self.entries[self.starts[pair]..self.starts[pair + 1]]
+    }
+
+    /// The users of each midpoint; the first midpoint is the aim K.
+    pub(super) fn midpoints(&self) -> &[[usize; 2]] {
+        &self.midpoints
+    }
+
+    /// The midpoints that are aims of mirror m, and their users.
+    #[inline]
+    pub(super) fn midpoints_of(&self, m: usize) -> impl Iterator<Item = (usize, [usize; 2])> {
+        let aims = self.midpoints.iter().enumerate().map(|(index, users)| (self.users + index, *users));
+        aims.filter(move |(aim, _)| !self.of(*aim, m).is_empty())
     }
 
     /// Whether any mirror that is aimed at user k reaches user j.

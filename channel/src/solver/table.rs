@@ -225,19 +225,28 @@ impl Table {
         &self.by_mirror[m * self.users..(m + 1) * self.users]
     }
 
-    /// Amplitude of user j by mirror m if it is aimed at user k.
+    /// Amplitude of user k by mirror m at an aim.
     #[inline]
-    pub(super) fn gain_of_aim(&self, m: usize, k: usize, j: usize) -> f64 {
-        if j == k {
+    pub(super) fn gain_of_aim(&self, m: usize, aim: usize, k: usize) -> f64 {
+        if aim == k {
             return self.line(m)[k];
         }
-        self.spill.of(k, m).iter().find(|(user, _)| *user == j).map_or(0.0, |(_, gain)| *gain)
+        self.spill.of(aim, m).iter().find(|(user, _)| *user == k).map_or(0.0, |(_, gain)| *gain)
     }
 
-    /// The users that mirror m reaches if it is aimed at user k, and their amplitudes: first user k.
+    /// The users that mirror m reaches at an aim, and their amplitudes; first the user that is the
+    /// aim.
     #[inline]
-    pub(super) fn aim(&self, m: usize, k: usize) -> impl Iterator<Item = (usize, f64)> + Clone {
-        std::iter::once((k, self.line(m)[k])).chain(self.spill.of(k, m).iter().copied())
+    pub(super) fn aim(&self, m: usize, aim: usize) -> impl Iterator<Item = (usize, f64)> {
+        let own = (aim < self.users).then(|| (aim, self.line(m)[aim]));
+        own.into_iter().chain(self.spill.of(aim, m).iter().copied())
+    }
+
+    /// All aims of mirror m that reach a user: users, then midpoints.
+    #[inline]
+    pub(super) fn aims(&self, m: usize) -> impl Iterator<Item = usize> {
+        let users = self.line(m).iter().enumerate().filter(|(_, gain)| **gain > 0.0).map(|(k, _)| k);
+        users.chain(self.spill.midpoints_of(m).map(|(aim, _)| aim))
     }
 }
 

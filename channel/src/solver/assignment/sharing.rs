@@ -1,6 +1,6 @@
 //! Moves of mirrors whose light reaches several users.
 //!
-//! The light of a mirror that is aimed at user k also reaches the users in the spot around k. A move
+//! The light of a mirror reaches all users in the spot around its aim. A move
 //! then changes the amplitudes of all users of both spots. Mirrors that reach one user at a time use
 //! the faster functions of [`Assignment`].
 
@@ -13,8 +13,8 @@ impl Assignment {
         if table.spill.is_empty() {
             return;
         }
-        for (m, &k) in self.served.iter().enumerate() {
-            for &(user, gain) in table.spill.of(k, m) {
+        for (m, &aim) in self.served.iter().enumerate() {
+            for &(user, gain) in table.spill.of(aim, m) {
                 self.amplitude[user] += gain;
             }
         }
@@ -31,13 +31,11 @@ impl Assignment {
             self.set(k, without);
         }
         let (mut to, mut gained) = (from, 0.0);
-        for (target, &gain) in table.line(m).iter().enumerate() {
-            if target != from && gain > 0.0 {
-                let factor: f64 =
-                    table.aim(m, target).map(|(k, gain)| self.factor(utility, k, self.amplitude[k] + gain)).product();
-                if factor > gained {
-                    (to, gained) = (target, factor);
-                }
+        for aim in table.aims(m).filter(|aim| *aim != from) {
+            let factor: f64 =
+                table.aim(m, aim).map(|(k, gain)| self.factor(utility, k, self.amplitude[k] + gain)).product();
+            if factor > gained {
+                (to, gained) = (aim, factor);
             }
         }
         let moved = lost * gained > MIN_FACTOR;

@@ -59,6 +59,14 @@ impl Search {
                     }
                 }
             }
+            for (aim, users) in table.spill.midpoints_of(m) {
+                if users.into_iter().all(|k| self.allowed[k]) {
+                    let worth: f64 = table.aim(m, aim).map(|(user, gain)| self.effective[user] * gain).sum();
+                    if worth > most {
+                        (most, best) = (worth, aim as f64);
+                    }
+                }
+            }
             *owner = best;
         }
     }

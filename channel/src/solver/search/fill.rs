@@ -75,15 +75,15 @@ impl Search {
         }
     }
 
-    /// Adds the gains of mirror m, aimed at a user.
-    fn give(&mut self, m: usize, user: usize, table: &Table, utility: &Utility) {
-        for (k, gain) in table.aim(m, user) {
+    /// Adds the gains of mirror m at an aim.
+    fn give(&mut self, m: usize, aim: usize, table: &Table, utility: &Utility) {
+        for (k, gain) in table.aim(m, aim) {
             self.shift(k, gain, utility);
         }
     }
 
-    /// The allowed user at whom mirror m raises the fill utilities of the allowed users by the
-    /// largest factor, and that factor.
+    /// The aim at which mirror m raises the fill utilities of the allowed users by the largest
+    /// factor, and that factor; an allowed user, or a midpoint of two.
     fn best_to_fill(&self, m: usize, except: Option<usize>, table: &Table, utility: &Utility) -> (Option<usize>, f64) {
         let mut best = (None, 0.0);
         for (k, &gain) in table.line(m).iter().enumerate() {
@@ -94,6 +94,17 @@ impl Search {
                 }
                 if factor > best.1 {
                     best = (Some(k), factor);
+                }
+            }
+        }
+        for (aim, users) in table.spill.midpoints_of(m) {
+            if users.into_iter().all(|k| self.allowed[k]) && except != Some(aim) {
+                let mut factor = 1.0;
+                for &(k, gain) in table.spill.of(aim, m).iter().filter(|(k, _)| self.allowed[*k]) {
+                    factor *= utility.fill_utility(k, self.amplitude[k] + gain) * self.inverse_fill[k];
+                }
+                if factor > best.1 {
+                    best = (Some(aim), factor);
                 }
             }
         }

@@ -12,6 +12,7 @@ mod aimed;
 mod evaluate;
 mod kernel;
 mod reach;
+mod reflected;
 mod spill;
 mod steer;
 mod update;

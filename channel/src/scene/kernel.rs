@@ -20,15 +20,15 @@ const ROUNDING_M2: f64 = 1e-9;
 /// A block of mirrors at their angles, in the room's frame.
 pub(crate) struct Turned {
     /// Centre in m; lanes past the last mirror repeat it.
-    centre: [Lanes; 3],
+    pub centre: [Lanes; 3],
     /// Unit normal.
     pub normal: [Lanes; 3],
     /// Unit vector along the width; its z is zero.
-    width: [Lanes; 2],
+    pub width: [Lanes; 2],
     /// Unit vector along the height.
-    height: [Lanes; 3],
-    half_width: f64,
-    half_height: f64,
+    pub height: [Lanes; 3],
+    pub half_width: f64,
+    pub half_height: f64,
 }
 
 /// An LED panel relative to a block of mirrors, for the test whether its light can reach a point.

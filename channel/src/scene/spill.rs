@@ -10,6 +10,7 @@
 
 use super::Scene;
 use super::kernel::{Turned, add_reflected};
+use super::reflected::Reflected;
 use crate::aiming::bisect;
 use crate::geometry::Vec3;
 use crate::model::ChannelModel;
@@ -58,8 +59,8 @@ pub struct Spill {
     close: Vec<(f64, [usize; 2])>,
     /// Users that may be within the spot of the present aim.
     near: Vec<usize>,
-    /// For each of them, a number per mirror that is negative if no light can reach the user.
-    slack: Vec<Lanes>,
+    /// For each of them, the gains over a block of mirrors.
+    block: Vec<Lanes>,
 }
 
 /// Bounds of the paths between one aim and all mirrors.
@@ -85,7 +86,7 @@ impl Spill {
             extents: Vec::with_capacity(aims),
             close: Vec::with_capacity(users * users.saturating_sub(1) / 2),
             near: Vec::with_capacity(users),
-            slack: Vec::with_capacity(users),
+            block: Vec::with_capacity(users),
         }
     }
 
@@ -109,7 +110,7 @@ impl Spill {
         for aim in 0..self.points.len() {
             self.near.clear();
             for other in 0..scene.users {
-                if other != aim && self.may_reach(aim, other) {
+                if other != aim && self.may_reach(model, aim, other) {
                     self.near.push(other);
                 }
             }
@@ -146,7 +147,7 @@ impl Spill {
         self.close.clear();
         for user in 0..scene.users {
             for other in user + 1..scene.users {
-                let near = self.may_reach(user, other) || self.may_reach(other, user);
+                let near = self.may_reach(model, user, other) || self.may_reach(model, other, user);
                 if near && self.leds[user] == self.leds[other] {
                     let apart = (self.points[other] - self.points[user]).norm_squared();
                     self.close.push((apart, [user, other]));
@@ -216,10 +217,9 @@ impl Spill {
             let to_led = model.directions_to_led(self.leds[aim], index);
             let (roll, yaw) = bisect(&model.mirrors, index, to_led, &target);
             let turned = Turned::at(&model.mirrors, &roll, &yaw, index);
-            self.slack.clear();
+            self.block.clear();
             for other in &self.near {
-                let source = turned.source(&model.panels[scene.serving[*other]]);
-                self.slack.push(turned.candidates(&source, &scene.positions[*other]));
+                self.block.push(gains_of_block(model, scene, &turned, *other, index));
             }
             for lane in 0..BLOCK.min(self.mirrors - first) {
                 let start = self.gains.len();
@@ -227,14 +227,8 @@ impl Spill {
                 if !self.can_aim(scene, aim, first + lane) {
                     continue;
                 }
-                for (other, slack) in self.near.iter().zip(&self.slack) {
-                    if slack[lane] >= 0.0 && scene.irs_path_clear[other * self.mirrors + first + lane] {
-                        let mut gains = [0.0; BRANCHES_MAX];
-                        let gains = &mut gains[..scene.branches];
-                        let panel = &model.panels[scene.serving[*other]];
-                        add_reflected(model, panel, &turned.plate(lane), &scene.positions[*other], gains);
-                        keep(&mut self.gains, start, *other, scene.combining.combine(gains));
-                    }
+                for (other, gains) in self.near.iter().zip(&self.block) {
+                    keep(&mut self.gains, start, *other, gains[lane]);
                 }
                 if self.gains.len() - start < least {
                     self.gains.truncate(start);
@@ -249,11 +243,73 @@ impl Spill {
     /// of their difference, at least |horizontal part| sin(inclination) - |vertical part|. A user of
     /// another LED receives that LED's light over the mirror in another direction, for which the
     /// bound does not hold.
-    fn may_reach(&self, aim: usize, user: usize) -> bool {
-        let apart = self.points[user] - self.points[aim];
+    fn may_reach(&self, model: &ChannelModel, aim: usize, user: usize) -> bool {
+        if self.leds[aim] != self.leds[user] {
+            return true;
+        }
+        let (apart, radius) = (self.points[user] - self.points[aim], self.extents[user].beam_radius_m);
         let from_axis = apart.x.hypot(apart.y) * self.extents[aim].least_inclination - apart.z.abs();
-        self.leds[aim] != self.leds[user] || from_axis <= self.extents[user].beam_radius_m
+        from_axis <= radius && any_beam_within(model, &self.points[aim], &apart, radius)
     }
+}
+
+/// Whether the axis of any mirror's beam to an aim passes within a radius of the point at `apart`
+/// from the aim, all in m.
+///
+/// The distance of the point from an axis with direction t is sqrt(|apart|^2 - (apart . t)^2 / |t|^2).
+fn any_beam_within(model: &ChannelModel, aim: &Vec3, apart: &Vec3, radius: f64) -> bool {
+    let beyond = apart.norm_squared() - radius * radius;
+    with_widest_simd(
+        #[inline(always)]
+        || {
+            (0..model.mirrors.len().div_ceil(BLOCK)).any(|block| {
+                let centre = model.mirrors.block(block);
+                let mut largest = f64::NEG_INFINITY;
+                for lane in 0..BLOCK {
+                    let beam = [0, 1, 2].map(|axis: usize| aim[axis] - centre[axis][lane]);
+                    let squared = beam[0] * beam[0] + beam[1] * beam[1] + beam[2] * beam[2];
+                    let along = beam[0] * apart.x + beam[1] * apart.y + beam[2] * apart.z;
+                    let slack = along * along - beyond * squared;
+                    largest = if slack > largest { slack } else { largest };
+                }
+                largest >= 0.0
+            })
+        },
+    )
+}
+
+/// Gains of one user over a block of mirrors at their angles, combined over the branches.
+#[inline(always)]
+fn gains_of_block(model: &ChannelModel, scene: &Scene, turned: &Turned, user: usize, index: usize) -> Lanes {
+    let (panel, position) = (&model.panels[scene.serving[user]], &scene.positions[user]);
+    let mut combined = [0.0; BLOCK];
+    let slack = turned.candidates(&turned.source(panel), position);
+    if !slack.iter().any(|slack| *slack >= 0.0) {
+        return combined;
+    }
+    let complete = match Reflected::new(turned, panel, position) {
+        Some(mut reflected) => {
+            for branch in &model.detectors {
+                scene.combining.add_each(&mut combined, &reflected.gains(model, panel, branch));
+            }
+            scene.combining.finish_each(&mut combined, scene.branches);
+            reflected.complete
+        }
+        None => [false; BLOCK],
+    };
+    let visible = &scene.irs_path_clear[user * scene.mirrors + index * BLOCK..];
+    for lane in 0..BLOCK {
+        let reached = slack[lane] >= 0.0 && visible.get(lane).is_some_and(|visible| *visible);
+        if !reached {
+            combined[lane] = 0.0;
+        } else if !complete[lane] {
+            let mut gains = [0.0; BRANCHES_MAX];
+            let gains = &mut gains[..scene.branches];
+            add_reflected(model, panel, &turned.plate(lane), position, gains);
+            combined[lane] = scene.combining.combine(gains);
+        }
+    }
+    combined
 }
 
 /// Appends a gain to the entries from `start` on; replaces the smallest once they are too many.

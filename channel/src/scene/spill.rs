@@ -59,7 +59,9 @@ pub struct Spill {
     close: Vec<(f64, [usize; 2])>,
     /// Users that may be within the spot of the present aim.
     near: Vec<usize>,
-    /// For each of them, the gains over a block of mirrors.
+    /// Those that may be within the spots of the present block of mirrors.
+    near_block: Vec<usize>,
+    /// For each of those, the gains over a block of mirrors.
     block: Vec<Lanes>,
 }
 
@@ -86,6 +88,7 @@ impl Spill {
             extents: Vec::with_capacity(aims),
             close: Vec::with_capacity(users * users.saturating_sub(1) / 2),
             near: Vec::with_capacity(users),
+            near_block: Vec::with_capacity(users),
             block: Vec::with_capacity(users),
         }
     }
@@ -214,20 +217,31 @@ impl Spill {
         let target = [0, 1, 2].map(|axis| [self.points[aim][axis]; BLOCK]);
         let least = if aim < scene.users { 1 } else { 2 };
         for (index, first) in (0..self.mirrors).step_by(BLOCK).enumerate() {
+            let lanes = BLOCK.min(self.mirrors - first);
+            self.near_block.clear();
+            for other in &self.near {
+                if self.may_reach_over(model, index, aim, *other) {
+                    self.near_block.push(*other);
+                }
+            }
+            if self.near_block.is_empty() {
+                self.starts.extend(std::iter::repeat_n(self.gains.len(), lanes));
+                continue;
+            }
             let to_led = model.directions_to_led(self.leds[aim], index);
             let (roll, yaw) = bisect(&model.mirrors, index, to_led, &target);
             let turned = Turned::at(&model.mirrors, &roll, &yaw, index);
             self.block.clear();
-            for other in &self.near {
+            for other in &self.near_block {
                 self.block.push(gains_of_block(model, scene, &turned, *other, index));
             }
-            for lane in 0..BLOCK.min(self.mirrors - first) {
+            for lane in 0..lanes {
                 let start = self.gains.len();
                 self.starts.push(start);
                 if !self.can_aim(scene, aim, first + lane) {
                     continue;
                 }
-                for (other, gains) in self.near.iter().zip(&self.block) {
+                for (other, gains) in self.near_block.iter().zip(&self.block) {
                     keep(&mut self.gains, start, *other, gains[lane]);
                 }
                 if self.gains.len() - start < least {
@@ -249,33 +263,35 @@ impl Spill {
         }
         let (apart, radius) = (self.points[user] - self.points[aim], self.extents[user].beam_radius_m);
         let from_axis = apart.x.hypot(apart.y) * self.extents[aim].least_inclination - apart.z.abs();
-        from_axis <= radius && any_beam_within(model, &self.points[aim], &apart, radius)
+        from_axis <= radius
+            && (0..model.mirrors.len().div_ceil(BLOCK)).any(|block| self.may_reach_over(model, block, aim, user))
+    }
+
+    /// The same for a block of mirrors.
+    #[inline(always)]
+    fn may_reach_over(&self, model: &ChannelModel, block: usize, aim: usize, user: usize) -> bool {
+        let (apart, radius) = (self.points[user] - self.points[aim], self.extents[user].beam_radius_m);
+        self.leds[aim] != self.leds[user] || any_beam_within(model, block, &self.points[aim], &apart, radius)
     }
 }
 
-/// Whether the axis of any mirror's beam to an aim passes within a radius of the point at `apart`
-/// from the aim, all in m.
+/// Whether the axis of any beam of a block of mirrors to an aim passes within a radius of the point
+/// at `apart` from the aim, all in m.
 ///
 /// The distance of the point from an axis with direction t is sqrt(|apart|^2 - (apart . t)^2 / |t|^2).
-fn any_beam_within(model: &ChannelModel, aim: &Vec3, apart: &Vec3, radius: f64) -> bool {
+#[inline(always)]
+fn any_beam_within(model: &ChannelModel, block: usize, aim: &Vec3, apart: &Vec3, radius: f64) -> bool {
+    let centre = model.mirrors.block(block);
     let beyond = apart.norm_squared() - radius * radius;
-    with_widest_simd(
-        #[inline(always)]
-        || {
-            (0..model.mirrors.len().div_ceil(BLOCK)).any(|block| {
-                let centre = model.mirrors.block(block);
-                let mut largest = f64::NEG_INFINITY;
-                for lane in 0..BLOCK {
-                    let beam = [0, 1, 2].map(|axis: usize| aim[axis] - centre[axis][lane]);
-                    let squared = beam[0] * beam[0] + beam[1] * beam[1] + beam[2] * beam[2];
-                    let along = beam[0] * apart.x + beam[1] * apart.y + beam[2] * apart.z;
-                    let slack = along * along - beyond * squared;
-                    largest = if slack > largest { slack } else { largest };
-                }
-                largest >= 0.0
-            })
-        },
-    )
+    let mut largest = f64::NEG_INFINITY;
+    for lane in 0..BLOCK {
+        let beam = [0, 1, 2].map(|axis: usize| aim[axis] - centre[axis][lane]);
+        let squared = beam[0] * beam[0] + beam[1] * beam[1] + beam[2] * beam[2];
+        let along = beam[0] * apart.x + beam[1] * apart.y + beam[2] * apart.z;
+        let slack = along * along - beyond * squared;
+        largest = if slack > largest { slack } else { largest };
+    }
+    largest >= 0.0
 }
 
 /// Gains of one user over a block of mirrors at their angles, combined over the branches.

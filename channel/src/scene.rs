@@ -50,6 +50,9 @@ pub struct Scene {
     irs_path_clear: Vec<bool>,
     /// See [`Scene::steering_gain`]. Shape: K * M.
     steering_gain: Vec<f64>,
+    /// Whether each mirror can be aimed at each user within its range, even where the path is
+    /// blocked. Shape: K * M.
+    can_aim: Vec<bool>,
     /// Paper mode with several branches: coefficient of each branch. Shape: K * B * M, else empty.
     steering_branch: Vec<f64>,
     /// Paper mode: unit vectors from mirror to user. Shape: K * M, else empty.
@@ -79,6 +82,7 @@ impl Scene {
             led_path_clear: vec![true; model.leds.len() * mirrors],
             irs_path_clear: vec![false; users * mirrors],
             steering_gain: vec![0.0; users * mirrors],
+            can_aim: vec![false; users * mirrors],
             steering_branch: vec![0.0; if branches > 1 { paper_pairs * branches } else { 0 }],
             directions: vec![Vec3::zeros(); paper_pairs],
             inverse_distance: vec![0.0; paper_pairs],
@@ -100,6 +104,7 @@ impl Scene {
         self.los_clear.resize(branches, 0.0);
         self.irs_path_clear.resize(pairs, false);
         self.steering_gain.resize(pairs, 0.0);
+        self.can_aim.resize(pairs, false);
         self.steering_branch.resize(if self.branches > 1 { paper_pairs * self.branches } else { 0 }, 0.0);
         self.directions.resize(paper_pairs, Vec3::zeros());
         self.inverse_distance.resize(paper_pairs, 0.0);
@@ -189,6 +194,7 @@ impl Scene {
                 let pair = user * self.mirrors + mirror;
                 self.irs_path_clear[pair] = false;
                 self.steering_gain[pair] = 0.0;
+                self.can_aim[pair] = false;
             }
             for gain in self.steering_branch.iter_mut().skip(mirror).step_by(self.mirrors) {
                 *gain = 0.0;

@@ -118,15 +118,14 @@ fn spilled_gains_are_those_of_the_angles() {
                     None => aim_at_point(&model, point, &mut angles),
                 }
                 scene.irs_gain_each(&model, &angles, &mut each);
-                let ends = match user {
-                    Some(user) => [user; 2],
-                    None => spill.midpoints()[index - positions.len()],
-                };
                 for mirror in 0..100 {
                     let reached = (0..positions.len()).filter(|k| Some(*k) != user && each[k * 100 + mirror] > 0.0);
                     let mut expected: Vec<_> = reached.map(|k| (k, each[k * 100 + mirror])).collect();
-                    let can_aim = ends.iter().all(|k| scene.steering_gain()[k * 100 + mirror] > 0.0);
-                    if !can_aim || user.is_none() && expected.len() < 2 {
+                    let steering = |k: usize| scene.steering_gain()[k * 100 + mirror];
+                    if let [(only, gain)] = expected[..]
+                        && user.is_none_or(|user| steering(user) == 0.0)
+                        && gain <= steering(only)
+                    {
                         expected.clear();
                     }
                     let found: Vec<_> = spill.of(index, mirror).iter().map(|entry| (entry.user, entry.gain)).collect();

@@ -37,9 +37,8 @@ pub struct SpilledGain {
 /// The gains of users at whom a mirror is not aimed; the buffers are reused.
 ///
 /// The first K aims are the users, the others are midpoints between two close users of the same LED.
-/// A user at whom a mirror has no steering gain is no aim of that mirror: see
-/// [`Scene::steering_gain`]. A midpoint is an aim of the mirrors that can be aimed at both of its
-/// users and from there reach two users or more.
+/// A mirror has no gains at an aim outside its range: see [`Scene::restrict_to_range`]. It has none
+/// either where it reaches one user only, with no larger gain than it has when aimed at that user.
 #[derive(Clone, Debug, Default)]
 pub struct Spill {
     mirrors: usize,
@@ -192,7 +191,7 @@ impl Spill {
     }
 
     /// The gains over one mirror at an aim, in the order of the users, without the user that is the
-    /// aim. Empty for a midpoint that is no aim of this mirror.
+    /// aim.
     pub fn of(&self, aim: usize, mirror: usize) -> &[SpilledGain] {
         let pair = aim * self.mirrors + mirror;
         match self.starts.get(pair..pair + 2) {
@@ -204,10 +203,21 @@ impl Spill {
     /// Whether a mirror can be aimed at one user, or at both users of a midpoint.
     #[inline(always)]
     fn can_aim(&self, scene: &Scene, aim: usize, mirror: usize) -> bool {
-        let reaches = |user: usize| scene.steering_gain[user * self.mirrors + mirror] > 0.0;
+        let can_aim = |user: usize| scene.can_aim[user * self.mirrors + mirror];
         match aim.checked_sub(scene.users) {
-            Some(index) => self.midpoints[index].into_iter().all(reaches),
-            None => reaches(aim),
+            Some(index) => self.midpoints[index].into_iter().all(can_aim),
+            None => can_aim(aim),
+        }
+    }
+
+    /// Whether the gains from `start` on make a point an aim of a mirror: those of two users, or a
+    /// gain above that of aiming at the only user.
+    fn is_useful(&self, scene: &Scene, aim: usize, mirror: usize, start: usize) -> bool {
+        let steering = |user: usize| scene.steering_gain[user * self.mirrors + mirror];
+        match &self.gains[start..] {
+            [] => true,
+            [only] => aim < scene.users && steering(aim) > 0.0 || only.gain > steering(only.user),
+            _ => true,
         }
     }
 
@@ -215,7 +225,6 @@ impl Spill {
     #[inline(always)]
     fn around(&mut self, model: &ChannelModel, scene: &Scene, aim: usize) {
         let target = [0, 1, 2].map(|axis| [self.points[aim][axis]; BLOCK]);
-        let least = if aim < scene.users { 1 } else { 2 };
         for (index, first) in (0..self.mirrors).step_by(BLOCK).enumerate() {
             let lanes = BLOCK.min(self.mirrors - first);
             self.near_block.clear();
@@ -244,7 +253,7 @@ impl Spill {
                 for (other, gains) in self.near_block.iter().zip(&self.block) {
                     keep(&mut self.gains, start, *other, gains[lane]);
                 }
-                if self.gains.len() - start < least {
+                if !self.is_useful(scene, aim, first + lane, start) {
                     self.gains.truncate(start);
                 }
             }

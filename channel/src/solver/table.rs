@@ -245,7 +245,7 @@ impl Table {
     /// All aims of mirror m that reach a user: users, then midpoints.
     #[inline]
     pub(super) fn aims(&self, m: usize) -> impl Iterator<Item = usize> {
-        let users = self.line(m).iter().enumerate().filter(|(_, gain)| **gain > 0.0).map(|(k, _)| k);
+        let users = (0..self.users).filter(move |k| self.line(m)[*k] > 0.0 || !self.spill.of(*k, m).is_empty());
         users.chain(self.spill.midpoints_of(m).map(|(aim, _)| aim))
     }
 }

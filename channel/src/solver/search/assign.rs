@@ -51,8 +51,8 @@ impl Search {
     fn share(&mut self, table: &Table) {
         for (m, owner) in self.owners.iter_mut().enumerate().filter(|(m, _)| table.spill.shares(*m)) {
             let (mut most, mut best) = (0.0, 0.0);
-            for (k, &gain) in table.line(m).iter().enumerate() {
-                if self.allowed[k] && gain > 0.0 {
+            for k in 0..table.users {
+                if self.allowed[k] {
                     let worth: f64 = table.aim(m, k).map(|(user, gain)| self.effective[user] * gain).sum();
                     if worth > most {
                         (most, best) = (worth, k as f64);

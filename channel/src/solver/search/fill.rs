@@ -87,9 +87,10 @@ impl Search {
     fn best_to_fill(&self, m: usize, except: Option<usize>, table: &Table, utility: &Utility) -> (Option<usize>, f64) {
         let mut best = (None, 0.0);
         for (k, &gain) in table.line(m).iter().enumerate() {
-            if self.allowed[k] && gain > 0.0 && except != Some(k) {
+            let spilled = table.spill.of(k, m);
+            if self.allowed[k] && (gain > 0.0 || !spilled.is_empty()) && except != Some(k) {
                 let mut factor = utility.fill_utility(k, self.amplitude[k] + gain) * self.inverse_fill[k];
-                for &(other, gain) in table.spill.of(k, m).iter().filter(|(other, _)| self.allowed[*other]) {
+                for &(other, gain) in spilled.iter().filter(|(other, _)| self.allowed[*other]) {
                     factor *= utility.fill_utility(other, self.amplitude[other] + gain) * self.inverse_fill[other];
                 }
                 if factor > best.1 {

@@ -46,28 +46,19 @@ impl Search {
     }
 
     /// Assigns each mirror that reaches several users at once to the aim with the largest weighted
-    /// sum of gains.
+    /// sum of gains, instead of the user with the largest weighted gain.
     #[inline(always)]
     fn share(&mut self, table: &Table) {
         for (m, owner) in self.owners.iter_mut().enumerate().filter(|(m, _)| table.spill.shares(*m)) {
-            let (mut most, mut best) = (0.0, 0.0);
-            for k in 0..table.users {
-                if self.allowed[k] {
-                    let worth: f64 = table.aim(m, k).map(|(user, gain)| self.effective[user] * gain).sum();
-                    if worth > most {
-                        (most, best) = (worth, k as f64);
-                    }
+            let strongest = *owner as usize;
+            let (mut best, mut most) = (strongest, self.effective[strongest] * table.line(m)[strongest]);
+            for &aim in table.spill.aims_of(m).iter().filter(|aim| table.spill.is_allowed(**aim, &self.allowed)) {
+                let worth: f64 = table.aim(m, aim).map(|(user, gain)| self.effective[user] * gain).sum();
+                if worth > most || worth == most && aim < best {
+                    (best, most) = (aim, worth);
                 }
             }
-            for (aim, users) in table.spill.midpoints_of(m) {
-                if users.into_iter().all(|k| self.allowed[k]) {
-                    let worth: f64 = table.aim(m, aim).map(|(user, gain)| self.effective[user] * gain).sum();
-                    if worth > most {
-                        (most, best) = (worth, aim as f64);
-                    }
-                }
-            }
-            *owner = best;
+            *owner = best as f64;
         }
     }
 }

@@ -98,8 +98,8 @@ impl Search {
                 }
             }
         }
-        for (aim, users) in table.spill.midpoints_of(m) {
-            if users.into_iter().all(|k| self.allowed[k]) && except != Some(aim) {
+        for &aim in table.spill.aims_of(m).iter().filter(|aim| **aim >= table.users) {
+            if table.spill.is_allowed(aim, &self.allowed) && except != Some(aim) {
                 let mut factor = 1.0;
                 for &(k, gain) in table.spill.of(aim, m).iter().filter(|(k, _)| self.allowed[*k]) {
                     factor *= utility.fill_utility(k, self.amplitude[k] + gain) * self.inverse_fill[k];

@@ -202,6 +202,25 @@ impl Scene {
         }
     }
 
+    /// Multiplies a user's steering gains by a factor for each column of mirrors until the next
+    /// update: the probability that the path is clear. Shape: columns of the array.
+    ///
+    /// # Panics
+    /// When the array is not a multiple of `factors`.
+    pub fn weigh_columns(&mut self, user: usize, factors: &[f64]) {
+        assert_eq!(self.mirrors % factors.len(), 0, "one factor per column");
+        let weigh = |gains: &mut [f64]| {
+            for row in gains.chunks_exact_mut(factors.len()) {
+                row.iter_mut().zip(factors).for_each(|(gain, factor)| *gain *= factor);
+            }
+        };
+        weigh(&mut self.steering_gain[user * self.mirrors..][..self.mirrors]);
+        if !self.steering_branch.is_empty() {
+            let branches = self.branches * self.mirrors;
+            weigh(&mut self.steering_branch[user * branches..][..branches]);
+        }
+    }
+
     /// Whether the paths LED-mirror and mirror-user are both clear; false for a user behind the
     /// mirror wall. Shape: K * M.
     pub fn irs_path_clear(&self) -> &[bool] {

@@ -5,22 +5,41 @@
 //! any time ahead. A user is found by number, in any order of the reports. A user who is absent
 //! from a report is forgotten, so a returning user starts again.
 //!
+//! [`Belief::handle_channel`] takes each accepted channel report, and [`Belief::handle_command`]
+//! each command, because the gains depend on the angles of the mirrors.
+//!
 //! - [`motion`]: place and velocity, by a bank of hypotheses about the walk.
 //! - [`height`]: the height of the detector, which is constant for a long time.
 //! - [`noise`]: the noise of the reports, which starts from the scenario's values.
+//! - [`heading`]: the direction in which the user faces, by the velocity and by measured gains.
+//! - [`covered`]: whether the direct path is off for another reason than bodies and obstacles.
+//! - [`occupancy`]: where unreported obstacles stand, by measured gains.
+//! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
+pub mod angle_history;
+pub(crate) mod body;
+mod channel_evidence;
+pub mod covered;
+pub mod heading;
 pub mod height;
 mod hypothesis;
 pub mod motion;
 pub mod noise;
+pub mod occupancy;
 
-use heliostat_channel::Vec3;
-use heliostat_proto::{Nanos, UserReport, UserState};
+use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
+use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{Scenario, Walk};
 
+use angle_history::AngleHistory;
+use body::Body;
+use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains};
+use covered::Covered;
+use heading::{HEADINGS, Heading};
 use height::Height;
 use motion::{Motion, MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
+use occupancy::Occupancy;
 
 /// Bounds of the estimated noise of a coordinate in m. The lower one keeps exact reports regular.
 const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
@@ -31,12 +50,17 @@ const VELOCITY_NOISE_M_S: [f64; 2] = [1e-3, 2.0];
 /// Two intervals between reports count as equal if they differ by less than this share.
 const EQUAL_INTERVALS: f64 = 0.02;
 
-/// A user's reports and motion.
+/// A heading whose mean vector is shorter than this is unknown.
+pub(crate) const HEADING_KNOWN: f64 = 0.3;
+
+/// A user's reports, motion and heading.
 #[derive(Clone, Copy, Debug)]
 struct Track {
     user: u32,
     motion: Motion,
     height: Height,
+    heading: Heading,
+    covered: Covered,
     /// The last two reported positions, the later one first, with the time between them in s.
     earlier: [Option<Place>; 2],
     reported_velocity: Option<[f64; 2]>,
@@ -58,6 +82,12 @@ pub struct Estimate {
     pub velocity: Vec3,
     /// Covariance of x and y in m2: xx, xy, yy.
     pub position_cov_m2: [f64; 3],
+    /// Mean of the unit vector in which the user faces: its length is 1 for a certain heading and 0
+    /// for an unknown one.
+    pub heading: Vec3,
+    /// Probability that neither an unreported obstacle nor a covered detector blocks the direct
+    /// path; bodies are not included.
+    pub direct_clear: f64,
 }
 
 /// The belief about all users of a room. Its buffers are allocated once.
@@ -71,11 +101,23 @@ pub struct Belief {
     tracks: Vec<Track>,
     former: Vec<Track>,
     last_ns: Nanos,
+    body: Option<Body>,
+    directions: [Vec3; HEADINGS],
+    history: AngleHistory,
+    /// The angles at the time of a measurement.
+    angles: MirrorAngles,
+    evidence: ChannelEvidence,
+    /// The body of each user of a channel report, where the heading is known.
+    bodies: Vec<Option<Cylinder>>,
+    /// Absent where there are no unreported obstacles.
+    map: Option<Occupancy>,
+    /// The place of the lamp, in a room with one.
+    lamp: Option<Vec3>,
 }
 
 impl Belief {
     /// A belief about no users, with the scenario's priors and noise.
-    pub fn new(scenario: &Scenario, capacity: usize) -> Self {
+    pub fn new(scenario: &Scenario, model: &ChannelModel, capacity: usize) -> Self {
         let streams = &scenario.streams.positions;
         let position_noise = NoiseLevel::new(streams.noise_m, POSITION_NOISE_M);
         let velocity_noise = NoiseLevel::new(streams.velocity_noise_m_s, VELOCITY_NOISE_M_S);
@@ -87,12 +129,74 @@ impl Belief {
             tracks: Vec::with_capacity(capacity),
             former: Vec::with_capacity(capacity),
             last_ns: 0,
+            body: Body::new(&scenario.blockage),
+            directions: heading::directions(),
+            history: AngleHistory::new(model.mirrors.len()),
+            angles: MirrorAngles::flat(model.mirrors.len()),
+            evidence: ChannelEvidence::new(model, capacity),
+            bodies: Vec::with_capacity(capacity),
+            lamp: channel_evidence::single_lamp(model),
+            map: Occupancy::new(scenario),
         }
+    }
+
+    /// The array announces its settling time in s.
+    pub fn set_settling(&mut self, settling_s: f64) {
+        self.history.set_settling(settling_s);
+    }
+
+    /// Notes a command that was given.
+    pub fn handle_command(&mut self, command: &MirrorCommand) {
+        self.history.handle_command(command);
+    }
+
+    /// Takes an accepted channel report. `obstacles` are those of the latest survey, and `unusable`
+    /// the mirrors that do not follow. Does not allocate.
+    pub fn handle_channel(
+        &mut self,
+        model: &ChannelModel,
+        report: &ChannelReport,
+        obstacles: &[Cylinder],
+        unusable: &[u32],
+    ) {
+        let ahead_s = signed_s(report.stamp.time_ns, self.last_ns);
+        let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
+        let Self { tracks, evidence, bodies, directions, map, body, .. } = self;
+        let places = tracks.iter().map(|track| track.place(ahead_s));
+        evidence.expect(model, places, obstacles, angles, unusable);
+        bodies.clear();
+        bodies.extend(tracks.iter().map(|track| {
+            let heading = track.heading.mean(directions);
+            let length = heading.norm();
+            let body = body.filter(|_| length > HEADING_KNOWN)?;
+            Some(body.behind(&track.place(ahead_s), &(heading / length)))
+        }));
+        let bodies = body.as_ref().map(|shape| Bodies { shape, directions, known: bodies });
+        for (user, track) in tracks.iter_mut().enumerate() {
+            let same_slot = report.users.get(user).filter(|entry| entry.user == track.user);
+            let measured = same_slot.or_else(|| report.users.iter().find(|entry| entry.user == track.user));
+            let Some(measured) = measured else { continue };
+            let measured = MeasuredGains { los: f64::from(measured.los_gain), irs: f64::from(measured.irs_gain) };
+            let beliefs = Beliefs { heading: &mut track.heading, covered: &mut track.covered };
+            evidence.examine(model, user, measured, bodies.as_ref(), beliefs, map.as_mut());
+        }
+        map.iter_mut().for_each(Occupancy::finish_report);
+    }
+
+    /// Writes the probability that no unreported obstacle blocks the path from a place to each
+    /// column of mirrors; false where all obstacles are reported.
+    pub fn unobstructed(&self, from: &Vec3, columns: &mut [f64]) -> bool {
+        let Some(map) = &self.map else { return false };
+        columns.fill(1.0);
+        map.weigh(from, self.evidence.columns(), columns);
+        true
     }
 
     /// Forgets all users, since another source reports from now on.
     pub fn forget(&mut self) {
         self.tracks.clear();
+        self.history.clear();
+        self.map.iter_mut().for_each(Occupancy::clear);
         [self.position_noise, self.velocity_noise] = self.first_noise;
     }
 
@@ -105,7 +209,7 @@ impl Belief {
         for (slot, user) in report.users.iter().enumerate() {
             let same_slot = self.former.get(slot).filter(|track| track.user == user.user);
             let known = same_slot.or_else(|| self.former.iter().find(|track| track.user == user.user)).copied();
-            let mut track = known.unwrap_or_else(|| Track::new(user.user, &self.priors));
+            let mut track = known.unwrap_or_else(|| Track::new(user.user, &self.priors, self.map.is_none()));
             self.learn_noise(&track, user, time_ns);
             self.correct(&mut track, user, elapsed_s);
             track.remember(user, time_ns);
@@ -120,7 +224,13 @@ impl Belief {
         let MotionEstimate { position_m: [x, y], velocity_m_s: [u, v], position_cov_m2, .. } =
             track.motion.estimate(ahead_s);
         let position = Vec3::new(x, y, track.height.mean_m());
-        Some(Estimate { position, velocity: Vec3::new(u, v, 0.0), position_cov_m2 })
+        let heading = track.heading.mean(&self.directions);
+        let mut direct_clear = [1.0 - track.covered.probability()];
+        if let (Some(map), Some(lamp)) = (&self.map, &self.lamp) {
+            map.weigh(&position, std::slice::from_ref(lamp), &mut direct_clear);
+        }
+        let [direct_clear] = direct_clear;
+        Some(Estimate { position, velocity: Vec3::new(u, v, 0.0), position_cov_m2, heading, direct_clear })
     }
 
     /// Estimated standard deviations of a reported coordinate in m and of a reported velocity
@@ -140,6 +250,8 @@ impl Belief {
         };
         track.motion.correct(&self.priors, elapsed_s, &sighting);
         track.height.correct(elapsed_s, z, position_noise_m);
+        let velocity = track.motion.estimate(0.0).velocity_m_s;
+        track.heading.handle_velocity(elapsed_s, velocity, &self.directions);
     }
 
     /// Compares a report with the two before it, if the three are equally spaced.
@@ -162,9 +274,16 @@ impl Belief {
 }
 
 impl Track {
-    fn new(user: u32, priors: &WalkPriors) -> Self {
-        let motion = Motion::new(priors);
-        Self { user, motion, height: Height::default(), earlier: [None; 2], reported_velocity: None }
+    fn new(user: u32, priors: &WalkPriors, known_obstacles: bool) -> Self {
+        let (motion, height, heading) = (Motion::new(priors), Height::default(), Heading::default());
+        let covered = if known_obstacles { Covered::KNOWN_OBSTACLES } else { Covered::UNKNOWN_OBSTACLES };
+        Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None }
+    }
+
+    /// Position of the detector in m, a time in s after the last report.
+    fn place(&self, ahead_s: f64) -> Vec3 {
+        let [x, y] = self.motion.estimate(ahead_s).position_m;
+        Vec3::new(x, y, self.height.mean_m())
     }
 
     fn remember(&mut self, user: &UserState, time_ns: Nanos) {
@@ -182,6 +301,11 @@ fn priors(settings: &Walk) -> WalkPriors {
         curving: settings.curving,
         turn_rate_rad_s: settings.turn_rate_deg_per_s.to_radians(),
     }
+}
+
+/// The time in s from `from_ns` to `to_ns`, negative where it is earlier.
+fn signed_s(to_ns: Nanos, from_ns: Nanos) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9 - from_ns.saturating_sub(to_ns) as f64 * 1e-9
 }
 
 /// The velocity of a report: a tracker that does not measure it reports zeros.
@@ -207,7 +331,9 @@ mod tests {
     }
 
     fn belief() -> Belief {
-        Belief::new(&Scenario::builtin("hall").expect("a built-in scenario"), 64)
+        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
+        let model = scenario.channel_model().expect("a valid channel");
+        Belief::new(&scenario, &model, 64)
     }
 
     /// The position after user 7 walked along x at 1 m/s for ten reports, beside these others.

@@ -140,7 +140,7 @@ impl Controller {
         let validity_ms = scenario.control.validity_ms.round() as u32;
         Self {
             inbox: Inbox::new(scenario),
-            observer: Observer::new(scenario),
+            observer: Observer::new(scenario, &model),
             proposed: observation.angles.clone(),
             observation,
             policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
@@ -187,6 +187,10 @@ impl Controller {
                 Due::Command
             }
             Err(Refusal::Stale) if stream == Stream::Users => Due::StaleCommand,
+            Ok(()) if stream == Stream::Channel => {
+                self.observer.handle_channel(&self.model, &self.inbox);
+                Due::Nothing
+            }
             Ok(()) if stream == Stream::Telemetry => {
                 if let Some(telemetry) = self.inbox.telemetry() {
                     self.guard.handle_telemetry(now, telemetry, &mut self.counters);
@@ -453,6 +457,7 @@ impl Controller {
         copy_narrowed(&self.proposed.roll, &mut self.command.roll);
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
+        self.observer.handle_command(&self.command);
     }
 }
 

@@ -145,6 +145,7 @@ impl Scenario {
             within("users.speed_min_m_s", users.speed_min_m_s, SPEED_M_S)?;
             within("users.speed_max_m_s", users.speed_max_m_s, users.speed_min_m_s..=*SPEED_M_S.end())?;
         }
+        within("users.pause_mean_s", users.pause_mean_s, 0.0..=1e4)?;
         match &users.min_rate_mbps {
             MinRate::All(rate) => within("users.min_rate_mbps", *rate, 0.0..=1e6)?,
             MinRate::Each(rates) => {

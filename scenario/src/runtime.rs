@@ -388,7 +388,7 @@ impl Default for Control {
             when_channel_missing: DegradedAction::Policy,
             when_silent: DegradedAction::Hold,
             when_unanswered: DegradedAction::Hold,
-            belief: Belief::None,
+            belief: Belief::Filter,
             walk: Walk::default(),
             search_evaluations: 2000,
             search_time_us: 500.0,

@@ -296,6 +296,9 @@ pub struct Users {
     pub speed_min_m_s: f64,
     /// Maximum speed in m/s.
     pub speed_max_m_s: f64,
+    /// Mean duration in s (exponential) of a pause at each point of the random walk, in which the
+    /// user is turned to a direction drawn at random; 0: no pauses.
+    pub pause_mean_s: f64,
     /// Minimum rate R_min in Mbit/s.
     pub min_rate_mbps: MinRate,
     /// A CSV file of recorded movement (`time,user,x,y`) that replaces the random walk. A relative
@@ -313,6 +316,7 @@ impl Default for Users {
             count: 5,
             speed_min_m_s: 0.1,
             speed_max_m_s: 2.0,
+            pause_mean_s: 0.0,
             min_rate_mbps: MinRate::All(1.0),
             trace: None,
             arrivals: None,

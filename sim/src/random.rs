@@ -65,6 +65,11 @@ pub fn uniform_in(rng: &mut RoomRng, low: f64, high: f64) -> f64 {
     low + (high - low) * uniform(rng)
 }
 
+/// A number with an exponential distribution of this mean.
+pub fn exponential(rng: &mut RoomRng, mean: f64) -> f64 {
+    -mean * (1.0 - uniform(rng)).ln()
+}
+
 /// A normal number of mean 0 and standard deviation 1 (Marsaglia's polar method, one of the pair).
 pub fn normal(rng: &mut RoomRng) -> f64 {
     loop {

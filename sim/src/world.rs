@@ -14,7 +14,7 @@ use heliostat_scenario::{Blockage, Scenario};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
-use self::mobility::{Mobility, MobilityError, RandomWaypoint, Speeds};
+use self::mobility::{Mobility, MobilityError, RandomWaypoint, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
@@ -58,8 +58,7 @@ pub enum WorldError {
 #[derive(Clone, Debug)]
 pub struct World {
     model: ChannelModel,
-    floor: Floor,
-    speeds: Speeds,
+    waypoints: Waypoints,
     hard_core: HardCore,
     blockage: Blockage,
     mobility: Mobility,
@@ -100,18 +99,18 @@ impl World {
         let model = scenario.channel_model()?;
         let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
         let speeds = Speeds::new(scenario.users.speed_min_m_s, scenario.users.speed_max_m_s)?;
+        let waypoints = Waypoints { floor, speeds, pause_mean_s: scenario.users.pause_mean_s };
         let users = scenario.users.count;
         let mobility = match &scenario.users.trace {
             Some(path) => Mobility::Trace(parse_trace(path, trace, users, &floor)?),
-            None => Mobility::random_waypoint(floor, speeds, users, seed),
+            None => Mobility::random_waypoint(waypoints, users, seed),
         };
         let blockage = scenario.blockage.clone();
         let start = Vec3::new(0.0, 0.0, scenario.receiver.height_m);
         let mut world = Self {
             scene: Scene::new(&model, users),
             model,
-            floor,
-            speeds,
+            waypoints,
             hard_core: HardCore::new(blockage.obstacles_per_m2, blockage.obstacle_min_distance_m)?,
             mobility,
             seed,
@@ -146,7 +145,7 @@ impl World {
     /// A recorded walk continues.
     pub fn restart(&mut self, seed: u64) {
         if let Mobility::RandomWaypoint(_) = self.mobility {
-            self.mobility = Mobility::random_waypoint(self.floor, self.speeds, self.users, seed);
+            self.mobility = Mobility::random_waypoint(self.waypoints, self.users, seed);
         }
         self.time_s = 0.0;
         self.begin(seed);
@@ -183,8 +182,7 @@ impl World {
             changed = true;
             match change {
                 Change::Enter { at_s, id } => {
-                    let walk =
-                        RandomWaypoint::new(self.floor, self.speeds, random::stream(self.seed, Purpose::Walk, id));
+                    let walk = RandomWaypoint::new(self.waypoints, random::stream(self.seed, Purpose::Walk, id));
                     self.mobility.enter(walk, self.time_s - at_s);
                     self.ids.push(id);
                 }
@@ -299,14 +297,14 @@ impl World {
     /// # Errors
     /// [`MobilityError`] for speeds that are not valid; the old speeds remain.
     pub fn set_speed(&mut self, min_m_s: f64, max_m_s: f64) -> Result<(), MobilityError> {
-        self.speeds = Speeds::new(min_m_s, max_m_s)?;
-        self.mobility.set_speeds(self.speeds);
+        self.waypoints.speeds = Speeds::new(min_m_s, max_m_s)?;
+        self.mobility.set_speeds(self.waypoints.speeds);
         Ok(())
     }
 
     /// Minimum and maximum walking speed in m/s.
     pub fn speeds_m_s(&self) -> [f64; 2] {
-        self.speeds.bounds_m_s()
+        self.waypoints.speeds.bounds_m_s()
     }
 
     /// Sets the transmitted power in W; returns false, without a change, for a value that is not
@@ -321,7 +319,7 @@ impl World {
 
     fn place_obstacles(&mut self, seed: u64) {
         let blockage = &self.blockage;
-        let points = self.hard_core.sample(&self.floor, &mut random::stream(seed, Purpose::Obstacles, 0));
+        let points = self.hard_core.sample(&self.waypoints.floor, &mut random::stream(seed, Purpose::Obstacles, 0));
         let cylinder = |at: [f64; 2], radius_m, height_m| Cylinder { x_m: at[0], y_m: at[1], radius_m, height_m };
         self.blockers.clear();
         self.blockers

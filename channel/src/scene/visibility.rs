@@ -13,10 +13,26 @@
 use crate::blockage::{Cylinder, dips, plan_chord};
 use crate::geometry::Vec3;
 use crate::mirrors::MirrorArray;
+use crate::simd::with_widest_simd;
 use crate::trig::BLOCK;
 
 /// Margin for rounding in m: far above the rounding errors of coordinates, far below a radius.
 const ROUNDING_M: f64 = 1e-9;
+
+impl MirrorArray {
+    /// Writes to `clear[m]` whether no cylinder blocks the path from a point to the centre of
+    /// mirror m, as [`Scene::update`](super::Scene::update) computes it. Shape: M.
+    ///
+    /// # Panics
+    /// When `clear` does not have one entry per mirror.
+    pub fn visible_from(&self, from: &Vec3, blockers: &[Cylinder], clear: &mut [bool]) {
+        assert_eq!(clear.len(), self.len(), "one flag per mirror");
+        with_widest_simd(
+            #[inline(always)]
+            || mark_visible(clear, self, from, blockers),
+        );
+    }
+}
 
 /// Writes to `clear[m]` whether no cylinder blocks the path from a point to the centre of mirror m.
 /// Shape: M.

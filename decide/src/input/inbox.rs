@@ -177,6 +177,11 @@ impl Inbox {
         self.channel.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
     }
 
+    /// The latest measured gains, of any age.
+    pub fn last_channel(&self) -> Option<&ChannelReport> {
+        self.channel.get()
+    }
+
     /// The latest survey of the obstacles, valid until the next survey or until the room has a new
     /// owner.
     pub fn obstacles(&self) -> Option<&ObstacleReport> {

@@ -16,19 +16,19 @@
 //! the age of the report, the settling time of the mirrors, and half of the interval until the next
 //! report. No user is predicted to leave the room.
 //!
-//! With the filter, a measured gain of the direct path shows only whether the path is clear; the
-//! gain is then that of the model at the predicted place.
+//! With the filter, measured gains show headings and unreported obstacles; the gain of the direct
+//! path is then that of the model at the predicted place, or 0 where it is probably blocked.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
-use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, Nanos, UserReport};
+use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, UserReport};
 use heliostat_scenario::Scenario;
 
 use crate::{
-    belief::Belief,
+    belief::{Belief, HEADING_KNOWN, body::Body},
     input::inbox::Inbox,
     observe::{
         observation::{Observation, RoomState},
-        prediction::Prediction,
+        prediction::{Predicted, Prediction},
         slots::Slots,
     },
 };
@@ -37,13 +37,9 @@ use crate::{
 /// slowest walk.
 const WALKING_M_S: f64 = 0.05;
 
-/// Dimensions of a body, and its distance from the device.
-#[derive(Clone, Copy, Debug)]
-struct Body {
-    radius_m: f64,
-    height_m: f64,
-    offset_m: f64,
-}
+/// Above this speed in m/s the velocity shows the heading better than a distribution in steps of 10
+/// degrees.
+const STRIDE_M_S: f64 = 0.25;
 
 /// Fills observations from the inbox; its buffers are reused and have room for [`MAX_USERS`] users.
 pub struct Observer {
@@ -57,9 +53,13 @@ pub struct Observer {
     former_headings: Vec<Vec3>,
     positions: Vec<Vec3>,
     velocities: Vec<Vec3>,
+    /// Probability that the direct path is clear past all but bodies, where it is believed.
+    direct_clear: Vec<Option<f64>>,
     min_rate_bps: Vec<f64>,
     los_gain: Vec<f64>,
     blockers: Vec<Cylinder>,
+    /// Probability that the path to each column of mirrors is clear.
+    unobstructed: Vec<f64>,
     /// All false: blockage of unknown cause shows in measured gains.
     forced: Vec<bool>,
 }
@@ -78,24 +78,21 @@ pub enum LosSource {
 
 impl Observer {
     /// An observer of a scenario's room.
-    pub fn new(scenario: &Scenario) -> Self {
-        let blockage = &scenario.blockage;
+    pub fn new(scenario: &Scenario, model: &ChannelModel) -> Self {
         Self {
-            body: blockage.bodies.then_some(Body {
-                radius_m: blockage.body_radius_m,
-                height_m: blockage.body_height_m,
-                offset_m: blockage.body_offset_m,
-            }),
-            prediction: Prediction::new(scenario),
+            body: Body::new(&scenario.blockage),
+            prediction: Prediction::new(scenario, model),
             slots: Slots::default(),
             reported: Vec::with_capacity(MAX_USERS),
             headings: Vec::with_capacity(MAX_USERS),
             former_headings: Vec::with_capacity(MAX_USERS),
             positions: Vec::with_capacity(MAX_USERS),
             velocities: Vec::with_capacity(MAX_USERS),
+            direct_clear: Vec::with_capacity(MAX_USERS),
             min_rate_bps: Vec::with_capacity(MAX_USERS),
             los_gain: Vec::with_capacity(MAX_USERS),
             blockers: Vec::with_capacity(MAX_OBSTACLES + MAX_USERS),
+            unobstructed: vec![1.0; model.mirrors.columns()],
             forced: Vec::with_capacity(MAX_USERS),
         }
     }
@@ -108,6 +105,19 @@ impl Observer {
     /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
     pub fn handle_users(&mut self, report: &UserReport) {
         self.prediction.handle_users(report);
+    }
+
+    /// Takes the accepted channel report of the inbox. Call it once for each.
+    pub fn handle_channel(&mut self, model: &ChannelModel, inbox: &Inbox) {
+        let Some(report) = inbox.last_channel() else { return };
+        self.place_obstacles(inbox);
+        let unusable = inbox.telemetry().map_or(&[][..], |telemetry| &telemetry.unusable);
+        self.prediction.handle_channel(model, report, &self.blockers, unusable);
+    }
+
+    /// Notes a command that was given.
+    pub fn handle_command(&mut self, command: &MirrorCommand) {
+        self.prediction.handle_command(command);
     }
 
     /// The belief of the filter; absent where `control.belief` is another one.
@@ -149,6 +159,7 @@ impl Observer {
             },
         );
         into.ids.copy_from_slice(self.slots.ids());
+        self.apply_belief(into);
         Some(match inbox.channel(now) {
             Some(channel) => self.take_gains(channel, into),
             None => LosSource::Modelled,
@@ -167,16 +178,38 @@ impl Observer {
         }
         self.positions.clear();
         self.velocities.clear();
+        self.direct_clear.clear();
         self.min_rate_bps.clear();
         self.forced.clear();
         for (slot, id) in slots.ids().iter().enumerate() {
             let same_place = report.users.get(slot).filter(|user| user.user == *id);
             let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
-            let (position, velocity) = prediction.predict(user, age_s);
+            let Predicted { position, velocity, heading, direct_clear } = prediction.predict(user, age_s);
             self.positions.push(position);
             self.velocities.push(velocity);
+            self.direct_clear.push(direct_clear);
+            match heading {
+                Some(heading) => headings[slot] = direction(&heading, &velocity),
+                None if velocity.norm() > WALKING_M_S => headings[slot] = velocity.normalize(),
+                None => {}
+            }
             self.min_rate_bps.push(f64::from(user.min_rate_bps));
             self.forced.push(false);
+        }
+    }
+
+    /// Applies what the filter believes about unreported obstacles and covered detectors: a direct
+    /// path that is probably blocked counts as blocked, and a steering gain is multiplied by the
+    /// probability that the path is clear.
+    fn apply_belief(&mut self, into: &mut Observation) {
+        let Some(belief) = self.prediction.belief() else { return };
+        for (user, (position, clear)) in self.positions.iter().zip(&self.direct_clear).enumerate() {
+            if clear.is_some_and(|clear| clear < 0.5) {
+                into.scene.set_los_blocked(user, true);
+            }
+            if belief.unobstructed(position, &mut self.unobstructed) {
+                into.scene.weigh_columns(user, &self.unobstructed);
+            }
         }
     }
 
@@ -195,17 +228,20 @@ impl Observer {
         if unmeasured > 0 && unmeasured == self.los_gain.len() {
             return LosSource::Modelled;
         }
-        if self.prediction.models_gains() {
-            for (user, gain) in self.los_gain.iter().enumerate() {
-                into.scene.set_los_blocked(user, *gain <= 0.0);
-            }
-        } else {
+        if self.prediction.belief().is_none() {
             into.scene.set_los_gain(&self.los_gain);
         }
         LosSource::Measured { unmeasured }
     }
 
     fn place_blockers(&mut self, inbox: &Inbox) {
+        self.place_obstacles(inbox);
+        let Some(body) = self.body else { return };
+        let facing = self.headings.iter().zip(&self.positions).filter(|(heading, _)| **heading != Vec3::zeros());
+        self.blockers.extend(facing.map(|(heading, position)| body.behind(position, heading)));
+    }
+
+    fn place_obstacles(&mut self, inbox: &Inbox) {
         self.blockers.clear();
         let obstacles = inbox.obstacles().into_iter().flat_map(|report| &report.obstacles);
         self.blockers.extend(obstacles.map(|obstacle| Cylinder {
@@ -214,16 +250,18 @@ impl Observer {
             radius_m: f64::from(obstacle.radius_m),
             height_m: f64::from(obstacle.height_m),
         }));
-        let Some(body) = self.body else { return };
-        for ((heading, velocity), position) in self.headings.iter_mut().zip(&self.velocities).zip(&self.positions) {
-            if velocity.norm() > WALKING_M_S {
-                *heading = velocity.normalize();
-            }
-            if *heading != Vec3::zeros() {
-                let axis = position - body.offset_m * *heading;
-                let Body { radius_m, height_m, .. } = body;
-                self.blockers.push(Cylinder { x_m: axis.x, y_m: axis.y, radius_m, height_m });
-            }
-        }
+    }
+}
+
+/// The direction of a believed heading: that of a walk at this speed, and otherwise the mean one,
+/// unless it is unknown.
+fn direction(heading: &Vec3, velocity: &Vec3) -> Vec3 {
+    let (certainty, speed) = (heading.norm(), velocity.norm());
+    if speed > STRIDE_M_S {
+        velocity / speed
+    } else if certainty > HEADING_KNOWN {
+        heading / certainty
+    } else {
+        Vec3::zeros()
     }
 }

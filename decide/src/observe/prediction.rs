@@ -1,16 +1,24 @@
 //! Where a user is while a command is in force, by `control.belief`.
 
-use heliostat_channel::Vec3;
-use heliostat_proto::{MAX_USERS, UserReport, UserState};
+use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
+use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{self as scenario, Scenario};
 
 use crate::belief::Belief;
 
+/// Weight of a new interval in the mean time between reports.
+const INTERVAL_WEIGHT: f64 = 0.1;
+
+/// A longer interval counts as this many mean ones, so that a pause changes the mean little.
+const PAUSE: f64 = 3.0;
+
 /// How far ahead users are predicted, and the bounds of their positions.
 #[derive(Clone, Copy, Debug)]
 pub struct Lead {
-    /// Half of the time between reports in s.
-    half_interval_s: f64,
+    /// Mean time between reports in s: that of the scenario until reports show another.
+    interval_s: f64,
+    /// Time of the last report.
+    last_ns: Nanos,
     /// Settling time of the mirrors in s.
     settling_s: f64,
     half_room_m: [f64; 2],
@@ -19,7 +27,8 @@ pub struct Lead {
 impl Lead {
     fn new(scenario: &Scenario) -> Self {
         Self {
-            half_interval_s: 0.5 / scenario.streams.positions.rate_hz,
+            interval_s: 1.0 / scenario.streams.positions.rate_hz,
+            last_ns: 0,
             settling_s: 0.0,
             half_room_m: [scenario.room.length_x_m / 2.0, scenario.room.length_y_m / 2.0],
         }
@@ -27,13 +36,36 @@ impl Lead {
 
     /// From the sampling of a report of this age to the middle of the command's time in force, in s.
     fn ahead_s(&self, age_s: f64) -> f64 {
-        age_s + self.half_interval_s + self.settling_s
+        age_s + 0.5 * self.interval_s + self.settling_s
+    }
+
+    /// Learns the time between reports.
+    fn handle_users(&mut self, time_ns: Nanos) {
+        let interval_s = time_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
+        if self.last_ns > 0 {
+            self.interval_s += INTERVAL_WEIGHT * (interval_s.min(PAUSE * self.interval_s) - self.interval_s);
+        }
+        self.last_ns = time_ns;
     }
 
     fn within_room(&self, position: Vec3) -> Vec3 {
         let [half_x, half_y] = self.half_room_m;
         Vec3::new(position.x.clamp(-half_x, half_x), position.y.clamp(-half_y, half_y), position.z)
     }
+}
+
+/// A user while a command is in force.
+#[derive(Clone, Copy, Debug)]
+pub struct Predicted {
+    /// Position in m.
+    pub position: Vec3,
+    /// Velocity in m/s.
+    pub velocity: Vec3,
+    /// Direction in which the user faces, where it is known better than by the velocity.
+    pub heading: Option<Vec3>,
+    /// Probability that the direct path is clear past all but bodies; absent where only the latest
+    /// measurement shows it.
+    pub direct_clear: Option<f64>,
 }
 
 /// The prediction of all users of a room.
@@ -48,11 +80,13 @@ pub enum Prediction {
 
 impl Prediction {
     /// The prediction that the scenario names.
-    pub fn new(scenario: &Scenario) -> Self {
+    pub fn new(scenario: &Scenario, model: &ChannelModel) -> Self {
         match scenario.control.belief {
             scenario::Belief::None => Self::AsReported,
             scenario::Belief::ConstantVelocity => Self::ConstantVelocity(Lead::new(scenario)),
-            scenario::Belief::Filter => Self::Filter(Lead::new(scenario), Box::new(Belief::new(scenario, MAX_USERS))),
+            scenario::Belief::Filter => {
+                Self::Filter(Lead::new(scenario), Box::new(Belief::new(scenario, model, MAX_USERS)))
+            }
         }
     }
 
@@ -60,14 +94,43 @@ impl Prediction {
     pub fn set_settling(&mut self, settling_s: f64) {
         match self {
             Self::AsReported => {}
-            Self::ConstantVelocity(lead) | Self::Filter(lead, _) => lead.settling_s = settling_s,
+            Self::ConstantVelocity(lead) => lead.settling_s = settling_s,
+            Self::Filter(lead, belief) => {
+                lead.settling_s = settling_s;
+                belief.set_settling(settling_s);
+            }
+        }
+    }
+
+    /// Takes an accepted channel report; see [`Belief::handle_channel`].
+    pub fn handle_channel(
+        &mut self,
+        model: &ChannelModel,
+        report: &ChannelReport,
+        obstacles: &[Cylinder],
+        unusable: &[u32],
+    ) {
+        if let Self::Filter(_, belief) = self {
+            belief.handle_channel(model, report, obstacles, unusable);
+        }
+    }
+
+    /// Notes a command that was given.
+    pub fn handle_command(&mut self, command: &MirrorCommand) {
+        if let Self::Filter(_, belief) = self {
+            belief.handle_command(command);
         }
     }
 
     /// Takes an accepted position report.
     pub fn handle_users(&mut self, report: &UserReport) {
-        if let Self::Filter(_, belief) = self {
-            belief.handle_users(report);
+        match self {
+            Self::AsReported => {}
+            Self::ConstantVelocity(lead) => lead.handle_users(report.stamp.time_ns),
+            Self::Filter(lead, belief) => {
+                lead.handle_users(report.stamp.time_ns);
+                belief.handle_users(report);
+            }
         }
     }
 
@@ -78,12 +141,6 @@ impl Prediction {
         }
     }
 
-    /// Whether the predicted position is better than the one at which a gain was measured: then a
-    /// measured gain shows only whether the path is clear.
-    pub fn models_gains(&self) -> bool {
-        matches!(self, Self::Filter(..))
-    }
-
     /// The belief of the filter; absent where `control.belief` is another one.
     pub fn belief(&self) -> Option<&Belief> {
         match self {
@@ -92,18 +149,44 @@ impl Prediction {
         }
     }
 
-    /// Position in m and velocity in m/s of a user of the last report, which has this age in s.
-    pub fn predict(&self, user: &UserState, age_s: f64) -> (Vec3, Vec3) {
-        let reported = Vec3::from_iterator(user.position_m.map(f64::from));
+    /// A user of the last report, which has this age in s.
+    pub fn predict(&self, user: &UserState, age_s: f64) -> Predicted {
+        let position = Vec3::from_iterator(user.position_m.map(f64::from));
         let [x, y] = user.velocity_m_s.map(f64::from);
         let velocity = Vec3::new(x, y, 0.0);
+        let as_reported = Predicted { position, velocity, heading: None, direct_clear: None };
         match self {
-            Self::AsReported => (reported, velocity),
-            Self::ConstantVelocity(lead) => (lead.within_room(reported + velocity * lead.ahead_s(age_s)), velocity),
+            Self::AsReported => as_reported,
+            Self::ConstantVelocity(lead) => {
+                Predicted { position: lead.within_room(position + velocity * lead.ahead_s(age_s)), ..as_reported }
+            }
             Self::Filter(lead, belief) => match belief.estimate(user.user, lead.ahead_s(age_s)) {
-                Some(estimate) => (lead.within_room(estimate.position), estimate.velocity),
-                None => (reported, velocity),
+                Some(estimate) => Predicted {
+                    position: lead.within_room(estimate.position),
+                    velocity: estimate.velocity,
+                    heading: Some(estimate.heading),
+                    direct_clear: Some(estimate.direct_clear),
+                },
+                None => as_reported,
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lead_follows_the_rate_of_the_reports_and_not_their_pauses() {
+        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
+        let mut lead = Lead::new(&scenario);
+        assert!((lead.ahead_s(0.1) - 0.15).abs() < 1e-12, "the scenario has 10 reports a second");
+        for report in 1..=100_u64 {
+            lead.handle_users(report * 400_000_000);
+        }
+        assert!((lead.ahead_s(0.1) - 0.3).abs() < 1e-3, "{}", lead.ahead_s(0.1));
+        lead.handle_users(60_000_000_000);
+        assert!(lead.ahead_s(0.1) < 0.35, "one pause: {}", lead.ahead_s(0.1));
     }
 }

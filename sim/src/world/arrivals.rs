@@ -58,7 +58,7 @@ impl Arrivals {
     pub fn new(settings: &Settings, users: usize, seed: u64) -> Self {
         let mut rng = random::stream(seed, Purpose::Arrivals, 0);
         let mut leave_s = Vec::with_capacity(settings.max_users.max(users));
-        leave_s.extend((0..users).map(|_| exponential(&mut rng, settings.mean_stay_s)));
+        leave_s.extend((0..users).map(|_| random::exponential(&mut rng, settings.mean_stay_s)));
         let mut arrivals = Self {
             next_arrival_s: 0.0,
             settings: settings.clone(),
@@ -87,7 +87,7 @@ impl Arrivals {
                 self.turnover.left += 1;
                 return Some(Change::Leave { index });
             }
-            let stay_s = exponential(&mut self.rng, self.settings.mean_stay_s);
+            let stay_s = random::exponential(&mut self.rng, self.settings.mean_stay_s);
             self.draw_arrival();
             if self.leave_s.len() >= self.settings.max_users {
                 self.turnover.turned_away += 1;
@@ -107,15 +107,10 @@ impl Arrivals {
     }
 
     fn draw_arrival(&mut self) {
-        let gap_s = exponential(&mut self.rng, 60.0);
+        let gap_s = random::exponential(&mut self.rng, 60.0);
         // A rate of 0 gives a time that never comes.
         self.next_arrival_s += gap_s / self.settings.rate_per_min;
     }
-}
-
-/// A number with an exponential distribution of this mean.
-fn exponential(rng: &mut RoomRng, mean: f64) -> f64 {
-    -mean * (1.0 - random::uniform(rng)).ln()
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! How the users move: the random waypoint model, or a recorded walk in its place.
 //!
 //! A user walks straight to a point drawn uniformly in the room, at a speed drawn uniformly for
-//! that segment, and then draws the next point without a pause. The walk starts in its stationary
+//! that segment, and then draws the next point. With pauses the user stands at each point for an
+//! exponential time, turned to a direction drawn uniformly. The walk starts in its stationary
 //! regime, so it needs no warm-up. It is exact over any time step: one step may cover many
-//! segments. It uses only the four operations and square roots, so it is the same on every
-//! platform, bit for bit.
+//! segments. Without pauses it uses only the four operations and square roots, so it is the same
+//! on every platform, bit for bit.
 
 use thiserror::Error;
 
@@ -120,20 +121,90 @@ fn diagonal_m(floor: &Floor) -> f64 {
     (floor.length_x_m * floor.length_x_m + floor.length_y_m * floor.length_y_m).sqrt()
 }
 
+/// Where, how fast and with which pauses users walk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Waypoints {
+    /// The points lie on this floor.
+    pub floor: Floor,
+    /// Speeds of the segments.
+    pub speeds: Speeds,
+    /// Mean duration of a pause in s; 0: no pauses.
+    pub pause_mean_s: f64,
+}
+
+impl Waypoints {
+    /// Mean duration of a segment in s: mean distance of two points times the mean of 1/speed.
+    fn segment_mean_s(&self) -> f64 {
+        let [min, max] = self.speeds.bounds_m_s();
+        let slowness = if max > min { (max / min).ln() / (max - min) } else { 1.0 / max };
+        mean_distance_m(self.floor.length_x_m, self.floor.length_y_m) * slowness
+    }
+
+    fn draw_pause(&self, rng: &mut RoomRng) -> Option<Pause> {
+        (self.pause_mean_s > 0.0).then(|| {
+            let left_s = random::exponential(rng, self.pause_mean_s);
+            Pause { left_s, facing: draw_direction(rng) }
+        })
+    }
+}
+
+/// Mean distance of two points drawn uniformly in a rectangle.
+///
+/// Source: Mathai, An Introduction to Geometrical Probability, 1999, section 2.4. Units: those of
+/// the sides.
+fn mean_distance_m(a: f64, b: f64) -> f64 {
+    let d = a.hypot(b);
+    let (a_b, b_a) = (a / b, b / a);
+    let cubes = a * a_b * a_b + b * b_a * b_a + d * (3.0 - a_b * a_b - b_a * b_a);
+    let logarithms = b * b_a * ((a + d) / b).ln() + a * a_b * ((b + d) / a).ln();
+    (cubes + 2.5 * logarithms) / 15.0
+}
+
+/// A direction drawn uniformly, as a unit vector.
+fn draw_direction(rng: &mut RoomRng) -> [f64; 2] {
+    loop {
+        let [x, y] = [0; 2].map(|_| random::uniform_in(rng, -1.0, 1.0));
+        let length = (x * x + y * y).sqrt();
+        if length > 0.01 && length < 1.0 {
+            return [x / length, y / length];
+        }
+    }
+}
+
+/// A user who stands.
+#[derive(Clone, Copy, Debug)]
+struct Pause {
+    left_s: f64,
+    facing: [f64; 2],
+}
+
 /// The random waypoint walk of one user.
 #[derive(Clone, Debug)]
 pub struct RandomWaypoint {
-    floor: Floor,
-    speeds: Speeds,
+    waypoints: Waypoints,
     segment: Segment,
+    /// The pause at the start of the segment, while it lasts.
+    pause: Option<Pause>,
     rng: RoomRng,
 }
 
 impl RandomWaypoint {
     /// A walk in its stationary regime; the generator belongs to this user.
-    pub fn new(floor: Floor, speeds: Speeds, mut rng: RoomRng) -> Self {
-        let segment = Segment::under_way(&floor, &speeds, &mut rng);
-        Self { floor, speeds, segment, rng }
+    pub fn new(waypoints: Waypoints, mut rng: RoomRng) -> Self {
+        let mut segment = Segment::under_way(&waypoints.floor, &waypoints.speeds, &mut rng);
+        let mut pause = waypoints.draw_pause(&mut rng).filter(|_| segment.speed > 0.0);
+        if pause.is_some() {
+            let cycle_s = waypoints.pause_mean_s + waypoints.segment_mean_s();
+            if random::uniform(&mut rng) * cycle_s < waypoints.pause_mean_s {
+                // The rest of an exponential time has the same distribution; the next segment is
+                // an ordinary one.
+                let [from, to] = [0; 2].map(|_| draw_point(&waypoints.floor, &mut rng));
+                segment = Segment::new(from, to, waypoints.speeds.draw(&mut rng));
+            } else {
+                pause = None;
+            }
+        }
+        Self { waypoints, segment, pause, rng }
     }
 
     /// Walks on for `dt_s` seconds, over as many segments as that takes.
@@ -143,20 +214,29 @@ impl RandomWaypoint {
         }
         let mut left = dt_s;
         loop {
+            if let Some(pause) = &mut self.pause {
+                if left < pause.left_s {
+                    pause.left_s -= left;
+                    return;
+                }
+                left -= pause.left_s;
+                self.pause = None;
+            }
             let until_arrival = (self.segment.length - self.segment.travelled) / self.segment.speed;
             if left < until_arrival {
                 self.segment.travelled += self.segment.speed * left;
                 return;
             }
             left -= until_arrival;
-            let next = draw_point(&self.floor, &mut self.rng);
-            self.segment = Segment::new(self.segment.to, next, self.speeds.draw(&mut self.rng));
+            let next = draw_point(&self.waypoints.floor, &mut self.rng);
+            self.segment = Segment::new(self.segment.to, next, self.waypoints.speeds.draw(&mut self.rng));
+            self.pause = self.waypoints.draw_pause(&mut self.rng);
         }
     }
 
     /// New speeds from now on; the segment under way gets a new one too.
     pub fn set_speeds(&mut self, speeds: Speeds) {
-        self.speeds = speeds;
+        self.waypoints.speeds = speeds;
         self.segment.speed = speeds.draw(&mut self.rng);
     }
 
@@ -167,8 +247,13 @@ impl RandomWaypoint {
             |axis: usize| self.segment.from[axis] + share.min(1.0) * (self.segment.to[axis] - self.segment.from[axis]);
         walker.position.x = between(0);
         walker.position.y = between(1);
-        walker.direction = self.segment.direction();
-        walker.velocity = walker.direction.map(|component| component * self.segment.speed);
+        (walker.direction, walker.velocity) = match self.pause {
+            Some(pause) => (pause.facing, [0.0; 2]),
+            None => {
+                let direction = self.segment.direction();
+                (direction, direction.map(|component| component * self.segment.speed))
+            }
+        };
     }
 }
 
@@ -185,9 +270,9 @@ impl Mobility {
     /// Random walks for `users` users, each with its own random stream.
     ///
     /// One more user does not change the walks of the others.
-    pub fn random_waypoint(floor: Floor, speeds: Speeds, users: usize, seed: u64) -> Self {
+    pub fn random_waypoint(waypoints: Waypoints, users: usize, seed: u64) -> Self {
         let walks = (0..users)
-            .map(|user| RandomWaypoint::new(floor, speeds, random::stream(seed, Purpose::Walk, user as u32)))
+            .map(|user| RandomWaypoint::new(waypoints, random::stream(seed, Purpose::Walk, user as u32)))
             .collect();
         Self::RandomWaypoint(walks)
     }
@@ -249,12 +334,16 @@ mod tests {
 
     const FLOOR: Floor = Floor { length_x_m: 5.0, length_y_m: 5.0 };
 
+    fn waypoints(min_m_s: f64, max_m_s: f64, pause_mean_s: f64) -> Waypoints {
+        Waypoints { floor: FLOOR, speeds: Speeds::new(min_m_s, max_m_s).unwrap(), pause_mean_s }
+    }
+
     fn walkers(count: usize) -> Vec<Walker> {
         vec![Walker { position: Vec3::zeros(), direction: [1.0, 0.0], velocity: [0.0, 0.0] }; count]
     }
 
     fn sample(seed: u64, users: usize, after_s: f64) -> Vec<Walker> {
-        let mut mobility = Mobility::random_waypoint(FLOOR, Speeds::new(0.1, 2.0).unwrap(), users, seed);
+        let mut mobility = Mobility::random_waypoint(waypoints(0.1, 2.0, 0.0), users, seed);
         mobility.step(after_s);
         let mut out = walkers(users);
         mobility.write(&mut out);
@@ -298,7 +387,7 @@ mod tests {
     #[test]
     fn one_long_step_equals_many_short_ones() {
         let long = sample(5, 20, 60.0);
-        let mut mobility = Mobility::random_waypoint(FLOOR, Speeds::new(0.1, 2.0).unwrap(), 20, 5);
+        let mut mobility = Mobility::random_waypoint(waypoints(0.1, 2.0, 0.0), 20, 5);
         for _ in 0..6000 {
             mobility.step(0.01);
         }
@@ -311,7 +400,7 @@ mod tests {
 
     #[test]
     fn users_stay_in_the_room_and_move_with_their_velocity() {
-        let mut mobility = Mobility::random_waypoint(FLOOR, Speeds::new(0.1, 2.0).unwrap(), 10, 6);
+        let mut mobility = Mobility::random_waypoint(waypoints(0.1, 2.0, 0.0), 10, 6);
         let (mut before, mut after) = (walkers(10), walkers(10));
         for _ in 0..5000 {
             mobility.write(&mut before);
@@ -330,6 +419,45 @@ mod tests {
     }
 
     #[test]
+    fn standing_users_have_their_stationary_share_and_face_any_way() {
+        // Side 5 m: mean distance 2.607 m; the mean of 1/v over [0.5, 1.5] is ln 3.
+        let pause_mean_s = 2.607 * 3.0_f64.ln();
+        for after_s in [0.0, 30.0] {
+            let mut mobility = Mobility::random_waypoint(waypoints(0.5, 1.5, pause_mean_s), 20_000, 9);
+            let mut out = walkers(20_000);
+            mobility.step(after_s);
+            mobility.write(&mut out);
+            let standing: Vec<&Walker> = out.iter().filter(|walker| walker.velocity == [0.0; 2]).collect();
+            let share = standing.len() as f64 / out.len() as f64;
+            assert!((share - 0.5).abs() < 0.015, "{share} after {after_s} s");
+            for axis in [0, 1] {
+                let mean = standing.iter().map(|walker| walker.direction[axis]).sum::<f64>() / standing.len() as f64;
+                assert!(mean.abs() < 0.03, "{mean}");
+            }
+            // Users who stand at points drawn uniformly are spread uniformly: variance L^2 / 12.
+            let variance = standing.iter().map(|walker| walker.position.x.powi(2)).sum::<f64>() / standing.len() as f64;
+            assert!((variance - 25.0 / 12.0).abs() < 0.06, "{variance} after {after_s} s");
+        }
+    }
+
+    #[test]
+    fn a_user_keeps_place_and_direction_during_a_pause() {
+        let mut mobility = Mobility::random_waypoint(waypoints(0.5, 1.5, 1.0), 10, 10);
+        let (mut before, mut after, mut kept) = (walkers(10), walkers(10), 0);
+        for _ in 0..1000 {
+            mobility.write(&mut before);
+            mobility.step(0.05);
+            mobility.write(&mut after);
+            for (a, b) in before.iter().zip(&after).filter(|(a, b)| a.velocity == b.velocity && a.velocity == [0.0; 2])
+            {
+                // A whole segment fits into a step only where two points almost coincide.
+                kept += usize::from(a == b);
+            }
+        }
+        assert!(kept > 500, "{kept}");
+    }
+
+    #[test]
     fn one_more_user_does_not_change_the_walks_of_the_others() {
         assert_eq!(sample(7, 3, 10.0), sample(7, 4, 10.0)[..3]);
     }
@@ -339,7 +467,7 @@ mod tests {
         for (min, max) in [(0.0, 1.0), (-1.0, 1.0), (2.0, 1.0), (0.1, f64::INFINITY), (f64::NAN, 1.0)] {
             assert!(Speeds::new(min, max).is_err(), "{min} {max}");
         }
-        let mut mobility = Mobility::random_waypoint(FLOOR, Speeds::new(0.0, 0.0).unwrap(), 5, 8);
+        let mut mobility = Mobility::random_waypoint(waypoints(0.0, 0.0, 0.0), 5, 8);
         let (mut before, mut after) = (walkers(5), walkers(5));
         mobility.write(&mut before);
         mobility.step(100.0);

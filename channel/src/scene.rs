@@ -50,6 +50,8 @@ pub struct Scene {
     irs_path_clear: Vec<bool>,
     /// See [`Scene::steering_gain`]. Shape: K * M.
     steering_gain: Vec<f64>,
+    /// Factors of [`Scene::weigh_columns`] on the gains of each path. Shape: K * M.
+    path_weight: Vec<f64>,
     /// Whether each mirror can be aimed at each user within its range, even where the path is
     /// blocked. Shape: K * M.
     can_aim: Vec<bool>,
@@ -82,6 +84,7 @@ impl Scene {
             led_path_clear: vec![true; model.leds.len() * mirrors],
             irs_path_clear: vec![false; users * mirrors],
             steering_gain: vec![0.0; users * mirrors],
+            path_weight: vec![1.0; users * mirrors],
             can_aim: vec![false; users * mirrors],
             steering_branch: vec![0.0; if branches > 1 { paper_pairs * branches } else { 0 }],
             directions: vec![Vec3::zeros(); paper_pairs],
@@ -104,6 +107,7 @@ impl Scene {
         self.los_clear.resize(branches, 0.0);
         self.irs_path_clear.resize(pairs, false);
         self.steering_gain.resize(pairs, 0.0);
+        self.path_weight.resize(pairs, 1.0);
         self.can_aim.resize(pairs, false);
         self.steering_branch.resize(if self.branches > 1 { paper_pairs * self.branches } else { 0 }, 0.0);
         self.directions.resize(paper_pairs, Vec3::zeros());
@@ -202,8 +206,9 @@ impl Scene {
         }
     }
 
-    /// Multiplies a user's steering gains by a factor for each column of mirrors until the next
-    /// update: the probability that the path is clear. Shape: columns of the array.
+    /// Multiplies a user's steering gains, and its gains in [`Spill`], by a factor for each column of
+    /// mirrors until the next update: the probability that the path is clear. Shape: columns of the
+    /// array.
     ///
     /// # Panics
     /// When the array is not a multiple of `factors`.
@@ -215,6 +220,7 @@ impl Scene {
             }
         };
         weigh(&mut self.steering_gain[user * self.mirrors..][..self.mirrors]);
+        weigh(&mut self.path_weight[user * self.mirrors..][..self.mirrors]);
         if !self.steering_branch.is_empty() {
             let branches = self.branches * self.mirrors;
             weigh(&mut self.steering_branch[user * branches..][..branches]);

@@ -140,6 +140,51 @@ fn spilled_gains_are_those_of_the_angles() {
 }
 
 #[test]
+fn spilled_gains_are_weighed_by_the_probability_of_a_clear_path() {
+    let mut random = Random::new(8);
+    let model = panel_room(&mut random, (10, 10));
+    let positions = [Vec3::new(0.0, 0.0, 0.85), Vec3::new(0.05, 0.0, 0.85)];
+    let mut scene = Scene::new(&model, 2);
+    scene.update(&model, &positions, &[], &[false; 2]);
+    let certain = spill_of(&model, &scene);
+    let factors: Vec<f64> = (0..10).map(|column| 0.1 * f64::from(column)).collect();
+    scene.weigh_columns(1, &factors);
+    let weighed = spill_of(&model, &scene);
+    for mirror in 0..100 {
+        let factor = factors[mirror % 10];
+        let expected: Vec<_> =
+            certain.of(0, mirror).iter().map(|entry| factor * entry.gain).filter(|gain| *gain > 0.0).collect();
+        let found: Vec<_> = weighed.of(0, mirror).iter().map(|entry| entry.gain).collect();
+        assert_eq!(found, expected, "mirror {mirror}, received by user 1");
+        assert!(
+            mirror % 10 == 0 || weighed.of(1, mirror) == certain.of(1, mirror),
+            "mirror {mirror}, received by user 0"
+        );
+    }
+    assert!((0..100).any(|mirror| !certain.of(0, mirror).is_empty()));
+}
+
+#[test]
+fn a_mirror_has_no_shared_aim_outside_its_range() {
+    let mut random = Random::new(9);
+    let model = panel_room(&mut random, (10, 10));
+    let positions = [Vec3::new(0.0, 0.0, 0.85), Vec3::new(0.05, 0.0, 0.85)];
+    let mut scene = Scene::new(&model, 2);
+    scene.update(&model, &positions, &[], &[false; 2]);
+    scene.exclude_mirrors(&[3]);
+    let range = -10.0_f64.to_radians()..=10.0_f64.to_radians();
+    scene.restrict_to_range(&model, &range, &range);
+    let spill = spill_of(&model, &scene);
+    let mut left_out = 0;
+    for mirror in 0..100 {
+        let aimed = (0..2).all(|user| scene.steering_gain()[user * 100 + mirror] > 0.0);
+        assert!(aimed || (0..spill.points().len()).all(|aim| spill.of(aim, mirror).is_empty()), "mirror {mirror}");
+        left_out += usize::from(!aimed);
+    }
+    assert!(!spill.is_empty() && left_out > 10, "{left_out} of 100");
+}
+
+#[test]
 fn no_policy_exceeds_the_oracle_in_rooms_with_close_users() {
     let mut random = Random::new(2);
     let mut largest = 0.0_f64;

@@ -251,7 +251,8 @@ impl Spill {
                     continue;
                 }
                 for (other, gains) in self.near_block.iter().zip(&self.block) {
-                    keep(&mut self.gains, start, *other, gains[lane]);
+                    let weight = scene.path_weight[other * self.mirrors + first + lane];
+                    keep(&mut self.gains, start, *other, weight * gains[lane]);
                 }
                 if !self.is_useful(scene, aim, first + lane, start) {
                     self.gains.truncate(start);

@@ -44,7 +44,7 @@ fn panel_room(random: &mut Random, (rows, columns): (usize, usize)) -> ChannelMo
 
 /// The users of a room, the first `blocked` of whom have no line of sight, with or without obstacles.
 fn scene_of(random: &mut Random, model: &ChannelModel, positions: &[Vec3], blocked: usize) -> Scene {
-    let blockers = if random.next() % 2 == 0 { random.blockers(positions) } else { Vec::new() };
+    let blockers = if random.next().is_multiple_of(2) { random.blockers(positions) } else { Vec::new() };
     let forced: Vec<bool> = (0..positions.len()).map(|k| k < blocked).collect();
     let mut scene = Scene::new(model, positions.len());
     scene.update(model, positions, &blockers, &forced);

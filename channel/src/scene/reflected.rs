@@ -62,8 +62,8 @@ impl<'a> Reflected<'a> {
                 & inside(&width, turned.half_width)
                 & inside(&part(&turned.height), turned.half_height)
                 & (distance_squared >= panel.few_from_squared);
-            for axis in 0..3 {
-                reflected.towards_panel[axis][lane] = towards[axis];
+            for (lanes, part) in reflected.towards_panel.iter_mut().zip(towards) {
+                lanes[lane] = part;
             }
             reflected.most_squared[lane] = far_x * far_x + far_y * far_y + towards[2] * towards[2];
         }

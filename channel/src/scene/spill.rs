@@ -290,6 +290,7 @@ impl Spill {
 ///
 /// The distance of the point from an axis with direction t is sqrt(|apart|^2 - (apart . t)^2 / |t|^2).
 #[inline(always)]
+#[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
 fn any_beam_within(model: &ChannelModel, block: usize, aim: &Vec3, apart: &Vec3, radius: f64) -> bool {
     let centre = model.mirrors.block(block);
     let beyond = apart.norm_squared() - radius * radius;

@@ -92,10 +92,10 @@ impl Search {
             Some(index) => midpoints.get(index).and_then(|[user, _]| now_at(*user)),
             None => now_at(aim),
         };
-        self.best.resize(users, &now_at);
-        self.trial.resize(users, &now_at);
+        self.best.resize(users, now_at);
+        self.trial.resize(users, now_at);
         for entry in &mut self.shortlist {
-            entry.resize(users, &now_at);
+            entry.resize(users, now_at);
         }
         self.midpoints.clear();
         self.refined = refined(users, self.owners.len());

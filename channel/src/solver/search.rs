@@ -3,6 +3,7 @@
 
 mod assign;
 mod fill;
+mod local;
 
 use super::assignment::{Assignment, Scratch};
 use super::starts::Starts;
@@ -19,12 +20,8 @@ const RAISING_STEPS: usize = 40;
 const RAISE: f64 = 1.07;
 /// Largest number of passes of single moves to a local optimum.
 const MOVE_PASSES_MAX: usize = 50;
-/// Largest number of rounds of swaps to a local optimum.
-const EXCHANGE_ROUNDS_MAX: usize = 20;
 /// Largest number of trials that exclude one user.
 const EXCLUSION_TRIALS: usize = 16;
-/// Largest number of rounds of pairs of moves.
-const PAIR_ROUNDS_MAX: usize = 3;
 /// Smallest and largest number of assignments that the oracle refines by swaps.
 const REFINED: std::ops::RangeInclusive<usize> = 4..=16;
 /// Approximate product of users, mirrors and refined assignments.
@@ -334,60 +331,6 @@ impl Search {
         for (weight, line) in self.weights.iter_mut().zip(table.by_user.chunks_exact(table.mirrors)) {
             let sum: f64 = line.iter().sum();
             *weight = if sum > 0.0 { 1.0 / sum } else { 0.0 };
-        }
-    }
-
-    /// At most `passes` passes of single moves on `trial`, until no mirror moves.
-    fn move_passes(&mut self, table: &Table, utility: &Utility, passes: usize) {
-        self.trial.move_each(table, utility, passes);
-        self.trial.settle(table, utility);
-    }
-
-    /// Moves and swaps until `trial` is a local optimum.
-    fn refine(&mut self, table: &Table, utility: &Utility) {
-        for _ in 0..EXCHANGE_ROUNDS_MAX {
-            self.move_passes(table, utility, MOVE_PASSES_MAX);
-            if !self.trial.swap_pairs(table, utility, &mut self.scratch) {
-                break;
-            }
-        }
-        self.trial.settle(table, utility);
-    }
-
-    /// Pairs of moves on `trial`, each round followed by single moves and swaps.
-    ///
-    /// At the kink of a minimum rate, single moves and swaps stop at points that are not local
-    /// optima of pairs.
-    fn move_pairs(&mut self, table: &Table, utility: &Utility) {
-        for _ in 0..PAIR_ROUNDS_MAX {
-            if !self.trial.move_pairs(table, utility, &mut self.scratch) {
-                break;
-            }
-            self.refine(table, utility);
-        }
-    }
-
-    /// Forces each single move on `best` and continues with swaps and pairs, which combines three
-    /// and more moves.
-    ///
-    /// For small problems.
-    fn force_moves(&mut self, table: &Table, utility: &Utility) {
-        for _ in 0..PAIR_ROUNDS_MAX {
-            let before = self.best.nats;
-            for &m in &table.useful {
-                for user in 0..table.users {
-                    self.trial.copy_from(&self.best);
-                    self.trial.served[m] = user;
-                    self.trial.settle(table, utility);
-                    // Swaps and pairs first, since a single move would undo the forced one.
-                    self.trial.swap_pairs(table, utility, &mut self.scratch);
-                    self.move_pairs(table, utility);
-                    self.keep_better();
-                }
-            }
-            if self.best.nats <= before {
-                break;
-            }
         }
     }
 

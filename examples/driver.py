@@ -25,6 +25,7 @@ PARKED, FOLLOWING, HOLDING, STOPPED = range(4)
 LIMIT_RAD, PARK_AFTER_NS, LEAD_NS = 1.5, 300_000_000, 50_000_000
 CLOCK, CALIBRATION = 32, 16
 VALIDITY_MAX_MS, EPOCH_LEAD_MAX, SEQUENCE_STEP_MAX = 10_000, 60_000, 1 << 32
+USAGE = "usage: python3 examples/driver.py ROOM ENDPOINT[,ENDPOINT...] ROWS COLUMNS [SECONDS], ROWS and COLUMNS from 1"
 NO_STOP = {"stop_source": 0, "stop_sequence": 0, "stopped_ns": 0, "operator": "", "reason": ""}
 
 
@@ -200,12 +201,20 @@ class Mirrors:
             "sequence_step_max": SEQUENCE_STEP_MAX}, 14)
 
 
-def main(room, endpoints, rows, columns, seconds="1e9"):
+def arguments(room, endpoints, rows, columns, seconds="1e9"):
+    """The typed arguments of the command line; TypeError or ValueError for others."""
+    given = room, endpoints, int(rows), int(columns), float(seconds)
+    if min(given[2:4]) < 1:
+        raise ValueError("an array without mirrors")
+    return given
+
+
+def main(room, endpoints, rows, columns, seconds):
     config = zenoh.Config()
     for key, value in {"mode": "peer", "connect/endpoints": endpoints.split(","), "listen/endpoints": [],
                        "scouting/multicast/enabled": False, "scouting/gossip/enabled": False}.items():
         config.insert_json5(key, json.dumps(value))
-    mirrors, lock = Mirrors(int(rows), int(columns), StopFile(room)), threading.Lock()
+    mirrors, lock = Mirrors(rows, columns, StopFile(room)), threading.Lock()
     base = "heliostat/v1/%s/" % room
 
     def locked(handle):
@@ -225,7 +234,7 @@ def main(room, endpoints, rows, columns, seconds="1e9"):
         declared.append(session.declare_queryable(key, lambda query: query.reply(key, mirrors.capabilities(1))))
         declared.append(session.declare_queryable(safety_key, lambda query: query.reply(safety_key, mirrors.safety(1))))
         declared.append(session.liveliness().declare_token(base + "alive/driver/%016x" % mirrors.source))
-        end, turn, reported, reports = time.monotonic() + float(seconds), 0, None, 0
+        end, turn, reported, reports = time.monotonic() + seconds, 0, None, 0
         started_ns = time.time_ns()
         while time.monotonic() < end:
             with lock:
@@ -245,4 +254,9 @@ def main(room, endpoints, rows, columns, seconds="1e9"):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    try:
+        given = arguments(*sys.argv[1:])
+    except (TypeError, ValueError):
+        print(USAGE, file=sys.stderr)
+        sys.exit(2)
+    main(*given)

@@ -18,6 +18,7 @@ import zenoh
 CONTRACT = (pathlib.Path(__file__).parent.parent / "CONTRACT.md").read_text(encoding="utf-8")
 exec(CONTRACT.split("```python\n")[1].split("```")[0])  # decode, encode, Refused
 RATE_HZ = 20
+USAGE = "usage: python3 examples/tracker.py ROOM ENDPOINT[,ENDPOINT...] [SECONDS]"
 
 
 def users_at(seconds):
@@ -29,7 +30,12 @@ def users_at(seconds):
             for user, angle in angles.items()]
 
 
-def main(room, endpoints, seconds="1e9"):
+def arguments(room, endpoints, seconds="1e9"):
+    """The typed arguments of the command line; TypeError or ValueError for others."""
+    return room, endpoints, float(seconds)
+
+
+def main(room, endpoints, seconds):
     config = zenoh.Config()
     for key, value in {"mode": "peer", "connect/endpoints": endpoints.split(","), "listen/endpoints": [],
                        "scouting/multicast/enabled": False, "scouting/gossip/enabled": False}.items():
@@ -41,7 +47,7 @@ def main(room, endpoints, seconds="1e9"):
         reports = session.declare_publisher(base + "users", express=True, priority=zenoh.Priority.REAL_TIME,
                                             congestion_control=zenoh.CongestionControl.DROP)
         try:
-            while time.monotonic() < begin + float(seconds):
+            while time.monotonic() < begin + seconds:
                 tick += 1
                 stamp = {"source": source, "sequence": tick, "time_ns": time.time_ns()}
                 users = users_at(time.monotonic() - begin)
@@ -53,4 +59,9 @@ def main(room, endpoints, seconds="1e9"):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    try:
+        given = arguments(*sys.argv[1:])
+    except (TypeError, ValueError):
+        print(USAGE, file=sys.stderr)
+        sys.exit(2)
+    main(*given)

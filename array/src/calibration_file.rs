@@ -24,7 +24,7 @@ pub enum CalibrationFileError {
     #[error(transparent)]
     Toml(#[from] toml::de::Error),
     /// The length of a list is not the number of mirrors.
-    #[error("{list} has {found} entries: expected {expected}, one per mirror")]
+    #[error("{list} has a length of {found}: expected {expected}, one entry per mirror")]
     Length {
         /// The list, for example `roll.gain`.
         list: String,
@@ -143,6 +143,6 @@ mod tests {
         );
         written.yaw.gain.pop();
         let refusal = CalibrationFile::parse(&written.to_toml()).unwrap_err().to_string();
-        assert_eq!(refusal, "yaw.gain has 1 entries: expected 2, one per mirror");
+        assert_eq!(refusal, "yaw.gain has a length of 1: expected 2, one entry per mirror");
     }
 }

@@ -7,7 +7,7 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum Refusal {
     /// Another number of mirrors.
-    #[error("a command for {found} mirrors: expected {expected}, the size of the array")]
+    #[error("a command for an array of size {found}: expected {expected}, the number of its mirrors")]
     WrongCount {
         /// Mirrors in the command.
         found: usize,

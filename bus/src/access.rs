@@ -102,7 +102,9 @@ impl AccessRole {
         let array = || [room.telemetry(), room.capabilities(), room.safety()];
         let mut keys = match self {
             Self::Tracker => reports().to_vec(),
-            Self::Controller => vec![room.command(), room.geometry(NodeKind::Controller)],
+            Self::Controller => {
+                vec![room.command(), room.geometry(NodeKind::Controller), room.belief(), room.controller_memory()]
+            }
             Self::Driver => array().to_vec(),
             Self::Simulator => {
                 let own = [room.truth(), room.geometry(NodeKind::SimNode)];

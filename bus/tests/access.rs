@@ -14,7 +14,7 @@ use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
-const KEYS: [&str; 22] = [
+const KEYS: [&str; 24] = [
     "users",
     "channel",
     "obstacles",
@@ -34,6 +34,8 @@ const KEYS: [&str; 22] = [
     "mirrors/rearm",
     "mirrors/safety",
     "geometry/controller",
+    "controller/belief",
+    "controller/memory",
     "geometry/sim-node",
     "geometry/driver",
     "something/else",
@@ -42,7 +44,10 @@ const KEYS: [&str; 22] = [
 /// The keys on which each role may publish, written down independently of the program.
 const RIGHTS: [(AccessRole, &str); 8] = [
     (AccessRole::Tracker, "users channel obstacles mirrors/stop status/tracker"),
-    (AccessRole::Controller, "mirrors/command mirrors/stop status/controller geometry/controller"),
+    (
+        AccessRole::Controller,
+        "mirrors/command mirrors/stop status/controller geometry/controller controller/belief controller/memory",
+    ),
     (AccessRole::Driver, "mirrors/telemetry mirrors/capabilities mirrors/safety mirrors/stop status/driver"),
     (
         AccessRole::Simulator,

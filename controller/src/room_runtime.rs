@@ -7,6 +7,7 @@
 //! | [`decision_loop`] | decodes, decides, records stage times | the transport's callback or the room's thread; the main thread for missing reports |
 //! | [`cache_warmer`] | decides when the room's thread warms up the caches | the room's thread |
 //! | [`command_sender`] | numbers, encodes and publishes commands | the thread that decides, or the main thread |
+//! | [`state_publisher`] | publishes belief and state after a command | the thread that decides |
 //! | [`watchdog`] | acts for a policy that does not return | the main thread |
 //!
 //! `policy_swap` replaces the policy on a thread of its own. Rooms share a session and nothing
@@ -22,6 +23,7 @@ mod locks;
 mod policy_swap;
 pub mod receive_queue;
 pub mod room_clock;
+pub mod state_publisher;
 mod status;
 mod subscriptions;
 pub mod watchdog;
@@ -54,6 +56,7 @@ use locks::{lock_within, try_lock};
 use policy_swap::{PolicyBuilder, PolicySwap, warm_up_runs};
 use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
+use state_publisher::StatePublisher;
 use status::{Conditions, Identity, Problem, Reporter};
 use watchdog::{POLICY_TIMEOUT, Watchdog};
 
@@ -101,7 +104,7 @@ impl RoomRuntime {
         let (policy, findings) = heliostat_engine::build_tried(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
-        let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure);
+        let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure).with_journal();
         controller.warm_up(warm_up_runs());
         let room = bus.room().clone();
         tracing::info!(policy = controller.policy_name(), scenario = scenario.name, %room, "ready");
@@ -110,7 +113,8 @@ impl RoomRuntime {
         let sender = CommandSender::new(bus.publisher(&room.command(), class)?, scenario.mirror_count());
         let (sender, watchdog) = (Arc::new(sender), Arc::new(Watchdog::new(scenario.control.when_unanswered)));
         let shared = (Arc::clone(&sender), Arc::clone(&watchdog));
-        let decision_loop = DecisionLoop::new(controller, clock, deadline(config), shared.0, shared.1);
+        let states = StatePublisher::open(bus, source)?;
+        let decision_loop = DecisionLoop::new(controller, clock, deadline(config), shared, states);
         let decision_loop = Arc::new(Mutex::new(decision_loop.with_cache_warm_up(settings.keep_warm)));
         let queue = Arc::new(ReceiveQueue::default());
         let thread = settings.has_thread().then(|| spawn(&room, &decision_loop, &queue)).transpose()?;

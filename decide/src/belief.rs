@@ -23,6 +23,8 @@ pub mod covered;
 pub mod heading;
 pub mod height;
 mod hypothesis;
+pub mod innovations;
+pub mod memory;
 pub mod motion;
 pub mod noise;
 pub mod occupancy;
@@ -30,6 +32,7 @@ pub mod occupancy;
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
 use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{Scenario, Walk};
+use serde::{Deserialize, Serialize};
 
 use angle_history::AngleHistory;
 use body::Body;
@@ -37,6 +40,7 @@ use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains};
 use covered::Covered;
 use heading::{HEADINGS, Heading};
 use height::Height;
+use innovations::Innovations;
 use motion::{Motion, MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
@@ -54,7 +58,7 @@ const EQUAL_INTERVALS: f64 = 0.02;
 pub(crate) const HEADING_KNOWN: f64 = 0.3;
 
 /// A user's reports, motion and heading.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Track {
     user: u32,
     motion: Motion,
@@ -67,7 +71,7 @@ struct Track {
 }
 
 /// A reported position.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Place {
     at_m: [f64; 2],
     time_ns: Nanos,
@@ -113,6 +117,7 @@ pub struct Belief {
     map: Option<Occupancy>,
     /// The place of the lamp, in a room with one.
     lamp: Option<Vec3>,
+    innovations: Innovations,
 }
 
 impl Belief {
@@ -137,6 +142,7 @@ impl Belief {
             bodies: Vec::with_capacity(capacity),
             lamp: channel_evidence::single_lamp(model),
             map: Occupancy::new(scenario),
+            innovations: Innovations::default(),
         }
     }
 
@@ -192,6 +198,11 @@ impl Belief {
         true
     }
 
+    /// How well the predictions agreed with the reports.
+    pub fn innovations(&self) -> Innovations {
+        self.innovations
+    }
+
     /// Forgets all users, since another source reports from now on.
     pub fn forget(&mut self) {
         self.tracks.clear();
@@ -209,6 +220,11 @@ impl Belief {
         for (slot, user) in report.users.iter().enumerate() {
             let same_slot = self.former.get(slot).filter(|track| track.user == user.user);
             let known = same_slot.or_else(|| self.former.iter().find(|track| track.user == user.user)).copied();
+            if let Some(track) = &known {
+                let [x, y, _] = user.position_m.map(f64::from);
+                let noise_m = self.position_noise.deviation();
+                self.innovations.handle(&track.motion.estimate(elapsed_s), [x, y], noise_m);
+            }
             let mut track = known.unwrap_or_else(|| Track::new(user.user, &self.priors, self.map.is_none()));
             self.learn_noise(&track, user, time_ns);
             self.correct(&mut track, user, elapsed_s);
@@ -316,6 +332,7 @@ fn reported_velocity(user: &UserState) -> Option<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use heliostat_proto::Stamp;
+    use rand_chacha::rand_core::{Rng, SeedableRng};
 
     use super::*;
 
@@ -381,6 +398,21 @@ mod tests {
         }
         let estimate = belief.estimate(7, 0.0).expect("a user");
         assert!((estimate.velocity.x - 0.8).abs() < 0.1, "{estimate:?}");
+    }
+
+    #[test]
+    fn the_innovations_of_a_straight_walk_have_the_mean_of_two_degrees_of_freedom() {
+        let (mut belief, mut rng) = (belief(), rand_chacha::ChaCha8Rng::seed_from_u64(1));
+        for tick in 1..=2000_u64 {
+            // A circular normal error of 0.05 m.
+            let [quantile, turn] = [0; 2].map(|_| (rng.next_u64() >> 40) as f32 / (1_u64 << 24) as f32);
+            let (radius, angle) = (0.05 * (-2.0 * (1.0 - quantile).ln()).sqrt(), turn * std::f32::consts::TAU);
+            let position = [0.5 + radius * angle.cos(), radius * angle.sin(), 0.9];
+            belief.handle_users(&report(tick, &[(7, position, [0.0, 0.0])]));
+        }
+        let Innovations { count, sum } = belief.innovations();
+        assert_eq!(count, 1999, "the first report of a user has no prediction");
+        assert!((sum / count as f64 - 2.0).abs() < 0.4, "{}", sum / count as f64);
     }
 
     #[test]

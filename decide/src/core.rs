@@ -84,13 +84,16 @@
 
 mod array;
 mod degraded_actions;
+mod journal;
+pub mod memory;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
-use heliostat_proto::{MAX_USERS, MirrorCommand, Nanos, NodeKind};
+use heliostat_proto::{BeliefReport, InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
 use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{
+    belief::{Belief, innovations::Innovations},
     input::{
         inbox::{Inbox, Message},
         refusal::{Refusal, Stream},
@@ -103,6 +106,7 @@ use crate::{
     policy::{self, Policy, PolicyError, ProposedBy, Tally, WithFallback},
 };
 use degraded_actions::{DegradedActions, LastReport};
+use journal::Journal;
 
 /// Maximum number of start-up runs on a synthetic room. They change the state of stateful
 /// policies, so replay executes this number too.
@@ -128,6 +132,7 @@ pub struct Controller {
     command: MirrorCommand,
     /// Whether `command` was given.
     has_command: bool,
+    journal: Journal,
     counters: Counters,
 }
 
@@ -159,6 +164,7 @@ impl Controller {
                 yaw: vec![0.0; mirrors],
             },
             has_command: false,
+            journal: Journal::disabled(),
             counters: Counters::default(),
             model,
         }
@@ -172,11 +178,14 @@ impl Controller {
 
     /// Handles a message that arrived at `now`; the result names the `poll_*` method to call.
     pub fn handle_message(&mut self, now: Nanos, message: Message<'_>) -> Due {
-        let stream = message.stream();
+        let (stream, stamp) = (message.stream(), *message.stamp());
         let sources = self.inbox.sources();
         let accepted = self.inbox.accept(now, message);
         if self.inbox.sources() != sources {
             self.observer.forget();
+        }
+        if accepted.is_ok() {
+            self.journal.record_message(stream, &stamp, now);
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
@@ -234,6 +243,7 @@ impl Controller {
     /// Decides for the tick of the last accepted position report. `mark` is called as each stage
     /// ends.
     pub fn poll_command(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
+        self.journal.record_decision(timing.input(), now);
         // The mode matters only where the action holds; else the policy acts.
         let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
         if timing == Timing::Late {
@@ -271,6 +281,7 @@ impl Controller {
 
     /// Executes the action for a position report that was too old.
     pub fn poll_stale_command(&mut self, now: Nanos) -> Decision<'_> {
+        self.journal.record_decision(InputKind::StaleDecision, now);
         self.counters.decisions += 1;
         self.policy.tallies.count_decision();
         self.counters.count_degraded(DegradedMode::StaleReport);
@@ -293,6 +304,7 @@ impl Controller {
         } else if self.actions.silent != DegradedAction::LastGood {
             return None;
         }
+        self.journal.record_decision(InputKind::SilenceDecision, now);
         Some(self.execute((self.actions.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
@@ -349,9 +361,27 @@ impl Controller {
         self.policy.last_failure()
     }
 
+    /// How well the belief's predictions agreed with the reports; absent where `control.belief`
+    /// names no filter.
+    pub fn innovations(&self) -> Option<Innovations> {
+        self.observer.belief().map(Belief::innovations)
+    }
+
     /// The last observation, with the angles of the last command.
     pub fn observation(&self) -> &Observation {
         &self.observation
+    }
+
+    /// Fills a report with the belief about the users in the decision that was polled last, at
+    /// `now`; its stamp is the caller's. False, without a change, where `control.belief` names no
+    /// filter. Does not allocate in a report with memory for all users.
+    pub fn report_beliefs(&self, now: Nanos, report: &mut BeliefReport) -> bool {
+        self.observer.report_beliefs(&self.inbox, &self.observation, now, report)
+    }
+
+    /// What fills the observation: the belief of the filter, and the headings of the users.
+    pub fn observer(&self) -> &Observer {
+        &self.observer
     }
 
     /// Proposes angles by `action`, limits them and completes the command.
@@ -450,6 +480,7 @@ impl Controller {
 
     fn complete_command(&mut self, tick: u64, now: Nanos) {
         self.counters.commands += 1;
+        self.journal.record_command();
         self.has_command = true;
         self.command.sequence = 0;
         self.command.answers = tick;

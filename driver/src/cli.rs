@@ -7,6 +7,7 @@ use clap::Subcommand;
 use heliostat_array::Kit;
 use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_proto::{Room, Stamp};
+use heliostat_service::counted::counted;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
 use crate::config::Config;
@@ -122,7 +123,7 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
         output::text(&report)?
     }
     let broken = report.broken().count();
-    ensure!(broken == 0, "the driver of room \"{}\" breaks {broken} rules of the contract", report.room);
+    ensure!(broken == 0, "the driver of room \"{}\" breaks {} of the contract", report.room, counted(broken, "rule"));
     Ok(())
 }
 

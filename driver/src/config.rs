@@ -191,7 +191,7 @@ mod tests {
         let turned = problem("min_deg = -20.0", "min_deg = 40.0");
         assert!(turned.contains("127.0.0.1:9000: min_deg = 40 and max_deg = 30: expected min_deg below"), "{turned}");
         assert!(problem("mirrors = [2]", "mirrors = [7]").contains("unknown mirror 7"));
-        assert!(problem("mirrors = [2]", "mirrors = [2, 2]").contains("1 channels but 2 mirrors"));
+        assert!(problem("mirrors = [2]", "mirrors = [2, 2]").contains("1 channel but 2 mirrors"));
         assert!(problem("columns = 3", "columns = 4").contains("mirror 3 is turned by 0 channels"));
         assert!(problem("serial:/dev/ttyACM0", "usb:1").contains("expected serial:PATH"));
         assert!(problem("range_deg", "range_degrees").contains("range_degrees"));

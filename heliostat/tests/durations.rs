@@ -4,7 +4,7 @@ use std::process::Command;
 
 #[test]
 fn every_command_refuses_an_invalid_duration_in_the_same_words() {
-    let commands: [&[&str]; 10] = [
+    let commands: [&[&str]; 11] = [
         &["demo"],
         &["ui"],
         &["controller"],
@@ -13,11 +13,16 @@ fn every_command_refuses_an_invalid_duration_in_the_same_words() {
         &["record", "--out", "none.mcap"],
         &["bench", "env"],
         &["bench", "decide"],
+        &["eval", "--closed-loop"],
         &["stop"],
         &["rearm"],
     ];
     for command in commands {
-        let flag = if matches!(command, ["stop" | "rearm"]) { "--timeout" } else { "--seconds" };
+        let flag = match command[0] {
+            "stop" | "rearm" => "--timeout",
+            "eval" => "--warm",
+            _ => "--seconds",
+        };
         for value in ["x", "-1", "0", "1e9", "nan"] {
             let ended = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(command).args([flag, value]).output();
             let ended = ended.expect("the program starts");

@@ -98,6 +98,75 @@ fn a_closed_loop_loses_rate_with_late_reports() {
     assert!((mean(&hall, "greedy+filter", "outage_time") - (1.0 - met)).abs() < 1e-12);
 }
 
+/// In the recording the user stands near the mirrors, then in a far corner.
+#[test]
+fn episodes_of_a_recorded_walk_see_different_parts_of_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (room, walk) = (folder.path().join("room.toml"), folder.path().join("walk.csv"));
+    std::fs::write(&walk, "time,user,x,y\n0,0,0,2\n100,0,0,2\n101,0,-2,-2\n200,0,-2,-2\n").expect("writable");
+    let text = "[users]\ncount = 1\ntrace = \"walk.csv\"\n[blockage]\nobstacles_per_m2 = 0\nbodies = false\n";
+    std::fs::write(&room, text).expect("writable");
+    let room = room.to_str().expect("a plain path");
+    let flags = ["--closed-loop", "--scenario", room, "--policies", "greedy", "--states", "80", "--seeds", "2"];
+    let first = without_times(report(&flags));
+    let rate = &first["oracle"]["sum_rate_mbps"];
+    let part = |part: &str| rate[part].as_f64().expect("a rate");
+    assert!(part("ci95") > 0.05 * part("mean") && part("p5") < 0.95 * part("mean"), "{rate}");
+    assert_eq!(first, without_times(report(&flags)), "the same seed sees the same parts");
+}
+
+#[test]
+fn every_policy_and_belief_has_paired_differences_from_the_first_row() {
+    let loop_flags = ["--closed-loop", "--scenario", "hall", "--states", "60", "--seeds", "1"];
+    let flags = [&loop_flags[..], &["--policies", "greedy,flat", "--beliefs", "none,filter"]].concat();
+    let compared = report(&flags);
+    let first = "greedy+none";
+    assert!(compared["policies"][first].get("difference_ratio").is_none());
+    for name in ["greedy+filter", "flat"] {
+        for (difference, figure) in [
+            ("difference_ratio", "ratio_to_oracle"),
+            ("difference_qos_met", "qos_met"),
+            ("difference_mbps", "sum_rate_mbps"),
+        ] {
+            let expected = mean(&compared, name, figure) - mean(&compared, first, figure);
+            let found = &compared["policies"][name][difference];
+            assert!((found["mean"].as_f64().expect("a mean") - expected).abs() < 1e-9, "{name} {difference}: {found}");
+            assert!(found["ci95"].as_f64() > Some(0.0), "{name} {difference}: {found}");
+        }
+    }
+    let table = String::from_utf8(eval(&flags).stdout).expect("text");
+    let [_, differences] = table.split("difference to greedy+none, paired").collect::<Vec<_>>()[..] else {
+        panic!("no differences in {table}")
+    };
+    assert!(differences.contains("greedy+filter") && differences.contains(" +0."), "{table}");
+}
+
+#[test]
+fn a_closed_loop_measures_the_beliefs_themselves() {
+    let flags = ["--closed-loop", "--scenario", "hall", "--policies", "greedy,flat", "--states", "60", "--seeds", "1"];
+    let flags = [&flags[..], &["--beliefs", "none,constant-velocity,filter"]].concat();
+    let compared = report(&flags);
+    let of = |belief: &str, figure: &str| {
+        let figure = &compared["beliefs"][belief][figure];
+        figure["mean"].as_f64().or(figure.as_f64()).unwrap_or(f64::NAN)
+    };
+    // Reports are 100 ms old, and walking users cross some decimetres until the command acts.
+    let [none, predicted, filtered] =
+        ["none", "constant-velocity", "filter"].map(|belief| of(belief, "place_error_cm"));
+    assert!(none > predicted && predicted > filtered + 1.0 && filtered > 1.0, "{none} {predicted} {filtered}");
+    let (median, half, most) =
+        (of("filter", "place_error_median_cm"), of("filter", "coverage_50"), of("filter", "coverage_95"));
+    assert!(median < filtered && half > 0.3 && half < 0.8 && most > half && most > 0.8, "{median} {half} {most}");
+    assert!(of("none", "coverage_50").is_nan(), "reported places have no covariance");
+    let walking = of("filter", "heading_error_walking_deg");
+    assert!(walking > 1.0 && walking < 45.0, "{walking}");
+    assert!(of("filter", "heading_error_standing_deg").is_nan(), "users of the random walk do not stand");
+    let table = String::from_utf8(eval(&flags).stdout).expect("text");
+    assert!(table.contains("belief about the users") && table.contains("place, median (cm)"), "{table}");
+    let static_loop = report(&["--policies", "flat", "--states", "2", "--seeds", "1"]);
+    assert!(static_loop.get("beliefs").is_none(), "{static_loop}");
+}
+
 #[test]
 fn the_exhaustive_search_agrees_with_the_oracle_in_a_small_room() {
     let small = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];

@@ -25,7 +25,11 @@ fn a_report_names_its_origin_and_needs_no_other_file() {
     for part in ["<code>heliostat eval ", "--policies fixed-point,nearest,flat", "<td>7 to 8: 4 states for each</td>"] {
         assert!(page.contains(part), "{part} in\n{page}");
     }
-    for part in [", commit ", "<pre>", "[mirrors]", "difference to fixed-point", "decision time (us), median"] {
+    let differences = ["(Mbit/s)", "(ratio)", "(QoS met)"].map(|unit| format!("difference to fixed-point {unit}"));
+    for part in differences.iter().map(String::as_str).chain([", commit ", "<pre>", "[mirrors]"]) {
+        assert!(page.contains(part), "{part} in\n{page}");
+    }
+    for part in ["decision time (us), median", "of the policy alone"] {
         assert!(page.contains(part), "{part} in\n{page}");
     }
     for link in ["src=", "href=", "url(", "<script", "<link", "@import"] {
@@ -46,13 +50,25 @@ fn a_report_has_the_figures_of_the_comparison() {
         let part = |part: &str| flat[figure][part].as_f64().unwrap_or_else(|| panic!("{figure}.{part} in {flat}"));
         format!("{:.digits$} ±{:.digits$}</td>", part("mean"), part("ci95"))
     };
-    for cell in [cell("sum_rate_mbps", 1), cell("difference_mbps", 1), cell("qos_met", 3)] {
+    let cells = [cell("sum_rate_mbps", 1), cell("difference_mbps", 1), cell("difference_ratio", 3)];
+    for cell in cells.into_iter().chain([cell("qos_met", 3)]) {
         assert!(page.contains(&cell), "{cell} in\n{page}");
     }
     let difference = flat["difference_mbps"]["mean"].as_f64().expect("a difference");
     let mean = |policy: &str| json["policies"][policy]["sum_rate_mbps"]["mean"].as_f64().expect("a rate");
     assert!((difference - (mean("flat") - mean("fixed-point"))).abs() < 1e-9, "{json}");
     assert!(json["policies"]["fixed-point"]["difference_mbps"].is_null());
+}
+
+#[test]
+fn a_report_of_a_closed_loop_has_a_table_of_beliefs() {
+    let page = report(&["--policies", "nearest,flat", "--states", "4", "--closed-loop", "--beliefs", "none,filter"]);
+    for part in
+        ["<th>belief</th>", "<th>none</th>", "<th>filter</th>", "place, mean (cm)", "belief, observation and policy"]
+    {
+        assert!(page.contains(part), "{part} in\n{page}");
+    }
+    assert!(!report(&["--policies", "nearest", "--states", "4"]).contains("<th>belief</th>"));
 }
 
 #[test]

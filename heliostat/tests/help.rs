@@ -18,6 +18,18 @@ fn every_command_has_a_help_text() {
 }
 
 #[test]
+fn a_help_text_states_what_a_flag_requires() {
+    for (command, expected) in [
+        ("sim-node", "--start-armed With --state: start parked"),
+        ("eval", "to the first measured instant of an episode, at least 0.01"),
+    ] {
+        let help = String::from_utf8(heliostat(&[command, "--help"]).stdout).expect("text");
+        let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains(expected), "{expected} is missing in: {help}");
+    }
+}
+
+#[test]
 fn scenario_new_writes_a_file_that_check_accepts() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("room.toml");
@@ -50,10 +62,11 @@ fn scenario_check_lists_every_problem_of_the_file_and_of_its_recording() {
     std::fs::write(at("walk.csv"), "time,user,x,y\n0,0,9,0\n0,1,0,0\n1,1,b,0\n").expect("writable");
     let found =
         check("[users]\ncount = 2\ntrace = \"walk.csv\"\n[mirrors]\nreflectivity = 2\n[control]\nvalidty_ms = 1\n");
-    let expected = ["line 5: mirrors.reflectivity", "validty_ms", "walk.csv: line 2", "walk.csv: line 4"];
+    let expected =
+        ["line 5: mirrors.reflectivity", "line 7: control.validty_ms: ", "walk.csv: line 2", "walk.csv: line 4"];
     assert_eq!(found.len(), expected.len(), "{found:#?}");
-    for text in expected {
-        assert_eq!(found.iter().filter(|problem| problem.contains(text)).count(), 1, "{text}: {found:#?}");
+    for (problem, text) in found.iter().zip(expected) {
+        assert!(problem.contains(text) && !problem.contains('\n'), "{text}: {found:#?}");
     }
     std::fs::write(at("walk.csv"), "time,user,x,y\n0,0,1,0\n").expect("writable");
     let found = check("[users]\ncount = 1\ntrace = \"walk.csv\"\n");

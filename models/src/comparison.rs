@@ -15,8 +15,11 @@
 //!
 //! The denominator of a ratio is the sum rate of the oracle with minimum rates under the true
 //! evaluation. The oracle is no proven optimum, so a ratio slightly above 1 is possible. Policies
-//! have the controller's names. The measured time is that of the policy alone, encoding included.
+//! have the controller's names. The measured time is that of the policy alone, encoding included; in
+//! closed loop it includes belief and observation.
 
+mod belief_log;
+mod belief_quality;
 mod closed_loop;
 mod evaluated_policy;
 pub(crate) mod evaluator;
@@ -33,6 +36,7 @@ use serde::{Serialize, Serializer};
 
 use crate::environment::room::FIXED_USERS;
 
+pub use belief_quality::BeliefQuality;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 pub use row::{Row, Spread, Times};
 pub use settings::{Loop, Settings};
@@ -64,6 +68,10 @@ pub struct Report {
     /// The policies, in the order of the settings.
     #[serde(serialize_with = "as_map")]
     pub policies: Vec<(String, Row)>,
+    /// Closed loop: the quality of each belief about the users, by its name, with the first policy
+    /// that has it.
+    #[serde(serialize_with = "as_map", skip_serializing_if = "Vec::is_empty")]
+    pub beliefs: Vec<(String, BeliefQuality)>,
 }
 
 /// Compares with a progress bar on standard error.
@@ -101,8 +109,8 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
             training.build(scenario, scenario.seed)?;
         }
     }
-    let (oracle, policies) = match settings.mode {
-        Loop::Static => static_states::compare(settings, bar)?,
+    let ((oracle, policies), beliefs) = match settings.mode {
+        Loop::Static => (static_states::compare(settings, bar)?, Vec::new()),
         Loop::ClosedLoop => closed_loop::compare(settings, bar)?,
     };
     bar.finish_and_clear();
@@ -119,9 +127,10 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         blocked: scenario.blockage.forced_users,
         oracle,
         policies: names.zip(policies).collect(),
+        beliefs,
     })
 }
 
-fn as_map<S: Serializer>(rows: &[(String, Row)], serializer: S) -> Result<S::Ok, S::Error> {
+fn as_map<T: Serialize, S: Serializer>(rows: &[(String, T)], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_map(rows.iter().map(|(name, row)| (name, row)))
 }

@@ -6,7 +6,8 @@
 //! version is checked first, after the length.
 
 use postcard::ser_flavors::{Flavor, Slice};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer, de::DeserializeOwned};
+use thiserror::Error;
 
 use crate::error::CodecError;
 pub use crate::kind::Kind;
@@ -157,6 +158,40 @@ impl Writer<'_> {
     #[inline]
     pub(crate) fn put<T: Serialize + ?Sized>(&mut self, value: &T) -> Result<(), BufferFull> {
         value.serialize(&mut self.bytes).map_err(|_| BufferFull)
+    }
+
+    /// Writes a length, then bytes.
+    pub(crate) fn put_bytes(&mut self, bytes: &[u8]) -> Result<(), BufferFull> {
+        self.bytes.serialize_bytes(bytes).map_err(|_| BufferFull)
+    }
+}
+
+/// Why bytes are not a state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("the bytes are not a state of this version: {reason}")]
+pub struct StateError {
+    reason: &'static str,
+}
+
+/// Writes a state of this program in the format of messages, without a header. The bits of floating
+/// point numbers are kept.
+///
+/// # Errors
+/// [`StateError`] where the type cannot be written in this format.
+pub fn encode_state<T: Serialize>(state: &T) -> Result<Vec<u8>, StateError> {
+    postcard::to_stdvec(state).map_err(|_| StateError { reason: "it has a list of unknown length" })
+}
+
+/// Reads a state that [`encode_state`] has written.
+///
+/// # Errors
+/// [`StateError`] where the bytes do not form a value of the type, or bytes remain.
+pub fn decode_state<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, StateError> {
+    match postcard::take_from_bytes(bytes) {
+        Ok((state, [])) => Ok(state),
+        Ok(_) => Err(StateError { reason: "bytes remain after it" }),
+        Err(postcard::Error::DeserializeUnexpectedEnd) => Err(StateError { reason: "it ends too early" }),
+        Err(_) => Err(StateError { reason: "a value is not valid" }),
     }
 }
 

@@ -15,7 +15,7 @@ pub enum CodecError {
         found: usize,
     },
     /// The payload is shorter than the header.
-    #[error("payload of {found} bytes: expected at least the header of 2, version and kind")]
+    #[error("payload of length {found}: expected at least the 2 bytes of the header, version and kind")]
     NoHeader {
         /// Length found, in bytes.
         found: usize,
@@ -59,7 +59,7 @@ pub enum CodecError {
         problem: String,
     },
     /// Bytes remain after the last field.
-    #[error("{kind}: {extra} bytes remain after the last field: expected the end of the payload")]
+    #[error("{kind}: the payload continues after the last field by a length of {extra}: expected its end")]
     TrailingBytes {
         /// Kind of message.
         kind: Kind,
@@ -79,7 +79,7 @@ pub enum CodecError {
         limit: usize,
     },
     /// Two lists that must have the same length differ.
-    #[error("{kind}: {field} has {found} entries: expected {expected}, as many as {like}")]
+    #[error("{kind}: {field} has a length of {found}: expected {expected}, that of {like}")]
     LengthMismatch {
         /// Kind of message.
         kind: Kind,
@@ -119,7 +119,7 @@ pub enum CodecError {
         expected: &'static str,
     },
     /// The message is for an array of another size.
-    #[error("{kind} for {found} mirrors: expected {expected}, as many as the array has")]
+    #[error("{kind} for an array of size {found}: expected {expected}, the number of its mirrors")]
     WrongMirrors {
         /// Kind of message.
         kind: Kind,

@@ -230,6 +230,28 @@ impl<T: Value + Default> Value for Vec<T> {
     }
 }
 
+/// Bytes whose meaning the contract does not define.
+impl Value for Vec<u8> {
+    fn read(&mut self, reader: &mut Reader<'_>, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        let mut bytes: &[u8] = &[];
+        reader.take(&mut bytes).map_err(|reason| place.unreadable(reason))?;
+        if bytes.len() > bounds.entries {
+            return Err(place.too_many(bytes.len() as u64, bounds.entries));
+        }
+        self.clear();
+        self.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
+        writer.put_bytes(self)
+    }
+
+    fn check(&self, place: Place, bounds: Bounds) -> Result<(), CodecError> {
+        if self.len() > bounds.entries { Err(place.too_many(self.len() as u64, bounds.entries)) } else { Ok(()) }
+    }
+}
+
 impl<A: Value, B: Value> Value for (A, B) {
     fn read(&mut self, reader: &mut Reader<'_>, place: Place, bounds: Bounds) -> Result<(), CodecError> {
         self.0.read(reader, place, bounds)?;
@@ -350,4 +372,21 @@ pub(crate) fn ordered(
         return Ok(());
     }
     Err(place.out_of_domain(f64::from(*smallest), "a smallest angle that is not above the largest"))
+}
+
+/// Share by which a covariance may exceed its bound, because variances are rounded to f32.
+const COVARIANCE_ROUNDING: f64 = 1e-5;
+
+/// Rule for three fields: the covariance is within the bound that both variances set, xy^2 <= xx yy.
+pub(crate) fn is_covariance(
+    place: Place,
+    (field, xy): (&'static str, &f32),
+    (_, xx): (&'static str, &f32),
+    (_, yy): (&'static str, &f32),
+) -> Result<(), CodecError> {
+    let [xx, xy, yy] = [*xx, *xy, *yy].map(f64::from);
+    if xy * xy <= xx * yy * (1.0 + COVARIANCE_ROUNDING) {
+        return Ok(());
+    }
+    Err(Place { field, ..place }.out_of_domain(xy, "a covariance that is not above those of xx and yy"))
 }

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use crate::structures::NodeKind;
+use crate::enumerations::NodeKind;
 use crate::table::message_table;
 
 /// Longest name of a room in bytes.

@@ -8,7 +8,7 @@
 //! - `table.rs`: the message table, the only place where a message or one of its fields is written
 //!   down.
 //! - [`messages`]: the messages that the table yields.
-//! - `structures.rs`: the structures and enumerations in the fields of messages.
+//! - `structures.rs` and `enumerations.rs`: the types of the fields of messages.
 //! - [`codec`]: messages to bytes and back; it refuses a malformed payload with a
 //!   specific error.
 //! - [`keys`]: the name of a room, and the key of each message.
@@ -36,6 +36,7 @@
 //! Within a version the layout of a message never changes; new kinds of message may be added.
 
 pub mod codec;
+mod enumerations;
 mod error;
 mod fields;
 pub mod keys;
@@ -45,19 +46,21 @@ pub mod messages;
 mod structures;
 mod table;
 
-pub use codec::{Message, decode, decode_into, encode};
+pub use codec::{Message, StateError, decode, decode_into, decode_state, encode, encode_state};
+pub use enumerations::{ArrayState, FaultKind, Feedback, InputKind, NodeKind, StopAction, ValidityClock};
 pub use error::CodecError;
 pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
-    CLOCK_LEAD_MAX_NS, MAX_ENTRIES, MAX_GEOMETRY, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_TEXT, MAX_USERS, Nanos,
-    VERSION,
+    CLOCK_LEAD_MAX_NS, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE,
+    MAX_TEXT, MAX_USERS, Nanos, VERSION,
 };
 pub use messages::{
-    Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, MirrorCommand, MirrorTelemetry,
-    NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, UserReport,
+    BeliefReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory, EmergencyStop,
+    MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport,
+    SimulatorControl, UserReport,
 };
 pub use structures::{
-    ArrayState, AxisLimits, Counters, FaultKind, Feedback, MirrorFault, NodeKind, Obstacle, Quantiles, Stamp,
-    StopAction, SumRates, TruthUser, UserChannel, UserState, ValidityClock,
+    AxisLimits, ControllerInput, Counters, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser, UserBelief,
+    UserChannel, UserState,
 };

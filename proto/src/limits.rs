@@ -28,5 +28,11 @@ pub const CLOCK_LEAD_MAX_NS: Nanos = 50_000_000;
 /// Longest text of a [`RoomGeometry`](crate::RoomGeometry) in bytes of UTF-8.
 pub const MAX_GEOMETRY: usize = 16_384;
 
+/// Largest number of inputs in a [`ControllerMemory`](crate::ControllerMemory).
+pub const MAX_INPUTS: usize = 4096;
+
+/// Longest state in a [`ControllerMemory`](crate::ControllerMemory) in bytes.
+pub const MAX_STATE: usize = 786_432;
+
 /// Room time in ns: UTC since 1970 in live operation, simulated time in lockstep.
 pub type Nanos = u64;

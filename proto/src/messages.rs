@@ -4,15 +4,18 @@
 //! rad and mechanical.
 
 use crate::codec::{BufferFull, Message, Reader, Writer};
+use crate::enumerations::{ArrayState, Feedback, NodeKind, StopAction, ValidityClock};
 use crate::error::CodecError;
 use crate::fields::{
     Bounds, Place, Value, field_name, implement_value, mirrors_within_limit, same_length, same_length_or_empty,
 };
 use crate::kind::Kind;
-use crate::limits::{MAX_ENTRIES, MAX_GEOMETRY, MAX_MIRRORS, MAX_OBSTACLES, MAX_TEXT, MAX_USERS, Nanos};
+use crate::limits::{
+    MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES, MAX_STATE, MAX_TEXT, MAX_USERS, Nanos,
+};
 use crate::structures::{
-    ArrayState, AxisLimits, Counters, Feedback, MirrorFault, NodeKind, Obstacle, Quantiles, Stamp, StopAction,
-    SumRates, TruthUser, UserChannel, UserState, ValidityClock,
+    AxisLimits, ControllerInput, Counters, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser, UserBelief,
+    UserChannel, UserState,
 };
 use crate::table::message_table;
 
@@ -83,6 +86,13 @@ impl UserReport {
 
 impl ChannelReport {
     /// An empty report with memory for the largest number of users, to decode into.
+    pub fn buffer() -> Self {
+        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
+    }
+}
+
+impl BeliefReport {
+    /// An empty report with memory for the largest number of users, to fill and to decode into.
     pub fn buffer() -> Self {
         Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
     }

@@ -1,17 +1,16 @@
-//! Structures and enumerations that the fields of messages consist of.
+//! Structures that the fields of messages consist of.
 //!
 //! Positions are in m in the room's frame: origin at the centre of the floor, z up. Angles are in
 //! rad and mechanical. `structure NAME in LIST` names the fields in refusals after the list that
 //! holds the structure, for example `users.position_m`. The order of the fields is the order of
 //! their bytes, so it never changes within a version.
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 
-use crate::codec::{BufferFull, Reader, Unreadable, Writer};
+use crate::codec::{BufferFull, Reader, Writer};
+use crate::enumerations::{FaultKind, InputKind};
 use crate::error::CodecError;
-use crate::fields::{Bounds, Place, Value, field_name, implement_value, ordered};
+use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, ordered};
 use crate::limits::{MAX_MIRRORS, Nanos};
 
 /// Defines structures with public fields, and reads, writes and checks them.
@@ -155,6 +154,45 @@ structures! {
         min_rate_bps: f32 where not_negative,
     }
 
+    /// What a controller believes about one user.
+    #[derive(Copy)]
+    structure UserBelief in users {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Position x, y, z of the detector in m.
+        position_m: [f32; 3],
+        /// Velocity along x and y in m/s.
+        velocity_m_s: [f32; 2],
+        /// Variance of x in m2.
+        xx_m2: f32 where not_negative,
+        /// Covariance of x and y in m2.
+        xy_m2: f32,
+        /// Variance of y in m2.
+        yy_m2: f32 where not_negative,
+        /// Heading of the user about z in rad, from +x towards +y; meaningless where its certainty
+        /// is 0.
+        heading_rad: f32,
+        /// Length of the mean heading vector, from 0 (unknown) to 1 (certain).
+        heading_certainty: f32 where share,
+        /// Probability that the direct path is blocked.
+        blocked_probability: f32 where share,
+    } requires { is_covariance(xy_m2, xx_m2, yy_m2) }
+
+    /// One input of a controller: a message that it handled, or a decision.
+    #[derive(Copy, Eq)]
+    structure ControllerInput in inputs {
+        /// What it is.
+        input: InputKind,
+        /// Source of the message; 0 for a decision.
+        source: u64,
+        /// Sequence number of the message; 0 for a decision.
+        sequence: u64,
+        /// Time of the controller's clock at which it handled the message or decided, in ns.
+        time_ns: Nanos,
+        /// Whether the decision gave a command; false for a message.
+        command: bool,
+    }
+
     /// Sum rates in bit/s of the same moment for the policy and three references.
     #[derive(Copy)]
     structure SumRates {
@@ -207,150 +245,5 @@ impl Counters {
     pub fn refused(&self) -> u64 {
         let counts = [self.rejected, self.old_epoch, self.old_sequence, self.expired, self.stopped];
         counts.into_iter().fold(0, u64::saturating_add)
-    }
-}
-
-/// Defines enumerations with their numbers on the wire and their names, and reads and writes them.
-macro_rules! enumerations {
-    ($(
-        $(#[$meta:meta])*
-        enumeration $enumeration:ident {
-            $( $(#[$variant_meta:meta])* $variant:ident = $number:literal $name:literal, )*
-        }
-    )*) => { $(
-        $(#[$meta])*
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-        pub enum $enumeration {
-            $( $(#[$variant_meta])* $variant = $number, )*
-        }
-
-        impl $enumeration {
-            /// All values, in the order of their numbers.
-            pub const ALL: [Self; [$($number),*].len()] = [$(Self::$variant),*];
-
-            /// Name in keys, in counters and on command lines.
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Self::$variant => $name,)*
-                }
-            }
-
-            /// The value with this name.
-            pub fn from_name(name: &str) -> Option<Self> {
-                Self::ALL.into_iter().find(|value| value.name() == name)
-            }
-        }
-
-        impl Value for $enumeration {
-            fn read(&mut self, reader: &mut Reader<'_>, place: Place, _: Bounds) -> Result<(), CodecError> {
-                let mut number = 0u32;
-                number.read(reader, place, Bounds::NONE)?;
-                *self = Self::ALL
-                    .into_iter()
-                    .find(|value| *value as u32 == number)
-                    .ok_or_else(|| place.unreadable(Unreadable::Invalid(format!("no value has the number {number}"))))?;
-                Ok(())
-            }
-
-            fn write(&self, writer: &mut Writer<'_>) -> Result<(), BufferFull> {
-                (*self as u32).write(writer)
-            }
-
-            fn check(&self, _: Place, _: Bounds) -> Result<(), CodecError> {
-                Ok(())
-            }
-        }
-    )* };
-}
-
-enumerations! {
-    /// State of the array.
-    enumeration ArrayState {
-        /// At the park position: no command yet, or none for longer than the driver holds the last
-        /// one.
-        #[default]
-        Parked = 0 "parked",
-        /// Moving to, or at, the angles of a valid command.
-        Following = 1 "following",
-        /// The last command is no longer valid; the mirrors keep their angles until they park.
-        Holding = 2 "holding",
-        /// An emergency stop is latched; the driver refuses commands until it is re-armed.
-        Stopped = 3 "stopped",
-        /// The hardware cannot follow commands; the fault bits give the reason.
-        Fault = 4 "fault",
-    }
-
-    /// Whether the hardware measures the angles of its mirrors.
-    enumeration Feedback {
-        /// It does not: telemetry has no measured angles.
-        #[default]
-        OpenLoop = 0 "open-loop",
-        /// It measures each angle.
-        ClosedLoop = 1 "closed-loop",
-    }
-
-    /// Clock from which a driver counts the validity of a command.
-    enumeration ValidityClock {
-        /// From the time of the command; the driver's clock is synchronised to UTC.
-        #[default]
-        SourceTime = 0 "source-time",
-        /// From the arrival of the command; the driver has no such clock and cannot detect delayed
-        /// commands.
-        Arrival = 1 "arrival",
-    }
-
-    /// Action of an emergency stop message.
-    enumeration StopAction {
-        /// Stop at once, and refuse commands from now on.
-        #[default]
-        Stop = 0 "stop",
-        /// Accept commands again.
-        Rearm = 1 "re-arm",
-    }
-
-    /// Fault of simulated mirrors.
-    enumeration FaultKind {
-        /// No fault: ends all faults of the mirrors except delay, offline and reboot, which concern
-        /// the array.
-        #[default]
-        Healed = 0 "healed",
-        /// Both axes keep their angles.
-        Stuck = 1 "stuck",
-        /// Roll loses its drive and returns to 0.
-        DeadRoll = 2 "dead-roll",
-        /// Yaw loses its drive and returns to 0.
-        DeadYaw = 3 "dead-yaw",
-        /// Roll turns in the opposite direction.
-        FlippedRoll = 4 "flipped-roll",
-        /// Yaw turns in the opposite direction.
-        FlippedYaw = 5 "flipped-yaw",
-        /// The array does not answer for a while; its mirrors keep their angles.
-        Offline = 6 "offline",
-        /// Each command reaches the mirrors after a delay; a delay of 0 s ends the fault.
-        Late = 7 "late",
-        /// The array restarts: its mirrors return to 0, and it does not answer for a while.
-        Reboot = 8 "reboot",
-    }
-
-    /// Kind of process that takes part in a room.
-    #[derive(Serialize, Deserialize)]
-    enumeration NodeKind {
-        /// Decides the mirror angles.
-        #[default]
-        Controller = 0 "controller",
-        /// Simulates a room: users, receivers and mirrors.
-        SimNode = 1 "sim-node",
-        /// Drives a real array.
-        Driver = 2 "driver",
-        /// Measures the positions of real users and obstacles.
-        Tracker = 3 "tracker",
-        /// Only receives: user interfaces, recorders, the command line.
-        Viewer = 4 "viewer",
-    }
-}
-
-impl fmt::Display for NodeKind {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
     }
 }

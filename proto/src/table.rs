@@ -22,7 +22,7 @@
 //! need their entries too.
 //!
 //! - The type of a field is a number, a bool, a text, an `Option`, an array, a `Vec`, a pair, or a
-//!   type of `structures.rs`. Every `f32` and `f64` must be finite, every text at most
+//!   type of `structures.rs` or `enumerations.rs`. Every `f32` and `f64` must be finite, every text at most
 //!   [`MAX_TEXT`](crate::MAX_TEXT) bytes long. The type implies both rules; `text_at_most` sets
 //!   another length.
 //! - `where` adds rules for one field: the methods of `Bounds` in `fields.rs`. A `Vec` needs
@@ -307,6 +307,35 @@ macro_rules! message_table {
                 /// The tables of a scenario file that describe room, channel, access points, array,
                 /// receiver, noise, bandwidth and bodies, as TOML.
                 scenario: String where text_at_most(MAX_GEOMETRY),
+            }
+
+            /// Where the controller believes the users to be, for viewers and recorders.
+            message BeliefReport(kind: 16, name: "belief report", key: belief = "controller/belief") {
+                /// Source, sequence, time of the decision for which the controller used the belief.
+                stamp: Stamp,
+                /// Tick of the [`UserReport`] of that decision.
+                tick: u64,
+                /// Time for which the belief holds, in ns: the middle of the interval in which the
+                /// command of that decision is in force.
+                holds_ns: Nanos,
+                /// The users of that report.
+                users: Vec<UserBelief> where at_most(MAX_USERS),
+            }
+
+            /// Everything that the later decisions of a controller depend on besides later messages,
+            /// for a replay that begins while the controller runs.
+            message ControllerMemory(kind: 17, name: "controller memory", key: controller_memory = "controller/memory") {
+                /// Source, sequence, time of the decision after which the state holds.
+                stamp: Stamp,
+                /// Epoch of the controller.
+                epoch: u64,
+                /// Tick of the [`UserReport`] of that decision.
+                tick: u64,
+                /// Inputs in the order in which the controller handled them, since the state of the
+                /// message with the sequence number before this one.
+                inputs: Vec<ControllerInput> where at_most(MAX_INPUTS),
+                /// The state, in a format of the controller's software.
+                state: Vec<u8> where at_most(MAX_STATE),
             }
         }
     };

@@ -30,7 +30,9 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<ControllerControl>(payload)?;
     one::<Rearm>(payload)?;
     one::<SafetyReport>(payload)?;
-    one::<RoomGeometry>(payload)
+    one::<RoomGeometry>(payload)?;
+    one::<BeliefReport>(payload)?;
+    one::<ControllerMemory>(payload)
 }
 
 fn finite() -> impl Strategy<Value = f32> {
@@ -68,7 +70,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn random_bytes_are_decoded_or_refused(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..16) {
+    fn random_bytes_are_decoded_or_refused(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..18) {
         decodes_or_refuses(&payload)?;
         if payload.len() >= 2 {
             payload[0] = VERSION;
@@ -79,7 +81,7 @@ proptest! {
 
     #[test]
     fn altered_payloads_are_decoded_or_refused(
-        which in 0usize..15,
+        which in 0usize..17,
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in any::<prop::sample::Index>(),
     ) {

@@ -47,7 +47,15 @@ const SAFETY_REPORT: &str = "\
 const ROOM_GEOMETRY: &str = "\
     010ff0bdf3d589cf959a12ac0280cffea7a4deb2c318165b726f6f6d5d0a6865696768745f6d203d20322e350a";
 
-const ALL: [&str; 15] = [
+const BELIEF_REPORT: &str = "\
+    0110f0bdf3d589cf959a12ac0280cffea7a4deb2c318e807c09292afa4deb2c31801030000c03f000080be9a99593f0000003f000080bf00\
+    00803d000000bd0000003e000000bf0000403f0000803e";
+
+const CONTROLLER_MEMORY: &str = "\
+    0111f0bdf3d589cf959a12ac0280cffea7a4deb2c31807e8070200f0bdf3d589cf959a12ac0280cffea7a4deb2c3180004000080cffea7a4\
+    deb2c31801030102ff";
+
+const ALL: [&str; 17] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -63,6 +71,8 @@ const ALL: [&str; 15] = [
     REARM,
     SAFETY_REPORT,
     ROOM_GEOMETRY,
+    BELIEF_REPORT,
+    CONTROLLER_MEMORY,
 ];
 
 fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -87,12 +97,14 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&rearm(), REARM);
     check_bytes(&safety_report(), SAFETY_REPORT);
     check_bytes(&room_geometry(), ROOM_GEOMETRY);
+    check_bytes(&belief_report(), BELIEF_REPORT);
+    check_bytes(&controller_memory(), CONTROLLER_MEMORY);
 }
 
 /// The numbers of each enumeration are those in CONTRACT.md.
 #[test]
 fn enumerations_keep_their_numbers() {
-    use heliostat_proto::{ArrayState, FaultKind, NodeKind};
+    use heliostat_proto::{ArrayState, FaultKind, InputKind, NodeKind};
     let states =
         [ArrayState::Parked, ArrayState::Following, ArrayState::Holding, ArrayState::Stopped, ArrayState::Fault];
     for (number, state) in states.into_iter().enumerate() {
@@ -111,6 +123,15 @@ fn enumerations_keep_their_numbers() {
     for (number, node) in NodeKind::ALL.into_iter().enumerate() {
         let payload = encoded(&heliostat_proto::NodeStatus { node, ..Default::default() });
         assert_eq!(usize::from(payload[5]), number, "{node}");
+    }
+    for (number, input) in InputKind::ALL.into_iter().enumerate() {
+        let inputs = vec![heliostat_proto::ControllerInput { input, ..Default::default() }];
+        let payload = encoded(&heliostat_proto::ControllerMemory { inputs, ..Default::default() });
+        assert_eq!(
+            usize::from(payload[8]),
+            number,
+            "{input:?} follows the header, an empty stamp, two numbers, a length"
+        );
     }
 }
 

@@ -32,6 +32,8 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::Rearm => decode::<Rearm>(payload).err(),
         Kind::SafetyReport => decode::<SafetyReport>(payload).err(),
         Kind::RoomGeometry => decode::<RoomGeometry>(payload).err(),
+        Kind::BeliefReport => decode::<BeliefReport>(payload).err(),
+        Kind::ControllerMemory => decode::<ControllerMemory>(payload).err(),
     }
 }
 
@@ -58,7 +60,7 @@ fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
     assert_eq!(error.to_string(), "payload of the kind \"user report\": expected \"mirror command\"");
-    for number in [0, 16, 255] {
+    for number in [0, 18, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }
@@ -158,7 +160,7 @@ fn lists_that_belong_together_must_have_the_same_length() {
     let expected =
         CodecError::LengthMismatch { kind: Kind::MirrorCommand, field: "yaw", found: 1, like: "roll", expected: 2 };
     assert_eq!(error, expected);
-    assert_eq!(error.to_string(), "mirror command: yaw has 1 entries: expected 2, as many as roll");
+    assert_eq!(error.to_string(), "mirror command: yaw has a length of 1: expected 2, that of roll");
     let half = MirrorTelemetry { roll_measured: vec![0.0], ..mirror_telemetry() };
     assert!(matches!(
         encode(&half, &mut Vec::new()),
@@ -396,7 +398,7 @@ fn a_refused_message_leaves_the_buffer_empty() {
 fn counts_are_compared_with_those_of_the_receiver() {
     assert_eq!(mirror_command().check_mirrors(2), Ok(()));
     let error = mirror_command().check_mirrors(100).expect_err("the command is for two mirrors");
-    assert_eq!(error.to_string(), "mirror command for 2 mirrors: expected 100, as many as the array has");
+    assert_eq!(error.to_string(), "mirror command for an array of size 2: expected 100, the number of its mirrors");
     assert!(mirror_telemetry().check_mirrors(3).is_err());
     assert!(capabilities().check_mirrors(3).is_err());
     assert!(calibration().check_mirrors(3).is_err());
@@ -449,4 +451,75 @@ fn a_geometry_text_may_be_longer_than_other_texts_up_to_its_own_limit() {
         Room::new("demo").expect("a valid name").geometry(NodeKind::SimNode),
         "heliostat/v1/demo/geometry/sim-node"
     );
+}
+
+#[test]
+fn a_belief_outside_its_domain_is_refused_by_field() {
+    let refused = |change: fn(&mut UserBelief)| {
+        let mut report = belief_report();
+        change(&mut report.users[0]);
+        let error = encode(&report, &mut Vec::new()).expect_err("not a belief");
+        (error.name(), error.to_string())
+    };
+    let cases: [(fn(&mut UserBelief), &str, &str); 6] = [
+        (|user| user.position_m[2] = f32::NAN, "not-finite", "users.position_m"),
+        (|user| user.heading_rad = f32::INFINITY, "not-finite", "users.heading_rad"),
+        (|user| user.xx_m2 = -0.01, "implausible", "users.xx_m2"),
+        (|user| user.xy_m2 = 0.1, "implausible", "users.xy_m2"),
+        (|user| user.heading_certainty = 1.5, "implausible", "users.heading_certainty"),
+        (|user| user.blocked_probability = -0.5, "implausible", "users.blocked_probability"),
+    ];
+    for (change, name, field) in cases {
+        let (found, text) = refused(change);
+        assert_eq!(found, name, "{text}");
+        // The rule about the covariance names the field without its list.
+        assert!(text.contains(field.trim_start_matches("users.")), "{text}");
+    }
+    let payload = encoded(&belief_report());
+    let certainty = payload.len() - 8;
+    assert_eq!(refusal::<BeliefReport>(&with_f32(payload.clone(), certainty, f32::NAN)).name(), "not-finite");
+    assert_eq!(refusal::<BeliefReport>(&with_f32(payload, certainty, 2.0)).name(), "implausible");
+    let exact = |user: &mut UserBelief| (user.xx_m2, user.xy_m2, user.yy_m2) = (0.04, 0.02, 0.01);
+    let mut report = belief_report();
+    exact(&mut report.users[0]);
+    assert_eq!(decode(&encoded(&report)), Ok(report), "positions on one line");
+    let report = BeliefReport { users: vec![UserBelief::default(); MAX_USERS + 1], ..belief_report() };
+    assert_eq!(encode(&report, &mut Vec::new()).map_err(|error| error.name()), Err("bad-length"));
+}
+
+#[test]
+fn a_memory_has_known_inputs_and_a_bounded_state() {
+    let mut payload = Vec::new();
+    let input = ControllerInput { source: u64::MAX, sequence: u64::MAX, time_ns: u64::MAX, ..Default::default() };
+    let largest =
+        ControllerMemory { inputs: vec![input; MAX_INPUTS], state: vec![0xff; MAX_STATE], ..controller_memory() };
+    assert_eq!(encode(&largest, &mut payload), Ok(()), "the largest memory fits into a payload");
+    assert_eq!(decode(&payload), Ok(largest.clone()));
+    let longer = ControllerMemory { state: vec![0; MAX_STATE + 1], ..controller_memory() };
+    let refused = CodecError::TooMany {
+        kind: Kind::ControllerMemory,
+        field: "state",
+        found: MAX_STATE as u64 + 1,
+        limit: MAX_STATE,
+    };
+    assert_eq!(encode(&longer, &mut payload), Err(refused));
+    let mut payload = encoded(&ControllerMemory { inputs: vec![ControllerInput::default()], ..Default::default() });
+    assert_eq!(payload[8], 0, "the number of the input follows the header, an empty stamp, two numbers, a length");
+    payload[8] = 8;
+    assert_eq!(refusal::<ControllerMemory>(&payload).name(), "malformed");
+    assert_eq!(Room::new("demo").expect("a valid name").controller_memory(), "heliostat/v1/demo/controller/memory");
+}
+
+#[test]
+fn a_state_keeps_every_bit_and_damaged_bytes_are_refused() {
+    let state = (vec![f64::NAN.to_bits(), 3], [-0.0f64, f64::MIN_POSITIVE], Some(7u32));
+    let bytes = encode_state(&state).expect("a plain state");
+    let back: (Vec<u64>, [f64; 2], Option<u32>) = decode_state(&bytes).expect("the same type");
+    assert_eq!((back.0, back.1.map(f64::to_bits), back.2), (state.0, state.1.map(f64::to_bits), state.2));
+    type State = (Vec<u64>, [f64; 2], Option<u32>);
+    for length in 0..bytes.len() {
+        assert!(decode_state::<State>(&bytes[..length]).is_err());
+    }
+    let longer = [&bytes[..], &[0]].concat();
+    assert!(decode_state::<State>(&longer).unwrap_err().to_string().contains("bytes remain"));
 }

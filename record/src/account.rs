@@ -93,7 +93,7 @@ impl fmt::Display for Account {
             )?;
         }
         if self.dropped > 0 {
-            write!(formatter, "\n{} messages were received and dropped: the disk was too slow", self.dropped)?;
+            write!(formatter, "\nreceived and dropped messages: {}, the disk was too slow", self.dropped)?;
         }
         Ok(())
     }

@@ -104,7 +104,7 @@ pub fn record(args: RecordArgs) -> Result<()> {
         bail!("{}: {failure}", outcome.file.display());
     }
     if outcome.account.missing() > 0 {
-        output::note(format_args!("record: {} messages are missing, see the table", outcome.account.missing()));
+        output::note(format_args!("record: missing messages: {}, see the table", outcome.account.missing()));
     }
     Ok(())
 }

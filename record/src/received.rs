@@ -1,9 +1,9 @@
 //! A received payload, decoded: its message, its source and its sequence number.
 
 use heliostat_proto::{
-    Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, EmergencyStop, Kind, Message,
-    MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport,
-    SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
+    BeliefReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, ControllerMemory,
+    EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm,
+    RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.
@@ -17,6 +17,8 @@ pub enum Received {
     Status(NodeStatus),
     Truth(RoomTruth),
     Geometry(RoomGeometry),
+    Belief(BeliefReport),
+    Memory(ControllerMemory),
     Other(Kind, Stamp),
 }
 
@@ -53,6 +55,8 @@ impl Received {
             Kind::Rearm => stamped::<Rearm>(payload, |message| message.stamp),
             Kind::SafetyReport => stamped::<SafetyReport>(payload, |message| message.stamp),
             Kind::RoomGeometry => decode(payload).map(Self::Geometry),
+            Kind::BeliefReport => decode(payload).map(Self::Belief),
+            Kind::ControllerMemory => decode(payload).map(Self::Memory),
         }
     }
 
@@ -69,6 +73,8 @@ impl Received {
             Self::Status(status) => status.stamp,
             Self::Truth(truth) => truth.stamp,
             Self::Geometry(geometry) => geometry.stamp,
+            Self::Belief(belief) => belief.stamp,
+            Self::Memory(memory) => memory.stamp,
             Self::Other(_, stamp) => *stamp,
         };
         Origin { source: stamp.source, sequence: stamp.sequence, time_ns: stamp.time_ns }

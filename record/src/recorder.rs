@@ -218,12 +218,24 @@ impl<S: Storage> RoomWriter<S> {
         self.account.count(key, payload.len(), origin);
         let Some(received) = received else { return Ok(()) };
         self.check_scenario(&received);
+        if let Received::Geometry(geometry) = &received {
+            self.draw_geometry(key, &geometry.scenario);
+        }
         self.series.update(&received, arrived_ns, |topic, data| recording.derived(topic, arrived_ns, data))?;
         if self.scene.update(&received, arrived_ns) {
             let data = self.scene.draw(arrived_ns).to_vec();
             recording.derived(&self.scene.topic(), arrived_ns, &data)?;
         }
         Ok(())
+    }
+
+    /// Draws the geometry that a process of the room announces from now on.
+    fn draw_geometry(&mut self, key: &str, geometry: &str) {
+        let announces = |node: &NodeKind| key == self.room.geometry(*node);
+        let Some(node) = [NodeKind::SimNode, NodeKind::Controller].into_iter().find(announces) else { return };
+        if let Err(reason) = self.scene.announce(node, geometry) {
+            self.report(format!("the geometry that {node} announces cannot be drawn: {reason}"));
+        }
     }
 
     /// Reports a process whose scenario differs from the recorded one: such a recording cannot be
@@ -298,5 +310,44 @@ impl<S: Storage> RoomWriter<S> {
             let _ = std::fs::remove_file(&self.out);
         }
         Outcome { file: self.out, account: self.account, problems: self.problems, failure: self.failure }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use foxglove::messages::SceneUpdate;
+    use heliostat_proto::{RoomGeometry, Stamp, encode};
+    use prost::Message;
+
+    use super::*;
+
+    #[test]
+    fn scenes_show_the_geometry_that_the_room_announces() {
+        let room = Room::new("drawn").expect("a name");
+        let late_ns = 10_000_000_000;
+        let scenario = Scenario::builtin("specular").expect("a built-in one");
+        let announced = scenario.with_overrides(&["mirrors.rows=4".into(), "mirrors.columns=3".into()]).expect("valid");
+        let settings = Settings {
+            scenario,
+            bus: BusConfig::new(room.clone()),
+            out: PathBuf::new(),
+            run_for: None,
+            until_empty: false,
+        };
+        let mut writer = RoomWriter::create(tempfile::tempfile().expect("a file"), &settings).expect("writable");
+        let mut mirrors_after = |key: String, scenario: String| {
+            let mut payload = Vec::new();
+            encode(&RoomGeometry { stamp: Stamp::default(), scenario }, &mut payload).expect("it fits");
+            writer.take(Item::Payload { key, arrived_ns: 1, payload });
+            let update = SceneUpdate::decode(writer.scene.draw(late_ns)).expect("a scene");
+            let drawn = update.entities.iter().find(|entity| entity.id == "room").map(|room| room.cubes.len() - 1);
+            (drawn, writer.problems.len())
+        };
+        assert_eq!(mirrors_after(room.geometry(NodeKind::SimNode), announced.geometry_toml()), (Some(12), 0));
+        assert_eq!(
+            mirrors_after(room.geometry(NodeKind::SimNode), "[users]".into()),
+            (None, 1),
+            "a problem is reported"
+        );
     }
 }

@@ -1,23 +1,24 @@
 //! The room for Foxglove's 3D panel: walls, access points, mirrors, reflected rays, users,
 //! obstacles.
 //!
-//! Positions are in m in the room's frame, under the frame id [`FRAME`]. A scene shows the truth of
-//! a simulated room, or the reports of a real one.
+//! Positions are in m in the room's frame, under the frame id [`FRAME`](shapes::FRAME). A scene shows the truth of
+//! a simulated room, or the reports of a real one. Walls, access points and mirrors are those of the
+//! geometry that the room announced, else that the controller announced, else of the scenario.
+
+mod shapes;
 
 use foxglove::messages::{
-    Color, CubePrimitive, CylinderPrimitive, Duration, LinePrimitive, Point3, Pose, Quaternion, SceneEntity,
-    SceneUpdate, SpherePrimitive, TextPrimitive, Timestamp, Vector3, line_primitive::Type,
+    Color, CylinderPrimitive, SceneEntity, SceneUpdate, SpherePrimitive, TextPrimitive, Timestamp,
 };
 use foxglove::{Encode, Schema};
 use heliostat_channel::{ChannelError, ChannelModel, Vec3};
-use heliostat_proto::{Nanos, Obstacle};
+use heliostat_proto::{Nanos, NodeKind, Obstacle};
 use heliostat_scenario::Scenario;
 
+use self::shapes::{CubeEdges, cube, entity, pose, segments, vector};
 use crate::file::Topic;
 use crate::received::Received;
 
-/// The frame of all positions.
-pub const FRAME: &str = "room";
 /// The topic of scenes.
 pub const SCENE_TOPIC: &str = "/scene";
 
@@ -60,6 +61,8 @@ pub struct Scene {
     /// Roll and yaw of each mirror in rad.
     angles: (Vec<f32>, Vec<f32>),
     has_truth: bool,
+    /// The geometry that is drawn, and the process that announced it.
+    announced: Option<(NodeKind, String)>,
     drawn_ns: Nanos,
     still_drawn_ns: Nanos,
     buffer: Vec<u8>,
@@ -73,15 +76,15 @@ impl Scene {
     pub fn new(scenario: &Scenario) -> Result<Self, ChannelError> {
         let model = scenario.channel_model()?;
         let flat = vec![0.0; model.mirrors.len()];
-        let room = &scenario.room;
         Ok(Self {
             schema: SceneUpdate::get_schema().expect("a Foxglove message has a schema"),
             model,
-            size_m: [room.length_x_m, room.length_y_m, room.height_m],
+            size_m: size_m(scenario),
             users: Vec::new(),
             obstacles: Vec::new(),
             angles: (flat.clone(), flat),
             has_truth: false,
+            announced: None,
             drawn_ns: 0,
             still_drawn_ns: 0,
             buffer: Vec::new(),
@@ -97,6 +100,29 @@ impl Scene {
             schema_encoding: &self.schema.encoding,
             schema_data: &self.schema.data,
         }
+    }
+
+    /// Draws the geometry that a process announces from now on. The geometry of a simulator has
+    /// priority over that of a controller; an unchanged one keeps the angles of the mirrors.
+    ///
+    /// # Errors
+    /// The reason for which the geometry cannot be drawn; the former one stays.
+    pub fn announce(&mut self, node: NodeKind, geometry: &str) -> Result<(), String> {
+        let is_drawn = self.announced.as_ref().is_some_and(|(by, text)| {
+            (*by == node && text == geometry) || (*by == NodeKind::SimNode && node != NodeKind::SimNode)
+        });
+        if is_drawn {
+            return Ok(());
+        }
+        self.announced = Some((node, geometry.to_owned()));
+        let scenario = Scenario::from_geometry_toml(geometry).map_err(|error| error.in_one_line())?;
+        let model = scenario.channel_model().map_err(|error| error.to_string())?;
+        let flat = vec![0.0; model.mirrors.len()];
+        if flat.len() != self.angles.0.len() {
+            self.angles = (flat.clone(), flat);
+        }
+        (self.model, self.size_m, self.still_drawn_ns) = (model, size_m(&scenario), 0);
+        Ok(())
     }
 
     /// Applies a message; true if a new scene is due.
@@ -257,56 +283,10 @@ impl Scene {
     }
 }
 
-/// The twelve edges of an upright box.
-struct CubeEdges {
-    centre: Vec3,
-    half: Vec3,
-}
-
-impl CubeEdges {
-    /// Two points for each edge: corners whose numbers differ in one bit.
-    fn points(&self) -> Vec<Vec3> {
-        let sign = |corner: usize, axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
-        let place = |corner| {
-            self.centre + Vec3::new(sign(corner, 0), sign(corner, 1), sign(corner, 2)).component_mul(&self.half)
-        };
-        let edges = (0..8usize).flat_map(|from| (0..3).map(move |axis| (from, from | 1 << axis)));
-        edges.filter(|(from, to)| from != to).flat_map(|(from, to)| [place(from), place(to)]).collect()
-    }
-}
-
-/// A permanent entity that replaces an earlier one of the same name.
-fn entity(id: &str) -> SceneEntity {
-    SceneEntity {
-        frame_id: FRAME.to_owned(),
-        id: id.to_owned(),
-        lifetime: Some(Duration::new(0, 0)),
-        ..SceneEntity::default()
-    }
-}
-
-fn cube(centre: &Vec3, size: Vec3, color: Color) -> CubePrimitive {
-    CubePrimitive { pose: Some(pose(centre)), size: Some(vector(&size)), color: Some(color) }
-}
-
-fn segments(points: Vec<Vec3>, thickness: f64, color: Color) -> LinePrimitive {
-    LinePrimitive {
-        r#type: Type::LineList as i32,
-        pose: Some(pose(&Vec3::zeros())),
-        thickness,
-        scale_invariant: false,
-        points: points.iter().map(|point| Point3 { x: point.x, y: point.y, z: point.z }).collect(),
-        color: Some(color),
-        ..LinePrimitive::default()
-    }
-}
-
-fn pose(position: &Vec3) -> Pose {
-    Pose { position: Some(vector(position)), orientation: Some(Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }) }
-}
-
-fn vector(v: &Vec3) -> Vector3 {
-    Vector3 { x: v.x, y: v.y, z: v.z }
+/// The extents of the room along x, y and z in m.
+fn size_m(scenario: &Scenario) -> [f64; 3] {
+    let room = &scenario.room;
+    [room.length_x_m, room.length_y_m, room.height_m]
 }
 
 #[cfg(test)]
@@ -356,6 +336,24 @@ mod tests {
         assert_eq!(user.color, Some(MET));
         let room = entity_of(&update, "room");
         assert_eq!((room.cubes.len(), room.lines[0].points.len()), (model.mirrors.len() + 1, 24));
+    }
+
+    #[test]
+    fn the_geometry_that_the_room_announces_replaces_that_of_the_scenario() {
+        let (_, mut scene) = scene();
+        let geometry = |set: &str| {
+            Scenario::builtin("specular").unwrap().with_overrides(&[set.to_owned()]).unwrap().geometry_toml()
+        };
+        let mut mirrors = |node, set: &str| {
+            scene.announce(node, &geometry(set)).expect("a valid geometry");
+            let update = SceneUpdate::decode(scene.draw(STILL_INTERVAL_NS)).expect("a scene");
+            update.entities.iter().find(|entity| entity.id == "room").map(|room| room.cubes.len() - 1)
+        };
+        assert_eq!(mirrors(NodeKind::Controller, "mirrors.rows=4"), Some(40), "drawn at once");
+        assert_eq!(mirrors(NodeKind::SimNode, "mirrors.rows=3"), Some(30));
+        assert_eq!(mirrors(NodeKind::SimNode, "mirrors.rows=3"), None, "nothing has changed");
+        assert_eq!(mirrors(NodeKind::Controller, "mirrors.rows=4"), None, "the room has priority");
+        assert!(scene.announce(NodeKind::SimNode, "[users]").is_err_and(|reason| reason.contains("users")));
     }
 
     #[test]

@@ -46,7 +46,7 @@ pub use builtin::BUILTIN_NAMES;
 pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use geometry::GeometryDifference;
-pub use problems::Checked;
+pub use problems::{Checked, Problem};
 pub use runtime::*;
 pub use scenario::Scenario;
 pub use tables::*;

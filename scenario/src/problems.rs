@@ -3,6 +3,7 @@
 //! After each problem the check removes the refused key from the text, so that its default applies,
 //! and continues.
 
+use std::fmt;
 use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
@@ -13,11 +14,26 @@ use crate::scenario::Scenario;
 /// Largest number of problems that are listed.
 const PROBLEMS_MAX: usize = 50;
 
+/// A problem of a scenario file: the line, and in one line of text what was wrong and expected.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    /// The line of the file, from 1, if one line sets the refused value.
+    pub line: Option<usize>,
+    /// The message, which begins with the line.
+    pub text: String,
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.text)
+    }
+}
+
 /// The result of a check.
 #[derive(Clone, Debug)]
 pub struct Checked {
-    /// What cannot be used, in the order in which it was found.
-    pub problems: Vec<ScenarioError>,
+    /// What cannot be used, in the order of the lines; last what belongs to no line.
+    pub problems: Vec<Problem>,
     /// The scenario, with defaults in place of the refused keys; `None` where the rest of the text
     /// cannot be read.
     pub scenario: Option<Scenario>,
@@ -31,34 +47,51 @@ impl Scenario {
         let mut text = text.to_owned();
         let (mut problems, mut refused_tables) = (Vec::new(), Vec::new());
         loop {
-            let problem = match Self::from_toml(&text) {
-                Ok(scenario) => return Checked { problems, scenario: Some(scenario), refused_tables },
-                Err(problem) => problem,
+            let error = match Self::from_toml(&text) {
+                Ok(scenario) => return checked(problems, Some(scenario), refused_tables),
+                Err(error) => error,
             };
-            let refused = entry_of(&text, &problem);
+            let (problem, refused) = examined(&text, &error);
             problems.push(problem);
             refused_tables.extend(refused.as_ref().and_then(|entry| table_of(&text, entry.start)));
             let rest = refused.map(|entry| without(&text, entry)).filter(|rest| DeTable::parse(rest).is_ok());
             match rest {
                 Some(rest) if problems.len() < PROBLEMS_MAX => text = rest,
-                _ => return Checked { problems, scenario: None, refused_tables },
+                _ => return checked(problems, None, refused_tables),
             }
         }
     }
 }
 
-/// Where the text sets the key that a problem names.
-fn entry_of(text: &str, problem: &ScenarioError) -> Option<Range<usize>> {
-    match problem {
-        ScenarioError::Invalid { key, .. } => by_name(text, key),
-        ScenarioError::Renamed { found, .. } => by_name(text, found),
-        ScenarioError::Parse { .. } => {
-            let place = toml::from_str::<Scenario>(text).err()?.span()?.start;
-            let document = DeTable::parse(text).ok()?;
-            by_place(document.get_ref(), place)
+fn checked(mut problems: Vec<Problem>, scenario: Option<Scenario>, refused_tables: Vec<String>) -> Checked {
+    problems.sort_by_key(|problem| problem.line.unwrap_or(usize::MAX));
+    Checked { problems, scenario, refused_tables }
+}
+
+/// The problem that an error describes, and where the text sets the key.
+fn examined(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>>) {
+    match error {
+        ScenarioError::Invalid { key: name, line, .. } | ScenarioError::Renamed { found: name, line, .. } => {
+            (Problem { line: *line, text: error.to_string() }, by_name(text, name))
         }
-        _ => None,
+        ScenarioError::Parse { .. } => of_parser(text, error),
+        _ => (Problem { line: None, text: error.to_string() }, None),
     }
+}
+
+/// A problem of the parser, which knows a place in the text but no key.
+fn of_parser(text: &str, error: &ScenarioError) -> (Problem, Option<Range<usize>>) {
+    let refused = toml::from_str::<Scenario>(text).err();
+    let Some((message, place)) = refused.and_then(|error| Some((error.message().to_owned(), error.span()?.start)))
+    else {
+        return (Problem { line: None, text: error.in_one_line() }, None);
+    };
+    let line = text[..place].matches('\n').count() + 1;
+    let document = DeTable::parse(text).ok();
+    let entry = document.and_then(|document| by_place(document.get_ref(), place));
+    let key = entry.as_ref().map(|(key, _)| format!("{key}: ")).unwrap_or_default();
+    let problem = Problem { line: Some(line), text: format!("line {line}: {key}{}", message.replace('\n', "; ")) };
+    (problem, entry.map(|(_, range)| range))
 }
 
 /// The entry of `table.key`; text after a space is ignored.
@@ -75,16 +108,16 @@ fn by_name(text: &str, name: &str) -> Option<Range<usize>> {
     }
 }
 
-/// The innermost entry of a table around a place in the text.
-fn by_place(table: &DeTable<'_>, place: usize) -> Option<Range<usize>> {
+/// The innermost entry of a table around a place in the text, with its name from the root.
+fn by_place(table: &DeTable<'_>, place: usize) -> Option<(String, Range<usize>)> {
     table.iter().find_map(|(key, value)| {
         if let DeValue::Table(inner) = value.get_ref()
-            && let Some(found) = by_place(inner, place)
+            && let Some((name, found)) = by_place(inner, place)
         {
-            return Some(found);
+            return Some((format!("{}.{name}", key.get_ref()), found));
         }
         let entry = key.span().start..value.span().end.max(key.span().end);
-        entry.contains(&place).then_some(entry)
+        entry.contains(&place).then(|| (key.get_ref().to_string(), entry))
     })
 }
 
@@ -124,15 +157,17 @@ mod tests {
                     [light]\npower = 1\n\n[control]\nvalidity_ms = 0\n";
         let found = problems(text);
         assert_eq!(found.len(), 6, "{found:#?}");
-        for expected in [
-            "line 2: mirrors.reflectivity",
-            "rwos",
-            "line 6: users.count",
-            "speed_max_m_s",
-            "light",
-            "line 13: control.validity_ms",
-        ] {
-            assert_eq!(found.iter().filter(|text| text.contains(expected)).count(), 1, "{expected}: {found:#?}");
+        // In the order of the lines, and all in the same style.
+        let expected = [
+            "line 2: mirrors.reflectivity = 2: expected",
+            "line 3: mirrors.rwos: unknown field `rwos`, expected",
+            "line 6: users.count = 99: expected",
+            "line 7: users.speed_max_m_s: invalid type: string \"fast\", expected",
+            "line 9: light",
+            "line 13: control.validity_ms = 0: expected",
+        ];
+        for (found, expected) in found.iter().zip(expected) {
+            assert!(found.starts_with(expected) && !found.contains('\n'), "{expected}: {found}");
         }
         let checked = Scenario::check_all(text);
         assert!(checked.scenario.is_some());

@@ -36,8 +36,8 @@ pub struct Args {
     /// array starts parked
     #[arg(long, value_name = "DIR", conflicts_with = "lockstep")]
     state: Option<PathBuf>,
-    /// Start parked if there is no file of the room, instead of stopped; a recorded stop stays in
-    /// force
+    /// With --state: start parked if there is no file of the room, instead of stopped; a recorded
+    /// stop stays in force
     #[arg(long, requires = "state")]
     start_armed: bool,
     /// Print the summary as one JSON object on the last line

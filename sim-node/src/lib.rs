@@ -7,7 +7,8 @@
 //! - [`cli`]: the command line.
 
 pub mod cli;
-pub mod error;
+pub mod coverage;
+mod error;
 mod live;
 mod lockstep;
 mod metrics;

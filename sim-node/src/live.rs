@@ -58,6 +58,7 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
     if node.reports.next_sample_ns() <= now.local_ns {
         node.room.advance(now.local_ns);
         node.reports.sample(now, node.room.world(), node.room.angles());
+        node.compare_beliefs(now);
     }
     while let Some(report) = node.reports.release(now.local_ns) {
         let (ticks, clock) = (&mut node.ticks, node.clock);

@@ -42,6 +42,7 @@ pub(crate) fn run(mut node: Node, ticks: u64, stop: &Stop) -> Result<Summary, No
         let now = Moment { local_ns, room_ns: START_NS + local_ns };
         node.room.advance(local_ns);
         node.reports.sample(now, node.room.world(), node.room.angles());
+        node.compare_beliefs(now);
         while let Some(report) = node.reports.release(local_ns) {
             answered += publish(&mut node, &report, now, &mut hash, stop)?;
         }

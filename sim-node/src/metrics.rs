@@ -3,7 +3,7 @@
 use heliostat_service::{Histogram, Page};
 use heliostat_sim::baselines::Measured;
 
-use crate::summary::Summary;
+use crate::summary::{BeliefSummary, Summary};
 use crate::tick_ledger::TickLedger;
 
 /// The metrics of the room without the rates.
@@ -26,6 +26,14 @@ pub(crate) fn page(room: &str, summary: &Summary, ticks: &TickLedger) -> Page {
     }
     for (reason, count) in &summary.refused {
         page.counter("heliostat_room_refused", "Payloads and commands refused", &[("reason", reason.as_str())], *count);
+    }
+    if let Some(BeliefSummary { places, inside_50, inside_95 }) = summary.belief {
+        let help = "Places in the controller's belief that were compared with the truth";
+        page.counter("heliostat_belief_places", help, &[], places);
+        for (ellipse, count) in [("50", inside_50), ("95", inside_95)] {
+            let help = "Those whose ellipse of this probability in percent held the true place";
+            page.counter("heliostat_belief_places_inside", help, &[("ellipse", ellipse)], count);
+        }
     }
     let help = "Time from the publication of a position report to the arrival of the command that answers it";
     page.histogram("heliostat_loop_seconds", help, &[], Histogram::of_ns(ticks.latency_ns()));

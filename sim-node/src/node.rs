@@ -17,11 +17,12 @@ use heliostat_sim::reports::Reports;
 use heliostat_sim::reports::schedule::Schedule;
 use heliostat_sim::room::SimulatedRoom;
 
+use crate::coverage::Coverage;
 use crate::error::NodeError;
 use crate::metrics;
 use crate::session::RoomSession;
 use crate::settings::{Pace, Settings};
-use crate::summary::{Summary, TurnoverSummary};
+use crate::summary::{BeliefSummary, Summary, TurnoverSummary};
 use crate::tick_ledger::TickLedger;
 use crate::truth_publisher::{Measurements, TruthPublisher};
 
@@ -42,6 +43,7 @@ pub(crate) struct Node {
     pub clock: Clock,
     pub ticks: TickLedger,
     pub refused: RefusalCounts,
+    coverage: Coverage,
     pub telemetry: Schedule,
     pub truth: Schedule,
     pub status: Schedule,
@@ -106,6 +108,7 @@ impl Node {
             clock,
             ticks: TickLedger::default(),
             refused: RefusalCounts::default(),
+            coverage: Coverage::default(),
             capabilities: Schedule::new(CAPABILITIES_HZ, 0),
             telemetry_sequence: 0,
             orders: 0,
@@ -188,6 +191,11 @@ impl Node {
             let name = order.map(|order| order.stamp.order_name()).unwrap_or_default();
             self.refused.note("control", refusal.name(), &format!("{name}: {refusal}"));
         }
+    }
+
+    /// Compares the controller's beliefs with the room, which was moved on to `now`.
+    pub fn compare_beliefs(&mut self, now: Moment) {
+        self.coverage.update(now.room_ns, self.room.world(), self.session.new_beliefs());
     }
 
     pub fn publish_capabilities(&mut self, now: Moment) -> Result<(), NodeError> {
@@ -301,6 +309,7 @@ impl Node {
             refused: refused.collect(),
             turnover: self.room.world().turnover().map(TurnoverSummary::from),
             loop_us: self.ticks.distribution(),
+            belief: BeliefSummary::of(self.coverage.covered()),
             truth_us_mean: measurements.mean_cost_s * 1e6,
             last_problem: self.last_problem().to_owned(),
             ..Summary::default()

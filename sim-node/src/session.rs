@@ -10,7 +10,7 @@ use heliostat_driver::receive_queue::ReceiveQueue;
 use heliostat_driver::session::{self, ALIVE_LIMIT, ArraySession, MessagePublisher};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    Capabilities, CodecError, MirrorTelemetry, NodeKind, SafetyReport, SimulatorControl, Stamp, decode,
+    BeliefReport, Capabilities, CodecError, MirrorTelemetry, NodeKind, SafetyReport, SimulatorControl, Stamp, decode,
 };
 use heliostat_service::source_id;
 use heliostat_sim::reports::Report;
@@ -23,6 +23,9 @@ const START_DELAY: Duration = Duration::from_millis(30);
 /// Capacity for orders of operators; beyond it new ones are dropped.
 const ORDERS_MAX: usize = 64;
 
+/// Capacity for beliefs of a controller; beyond it new ones are dropped.
+const BELIEFS_MAX: usize = 64;
+
 /// A payload on the key of orders.
 type Order = Result<SimulatorControl, CodecError>;
 
@@ -34,10 +37,11 @@ pub(crate) struct RoomSession {
     array: ArraySession,
     other_simulators: Arc<Mutex<Vec<String>>>,
     orders: Arc<Mutex<Vec<Order>>>,
+    beliefs: Arc<Mutex<Vec<BeliefReport>>>,
     users: MessagePublisher,
     channel: MessagePublisher,
     obstacles: MessagePublisher,
-    _declared: (Token, [Subscription; 2]),
+    _declared: (Token, [Subscription; 3]),
 }
 
 /// Publishers of what only viewers receive.
@@ -73,17 +77,28 @@ impl RoomSession {
                 waiting.push(decode(payload));
             }
         })?;
+        let beliefs = Arc::new(Mutex::new(Vec::new()));
+        let arrived = Arc::clone(&beliefs);
+        let belief = bus.subscribe(&keys.belief(), move |payload| {
+            let mut arrived = arrived.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Ok(belief) = decode(payload)
+                && arrived.len() < BELIEFS_MAX
+            {
+                arrived.push(belief);
+            }
+        })?;
         Ok(Self {
             users: MessagePublisher::new(&bus, &keys.users(), reports)?,
             channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
             obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
             array: ArraySession::open(&bus, clock, telemetry)?,
-            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control]),
+            _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control, belief]),
             bus,
             clock,
             source,
             other_simulators,
             orders,
+            beliefs,
         })
     }
 
@@ -166,6 +181,11 @@ impl RoomSession {
     /// The orders of operators since the last call, with those that cannot be decoded.
     pub fn new_orders(&self) -> Vec<Order> {
         std::mem::take(&mut *self.orders.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The beliefs of controllers since the last call.
+    pub fn new_beliefs(&self) -> Vec<BeliefReport> {
+        std::mem::take(&mut *self.beliefs.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// A stamp with this process as its source.

@@ -8,6 +8,7 @@ use heliostat_sim::baselines::Tally;
 use heliostat_sim::world::arrivals::Turnover;
 use serde::Serialize;
 
+use crate::coverage::Covered;
 use crate::tick_ledger::Distribution;
 
 /// Mean sum rates in Mbit/s over the same instants.
@@ -38,6 +39,25 @@ impl From<Turnover> for TurnoverSummary {
     fn from(turnover: Turnover) -> Self {
         let Turnover { entered, left, turned_away } = turnover;
         Self { entered, left, turned_away }
+    }
+}
+
+/// How often the controller's belief held the true place of a user.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct BeliefSummary {
+    /// Believed places that were compared.
+    pub places: u64,
+    /// Those whose ellipse of 50 % held the true place.
+    pub inside_50: u64,
+    /// Those whose ellipse of 95 % held the true place.
+    pub inside_95: u64,
+}
+
+impl BeliefSummary {
+    /// `None` where no belief was compared.
+    pub(crate) fn of(covered: Covered) -> Option<Self> {
+        let Covered { places, inside: [inside_50, inside_95] } = covered;
+        (places > 0).then_some(Self { places, inside_50, inside_95 })
     }
 }
 
@@ -84,6 +104,9 @@ pub struct Summary {
     /// The users who entered and left; absent where the users stay.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub turnover: Option<TurnoverSummary>,
+    /// The controller's belief against the truth; absent where the controller publishes none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub belief: Option<BeliefSummary>,
     /// Lockstep: hash of all commands and of all computed instants; the same seed gives the same
     /// hash.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -138,6 +161,11 @@ impl fmt::Display for Summary {
         writeln!(f, "blocked users   {:.2} on average", self.blocked_users_mean)?;
         if let Some(TurnoverSummary { entered, left, turned_away }) = self.turnover {
             writeln!(f, "users           {entered} entered, {left} left, {turned_away} found the room full")?;
+        }
+        if let Some(BeliefSummary { places, inside_50, inside_95 }) = self.belief {
+            let percent = |inside: u64| 100.0 * inside as f64 / places as f64;
+            let (half, most) = (percent(inside_50), percent(inside_95));
+            writeln!(f, "belief          {half:.0} % within the ellipse of 50 %, {most:.0} % within that of 95 %")?;
         }
         for (name, count) in &self.refused {
             writeln!(f, "refused         {name}: {count}")?;

@@ -103,10 +103,15 @@ impl Episode {
     /// # Errors
     /// [`WorldError`] as from [`SimulatedRoom::new`].
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64, start_ns: u64) -> Result<Self, WorldError> {
-        let mut room = SimulatedRoom::new(scenario, trace, seed)?;
+        Ok(Self::of_room(SimulatedRoom::new(scenario, trace, seed)?, scenario, seed, start_ns))
+    }
+
+    /// The same in a given room of the scenario at time 0, in which for example a recorded walk
+    /// begins at another time.
+    pub fn of_room(mut room: SimulatedRoom, scenario: &Scenario, seed: u64, start_ns: u64) -> Self {
         room.advance(start_ns);
         let streams = &scenario.streams;
-        Ok(Self {
+        Self {
             room,
             reports: Reports::new(streams, seed, SOURCE),
             telemetry: Schedule::new(streams.telemetry.rate_hz, 0),
@@ -114,7 +119,7 @@ impl Episode {
             start_ns,
             event_ns: 0,
             due_telemetry: None,
-        })
+        }
     }
 
     /// The next event up to and including `until_ns`, with its time; `None` when there is no other.

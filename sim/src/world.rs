@@ -151,6 +151,23 @@ impl World {
         self.begin(seed);
     }
 
+    /// Duration of the recorded walk in s; `None` for a random walk.
+    pub fn recording_s(&self) -> Option<f64> {
+        match &self.mobility {
+            Mobility::Trace(trace) => Some(trace.duration_s()),
+            Mobility::RandomWaypoint(_) => None,
+        }
+    }
+
+    /// Continues a recorded walk at this time in s, which may be negative or beyond its end since
+    /// it repeats; no effect on a random walk.
+    pub fn seek_recording(&mut self, time_s: f64) {
+        if let Mobility::Trace(trace) = &mut self.mobility {
+            trace.seek(time_s);
+            self.refresh();
+        }
+    }
+
     /// Places the users of the start and the obstacles.
     fn begin(&mut self, seed: u64) {
         self.seed = seed;

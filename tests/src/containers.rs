@@ -1,5 +1,6 @@
-//! A container engine of its own for a test: `dockerd` with its data in a temporary folder, and base
-//! images made by `debootstrap`, because a test reaches no image registry.
+//! A container engine of its own for a test: `dockerd` with its data in a temporary folder and its
+//! networks in a network namespace, and base images made by `debootstrap`, because a test reaches no
+//! image registry.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -24,8 +25,7 @@ pub struct Engine {
     _alone: MutexGuard<'static, ()>,
 }
 
-/// Engines change the firewall of the machine when they start, and share the archive of the base image:
-/// a test process has one at a time.
+/// Engines share the archive of the base image: a test process has one at a time.
 static ALONE: Mutex<()> = Mutex::new(());
 
 impl Engine {
@@ -43,7 +43,10 @@ impl Engine {
         let folder = tempfile::tempdir().expect("a folder");
         let path = |name: &str| folder.path().join(name);
         let log = fs::File::create(path("log")).expect("a log");
-        let mut daemon = Command::new("dockerd");
+        // A new engine sets up the firewall, and deletes the bridge docker0 of another one: both are
+        // those of its own network namespace. The shell replaces itself, so the id is dockerd's.
+        let mut daemon = Command::new("unshare");
+        daemon.args(["--net", "sh", "-c", "ip link set lo up && exec dockerd \"$@\"", "dockerd"]);
         daemon.arg("--data-root").arg(path("data")).arg("--exec-root").arg(path("exec"));
         daemon.arg("--pidfile").arg(path("pid")).arg("--host").arg(format!("unix://{}", path("socket").display()));
         // Compose makes networks of its own, and the default one could be another engine's.
@@ -58,6 +61,8 @@ impl Engine {
             let log = fs::read_to_string(engine.folder.path().join("log")).unwrap_or_default();
             return Err(format!("dockerd cannot run here: {}", log.lines().last().unwrap_or_default()));
         }
+        let network = |process: &str| fs::read_link(format!("/proc/{process}/ns/net")).expect("a network namespace");
+        assert_ne!(network(&engine.daemon.id().to_string()), network("self"), "dockerd shares the network of the test");
         Ok(engine)
     }
 
@@ -67,7 +72,14 @@ impl Engine {
         if !is_root {
             return Err("dockerd and debootstrap need root".into());
         }
-        for (program, package) in [("dockerd", "docker.io"), ("docker", "docker.io"), ("debootstrap", "debootstrap")] {
+        let programs = [
+            ("dockerd", "docker.io"),
+            ("docker", "docker.io"),
+            ("debootstrap", "debootstrap"),
+            ("unshare", "util-linux"),
+            ("nsenter", "util-linux"),
+        ];
+        for (program, package) in programs {
             if !runs(Command::new(program).arg("--version")) {
                 return Err(format!("there is no {program} (Debian's package {package})"));
             }
@@ -75,6 +87,24 @@ impl Engine {
         let ways = [vec!["docker", "compose"], vec!["docker-compose"]];
         let found = ways.into_iter().find(|words| runs(Command::new(words[0]).args(&words[1..]).arg("version")));
         found.ok_or_else(|| "there is no compose (Debian's package docker-compose)".into())
+    }
+
+    /// The program and arguments that start another program in the network of the engine, where the
+    /// published ports of its containers are.
+    pub fn wrapper(&self) -> [String; 2] {
+        ["nsenter".into(), format!("--net=/proc/{}/ns/net", self.daemon.id())]
+    }
+
+    /// The answer to a request for a path at a port of the loopback address in the network of the
+    /// engine; `None` if the port is closed.
+    pub fn get(&self, port: &str, path: &str) -> Option<String> {
+        let [program, network] = self.wrapper();
+        let script = format!(
+            "exec 3<>/dev/tcp/127.0.0.1/{port} && \
+             printf 'GET {path} HTTP/1.0\\r\\nHost: 127.0.0.1:{port}\\r\\n\\r\\n' >&3 && cat <&3"
+        );
+        let answer = Command::new(program).args([&network, "bash", "-c", &script]).output().ok()?;
+        answer.status.success().then(|| String::from_utf8_lossy(&answer.stdout).into_owned())
     }
 
     /// A base image of Debian with systemd, under this name; made once, and kept in the target

@@ -29,20 +29,21 @@ fn built_programs(zenohd: &Path) -> tempfile::TempDir {
     folder
 }
 
-fn get(url: &str) -> Option<String> {
-    ureq::get(url).call().ok()?.body_mut().read_to_string().ok()
-}
-
 /// The value of a metric without regard to its labels; 0 where it is absent.
 fn metric(page: &str, name: &str) -> f64 {
     let line = page.lines().find(|line| line.starts_with(&format!("{name}{{")));
     line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)
 }
 
+/// Starts `heliostat` in the network of the engine.
+fn heliostat(engine: &Engine, arguments: &[&str]) -> Process {
+    Process::heliostat_under(&engine.wrapper().each_ref().map(String::as_str), &[], arguments)
+}
+
 /// Runs an operator's command through the router of the containers.
-fn order(command: &str, router: &str) -> String {
-    let ended =
-        Process::heliostat(&[command, "--room", "lab", "--client", "--connect", router, "--timeout", "20"]).wait();
+fn order(engine: &Engine, command: &str, router: &str) -> String {
+    let words = [command, "--room", "lab", "--client", "--connect", router, "--timeout", "20"];
+    let ended = heliostat(engine, &words).wait();
     assert!(ended.status.success(), "{command}: {}", ended.errors);
     ended.output + &ended.errors
 }
@@ -79,30 +80,28 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
         wait_until(&format!("a healthy {service}"), || state(service, ".State.Health.Status") == "healthy");
     }
 
-    let commands = || {
-        get(&format!("http://127.0.0.1:{of_room}/metrics"))
-            .map_or(0.0, |page| metric(&page, "heliostat_room_commands_total"))
-    };
+    let commands =
+        || engine.get(&of_room, "/metrics").map_or(0.0, |page| metric(&page, "heliostat_room_commands_total"));
     wait_until("commands that the array accepts", || commands() > 10.0);
-    let page = get(&format!("http://127.0.0.1:{of_controller}/metrics")).expect("the controller serves its metrics");
+    let page = engine.get(&of_controller, "/metrics").expect("the controller serves its metrics");
     assert!(metric(&page, "heliostat_decisions_total") > 10.0, "{page}");
 
     let scenario = root().join("deploy/rooms/lab.toml");
     let flags = ["ui", "--room", "lab", "--plain", "--client", "--connect", &router, "--ui-port", "0", "--scenario"];
-    let ui = Process::heliostat(&[&flags[..], &[scenario.to_str().expect("a plain path")]].concat());
-    let before = "the page is at ";
+    let ui = heliostat(&engine, &[&flags[..], &[scenario.to_str().expect("a plain path")]].concat());
+    let before = "the page is at http://127.0.0.1:";
     wait_until("the address of the page", || (ui.errors() + "\n").contains(before));
-    let address = ui.errors();
-    let address = address.split_once(before).and_then(|(_, rest)| rest.split_whitespace().next()).expect("an address");
-    wait_until("the live page", || get(address).is_some_and(|page| page.contains("<title>Heliostat</title>")));
+    let errors = ui.errors();
+    let port = errors.split_once(before).and_then(|(_, rest)| rest.split(['/', '\n', ' ']).next()).expect("a port");
+    wait_until("the live page", || engine.get(port, "/").is_some_and(|page| page.contains("<title>Heliostat</title>")));
 
     // The volume keeps an emergency stop over a restart.
-    order("stop", &router);
+    order(&engine, "stop", &router);
     engine.compose(&variables, &["restart", "sim-node"]);
     wait_until("a healthy sim-node", || state("sim-node", ".State.Health.Status") == "healthy");
     let begun = commands();
     assert_eq!(begun, 0.0, "the array is still stopped");
-    assert!(order("rearm", &router).contains("command line"), "the re-arm names the stop that it releases");
+    assert!(order(&engine, "rearm", &router).contains("command line"), "the re-arm names the stop that it releases");
     wait_until("commands after the re-arm", || commands() > 10.0);
 
     // A container that does not end within 10 s is killed, and then its exit code is 137.

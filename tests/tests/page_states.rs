@@ -210,6 +210,59 @@ fn the_banner_says_whether_the_array_confirmed_a_stop() {
 }
 
 #[test]
+fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
+    let mut setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    setting.room.kill();
+    wait_until("an array that has left", || browser.text("#chip-array").starts_with("no report for"));
+    let status = || browser.text("#order-status");
+    browser.run("window.shown = []; new MutationObserver(() => window.shown.push(document.getElementById('order-status').textContent))\
+                 .observe(document.getElementById('order-status'), { childList: true, characterData: true, subtree: true })");
+    browser.click("#stop");
+    let absent = "no array is present in this room";
+    wait_until("an answer about the array", || status() == format!("stop: {absent}"));
+    let shown = browser.run("return window.shown").to_string();
+    assert!(!shown.contains("not answered yet"), "{shown}");
+    let warning = "has not confirmed the stop for";
+    wait_until("a warning", || banner(&browser).contains(warning));
+    browser.click("#rearm");
+    wait_until("an answer about the re-arm", || status().contains("re-arm: "));
+    assert!(banner(&browser).contains(warning), "{}", banner(&browser));
+    // The re-arm waits up to 2.5 s for a safety report and for a receiver.
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(4) {
+        assert!(banner(&browser).contains(warning), "{}", banner(&browser));
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    assert_eq!(status(), format!("re-arm: {absent}"));
+}
+
+#[test]
+fn users_who_are_present_have_different_colours_and_keep_them() {
+    let setting = Setting::with(&["--set", "users.count=17"]);
+    let Some(browser) = setting.browser(&[]) else { return };
+    let swatches = "return [...document.querySelectorAll('#users .swatch')].map((swatch) => swatch.style.background)";
+    let colours = || -> Vec<String> { serde_json::from_value(browser.run(swatches)).expect("a list of texts") };
+    wait_until("all users", || colours().len() == 17);
+    let distinct: std::collections::BTreeSet<String> = colours().into_iter().collect();
+    assert_eq!(distinct.len(), 17, "{distinct:?}");
+    // Any 64 ids; those who stay keep their colours while the others are replaced.
+    let found = browser.run(
+        "return import('/geometry.js').then(({ presentUsers, userColour, USER_COLOURS }) => { \
+           const ids = Array.from({ length: 64 }, (_, index) => 4294967295 - 8 * index); \
+           presentUsers(ids); \
+           const before = ids.map(userColour); \
+           const stay = ids.filter((_, index) => index % 2); \
+           const come = Array.from({ length: 32 }, (_, index) => 1000 + 8 * index); \
+           presentUsers([...come, ...stay]); \
+           const now = [...come, ...stay].map(userColour); \
+           const kept = stay.every((id, index) => userColour(id) === before[2 * index + 1]); \
+           return [new Set(before).size, new Set(now).size, kept, USER_COLOURS.every((one) => /^#[0-9a-f]{6}$/.test(one))]; })",
+    );
+    assert_eq!(found, serde_json::json!([64, 64, true, true]));
+}
+
+#[test]
 fn a_refused_order_is_shown_as_refused_until_another_takes_effect() {
     let setting = Setting::new();
     let Some(browser) = setting.browser(&[]) else { return };

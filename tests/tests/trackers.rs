@@ -20,6 +20,28 @@ fn end(example: &mut PythonExample) -> ExitStatus {
 }
 
 #[test]
+fn the_examples_in_python_answer_a_wrong_command_line_with_their_usage() {
+    let Some(python) = python() else { return };
+    let endpoint = "tcp/127.0.0.1:1";
+    let wrong: [(&str, &[&str]); 6] = [
+        ("driver.py", &[]),
+        ("driver.py", &["room", endpoint]),
+        ("driver.py", &["room", endpoint, "two", "3"]),
+        ("driver.py", &["room", endpoint, "0", "3"]),
+        ("tracker.py", &["room"]),
+        ("tracker.py", &["room", endpoint, "long"]),
+    ];
+    for (file, arguments) in wrong {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples").join(file);
+        let ended = Command::new(&python).arg(path).args(arguments).output().expect("python starts");
+        let errors = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(2), "{file} {arguments:?}: {errors}");
+        assert!(errors.starts_with(&format!("usage: python3 examples/{file} ROOM")), "{file} {arguments:?}: {errors}");
+        assert_eq!(errors.lines().count(), 1, "{errors}");
+    }
+}
+
+#[test]
 fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
     let Some(python) = python() else { return };
     let (of_controller, of_viewer) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());

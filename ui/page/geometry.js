@@ -1,8 +1,40 @@
 // What the drawings of the room in 3-D and in 2-D share: the static geometry and the colours.
 
-export const USER_COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#999933", "#aa4499"];
-// A user keeps its colour while others come and go.
-export const userColour = (user) => USER_COLOURS[user % USER_COLOURS.length];
+// Colours that are distinguishable with colour-vision deficiency, then as many as a room may have users.
+const BASIC = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#999933", "#aa4499"];
+const USERS_MAX = 64;
+// Hues a golden angle apart, whose neighbours differ in saturation or lightness; as #rrggbb.
+function generated(index) {
+  const [hue, saturation, lightness] = [(index * 137.508) % 360, [0.75, 0.45][index % 2], [0.38, 0.52, 0.66][index % 3]];
+  const chroma = saturation * Math.min(lightness, 1 - lightness);
+  const channel = (offset) => {
+    const part = (offset + hue / 30) % 12;
+    return Math.round(255 * (lightness - chroma * Math.max(-1, Math.min(part - 3, 9 - part, 1))));
+  };
+  return `#${[0, 8, 4].map((offset) => channel(offset).toString(16).padStart(2, "0")).join("")}`;
+}
+export const USER_COLOURS = Array.from({ length: USERS_MAX }, (_, index) => BASIC[index] ?? generated(index));
+
+// The colour of each present user, as an index.
+const taken = new Map();
+
+// Takes the ids of the users who are present: frees the colours of the others.
+export function presentUsers(ids) {
+  const present = new Set(ids);
+  for (const user of taken.keys()) if (!present.has(user)) taken.delete(user);
+  for (const user of present) userColour(user);
+}
+
+// No two present users share a colour, and a user keeps its colour while others come and go.
+export function userColour(user) {
+  if (!taken.has(user)) {
+    const used = new Set(taken.values());
+    const preferred = user % BASIC.length;
+    const free = used.has(preferred) ? USER_COLOURS.findIndex((_, index) => !used.has(index)) : preferred;
+    taken.set(user, free < 0 ? user % USERS_MAX : free);
+  }
+  return USER_COLOURS[taken.get(user)];
+}
 
 export const UNUSED = "#a4adb6";
 export const UNUSABLE = "#882255";
@@ -53,4 +85,9 @@ export function mirrorColour(frame, index, unusable) {
   if (unusable.has(index)) return UNUSABLE;
   const user = frame.users[frame.serves[index]];
   return user ? userColour(user.user) : UNUSED;
+}
+
+// Ends of the mark of a believed heading: a certain one is half a metre long.
+export function headingMark({ at_m, heading }) {
+  return [at_m, [at_m[0] + 0.5 * heading[0], at_m[1] + 0.5 * heading[1]]];
 }

@@ -48,7 +48,8 @@ export class Motion {
         const old = before.get(user.user);
         if (!old || Math.hypot(old.at_m[0] - user.at_m[0], old.at_m[1] - user.at_m[1]) > JUMP_M) return user;
         const body_m = user.body_m && old.body_m ? mix(old.body_m, user.body_m, share) : user.body_m;
-        return { ...user, at_m: mix(old.at_m, user.at_m, share), body_m };
+        const belief = user.belief && old.belief ? { ...user.belief, at_m: mix(old.belief.at_m, user.belief.at_m, share) } : user.belief;
+        return { ...user, at_m: mix(old.at_m, user.at_m, share), body_m, belief };
       }),
     };
   }

@@ -4,6 +4,7 @@ import { Charts } from "./charts.js";
 import { Live } from "./live.js";
 import { Orders } from "./orders.js";
 import { Room } from "./room.js";
+import { presentUsers } from "./geometry.js";
 import { banner, sentence } from "./sentence.js";
 import { chips, counters, users } from "./figures.js";
 import { heatGradient } from "./heat.js";
@@ -44,6 +45,11 @@ function showAges(state) {
   chips(now, ages);
 }
 
+// Figures and frames may list different users for a moment; both are drawn.
+function keepColours({ now, frame }) {
+  presentUsers([now, frame].flatMap((event) => event?.users ?? []).map((user) => user.user));
+}
+
 function showHeat(map) {
   at("heat-scale").hidden = map === null;
   if (map) setText(at("heat-max"), `${map.max_mbps.toFixed(0)} Mbit/s`);
@@ -74,6 +80,7 @@ async function start() {
     figures: (now) => {
       if (state.ages.silence * 1000 < SHOW_EVERY_MS && state.now) return;
       state.now = now;
+      keepColours(state);
       state.ages.take(now);
       users(now, room.shown, state.frame);
       counters(now);
@@ -85,6 +92,7 @@ async function start() {
       // The next figures load the page again.
       if (frame.geometry !== plan.geometry) return;
       state.frame = frame;
+      keepColours(state);
       room.update(frame);
     },
   });

@@ -1,5 +1,5 @@
 // The room from above on a canvas, for browsers without WebGL.
-import { LIGHT, mirrorColour, palette, userColour, wallOf } from "./geometry.js";
+import { LIGHT, headingMark, mirrorColour, palette, userColour, wallOf } from "./geometry.js";
 import { heatPixels } from "./heat.js";
 
 const MARGIN = 0.3;
@@ -96,7 +96,7 @@ export class Plan2D {
     const colour = userColour(user.user);
     if (user.body_m) this.disc(user.body_m, user.body_m[2], colour, 0.45);
     this.disc(user.at_m, 0.08, colour, 1);
-    if (user.belief) this.belief(user.belief, colour);
+    if (user.belief && shown.belief) this.belief(user.belief, colour);
     const lost = !shown.wall && user.without_mirrors_mbps < user.min_rate_mbps;
     this.text(lost ? `${user.user} ✕` : String(user.user), [user.at_m[0] + 0.1, user.at_m[1] + 0.1]);
   }
@@ -112,7 +112,9 @@ export class Plan2D {
     brush.restore();
   }
 
-  belief({ at_m, semi_axes_m, angle_rad }, colour) {
+  belief(belief, colour) {
+    const { at_m, semi_axes_m, angle_rad } = belief;
+    this.line(headingMark(belief), colour, 0.03, 1);
     this.brush.beginPath();
     this.brush.ellipse(at_m[0], at_m[1], semi_axes_m[0], semi_axes_m[1], angle_rad, 0, 2 * Math.PI);
     this.brush.strokeStyle = colour;

@@ -4,14 +4,14 @@ import { boundsOf } from "./geometry.js";
 import { Plan2D } from "./plan2d.js";
 import { View3D } from "./view3d.js";
 
-export const SWITCHES = ["wall", "beams", "paths", "heat"];
+export const SWITCHES = ["wall", "beams", "paths", "heat", "belief"];
 const HEAT_EVERY_MS = 1000;
 
 export class Room {
   constructor(element, plan) {
     this.element = element;
     this.motion = new Motion();
-    this.shown = { wall: true, beams: true, paths: false, heat: false };
+    this.shown = { wall: true, beams: true, paths: false, heat: false, belief: true };
     this.isDirty = true;
     // Pictures drawn since the start, for tests.
     this.frames = 0;

@@ -1,7 +1,7 @@
 // The objects of the room in 3-D, by three.js. `place` moves them to a frame; nothing is created for each frame.
 import * as THREE from "./vendor/three.module.min.js";
-import { LIGHT, UNUSED, cornersOf, mirrorColour, palette, userColour, wallOf } from "./geometry.js";
-import { Label, Lines, Tubes, ellipse, fan, heatTexture } from "./shapes.js";
+import { LIGHT, UNUSED, cornersOf, headingMark, mirrorColour, palette, userColour, wallOf } from "./geometry.js";
+import { BELIEF_Z_M, Label, Lines, Tubes, ellipse, fan, heatTexture } from "./shapes.js";
 
 const BODY_OPACITY = 0.45;
 
@@ -23,7 +23,8 @@ export class RoomScene {
     this.dashed = new Lines({ opacity: 0.8, dash: 0.08 });
     this.beams = new Lines({ opacity: 0.5 });
     this.paths = new Tubes({ radius: 0.018 });
-    this.scene.add(this.obstacles, this.shades, this.heat, this.direct.object, this.dashed.object, this.beams.object, this.paths.object);
+    this.headings = new Tubes({ radius: 0.016 });
+    this.scene.add(this.obstacles, this.shades, this.heat, this.direct.object, this.dashed.object, this.beams.object, this.paths.object, this.headings.object);
     this.obstacleKey = this.shadeKey = "";
   }
 
@@ -123,6 +124,7 @@ export class RoomScene {
 
   placeUsers(frame, shown) {
     const present = new Set(frame.users.map(({ user }) => user));
+    this.headings.begin();
     for (const [user, { group }] of this.users) {
       if (!present.has(user)) {
         this.scene.remove(group);
@@ -141,9 +143,13 @@ export class RoomScene {
         one.body.position.set(x, y, height / 2);
         one.body.scale.set(radius, radius, height);
       }
-      one.belief.visible = Boolean(user.belief);
-      if (user.belief) ellipse(one.belief, user.belief);
+      one.belief.visible = shown.belief && Boolean(user.belief);
+      if (!one.belief.visible) continue;
+      ellipse(one.belief, user.belief);
+      const [from, to] = headingMark(user.belief);
+      this.headings.add([...from, BELIEF_Z_M], [...to, BELIEF_Z_M], userColour(user.user));
     }
+    this.headings.end();
   }
 
   figure({ user }) {

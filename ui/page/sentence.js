@@ -60,7 +60,7 @@ export function banner(now, silence, arrayAge) {
   switch (phase) {
     case "requested": return { kind: "bad", text: "Stop requested. The array has not confirmed it yet." };
     case "unconfirmed":
-      return { kind: "bad", text: `The array has not confirmed the stop for ${seconds(since_s)}. If the mirrors move, cut their power supply.` };
+      return { kind: "bad", text: `The array has not confirmed the stop for ${seconds(since_s)}. If the mirrors move, cut their power supply. Only the array can end this warning.` };
     case "confirmed":
       if (arrayAge > STALE_S) {
         return { kind: "bad", text: `The array confirmed the stop, but has not reported for ${seconds(arrayAge)}: its state is unknown.${by}` };

@@ -2,6 +2,8 @@
 import * as THREE from "./vendor/three.module.min.js";
 import { heatPixels } from "./heat.js";
 
+// Height of a drawn belief above the floor.
+export const BELIEF_Z_M = 0.03;
 const UP = new THREE.Vector3(0, 0, 1);
 
 // Coloured line segments, one pixel wide, in one buffer, which grows and is reused.
@@ -164,7 +166,7 @@ export function ellipse(loop, { at_m, semi_axes_m, angle_rad }) {
   const points = Array.from({ length: 48 }, (_, index) => {
     const [along, across] = [semi_axes_m[0] * Math.cos((index * Math.PI) / 24), semi_axes_m[1] * Math.sin((index * Math.PI) / 24)];
     const [cos, sin] = [Math.cos(angle_rad), Math.sin(angle_rad)];
-    return new THREE.Vector3(at_m[0] + along * cos - across * sin, at_m[1] + along * sin + across * cos, 0.03);
+    return new THREE.Vector3(at_m[0] + along * cos - across * sin, at_m[1] + along * sin + across * cos, BELIEF_Z_M);
   });
   loop.geometry.setFromPoints(points);
 }

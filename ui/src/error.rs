@@ -59,7 +59,7 @@ pub enum UiError {
     NoProcessControl(&'static str),
     /// An order that was published without a subscriber.
     #[error(
-        "no {0} received the order: expected one that is connected to this page; start one, \
+        "no {0} received the order: expected one that is connected to this process; start one, \
          or add its endpoint with --connect"
     )]
     NoReceiver(&'static str),

@@ -8,6 +8,7 @@
 //! - `shown_room`: the room that is drawn: announced, given, or the default.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
+//! - [`belief`]: where the controller believes a user to be, as an ellipse.
 //! - [`orders`]: the orders of the page's buttons, and their publishers.
 //! - [`order_log`]: the answers to these orders; [`stop_state`]: how far a stop has come.
 //! - [`floor`]: the rate over the floor, for the heat map.
@@ -16,6 +17,7 @@
 //! - [`terminal`]: the same figures on a terminal, or as plain lines.
 
 mod assets;
+pub mod belief;
 mod blocked_area;
 mod error;
 pub mod figures;

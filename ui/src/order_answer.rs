@@ -12,6 +12,8 @@ use crate::view::{EXPIRY, Received};
 
 /// Reported and ordered values differ at most by the rounding to 32 bits.
 const TOLERANCE: f64 = 1e-4;
+/// Telemetry of this age shows that an array is present, even without a process that is known.
+const REPORTING: Duration = Duration::from_secs(1);
 /// A status that arrives this long after an order describes the time after the order.
 const SETTLED: Duration = Duration::from_millis(1500);
 
@@ -27,6 +29,15 @@ pub enum Answer {
     Refused(String),
     /// The state of the receiver is not as ordered, and it named no reason.
     Missing,
+    /// It was published to a room in which no array is present.
+    Absent,
+}
+
+impl Answer {
+    /// Whether a later report can change it.
+    pub(crate) fn is_open(&self) -> bool {
+        matches!(self, Self::Sent | Self::Missing | Self::Absent)
+    }
 }
 
 /// What the processes report, as far as it answers orders.
@@ -36,6 +47,8 @@ pub(crate) struct Reported {
     pub simulator: Option<(Instant, NodeStatus)>,
     pub array: Option<(Instant, ArrayState)>,
     pub controller_alive: bool,
+    /// Whether the room has an array: a live process of one, or telemetry.
+    pub array_present: bool,
 }
 
 impl View {
@@ -46,13 +59,16 @@ impl View {
             let status = received.statuses.get(node.name()).filter(|(at, _)| at.elapsed() < EXPIRY);
             status.cloned()
         };
+        let is_alive = |node: NodeKind| received.alive.iter().any(|(alive, _)| *alive == node.name());
+        let telemetry = Received::fresh(&received.telemetry).and(received.telemetry.as_ref());
         Reported {
             controller: status(NodeKind::Controller),
             simulator: status(NodeKind::SimNode),
-            array: Received::fresh(&received.telemetry)
-                .and(received.telemetry.as_ref())
-                .map(|(at, array)| (*at, array.state)),
-            controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
+            array: telemetry.map(|(at, array)| (*at, array.state)),
+            controller_alive: is_alive(NodeKind::Controller),
+            array_present: telemetry.is_some_and(|(at, _)| at.elapsed() < REPORTING)
+                || is_alive(NodeKind::SimNode)
+                || is_alive(NodeKind::Driver),
         }
     }
 }
@@ -73,6 +89,7 @@ impl Published {
     pub fn answer(&self, now: &Reported) -> Option<Answer> {
         let is_done = match &self.order {
             Order::Policy { name } => return self.policy(name, now),
+            Order::Stop | Order::Rearm if !now.array_present => return Some(Answer::Absent),
             Order::Stop => self.array(now, |state| state == ArrayState::Stopped),
             Order::Rearm => self.array(now, |state| state != ArrayState::Stopped),
             Order::KillController => !now.controller_alive,
@@ -200,11 +217,22 @@ mod tests {
     #[test]
     fn only_telemetry_after_a_stop_confirms_it() {
         let order = published(Order::Stop);
-        let answer = |at, state| order.answer(&Reported { array: Some((at, state)), ..Reported::default() });
+        let answer = |at, state| {
+            order.answer(&Reported { array: Some((at, state)), array_present: true, ..Reported::default() })
+        };
         let after = order.at + Duration::from_millis(1);
         assert_eq!(answer(order.at, ArrayState::Stopped), None);
         assert_eq!(answer(after, ArrayState::Following), None);
         assert_eq!(answer(after, ArrayState::Stopped), Some(Answer::Done));
+    }
+
+    #[test]
+    fn a_stop_or_a_rearm_in_a_room_without_an_array_is_answered_at_once() {
+        for order in [Order::Stop, Order::Rearm] {
+            let order = published(order);
+            assert_eq!(order.answer(&Reported::default()), Some(Answer::Absent));
+            assert_eq!(order.answer(&Reported { array_present: true, ..Reported::default() }), None);
+        }
     }
 
     #[test]

@@ -72,23 +72,15 @@ impl OrderLog {
         self.change(id, |entry| entry.set(Answer::Refused(reason)));
     }
 
-    /// When the last stop was ordered, unless a re-arm was ordered after it.
-    pub fn stop_ordered(&self) -> Option<Instant> {
-        let entries = self.lock();
-        let last = entries.iter().rev().find(|entry| matches!(entry.published.order, Order::Stop | Order::Rearm))?;
-        (last.published.order == Order::Stop).then_some(last.published.at)
-    }
-
     /// Compares the orders with what the processes report, and returns those to show, newest first.
     pub fn review(&self, reported: &Reported) -> Vec<OrderFigures> {
         let mut entries = self.lock();
-        for entry in entries.iter_mut().filter(|entry| matches!(entry.answer, Answer::Sent | Answer::Missing)) {
-            match entry.published.answer(reported) {
-                Some(answer) => entry.set(answer),
-                None if entry.answer == Answer::Sent && entry.published.at.elapsed() >= ANSWER_LIMIT => {
-                    entry.set(Answer::Missing);
-                }
-                None => {}
+        for entry in entries.iter_mut().filter(|entry| entry.answer.is_open()) {
+            let is_late = entry.published.at.elapsed() >= ANSWER_LIMIT;
+            let silent = if is_late { Answer::Missing } else { Answer::Sent };
+            let answer = entry.published.answer(reported).unwrap_or(silent);
+            if answer != entry.answer {
+                entry.set(answer);
             }
         }
         let is_superseded = |entry: &Entry| {
@@ -97,8 +89,10 @@ impl OrderLog {
         };
         let shown = entries.iter().rev().filter(|entry| match entry.answer {
             Answer::Sent => true,
-            Answer::Done => entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported).is_some(),
-            Answer::Refused(_) | Answer::Missing => entry.changed.elapsed() < REFUSAL_SHOWN,
+            Answer::Done => {
+                entry.changed.elapsed() < DONE_SHOWN && entry.published.answer(reported) == Some(Answer::Done)
+            }
+            Answer::Refused(_) | Answer::Missing | Answer::Absent => entry.changed.elapsed() < REFUSAL_SHOWN,
         });
         let shown = shown.filter(|entry| !is_superseded(entry));
         shown

@@ -7,8 +7,8 @@
 //!   receives a [`ProcessOrder`] over a channel, if there is one.
 
 use std::sync::mpsc::Sender;
-use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, Token};
 use heliostat_proto::{ControllerControl, FaultKind, MAX_USERS, MirrorFault, NodeKind, SimulatorControl};
@@ -88,6 +88,9 @@ impl Operator {
     /// - [`UiError::Bus`] if the session is closed.
     pub fn send(&self, order: &Order, view: &View) -> Result<u64, UiError> {
         let id = self.log.begin(order, view.reported());
+        if *order == Order::Stop {
+            self.stop_state().order_stop(Instant::now());
+        }
         let sent = order.check().and_then(|()| self.publish(order, id));
         // Telemetry can confirm a stop at any later time.
         if let Err(error) = &sent
@@ -105,9 +108,13 @@ impl Operator {
 
     /// The emergency stop, as far as the array confirmed it.
     pub fn stop_figures(&self) -> StopFigures {
-        let mut state = self.stop_state.lock().unwrap_or_else(PoisonError::into_inner);
         let (array, safety) = self.stop.reported();
-        state.update(self.log.stop_ordered(), array, safety)
+        self.stop_state().update(array, safety)
+    }
+
+    fn stop_state(&self) -> MutexGuard<'_, StopState> {
+        // Each change is complete before the lock is released.
+        self.stop_state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn publish(&self, order: &Order, id: u64) -> Result<(), UiError> {
@@ -124,7 +131,11 @@ impl Operator {
             Order::Stick { share } => self.set_fault(id, FaultKind::Stuck, *share),
             Order::Release => self.set_fault(id, FaultKind::Healed, 1.0),
             Order::Stop => self.stop.stop_and_confirm(BUTTON, STOP_LIMIT).map(drop),
-            Order::Rearm => self.stop.rearm(BUTTON),
+            Order::Rearm => {
+                self.stop.rearm(BUTTON)?;
+                self.stop_state().order_rearm(Instant::now());
+                Ok(())
+            }
             Order::KillController => self.control_processes(ProcessOrder::KillController, "kill the controller"),
             Order::RestartController => {
                 self.control_processes(ProcessOrder::RestartController, "restart the controller")

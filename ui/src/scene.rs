@@ -13,6 +13,7 @@ use heliostat_service::printable::printable;
 use serde::Serialize;
 
 use crate::View;
+use crate::belief::Belief;
 use crate::blocked_area::blocked_area;
 use crate::shown_room::{GeometrySource, ShownRoom};
 use crate::view::Received;
@@ -67,17 +68,6 @@ pub struct SceneUser {
     pub belief: Option<Belief>,
 }
 
-/// The ellipse that holds a user's position by the controller's belief.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Belief {
-    /// Centre: x and y in m.
-    pub at_m: [f64; 2],
-    /// Semi-axes in m.
-    pub semi_axes_m: [f64; 2],
-    /// Angle between the x axis and the first semi-axis in rad.
-    pub angle_rad: f64,
-}
-
 /// The moving objects.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Frame {
@@ -129,6 +119,7 @@ struct ObservedUser {
     /// Unit vector, or zero if unknown.
     heading: Vec3,
     blocked: bool,
+    belief: Option<Belief>,
 }
 
 impl View {
@@ -184,7 +175,7 @@ impl FrameBuilder {
                     user: user.user,
                     min_rate_mbps: f64::from(user.min_rate_bps) * 1e-6,
                     without_mirrors_mbps: without_mirrors(index),
-                    belief: None,
+                    belief: user.belief.clone(),
                     at_m: rounded(&user.position),
                     body_m: body.as_ref().map(outline),
                     led: serving[index],
@@ -223,6 +214,8 @@ impl FrameBuilder {
             radius_m: f64::from(obstacle.radius_m),
             height_m: f64::from(obstacle.height_m),
         };
+        let belief = Received::fresh(&received.belief);
+        let belief_of = |user, drawn_ns| belief.and_then(|report| Belief::of(report, user, drawn_ns));
         let point = |position: [f32; 3]| Vec3::from(position.map(f64::from));
         if let Some(truth) = Received::fresh(&received.truth) {
             let observed = |user: &heliostat_proto::TruthUser| {
@@ -233,6 +226,7 @@ impl FrameBuilder {
                     position: point(user.position_m),
                     heading: Vec3::new(cos, sin, 0.0),
                     blocked: user.los_blocked,
+                    belief: belief_of(user.user, truth.stamp.time_ns),
                 }
             };
             let users = truth.users.iter().map(observed).collect();
@@ -256,6 +250,7 @@ impl FrameBuilder {
                 position: point(user.position_m),
                 heading: *heading,
                 blocked,
+                belief: belief_of(user.user, report.stamp.time_ns),
             }
         });
         (users.collect(), obstacles, telemetry)

@@ -45,25 +45,39 @@ pub struct StopFigures {
     pub reason: String,
 }
 
-/// Follows the reports of an array.
+/// Follows the orders of the page and the reports of an array.
 #[derive(Debug, Default)]
 pub(crate) struct StopState {
+    /// When the page ordered the last stop, unless the array answered a re-arm after it.
+    ordered: Option<Instant>,
+    /// When the page published a re-arm after that stop.
+    rearmed: Option<Instant>,
     stopped: Option<Instant>,
     released: Option<Instant>,
 }
 
 impl StopState {
-    /// The stop at this instant. `ordered` is the time of a stop of this page without a later
-    /// re-arm.
-    pub fn update(
-        &mut self,
-        ordered: Option<Instant>,
-        array: Dated<ArrayState>,
-        safety: Dated<SafetyReport>,
-    ) -> StopFigures {
+    /// Notes that the page orders a stop.
+    pub fn order_stop(&mut self, at: Instant) {
+        (self.ordered, self.rearmed) = (Some(at), None);
+    }
+
+    /// Notes that a re-arm was published. It ends the warning of an unconfirmed stop only together
+    /// with telemetry from after it: an array that is silent may still obey the stop, or ignore it.
+    pub fn order_rearm(&mut self, at: Instant) {
+        self.rearmed = Some(at);
+    }
+
+    /// The stop at this instant, from the last telemetry and the last safety report.
+    pub fn update(&mut self, array: Dated<ArrayState>, safety: Dated<SafetyReport>) -> StopFigures {
         let now = Instant::now();
         let since = |at: Instant| now.saturating_duration_since(at);
         let is_stopped = array.is_some_and(|(_, state)| state == ArrayState::Stopped);
+        let is_answered = |rearmed| array.is_some_and(|(at, _)| at > rearmed && !is_stopped);
+        if self.rearmed.is_some_and(is_answered) {
+            (self.ordered, self.rearmed) = (None, None);
+        }
+        let ordered = self.ordered;
         match (is_stopped, self.stopped) {
             (true, None) => (self.stopped, self.released) = (Some(now), None),
             (false, Some(_)) => (self.stopped, self.released) = (None, Some(now)),
@@ -102,41 +116,61 @@ mod tests {
         Instant::now() - Duration::from_millis(ms)
     }
 
-    fn phase(state: &mut StopState, ordered: Option<Instant>, array: Dated<ArrayState>) -> StopPhase {
-        state.update(ordered, array, None).phase
+    /// The state after a stop that was ordered so long ago.
+    fn ordered(ms: u64) -> StopState {
+        let mut state = StopState::default();
+        state.order_stop(ago(ms));
+        state
+    }
+
+    fn phase(state: &mut StopState, array: Dated<ArrayState>) -> StopPhase {
+        state.update(array, None).phase
     }
 
     #[test]
     fn an_order_is_requested_then_unconfirmed_until_telemetry_confirms_it() {
-        let mut state = StopState::default();
         let moving = Some((ago(0), ArrayState::Following));
-        assert_eq!(phase(&mut state, None, moving), StopPhase::None);
-        assert_eq!(phase(&mut state, Some(ago(100)), moving), StopPhase::Requested);
-        assert_eq!(phase(&mut state, Some(ago(1500)), moving), StopPhase::Unconfirmed);
-        assert_eq!(phase(&mut state, Some(ago(1500)), None), StopPhase::Unconfirmed);
-        assert_eq!(phase(&mut state, Some(ago(1600)), Some((ago(10), ArrayState::Stopped))), StopPhase::Confirmed);
+        assert_eq!(phase(&mut StopState::default(), moving), StopPhase::None);
+        assert_eq!(phase(&mut ordered(100), moving), StopPhase::Requested);
+        let mut state = ordered(1500);
+        assert_eq!(phase(&mut state, moving), StopPhase::Unconfirmed);
+        assert_eq!(phase(&mut state, None), StopPhase::Unconfirmed);
+        assert_eq!(phase(&mut state, Some((ago(10), ArrayState::Stopped))), StopPhase::Confirmed);
     }
 
     #[test]
     fn the_end_of_a_stop_is_reported_by_the_array_only() {
-        let mut state = StopState::default();
-        assert_eq!(phase(&mut state, Some(ago(50)), Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
-        // The re-arm was ordered; the array still reports the stop.
-        assert_eq!(phase(&mut state, None, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
-        assert_eq!(phase(&mut state, None, Some((ago(0), ArrayState::Following))), StopPhase::Released);
+        let mut state = ordered(50);
+        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
+        state.order_rearm(ago(0));
+        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
+        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Following))), StopPhase::Released);
+    }
+
+    #[test]
+    fn a_rearm_that_no_telemetry_answers_leaves_the_warning_of_an_unconfirmed_stop() {
+        let mut state = ordered(3000);
+        let before = Some((ago(2000), ArrayState::Following));
+        assert_eq!(phase(&mut state, before), StopPhase::Unconfirmed);
+        state.order_rearm(ago(1000));
+        assert_eq!(phase(&mut state, before), StopPhase::Unconfirmed);
+        assert_eq!(phase(&mut state, None), StopPhase::Unconfirmed);
+        assert_eq!(phase(&mut state, Some((ago(500), ArrayState::Following))), StopPhase::None);
+        // A stop after the re-arm is open again.
+        state.order_stop(ago(0));
+        assert_eq!(phase(&mut state, Some((ago(500), ArrayState::Following))), StopPhase::Requested);
     }
 
     #[test]
     fn a_release_by_another_operator_does_not_reopen_the_order() {
-        let mut state = StopState::default();
-        let ordered = Some(ago(3000));
-        assert_eq!(phase(&mut state, ordered, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
-        assert_eq!(phase(&mut state, ordered, Some((ago(0), ArrayState::Following))), StopPhase::Released);
+        let mut state = ordered(3000);
+        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Stopped))), StopPhase::Confirmed);
+        assert_eq!(phase(&mut state, Some((ago(0), ArrayState::Following))), StopPhase::Released);
     }
 
     #[test]
     fn the_age_of_the_confirmation_is_known() {
-        let figures = StopState::default().update(None, Some((ago(2000), ArrayState::Stopped)), None);
+        let figures = StopState::default().update(Some((ago(2000), ArrayState::Stopped)), None);
         assert_eq!(figures.phase, StopPhase::Confirmed);
         assert!(figures.report_age_s.is_some_and(|age| age >= 2.0), "{figures:?}");
     }

@@ -34,6 +34,8 @@ pub enum Display {
 pub struct Lines {
     /// The notes that were printed last.
     notes: Vec<String>,
+    /// The line that was printed last.
+    line: String,
 }
 
 /// A terminal in full-screen mode; dropping it restores the terminal.
@@ -89,7 +91,7 @@ impl Display {
     pub fn draw(&mut self, view: &View) -> Result<(), UiError> {
         let figures = view.figures();
         match self {
-            Self::Lines(lines) => lines.print(&figures),
+            Self::Lines(lines) => lines.next(&figures).iter().for_each(output::note),
             Self::Screen(screen) => {
                 let history = view.history();
                 screen.terminal.draw(|frame| draw(frame, &screen.title, &figures, &history))?;
@@ -115,13 +117,19 @@ impl Display {
 }
 
 impl Lines {
-    /// Prints the figures; before them the notes, if they have changed.
-    fn print(&mut self, figures: &Figures) {
+    /// The notes, if they have changed, and the figures, unless their line is the one before.
+    fn next(&mut self, figures: &Figures) -> Vec<String> {
+        let mut lines = Vec::new();
         if self.notes != figures.notes {
-            figures.notes.iter().for_each(output::note);
+            lines.clone_from(&figures.notes);
             self.notes.clone_from(&figures.notes);
         }
-        output::note(line(figures));
+        let line = line(figures);
+        if self.line != line {
+            lines.push(line.clone());
+            self.line = line;
+        }
+        lines
     }
 }
 
@@ -239,6 +247,17 @@ mod tests {
         );
         assert!(text.contains("blocked 1/2") && text.contains("decision p99 300 us"), "{text}");
         assert_eq!(line(&Figures::default()), "no messages from the room");
+    }
+
+    #[test]
+    fn a_line_is_not_repeated_while_nothing_changes() {
+        let mut lines = Lines::default();
+        assert_eq!(lines.next(&Figures::default()), ["no messages from the room"]);
+        assert!(lines.next(&Figures::default()).is_empty());
+        let running = figures(2);
+        assert_eq!(lines.next(&running).len(), 2, "a note and a line");
+        assert!(lines.next(&running).is_empty());
+        assert_eq!(lines.next(&Figures::default()), ["no messages from the room"]);
     }
 
     #[test]

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry, RoomTruth,
-    SumRates, UserReport, codec,
+    BeliefReport, ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry,
+    RoomTruth, SumRates, UserReport, codec,
 };
 use heliostat_scenario::Scenario;
 
@@ -47,6 +47,8 @@ pub(crate) struct Received {
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
     pub telemetry: Dated<MirrorTelemetry>,
+    /// Of the controller whose status is displayed.
+    pub belief: Dated<BeliefReport>,
     /// The geometry that the simulator announces, as TOML.
     pub room_geometry: Dated<Arc<str>>,
     /// The geometry that the controller announces, as TOML.
@@ -165,6 +167,13 @@ impl Received {
         self.truth = Some((at, truth));
     }
 
+    fn take_belief(&mut self, belief: BeliefReport) {
+        let displayed = self.fresh_status(NodeKind::Controller.name());
+        if displayed.is_none_or(|status| status.stamp.source == belief.stamp.source) {
+            self.belief = Some((Instant::now(), belief));
+        }
+    }
+
     fn take_status(&mut self, status: NodeStatus) {
         if !self.is_displayed(&status) {
             return;
@@ -203,6 +212,7 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         store(bus, &room.telemetry(), received, |received, telemetry| {
             received.telemetry = Some((Instant::now(), telemetry))
         })?,
+        store(bus, &room.belief(), received, Received::take_belief)?,
         store(bus, &room.all_status(), received, Received::take_status)?,
         store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
             keep_text(&mut received.room_geometry, geometry.scenario)
@@ -269,6 +279,11 @@ mod tests {
         assert_eq!(shown(&received), (2, 4), "the first is in standby");
         received.take_status(status(1, 502, 1));
         assert_eq!(shown(&received), (2, 4), "a controller in standby replaces none");
+        for (source, is_taken) in [(1, false), (2, true)] {
+            let stamp = Stamp { source, ..Stamp::default() };
+            received.take_belief(BeliefReport { stamp, ..BeliefReport::default() });
+            assert_eq!(received.belief.is_some(), is_taken, "the belief of the displayed controller");
+        }
         received.alive.remove(&(name, 2));
         received.take_status(status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");

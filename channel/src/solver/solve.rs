@@ -31,7 +31,7 @@ impl Solver {
     /// # Panics
     /// When the number of users or of mirrors is 0.
     pub fn new(users: usize, mirrors: usize) -> Self {
-        assert!(users > 0 && mirrors > 0, "{users} users and {mirrors} mirrors: expected at least one of each");
+        assert!(users > 0 && mirrors > 0, "users: {users}, mirrors: {mirrors}, expected at least one of each");
         Self {
             users,
             mirrors,

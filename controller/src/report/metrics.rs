@@ -86,6 +86,13 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
         let help = "Axis angles changed by a limit of range or slew rate";
         page.counter("heliostat_angles_limited", help, &[room, ("by", by)], count);
     }
+    if let Some(belief) = &summary.belief {
+        let help = "Positions in reports that were compared with the belief's predictions";
+        page.counter("heliostat_belief_reports", help, &[room], belief.reports);
+        let help =
+            "Mean normalised innovation squared of these positions since the start; 2 if the covariance is right";
+        page.gauge("heliostat_belief_innovation_mean", help, &[room], belief.innovation_mean);
+    }
     if let Some(array) = &summary.array {
         for (bit, name) in FAULTS {
             let value = f64::from(u8::from(array.faults & bit != 0));

@@ -3,6 +3,7 @@
 use std::{collections::BTreeMap, fmt};
 
 use heliostat_decide::{
+    belief::innovations::Innovations,
     capabilities::Unfit,
     core::{Controller, DegradedMode, Stage},
     policy::Tally,
@@ -69,6 +70,9 @@ pub struct Summary {
     /// From the last telemetry of the array; absent before the first.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub array: Option<ArraySummary>,
+    /// The belief against the position reports; absent where `control.belief` names no filter.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub belief: Option<BeliefSummary>,
     /// Sources that owned the room, in succession.
     pub sources: u64,
     /// Commands that the transport refused.
@@ -146,6 +150,28 @@ pub struct ArraySummary {
     pub refused: u64,
 }
 
+/// How well the predictions of the belief agreed with the position reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BeliefSummary {
+    /// Reported positions of known users.
+    pub reports: u64,
+    /// Mean normalised innovation squared of these positions; 2 if the belief's covariance is right.
+    pub innovation_mean: f64,
+}
+
+impl BeliefSummary {
+    fn of(innovations: Innovations) -> Self {
+        let Innovations { count, sum } = innovations;
+        Self { reports: count, innovation_mean: sum / count.max(1) as f64 }
+    }
+
+    /// The summary of both, by their numbers of reports.
+    fn with(self, other: Self) -> Self {
+        let sum = |summary: Self| summary.innovation_mean * summary.reports as f64;
+        Self::of(Innovations { count: self.reports + other.reports, sum: sum(self) + sum(other) })
+    }
+}
+
 /// Axis values that the limits changed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClippedSummary {
@@ -188,6 +214,7 @@ impl Summary {
                 unusable: telemetry.unusable.len() as u64,
                 refused: telemetry.counters.refused(),
             }),
+            belief: controller.innovations().map(BeliefSummary::of),
             sources: controller.inbox().sources(),
             ..Self::default()
         }
@@ -238,6 +265,10 @@ impl Summary {
         for (name, policy) in &other.policies {
             self.policies.entry(name.clone()).or_default().add(policy);
         }
+        self.belief = match (self.belief, other.belief) {
+            (Some(here), Some(there)) => Some(here.with(there)),
+            (here, there) => here.or(there),
+        };
         self.standby |= other.standby;
         self.driver_absent |= other.driver_absent;
         self.geometry_differs |= other.geometry_differs;
@@ -289,6 +320,12 @@ impl fmt::Display for Summary {
                 formatter,
                 "\nusers without a measured gain, or beyond the policy's capacity, summed over decisions:{}",
                 list(&self.users)
+            )?;
+        }
+        if let Some(BeliefSummary { reports, innovation_mean }) = self.belief {
+            write!(
+                formatter,
+                "\nbelief: mean normalised innovation squared {innovation_mean:.2} over {reports} reported positions"
             )?;
         }
         if !self.epoch_events.is_empty() {

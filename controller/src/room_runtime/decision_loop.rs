@@ -35,6 +35,7 @@ use super::{
     locks::{lock, try_lock},
     receive_queue::{ReceiveQueue, Wake},
     room_clock::RoomClock,
+    state_publisher::StatePublisher,
     watchdog::Watchdog,
 };
 use crate::report::stage_times::{StageStamps, StageTimes};
@@ -96,6 +97,7 @@ pub struct DecisionLoop {
     sender: Arc<CommandSender>,
     watchdog: Arc<Watchdog>,
     warmer: CacheWarmer,
+    states: StatePublisher,
     /// Decoded into, and swapped with the core's former reports.
     buffers: Buffers,
     /// The stamps of the tick that is due.
@@ -148,8 +150,8 @@ impl DecisionLoop {
         controller: Controller,
         clock: RoomClock,
         deadline: Duration,
-        sender: Arc<CommandSender>,
-        watchdog: Arc<Watchdog>,
+        (sender, watchdog): (Arc<CommandSender>, Arc<Watchdog>),
+        states: StatePublisher,
     ) -> Self {
         Self {
             controller,
@@ -159,6 +161,7 @@ impl DecisionLoop {
             sender,
             watchdog,
             warmer: CacheWarmer::new(false),
+            states,
             buffers: Buffers::new(),
             due: None,
             deadline,
@@ -213,7 +216,8 @@ impl DecisionLoop {
         self.watchdog.on_progress();
         let started = Instant::now();
         let timing = self.timing(stamps.waited(started));
-        let decision = self.controller.poll_command(self.clock.now(), timing, &mut |stage| stamps.mark(stage));
+        let now = self.clock.now();
+        let decision = self.controller.poll_command(now, timing, &mut |stage| stamps.mark(stage));
         let age_ns = match &decision {
             Decision::Move { age_ns, .. } => Some(*age_ns),
             Decision::Hold(_) => None,
@@ -231,6 +235,9 @@ impl DecisionLoop {
             Timing::Late => self.warmer.on_late_decision(ended),
         }
         self.last_decision = Some(ended);
+        if timing == Timing::InTime {
+            self.states.after_decision(&mut self.controller, now);
+        }
     }
 
     /// Replaces the policy, and returns the former one. `fresh` is empty: the times of the former

@@ -2,6 +2,7 @@
 
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_proto::{MirrorCommand, Nanos};
+use serde::{Deserialize, Serialize};
 
 /// Commands that are kept: at 100 per second those of the largest age of a report.
 const COMMANDS: usize = 64;
@@ -11,8 +12,8 @@ const COMMANDS: usize = 64;
 const SAME_RAD: f32 = 2e-3;
 
 /// The angles of a command, and when they are valid.
-#[derive(Clone, Debug, Default)]
-struct Entry {
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(super) struct Entry {
     from_ns: Nanos,
     until_ns: Nanos,
     roll: Vec<f32>,
@@ -46,6 +47,26 @@ impl AngleHistory {
     /// The array announces its settling time in s.
     pub fn set_settling(&mut self, settling_s: f64) {
         self.settling_ns = (settling_s * 1e9) as Nanos;
+    }
+
+    /// The commands that were valid after a time, in their order.
+    pub(super) fn since(&self, time_ns: Nanos) -> Vec<Entry> {
+        let (later, earlier) = self.entries.split_at(self.next);
+        earlier.iter().chain(later).filter(|entry| entry.until_ns > time_ns).cloned().collect()
+    }
+
+    /// Replaces the commands; false, without a change, where they are not those of this array.
+    pub(super) fn restore(&mut self, entries: &[Entry]) -> bool {
+        let mirrors = self.entries[0].roll.len();
+        let fits = entries.len() <= COMMANDS
+            && entries.iter().all(|entry| [entry.roll.len(), entry.yaw.len()] == [mirrors; 2])
+            && entries.iter().all(|entry| entry.roll.iter().chain(&entry.yaw).all(|angle| angle.is_finite()));
+        if fits {
+            self.clear();
+            self.entries[..entries.len()].clone_from_slice(entries);
+            self.next = entries.len() % COMMANDS;
+        }
+        fits
     }
 
     /// Forgets all commands.

@@ -1,11 +1,13 @@
 //! Whether a user's direct path is off for a reason that neither bodies nor obstacles explain: a hand
 //! over the detector, a person without a device.
 
+use serde::{Deserialize, Serialize};
+
 /// Probability of a measurement that contradicts the state.
 const WRONG: f64 = 0.02;
 
 /// The probability that a user's direct path is off.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Covered {
     probability: f64,
     prior: f64,
@@ -20,6 +22,11 @@ impl Covered {
 
     /// Where they are not, a lasting one is rare.
     pub const UNKNOWN_OBSTACLES: Self = Self { probability: 0.005, prior: 0.005, change: 0.01 };
+
+    /// Whether the values are probabilities: a recorded state may hold any numbers.
+    pub(super) fn is_sound(&self) -> bool {
+        [self.probability, self.prior, self.change].iter().all(|value| (0.0..=1.0).contains(value))
+    }
 
     /// The probability.
     pub fn probability(&self) -> f64 {

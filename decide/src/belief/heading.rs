@@ -4,6 +4,7 @@
 //! position report shows; the user's own body is then found by the light that it blocks.
 
 use heliostat_channel::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// Headings of the distribution: every 10 degrees.
 pub const HEADINGS: usize = 36;
@@ -21,7 +22,8 @@ const CONCENTRATION_MAX: f64 = 50.0;
 const NEGLIGIBLE: f64 = 1e-3 / HEADINGS as f64;
 
 /// The probability of each heading.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(into = "Vec<f64>", try_from = "Vec<f64>")]
 pub struct Heading {
     probability: [f64; HEADINGS],
 }
@@ -30,6 +32,23 @@ impl Default for Heading {
     /// No knowledge.
     fn default() -> Self {
         Self { probability: [1.0 / HEADINGS as f64; HEADINGS] }
+    }
+}
+
+impl From<Heading> for Vec<f64> {
+    fn from(heading: Heading) -> Self {
+        heading.probability.to_vec()
+    }
+}
+
+impl TryFrom<Vec<f64>> for Heading {
+    type Error = &'static str;
+
+    /// A recorded state may hold any numbers.
+    fn try_from(values: Vec<f64>) -> Result<Self, Self::Error> {
+        let is_sound = values.iter().all(|value| (0.0..=1.0).contains(value));
+        let probability = values.try_into().ok().filter(|_| is_sound);
+        Ok(Self { probability: probability.ok_or("a heading has 36 probabilities")? })
     }
 }
 

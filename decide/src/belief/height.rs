@@ -1,5 +1,7 @@
 //! The height of a user's detector: constant, with rare changes when a user sits down or rises.
 
+use serde::{Deserialize, Serialize};
+
 /// Variance in m2 that the height gains per second, so that a slow change is followed.
 const DRIFT_M2_PER_S: f64 = 1e-4;
 
@@ -7,7 +9,7 @@ const DRIFT_M2_PER_S: f64 = 1e-4;
 const CHANGE_DEVIATIONS: f64 = 5.0;
 
 /// A Kalman filter for one constant.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Height {
     mean_m: f64,
     /// Variance in m2; 0 before the first report.
@@ -28,6 +30,11 @@ impl Height {
         let gain = predicted / (predicted + noise);
         self.mean_m += gain * innovation;
         self.variance = predicted * (1.0 - gain);
+    }
+
+    /// Whether the numbers are those of a height: a recorded state may hold any.
+    pub(super) fn is_sound(&self) -> bool {
+        self.mean_m.is_finite() && self.variance >= 0.0 && self.variance.is_finite()
     }
 
     /// The estimate in m.

@@ -10,21 +10,39 @@
 //! of a random waypoint walk.
 
 use num_complex::Complex;
+use serde::{Deserialize, Serialize};
 
 /// A point or a velocity in the floor plane: x + iy, in m or m/s.
 pub(super) type Plane = Complex<f64>;
+
+/// A [`Plane`] as a pair of numbers, for serde.
+mod plane {
+    use num_complex::Complex;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub fn serialize<S: Serializer>(plane: &Complex<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+        (plane.re, plane.im).serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Complex<f64>, D::Error> {
+        <(f64, f64)>::deserialize(deserializer).map(|(re, im)| Complex::new(re, im))
+    }
+}
 
 /// Below this turn rate in rad/s a path is straight.
 const STRAIGHT_RAD_S: f64 = 1e-6;
 
 /// Means and variances of position and velocity. Variances are those of one axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
+    #[serde(with = "plane")]
     pub position: Plane,
+    #[serde(with = "plane")]
     pub velocity: Plane,
     /// Variance of the position in m2.
     pub position_var: f64,
     /// Half the mean of the position's error times the conjugate of the velocity's, in m2/s.
+    #[serde(with = "plane")]
     pub cross: Plane,
     /// Variance of the velocity in m2/s2.
     pub velocity_var: f64,
@@ -97,13 +115,27 @@ fn log_density(error: Plane, variance: f64) -> f64 {
 }
 
 /// A hypothesis and its weight.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Hypothesis {
     pub state: State,
     /// Turn rate in rad/s; 0 on a straight path.
     pub turn_rate: f64,
     /// Logarithm of the weight.
     pub log_weight: f64,
+}
+
+/// Largest absolute value in a sound hypothesis, in its own unit: beyond any room and walk.
+const SOUND_MAX: f64 = 1e6;
+
+impl Hypothesis {
+    /// Whether all numbers are those of a walk: a recorded state may hold any.
+    pub fn is_sound(&self) -> bool {
+        let State { position, velocity, position_var, cross, velocity_var } = self.state;
+        let numbers = [position.re, position.im, velocity.re, velocity.im, position_var, cross.re, cross.im];
+        let others = [velocity_var, self.turn_rate, self.log_weight];
+        // Comparisons with NaN are false.
+        numbers.iter().chain(&others).all(|number| number.abs() <= SOUND_MAX)
+    }
 }
 
 #[cfg(test)]

@@ -5,6 +5,8 @@
 //! likelihood of the reported position and velocity updates all weights. The heaviest
 //! eight are kept. The estimate is the mean of the bank.
 
+use serde::{Deserialize, Serialize};
+
 use super::hypothesis::{Hypothesis, Plane, State};
 
 /// Hypotheses that are kept after a report.
@@ -83,7 +85,7 @@ enum Change {
 }
 
 /// The motion of one user.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Motion {
     bank: [Hypothesis; HYPOTHESES + ADDED],
     kept: usize,
@@ -122,6 +124,11 @@ impl Motion {
             position_cov_m2: [xx, xy, yy],
             velocity_var_m2_s2: mean.velocity_var,
         }
+    }
+
+    /// Whether the hypotheses are those of a motion: a recorded state may hold any.
+    pub(super) fn is_sound(&self) -> bool {
+        (1..=HYPOTHESES).contains(&self.kept) && self.bank[..self.kept].iter().all(Hypothesis::is_sound)
     }
 
     /// Moves every hypothesis on, and adds those of a change within the interval.

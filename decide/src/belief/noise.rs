@@ -5,12 +5,14 @@
 //! estimate uses the median: half of the squared differences lie below 2 ln 2 times the variance.
 //! The median of the stream is tracked by steps up and down, which no single value can upset.
 
+use serde::{Deserialize, Serialize};
+
 /// Relative step of the logarithm of the median per value: the estimate doubles or halves within
 /// about 35 values of one sign, so it follows a wrong setting within some seconds.
 const STEP: f64 = 0.02;
 
 /// The standard deviation of one kind of noise.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct NoiseLevel {
     /// Variance of one axis.
     variance: f64,
@@ -23,6 +25,11 @@ impl NoiseLevel {
     pub fn new(first: f64, [least, largest]: [f64; 2]) -> Self {
         let first = first.clamp(least, largest);
         Self { variance: first * first, bounds: [least * least, largest * largest] }
+    }
+
+    /// Whether another level has the same bounds, and lies within them.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        self.bounds == other.bounds && (self.bounds[0]..=self.bounds[1]).contains(&other.variance)
     }
 
     /// Takes the square of a difference in the plane, which has `factor` times the variance of one

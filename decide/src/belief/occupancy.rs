@@ -9,6 +9,7 @@
 
 use heliostat_channel::Vec3;
 use heliostat_scenario::Scenario;
+use serde::{Deserialize, Serialize};
 
 /// Side of a cell in m, in rooms of up to [`CELLS_MAX`] cells.
 const CELL_M: f64 = 0.2;
@@ -137,6 +138,13 @@ pub struct Occupancy {
     suspects: Vec<Suspect>,
 }
 
+/// The state of a map, as a recording holds it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct OccupancyMemory {
+    probability: Vec<f64>,
+    row: usize,
+}
+
 /// A cell that probably holds an obstacle.
 #[derive(Clone, Copy, Debug)]
 struct Suspect {
@@ -173,6 +181,25 @@ impl Occupancy {
             touched: Vec::with_capacity(cells),
             suspects: Vec::with_capacity(cells),
         })
+    }
+
+    /// The probability of each cell, and the row that relaxes next.
+    pub(super) fn memory(&self) -> OccupancyMemory {
+        OccupancyMemory { probability: self.probability.clone(), row: self.row }
+    }
+
+    /// Replaces the probabilities; false, without a change, where they are not those of this floor.
+    pub(super) fn restore(&mut self, memory: &OccupancyMemory) -> bool {
+        let is_probability = |value: &f64| (0.0..=1.0).contains(value);
+        let fits = memory.probability.len() == self.probability.len()
+            && memory.row < self.grid.rows
+            && memory.probability.iter().all(is_probability);
+        if fits {
+            self.probability.clone_from(&memory.probability);
+            self.row = memory.row;
+            self.list_suspects();
+        }
+        fits
     }
 
     /// Forgets everything but the mean density.
@@ -235,6 +262,10 @@ impl Occupancy {
             .iter_mut()
             .for_each(|probability| *probability += RELAXATION * (self.mean - *probability));
         self.row = (self.row + 1) % self.grid.rows;
+        self.list_suspects();
+    }
+
+    fn list_suspects(&mut self) {
         let Self { grid, probability, suspects, mean, .. } = self;
         suspects.clear();
         let suspected = SUSPECTED * *mean;

@@ -2,6 +2,7 @@
 
 use heliostat_proto::Nanos;
 use heliostat_scenario::{DegradedAction, Scenario};
+use serde::{Deserialize, Serialize};
 
 /// The scenario's actions in degraded modes, and when silence begins.
 #[derive(Clone, Copy, Debug)]
@@ -27,7 +28,7 @@ impl DegradedActions {
 }
 
 /// When the last position report was accepted, and whether its absence since then was handled.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct LastReport {
     pub accepted_ns: Nanos,
     pub silence_handled: bool,

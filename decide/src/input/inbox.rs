@@ -16,10 +16,13 @@
 //! Only an accepted report takes ownership or renews it. Each refusal is counted by stream and
 //! reason. No refusal stops the controller.
 
+pub mod memory;
+
 use heliostat_proto::{
     CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Stamp, UserReport,
 };
 use heliostat_scenario::Scenario;
+use serde::{Deserialize, Serialize};
 
 use crate::input::{
     refusal::{Refusal, Refused, Stream},
@@ -66,7 +69,7 @@ impl Message<'_> {
 }
 
 /// The source whose reports are accepted, and the arrival of its last accepted report.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Owner {
     source: u64,
     last_report_ns: Nanos,

@@ -7,6 +7,7 @@
 //! at most.
 
 use heliostat_proto::{Nanos, Stamp};
+use serde::{Deserialize, Serialize};
 
 use crate::input::refusal::Refusal;
 
@@ -15,16 +16,18 @@ use crate::input::refusal::Refusal;
 pub const SEQUENCE_STEP_MAX: u64 = 1_000_000;
 
 /// The sequence numbers of one stream.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct SequenceTrack {
     last: Option<Accepted>,
     /// Messages after the last accepted one that arrived and were refused.
+    #[serde(skip)]
     refused: u64,
+    #[serde(skip)]
     missed: u64,
 }
 
 /// The last accepted message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Accepted {
     source: u64,
     sequence: u64,

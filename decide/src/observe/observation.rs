@@ -196,7 +196,7 @@ pub enum EncodeError {
         capacity: usize,
     },
     /// Another number of mirrors.
-    #[error("{found} mirrors, expected {expected} as in the actor")]
+    #[error("an array of size {found}, expected {expected} as in the actor")]
     Mirrors {
         /// Mirrors in the observation.
         found: usize,
@@ -204,7 +204,7 @@ pub enum EncodeError {
         expected: usize,
     },
     /// The buffer has another length than the vector.
-    #[error("a buffer of {found} values, expected {expected} as in the vector")]
+    #[error("a buffer of length {found}, expected {expected} as in the vector")]
     Buffer {
         /// Length of the buffer.
         found: usize,

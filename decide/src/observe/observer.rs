@@ -19,6 +19,9 @@
 //! With the filter, measured gains show headings and unreported obstacles; the gain of the direct
 //! path is then that of the model at the predicted place, or 0 where it is probably blocked.
 
+mod beliefs;
+pub mod memory;
+
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, UserReport};
 use heliostat_scenario::Scenario;
@@ -123,6 +126,18 @@ impl Observer {
     /// The belief of the filter; absent where `control.belief` is another one.
     pub fn belief(&self) -> Option<&Belief> {
         self.prediction.belief()
+    }
+
+    /// The directions in which the users of the last observation face, in its order: unit vectors in
+    /// the floor plane, zero while unknown. Without bodies in the scenario all are unknown.
+    pub fn headings(&self) -> &[Vec3] {
+        &self.headings
+    }
+
+    /// From a decision to the middle of its command's time in force, for which users are predicted,
+    /// in s: half of the interval between reports, and the settling time of the mirrors.
+    pub fn lead_s(&self) -> f64 {
+        self.prediction.lead_s()
     }
 
     /// Discards the users, and the directions that they face.

@@ -3,8 +3,9 @@
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{self as scenario, Scenario};
+use serde::{Deserialize, Serialize};
 
-use crate::belief::Belief;
+use crate::belief::{Belief, Estimate, memory::BeliefMemory};
 
 /// Weight of a new interval in the mean time between reports.
 const INTERVAL_WEIGHT: f64 = 0.1;
@@ -68,38 +69,56 @@ pub struct Predicted {
     pub direct_clear: Option<f64>,
 }
 
-/// The prediction of all users of a room.
-pub enum Prediction {
+/// A settling time or an interval in a recorded state above this, in s, is of no room.
+const TIME_MAX_S: f64 = 1e6;
+
+/// The state of a prediction, as a recording holds it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PredictionMemory {
+    settling_s: f64,
+    interval_s: f64,
+    last_ns: Nanos,
+    belief: Option<BeliefMemory>,
+}
+
+/// How users are predicted.
+enum Method {
     /// At their reported positions.
     AsReported,
     /// At their reported velocities.
-    ConstantVelocity(Lead),
+    ConstantVelocity,
     /// By a filter of all reports.
-    Filter(Lead, Box<Belief>),
+    Filter(Box<Belief>),
+}
+
+/// The prediction of all users of a room.
+pub struct Prediction {
+    lead: Lead,
+    method: Method,
 }
 
 impl Prediction {
     /// The prediction that the scenario names.
     pub fn new(scenario: &Scenario, model: &ChannelModel) -> Self {
-        match scenario.control.belief {
-            scenario::Belief::None => Self::AsReported,
-            scenario::Belief::ConstantVelocity => Self::ConstantVelocity(Lead::new(scenario)),
-            scenario::Belief::Filter => {
-                Self::Filter(Lead::new(scenario), Box::new(Belief::new(scenario, model, MAX_USERS)))
-            }
-        }
+        let method = match scenario.control.belief {
+            scenario::Belief::None => Method::AsReported,
+            scenario::Belief::ConstantVelocity => Method::ConstantVelocity,
+            scenario::Belief::Filter => Method::Filter(Box::new(Belief::new(scenario, model, MAX_USERS))),
+        };
+        Self { lead: Lead::new(scenario), method }
     }
 
     /// Extends the prediction by the settling time of the mirrors in s.
     pub fn set_settling(&mut self, settling_s: f64) {
-        match self {
-            Self::AsReported => {}
-            Self::ConstantVelocity(lead) => lead.settling_s = settling_s,
-            Self::Filter(lead, belief) => {
-                lead.settling_s = settling_s;
-                belief.set_settling(settling_s);
-            }
+        self.lead.settling_s = settling_s;
+        if let Method::Filter(belief) = &mut self.method {
+            belief.set_settling(settling_s);
         }
+    }
+
+    /// From a decision to the middle of its command's time in force, in s.
+    pub fn lead_s(&self) -> f64 {
+        self.lead.ahead_s(0.0)
     }
 
     /// Takes an accepted channel report; see [`Belief::handle_channel`].
@@ -110,43 +129,72 @@ impl Prediction {
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
-        if let Self::Filter(_, belief) = self {
+        if let Method::Filter(belief) = &mut self.method {
             belief.handle_channel(model, report, obstacles, unusable);
         }
     }
 
     /// Notes a command that was given.
     pub fn handle_command(&mut self, command: &MirrorCommand) {
-        if let Self::Filter(_, belief) = self {
+        if let Method::Filter(belief) = &mut self.method {
             belief.handle_command(command);
         }
     }
 
     /// Takes an accepted position report.
     pub fn handle_users(&mut self, report: &UserReport) {
-        match self {
-            Self::AsReported => {}
-            Self::ConstantVelocity(lead) => lead.handle_users(report.stamp.time_ns),
-            Self::Filter(lead, belief) => {
-                lead.handle_users(report.stamp.time_ns);
-                belief.handle_users(report);
-            }
+        self.lead.handle_users(report.stamp.time_ns);
+        if let Method::Filter(belief) = &mut self.method {
+            belief.handle_users(report);
         }
     }
 
     /// Forgets the users.
     pub fn forget(&mut self) {
-        if let Self::Filter(_, belief) = self {
+        if let Method::Filter(belief) = &mut self.method {
             belief.forget();
         }
     }
 
     /// The belief of the filter; absent where `control.belief` is another one.
     pub fn belief(&self) -> Option<&Belief> {
-        match self {
-            Self::Filter(_, belief) => Some(belief),
-            Self::AsReported | Self::ConstantVelocity(_) => None,
+        match &self.method {
+            Method::Filter(belief) => Some(belief),
+            Method::AsReported | Method::ConstantVelocity => None,
         }
+    }
+
+    /// The present state.
+    pub fn memory(&self) -> PredictionMemory {
+        let Lead { settling_s, interval_s, last_ns, .. } = self.lead;
+        PredictionMemory { settling_s, interval_s, last_ns, belief: self.belief().map(Belief::memory) }
+    }
+
+    /// Replaces the state; false where it is not one of this scenario.
+    pub fn restore(&mut self, memory: &PredictionMemory) -> bool {
+        let PredictionMemory { settling_s, interval_s, last_ns, belief } = memory;
+        if ![settling_s, interval_s].iter().all(|time_s| (0.0..=TIME_MAX_S).contains(*time_s)) {
+            return false;
+        }
+        self.set_settling(*settling_s);
+        self.lead = Lead { interval_s: *interval_s, last_ns: *last_ns, ..self.lead };
+        match (&mut self.method, belief) {
+            (Method::Filter(belief), Some(memory)) => belief.restore(memory),
+            (Method::AsReported | Method::ConstantVelocity, None) => true,
+            _ => false,
+        }
+    }
+
+    /// From the sampling of a report of this age to the time for which the belief holds, in s;
+    /// absent without a belief.
+    pub fn ahead_s(&self, age_s: f64) -> Option<f64> {
+        self.belief().map(|_| self.lead.ahead_s(age_s))
+    }
+
+    /// The belief about a user of the last report, which has this age in s, within the room.
+    pub fn estimate(&self, user: u32, age_s: f64) -> Option<Estimate> {
+        let estimate = self.belief()?.estimate(user, self.lead.ahead_s(age_s))?;
+        Some(Estimate { position: self.lead.within_room(estimate.position), ..estimate })
     }
 
     /// A user of the last report, which has this age in s.
@@ -155,20 +203,18 @@ impl Prediction {
         let [x, y] = user.velocity_m_s.map(f64::from);
         let velocity = Vec3::new(x, y, 0.0);
         let as_reported = Predicted { position, velocity, heading: None, direct_clear: None };
-        match self {
-            Self::AsReported => as_reported,
-            Self::ConstantVelocity(lead) => {
-                Predicted { position: lead.within_room(position + velocity * lead.ahead_s(age_s)), ..as_reported }
+        match &self.method {
+            Method::AsReported => as_reported,
+            Method::ConstantVelocity => {
+                let position = self.lead.within_room(position + velocity * self.lead.ahead_s(age_s));
+                Predicted { position, ..as_reported }
             }
-            Self::Filter(lead, belief) => match belief.estimate(user.user, lead.ahead_s(age_s)) {
-                Some(estimate) => Predicted {
-                    position: lead.within_room(estimate.position),
-                    velocity: estimate.velocity,
-                    heading: Some(estimate.heading),
-                    direct_clear: Some(estimate.direct_clear),
-                },
-                None => as_reported,
-            },
+            Method::Filter(_) => self.estimate(user.user, age_s).map_or(as_reported, |estimate| Predicted {
+                position: estimate.position,
+                velocity: estimate.velocity,
+                heading: Some(estimate.heading),
+                direct_clear: Some(estimate.direct_clear),
+            }),
         }
     }
 }

@@ -30,6 +30,16 @@ impl Selection {
         }
     }
 
+    /// The user in each slot.
+    pub fn slots(&self) -> &[u32] {
+        self.slots.ids()
+    }
+
+    /// Replaces the users of the slots.
+    pub fn set_slots(&mut self, users: &[u32]) {
+        self.slots.follow(users);
+    }
+
     /// The index of the user in each slot.
     pub fn choose(&mut self, observation: &Observation) -> &[usize] {
         let (ids, min_rate_bps) = (&observation.ids, &observation.min_rate_bps);

@@ -3,6 +3,8 @@
 
 use heliostat_proto::{ArrayState, EmergencyStop, MirrorTelemetry, Nanos, Rearm, SafetyReport, StopAction};
 
+use serde::{Deserialize, Serialize};
+
 use crate::output::{
     capabilities::Unfit,
     outcome::{Counters, DegradedMode},
@@ -27,6 +29,13 @@ pub(crate) struct Guard {
     validity_max_ms: u32,
 }
 
+/// The state of a guard, as a recording holds it: without tenure and fit.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct GuardMemory {
+    stop: StopLatch,
+    validity_max_ms: u32,
+}
+
 impl Guard {
     pub fn new(tenure: Tenure, own_validity_ms: u32) -> Self {
         Self {
@@ -37,6 +46,14 @@ impl Guard {
             own_validity_ms,
             validity_max_ms: u32::MAX,
         }
+    }
+
+    pub fn memory(&self) -> GuardMemory {
+        GuardMemory { stop: self.stop, validity_max_ms: self.validity_max_ms }
+    }
+
+    pub fn restore(&mut self, memory: &GuardMemory) {
+        (self.stop, self.validity_max_ms) = (memory.stop, memory.validity_max_ms);
     }
 
     /// Stores the result of an examination of the array.
@@ -107,7 +124,7 @@ impl Guard {
 ///
 /// A re-arm releases it that names the latched stop, or that is later than it. A safety report of
 /// the array without a stop releases it too, for the array is the authority.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct StopLatch {
     stopped: bool,
     /// Source and sequence of the latched stop.

@@ -1,6 +1,6 @@
 //! Results of the core: what is due after an input, decisions, degraded modes, and counters.
 
-use heliostat_proto::{MirrorCommand, Nanos};
+use heliostat_proto::{InputKind, MirrorCommand, Nanos};
 
 use crate::output::{safety::Clipped, tenure::TenureEvent};
 
@@ -58,6 +58,16 @@ pub enum Timing {
     InTime,
     /// The predicted latency exceeds the deadline.
     Late,
+}
+
+impl Timing {
+    /// The decision as an input in the contract.
+    pub fn input(self) -> InputKind {
+        match self {
+            Self::InTime => InputKind::Decision,
+            Self::Late => InputKind::LateDecision,
+        }
+    }
 }
 
 /// The result of a poll.

@@ -59,6 +59,22 @@ impl Limits {
         self.axes_rad = [ends(roll), ends(yaw)];
     }
 
+    /// Smallest and largest roll, then yaw, in rad.
+    pub fn axes_rad(&self) -> [[f64; 2]; 2] {
+        self.axes_rad
+    }
+
+    /// Replaces smallest and largest roll, then yaw, in rad; false, without a change, where they are
+    /// not within the range.
+    pub fn restore_axes(&mut self, axes_rad: [[f64; 2]; 2]) -> bool {
+        let within = |[min, max]: &[f64; 2]| -self.range_rad <= *min && min <= max && *max <= self.range_rad;
+        let fits = axes_rad.iter().all(within);
+        if fits {
+            self.axes_rad = axes_rad;
+        }
+        fits
+    }
+
     /// Largest angle of each axis, plus and minus, in rad.
     pub fn range_rad(&self) -> f64 {
         self.range_rad

@@ -12,7 +12,7 @@ use heliostat_scenario::Scenario;
 use super::{
     actor_file::{ActorError, ActorFile, ActorInfo},
     engine::{Engine, Network},
-    proposal::{Policy, PolicyError},
+    proposal::{Policy, PolicyError, PolicyMemory},
 };
 use crate::{
     observe::{
@@ -83,10 +83,12 @@ impl Actor {
     /// Runs the network on its present input.
     fn run(&mut self, out: &mut MirrorAngles) -> Result<(), PolicyError> {
         let angles = self.network.run()?;
-        let (roll, yaw) =
-            angles.split_at_checked(self.info.mirrors).filter(|(_, yaw)| yaw.len() == self.info.mirrors).ok_or_else(
-                || PolicyError::Inference { message: format!("the network returned {} values", angles.len()) },
-            )?;
+        let (roll, yaw) = angles
+            .split_at_checked(self.info.mirrors)
+            .filter(|(_, yaw)| yaw.len() == self.info.mirrors)
+            .ok_or_else(|| PolicyError::Inference {
+                message: format!("the output of the network has a length of {}", angles.len()),
+            })?;
         widen(roll, &mut out.roll);
         widen(yaw, &mut out.yaw);
         Ok(check_finite(out)?)
@@ -114,8 +116,16 @@ impl Policy for Actor {
     }
 
     fn warm_cache(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) {
-        // An actor has no memory, and the next decision reports a failure.
+        // An actor keeps slots only, and the next decision reports a failure.
         let _ = self.act(model, observation, out);
+    }
+
+    fn memory(&self) -> PolicyMemory {
+        PolicyMemory { users: self.selection.slots().to_vec(), ..PolicyMemory::default() }
+    }
+
+    fn restore(&mut self, memory: &PolicyMemory) {
+        self.selection.set_slots(&memory.users);
     }
 }
 

@@ -72,7 +72,7 @@ pub enum ActorError {
     },
     /// The input or output has another shape or element type.
     #[error(
-        "{origin}: \"{port}\" is {found}, expected f32 [1, {expected}] for {users_max} users and {mirrors} mirrors; \
+        "{origin}: \"{port}\" is {found}, expected f32 [1, {expected}] for users.count = {users_max} and an array of size {mirrors}; \
          export the actor again with `heliostat train`"
     )]
     Shape {

@@ -16,7 +16,7 @@ use heliostat_scenario::{Control, Scenario};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::proposal::TimeSource;
+use super::proposal::{PolicyMemory, TimeSource};
 use crate::{observe::observation::Observation, output::safety::Limits};
 
 /// Candidates; the usual number of the literature is 20 to 50, and a short budget asks for few.
@@ -93,6 +93,16 @@ impl Population {
     /// The candidates, for a rule that keeps a memory of each.
     pub fn places(&self) -> &[MirrorAngles] {
         &self.places
+    }
+
+    /// The state between decisions: each decision draws new candidates.
+    pub fn memory(&self) -> PolicyMemory {
+        PolicyMemory { words: self.generator.get_word_pos(), ..PolicyMemory::default() }
+    }
+
+    /// Replaces the state between decisions.
+    pub fn restore(&mut self, memory: &PolicyMemory) {
+        self.generator.set_word_pos(memory.words);
     }
 
     /// Searches until the budget is spent, and writes the best candidate of all.

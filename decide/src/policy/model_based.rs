@@ -8,7 +8,7 @@ use heliostat_channel::{
 
 use heliostat_proto::MAX_USERS;
 
-use super::proposal::{Policy, PolicyError};
+use super::proposal::{Policy, PolicyError, PolicyMemory};
 use crate::observe::{observation::Observation, slots::Slots};
 
 /// Passes of single mirror moves after the fixed point; docs/evaluation.md compares the result with
@@ -86,5 +86,21 @@ impl Policy for ModelBased {
         self.saved_weights.extend_from_slice(self.solver.weights());
         let _ = self.act(model, observation, out);
         self.solver.set_weights(&self.saved_weights);
+    }
+
+    fn memory(&self) -> PolicyMemory {
+        let (users, weights) = (self.slots.ids().to_vec(), self.solver.weights().to_vec());
+        PolicyMemory { users, weights, ..PolicyMemory::default() }
+    }
+
+    fn restore(&mut self, memory: &PolicyMemory) {
+        let PolicyMemory { users, weights, .. } = memory;
+        let fits = (1..=MAX_USERS).contains(&users.len()) && weights.len() == users.len();
+        if fits && weights.iter().all(|weight| weight.is_finite()) {
+            if self.slots.follow(users) {
+                self.solver.change_users(self.slots.former());
+            }
+            self.solver.set_weights(weights);
+        }
     }
 }

@@ -6,6 +6,7 @@
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles, solver::SolverError};
 use heliostat_proto::MAX_USERS;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::{
@@ -42,6 +43,26 @@ pub trait Policy: Send {
     /// The contents of `out` are then unspecified. The default does nothing, as suits a policy with
     /// memory that it cannot restore.
     fn warm_cache(&mut self, _: &ChannelModel, _: &Observation, _out: &mut MirrorAngles) {}
+
+    /// Everything that later proposals depend on besides later observations; the default suits a
+    /// policy without memory.
+    fn memory(&self) -> PolicyMemory {
+        PolicyMemory::default()
+    }
+
+    /// Replaces the state by one that [`memory`](Self::memory) of the same policy has returned.
+    fn restore(&mut self, _: &PolicyMemory) {}
+}
+
+/// The state of a policy; each policy uses some of the fields.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PolicyMemory {
+    /// Numbers of the users, slot by slot.
+    pub users: Vec<u32>,
+    /// Weights of these users in the last solution.
+    pub weights: Vec<f64>,
+    /// Position of the random generator, in words since its seed.
+    pub words: u128,
 }
 
 /// Why a policy gave no angles.

@@ -18,7 +18,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::proposal::{Policy, PolicyError, TimeSource};
+use super::proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
 use crate::observe::observation::Observation;
 
 /// w: the constriction for c1 + c2 = 4.1.
@@ -55,6 +55,14 @@ impl Policy for Pso {
     ) -> Result<(), PolicyError> {
         self.population.search(model, observation, &mut self.memory, out);
         Ok(())
+    }
+
+    fn memory(&self) -> PolicyMemory {
+        self.population.memory()
+    }
+
+    fn restore(&mut self, memory: &PolicyMemory) {
+        self.population.restore(memory);
     }
 }
 

@@ -19,7 +19,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::metaheuristic::{Population, Round, Rule, axes, axes_mut};
-use super::proposal::{Policy, PolicyError, TimeSource};
+use super::proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
 use crate::observe::observation::Observation;
 
 /// r1 at the start, as in the source.
@@ -50,6 +50,14 @@ impl Policy for SineCosine {
     ) -> Result<(), PolicyError> {
         self.population.search(model, observation, &mut Swing, out);
         Ok(())
+    }
+
+    fn memory(&self) -> PolicyMemory {
+        self.population.memory()
+    }
+
+    fn restore(&mut self, memory: &PolicyMemory) {
+        self.population.restore(memory);
     }
 }
 

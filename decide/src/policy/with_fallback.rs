@@ -1,9 +1,10 @@
 //! A policy with the fallback that proposes when the policy fails.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
+use serde::{Deserialize, Serialize};
 
 use super::{
-    proposal::{Policy, PolicyError},
+    proposal::{Policy, PolicyError, PolicyMemory},
     tally::Tallies,
     warm_up::warm_up,
 };
@@ -16,6 +17,14 @@ pub struct WithFallback {
     last_failure: Option<PolicyError>,
     /// The figures of each policy.
     pub tallies: Tallies,
+}
+
+/// The states of a policy and of its fallback.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct FallbackMemory {
+    /// Name of the policy.
+    policy: String,
+    states: [PolicyMemory; 2],
 }
 
 /// Which policy has proposed angles.
@@ -67,6 +76,23 @@ impl WithFallback {
     pub fn fall_back(&mut self, model: &ChannelModel, observation: &Observation, out: &mut MirrorAngles) -> bool {
         let Some(fallback) = self.fallback.as_mut() else { return false };
         attempt(fallback.as_mut(), model, observation, out).is_ok()
+    }
+
+    /// The present states.
+    pub fn memory(&self) -> FallbackMemory {
+        let fallback = self.fallback.as_ref().map(|fallback| fallback.memory()).unwrap_or_default();
+        FallbackMemory { policy: self.policy.name().to_owned(), states: [self.policy.memory(), fallback] }
+    }
+
+    /// Replaces the states; that of another policy is left out.
+    pub fn restore(&mut self, memory: &FallbackMemory) {
+        let [policy, fallback] = &memory.states;
+        if memory.policy == self.policy.name() {
+            self.policy.restore(policy);
+        }
+        if let Some(own) = self.fallback.as_mut() {
+            own.restore(fallback);
+        }
     }
 
     /// Runs the policy's code without an effect on later proposals.

@@ -2,9 +2,11 @@
 
 mod actor_files;
 mod allocations;
+mod beliefs;
 mod deadlines;
 mod decisions;
 mod epochs;
+mod memory;
 mod observations;
 mod policies;
 mod reports;

@@ -5,6 +5,7 @@ use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;
 use heliostat_proto::codec::Message;
 use heliostat_proto::{AxisLimits, Capabilities, Feedback, MAX_MIRRORS, ValidityClock};
+use heliostat_service::counted::counted;
 
 use crate::devices::board::Board;
 
@@ -64,9 +65,9 @@ impl Wall {
         let mut turned = vec![0; count];
         for (index, Mounted { board, mirrors, .. }) in boards.iter().enumerate() {
             if board.channels() != mirrors.len() {
-                let (channels, mirrors) = (board.channels(), mirrors.len());
+                let (channels, mirrors) = (counted(board.channels(), "channel"), counted(mirrors.len(), "mirror"));
                 return Err(format!(
-                    "board {index} has {channels} channels but {mirrors} mirrors: expected as many mirrors as channels"
+                    "board {index} has {channels} but {mirrors}: expected as many mirrors as channels"
                 ));
             }
             for mirror in mirrors {

@@ -59,8 +59,8 @@ pub struct Args {
     /// Evaluate each policy with these beliefs about the users, instead of the scenario's
     #[arg(long, requires = "closed_loop", value_name = "A,B,C", value_delimiter = ',', value_enum)]
     beliefs: Vec<Belief>,
-    /// Time in s from the controller's start to the first measured instant of an episode
-    #[arg(long, requires = "closed_loop", value_name = "SECONDS", default_value = "1", value_parser = seconds)]
+    /// Time in s from the controller's start to the first measured instant of an episode, at least 0.01
+    #[arg(long, requires = "closed_loop", value_name = "SECONDS", default_value = "1", value_parser = seconds, allow_negative_numbers = true)]
     warm: Duration,
     /// Add a row for each policy that ignores which mirrors are unusable
     #[arg(long, requires = "closed_loop")]

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs, ScenarioError};
+use heliostat_scenario::{BUILTIN_NAMES, Scenario, ScenarioArgs};
 use heliostat_sim::World;
 
 use crate::output::outln;
@@ -98,7 +98,7 @@ fn check(file: String, json: bool) -> Result<()> {
 fn problems(args: &ScenarioArgs) -> Result<(Option<Scenario>, Vec<String>)> {
     let text = args.text().with_context(|| format!("{} cannot be used", args.scenario))?;
     let checked = Scenario::check_all(&text);
-    let mut problems: Vec<String> = checked.problems.iter().map(|problem| in_file(problem, &args.scenario)).collect();
+    let mut problems: Vec<String> = checked.problems.iter().map(ToString::to_string).collect();
     let Some(mut scenario) = checked.scenario else { return Ok((None, problems)) };
     args.find_trace(&mut scenario);
     let trace = match scenario.read_trace() {
@@ -121,12 +121,4 @@ fn problems(args: &ScenarioArgs) -> Result<(Option<Scenario>, Vec<String>)> {
         problems.push(error.to_string());
     }
     Ok((Some(scenario), problems))
-}
-
-/// A problem as text, with the name of the file where the parser knows none.
-fn in_file(problem: &ScenarioError, file: &str) -> String {
-    match problem {
-        ScenarioError::Parse { origin, message } if origin == "scenario" => format!("{file}: {message}"),
-        other => other.to_string(),
-    }
 }

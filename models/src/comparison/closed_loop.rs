@@ -6,6 +6,9 @@
 //! between two reports. The controller decides in zero simulated time.
 //! `streams.positions.latency_ms` gives the age of a report.
 //!
+//! A recorded walk begins at another time in each episode of a seed: the starts are spread over the
+//! recording less the length of an episode, each at a random place of its part.
+//!
 //! With `users.arrivals` users come and go at times that depend on the seed alone: oracle and
 //! policies have the same users at each sampling time, so that the comparison stays paired. A sum
 //! rate is that of the users present. It counts as 0 at a time without users, which has no ratio and
@@ -21,11 +24,13 @@ use heliostat_decide::inbox::Message;
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
 use heliostat_sim::episode::{self, Event};
-use heliostat_sim::world::World;
+use heliostat_sim::world::{World, WorldError};
 use indicatif::ProgressBar;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::belief_log::BeliefLog;
+use super::belief_quality::{BeliefQuality, quality};
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
 use super::row::{Rows, rows};
@@ -34,6 +39,9 @@ use crate::evaluation::held_out::{SETTLE_S, best_angles, held_out_seed};
 
 /// Sampling times of an episode.
 const INSTANTS: usize = 20;
+
+/// Separates the random place in a recorded walk from the other random choices of an episode.
+const RECORDING_STREAM: u64 = 0x7ace_0000_0000_0000;
 
 /// Mean time between two samples in ns.
 const SPACING_NS: u64 = 250_000_000;
@@ -44,6 +52,8 @@ pub(super) struct Episode {
     /// Index of its seed among those compared.
     set: u64,
     pub instants_ns: Vec<u64>,
+    /// The time in a recorded walk at time 0 of the episode, in s.
+    recording_from_s: f64,
 }
 
 impl Episode {
@@ -51,7 +61,34 @@ impl Episode {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         let first_ns = start_ns() + warm.as_nanos() as u64;
         let share = |index: u64| first_ns + index * SPACING_NS + generator.random_range(0..SPACING_NS);
-        Self { seed, set, instants_ns: (0..instants as u64).map(share).collect() }
+        Self { seed, set, instants_ns: (0..instants as u64).map(share).collect(), recording_from_s: 0.0 }
+    }
+
+    /// The same with a recorded walk of this length, of which it is the part `index` of `count`: the
+    /// controller starts within this part of the walk. A walk that is shorter than an episode
+    /// repeats.
+    fn in_recording(self, recording_s: f64, index: usize, count: usize) -> Self {
+        let last_ns = self.instants_ns.last().map_or(0, |last| last + SPACING_NS);
+        let episode_s = last_ns.saturating_sub(start_ns()) as f64 * 1e-9;
+        let spread_s = if recording_s > episode_s { recording_s - episode_s } else { recording_s };
+        // Another stream than that of the instants, which stay those of a random walk.
+        let place = ChaCha8Rng::seed_from_u64(self.seed ^ RECORDING_STREAM).random_range(0.0..1.0);
+        let start_s = spread_s * (index as f64 + place) / count as f64;
+        Self { recording_from_s: start_s - SETTLE_S, ..self }
+    }
+
+    /// The room of the episode at time 0.
+    fn room(&self, scenario: &Scenario, trace: Option<&str>) -> Result<SimulatedRoom, WorldError> {
+        let mut room = SimulatedRoom::new(scenario, trace, self.seed)?;
+        room.world_mut().seek_recording(self.recording_from_s);
+        Ok(room)
+    }
+
+    /// Users and obstacles of the episode at time 0.
+    fn world(&self, scenario: &Scenario, trace: Option<&str>) -> Result<World, WorldError> {
+        let mut world = World::new(scenario, trace, self.seed)?;
+        world.seek_recording(self.recording_from_s);
+        Ok(world)
     }
 }
 
@@ -61,15 +98,17 @@ fn start_ns() -> u64 {
 }
 
 /// Compares at `states` sampling times of each seed.
-pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<Rows> {
+pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<(Rows, Beliefs)> {
     let scenario = &settings.scenario;
-    let episodes = episodes(settings);
+    let trace = scenario.read_trace()?;
+    let trace = trace.as_deref();
+    let episodes = episodes(settings, trace)?;
     let mut evaluator = Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps());
     bar.set_length(episodes.len() as u64);
     bar.set_message("episodes solved by the oracle");
     let mut oracle = Vec::new();
     for episode in &episodes {
-        oracle.push(solve(scenario, episode, &mut evaluator)?);
+        oracle.push(solve(scenario, trace, episode, &mut evaluator)?);
         bar.inc(1);
     }
     bar.reset();
@@ -83,23 +122,50 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
         runs.push(of_policy);
         bar.inc(1);
     }
-    Ok(rows(settings, &runs, &oracle))
+    Ok((rows(settings, &runs, &oracle), beliefs(settings, &runs)))
 }
 
-fn episodes(settings: &Settings) -> Vec<Episode> {
+/// The quality of each belief, by its name.
+pub(super) type Beliefs = Vec<(String, BeliefQuality)>;
+
+/// The quality of each belief, with the first policy that has it.
+fn beliefs(settings: &Settings, runs: &[Vec<Run>]) -> Beliefs {
+    let mut beliefs = Beliefs::new();
+    for (evaluated, runs) in settings.policies.iter().zip(runs) {
+        let Some(name) = evaluated.belief(&settings.scenario).map(|belief| belief.to_string()) else { continue };
+        if beliefs.iter().all(|(known, _)| *known != name) {
+            beliefs.push((name, quality(&runs[0].belief)));
+        }
+    }
+    beliefs
+}
+
+fn episodes(settings: &Settings, trace: Option<&str>) -> anyhow::Result<Vec<Episode>> {
+    let scenario = &settings.scenario;
+    let recording_s = World::new(scenario, trace, scenario.seed)?.recording_s();
+    let count = settings.states.div_ceil(INSTANTS);
     let mut episodes = Vec::new();
     for set in 0..settings.seeds as u64 {
         for (index, first) in (0..settings.states).step_by(INSTANTS).enumerate() {
-            let seed = held_out_seed(settings.scenario.seed.wrapping_add(set), index as u64);
-            episodes.push(Episode::new(seed, set, INSTANTS.min(settings.states - first), settings.warm));
+            let seed = held_out_seed(scenario.seed.wrapping_add(set), index as u64);
+            let episode = Episode::new(seed, set, INSTANTS.min(settings.states - first), settings.warm);
+            episodes.push(match recording_s {
+                Some(recording_s) => episode.in_recording(recording_s, index, count),
+                None => episode,
+            });
         }
     }
-    episodes
+    Ok(episodes)
 }
 
 /// The oracle's samples: it observes the true state, and its mirrors turn at once.
-fn solve(scenario: &Scenario, episode: &Episode, evaluator: &mut Evaluator) -> anyhow::Result<Vec<Sample>> {
-    let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), episode.seed)?;
+fn solve(
+    scenario: &Scenario,
+    trace: Option<&str>,
+    episode: &Episode,
+    evaluator: &mut Evaluator,
+) -> anyhow::Result<Vec<Sample>> {
+    let mut world = episode.world(scenario, trace)?;
     let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
     let mut now_ns = 0;
     let mut samples = Vec::new();
@@ -119,6 +185,7 @@ fn run(
     evaluator: &mut Evaluator,
 ) -> anyhow::Result<Run> {
     let scenario = evaluated.scenario(&settings.scenario);
+    let trace = scenario.read_trace()?;
     // The draws are divided among the seeds.
     let draws = if evaluated.is_random() { RANDOM_DRAWS.div_ceil(settings.seeds) as u64 } else { 1 };
     let runs = (0..draws).map(|draw| {
@@ -127,7 +194,7 @@ fn run(
             let seed = scenario.seed.wrapping_add(episode.set * draws + draw);
             let policy = evaluated.build(&scenario, seed)?;
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
-            let mut lockstep = Lockstep::new(&scenario, episode.seed, controller)?;
+            let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, controller)?;
             lockstep.names_unusable = evaluated.is_aware();
             let mut samples = Vec::new();
             let mut look = |room: &SimulatedRoom| {
@@ -138,6 +205,10 @@ fn run(
             done.with_context(|| format!("policy {}", evaluated.name()))?;
             run.groups.push(samples);
             run.decisions_us.append(&mut lockstep.decisions_us);
+            if evaluated.belief(&scenario).is_some() {
+                let measured_ns = start_ns() + settings.warm.as_nanos() as u64;
+                run.belief.push(lockstep.log.errors(episode.world(&scenario, trace.as_deref())?, measured_ns));
+            }
         }
         Ok(run)
     });
@@ -153,14 +224,29 @@ pub(super) struct Lockstep {
     /// Number of the last command.
     command_sequence: u64,
     decisions_us: Vec<f64>,
+    log: BeliefLog,
 }
 
 impl Lockstep {
-    pub fn new(scenario: &Scenario, seed: u64, mut controller: Controller) -> anyhow::Result<Self> {
+    /// The room of an episode, and its controller; `trace` is the text of the file `users.trace`.
+    pub fn new(
+        scenario: &Scenario,
+        trace: Option<&str>,
+        episode: &Episode,
+        mut controller: Controller,
+    ) -> Result<Self, WorldError> {
         controller.warm_up(0..2);
-        let episode = episode::Episode::new(scenario, scenario.read_trace()?.as_deref(), seed, start_ns())?;
+        let room = episode.room(scenario, trace)?;
+        let episode = episode::Episode::of_room(room, scenario, episode.seed, start_ns());
         controller.handle_capabilities(&episode.capabilities(), Ok(()));
-        Ok(Self { episode, names_unusable: true, controller, command_sequence: 0, decisions_us: Vec::new() })
+        Ok(Self {
+            episode,
+            names_unusable: true,
+            controller,
+            command_sequence: 0,
+            decisions_us: Vec::new(),
+            log: BeliefLog::default(),
+        })
     }
 
     /// Runs until the last sampling time and calls `look` with the room at each.
@@ -175,7 +261,7 @@ impl Lockstep {
         let failed = self.controller.counters().degraded(DegradedMode::PolicyFailed);
         let held = self.controller.counters().degraded(DegradedMode::Held);
         match self.controller.last_failure() {
-            Some(failure) if failed + held > 0 => bail!("{failed} decisions failed, the last because {failure}"),
+            Some(failure) if failed + held > 0 => bail!("failed decisions: {failed}, the last because {failure}"),
             _ => Ok(()),
         }
     }
@@ -210,8 +296,47 @@ impl Lockstep {
                 let late = mode == DegradedMode::StaleReport;
                 ensure!(!late, "reports are older than control.report_age_max_ms when they arrive");
             }
-            None => {}
+            None => return Ok(()),
         }
+        self.log.note(&self.controller, now.room_ns);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn episodes_start_in_different_parts_of_a_recording_and_end_within_it() {
+        let count = 10;
+        let starts = |seed: u64, recording_s: f64| -> Vec<f64> {
+            let episode = |index: usize| {
+                Episode::new(held_out_seed(seed, index as u64), 0, INSTANTS, Settings::WARM).in_recording(
+                    recording_s,
+                    index,
+                    count,
+                )
+            };
+            (0..count).map(|index| episode(index).recording_from_s + SETTLE_S).collect()
+        };
+        let (warm_and_instants_s, recording_s) = (6.0, 106.0);
+        let found = starts(3, recording_s);
+        for (index, start_s) in found.iter().enumerate() {
+            // An episode ends up to 0.25 s after its last instant.
+            let part = 9.97 * index as f64..10.0 * (index + 1) as f64;
+            assert!(part.contains(start_s), "episode {index} starts at {start_s} s");
+            assert!(start_s + warm_and_instants_s <= recording_s, "episode {index} starts at {start_s} s");
+        }
+        assert_eq!(found, starts(3, recording_s));
+        assert_ne!(found, starts(4, recording_s));
+        // A recording that is shorter than an episode repeats; the starts differ all the same.
+        assert!(starts(3, 2.0).windows(2).all(|pair| pair[0] < pair[1] && pair[1] < 2.0));
+    }
+
+    #[test]
+    fn instants_do_not_depend_on_the_recording() {
+        let episode = || Episode::new(7, 0, 5, Settings::WARM);
+        assert_eq!(episode().instants_ns, episode().in_recording(60.0, 1, 2).instants_ns);
     }
 }

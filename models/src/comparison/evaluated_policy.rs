@@ -75,9 +75,23 @@ impl EvaluatedPolicy {
     /// The same policy with this belief about the users, for closed loop; it replaces the
     /// scenario's. `None` for policies that do not observe the users.
     pub fn with_belief(&self, belief: Belief) -> Option<Self> {
+        (!self.is_blind()).then(|| Self {
+            name: format!("{}+{belief}", self.name),
+            belief: Some(belief),
+            ..self.clone()
+        })
+    }
+
+    /// The belief with which the policy observes the users of a room; `None` for policies that do not
+    /// observe them.
+    pub(super) fn belief(&self, scenario: &Scenario) -> Option<Belief> {
+        (!self.is_blind()).then(|| self.belief.unwrap_or(scenario.control.belief))
+    }
+
+    /// Whether the policy does not observe the users.
+    fn is_blind(&self) -> bool {
         use PolicyKind::{Flat, Hold, NoIrs, Random};
-        let blind = matches!(self.origin, Origin::Kind(Flat | Hold | NoIrs | Random, _));
-        (!blind).then(|| Self { name: format!("{}+{belief}", self.name), belief: Some(belief), ..self.clone() })
+        matches!(self.origin, Origin::Kind(Flat | Hold | NoIrs | Random, _))
     }
 
     /// The same policy in closed loop without telemetry of unusable mirrors.

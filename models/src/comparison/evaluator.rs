@@ -3,6 +3,7 @@
 use heliostat_channel::link::{ber_ook, jain};
 use heliostat_channel::{ChannelModel, MirrorAngles, Scene};
 
+use super::belief_log::Errors;
 use crate::evaluation::held_out::met;
 
 /// The evaluation of angles in one state.
@@ -39,12 +40,15 @@ impl Sample {
 pub(super) struct Run {
     pub groups: Vec<Vec<Sample>>,
     pub decisions_us: Vec<f64>,
+    /// In closed loop, the errors of the belief in each episode.
+    pub belief: Vec<Errors>,
 }
 
 impl Run {
     /// One run whose samples are the means over several runs on the same states.
     pub fn mean(mut runs: Vec<Self>) -> Self {
         let decisions_us = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.decisions_us)).collect();
+        let belief = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.belief)).collect();
         let same = |group: usize, state: usize| {
             Sample::mean(&runs.iter().map(|run| run.groups[group][state]).collect::<Vec<_>>())
         };
@@ -53,6 +57,7 @@ impl Run {
         Self {
             groups: groups.map(|(group, states)| (0..states.len()).map(|state| same(group, state)).collect()).collect(),
             decisions_us,
+            belief,
         }
     }
 }

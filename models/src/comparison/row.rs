@@ -24,6 +24,9 @@ pub struct Spread {
 }
 
 impl Spread {
+    /// A quantity without values.
+    pub const MISSING: Self = Self { mean: f64::NAN, ci95: f64::NAN, p5: f64::NAN };
+
     /// The quantity from values in independent groups, of one run or of several runs on the same
     /// groups; NaN is a missing value.
     ///
@@ -31,11 +34,10 @@ impl Spread {
     /// two overlap, so the interval is conservative.
     pub fn of(runs: &[Vec<Vec<f64>>]) -> Self {
         let count = runs.iter().map(Vec::len).max().unwrap_or(0);
-        let values = |group: &[f64]| group.iter().copied().filter(|value| !value.is_nan()).collect::<Vec<_>>();
-        let pooled = |index: usize| runs.iter().flat_map(|run| values(&run[index])).collect::<Vec<_>>();
+        let pooled = |index: usize| runs.iter().flat_map(|run| present(&run[index])).collect::<Vec<_>>();
         let groups: Vec<Vec<f64>> = (0..count).map(pooled).filter(|group| !group.is_empty()).collect();
         let means: Vec<f64> = groups.iter().map(|group| mean(group)).collect();
-        let of_runs: Vec<f64> = runs.iter().map(|run| mean(&values(&run.concat()))).collect();
+        let of_runs: Vec<f64> = runs.iter().map(|run| mean(&present(&run.concat()))).collect();
         let mut all = groups.concat();
         all.sort_by(f64::total_cmp);
         let interval = |means: &[f64]| Estimate::of(means).ci95;
@@ -59,29 +61,42 @@ pub(super) type Rows = (Row, Vec<Row>);
 
 /// The rows of a comparison; the first policy is the one that the others are subtracted from.
 pub(super) fn rows(settings: &Settings, runs: &[Vec<Run>], oracle: &[Vec<Sample>]) -> Rows {
-    let of_policies = settings.policies.iter().zip(runs).enumerate().map(|(index, (evaluated, own))| Row {
-        difference_mbps: (index > 0).then(|| difference(own, &runs[0])),
-        ..Row::new(own, oracle, (evaluated, settings.mode))
+    let of_policies = settings.policies.iter().zip(runs).enumerate().map(|(index, (evaluated, own))| {
+        let minus_first = |value: Value| {
+            (index > 0).then(|| difference(&values(own, oracle, value), &values(&runs[0], oracle, value)))
+        };
+        Row {
+            difference_mbps: minus_first(|own, _| own.sum_rate_mbps),
+            difference_ratio: minus_first(ratio),
+            difference_qos_met: minus_first(|own, _| own.met),
+            ..Row::new(own, oracle, (evaluated, settings.mode))
+        }
     });
     (Row::of_oracle(oracle, settings.mode), of_policies.collect())
 }
 
-/// Sum rate of a policy minus that of the first policy, paired state by state.
+/// A quantity of a policy's sample, which the oracle's sample of the same state may enter.
+type Value = fn(&Sample, &Sample) -> f64;
+
+/// A quantity in each state of each group of each run.
+fn values(runs: &[Run], oracle: &[Vec<Sample>], value: Value) -> Vec<Vec<Vec<f64>>> {
+    let of_group =
+        |(own, best): (&Vec<Sample>, &Vec<Sample>)| own.iter().zip(best).map(|(own, best)| value(own, best)).collect();
+    runs.iter().map(|run| run.groups.iter().zip(oracle).map(of_group).collect()).collect()
+}
+
+/// A quantity of a policy minus that of the first policy, paired state by state; NaN is a missing
+/// value.
 ///
 /// Several runs of the first policy are averaged in each state. Their spread widens the interval,
 /// because the difference would be another one for other runs.
-fn difference(own: &[Run], first: &[Run]) -> Spread {
-    let rates = |runs: &[Run]| -> Vec<Vec<Vec<f64>>> {
-        let rates = |group: &Vec<Sample>| group.iter().map(|sample| sample.sum_rate_mbps).collect();
-        runs.iter().map(|run| run.groups.iter().map(rates).collect()).collect()
-    };
-    let first = rates(first);
+fn difference(own: &[Vec<Vec<f64>>], first: &[Vec<Vec<f64>>]) -> Spread {
     let of_first = |group: usize, state: usize| mean(&first.iter().map(|run| run[group][state]).collect::<Vec<_>>());
-    let mut differences = rates(own);
+    let mut differences = own.to_vec();
     for (group, values) in differences.iter_mut().flat_map(|run| run.iter_mut().enumerate()) {
         values.iter_mut().enumerate().for_each(|(state, value)| *value -= of_first(group, state));
     }
-    let of_runs: Vec<f64> = first.iter().map(|run| mean(&run.concat())).collect();
+    let of_runs: Vec<f64> = first.iter().map(|run| mean(&present(&run.concat()))).collect();
     let over_runs = if of_runs.len() > 1 { Estimate::of(&of_runs).ci95 } else { 0.0 };
     let paired = Spread::of(&differences);
     Spread { ci95: paired.ci95.hypot(over_runs), ..paired }
@@ -96,6 +111,12 @@ pub struct Row {
     /// and for the oracle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference_mbps: Option<Spread>,
+    /// Ratio to the oracle minus that of the first policy, state by state.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference_ratio: Option<Spread>,
+    /// Share of minimum rates met minus that of the first policy, state by state.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub difference_qos_met: Option<Spread>,
     /// Ratio of the sum rate to that of the oracle with minimum rates, state by state; missing
     /// where no user can be served.
     pub ratio_to_oracle: Spread,
@@ -152,6 +173,8 @@ impl Row {
         Self {
             sum_rate_mbps: spread(|sample| sample.sum_rate_mbps),
             difference_mbps: None,
+            difference_ratio: None,
+            difference_qos_met: None,
             ratio_to_oracle: Spread::of(&runs.iter().map(ratios).collect::<Vec<_>>()),
             qos_met: spread(|sample| sample.met),
             jain: spread(|sample| sample.jain),
@@ -166,6 +189,17 @@ impl Row {
 
 fn ratio(own: &Sample, best: &Sample) -> f64 {
     if best.sum_rate_mbps > 0.0 { own.sum_rate_mbps / best.sum_rate_mbps } else { f64::NAN }
+}
+
+/// The median; NaN without values.
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    quantile(&values, 0.5)
+}
+
+/// The values that are not missing.
+fn present(values: &[f64]) -> Vec<f64> {
+    values.iter().copied().filter(|value| !value.is_nan()).collect()
 }
 
 fn mean(values: &[f64]) -> f64 {
@@ -213,11 +247,22 @@ mod tests {
     }
 
     /// Runs with one state in each group.
-    fn runs(rates: &[&[f64]]) -> Vec<Run> {
-        let sample = |rate: &f64| {
-            vec![Sample { sum_rate_mbps: *rate, met: 1.0, jain: 1.0, blocked_rate_mbps: f64::NAN, ber: 0.0 }]
+    fn runs(rates: &[&[f64]]) -> Vec<Vec<Vec<f64>>> {
+        rates.iter().map(|rates| rates.iter().map(|rate| vec![*rate]).collect()).collect()
+    }
+
+    #[test]
+    fn differences_of_the_ratio_leave_out_states_without_one() {
+        let sample =
+            |sum_rate_mbps: f64| Sample { sum_rate_mbps, met: 1.0, jain: 1.0, blocked_rate_mbps: 0.0, ber: 0.0 };
+        let run = |rates: &[f64]| {
+            vec![Run { groups: rates.iter().map(|rate| vec![sample(*rate)]).collect(), ..Run::default() }]
         };
-        rates.iter().map(|rates| Run { groups: rates.iter().map(sample).collect(), decisions_us: vec![] }).collect()
+        let oracle: Vec<Vec<Sample>> = [10.0, 20.0, 0.0].map(|rate| vec![sample(rate)]).into();
+        let of = |rates: &[f64]| values(&run(rates), &oracle, ratio);
+        let paired = difference(&of(&[6.0, 16.0, 0.0]), &of(&[5.0, 10.0, 0.0]));
+        // 0.1 and 0.3 of the states with a ratio: a standard error of 0.1.
+        assert!((paired.mean - 0.2).abs() < 1e-12 && (paired.ci95 - 0.1 * T_1).abs() < 1e-9, "{paired:?}");
     }
 
     #[test]

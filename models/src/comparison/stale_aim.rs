@@ -37,6 +37,7 @@ pub fn kept_sinr(scenario: &Scenario, evaluated: &EvaluatedPolicy, instants: usi
         let pairs = sinr.iter().zip(&perfect).filter(|(_, perfect)| **perfect > 0.0);
         kept.extend(pairs.map(|(sinr, perfect)| sinr / perfect));
     };
-    Lockstep::new(&scenario, episode.seed, controller)?.run(&episode.instants_ns, &mut look)?;
+    Lockstep::new(&scenario, scenario.read_trace()?.as_deref(), &episode, controller)?
+        .run(&episode.instants_ns, &mut look)?;
     Ok(kept)
 }

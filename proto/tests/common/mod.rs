@@ -197,6 +197,34 @@ pub fn room_geometry() -> RoomGeometry {
     RoomGeometry { stamp: stamp(), scenario: "[room]\nheight_m = 2.5\n".into() }
 }
 
+pub fn belief_report() -> BeliefReport {
+    let user = UserBelief {
+        user: 3,
+        position_m: [1.5, -0.25, 0.85],
+        velocity_m_s: [0.5, -1.0],
+        xx_m2: 0.0625,
+        xy_m2: -0.03125,
+        yy_m2: 0.125,
+        heading_rad: -0.5,
+        heading_certainty: 0.75,
+        blocked_probability: 0.25,
+    };
+    BeliefReport { stamp: stamp(), tick: 1000, holds_ns: TIME_NS + 15_000_000, users: vec![user] }
+}
+
+pub fn controller_memory() -> ControllerMemory {
+    let report = ControllerInput {
+        input: InputKind::Users,
+        source: 0x1234_5678_9abc_def0,
+        sequence: 300,
+        time_ns: TIME_NS,
+        command: false,
+    };
+    let decision =
+        ControllerInput { input: InputKind::Decision, time_ns: TIME_NS, command: true, ..ControllerInput::default() };
+    ControllerMemory { stamp: stamp(), epoch: 7, tick: 1000, inputs: vec![report, decision], state: vec![1, 2, 255] }
+}
+
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
     encode(message, &mut payload).expect("the sample is valid");
@@ -221,6 +249,8 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("re-arm", encoded(&rearm())),
         ("safety report", encoded(&safety_report())),
         ("room geometry", encoded(&room_geometry())),
+        ("belief report", encoded(&belief_report())),
+        ("controller memory", encoded(&controller_memory())),
     ]
 }
 

@@ -1,11 +1,14 @@
 //! A controller of one epoch in a replay.
 
-use heliostat_decide::core::Controller;
+use heliostat_decide::core::{Controller, Decision, Due, Timing};
 use heliostat_decide::inbox::Message;
-use heliostat_decide::refusal::{Refusal, Stream};
-use heliostat_proto::{ChannelReport, MirrorTelemetry, Nanos, ObstacleReport, decode};
+use heliostat_proto::{
+    ChannelReport, InputKind, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode,
+};
 
+use super::inputs::handle;
 use super::plan::Clock;
+use super::scheduled::Progress;
 
 /// A controller of one epoch.
 pub(super) struct EpochReplay {
@@ -17,37 +20,57 @@ pub(super) struct EpochReplay {
     pub decided: u64,
     /// Decisions at the start that are not compared.
     pub settle: u64,
+    /// The recorded order of its inputs, where the recording has it.
+    pub progress: Option<Progress>,
 }
 
 impl EpochReplay {
+    /// Whether the next command is compared.
+    pub fn counts(&self) -> bool {
+        let is_known = self.progress.as_ref().is_none_or(|progress| progress.is_known);
+        is_known && self.decided >= self.settle
+    }
+
     /// Room time in lockstep: the time of the newest message.
     pub fn at(&mut self, time_ns: Nanos) -> Nanos {
         self.newest_ns = self.newest_ns.max(time_ns);
         self.newest_ns
     }
 
-    /// Passes a message other than a position report to the controller.
-    pub fn receive(&mut self, stream: Stream, data: &[u8], clock: Clock, arrived_ns: Nanos) {
-        let now = |epoch_replay: &mut Self, time_ns: Nanos| {
-            if clock == Clock::Lockstep { epoch_replay.at(time_ns) } else { arrived_ns }
+    /// Passes a message other than a position report to the controller, outside a schedule.
+    pub fn receive(&mut self, input: InputKind, data: &[u8], clock: Clock, arrived_ns: Nanos) {
+        let now = match clock {
+            Clock::Lockstep => match time_of(input, data) {
+                Some(time_ns) => self.at(time_ns),
+                None => self.newest_ns,
+            },
+            Clock::Live => arrived_ns,
         };
-        let read = match stream {
-            Stream::Channel => decode::<ChannelReport>(data).map(|mut report| {
-                let now = now(self, report.stamp.time_ns);
-                self.controller.handle_and_poll(now, Message::Channel(&mut report), &mut |_| {});
-            }),
-            Stream::Obstacles => decode::<ObstacleReport>(data).map(|mut report| {
-                let now = now(self, report.stamp.time_ns);
-                self.controller.handle_and_poll(now, Message::Obstacles(&mut report), &mut |_| {});
-            }),
-            Stream::Telemetry => decode::<MirrorTelemetry>(data).map(|mut telemetry| {
-                let now = now(self, telemetry.stamp.time_ns);
-                self.controller.handle_and_poll(now, Message::Telemetry(&mut telemetry), &mut |_| {});
-            }),
-            Stream::Users => return,
+        handle(&mut self.controller, input, data, now);
+    }
+
+    /// Passes a position report to the controller at `now`, outside a schedule, and returns its
+    /// command.
+    pub fn answer(&mut self, mut report: UserReport, now: Nanos, timing: Timing) -> Option<MirrorCommand> {
+        let decided = match self.controller.handle_message(now, Message::Users(&mut report)) {
+            Due::Command => self.controller.poll_command(now, timing, &mut |_| {}),
+            Due::StaleCommand => self.controller.poll_stale_command(now),
+            Due::Nothing => return None,
         };
-        if let Err(error) = read {
-            self.controller.handle_malformed(stream, Refusal::from(&error));
+        match decided {
+            Decision::Move { command, .. } => Some(command.clone()),
+            Decision::Hold(_) => None,
         }
     }
+}
+
+/// Time in the stamp of a message.
+fn time_of(input: InputKind, data: &[u8]) -> Option<Nanos> {
+    let stamp = match input {
+        InputKind::Channel => decode::<ChannelReport>(data).ok()?.stamp,
+        InputKind::Obstacles => decode::<ObstacleReport>(data).ok()?.stamp,
+        InputKind::Telemetry => decode::<MirrorTelemetry>(data).ok()?.stamp,
+        _ => return None,
+    };
+    Some(stamp.time_ns)
 }

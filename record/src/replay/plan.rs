@@ -2,17 +2,20 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::Path;
+use std::rc::Rc;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use heliostat_decide::policy::PolicyKind;
-use heliostat_proto::{MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
+use heliostat_proto::{InputKind, MirrorCommand, Nanos, NodeKind, NodeStatus, Room};
 use heliostat_scenario::Scenario;
 use serde::Serialize;
 
 use crate::account::Account;
 use crate::file::open;
 use crate::received::Received;
+
+use super::schedule::{Schedule, ScheduleBuilder};
 
 const NO_REPORT: &str =
     "it holds no position report: the recorder was not connected to the room's process, or was cut before it wrote";
@@ -81,6 +84,8 @@ pub(super) struct Plan {
     pub answers: HashMap<u64, VecDeque<RecordedCommand>>,
     /// Each epoch with the sequence of its first recorded command.
     pub epochs: BTreeMap<u64, u64>,
+    /// The inputs of the controllers that published them, by epoch.
+    pub schedules: BTreeMap<u64, Rc<Schedule>>,
     /// The statuses of the controllers, by epoch.
     controllers: BTreeMap<u64, ControllerHistory>,
     pub account: Account,
@@ -114,18 +119,28 @@ impl Plan {
             clock: Clock::Live,
             answers: HashMap::new(),
             epochs: BTreeMap::new(),
+            schedules: BTreeMap::new(),
             controllers: BTreeMap::new(),
             account: Account::default(),
         };
         let mut clock = None;
         let mut last = None;
-        while let Some(entry) = reading.entry()? {
+        let mut schedules = ScheduleBuilder::default();
+        for index in 0.. {
+            let Some(entry) = reading.entry()? else { break };
             if !entry.topic.starts_with("heliostat/") {
                 continue;
             }
             let received = Received::read(&entry.data).ok();
             plan.account.count(&entry.topic, entry.data.len(), received.as_ref().map(Received::origin));
+            if let Some((input, received)) =
+                received.as_ref().and_then(|received| Some((input_of(received)?, received)))
+            {
+                let origin = received.origin();
+                schedules.add_message(index, input, origin.source, origin.sequence);
+            }
             match received {
+                Some(Received::Memory(memory)) => schedules.add_memory(index, memory),
                 Some(Received::Users(report)) => {
                     clock.get_or_insert_with(|| clock_of(report.stamp.time_ns, entry.arrived_ns));
                 }
@@ -141,6 +156,7 @@ impl Plan {
                 _ => {}
             }
         }
+        plan.schedules = schedules.build();
         plan.clock = clock.with_context(|| NO_REPORT)?;
         ensure!(
             !plan.epochs.is_empty(),
@@ -190,6 +206,17 @@ impl Plan {
         PolicyKind::from_str(name, false).map_err(|_| {
             anyhow!("the recorded policy \"{name}\" is unknown to this program; give another with --policy")
         })
+    }
+}
+
+/// The kind of input that a message is to a controller.
+fn input_of(received: &Received) -> Option<InputKind> {
+    match received {
+        Received::Users(_) => Some(InputKind::Users),
+        Received::Channel(_) => Some(InputKind::Channel),
+        Received::Obstacles(_) => Some(InputKind::Obstacles),
+        Received::Telemetry(_) => Some(InputKind::Telemetry),
+        _ => None,
     }
 }
 

@@ -46,6 +46,8 @@ pub struct Verdict {
     pub largest_difference_rad: f64,
     /// The first difference.
     pub first_difference: Option<String>,
+    /// Why a recorded state of a controller was not restored.
+    pub unrestored: Option<String>,
 }
 
 impl Verdict {
@@ -70,7 +72,11 @@ pub(crate) fn difference(ours: &MirrorCommand, theirs: &MirrorCommand, clock: Cl
     }
     for (axis, ours, theirs) in [("roll", &ours.roll, &theirs.roll), ("yaw", &ours.yaw, &theirs.yaw)] {
         if ours.len() != theirs.len() {
-            return Some(format!("{axis}: recorded {} mirrors, decided {}", theirs.len(), ours.len()));
+            return Some(format!(
+                "{axis} of another number of mirrors: recorded {}, decided {}",
+                theirs.len(),
+                ours.len()
+            ));
         }
         let differs = |(_, (ours, theirs)): &(usize, (&f32, &f32))| ours.to_bits() != theirs.to_bits();
         if let Some((mirror, (ours, theirs))) = ours.iter().zip(theirs).enumerate().find(differs) {
@@ -108,6 +114,9 @@ impl fmt::Display for Verdict {
         )?;
         if self.without_report > 0 {
             writeln!(formatter, "recorded commands without a report: {}", self.without_report)?;
+        }
+        if let Some(problem) = &self.unrestored {
+            writeln!(formatter, "a recorded state of the controller was not restored: {problem}")?;
         }
         match &self.first_difference {
             Some(found) => {

@@ -4,6 +4,9 @@
 //! a user the position is interpolated linearly; before the first and after the last sample it is
 //! constant. At its latest time the recording repeats: all users jump back to their first
 //! positions.
+//!
+//! A user faces the direction of the last section that was walked at 0.05 m/s or more: a slower
+//! motion is the noise of a tracker, or a step of a user who stands.
 
 use thiserror::Error;
 
@@ -21,7 +24,7 @@ pub enum TraceError {
         found: String,
     },
     /// A line has another number of columns than four.
-    #[error("line {line}: {found} columns: expected 4 (time,user,x,y)")]
+    #[error("line {line}: number of columns {found}: expected 4 (time,user,x,y)")]
     Columns {
         /// Line number, from 1.
         line: usize,
@@ -78,7 +81,7 @@ pub enum TraceError {
         previous: f64,
     },
     /// A user has no sample.
-    #[error("user {user} has no sample: expected at least one for each of {users} users")]
+    #[error("user {user} has no sample: expected at least one for each user (users.count = {users})")]
     Missing {
         /// The user.
         user: usize,
@@ -96,6 +99,9 @@ pub enum TraceError {
     },
 }
 
+/// Speed in m/s from which on a motion shows the direction in which a user faces.
+const WALKING_M_S: f64 = 0.05;
+
 /// Largest number of problems that are listed.
 const PROBLEMS_MAX: usize = 50;
 
@@ -103,6 +109,9 @@ const PROBLEMS_MAX: usize = 50;
 struct Sample {
     time: f64,
     at: [f64; 2],
+    /// Unit vector in which the user faces from here to the next sample; `None` before the first
+    /// walk.
+    facing: Option<[f64; 2]>,
 }
 
 /// A recorded walk and its playback position.
@@ -143,8 +152,9 @@ impl Trace {
         problems
     }
 
-    fn of(users: Vec<Vec<Sample>>) -> Self {
+    fn of(mut users: Vec<Vec<Sample>>) -> Self {
         let [start, end] = times(&users);
+        users.iter_mut().for_each(|samples| face(samples));
         Self { users, start, duration: end - start, time: 0.0 }
     }
 
@@ -155,14 +165,27 @@ impl Trace {
         }
     }
 
+    /// Duration of the recording in s.
+    pub fn duration_s(&self) -> f64 {
+        self.duration
+    }
+
+    /// Continues at this time in s after the first sample; the recording repeats before and after.
+    pub fn seek(&mut self, time_s: f64) {
+        if self.duration > 0.0 {
+            self.time = time_s.rem_euclid(self.duration);
+        }
+    }
+
     /// Writes the users' positions, headings and velocities.
     ///
-    /// Heights do not change, nor does the heading of a user who stands still.
+    /// Heights do not change, nor does the heading of a user who has not walked yet.
     pub fn write(&self, walkers: &mut [Walker]) {
         let now = self.start + self.time;
         for (samples, walker) in self.users.iter().zip(walkers) {
             let next = samples.partition_point(|sample| sample.time <= now);
-            let (at, velocity) = match (next.checked_sub(1).map(|i| samples[i]), samples.get(next)) {
+            let last = next.checked_sub(1).map(|index| samples[index]);
+            let (at, velocity) = match (last, samples.get(next)) {
                 (Some(a), Some(b)) => between(&a, b, now),
                 (Some(only), None) => (only.at, [0.0, 0.0]),
                 (None, Some(first)) => (first.at, [0.0, 0.0]),
@@ -171,11 +194,23 @@ impl Trace {
             walker.position.x = at[0];
             walker.position.y = at[1];
             walker.velocity = velocity;
-            let speed = (velocity[0] * velocity[0] + velocity[1] * velocity[1]).sqrt();
-            if speed > 0.0 {
-                walker.direction = velocity.map(|component| component / speed);
+            walker.direction = last.and_then(|last| last.facing).unwrap_or(walker.direction);
+        }
+    }
+}
+
+/// Sets the direction in which a user faces at each sample.
+fn face(samples: &mut [Sample]) {
+    let mut facing = None;
+    for index in 0..samples.len() {
+        if let Some(next) = samples.get(index + 1) {
+            let (_, [u, v]) = between(&samples[index], next, next.time);
+            let speed = (u * u + v * v).sqrt();
+            if speed >= WALKING_M_S {
+                facing = Some([u / speed, v / speed]);
             }
         }
+        samples[index].facing = facing;
     }
 }
 
@@ -252,7 +287,7 @@ fn parse_row(line: usize, row: &str, floor: &Floor) -> Result<(usize, Sample), T
         let (length_x_m, length_y_m) = (floor.length_x_m, floor.length_y_m);
         return Err(TraceError::Outside { line, x, y, length_x_m, length_y_m });
     }
-    Ok((user, Sample { time, at: [x, y] }))
+    Ok((user, Sample { time, at: [x, y], facing: None }))
 }
 
 #[cfg(test)]
@@ -289,6 +324,24 @@ mod tests {
     }
 
     #[test]
+    fn a_user_who_creeps_keeps_the_direction_of_the_last_walk() {
+        // A walk along x, then a tracker's noise of some millimetres, then a walk along -y.
+        let text = "time,user,x,y\n0,0,0,0\n1,0,1,0\n2,0,1.01,0.02\n3,0,1,-0.01\n4,0,1,-0.51\n";
+        let mut trace = Trace::parse(text, 1, &FLOOR).unwrap();
+        let mut facing = |time_s| {
+            trace.seek(time_s);
+            let mut walkers = [Walker { position: Vec3::zeros(), direction: [0.0, 1.0], velocity: [0.0, 0.0] }];
+            trace.write(&mut walkers);
+            walkers[0].direction
+        };
+        for (time_s, expected) in [(0.5, [1.0, 0.0]), (1.5, [1.0, 0.0]), (2.5, [1.0, 0.0]), (3.5, [0.0, -1.0])] {
+            assert_eq!(facing(time_s), expected, "after {time_s} s");
+        }
+        // A place in the recording is found from both sides.
+        assert_eq!((facing(-0.5), trace.duration_s()), ([0.0, -1.0], 4.0));
+    }
+
+    #[test]
     fn a_recording_of_one_row_is_refused_with_what_is_expected() {
         let error = |text: &str, users| Trace::parse(text, users, &FLOOR).unwrap_err().to_string();
         for (rows, users) in [("3,0,1,1\n", 1), ("3,0,1,1\n3,1,0,0\n", 2)] {
@@ -312,7 +365,7 @@ mod tests {
     #[test]
     fn errors_name_the_line() {
         let error = |body: &str| Trace::parse(&format!("time,user,x,y\n{body}"), 2, &FLOOR).unwrap_err().to_string();
-        assert!(error("0,0,1").contains("line 2: 3 columns"));
+        assert!(error("0,0,1").contains("line 2: number of columns 3"));
         assert!(error("0,0,1,1\n0,0,x,1").contains("line 3: invalid x `x`"));
         assert!(error("0,0,1,NaN").contains("line 2: invalid y `NaN`"));
         assert!(error("0,-1,1,1").contains("line 2: invalid user `-1`"));

@@ -107,6 +107,8 @@ impl<'s, 'a> Forge<'s, 'a> {
             Kind::Rearm => encode(&self.rearm(), out),
             Kind::SafetyReport => encode(&self.safety(), out),
             Kind::RoomGeometry => encode(&self.geometry(), out),
+            Kind::BeliefReport => encode(&self.belief(), out),
+            Kind::ControllerMemory => encode(&self.memory(), out),
         }
         .is_ok()
     }
@@ -320,6 +322,19 @@ impl<'s, 'a> Forge<'s, 'a> {
 
     fn geometry(&mut self) -> RoomGeometry {
         RoomGeometry { stamp: self.stamp(), scenario: self.text("[room]\nheight_m = 2.5\n") }
+    }
+
+    fn belief(&mut self) -> BeliefReport {
+        let genuine = example_of::<BeliefReport>();
+        let (stamp, tick, holds_ns) = (self.stamp(), self.whole(self.genuine.tick), self.whole(genuine.holds_ns));
+        let count = self.count(1);
+        let users = (0..count).map(|_| UserBelief { xx_m2: self.real(1.0), ..genuine.users[0] }).collect();
+        BeliefReport { stamp, tick, holds_ns, users }
+    }
+
+    fn memory(&mut self) -> ControllerMemory {
+        let (stamp, epoch, state) = (self.stamp(), self.whole(self.genuine.epoch), self.text("\u{1}"));
+        ControllerMemory { stamp, epoch, state: state.into_bytes(), ..example_of() }
     }
 
     fn calibration(&mut self) -> Calibration {

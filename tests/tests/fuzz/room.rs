@@ -12,7 +12,7 @@ use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::capabilities::{Examiner, Force};
-use heliostat_decide::core::{Controller, Decision, Due, Timing};
+use heliostat_decide::core::{Controller, Decision, Due, Timing, memory::Memory};
 use heliostat_decide::inbox::Message as Report;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::refusal::{Refusal, Stream};
@@ -319,6 +319,10 @@ impl Room {
             Kind::NodeStatus => consume(&payload, |_: NodeStatus| {}),
             Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
             Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
+            Kind::BeliefReport => consume(&payload, |_: BeliefReport| {}),
+            Kind::ControllerMemory => consume(&payload, |memory: ControllerMemory| {
+                drop(Memory::from_bytes(&memory.state));
+            }),
             Kind::RoomGeometry => consume(&payload, |report: RoomGeometry| {
                 drop(Scenario::from_geometry_toml(&report.scenario));
             }),

@@ -159,7 +159,7 @@ impl Trial {
         let found = actor.network.run().map_err(|error| error.to_string())?;
         let mirrors = self.flat.roll.len();
         if found.len() != 2 * mirrors {
-            return Err(format!("the network returned {} values, expected {}", found.len(), 2 * mirrors));
+            return Err(format!("the output of the network has a length of {}, expected {}", found.len(), 2 * mirrors));
         }
         widen(&found[..mirrors], &mut self.proposed.roll);
         widen(&found[mirrors..], &mut self.proposed.yaw);

@@ -15,7 +15,7 @@ use heliostat_reproduce::page::{STYLE, escape};
 use heliostat_scenario::Scenario;
 use heliostat_service::printable::{printable, printable_lines};
 
-use super::output::{interval, number, rows};
+use super::output::{BELIEF_NOTE, belief_columns, interval, number, rows, signed};
 use super::sweep::Sweep;
 
 /// A file that can be written.
@@ -84,6 +84,7 @@ fn page(command: &str, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Re
             writeln!(page, "<h2>{} = {}</h2>", text(sweep.key()), text(&sweep.values()[index]))?;
         }
         write_table(&mut page, report)?;
+        write_beliefs(&mut page, report)?;
         writeln!(page, "<div class=\"plots\">{}</div>", plots::by_policy(report)?)?;
     }
     write_notes(&mut page, first)?;
@@ -132,9 +133,13 @@ fn columns(report: &Report) -> Vec<Column> {
     };
     let mut columns = vec![spread("sum rate (Mbit/s)", 1, |row| row.sum_rate_mbps)];
     if let Some((first, _)) = report.policies.first().filter(|_| report.policies.len() > 1) {
-        let signed = |spread: Spread| format!("{}{}", if spread.mean >= 0.0 { "+" } else { "" }, interval(spread, 1));
-        let cell = move |row: &Row| row.difference_mbps.map_or("-".into(), signed);
-        columns.push((format!("difference to {first} (Mbit/s)"), Box::new(cell)));
+        let mut push = |unit: &str, digits: usize, value: fn(&Row) -> Option<Spread>| {
+            let cell = move |row: &Row| value(row).map_or("-".into(), |spread| signed(spread, digits));
+            columns.push((format!("difference to {first} ({unit})"), Box::new(cell)));
+        };
+        push("Mbit/s", 1, |row| row.difference_mbps);
+        push("ratio", 3, |row| row.difference_ratio);
+        push("QoS met", 3, |row| row.difference_qos_met);
     }
     columns.extend([
         spread("ratio to the oracle", 3, |row| row.ratio_to_oracle),
@@ -171,11 +176,25 @@ fn write_table(page: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(page, "</table></div>")
 }
 
+fn write_beliefs(page: &mut String, report: &Report) -> std::fmt::Result {
+    if report.beliefs.is_empty() {
+        return Ok(());
+    }
+    let columns = belief_columns();
+    let headings = columns.iter().map(|(heading, _)| format!("<th>{}</th>", text(heading))).collect::<String>();
+    writeln!(page, "<div class=\"wide\"><table class=\"figures\">\n<tr><th>belief</th>{headings}</tr>")?;
+    for (name, quality) in &report.beliefs {
+        let cells = columns.iter().map(|(_, cell)| format!("<td>{}</td>", cell(quality))).collect::<String>();
+        writeln!(page, "<tr><th>{}</th>{cells}</tr>", text(name))?;
+    }
+    writeln!(page, "</table></div>")
+}
+
 fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
     writeln!(page, "<h2>How to read this</h2>\n<ul>")?;
     for note in [
         "±: half the width of the 95 % confidence interval of the mean, by Student's t. A single state has no interval.",
-        "Difference: the sum rate minus that of the first policy, state by state. Its interval is narrower than that of two means, because \
+        "Difference: the figure minus that of the first policy, state by state. Its interval is narrower than that of two means, because \
          both policies meet the same states. An interval that does not contain 0 is a difference beyond the variation of the states.",
         "Ratio: to the sum rate of the oracle with minimum rates, state by state; p5: its 5th percentile over the states.",
         "QoS met: share of the users whose minimum rate is met. Jain: Jain's fairness index of the rates. BER: with on-off keying.",
@@ -184,7 +203,14 @@ fn write_notes(page: &mut String, report: &Report) -> std::fmt::Result {
         writeln!(page, "<li>{}</li>", escape(note))?;
     }
     if report.policies.iter().any(|(_, row)| row.decision_us.is_some()) {
-        writeln!(page, "<li>Decision time: of the policy alone, encoding included, on this machine.</li>")?;
+        let of = match report.mode {
+            Loop::Static => "the policy alone, encoding included",
+            Loop::ClosedLoop => "belief, observation and policy",
+        };
+        writeln!(page, "<li>Decision time: of {of}, on this machine.</li>")?;
+    }
+    if !report.beliefs.is_empty() {
+        writeln!(page, "<li>Belief, against the truth at the predicted instant: {}.</li>", escape(BELIEF_NOTE))?;
     }
     writeln!(page, "</ul>")
 }

@@ -3,7 +3,7 @@
 use std::io;
 
 use anyhow::Result;
-use heliostat_models::comparison::{Loop, Report, Row, Spread};
+use heliostat_models::comparison::{BeliefQuality, Loop, Report, Row, Spread};
 
 use heliostat_service::counted::counted;
 
@@ -16,6 +16,11 @@ pub(super) fn rows(report: &Report) -> impl Iterator<Item = (&str, &Row)> {
     std::iter::once(("(oracle)", &report.oracle)).chain(policies)
 }
 
+/// Width of the column of names.
+fn name_width(report: &Report) -> usize {
+    rows(report).map(|(name, _)| name.len()).max().unwrap_or(0).max(22)
+}
+
 /// Prints a comparison.
 pub fn print_table(report: &Report) -> io::Result<()> {
     let loop_name = if report.mode == Loop::ClosedLoop { "closed loop" } else { "static" };
@@ -26,8 +31,9 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         report.blocked,
         states_and_seeds(report)
     )?;
+    let width = name_width(report);
     outln!(
-        "{:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+        "{:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
         "",
         "trained",
         "Mbit/s",
@@ -44,7 +50,7 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         let (rate, ratio) = (row.sum_rate_mbps, row.ratio_to_oracle);
         let time = |time: Option<f64>| time.map_or("-".into(), |time| format!("{time:.0}"));
         outln!(
-            "{name:<22} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
+            "{name:<width$} {:>7} {:>13} {:>13} {:>6} {:>12} {:>12} {:>13} {:>18} {:>8} {:>8}",
             row.training_seeds.map_or("-".into(), |seeds| seeds.to_string()),
             interval(rate, 1),
             interval(ratio, 3),
@@ -66,7 +72,65 @@ pub fn print_table(report: &Report) -> io::Result<()> {
     if report.mode == Loop::ClosedLoop {
         outln!("outage: share of the users' time below their minimum rate, equal to one minus QoS met")?;
     }
+    print_differences(report)?;
+    print_beliefs(report)
+}
+
+/// Prints the paired differences of the policies from the first one, if there are several.
+fn print_differences(report: &Report) -> io::Result<()> {
+    let [(first, _), others @ ..] = &report.policies[..] else { return Ok(()) };
+    if others.is_empty() {
+        return Ok(());
+    }
+    outln!("\ndifference to {first}, paired state by state")?;
+    let width = name_width(report);
+    outln!("{:<width$} {:>15} {:>15} {:>15}", "", "Mbit/s", "ratio", "QoS met")?;
+    for (name, row) in others {
+        let cell = |difference: Option<Spread>, digits| signed(difference.unwrap_or(Spread::MISSING), digits);
+        outln!(
+            "{name:<width$} {:>15} {:>15} {:>15}",
+            cell(row.difference_mbps, 1),
+            cell(row.difference_ratio, 3),
+            cell(row.difference_qos_met, 3)
+        )?;
+    }
     Ok(())
+}
+
+/// Prints the quality of each belief about the users.
+fn print_beliefs(report: &Report) -> io::Result<()> {
+    if report.beliefs.is_empty() {
+        return Ok(());
+    }
+    let columns = belief_columns();
+    outln!("\nbelief about the users, against the truth at the predicted instant")?;
+    let headings = columns.iter().map(|(heading, _)| format!("{heading:>18}")).collect::<Vec<_>>();
+    let width = name_width(report);
+    outln!("{:<width$} {}", "", headings.join(" "))?;
+    for (name, quality) in &report.beliefs {
+        let cells = columns.iter().map(|(_, cell)| format!("{:>18}", cell(quality))).collect::<Vec<_>>();
+        outln!("{name:<width$} {}", cells.join(" "))?;
+    }
+    outln!("{BELIEF_NOTE}")
+}
+
+/// How to read the columns of [`belief_columns`].
+pub(super) const BELIEF_NOTE: &str = "place: distance on the floor; heading: of users who walk, and of users who stand \
+     (below 0.05 m/s); in 50 %, in 95 %: share of true places within the ellipse that should contain this share";
+
+/// A column about beliefs: its heading, and the text of a cell.
+type BeliefColumn = (&'static str, fn(&BeliefQuality) -> String);
+
+/// The columns about beliefs.
+pub(super) fn belief_columns() -> [BeliefColumn; 6] {
+    [
+        ("place, median (cm)", |quality| number(quality.place_error_median_cm, 1)),
+        ("place, mean (cm)", |quality| interval(quality.place_error_cm, 1)),
+        ("walking (deg)", |quality| interval(quality.heading_error_walking_deg, 1)),
+        ("standing (deg)", |quality| interval(quality.heading_error_standing_deg, 1)),
+        ("in 50 %", |quality| interval(quality.coverage_50, 3)),
+        ("in 95 %", |quality| interval(quality.coverage_95, 3)),
+    ]
 }
 
 /// Prints ratio and QoS met of every policy, then their sum rates, one line for each value of the
@@ -126,6 +190,11 @@ pub(super) fn interval(spread: Spread, digits: usize) -> String {
         return number(spread.mean, digits);
     }
     format!("{:.digits$} ±{:.digits$}", spread.mean, spread.ci95)
+}
+
+/// A difference with its sign, and half the width of its interval.
+pub(super) fn signed(spread: Spread, digits: usize) -> String {
+    format!("{}{}", if spread.mean >= 0.0 { "+" } else { "" }, interval(spread, digits))
 }
 
 /// A number, or a dash for NaN.

@@ -59,18 +59,30 @@ pub fn by_policy(report: &Report) -> Result<String> {
     Ok(plots)
 }
 
-/// The sum rate of each further policy minus that of the first; nothing for a single policy.
+/// A difference of a row from the first one, and the words before and after "minus that of ...".
+type Difference = ([&'static str; 2], fn(&Row) -> Option<Spread>);
+
+const DIFFERENCES: [Difference; 3] = [
+    (["sum rate", " (Mbit/s)"], |row| row.difference_mbps),
+    (["ratio to the oracle", ""], |row| row.difference_ratio),
+    (["QoS met", ""], |row| row.difference_qos_met),
+];
+
+/// The figures of each further policy minus those of the first; nothing for a single policy.
 fn differences(report: &Report) -> Result<String> {
-    let dots = report.policies.iter().filter_map(|(name, row)| {
-        let Spread { mean, ci95, .. } = row.difference_mbps?;
-        Some(Dot { name, at: mean, low: mean - ci95, high: mean + ci95 })
-    });
-    let dots: Vec<Dot> = dots.collect();
-    if dots.is_empty() {
-        return Ok(String::new());
+    let mut plots = String::new();
+    for ([figure, unit], difference) in DIFFERENCES {
+        let dots = report.policies.iter().filter_map(|(name, row)| {
+            let Spread { mean, ci95, .. } = difference(row)?;
+            Some(Dot { name, at: mean, low: mean - ci95, high: mean + ci95 })
+        });
+        let dots: Vec<Dot> = dots.collect();
+        if !dots.is_empty() {
+            let first = short_name(&report.policies[0].0);
+            plots += &draw(&format!("{figure} minus that of {first}{unit}, paired, 95 % interval"), false, &dots)?;
+        }
     }
-    let first = short_name(&report.policies[0].0);
-    draw(&format!("sum rate minus that of {first} (Mbit/s), paired, 95 % interval"), false, &dots)
+    Ok(plots)
 }
 
 /// A curve of each quantity for each policy over the values of the sweep; none if a value is no number.

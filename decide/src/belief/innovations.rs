@@ -1,0 +1,31 @@
+//! How well the predicted positions agree with the reported ones.
+
+use crate::belief::motion::MotionEstimate;
+
+/// Normalised innovation squared of the position reports of known users since the start.
+///
+/// d' S^-1 d for the deviation d of a reported position from the predicted one, where S is the
+/// covariance of the prediction plus that of the report. Its mean is 2 if both are right.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Innovations {
+    /// Number of reported positions.
+    pub count: u64,
+    /// Sum of their normalised innovations squared.
+    pub sum: f64,
+}
+
+impl Innovations {
+    /// Compares a prediction with the reported x and y in m, whose noise has this standard deviation
+    /// in m.
+    pub fn handle(&mut self, predicted: &MotionEstimate, reported_m: [f64; 2], noise_m: f64) {
+        let [xx, xy, yy] = predicted.position_cov_m2;
+        let noise = noise_m * noise_m;
+        let (xx, yy) = (xx + noise, yy + noise);
+        let [dx, dy] = [0, 1].map(|axis| reported_m[axis] - predicted.position_m[axis]);
+        let squared = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
+        if squared.is_finite() {
+            self.count += 1;
+            self.sum += squared;
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! The state of a belief, as a recording holds it.
+
+use heliostat_proto::Nanos;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Belief, NoiseLevel, Track, angle_history,
+    occupancy::{Occupancy, OccupancyMemory},
+};
+
+/// Commands whose validity ended longer than this before the last position report, in ns, explain no
+/// later measurement: no report is accepted at twice this age.
+const COMMANDS_NS: Nanos = 2_000_000_000;
+
+/// Everything that a belief has learned. Settings of the scenario are not in it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct BeliefMemory {
+    position_noise: NoiseLevel,
+    velocity_noise: NoiseLevel,
+    tracks: Vec<Track>,
+    last_ns: Nanos,
+    commands: Vec<angle_history::Entry>,
+    map: Option<OccupancyMemory>,
+}
+
+impl Belief {
+    /// The present state.
+    pub fn memory(&self) -> BeliefMemory {
+        BeliefMemory {
+            position_noise: self.position_noise,
+            velocity_noise: self.velocity_noise,
+            tracks: self.tracks.clone(),
+            last_ns: self.last_ns,
+            commands: self.history.since(self.last_ns.saturating_sub(COMMANDS_NS)),
+            map: self.map.as_ref().map(Occupancy::memory),
+        }
+    }
+
+    /// Replaces the state; false, with parts of it replaced, where it is not one of this scenario.
+    pub fn restore(&mut self, memory: &BeliefMemory) -> bool {
+        let BeliefMemory { position_noise, velocity_noise, tracks, last_ns, commands, map } = memory;
+        let [position_first, velocity_first] = &self.first_noise;
+        let is_sound = |track: &Track| track.motion.is_sound() && track.height.is_sound() && track.covered.is_sound();
+        let fits = position_first.is_like(position_noise)
+            && velocity_first.is_like(velocity_noise)
+            && tracks.len() <= self.tracks.capacity()
+            && tracks.iter().all(is_sound)
+            && self.history.restore(commands)
+            && match (&mut self.map, map) {
+                (Some(map), Some(memory)) => map.restore(memory),
+                (None, None) => true,
+                _ => false,
+            };
+        if fits {
+            (self.position_noise, self.velocity_noise, self.last_ns) = (*position_noise, *velocity_noise, *last_ns);
+            self.tracks.clone_from(tracks);
+        }
+        fits
+    }
+}

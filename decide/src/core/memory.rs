@@ -1,0 +1,149 @@
+//! The state of a controller, for a replay that begins while the controller runs.
+//!
+//! [`Controller::memory`] copies everything that later decisions depend on besides later inputs,
+//! and [`Controller::restore`] sets another controller of the same scenario and policy to it. From
+//! then on both give the same commands for the same inputs, bit for bit. Counters, the tenure and
+//! the fit of the array are not in it, because they change no angle; the last observation is not,
+//! because each decision that reads one makes it.
+
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::{ControllerInput, MirrorCommand, StateError, decode, decode_state, encode, encode_state};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::{Controller, degraded_actions::LastReport, journal::Journal};
+use crate::{
+    input::inbox::memory::InboxMemory, observe::observer::memory::ObserverMemory, output::guard::GuardMemory,
+    output::safety::check_finite, policy::FallbackMemory,
+};
+
+/// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
+const LAYOUT: u32 = 1;
+
+/// The state of a controller.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Memory {
+    layout: u32,
+    inbox: InboxMemory,
+    observer: ObserverMemory,
+    policy: FallbackMemory,
+    /// Smallest and largest roll, then yaw, in rad.
+    axes_rad: [[f64; 2]; 2],
+    guard: GuardMemory,
+    last_report: Option<LastReport>,
+    /// The last command as it was on the wire, without its sequence number.
+    command: Vec<u8>,
+    has_command: bool,
+    /// Roll and yaw of the observation: those of the last command before they are rounded.
+    angles_rad: [Vec<f64>; 2],
+}
+
+/// Why a state cannot be restored.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum MemoryError {
+    /// The bytes are no state.
+    #[error(transparent)]
+    Bytes(#[from] StateError),
+    /// The state is of another version of this program.
+    #[error("the state has layout {found}: expected {LAYOUT}, that of this version")]
+    Layout {
+        /// Layout found.
+        found: u32,
+    },
+    /// The state is of another scenario.
+    #[error("the state does not fit the scenario: {part} differs")]
+    Scenario {
+        /// The part that does not fit.
+        part: &'static str,
+    },
+}
+
+impl Memory {
+    /// Writes the state.
+    ///
+    /// # Errors
+    /// [`StateError`], never for a state of a controller.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, StateError> {
+        encode_state(self)
+    }
+
+    /// Reads a state that [`to_bytes`](Self::to_bytes) has written.
+    ///
+    /// # Errors
+    /// [`MemoryError`] where the bytes are no state of this version.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, MemoryError> {
+        // The layout comes first: a state of another layout is no value of this type.
+        let found = bytes.first().map_or(0, |byte| u32::from(*byte));
+        if found != LAYOUT {
+            return Err(MemoryError::Layout { found });
+        }
+        Ok(decode_state(bytes)?)
+    }
+}
+
+impl Controller {
+    /// Records accepted messages and decisions for [`take_inputs`](Self::take_inputs).
+    pub fn with_journal(mut self) -> Self {
+        self.journal = Journal::enabled();
+        self
+    }
+
+    /// Exchanges `into` for the inputs since the last call. False where some are missing, because
+    /// they were too many or are not recorded.
+    pub fn take_inputs(&mut self, into: &mut Vec<ControllerInput>) -> bool {
+        self.journal.take(into)
+    }
+
+    /// The present state. Allocates.
+    pub fn memory(&self) -> Memory {
+        let mut command = Vec::new();
+        // A command of the core always encodes.
+        let _ = encode(&MirrorCommand { sequence: 0, ..self.command.clone() }, &mut command);
+        Memory {
+            layout: LAYOUT,
+            inbox: self.inbox.memory(),
+            observer: self.observer.memory(),
+            policy: self.policy.memory(),
+            axes_rad: self.limits.axes_rad(),
+            guard: self.guard.memory(),
+            last_report: self.last_report,
+            command,
+            has_command: self.has_command,
+            angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
+        }
+    }
+
+    /// Replaces the state by one of a controller with the same scenario. The state of another
+    /// policy than this controller's is left out.
+    ///
+    /// # Errors
+    /// [`MemoryError`] where the state is of another scenario; some parts are then replaced, so the
+    /// controller must not be used before another state is restored.
+    pub fn restore(&mut self, memory: &Memory) -> Result<(), MemoryError> {
+        let other = |part| MemoryError::Scenario { part };
+        let [roll, yaw] = &memory.angles_rad;
+        let mirrors = self.observation.mirrors();
+        let command: MirrorCommand = decode(&memory.command).map_err(|_| other("command"))?;
+        if [roll.len(), yaw.len(), command.roll.len()] != [mirrors; 3] {
+            return Err(other("number of mirrors"));
+        }
+        let angles = MirrorAngles { roll: roll.clone(), yaw: yaw.clone() };
+        check_finite(&angles).map_err(|_| other("angles"))?;
+        if !self.limits.restore_axes(memory.axes_rad) {
+            return Err(other("range of the mirrors"));
+        }
+        if !self.inbox.restore(&memory.inbox) {
+            return Err(other("reports"));
+        }
+        if !self.observer.restore(&memory.observer) {
+            return Err(other("belief"));
+        }
+        self.policy.restore(&memory.policy);
+        self.guard.restore(&memory.guard);
+        self.last_report = memory.last_report;
+        self.command = command;
+        self.has_command = memory.has_command;
+        self.observation.set_angles(&angles);
+        Ok(())
+    }
+}

@@ -1,0 +1,145 @@
+//! A controller that repeats the inputs of a schedule.
+
+use std::collections::HashMap;
+use std::rc::Rc;
+
+use heliostat_decide::core::memory::Memory;
+use heliostat_decide::core::{Controller, Decision, Timing};
+use heliostat_proto::{ControllerMemory, InputKind, MirrorCommand, Nanos, decode};
+
+use super::inputs::handle;
+use super::plan::RecordedCommand;
+use super::schedule::{EntryIndex, Schedule, Step};
+
+/// A message of a stream that was read from the recording.
+#[derive(Clone, Debug)]
+pub(super) struct Offered {
+    pub entry: EntryIndex,
+    pub input: InputKind,
+    pub source: u64,
+    pub sequence: u64,
+    pub data: Vec<u8>,
+}
+
+/// A message that the current controller may have handled after its last recorded state.
+pub(super) struct Tail {
+    pub input: InputKind,
+    pub data: Vec<u8>,
+    pub arrived_ns: Nanos,
+    /// Of a position report.
+    pub answer: Option<RecordedCommand>,
+}
+
+/// What a schedule does with a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// It waits for its step.
+    Step,
+    /// It comes after the last step.
+    Tail,
+    /// The controller did not accept it.
+    Nowhere,
+}
+
+/// A decision of a step.
+pub(super) struct Decided {
+    /// The command, unless the controller held.
+    pub command: Option<MirrorCommand>,
+    /// Whether the state was known.
+    pub counts: bool,
+}
+
+/// The progress in a schedule.
+pub(super) struct Progress {
+    schedule: Rc<Schedule>,
+    next: usize,
+    waiting: HashMap<EntryIndex, (InputKind, Vec<u8>)>,
+    /// Whether the controller has the recorded state.
+    pub is_known: bool,
+    /// Why a state was not restored.
+    pub problem: Option<String>,
+}
+
+impl Progress {
+    pub fn new(schedule: Rc<Schedule>) -> Self {
+        Self { schedule, next: 0, waiting: HashMap::new(), is_known: false, problem: None }
+    }
+
+    /// Whether every step was taken.
+    pub fn is_complete(&self) -> bool {
+        self.next == self.schedule.steps.len()
+    }
+
+    /// Decides where a message belongs; a message of a step is kept.
+    pub fn place(&mut self, offered: &Offered) -> Place {
+        let Offered { entry, input, source, sequence, data } = offered;
+        if self.schedule.names(*entry) {
+            self.waiting.insert(*entry, (*input, data.clone()));
+            return Place::Step;
+        }
+        if self.schedule.is_later(*input, *source, *sequence) { Place::Tail } else { Place::Nowhere }
+    }
+
+    /// Keeps a memory message for its step.
+    pub fn keep_memory(&mut self, entry: EntryIndex, data: &[u8]) {
+        if self.schedule.names(entry) {
+            self.waiting.insert(entry, (InputKind::default(), data.to_vec()));
+        }
+    }
+
+    /// Takes all steps whose messages were read, up to the entry `read`, and returns the decisions
+    /// to which the recorded controller gave a command.
+    pub fn advance(&mut self, controller: &mut Controller, read: EntryIndex) -> Vec<Decided> {
+        let mut decisions = Vec::new();
+        while let Some(step) = self.schedule.steps.get(self.next).copied() {
+            match step {
+                Step::Gap => self.is_known = false,
+                Step::Handle { entry: None, .. } => self.is_known = false,
+                Step::Handle { entry: Some(entry), now } => match self.waiting.remove(&entry) {
+                    Some((input, data)) => handle(controller, input, &data, now),
+                    None if entry > read => return decisions,
+                    None => self.is_known = false,
+                },
+                Step::Decide { input, now, gave_command } => {
+                    let command = decide(controller, input, now);
+                    if gave_command {
+                        decisions.push(Decided { command, counts: self.is_known });
+                    } else {
+                        // A replay does not know why the controller held, for example in standby.
+                        self.is_known &= command.is_none();
+                    }
+                }
+                Step::Load { entry } => match self.waiting.remove(&entry) {
+                    Some((_, data)) if !self.is_known => self.load(controller, &data),
+                    Some(_) => {}
+                    None if entry > read => return decisions,
+                    None => {}
+                },
+            }
+            self.next += 1;
+        }
+        decisions
+    }
+
+    fn load(&mut self, controller: &mut Controller, data: &[u8]) {
+        let Ok(message) = decode::<ControllerMemory>(data) else { return };
+        let restored = Memory::from_bytes(&message.state).and_then(|memory| controller.restore(&memory));
+        self.is_known = restored.is_ok();
+        if let Err(error) = restored {
+            self.problem.get_or_insert(error.to_string());
+        }
+    }
+}
+
+fn decide(controller: &mut Controller, input: InputKind, now: Nanos) -> Option<MirrorCommand> {
+    let decision = match input {
+        InputKind::LateDecision => controller.poll_command(now, Timing::Late, &mut |_| {}),
+        InputKind::StaleDecision => controller.poll_stale_command(now),
+        InputKind::SilenceDecision => controller.poll_timeout_command(now)?,
+        _ => controller.poll_command(now, Timing::InTime, &mut |_| {}),
+    };
+    match decision {
+        Decision::Move { command, .. } => Some(command.clone()),
+        Decision::Hold(_) => None,
+    }
+}

@@ -1,0 +1,207 @@
+//! The belief that a controller publishes: on the bus, beside the truth in the metrics, and on the
+//! page in a browser.
+
+use std::net::{SocketAddr, TcpListener};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_endpoint, free_loopback_port};
+use heliostat_proto::{BeliefReport, MirrorCommand, Room, RoomTruth, codec};
+use heliostat_tests::{Browser, Process, wait_until};
+
+const FILTER: [&str; 6] =
+    ["--scenario", "hall", "--set", "control.belief=\"filter\"", "--set", "streams.positions.rate_hz=50"];
+
+/// A room and a controller, each with a metrics page.
+struct Setting {
+    room: Process,
+    controller: Process,
+    endpoints: [String; 2],
+    metrics: [SocketAddr; 2],
+}
+
+impl Setting {
+    fn new(settings: &[&str]) -> Self {
+        let endpoints = [(); 2].map(|()| free_loopback_endpoint().expect("a free port"));
+        let metrics = [(); 2].map(|()| SocketAddr::from(([127, 0, 0, 1], free_loopback_port().expect("a free port"))));
+        let [room_at, controller_at] = endpoints.each_ref().map(String::as_str);
+        let [room_page, controller_page] = metrics.map(|address| address.to_string());
+        let both = |arguments: &[&str]| Process::heliostat(&[arguments, &["--exit-with-parent"], settings].concat());
+        let room = both(&["sim-node", "--json", "--listen", room_at, "--metrics-listen", &room_page]);
+        let join = ["controller", "--policy", "greedy", "--connect", room_at, "--listen", controller_at];
+        let controller = both(&[&join[..], &["--json", "--metrics-listen", &controller_page]].concat());
+        Self { room, controller, endpoints, metrics }
+    }
+
+    fn bus(&self) -> Bus {
+        let config = BusConfig::new(Room::new("demo").expect("valid"));
+        Bus::open(&self.endpoints.iter().fold(config, |config, at| config.connect_to(at))).expect("the bus opens")
+    }
+}
+
+/// Messages of one key in the order of arrival.
+type Arrived<T> = Arc<Mutex<Vec<T>>>;
+
+fn collect<T: codec::Message + Send + 'static>(bus: &Bus, key: &str) -> (Arrived<T>, Subscription) {
+    let arrived: Arrived<T> = Arc::default();
+    let keep = Arc::clone(&arrived);
+    let subscription = bus.subscribe(key, move |payload| {
+        keep.lock().expect("no callback panics").push(codec::decode(payload).expect("a valid message"));
+    });
+    (arrived, subscription.expect("the key is valid"))
+}
+
+fn fetch(address: SocketAddr) -> String {
+    let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(Duration::from_secs(5))).build().into();
+    let page =
+        agent.get(format!("http://{address}/metrics")).call().map(|mut answer| answer.body_mut().read_to_string());
+    page.ok().and_then(Result::ok).unwrap_or_default()
+}
+
+/// The value of the first sample with this prefix.
+fn value(page: &str, sample: &str) -> f64 {
+    let line = page.lines().find(|line| line.starts_with(sample));
+    line.and_then(|line| line.rsplit(' ').next()?.parse().ok()).unwrap_or(f64::NAN)
+}
+
+#[test]
+fn the_belief_follows_each_command_and_is_near_the_truth() {
+    let setting = Setting::new(&FILTER);
+    let bus = setting.bus();
+    let (commands, _commands) = collect::<MirrorCommand>(&bus, &bus.room().command());
+    let latest = Arc::clone(&commands);
+    // With each belief the newest command that had arrived before it.
+    let beliefs: Arrived<(BeliefReport, u64)> = Arc::default();
+    let keep = Arc::clone(&beliefs);
+    let _beliefs = bus.subscribe(&bus.room().belief(), move |payload| {
+        let answered = latest.lock().expect("no callback panics").last().map_or(0, |command| command.answers);
+        let belief = codec::decode(payload).expect("a valid belief");
+        keep.lock().expect("no callback panics").push((belief, answered));
+    });
+    let (truths, _truths) = collect::<RoomTruth>(&bus, &bus.room().truth());
+    let count = || beliefs.lock().expect("no callback panics").len();
+    wait_until("some beliefs", || count() > 20);
+    let (begun, first) = (Instant::now(), count());
+    std::thread::sleep(Duration::from_secs(3));
+    let (received, elapsed_s) = (count() - first, begun.elapsed().as_secs_f64());
+    assert!((10.0..=21.0 * elapsed_s).contains(&(received as f64)), "{received} beliefs in {elapsed_s:.1} s");
+
+    let (beliefs, truths) = (beliefs.lock().expect("received"), truths.lock().expect("received"));
+    let mut compared = 0;
+    for (belief, answered) in beliefs.iter() {
+        assert!(*answered >= belief.tick, "the belief of tick {} arrived before its command", belief.tick);
+        let ahead_ns = belief.holds_ns.saturating_sub(belief.stamp.time_ns);
+        assert!((1..100_000_000).contains(&ahead_ns), "{ahead_ns} ns after the decision");
+        assert!(belief.users.iter().all(|user| user.xx_m2 > 0.0 && user.yy_m2 > 0.0), "{belief:?}");
+        let Some(truth) = truths.iter().min_by_key(|truth| truth.stamp.time_ns.abs_diff(belief.holds_ns)) else {
+            continue;
+        };
+        for user in &belief.users {
+            let Some(known) = truth.users.iter().find(|known| known.user == user.user) else { continue };
+            let [dx, dy] = [0, 1].map(|axis| user.position_m[axis] - known.position_m[axis]);
+            assert!(dx.hypot(dy) < 1.0, "{user:?} {known:?}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 50, "{compared} places");
+}
+
+#[test]
+fn a_controller_without_a_filter_publishes_no_belief() {
+    let setting = Setting::new(&["--scenario", "hall", "--set", "control.belief=\"none\""]);
+    let bus = setting.bus();
+    let (beliefs, _beliefs) = collect::<BeliefReport>(&bus, &bus.room().belief());
+    let (commands, _commands) = collect::<MirrorCommand>(&bus, &bus.room().command());
+    wait_until("many commands", || commands.lock().expect("received").len() > 100);
+    assert_eq!(beliefs.lock().expect("received").len(), 0);
+    let summary = setting.controller.end().json();
+    assert!(summary.get("belief").is_none(), "{summary}");
+    assert!(setting.room.end().json().get("belief").is_none());
+}
+
+#[test]
+fn the_metrics_compare_the_belief_with_the_reports_and_the_truth() {
+    let setting = Setting::new(&FILTER);
+    let [room_at, controller_at] = setting.metrics;
+    wait_until("many compared places", || value(&fetch(room_at), "heliostat_belief_places_total") > 500.0);
+    let (room, controller) = (fetch(room_at), fetch(controller_at));
+    let places = value(&room, "heliostat_belief_places_total");
+    let inside = |ellipse: &str| {
+        let sample = format!("heliostat_belief_places_inside_total{{room=\"demo\",ellipse=\"{ellipse}\"}}");
+        value(&room, &sample) / places
+    };
+    println!("{places} places: {:.3} within 50 %, {:.3} within 95 %", inside("50"), inside("95"));
+    assert!(inside("50") > 0.2 && inside("50") < 0.8, "{room}");
+    assert!(inside("95") > 0.7 && inside("95") > inside("50"), "{room}");
+    let mean = value(&controller, "heliostat_belief_innovation_mean");
+    println!("mean normalised innovation squared {mean:.2}");
+    assert!(mean > 1.0 && mean < 4.0, "{controller}");
+    assert!(value(&controller, "heliostat_belief_reports_total") > 500.0, "{controller}");
+
+    let summary = setting.controller.end().json();
+    assert!(summary["belief"]["reports"].as_u64() > Some(500), "{summary}");
+    let summary = setting.room.end().json();
+    assert!(summary["belief"]["places"].as_u64() > Some(500), "{summary}");
+}
+
+#[test]
+fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
+    let setting = Setting::new(&FILTER);
+    let port = TcpListener::bind(("127.0.0.1", 0)).and_then(|free| free.local_addr()).expect("a free port").port();
+    let (port, [room_at, controller_at]) = (port.to_string(), setting.endpoints.each_ref().map(String::as_str));
+    let server = Process::heliostat(
+        &[&["ui", "--plain", "--connect", room_at, "--connect", controller_at, "--ui-port", &port][..], &FILTER]
+            .concat(),
+    );
+    wait_until("the address of the page", || server.errors().contains("the page is at http://"));
+    let url = format!("http://127.0.0.1:{port}/");
+    for flags in [&[][..], &["--disable-gpu", "--disable-3d-apis"]] {
+        let Some(browser) = Browser::open_with(&url, flags) else { return };
+        let users = "const { to } = document.getElementById('room').room.motion; return to ? to.users : []";
+        let believed = || {
+            browser.run(users).as_array().is_some_and(|users| {
+                !users.is_empty() && users.iter().all(|user| user["belief"]["semi_axes_m"].is_array())
+            })
+        };
+        wait_until("a belief of each user", believed);
+        // In a simulated room the frame holds the true place, so the distance is the error.
+        let near = || {
+            browser.run(users).as_array().is_some_and(|users| {
+                users.iter().all(|user| {
+                    let place = |at: &str, axis: usize| {
+                        user.pointer(at).map_or(f64::NAN, |at| at[axis].as_f64().unwrap_or(f64::NAN))
+                    };
+                    let [dx, dy] = [0, 1].map(|axis| place("/at_m", axis) - place("/belief/at_m", axis));
+                    dx.hypot(dy) < 0.5
+                })
+            })
+        };
+        wait_until("beliefs near the true places", near);
+        let heading = || {
+            browser.run(users).as_array().is_some_and(|users| {
+                users.iter().any(|user| {
+                    let [x, y] = [0, 1].map(|axis| user["belief"]["heading"][axis].as_f64().unwrap_or(0.0));
+                    x.hypot(y) > 0.5
+                })
+            })
+        };
+        wait_until("a heading of a walking user", heading);
+        let is_3d = browser.run("return document.documentElement.dataset.view") == "3d";
+        assert_eq!(is_3d, flags.is_empty());
+        let drawn = "const { users } = document.getElementById('room').room.view.content; \
+                     return [...users.values()].filter(({ belief }) => belief.visible).length";
+        let marks = "return document.getElementById('room').room.view.content.headings.mesh.count";
+        if is_3d {
+            wait_until("ellipses and headings", || {
+                browser.run(drawn).as_u64() > Some(0) && browser.run(marks).as_u64() > Some(0)
+            });
+        }
+        assert_eq!(browser.run("return document.getElementById('show-belief').checked"), true);
+        browser.run("document.getElementById('show-belief').click()");
+        assert_eq!(browser.run("return document.getElementById('room').room.shown.belief"), false);
+        if is_3d {
+            wait_until("no ellipse and no heading", || browser.run(drawn) == 0 && browser.run(marks) == 0);
+        }
+        assert_eq!(browser.console_errors(), Vec::<String>::new());
+    }
+}

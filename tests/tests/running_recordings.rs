@@ -1,0 +1,160 @@
+//! Recordings of a room and a controller that were running before the recorder: a replay compares
+//! commands from the first recorded state of the controller on.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_proto::{ControllerMemory, InputKind, codec};
+use heliostat_record::account::Account;
+use heliostat_record::file::{Reading, Recording};
+use heliostat_tests::{Process, wait_until};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A room with the filter, whose recorder starts some seconds after the controller.
+struct Setting {
+    folder: TempDir,
+    room: Process,
+    controller: Process,
+    endpoints: [String; 2],
+    settings: Vec<&'static str>,
+}
+
+impl Setting {
+    /// Starts room and controller, and waits until the belief has a past.
+    fn new(settings: &[&'static str], policy: &str) -> Self {
+        let endpoints = [free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap()];
+        let [room_at, controller_at] = &endpoints;
+        let filter = ["--scenario", "hall", "--set", "control.belief=\"filter\""];
+        let settings = [&filter[..], settings].concat();
+        let both = |arguments: &[&str]| Process::heliostat(&[arguments, &settings].concat());
+        let room = both(&["sim-node", "--listen", room_at, "--exit-with-parent"]);
+        let ended = ["--exit-with-parent", "--json", "--policy", policy];
+        let controller = both(&[&["controller", "--connect", room_at, "--listen", controller_at], &ended[..]].concat());
+        std::thread::sleep(Duration::from_secs(3));
+        Self { folder: TempDir::new().unwrap(), room, controller, endpoints, settings }
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A recorder of the running room that has written something.
+    fn recorder(&self, file: &Path) -> Process {
+        let [room_at, controller_at] = &self.endpoints;
+        let out = file.to_string_lossy();
+        let arguments = ["record", "--connect", room_at, "--connect", controller_at, "--json", "--out", &out];
+        let recorder = Process::heliostat(&[&arguments[..], &self.settings].concat());
+        wait_until("something to be written", || file.metadata().is_ok_and(|metadata| metadata.len() > 100_000));
+        recorder
+    }
+
+    fn end(self) -> Value {
+        drop(self.room);
+        self.controller.end().json()
+    }
+}
+
+fn replay(file: &Path) -> Value {
+    Process::heliostat(&["replay", &file.to_string_lossy(), "--json"]).wait().json()
+}
+
+/// Asserts that a replay compares many commands of a recording, and that all are equal.
+fn assert_replays(file: &Path) -> Value {
+    let verdict = replay(file);
+    let count = |name: &str| verdict[name].as_u64().expect("a count");
+    assert!(count("same") > 50, "{verdict}");
+    assert_eq!((count("different"), count("held")), (0, 0), "{verdict}");
+    assert_eq!(verdict["unrestored"], Value::Null, "{verdict}");
+    verdict
+}
+
+/// A copy of a recording without the messages that `keep` refuses.
+fn copy(from: &Path, to: &Path, mut keep: impl FnMut(&str, &mut Vec<u8>) -> bool) {
+    let mut reading = Reading::open(File::open(from).unwrap()).unwrap();
+    let mut recording = Recording::create(File::create_new(to).unwrap(), reading.header()).unwrap();
+    while let Some(mut entry) = reading.entry().unwrap() {
+        if keep(&entry.topic, &mut entry.data) {
+            recording.payload(&entry.topic, entry.arrived_ns, entry.arrived_ns, &entry.data).unwrap();
+        }
+    }
+    recording.finish(&Account::default()).unwrap();
+}
+
+#[test]
+fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
+    let setting = Setting::new(&[], "greedy");
+    let file = setting.file("room.mcap");
+    let recorder = setting.recorder(&file);
+    std::thread::sleep(Duration::from_secs(9));
+    let account = recorder.end().json();
+    let memories = account["streams"]["heliostat/v1/demo/controller/memory"]["messages"].as_u64();
+    assert!((5..=15).contains(&memories.expect("states were recorded")), "{account}");
+    setting.end();
+    let verdict = assert_replays(&file);
+
+    // The state that the controller had before the recording is what makes the commands equal.
+    let without = file.with_file_name("without.mcap");
+    copy(&file, &without, |topic, _| !topic.ends_with("controller/memory"));
+    let other = replay(&without);
+    assert!(other["different"].as_u64() > Some(0), "{other}");
+
+    // A report that the recorder did not receive makes the state unknown until the next one.
+    let gap = file.with_file_name("gap.mcap");
+    let (mut reports, mut states) = (0, 0);
+    copy(&file, &gap, |topic, _| {
+        states += u64::from(topic.ends_with("controller/memory"));
+        reports += u64::from(topic.ends_with("/users") && states == 1);
+        !(topic.ends_with("/users") && states == 1 && reports == 10)
+    });
+    let fewer = assert_replays(&gap);
+    assert!(fewer["same"].as_u64() < verdict["same"].as_u64(), "{fewer} {verdict}");
+
+    // A report that the controller did not accept, beside those that it did.
+    let foreign = file.with_file_name("foreign.mcap");
+    let (mut dropped, mut states) = (0, 0);
+    copy(&file, &foreign, |topic, payload| {
+        let Ok(mut memory) = codec::decode::<ControllerMemory>(payload) else { return true };
+        states += 1;
+        if topic.ends_with("controller/memory") && states == 3 {
+            let before = memory.inputs.len();
+            let mut inputs = memory.inputs.iter().map(|input| input.input);
+            let report = inputs.position(|input| input == InputKind::Users).expect("a report");
+            memory.inputs.remove(report);
+            dropped = before - memory.inputs.len();
+            codec::encode(&memory, payload).unwrap();
+        }
+        true
+    });
+    assert_eq!(dropped, 1);
+    let differs = replay(&foreign);
+    assert!(differs["different"].as_u64() > Some(0), "the listed inputs are the ones that count: {differs}");
+}
+
+#[test]
+fn recordings_of_users_who_come_and_go_replay_also_when_the_recorder_is_killed() {
+    let arrivals = [
+        "--set",
+        "streams.positions.rate_hz=50",
+        "--set",
+        "users.arrivals.rate_per_min=120",
+        "--set",
+        "users.arrivals.mean_stay_s=2",
+        "--set",
+        "users.arrivals.max_users=14",
+    ];
+    let setting = Setting::new(&arrivals, "fixed-point");
+    let file = setting.file("room.mcap");
+    let recorder = setting.recorder(&file);
+    std::thread::sleep(Duration::from_secs(4));
+    recorder.end().json();
+    let killed = setting.file("killed.mcap");
+    let mut recorder = setting.recorder(&killed);
+    std::thread::sleep(Duration::from_secs(5));
+    recorder.kill();
+    setting.end();
+    assert_eq!(assert_replays(&file)["complete"], true);
+    assert_eq!(assert_replays(&killed)["complete"], false);
+}

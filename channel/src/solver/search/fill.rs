@@ -6,7 +6,7 @@ use crate::solver::table::{Table, Utility};
 /// Number of passes of single moves after a fill.
 const FILL_PASSES: usize = 2;
 /// Factor by which a move must raise the product of the fill utilities.
-const MIN_FACTOR: f64 = 1.0 + 1e-9;
+const FILL_FACTOR_MIN: f64 = 1.0 + 1e-9;
 
 impl Search {
     /// Assigns the mirrors one after another, each to the allowed user with the largest increase,
@@ -37,7 +37,7 @@ impl Search {
                 let lost = utility.fill_utility(from, without) * self.inverse_fill[from];
                 let (user, gained) = self.best_to_fill(m, Some(from), table, utility);
                 if let Some(to) = user
-                    && lost * gained > MIN_FACTOR
+                    && lost * gained > FILL_FACTOR_MIN
                 {
                     self.trial.served[m] = to;
                     self.shift(from, without - self.amplitude[from], utility);
@@ -63,7 +63,7 @@ impl Search {
         }
         let (user, gained) = self.best_to_fill(m, Some(from), table, utility);
         match user {
-            Some(to) if lost * gained > MIN_FACTOR => {
+            Some(to) if lost * gained > FILL_FACTOR_MIN => {
                 self.trial.served[m] = to;
                 self.give(m, to, table, utility);
             }

@@ -268,7 +268,7 @@ fn the_fixed_point_has_the_aims_of_the_decoder_for_its_weights() {
         let (mut solver, mut angles) = (Solver::new(6, 100), MirrorAngles::flat(100));
         solver.solve(&model, &scene, &MinimumRates::NONE, Method::FixedPoint, &mut angles);
         let mut decoded = MirrorAngles::flat(100);
-        decode_sharing(&model, &scene, &spill_of(&model, &scene), solver.weights(), &mut decoded);
+        decode(&model, &scene, solver.weights(), &mut decoded);
         assert_eq!(angles, decoded, "case {case}");
     }
 }

@@ -132,7 +132,7 @@ impl Spill {
     }
 
     /// Leaves the users as the only aims, without gains.
-    fn clear(&mut self, scene: &Scene) {
+    pub fn clear(&mut self, scene: &Scene) {
         self.mirrors = scene.mirrors;
         self.gains.clear();
         self.starts.clear();

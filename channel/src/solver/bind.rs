@@ -46,9 +46,10 @@ impl<'a> Problem<'a> {
 }
 
 impl Solver {
-    /// Solves the problem of a scene, with its spill, and writes the angles of the mirrors.
+    /// Solves the problem of a scene and writes the angles of the mirrors. The fixed point leaves
+    /// the spill out, since that takes several times as long as all else; the other methods count it.
     ///
-    /// Returns the objective in bit/s. By the law of reflection it is that of the angles, up to
+    /// Returns the objective in bit/s, without light that is not counted. By the law of reflection it is that of the angles, up to
     /// rounding; with several receiver branches, to the approximation of [`crate::solver`].
     ///
     /// `out`: mechanical angles in radians. Shape: M.
@@ -63,7 +64,8 @@ impl Solver {
         method: Method,
         out: &mut MirrorAngles,
     ) -> f64 {
-        let solution = self.with_spill(model, scene, min_rates, |solver, problem| match method {
+        let spilled = method != Method::FixedPoint;
+        let solution = self.with_spill(model, scene, min_rates, spilled, |solver, problem| match method {
             Method::FixedPoint => solver.fixed_point(problem),
             Method::Greedy { passes } => solver.greedy(problem, passes),
             Method::Oracle => solver.oracle(problem),
@@ -86,22 +88,27 @@ impl Solver {
         min_rates: &MinimumRates,
         out: &mut MirrorAngles,
     ) -> Result<f64, SolverError> {
-        let solution = self.with_spill(model, scene, min_rates, |solver, problem| solver.exhaustive(problem))?;
+        let solution = self.with_spill(model, scene, min_rates, true, |solver, problem| solver.exhaustive(problem))?;
         self.write_angles(model, out);
         Ok(solution.objective_bps)
     }
 
-    /// Calls `solve` with the problem of a scene, including its spill.
+    /// Calls `solve` with the problem of a scene, with or without its spill.
     fn with_spill<T>(
         &mut self,
         model: &ChannelModel,
         scene: &Scene,
         min_rates: &MinimumRates,
+        spilled: bool,
         solve: impl FnOnce(&mut Self, &Problem) -> T,
     ) -> T {
         // Taken out, so that the problem can borrow it; an empty list does not allocate.
         let mut spill = std::mem::take(&mut self.spill);
-        spill.update(model, scene);
+        if spilled {
+            spill.update(model, scene);
+        } else {
+            spill.clear(scene);
+        }
         let solved = solve(self, &Problem { spill: Some(&spill), ..Problem::of_scene(model, scene, min_rates) });
         self.spill = spill;
         solved

@@ -52,9 +52,11 @@ impl Setting {
         recorder
     }
 
-    fn end(self) -> Value {
+    /// Ends room and controller; the folder stays until it is dropped.
+    fn end(self) -> TempDir {
         drop(self.room);
-        self.controller.end().json()
+        self.controller.end().json();
+        self.folder
     }
 }
 
@@ -93,7 +95,7 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
     let account = recorder.end().json();
     let memories = account["streams"]["heliostat/v1/demo/controller/memory"]["messages"].as_u64();
     assert!((5..=15).contains(&memories.expect("states were recorded")), "{account}");
-    setting.end();
+    let _folder = setting.end();
     let verdict = assert_replays(&file);
 
     // The state that the controller had before the recording is what makes the commands equal.
@@ -155,7 +157,7 @@ fn recordings_of_users_who_come_and_go_replay_also_when_the_recorder_is_killed()
     let mut recorder = setting.recorder(&killed);
     std::thread::sleep(Duration::from_secs(5));
     recorder.kill();
-    setting.end();
+    let _folder = setting.end();
     assert_eq!(assert_replays(&file)["complete"], true);
     assert_eq!(assert_replays(&killed)["complete"], false);
 }

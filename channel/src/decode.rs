@@ -4,6 +4,10 @@
 //! that user and to the LED. Under the paper's eqs. (2) and (3) the best normal is a weighted sum
 //! of the directions to the users. In both cases one weight per user determines all angles.
 //!
+//! [`decode`] is the decoder of the learned policies, inside and outside an exported graph. A mirror
+//! serves one user there. [`decode_sharing`] also counts the light for other users in the spot, for
+//! policies that are no graph.
+//!
 //! ```
 //! use heliostat_channel::decode::decode;
 //! use heliostat_channel::{
@@ -68,7 +72,7 @@ use crate::aiming::bisect;
 use crate::geometry::Vec3;
 use crate::mirrors::MirrorAngles;
 use crate::model::{ChannelModel, Mode};
-use crate::scene::Scene;
+use crate::scene::{Scene, Spill};
 use crate::simd::with_widest_simd;
 use crate::trig::BLOCK;
 
@@ -107,6 +111,41 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
     }
 }
 
+/// As [`decode`], but counts the light of a mirror for all users in its spot.
+///
+/// Specular: mirror m has the aim argmax_a sum_k w_k g_akm, where g_akm is the gain of user k over
+/// mirror m at the aim a: its steering gain if k is the aim, else the entry of `spill`. The aims are
+/// the users and the midpoints of `spill`; the lowest index wins a tie. For rooms without close users
+/// this is `decode`. Paper: as `decode`.
+///
+/// `spill`: that of the scene. The other arguments are those of `decode`.
+///
+/// # Panics
+/// As `decode`, or when `spill` is that of another number of users.
+pub fn decode_sharing(model: &ChannelModel, scene: &Scene, spill: &Spill, weights: &[f64], out: &mut MirrorAngles) {
+    if spill.is_empty() {
+        return decode(model, scene, weights, out);
+    }
+    let (users, mirrors) = (scene.users(), model.mirrors.len());
+    assert_eq!(weights.len(), users, "one weight per user");
+    assert_eq!(spill.points().len(), users + spill.midpoints().len(), "the spill of this scene");
+    check_angles(out, mirrors);
+    let worth = |aim: usize, mirror: usize| {
+        let own = if aim < users { weights[aim] * scene.steering_gain()[aim * mirrors + mirror] } else { 0.0 };
+        own + spill.of(aim, mirror).iter().map(|spilled| weights[spilled.user] * spilled.gain).sum::<f64>()
+    };
+    let best = |mirror: usize| {
+        let larger = |best: (usize, f64), aim: usize| {
+            let worth = worth(aim, mirror);
+            if worth > best.1 { (aim, worth) } else { best }
+        };
+        (0..spill.points().len()).fold((0, 0.0), larger).0
+    };
+    aim_each(model, &Targets::of_spill(spill), out, |first, lanes| {
+        std::array::from_fn(|lane| if lane < lanes { best(first + lane) } else { 0 })
+    });
+}
+
 /// Aims each mirror at one user by the law of reflection, with the light of the LED that serves
 /// that user.
 ///
@@ -115,16 +154,25 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
 /// # Panics
 /// When `served` or `out` does not have one entry per mirror, or a user does not exist.
 pub fn aim(model: &ChannelModel, scene: &Scene, served: &[usize], out: &mut MirrorAngles) {
-    assert_eq!(served.len(), model.mirrors.len(), "one user per mirror");
+    aim_chosen(model, &Targets::of(scene), served, out);
+}
+
+/// Aims each mirror at one aim of a list by the law of reflection.
+pub(crate) fn aim_at(model: &ChannelModel, spill: &Spill, aims: &[usize], out: &mut MirrorAngles) {
+    aim_chosen(model, &Targets::of_spill(spill), aims, out);
+}
+
+fn aim_chosen(model: &ChannelModel, targets: &Targets<'_>, chosen: &[usize], out: &mut MirrorAngles) {
+    assert_eq!(chosen.len(), model.mirrors.len(), "one user per mirror");
     check_angles(out, model.mirrors.len());
     aim_each(
         model,
-        &Targets::of(scene),
+        targets,
         out,
         #[inline(always)]
         |first, lanes| {
             let mut block = [0; BLOCK];
-            block[..lanes].copy_from_slice(&served[first..first + lanes]);
+            block[..lanes].copy_from_slice(&chosen[first..first + lanes]);
             block
         },
     );
@@ -174,6 +222,11 @@ impl<'a> Targets<'a> {
     /// The users of a scene.
     fn of(scene: &'a Scene) -> Self {
         Self { points: scene.positions(), leds: scene.serving() }
+    }
+
+    /// The users and midpoints of a list.
+    fn of_spill(spill: &'a Spill) -> Self {
+        Self { points: spill.points(), leds: spill.leds() }
     }
 }
 

@@ -80,6 +80,8 @@ pub(crate) struct Panel {
     pub order: f64,
     /// (n + 1) A_r T_s / (2 pi) over the number of points, in m2.
     pub front: f64,
+    /// Distance from the panel's centre to the nearest mirror in m.
+    pub nearest_mirror_m: f64,
     /// Distance from the panel's centre to each mirror in m, in blocks.
     pub distance: Vec<Lanes>,
     /// Unit vectors from each mirror to the panel's centre: x, y and z in blocks.
@@ -184,6 +186,7 @@ impl Panel {
                 in_blocks(along.map(|(mirror, distance)| (led.position[axis] - mirror[axis]) / distance))
             }),
             towards_mirror: in_blocks((0..mirrors.len()).map(towards_mirror)),
+            nearest_mirror_m: distance.iter().copied().fold(f64::INFINITY, f64::min),
             distance: in_blocks(distance.iter().copied()),
         }
     }

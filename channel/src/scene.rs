@@ -3,6 +3,7 @@
 //! [`Scene::update`] computes tables from the positions of users and blockers. [`Scene::irs_gain`],
 //! [`Scene::sinr`] and [`Scene::rates_bps`] then evaluate any angles of the mirrors. Tables over
 //! users and mirrors are user-major: index k * M + m. No function allocates after [`Scene::new`].
+//! [`Spill`] has the gains of users near the one at whom a mirror is aimed.
 //!
 //! A position that no light can reach (behind the mirror wall, at or above the LED, not a number)
 //! has gain zero and is not an error. [`decode`](crate::decode) has an example.
@@ -11,6 +12,8 @@ mod aimed;
 mod evaluate;
 mod kernel;
 mod reach;
+mod reflected;
+mod spill;
 mod steer;
 mod update;
 mod visibility;
@@ -18,6 +21,8 @@ mod visibility;
 use crate::geometry::Vec3;
 use crate::model::ChannelModel;
 use crate::receiver::Combining;
+
+pub use spill::{MIDPOINTS_MAX, SPILL_USERS_MAX, Spill, SpilledGain};
 
 /// Gains of K users and M mirrors at one moment; the buffers are reused.
 #[derive(Clone, Debug)]
@@ -45,6 +50,11 @@ pub struct Scene {
     irs_path_clear: Vec<bool>,
     /// See [`Scene::steering_gain`]. Shape: K * M.
     steering_gain: Vec<f64>,
+    /// Factors of [`Scene::weigh_columns`] on the gains of each path. Shape: K * M.
+    path_weight: Vec<f64>,
+    /// Whether each mirror can be aimed at each user within its range, even where the path is
+    /// blocked. Shape: K * M.
+    can_aim: Vec<bool>,
     /// Paper mode with several branches: coefficient of each branch. Shape: K * B * M, else empty.
     steering_branch: Vec<f64>,
     /// Paper mode: unit vectors from mirror to user. Shape: K * M, else empty.
@@ -74,6 +84,8 @@ impl Scene {
             led_path_clear: vec![true; model.leds.len() * mirrors],
             irs_path_clear: vec![false; users * mirrors],
             steering_gain: vec![0.0; users * mirrors],
+            path_weight: vec![1.0; users * mirrors],
+            can_aim: vec![false; users * mirrors],
             steering_branch: vec![0.0; if branches > 1 { paper_pairs * branches } else { 0 }],
             directions: vec![Vec3::zeros(); paper_pairs],
             inverse_distance: vec![0.0; paper_pairs],
@@ -95,6 +107,8 @@ impl Scene {
         self.los_clear.resize(branches, 0.0);
         self.irs_path_clear.resize(pairs, false);
         self.steering_gain.resize(pairs, 0.0);
+        self.path_weight.resize(pairs, 1.0);
+        self.can_aim.resize(pairs, false);
         self.steering_branch.resize(if self.branches > 1 { paper_pairs * self.branches } else { 0 }, 0.0);
         self.directions.resize(paper_pairs, Vec3::zeros());
         self.inverse_distance.resize(paper_pairs, 0.0);
@@ -184,6 +198,7 @@ impl Scene {
                 let pair = user * self.mirrors + mirror;
                 self.irs_path_clear[pair] = false;
                 self.steering_gain[pair] = 0.0;
+                self.can_aim[pair] = false;
             }
             for gain in self.steering_branch.iter_mut().skip(mirror).step_by(self.mirrors) {
                 *gain = 0.0;
@@ -191,8 +206,9 @@ impl Scene {
         }
     }
 
-    /// Multiplies a user's steering gains by a factor for each column of mirrors until the next
-    /// update: the probability that the path is clear. Shape: columns of the array.
+    /// Multiplies a user's steering gains, and its gains in [`Spill`], by a factor for each column of
+    /// mirrors until the next update: the probability that the path is clear. Shape: columns of the
+    /// array.
     ///
     /// # Panics
     /// When the array is not a multiple of `factors`.
@@ -204,6 +220,7 @@ impl Scene {
             }
         };
         weigh(&mut self.steering_gain[user * self.mirrors..][..self.mirrors]);
+        weigh(&mut self.path_weight[user * self.mirrors..][..self.mirrors]);
         if !self.steering_branch.is_empty() {
             let branches = self.branches * self.mirrors;
             weigh(&mut self.steering_branch[user * branches..][..branches]);

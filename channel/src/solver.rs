@@ -3,8 +3,10 @@
 //! The solver works on a table of gains, not on geometry, and supports both families of channel
 //! models.
 //!
-//! - **Assignment** (law of reflection): mirror m is aimed at one user k and gives it the gain
-//!   a_km, so H_k = L_k + sum a_km over the mirrors of user k.
+//! - **Assignment** (law of reflection): mirror m has one aim, a user or a midpoint between close
+//!   users, and gives user k the gain g_km of that aim: H_k = L_k + sum_m g_km. For the user at whom
+//!   it is aimed, this is the steering gain a_km. For others, [`Spill`](crate::scene::Spill) lists the
+//!   gain; most have none.
 //! - **Normals** (the paper's eqs. 2 and 3): H_k = L_k + sum_m c_km max(0, n_m . u_km). The best
 //!   normal of mirror m has the direction of sum_k w_k c_km u_km, with the same K weights w_k for
 //!   all mirrors.
@@ -18,14 +20,12 @@
 //! | [`Solver::fixed_point`] | damped fixed point over the weights, from the last weights and from neutral ones | a policy |
 //! | [`Solver::greedy`] | fixed point and greedy fill, passes of single moves, exclusion of users | a policy |
 //! | [`Solver::oracle`] | both from all subsets of users, then moves, swaps and pairs of moves to a local optimum; the best of them | the reference |
-//! | [`Solver::exhaustive`] | every assignment | a check of the oracle |
+//! | [`Solver::exhaustive`] | every assignment of aims | a check of the oracle |
 //!
 //! # Limits
-//! The table omits the gain of a mirror for users at whom it is not aimed. The true gain of the
-//! angles can therefore be slightly larger than that of the solution. Where two users are about 0.2
-//! m apart, the solver does not look for an angle that serves both. With several receiver branches,
-//! the combined gains are added as if combining were linear. That is exact for one branch and an
-//! approximation for several.
+//! The aims are points: users, and the midpoints of the closest pairs. Swaps and pairs of moves
+//! choose among users only. With several receiver branches, the combined gains are added as if
+//! combining were linear. That is exact for one branch and an approximation for several.
 //!
 //! The oracle does not depend on earlier problems; fixed point and greedy search do. The solver
 //! draws no random number, and nothing allocates after [`Solver::new`].
@@ -41,6 +41,7 @@
 //!     los_gain: &[0.0, 0.0],
 //!     steering_gain: &steering,
 //!     directions: None,
+//!     spill: None,
 //!     amplitude_scale: 1e7,
 //!     rate_scale_bps: 10e6,
 //!     min_rate_bps: &[],
@@ -60,6 +61,7 @@ mod normals;
 mod problem;
 mod search;
 mod solve;
+mod spill_table;
 mod starts;
 mod table;
 

@@ -4,7 +4,7 @@ mod common;
 
 use common::{PAPER, Random, Room, angle_diversity, led};
 use heliostat_channel::decode::{aim_at_point, decode};
-use heliostat_channel::{Combining, Method, MinimumRates, MirrorAngles, Scene, Solver};
+use heliostat_channel::{Combining, Method, MinimumRates, MirrorAngles, Scene, Solver, Vec3};
 
 #[test]
 fn a_step_does_not_allocate() {
@@ -39,7 +39,11 @@ fn users_who_come_and_go_do_not_make_scene_and_solver_allocate() {
     for room in [Room::paper(), Room::paper().with_mode(PAPER)] {
         let model = room.model();
         let mut random = Random::new(42);
-        let positions = random.positions(20);
+        // Half of the users stand in one spot.
+        let mut positions = random.positions(20);
+        for user in 0..10 {
+            positions[user] = positions[0] + Vec3::new(0.04 * user as f64, 0.0, 0.0);
+        }
         let (mut scene, mut solver) = (Scene::new(&model, 20), Solver::with_capacity(1, 20, 100));
         let mut angles = MirrorAngles::flat(100);
         let former = [None; 20];

@@ -139,22 +139,18 @@ fn nearest(problem: &Problem) -> Vec<usize> {
         .collect()
 }
 
-/// Sum rate of the angles in bit/s by the exact evaluation, including the gain for users at whom a
-/// mirror is not aimed.
+/// Sum rate of the angles in bit/s by the exact evaluation.
 fn true_sum_rate(model: &ChannelModel, scene: &Scene, angles: &MirrorAngles) -> f64 {
     let mut rates = vec![0.0; scene.users()];
     scene.rates_bps(model, angles, &mut rates);
     rates.iter().sum()
 }
 
-/// The oracle omits the gain of a mirror for users at whom it is not aimed, up to 1.6 %. The best
-/// of many policies may exceed it by that much, and in rare states by more: two users about 0.2 m
-/// apart can share all mirrors.
 #[test]
-fn no_policy_exceeds_the_oracle_by_more_than_the_omitted_gain() {
+fn no_policy_exceeds_the_oracle() {
     let mut random = Random::new(15);
     const STATES: usize = 300;
-    let (mut largest, mut sum, mut above) = (0.0_f64, 0.0, 0);
+    let (mut largest, mut sum) = (0.0_f64, 0.0);
     for case in 0..STATES {
         let users = 1 + case % 6;
         let mut room = Room::paper().with_panel();
@@ -185,19 +181,11 @@ fn no_policy_exceeds_the_oracle_by_more_than_the_omitted_gain() {
             others.push(true_sum_rate(&model, &scene, &angles));
         }
         let best = others.iter().copied().fold(0.0, f64::max);
-        largest = largest.max(best / oracle);
-        let apart = positions.iter().enumerate().flat_map(|(i, a)| positions[..i].iter().map(move |b| (a - b).norm()));
-        let nearest = apart.fold(f64::INFINITY, f64::min);
         let ratio = if best > 0.0 { best / oracle } else { 1.0 };
-        assert!(ratio <= 1.016 || nearest < 0.6, "case {case}: {ratio} with users {nearest} m apart");
-        above += usize::from(ratio > 1.016);
+        assert!(ratio <= 1.001, "case {case}: {ratio}");
         (largest, sum) = (largest.max(ratio), sum + ratio);
     }
-    println!(
-        "best policy over oracle: mean {:.4}, largest {largest:.3}, above 1.016 in {above} of {STATES}",
-        sum / STATES as f64
-    );
-    assert!(above * 50 <= STATES && sum <= 1.016 * STATES as f64);
+    println!("best policy over oracle: mean {:.5}, largest {largest:.5}", sum / STATES as f64);
 }
 
 #[test]
@@ -258,6 +246,7 @@ fn the_oracle_depends_on_its_problem_only_and_results_are_finite() {
             los_gain: &los,
             steering_gain: &steering,
             directions: None,
+            spill: None,
             amplitude_scale: 5e6,
             rate_scale_bps: 4e6,
             min_rate_bps: &[1e6, 0.0, 3e7],

@@ -28,22 +28,21 @@ pub mod memory;
 pub mod motion;
 pub mod noise;
 pub mod occupancy;
+mod track;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
 use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, UserReport, UserState};
 use heliostat_scenario::{Scenario, Walk};
-use serde::{Deserialize, Serialize};
 
 use angle_history::AngleHistory;
 use body::Body;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains};
-use covered::Covered;
-use heading::{HEADINGS, Heading};
-use height::Height;
+use heading::HEADINGS;
 use innovations::Innovations;
-use motion::{Motion, MotionEstimate, Sighting, WalkPriors};
+use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
+use track::{Track, reported_velocity};
 
 /// Bounds of the estimated noise of a coordinate in m. The lower one keeps exact reports regular.
 const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
@@ -57,26 +56,6 @@ const EQUAL_INTERVALS: f64 = 0.02;
 /// A heading whose mean vector is shorter than this is unknown.
 pub(crate) const HEADING_KNOWN: f64 = 0.3;
 
-/// A user's reports, motion and heading.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-struct Track {
-    user: u32,
-    motion: Motion,
-    height: Height,
-    heading: Heading,
-    covered: Covered,
-    /// The last two reported positions, the later one first, with the time between them in s.
-    earlier: [Option<Place>; 2],
-    reported_velocity: Option<[f64; 2]>,
-}
-
-/// A reported position.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-struct Place {
-    at_m: [f64; 2],
-    time_ns: Nanos,
-}
-
 /// Place and velocity of a user at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
@@ -86,6 +65,8 @@ pub struct Estimate {
     pub velocity: Vec3,
     /// Covariance of x and y in m2: xx, xy, yy.
     pub position_cov_m2: [f64; 3],
+    /// Variance of a velocity component in m2/s2.
+    pub velocity_var_m2_s2: f64,
     /// Mean of the unit vector in which the user faces: its length is 1 for a certain heading and 0
     /// for an unknown one.
     pub heading: Vec3,
@@ -198,6 +179,11 @@ impl Belief {
         true
     }
 
+    /// Whether all obstacles are reported, so that no map of others is kept.
+    pub fn knows_obstacles(&self) -> bool {
+        self.map.is_none()
+    }
+
     /// How well the predictions agreed with the reports.
     pub fn innovations(&self) -> Innovations {
         self.innovations
@@ -237,7 +223,7 @@ impl Belief {
     /// The estimate for a user of the last report, at a time in s after that report.
     pub fn estimate(&self, user: u32, ahead_s: f64) -> Option<Estimate> {
         let track = self.tracks.iter().find(|track| track.user == user)?;
-        let MotionEstimate { position_m: [x, y], velocity_m_s: [u, v], position_cov_m2, .. } =
+        let MotionEstimate { position_m: [x, y], velocity_m_s: [u, v], position_cov_m2, velocity_var_m2_s2 } =
             track.motion.estimate(ahead_s);
         let position = Vec3::new(x, y, track.height.mean_m());
         let heading = track.heading.mean(&self.directions);
@@ -246,7 +232,8 @@ impl Belief {
             map.weigh(&position, std::slice::from_ref(lamp), &mut direct_clear);
         }
         let [direct_clear] = direct_clear;
-        Some(Estimate { position, velocity: Vec3::new(u, v, 0.0), position_cov_m2, heading, direct_clear })
+        let velocity = Vec3::new(u, v, 0.0);
+        Some(Estimate { position, velocity, position_cov_m2, velocity_var_m2_s2, heading, direct_clear })
     }
 
     /// Estimated standard deviations of a reported coordinate in m and of a reported velocity
@@ -289,26 +276,6 @@ impl Belief {
     }
 }
 
-impl Track {
-    fn new(user: u32, priors: &WalkPriors, known_obstacles: bool) -> Self {
-        let (motion, height, heading) = (Motion::new(priors), Height::default(), Heading::default());
-        let covered = if known_obstacles { Covered::KNOWN_OBSTACLES } else { Covered::UNKNOWN_OBSTACLES };
-        Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None }
-    }
-
-    /// Position of the detector in m, a time in s after the last report.
-    fn place(&self, ahead_s: f64) -> Vec3 {
-        let [x, y] = self.motion.estimate(ahead_s).position_m;
-        Vec3::new(x, y, self.height.mean_m())
-    }
-
-    fn remember(&mut self, user: &UserState, time_ns: Nanos) {
-        let [x, y, _] = user.position_m.map(f64::from);
-        self.earlier = [Some(Place { at_m: [x, y], time_ns }), self.earlier[0]];
-        self.reported_velocity = reported_velocity(user);
-    }
-}
-
 fn priors(settings: &Walk) -> WalkPriors {
     WalkPriors {
         changes_per_s: settings.changes_per_s,
@@ -322,11 +289,6 @@ fn priors(settings: &Walk) -> WalkPriors {
 /// The time in s from `from_ns` to `to_ns`, negative where it is earlier.
 fn signed_s(to_ns: Nanos, from_ns: Nanos) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-9 - from_ns.saturating_sub(to_ns) as f64 * 1e-9
-}
-
-/// The velocity of a report: a tracker that does not measure it reports zeros.
-fn reported_velocity(user: &UserState) -> Option<[f64; 2]> {
-    (user.velocity_m_s != [0.0; 2]).then(|| user.velocity_m_s.map(f64::from))
 }
 
 #[cfg(test)]

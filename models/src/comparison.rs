@@ -14,9 +14,9 @@
 //! across training seeds.
 //!
 //! The denominator of a ratio is the sum rate of the oracle with minimum rates under the true
-//! evaluation. That includes the spill of each spot onto other users, which the oracle ignores, so
-//! a ratio slightly above 1 is possible. Policies have the controller's names. The measured time is
-//! that of the policy alone, encoding included; in closed loop it includes belief and observation.
+//! evaluation. The oracle is no proven optimum, so a ratio slightly above 1 is possible. Policies
+//! have the controller's names. The measured time is that of the policy alone, encoding included; in
+//! closed loop it includes belief and observation.
 
 mod belief_log;
 mod belief_quality;

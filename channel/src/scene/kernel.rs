@@ -20,15 +20,15 @@ const ROUNDING_M2: f64 = 1e-9;
 /// A block of mirrors at their angles, in the room's frame.
 pub(crate) struct Turned {
     /// Centre in m; lanes past the last mirror repeat it.
-    centre: [Lanes; 3],
+    pub centre: [Lanes; 3],
     /// Unit normal.
     pub normal: [Lanes; 3],
     /// Unit vector along the width; its z is zero.
-    width: [Lanes; 2],
+    pub width: [Lanes; 2],
     /// Unit vector along the height.
-    height: [Lanes; 3],
-    half_width: f64,
-    half_height: f64,
+    pub height: [Lanes; 3],
+    pub half_width: f64,
+    pub half_height: f64,
 }
 
 /// An LED panel relative to a block of mirrors, for the test whether its light can reach a point.
@@ -70,11 +70,17 @@ impl Turned {
     /// The mirrors from index `first` on.
     #[inline(always)]
     pub fn new(mirrors: &MirrorArray, angles: &MirrorAngles, first: usize) -> Self {
-        let (sin_roll, cos_roll) = sin_cos(&lanes(&angles.roll[first..]));
-        let (sin_yaw, cos_yaw) = sin_cos(&lanes(&angles.yaw[first..]));
+        Self::at(mirrors, &lanes(&angles.roll[first..]), &lanes(&angles.yaw[first..]), first / BLOCK)
+    }
+
+    /// The mirrors of a block at these angles in radians.
+    #[inline(always)]
+    pub fn at(mirrors: &MirrorArray, roll: &Lanes, yaw: &Lanes, block: usize) -> Self {
+        let (sin_roll, cos_roll) = sin_cos(roll);
+        let (sin_yaw, cos_yaw) = sin_cos(yaw);
         let (cos_wall, sin_wall) = mirrors.rotation();
         let mut turned = Self {
-            centre: mirrors.block(first / BLOCK).map(|lanes| *lanes),
+            centre: mirrors.block(block).map(|lanes| *lanes),
             normal: [[0.0; BLOCK]; 3],
             width: [[0.0; BLOCK]; 2],
             height: [[0.0; BLOCK]; 3],

@@ -26,8 +26,9 @@ impl Scene {
         for user in 0..self.users {
             let (led, position) = (model.leds[self.serving[user]].position, self.positions[user]);
             let target = [0, 1, 2].map(|axis| [position[axis]; BLOCK]);
-            let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
-            for (index, gains) in row.chunks_mut(BLOCK).enumerate() {
+            let pairs = user * self.mirrors..(user + 1) * self.mirrors;
+            let rows = self.steering_gain[pairs.clone()].chunks_mut(BLOCK).zip(self.can_aim[pairs].chunks_mut(BLOCK));
+            for (index, (gains, can_aim)) in rows.enumerate() {
                 let first = index * BLOCK;
                 let (rolls, yaws) =
                     bisect(&model.mirrors, index, model.directions_to_led(self.serving[user], index), &target);
@@ -37,6 +38,7 @@ impl Scene {
                         Plate::of(&model.mirrors, first + lane, clamp(rolls[lane], roll), clamp(yaws[lane], yaw));
                     if plate.path(&led, &position).is_none() {
                         gains[lane] = 0.0;
+                        can_aim[lane] = false;
                     }
                 }
             }

@@ -27,6 +27,8 @@ impl Scene {
     pub(super) fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let row = user * self.mirrors..(user + 1) * self.mirrors;
         let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
+        self.can_aim[row.clone()].fill(in_front);
+        self.path_weight[row.clone()].fill(1.0);
         if !in_front {
             self.irs_path_clear[row.clone()].fill(false);
         }

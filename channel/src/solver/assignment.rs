@@ -1,5 +1,7 @@
 //! One assignment of mirrors to users, and the moves that improve it.
 
+mod sharing;
+
 use super::table::{Table, Utility};
 
 /// Factor by which a move must raise the product of (1 + x^2), so that rounding cannot cause a
@@ -11,13 +13,17 @@ const PAIRS_MAX: usize = 200;
 /// Largest number of users for pairs of moves, whose number grows with the fourth power.
 const PAIRS_USERS_MAX: usize = 6;
 
-/// The user that each mirror serves, and the resulting amplitudes.
+/// The aim of each mirror, and the resulting amplitudes.
+///
+/// The aims are the users and the midpoints of [`Spill`](crate::scene::Spill).
 #[derive(Clone, Debug)]
 pub(super) struct Assignment {
     pub(super) served: Vec<usize>,
     pub(super) amplitude: Vec<f64>,
     /// 1 / (1 + amplitude^2).
     inverse: Vec<f64>,
+    /// Amplitude and `inverse` of the users of an aim, while its mirror is taken away.
+    before: Vec<(f64, f64)>,
     /// Sum of utilities in nats, as of the last [`Assignment::settle`].
     pub(super) nats: f64,
 }
@@ -28,6 +34,7 @@ impl Assignment {
             served: vec![0; mirrors],
             amplitude: vec![0.0; users],
             inverse: vec![1.0; users],
+            before: vec![(0.0, 1.0); users],
             nats: f64::NEG_INFINITY,
         }
     }
@@ -40,6 +47,7 @@ impl Assignment {
         }
         self.amplitude.resize(users, 0.0);
         self.inverse.resize(users, 1.0);
+        self.before.resize(users, (0.0, 1.0));
         self.nats = f64::NEG_INFINITY;
     }
 
@@ -53,9 +61,10 @@ impl Assignment {
     /// Computes the amplitudes from `served`.
     pub(super) fn settle(&mut self, table: &Table, utility: &Utility) {
         self.amplitude.copy_from_slice(&table.los_amplitude);
-        for (m, &k) in self.served.iter().enumerate() {
+        for (m, &k) in self.served.iter().enumerate().filter(|(_, aim)| **aim < table.users) {
             self.amplitude[k] += table.by_user[k * table.mirrors + m];
         }
+        self.settle_spill(table);
         self.derive(utility);
     }
 
@@ -95,6 +104,9 @@ impl Assignment {
     /// Assigns mirror m to the user with the largest increase; returns whether it moved.
     #[inline]
     fn move_one(&mut self, m: usize, table: &Table, utility: &Utility) -> bool {
+        if table.spill.shares(m) {
+            return self.move_sharing(m, table, utility);
+        }
         let line = table.line(m);
         let from = self.served[m];
         let without = (self.amplitude[from] - line[from]).max(table.los_amplitude[from]);
@@ -173,9 +185,8 @@ impl Assignment {
     /// is the first-order increase of moving m from i to j, and the slack bounds the squares of the
     /// changes. Pairs with a bound of at most 0 are skipped, which loses no improvement.
     fn pair(&mut self, moves: [Ends; 2], table: &Table, utility: &Utility, scratch: &mut Scratch) -> bool {
-        let touched = Touched::by(moves);
-        let slack: f64 = touched.users().iter().map(|&k| self.slack(k, moves, table, utility)).sum();
         scratch.gather(self, moves, table, utility);
+        let slack: f64 = scratch.touched.iter().map(|&k| self.slack(k, moves, table, utility)).sum();
         for &(m, increase_m) in &scratch.first {
             if increase_m + scratch.best_second + slack <= 0.0 {
                 continue;
@@ -186,8 +197,8 @@ impl Assignment {
                 if increase_m + increase_n + slack <= 0.0 || m == n {
                     continue;
                 }
-                let factor: f64 = touched
-                    .users()
+                let factor: f64 = scratch
+                    .touched
                     .iter()
                     .map(|&k| self.factor(utility, k, self.amplitude_after(k, [(m, moves[0]), (n, moves[1])], table)))
                     .product();
@@ -196,9 +207,8 @@ impl Assignment {
                 }
             }
             if let Some(n) = partner {
-                let after = touched.users.map(|k| self.amplitude_after(k, [(m, moves[0]), (n, moves[1])], table));
-                for (&k, &amplitude) in touched.users().iter().zip(&after) {
-                    self.set(k, amplitude);
+                for &k in &scratch.touched {
+                    self.set(k, self.amplitude_after(k, [(m, moves[0]), (n, moves[1])], table));
                 }
                 (self.served[m], self.served[n]) = (moves[0].1, moves[1].1);
                 return true;
@@ -212,12 +222,7 @@ impl Assignment {
     fn amplitude_after(&self, k: usize, moves: [(usize, Ends); 2], table: &Table) -> f64 {
         let mut amplitude = self.amplitude[k];
         for (m, (from, to)) in moves {
-            let gain = table.by_mirror[m * table.users + k];
-            if to == k {
-                amplitude += gain;
-            } else if from == k {
-                amplitude -= gain;
-            }
+            amplitude += table.gain_of_aim(m, to, k) - table.gain_of_aim(m, from, k);
         }
         amplitude.max(table.los_amplitude[k])
     }
@@ -228,10 +233,14 @@ impl Assignment {
     }
 
     /// Bound of the second-order increase of the rate of user k by two moves, times the steepness.
-    fn slack(&self, k: usize, [first, second]: [Ends; 2], table: &Table, utility: &Utility) -> f64 {
+    fn slack(&self, k: usize, moves: [Ends; 2], table: &Table, utility: &Utility) -> f64 {
+        let [first, second] = moves;
+        let spilled = |(from, to): Ends| table.spill.reaches(from, k) || table.spill.reaches(to, k);
+        let changes = |ends: Ends| spilled(ends) || ends.0 == k || ends.1 == k;
         // A gained and a lost mirror partly cancel; two gained or two lost mirrors add.
-        let mirrors =
-            if first.0 == second.0 && k == first.0 || first.1 == second.1 && k == first.1 { 2.0 } else { 1.0 };
+        let adding = first.0 == second.0 && k == first.0 || first.1 == second.1 && k == first.1;
+        let either = moves.into_iter().any(spilled) && changes(first) && changes(second);
+        let mirrors = if adding || either { 2.0 } else { 1.0 };
         let largest = mirrors * table.largest[k];
         largest * largest * self.inverse[k] * utility.steepness(k, self.amplitude[k])
     }
@@ -240,30 +249,6 @@ impl Assignment {
 /// The users before and after a move of one mirror.
 type Ends = (usize, usize);
 
-/// The two to four users whose amplitudes change in a pair of moves.
-#[derive(Clone, Copy)]
-struct Touched {
-    users: [usize; 4],
-    count: usize,
-}
-
-impl Touched {
-    fn by(moves: [Ends; 2]) -> Self {
-        let mut touched = Self { users: [moves[0].0; 4], count: 0 };
-        for k in [moves[0].0, moves[0].1, moves[1].0, moves[1].1] {
-            if !touched.users().contains(&k) {
-                touched.users[touched.count] = k;
-                touched.count += 1;
-            }
-        }
-        touched
-    }
-
-    fn users(&self) -> &[usize] {
-        &self.users[..self.count]
-    }
-}
-
 /// The mirrors of two users with the first-order increase of moving each; reused to avoid
 /// allocation.
 #[derive(Clone, Debug)]
@@ -271,31 +256,57 @@ pub(super) struct Scratch {
     first: Vec<(usize, f64)>,
     second: Vec<(usize, f64)>,
     best_second: f64,
+    /// The users whose amplitudes change in a pair of moves: those of the moves, and those in their
+    /// spots.
+    touched: Vec<usize>,
 }
 
 impl Scratch {
-    pub(super) fn new(mirrors: usize) -> Self {
-        Self { first: Vec::with_capacity(mirrors), second: Vec::with_capacity(mirrors), best_second: f64::NEG_INFINITY }
+    pub(super) fn new(users: usize, mirrors: usize) -> Self {
+        Self {
+            first: Vec::with_capacity(mirrors),
+            second: Vec::with_capacity(mirrors),
+            best_second: f64::NEG_INFINITY,
+            touched: Vec::with_capacity(users),
+        }
     }
 
     fn gather(&mut self, assignment: &Assignment, moves: [Ends; 2], table: &Table, utility: &Utility) {
         self.first.clear();
         self.second.clear();
         self.best_second = f64::NEG_INFINITY;
-        let [(from, to), (from_second, to_second)] = moves;
+        self.touch(moves, table);
         let weight = |k: usize| assignment.weight(k, utility);
-        let [weight_from, weight_to, weight_from_second, weight_to_second] =
-            [from, to, from_second, to_second].map(weight);
-        for &m in &table.useful {
+        let weights = moves.map(|(from, to)| (weight(from), weight(to)));
+        let spilled = |m: usize, k: usize| table.spill.of(k, m).iter().map(|(k, gain)| weight(*k) * gain).sum::<f64>();
+        let increase = |m: usize, (from, to): Ends, weights: (f64, f64)| {
             let line = table.line(m);
-            if assignment.served[m] == from {
-                self.first.push((m, weight_to * line[to] - weight_from * line[from]));
+            weights.1 * line[to] - weights.0 * line[from] + (spilled(m, to) - spilled(m, from))
+        };
+        for &m in &table.useful {
+            if assignment.served[m] == moves[0].0 {
+                self.first.push((m, increase(m, moves[0], weights[0])));
             }
-            if assignment.served[m] == from_second {
-                let increase = weight_to_second * line[to_second] - weight_from_second * line[from_second];
+            if assignment.served[m] == moves[1].0 {
+                let increase = increase(m, moves[1], weights[1]);
                 self.best_second = self.best_second.max(increase);
                 self.second.push((m, increase));
             }
+        }
+    }
+
+    /// Lists the users whose amplitudes change.
+    fn touch(&mut self, moves: [Ends; 2], table: &Table) {
+        let ends = [moves[0].0, moves[0].1, moves[1].0, moves[1].1];
+        self.touched.clear();
+        for k in ends {
+            if !self.touched.contains(&k) {
+                self.touched.push(k);
+            }
+        }
+        if !table.spill.is_empty() {
+            let spilled = (0..table.users).filter(|k| ends.iter().any(|end| table.spill.reaches(*end, *k)));
+            self.touched.extend(spilled.filter(|k| !ends.contains(k)));
         }
     }
 }

@@ -1,8 +1,8 @@
 //! From a scene to a problem, and from a solution to the angles of the mirrors.
 
-use super::problem::{MinimumRates, Problem};
+use super::problem::{MinimumRates, Problem, SolverError};
 use super::solve::Solver;
-use crate::decode::aim;
+use crate::decode::aim_at;
 use crate::mirrors::MirrorAngles;
 use crate::model::{ChannelModel, Mode};
 use crate::scene::Scene;
@@ -22,7 +22,9 @@ pub enum Method {
 }
 
 impl<'a> Problem<'a> {
-    /// The problem of a scene: its gains, the link budget and the minimum rates.
+    /// The problem of a scene: its gains, the link budget and the minimum rates, without spill.
+    ///
+    /// [`Solver::solve`] adds the spill.
     pub fn of_scene(model: &ChannelModel, scene: &'a Scene, min_rates: &MinimumRates<'a>) -> Self {
         let users = scene.users();
         Self {
@@ -34,6 +36,7 @@ impl<'a> Problem<'a> {
                 Mode::Specular => None,
                 Mode::Paper { .. } => Some(scene.directions()),
             },
+            spill: None,
             amplitude_scale: model.budget.amplitude_scale(),
             rate_scale_bps: model.budget.bandwidth_hz / users as f64,
             min_rate_bps: min_rates.min_rate_bps,
@@ -43,10 +46,10 @@ impl<'a> Problem<'a> {
 }
 
 impl Solver {
-    /// Solves the problem of a scene and writes the angles of the mirrors.
+    /// Solves the problem of a scene, with its spill, and writes the angles of the mirrors.
     ///
-    /// Returns the objective in bit/s by the table of gains. The angles can give slightly more, by
-    /// light that reaches other users.
+    /// Returns the objective in bit/s. By the law of reflection it is that of the angles, up to
+    /// rounding; with several receiver branches, to the approximation of [`crate::solver`].
     ///
     /// `out`: mechanical angles in radians. Shape: M.
     ///
@@ -60,19 +63,53 @@ impl Solver {
         method: Method,
         out: &mut MirrorAngles,
     ) -> f64 {
-        let problem = Problem::of_scene(model, scene, min_rates);
-        let solution = match method {
-            Method::FixedPoint => self.fixed_point(&problem),
-            Method::Greedy { passes } => self.greedy(&problem, passes),
-            Method::Oracle => self.oracle(&problem),
-        };
-        self.write_angles(model, scene, out);
+        let solution = self.with_spill(model, scene, min_rates, |solver, problem| match method {
+            Method::FixedPoint => solver.fixed_point(problem),
+            Method::Greedy { passes } => solver.greedy(problem, passes),
+            Method::Oracle => solver.oracle(problem),
+        });
+        self.write_angles(model, out);
         solution.objective_bps
     }
 
-    fn write_angles(&self, model: &ChannelModel, scene: &Scene, out: &mut MirrorAngles) {
+    /// As [`Solver::solve`], by [`Solver::exhaustive`].
+    ///
+    /// # Errors
+    /// As [`Solver::exhaustive`].
+    ///
+    /// # Panics
+    /// As [`Solver::solve`].
+    pub fn solve_exhaustively(
+        &mut self,
+        model: &ChannelModel,
+        scene: &Scene,
+        min_rates: &MinimumRates,
+        out: &mut MirrorAngles,
+    ) -> Result<f64, SolverError> {
+        let solution = self.with_spill(model, scene, min_rates, |solver, problem| solver.exhaustive(problem))?;
+        self.write_angles(model, out);
+        Ok(solution.objective_bps)
+    }
+
+    /// Calls `solve` with the problem of a scene, including its spill.
+    fn with_spill<T>(
+        &mut self,
+        model: &ChannelModel,
+        scene: &Scene,
+        min_rates: &MinimumRates,
+        solve: impl FnOnce(&mut Self, &Problem) -> T,
+    ) -> T {
+        // Taken out, so that the problem can borrow it; an empty list does not allocate.
+        let mut spill = std::mem::take(&mut self.spill);
+        spill.update(model, scene);
+        let solved = solve(self, &Problem { spill: Some(&spill), ..Problem::of_scene(model, scene, min_rates) });
+        self.spill = spill;
+        solved
+    }
+
+    fn write_angles(&self, model: &ChannelModel, out: &mut MirrorAngles) {
         if model.mode == Mode::Specular {
-            aim(model, scene, self.served(), out);
+            aim_at(model, &self.spill, self.served(), out);
             return;
         }
         for (m, normal) in self.normals().iter().enumerate() {

@@ -1,4 +1,6 @@
 //! Every assignment, by depth-first search with an exact bound.
+//!
+//! Midpoints are left out where the assignments with them would be too many.
 
 use super::assignment::Assignment;
 use super::problem::{ASSIGNMENTS_MAX, SolverError};
@@ -11,14 +13,19 @@ pub(super) fn search(table: &Table, utility: &Utility, best: &mut Assignment) ->
     if assignments > ASSIGNMENTS_MAX {
         return Err(SolverError::TooMany { users, mirrors, assignments });
     }
+    let midpoints = |m: usize| table.spill.midpoints_of(m).map(|(aim, _)| aim);
+    let all: f64 = (0..mirrors).map(|m| (users + midpoints(m).count()) as f64).product();
+    let aims: Vec<Vec<usize>> =
+        (0..mirrors).map(|m| (0..users).chain(midpoints(m).filter(|_| all <= ASSIGNMENTS_MAX)).collect()).collect();
     best.served.fill(0);
     best.settle(table, utility);
-    let mut search = DepthFirst { table, utility, best, served: vec![0; mirrors] };
-    // Sum of the amplitudes of the mirrors from m on, per user. Shape: (M + 1) * K.
+    let mut search = DepthFirst { table, utility, best, aims: &aims, served: vec![0; mirrors] };
+    // Sum of the largest amplitudes of the mirrors from m on, per user. Shape: (M + 1) * K.
     let mut ahead = vec![0.0; (mirrors + 1) * users];
     for m in (0..mirrors).rev() {
         for k in 0..users {
-            ahead[m * users + k] = ahead[(m + 1) * users + k] + table.line(m)[k];
+            let largest = aims[m].iter().map(|aim| table.gain_of_aim(m, *aim, k)).fold(0.0, f64::max);
+            ahead[m * users + k] = ahead[(m + 1) * users + k] + largest;
         }
     }
     search.descend(0, &table.los_amplitude, &ahead);
@@ -30,6 +37,8 @@ struct DepthFirst<'a> {
     table: &'a Table,
     utility: &'a Utility,
     best: &'a mut Assignment,
+    /// The aims of each mirror.
+    aims: &'a [Vec<usize>],
     served: Vec<usize>,
 }
 
@@ -48,11 +57,15 @@ impl DepthFirst<'_> {
             return;
         }
         let mut next = amplitude.to_vec();
-        for k in 0..users {
-            self.served[m] = k;
-            next[k] += self.table.line(m)[k];
+        for &aim in &self.aims[m] {
+            self.served[m] = aim;
+            for (user, gain) in self.table.aim(m, aim) {
+                next[user] += gain;
+            }
             self.descend(m + 1, &next, ahead);
-            next[k] = amplitude[k];
+            for (user, _) in self.table.aim(m, aim) {
+                next[user] = amplitude[user];
+            }
         }
     }
 }

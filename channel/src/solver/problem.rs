@@ -3,6 +3,7 @@
 use thiserror::Error;
 
 use crate::geometry::Vec3;
+use crate::scene::Spill;
 
 /// Largest number of assignments (users to the power of mirrors) that an exhaustive search accepts.
 pub const ASSIGNMENTS_MAX: f64 = 2e7;
@@ -27,6 +28,9 @@ pub struct Problem<'a> {
     /// Unit vectors from mirror to user, for the problem of normals; `None` for the problem of
     /// assignment. Shape: K * M.
     pub directions: Option<&'a [Vec3]>,
+    /// Gains of other users than the one at whom a mirror is aimed; `None` to omit them, and for the
+    /// problem of normals.
+    pub spill: Option<&'a Spill>,
     /// Amplitude scale s: a gain H gives the rate B/K log2(1 + (s H)^2). Dimensionless.
     pub amplitude_scale: f64,
     /// B/K in Hz.

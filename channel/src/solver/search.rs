@@ -3,10 +3,12 @@
 
 mod assign;
 mod fill;
+mod local;
 
 use super::assignment::{Assignment, Scratch};
 use super::starts::Starts;
 use super::table::{Table, Utility};
+use crate::scene::MIDPOINTS_MAX;
 
 /// Largest number of steps of one damped fixed point.
 const FIXED_POINT_STEPS: usize = 20;
@@ -18,12 +20,8 @@ const RAISING_STEPS: usize = 40;
 const RAISE: f64 = 1.07;
 /// Largest number of passes of single moves to a local optimum.
 const MOVE_PASSES_MAX: usize = 50;
-/// Largest number of rounds of swaps to a local optimum.
-const EXCHANGE_ROUNDS_MAX: usize = 20;
 /// Largest number of trials that exclude one user.
 const EXCLUSION_TRIALS: usize = 16;
-/// Largest number of rounds of pairs of moves.
-const PAIR_ROUNDS_MAX: usize = 3;
 /// Smallest and largest number of assignments that the oracle refines by swaps.
 const REFINED: std::ops::RangeInclusive<usize> = 4..=16;
 /// Approximate product of users, mirrors and refined assignments.
@@ -40,6 +38,8 @@ pub(super) struct Search {
     /// How many entries of the shortlist are in use.
     refined: usize,
     starts: Starts,
+    /// The users of the midpoints to which `best` refers.
+    midpoints: Vec<[usize; 2]>,
     /// Fingerprints of the assignments from which single moves have started.
     searched: Vec<u64>,
     /// Users that may be assigned mirrors.
@@ -54,6 +54,8 @@ pub(super) struct Search {
     /// gain in a SIMD register.
     owners: Vec<f64>,
     inverse_fill: Vec<f64>,
+    /// Amplitude and `inverse_fill` of the users of an aim, while its mirror is taken away.
+    before: Vec<(f64, f64)>,
     scratch: Scratch,
 }
 
@@ -66,6 +68,7 @@ impl Search {
             refined: refined(users, mirrors),
             searched: Vec::with_capacity(2 * Starts::LEN_MAX),
             starts: Starts::new(users),
+            midpoints: Vec::with_capacity(MIDPOINTS_MAX),
             allowed: vec![true; users],
             weights: vec![0.0; users],
             trial_weights: vec![0.0; users],
@@ -73,20 +76,29 @@ impl Search {
             effective: vec![0.0; users],
             owners: vec![0.0; mirrors],
             inverse_fill: vec![0.0; users],
-            scratch: Scratch::new(mirrors),
+            before: vec![(0.0, 1.0); users],
+            scratch: Scratch::new(users, mirrors),
         }
     }
 
     /// Changes the number of users, as [`Assignment::resize`] does.
     pub(super) fn resize(&mut self, users: usize, now_at: impl Fn(usize) -> Option<usize>) {
-        self.best.resize(users, &now_at);
-        self.trial.resize(users, &now_at);
+        let (former_users, midpoints) = (self.allowed.len(), &self.midpoints);
+        // A midpoint becomes its first user, since no midpoint of the new users is known yet.
+        let now_at = |aim: usize| match aim.checked_sub(former_users) {
+            Some(index) => midpoints.get(index).and_then(|[user, _]| now_at(*user)),
+            None => now_at(aim),
+        };
+        self.best.resize(users, now_at);
+        self.trial.resize(users, now_at);
         for entry in &mut self.shortlist {
-            entry.resize(users, &now_at);
+            entry.resize(users, now_at);
         }
+        self.midpoints.clear();
         self.refined = refined(users, self.owners.len());
         self.starts.resize(users);
         self.allowed.resize(users, true);
+        self.before.resize(users, (0.0, 1.0));
         let lists = [
             &mut self.weights,
             &mut self.trial_weights,
@@ -97,6 +109,21 @@ impl Search {
         for list in lists {
             list.resize(users, 0.0);
         }
+    }
+
+    /// Converts the aims of `best` to those of a new problem of the same users.
+    ///
+    /// A midpoint that is no longer an aim of its mirror becomes its first user.
+    pub(super) fn follow_midpoints(&mut self, table: &Table) {
+        for (m, served) in self.best.served.iter_mut().enumerate() {
+            if let Some(index) = served.checked_sub(table.users) {
+                let users = self.midpoints[index];
+                let now = table.spill.midpoints_of(m).find(|(_, others)| *others == users);
+                *served = now.map_or(users[0], |(aim, _)| aim);
+            }
+        }
+        self.midpoints.clear();
+        self.midpoints.extend_from_slice(table.spill.midpoints());
     }
 
     /// Damped fixed point from the given weights and from neutral ones; the better goes to `best`,
@@ -304,60 +331,6 @@ impl Search {
         for (weight, line) in self.weights.iter_mut().zip(table.by_user.chunks_exact(table.mirrors)) {
             let sum: f64 = line.iter().sum();
             *weight = if sum > 0.0 { 1.0 / sum } else { 0.0 };
-        }
-    }
-
-    /// At most `passes` passes of single moves on `trial`, until no mirror moves.
-    fn move_passes(&mut self, table: &Table, utility: &Utility, passes: usize) {
-        self.trial.move_each(table, utility, passes);
-        self.trial.settle(table, utility);
-    }
-
-    /// Moves and swaps until `trial` is a local optimum.
-    fn refine(&mut self, table: &Table, utility: &Utility) {
-        for _ in 0..EXCHANGE_ROUNDS_MAX {
-            self.move_passes(table, utility, MOVE_PASSES_MAX);
-            if !self.trial.swap_pairs(table, utility, &mut self.scratch) {
-                break;
-            }
-        }
-        self.trial.settle(table, utility);
-    }
-
-    /// Pairs of moves on `trial`, each round followed by single moves and swaps.
-    ///
-    /// At the kink of a minimum rate, single moves and swaps stop at points that are not local
-    /// optima of pairs.
-    fn move_pairs(&mut self, table: &Table, utility: &Utility) {
-        for _ in 0..PAIR_ROUNDS_MAX {
-            if !self.trial.move_pairs(table, utility, &mut self.scratch) {
-                break;
-            }
-            self.refine(table, utility);
-        }
-    }
-
-    /// Forces each single move on `best` and continues with swaps and pairs, which combines three
-    /// and more moves.
-    ///
-    /// For small problems.
-    fn force_moves(&mut self, table: &Table, utility: &Utility) {
-        for _ in 0..PAIR_ROUNDS_MAX {
-            let before = self.best.nats;
-            for &m in &table.useful {
-                for user in 0..table.users {
-                    self.trial.copy_from(&self.best);
-                    self.trial.served[m] = user;
-                    self.trial.settle(table, utility);
-                    // Swaps and pairs first, since a single move would undo the forced one.
-                    self.trial.swap_pairs(table, utility, &mut self.scratch);
-                    self.move_pairs(table, utility);
-                    self.keep_better();
-                }
-            }
-            if self.best.nats <= before {
-                break;
-            }
         }
     }
 

@@ -6,6 +6,7 @@ use super::problem::{Problem, Solution, SolverError};
 use super::search::Search;
 use super::table::{Table, Utility};
 use crate::geometry::Vec3;
+use crate::scene::Spill;
 
 /// A solver of problems of one size, with the last solution.
 #[derive(Clone, Debug)]
@@ -16,6 +17,8 @@ pub struct Solver {
     utility: Utility,
     search: Search,
     normals: NormalSearch,
+    /// The spill of the last scene.
+    pub(super) spill: Spill,
     /// Weights of the last solution.
     weights: Vec<f64>,
     /// The former weights, while the users change.
@@ -36,6 +39,7 @@ impl Solver {
             utility: Utility::new(users),
             search: Search::new(users, mirrors),
             normals: NormalSearch::new(users, mirrors),
+            spill: Spill::new(users, mirrors),
             weights: vec![0.0; users],
             former_weights: vec![0.0; users],
         }
@@ -164,16 +168,16 @@ impl Solver {
         Ok(self.solution(problem))
     }
 
-    /// The user that each mirror serves in the last assignment; 0 for a mirror that reaches no
-    /// user. Shape: M.
+    /// The aim of each mirror in the last assignment: a user, or from K on a midpoint of
+    /// [`Problem::spill`]; 0 for a mirror that reaches no user. Shape: M.
     pub fn served(&self) -> &[usize] {
         &self.search.best.served
     }
 
     /// One weight per user of the last solution: not negative, dimensionless. Shape: K.
     ///
-    /// After [`Solver::fixed_point`], mirror m serves user argmax_k w_k a_km. After the other
-    /// methods the weights are the derivatives of the objective, and [`Solver::served`] is a
+    /// After [`Solver::fixed_point`], the aims are those of
+    /// [`decode_sharing`](crate::decode::decode_sharing) for these weights. After the other methods the weights are the derivatives of the objective, and [`Solver::served`] is a
     /// refined assignment that no weights may reproduce.
     pub fn weights(&self) -> &[f64] {
         &self.weights
@@ -200,6 +204,7 @@ impl Solver {
         assert_eq!(problem.los_gain.len(), self.users, "one line-of-sight gain per user");
         assert_eq!(problem.steering_gain.len(), self.users * self.mirrors, "one steering gain per user and mirror");
         self.table.load(problem);
+        self.search.follow_midpoints(&self.table);
         self.utility.load(problem);
         for weight in &mut self.weights {
             if !(weight.is_finite() && *weight >= 0.0) {

@@ -2,6 +2,7 @@
 //! of each user.
 
 use super::problem::Problem;
+use super::spill_table::SpillTable;
 
 /// Upper limit of an amplitude, so that no sum of squares overflows.
 const AMPLITUDE_MAX: f64 = 1e60;
@@ -160,8 +161,10 @@ pub(super) struct Table {
     pub(super) by_user: Vec<f64>,
     /// Mirrors that reach at least one user; the others cannot change a rate.
     pub(super) useful: Vec<usize>,
-    /// Largest gain to each user.
+    /// Largest gain to each user, over all aims.
     pub(super) largest: Vec<f64>,
+    /// Gains to users at whom a mirror is not aimed.
+    pub(super) spill: SpillTable,
 }
 
 impl Table {
@@ -174,6 +177,7 @@ impl Table {
             by_user: vec![0.0; users * mirrors],
             useful: Vec::with_capacity(mirrors),
             largest: vec![0.0; users],
+            spill: SpillTable::new(users, mirrors),
         }
     }
 
@@ -206,6 +210,10 @@ impl Table {
             }
             self.largest[k] = largest;
         }
+        self.spill.load(problem.spill, (self.users, self.mirrors), |gain| amplitude(gain, scale));
+        for &(k, spilled) in self.spill.entries() {
+            self.largest[k] = self.largest[k].max(spilled);
+        }
         self.useful.clear();
         let lines = self.by_mirror.chunks_exact(self.users).enumerate();
         self.useful.extend(lines.filter(|(_, line)| line.iter().any(|&gain| gain > 0.0)).map(|(m, _)| m));
@@ -215,6 +223,30 @@ impl Table {
     #[inline]
     pub(super) fn line(&self, m: usize) -> &[f64] {
         &self.by_mirror[m * self.users..(m + 1) * self.users]
+    }
+
+    /// Amplitude of user k by mirror m at an aim.
+    #[inline]
+    pub(super) fn gain_of_aim(&self, m: usize, aim: usize, k: usize) -> f64 {
+        if aim == k {
+            return self.line(m)[k];
+        }
+        self.spill.of(aim, m).iter().find(|(user, _)| *user == k).map_or(0.0, |(_, gain)| *gain)
+    }
+
+    /// The users that mirror m reaches at an aim, and their amplitudes; first the user that is the
+    /// aim.
+    #[inline]
+    pub(super) fn aim(&self, m: usize, aim: usize) -> impl Iterator<Item = (usize, f64)> {
+        let own = (aim < self.users).then(|| (aim, self.line(m)[aim]));
+        own.into_iter().chain(self.spill.of(aim, m).iter().copied())
+    }
+
+    /// All aims of mirror m that reach a user: users, then midpoints.
+    #[inline]
+    pub(super) fn aims(&self, m: usize) -> impl Iterator<Item = usize> {
+        let users = (0..self.users).filter(move |k| self.line(m)[*k] > 0.0 || !self.spill.of(*k, m).is_empty());
+        users.chain(self.spill.midpoints_of(m).map(|(aim, _)| aim))
     }
 }
 

@@ -3,9 +3,11 @@
 use heliostat_proto::Nanos;
 use serde::{Deserialize, Serialize};
 
-use super::{
-    Belief, NoiseLevel, Track, angle_history,
+use crate::belief::{
+    Belief, angle_history,
+    noise::NoiseLevel,
     occupancy::{Occupancy, OccupancyMemory},
+    track::Track,
 };
 
 /// Commands whose validity ended longer than this before the last position report, in ns, explain no

@@ -16,8 +16,9 @@
 //! the age of the report, the settling time of the mirrors, and half of the interval until the next
 //! report. No user is predicted to leave the room.
 //!
-//! With the filter, measured gains show headings and unreported obstacles; the gain of the direct
-//! path is then that of the model at the predicted place, or 0 where it is probably blocked.
+//! With the filter, measured gains show headings and unreported obstacles. The gain of the direct
+//! path is then that of the model at the predicted place, or 0 where it is blocked: by the latest
+//! measurement where all obstacles are reported, and otherwise by what the filter believes.
 
 mod beliefs;
 pub mod memory;
@@ -27,7 +28,7 @@ use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Na
 use heliostat_scenario::Scenario;
 
 use crate::{
-    belief::{Belief, HEADING_KNOWN, body::Body},
+    belief::{Belief, Estimate, HEADING_KNOWN, body::Body},
     input::inbox::Inbox,
     observe::{
         observation::{Observation, RoomState},
@@ -40,9 +41,9 @@ use crate::{
 /// slowest walk.
 const WALKING_M_S: f64 = 0.05;
 
-/// Above this speed in m/s the velocity shows the heading better than a distribution in steps of 10
-/// degrees.
-const STRIDE_M_S: f64 = 0.25;
+/// A velocity of more standard deviations than this shows the heading better than a distribution in
+/// steps of 10 degrees.
+const STRIDE_DEVIATIONS: f64 = 4.0;
 
 /// Fills observations from the inbox; its buffers are reused and have room for [`MAX_USERS`] users.
 pub struct Observer {
@@ -129,7 +130,7 @@ impl Observer {
     }
 
     /// The directions in which the users of the last observation face, in its order: unit vectors in
-    /// the floor plane, zero while unknown. Without bodies in the scenario all are unknown.
+    /// the floor plane, zero while unknown.
     pub fn headings(&self) -> &[Vec3] {
         &self.headings
     }
@@ -199,12 +200,12 @@ impl Observer {
         for (slot, id) in slots.ids().iter().enumerate() {
             let same_place = report.users.get(slot).filter(|user| user.user == *id);
             let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
-            let Predicted { position, velocity, heading, direct_clear } = prediction.predict(user, age_s);
+            let Predicted { position, velocity, estimate } = prediction.predict(user, age_s);
             self.positions.push(position);
             self.velocities.push(velocity);
-            self.direct_clear.push(direct_clear);
-            match heading {
-                Some(heading) => headings[slot] = direction(&heading, &velocity),
+            self.direct_clear.push(estimate.map(|estimate| estimate.direct_clear));
+            match estimate {
+                Some(estimate) => headings[slot] = direction(&estimate),
                 None if velocity.norm() > WALKING_M_S => headings[slot] = velocity.normalize(),
                 None => {}
             }
@@ -243,8 +244,14 @@ impl Observer {
         if unmeasured > 0 && unmeasured == self.los_gain.len() {
             return LosSource::Modelled;
         }
-        if self.prediction.belief().is_none() {
-            into.scene.set_los_gain(&self.los_gain);
+        match self.prediction.belief() {
+            None => into.scene.set_los_gain(&self.los_gain),
+            Some(belief) if belief.knows_obstacles() => {
+                for (user, gain) in self.los_gain.iter().enumerate() {
+                    into.scene.set_los_blocked(user, *gain <= 0.0);
+                }
+            }
+            Some(_) => {}
         }
         LosSource::Measured { unmeasured }
     }
@@ -270,12 +277,12 @@ impl Observer {
 
 /// The direction of a believed heading: that of a walk at this speed, and otherwise the mean one,
 /// unless it is unknown.
-fn direction(heading: &Vec3, velocity: &Vec3) -> Vec3 {
-    let (certainty, speed) = (heading.norm(), velocity.norm());
-    if speed > STRIDE_M_S {
-        velocity / speed
+fn direction(estimate: &Estimate) -> Vec3 {
+    let (certainty, speed) = (estimate.heading.norm(), estimate.velocity.norm());
+    if speed > WALKING_M_S.max(STRIDE_DEVIATIONS * estimate.velocity_var_m2_s2.sqrt()) {
+        estimate.velocity / speed
     } else if certainty > HEADING_KNOWN {
-        heading / certainty
+        estimate.heading / certainty
     } else {
         Vec3::zeros()
     }

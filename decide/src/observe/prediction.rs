@@ -62,11 +62,8 @@ pub struct Predicted {
     pub position: Vec3,
     /// Velocity in m/s.
     pub velocity: Vec3,
-    /// Direction in which the user faces, where it is known better than by the velocity.
-    pub heading: Option<Vec3>,
-    /// Probability that the direct path is clear past all but bodies; absent where only the latest
-    /// measurement shows it.
-    pub direct_clear: Option<f64>,
+    /// What a filter believes besides.
+    pub estimate: Option<Estimate>,
 }
 
 /// A settling time or an interval in a recorded state above this, in s, is of no room.
@@ -202,7 +199,7 @@ impl Prediction {
         let position = Vec3::from_iterator(user.position_m.map(f64::from));
         let [x, y] = user.velocity_m_s.map(f64::from);
         let velocity = Vec3::new(x, y, 0.0);
-        let as_reported = Predicted { position, velocity, heading: None, direct_clear: None };
+        let as_reported = Predicted { position, velocity, estimate: None };
         match &self.method {
             Method::AsReported => as_reported,
             Method::ConstantVelocity => {
@@ -212,8 +209,7 @@ impl Prediction {
             Method::Filter(_) => self.estimate(user.user, age_s).map_or(as_reported, |estimate| Predicted {
                 position: estimate.position,
                 velocity: estimate.velocity,
-                heading: Some(estimate.heading),
-                direct_clear: Some(estimate.direct_clear),
+                estimate: Some(estimate),
             }),
         }
     }

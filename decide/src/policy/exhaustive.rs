@@ -1,7 +1,7 @@
 //! Exhaustive search over all assignments; feasible only for small arrays.
 
-use heliostat_channel::solver::{ASSIGNMENTS_MAX, MinimumRates, Problem, QOS_PENALTY, Solver, SolverError};
-use heliostat_channel::{ChannelModel, MirrorAngles, decode};
+use heliostat_channel::solver::{ASSIGNMENTS_MAX, MinimumRates, QOS_PENALTY, Solver, SolverError};
+use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_scenario::{ChannelMode, Scenario};
 
 use super::proposal::{Policy, PolicyError};
@@ -45,8 +45,7 @@ impl Policy for Exhaustive {
     ) -> Result<(), PolicyError> {
         self.solver.set_users(observation.users());
         let minimum_rates = MinimumRates { min_rate_bps: &observation.min_rate_bps, qos_penalty: QOS_PENALTY };
-        self.solver.exhaustive(&Problem::of_scene(model, &observation.scene, &minimum_rates))?;
-        decode::aim(model, &observation.scene, self.solver.served(), out);
+        self.solver.solve_exhaustively(model, &observation.scene, &minimum_rates, out)?;
         Ok(())
     }
 }

@@ -1,5 +1,6 @@
-//! Each mirror serves the user with its largest steering gain.
+//! Each mirror serves the user with its largest steering gain, or several users with a larger sum.
 
+use heliostat_channel::scene::Spill;
 use heliostat_channel::{ChannelModel, Mode, decode, mirrors::MirrorAngles};
 
 use heliostat_proto::MAX_USERS;
@@ -7,19 +8,20 @@ use heliostat_proto::MAX_USERS;
 use super::proposal::{Policy, PolicyError};
 use crate::observe::observation::Observation;
 
-/// Mirror m is aimed at argmax_k a_km, the user with its largest steering gain, regardless of that
-/// user's rate.
+/// Mirror m has the aim with the largest sum of gains, regardless of the users' rates: the user
+/// argmax_k a_km of its largest steering gain, where no other user is close.
 ///
 /// A simple policy; docs/evaluation.md compares it with the optimum.
 pub struct Nearest {
     /// 1 for each user: all users have the same weight.
     weights: Vec<f64>,
+    spill: Spill,
 }
 
 impl Nearest {
-    /// Without users yet.
-    pub fn new() -> Self {
-        Self { weights: Vec::with_capacity(MAX_USERS) }
+    /// For an array of this many mirrors, without users yet.
+    pub fn new(mirrors: usize) -> Self {
+        Self { weights: Vec::with_capacity(MAX_USERS), spill: Spill::new(MAX_USERS, mirrors) }
     }
 }
 
@@ -53,7 +55,10 @@ impl Policy for Nearest {
     ) -> Result<(), PolicyError> {
         self.weights.resize(observation.users(), 1.0);
         match model.mode {
-            Mode::Specular => decode::decode(model, &observation.scene, &self.weights, out),
+            Mode::Specular => {
+                self.spill.update(model, &observation.scene);
+                decode::decode_sharing(model, &observation.scene, &self.spill, &self.weights, out);
+            }
             Mode::Paper { .. } => face_served(model, observation, out),
         }
         Ok(())

@@ -12,8 +12,7 @@ pub struct BeliefQuality {
     pub place_error_median_cm: f64,
     /// Mean of that distance in cm.
     pub place_error_cm: Spread,
-    /// Mean angle between believed and true heading of users who walk, in degrees; missing without
-    /// bodies in the scenario.
+    /// Mean angle between believed and true heading of users who walk, in degrees.
     pub heading_error_walking_deg: Spread,
     /// The same of users who stand: below 0.05 m/s.
     pub heading_error_standing_deg: Spread,

@@ -223,7 +223,11 @@ pub(super) struct Lockstep {
     controller: Controller,
     /// Number of the last command.
     command_sequence: u64,
+    /// Time of each decision, including the reports since the one before, from which the belief
+    /// learns too.
     decisions_us: Vec<f64>,
+    /// Time spent on reports since the last decision in us.
+    reports_us: f64,
     log: BeliefLog,
 }
 
@@ -245,6 +249,7 @@ impl Lockstep {
             controller,
             command_sequence: 0,
             decisions_us: Vec::new(),
+            reports_us: 0.0,
             log: BeliefLog::default(),
         })
     }
@@ -280,10 +285,11 @@ impl Lockstep {
             Event::Users(report) => Message::Users(report),
         };
         let arrived = Instant::now();
-        let decisions_us = &mut self.decisions_us;
+        let elapsed_us = || arrived.elapsed().as_secs_f64() * 1e6;
+        let (decisions_us, reports_us) = (&mut self.decisions_us, self.reports_us);
         let mut mark = |stage| {
             if stage == Stage::Inferred {
-                decisions_us.push(arrived.elapsed().as_secs_f64() * 1e6);
+                decisions_us.push(reports_us + elapsed_us());
             }
         };
         match self.controller.handle_and_poll(now.room_ns, message, &mut mark) {
@@ -296,8 +302,12 @@ impl Lockstep {
                 let late = mode == DegradedMode::StaleReport;
                 ensure!(!late, "reports are older than control.report_age_max_ms when they arrive");
             }
-            None => return Ok(()),
+            None => {
+                self.reports_us += elapsed_us();
+                return Ok(());
+            }
         }
+        self.reports_us = 0.0;
         self.log.note(&self.controller, now.room_ns);
         Ok(())
     }

@@ -2,8 +2,7 @@
 //!
 //! The reference is the oracle with minimum rates: the best local optimum that the solver finds from
 //! the true state ([`heliostat_channel::solver`]). It is not a proven optimum. The same true
-//! evaluation applies to its angles and to the policy's. The oracle ignores the spill of a spot onto
-//! other users, so a ratio slightly above 1 is possible.
+//! evaluation applies to its angles and to the policy's, so a ratio slightly above 1 is possible.
 
 use anyhow::{Context, ensure};
 use heliostat_channel::mirrors::MirrorAngles;

@@ -28,11 +28,38 @@ impl Search {
                 for (index, owner) in rest.iter_mut().enumerate() {
                     [*owner] = strongest(&self.effective, table, done + index);
                 }
+                if !table.spill.is_empty() {
+                    self.share(table);
+                }
                 for (k, line) in table.by_user.chunks_exact(table.mirrors).enumerate() {
                     self.amplitude[k] = table.los_amplitude[k] + owned_sum(line, &self.owners, k as f64);
                 }
+                if !table.spill.is_empty() {
+                    for (m, owner) in self.owners.iter().enumerate() {
+                        for &(k, gain) in table.spill.of(*owner as usize, m) {
+                            self.amplitude[k] += gain;
+                        }
+                    }
+                }
             },
         );
+    }
+
+    /// Assigns each mirror that reaches several users at once to the aim with the largest weighted
+    /// sum of gains, instead of the user with the largest weighted gain.
+    #[inline(always)]
+    fn share(&mut self, table: &Table) {
+        for (m, owner) in self.owners.iter_mut().enumerate().filter(|(m, _)| table.spill.shares(*m)) {
+            let strongest = *owner as usize;
+            let (mut best, mut most) = (strongest, self.effective[strongest] * table.line(m)[strongest]);
+            for &aim in table.spill.aims_of(m).iter().filter(|aim| table.spill.is_allowed(**aim, &self.allowed)) {
+                let worth: f64 = table.aim(m, aim).map(|(user, gain)| self.effective[user] * gain).sum();
+                if worth > most || worth == most && aim < best {
+                    (best, most) = (aim, worth);
+                }
+            }
+            *owner = best as f64;
+        }
     }
 }
 

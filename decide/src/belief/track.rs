@@ -1,0 +1,57 @@
+//! What is remembered of one user.
+
+use heliostat_channel::Vec3;
+use heliostat_proto::{Nanos, UserState};
+use serde::{Deserialize, Serialize};
+
+use crate::belief::{
+    covered::Covered,
+    heading::Heading,
+    height::Height,
+    motion::{Motion, WalkPriors},
+};
+
+/// A user's reports, motion and heading.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Track {
+    pub user: u32,
+    pub motion: Motion,
+    pub height: Height,
+    pub heading: Heading,
+    pub covered: Covered,
+    /// The last two reported positions, the later one first, with the time between them in s.
+    pub earlier: [Option<Place>; 2],
+    pub reported_velocity: Option<[f64; 2]>,
+}
+
+/// A reported position.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Place {
+    pub at_m: [f64; 2],
+    pub time_ns: Nanos,
+}
+
+impl Track {
+    pub fn new(user: u32, priors: &WalkPriors, known_obstacles: bool) -> Self {
+        let (motion, height, heading) = (Motion::new(priors), Height::default(), Heading::default());
+        let covered = if known_obstacles { Covered::KNOWN_OBSTACLES } else { Covered::UNKNOWN_OBSTACLES };
+        Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None }
+    }
+
+    /// Position of the detector in m, a time in s after the last report.
+    pub fn place(&self, ahead_s: f64) -> Vec3 {
+        let [x, y] = self.motion.estimate(ahead_s).position_m;
+        Vec3::new(x, y, self.height.mean_m())
+    }
+
+    pub fn remember(&mut self, user: &UserState, time_ns: Nanos) {
+        let [x, y, _] = user.position_m.map(f64::from);
+        self.earlier = [Some(Place { at_m: [x, y], time_ns }), self.earlier[0]];
+        self.reported_velocity = reported_velocity(user);
+    }
+}
+
+/// The velocity of a report: a tracker that does not measure it reports zeros.
+pub(super) fn reported_velocity(user: &UserState) -> Option<[f64; 2]> {
+    (user.velocity_m_s != [0.0; 2]).then(|| user.velocity_m_s.map(f64::from))
+}

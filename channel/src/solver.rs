@@ -67,5 +67,5 @@ mod table;
 
 pub use bind::Method;
 pub use problem::{ASSIGNMENTS_MAX, MinimumRates, Problem, QOS_PENALTY, Solution, SolverError};
-pub use solve::Solver;
+pub use solve::{Solver, Start};
 pub(crate) use table::slope;

@@ -29,7 +29,7 @@ impl Setting {
         let [room_at, controller_at] = &endpoints;
         let filter = ["--scenario", "hall", "--set", "control.belief=\"filter\""];
         let settings = [&filter[..], settings].concat();
-        let both = |arguments: &[&str]| Process::heliostat(&[arguments, &settings].concat());
+        let both = |arguments: &[&str]| Process::heliostat_without_loss(&[arguments, &settings].concat());
         let room = both(&["sim-node", "--listen", room_at, "--exit-with-parent"]);
         let ended = ["--exit-with-parent", "--json", "--policy", policy];
         let controller = both(&[&["controller", "--connect", room_at, "--listen", controller_at], &ended[..]].concat());
@@ -52,19 +52,22 @@ impl Setting {
         recorder
     }
 
-    fn end(self) -> Value {
+    /// Ends room and controller; the folder stays until it is dropped.
+    fn end(self) -> TempDir {
         drop(self.room);
-        self.controller.end().json()
+        self.controller.end().json();
+        self.folder
     }
 }
 
-fn replay(file: &Path) -> Value {
-    Process::heliostat(&["replay", &file.to_string_lossy(), "--json"]).wait().json()
+/// Replays a recording by the policy that made it.
+fn replay(file: &Path, policy: &str) -> Value {
+    Process::heliostat(&["replay", &file.to_string_lossy(), "--json", "--policy", policy]).wait().json()
 }
 
 /// Asserts that a replay compares many commands of a recording, and that all are equal.
-fn assert_replays(file: &Path) -> Value {
-    let verdict = replay(file);
+fn assert_replays(file: &Path, policy: &str) -> Value {
+    let verdict = replay(file, policy);
     let count = |name: &str| verdict[name].as_u64().expect("a count");
     assert!(count("same") > 50, "{verdict}");
     assert_eq!((count("different"), count("held")), (0, 0), "{verdict}");
@@ -93,13 +96,13 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
     let account = recorder.end().json();
     let memories = account["streams"]["heliostat/v1/demo/controller/memory"]["messages"].as_u64();
     assert!((5..=15).contains(&memories.expect("states were recorded")), "{account}");
-    setting.end();
-    let verdict = assert_replays(&file);
+    let _folder = setting.end();
+    let verdict = assert_replays(&file, "greedy");
 
     // The state that the controller had before the recording is what makes the commands equal.
     let without = file.with_file_name("without.mcap");
     copy(&file, &without, |topic, _| !topic.ends_with("controller/memory"));
-    let other = replay(&without);
+    let other = replay(&without, "greedy");
     assert!(other["different"].as_u64() > Some(0), "{other}");
 
     // A report that the recorder did not receive makes the state unknown until the next one.
@@ -110,7 +113,7 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
         reports += u64::from(topic.ends_with("/users") && states == 1);
         !(topic.ends_with("/users") && states == 1 && reports == 10)
     });
-    let fewer = assert_replays(&gap);
+    let fewer = assert_replays(&gap, "greedy");
     assert!(fewer["same"].as_u64() < verdict["same"].as_u64(), "{fewer} {verdict}");
 
     // A report that the controller did not accept, beside those that it did.
@@ -130,7 +133,7 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
         true
     });
     assert_eq!(dropped, 1);
-    let differs = replay(&foreign);
+    let differs = replay(&foreign, "greedy");
     assert!(differs["different"].as_u64() > Some(0), "the listed inputs are the ones that count: {differs}");
 }
 
@@ -155,7 +158,7 @@ fn recordings_of_users_who_come_and_go_replay_also_when_the_recorder_is_killed()
     let mut recorder = setting.recorder(&killed);
     std::thread::sleep(Duration::from_secs(5));
     recorder.kill();
-    setting.end();
-    assert_eq!(assert_replays(&file)["complete"], true);
-    assert_eq!(assert_replays(&killed)["complete"], false);
+    let _folder = setting.end();
+    assert_eq!(assert_replays(&file, "fixed-point")["complete"], true);
+    assert_eq!(assert_replays(&killed, "fixed-point")["complete"], false);
 }

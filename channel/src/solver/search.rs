@@ -39,7 +39,7 @@ pub(super) struct Search {
     refined: usize,
     starts: Starts,
     /// The users of the midpoints to which `best` refers.
-    midpoints: Vec<[usize; 2]>,
+    pub(super) midpoints: Vec<[usize; 2]>,
     /// Fingerprints of the assignments from which single moves have started.
     searched: Vec<u64>,
     /// Users that may be assigned mirrors.

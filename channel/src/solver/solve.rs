@@ -25,6 +25,17 @@ pub struct Solver {
     former_weights: Vec<f64>,
 }
 
+/// What the next solution starts from: the last one.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Start {
+    /// Weights of the users. Shape: K.
+    pub weights: Vec<f64>,
+    /// The aim of each mirror, see [`Solver::served`]. Shape: M.
+    pub served: Vec<usize>,
+    /// The two users of each midpoint.
+    pub midpoints: Vec<[usize; 2]>,
+}
+
 impl Solver {
     /// A solver for this many users and mirrors; allocates all memory.
     ///
@@ -184,12 +195,39 @@ impl Solver {
         &self.weights
     }
 
-    /// Replaces the weights of the last solution, from which the next fixed point starts. Shape: K.
-    ///
-    /// # Panics
-    /// When `weights` does not have one entry per user.
-    pub fn set_weights(&mut self, weights: &[f64]) {
-        self.weights.copy_from_slice(weights);
+    /// A start with memory for any of this solver.
+    pub fn start_buffer(&self) -> Start {
+        Start {
+            weights: Vec::with_capacity(self.weights.capacity()),
+            served: Vec::with_capacity(self.mirrors),
+            midpoints: Vec::with_capacity(self.search.midpoints.capacity()),
+        }
+    }
+
+    /// Copies what the next solution starts from. Does not allocate into a
+    /// [`start_buffer`](Self::start_buffer).
+    pub fn copy_start(&self, into: &mut Start) {
+        into.weights.clone_from(&self.weights);
+        into.served.clone_from(&self.search.best.served);
+        into.midpoints.clone_from(&self.search.midpoints);
+    }
+
+    /// Lets the next solution begin at this start; false, without a change, where it is one of other
+    /// users or mirrors.
+    pub fn set_start(&mut self, start: &Start) -> bool {
+        let Start { weights, served, midpoints } = start;
+        let aims = self.users + midpoints.len();
+        let fits = weights.len() == self.users
+            && weights.iter().all(|weight| weight.is_finite())
+            && served.len() == self.mirrors
+            && served.iter().all(|aim| *aim < aims)
+            && midpoints.iter().flatten().all(|user| *user < self.users);
+        if fits {
+            self.weights.copy_from_slice(weights);
+            self.search.best.served.copy_from_slice(served);
+            self.search.midpoints.clone_from(midpoints);
+        }
+        fits
     }
 
     /// The unit normal of each mirror in the last solution of a problem of normals; zero where no

@@ -3,7 +3,7 @@
 use heliostat_channel::{
     ChannelModel,
     mirrors::MirrorAngles,
-    solver::{Method, MinimumRates, QOS_PENALTY, Solver},
+    solver::{Method, MinimumRates, QOS_PENALTY, Solver, Start},
 };
 
 use heliostat_proto::MAX_USERS;
@@ -23,8 +23,8 @@ pub struct ModelBased {
     solver: Solver,
     /// The users of the solver's weights.
     slots: Slots,
-    /// A copy of the solver's weights during a cache warm-up.
-    saved_weights: Vec<f64>,
+    /// A copy of the solver's start during a cache warm-up.
+    saved: Start,
 }
 
 impl ModelBased {
@@ -44,13 +44,8 @@ impl ModelBased {
     }
 
     fn new(name: &'static str, method: Method, users: usize, mirrors: usize) -> Self {
-        Self {
-            name,
-            method,
-            solver: Solver::with_capacity(users, MAX_USERS, mirrors),
-            slots: Slots::of(users),
-            saved_weights: Vec::with_capacity(MAX_USERS),
-        }
+        let solver = Solver::with_capacity(users, MAX_USERS, mirrors);
+        Self { name, method, saved: solver.start_buffer(), solver, slots: Slots::of(users) }
     }
 }
 
@@ -82,25 +77,26 @@ impl Policy for ModelBased {
             // The weights of the users to come must not be lost.
             return;
         }
-        self.saved_weights.clear();
-        self.saved_weights.extend_from_slice(self.solver.weights());
+        self.solver.copy_start(&mut self.saved);
         let _ = self.act(model, observation, out);
-        self.solver.set_weights(&self.saved_weights);
+        self.solver.set_start(&self.saved);
     }
 
     fn memory(&self) -> PolicyMemory {
-        let (users, weights) = (self.slots.ids().to_vec(), self.solver.weights().to_vec());
-        PolicyMemory { users, weights, ..PolicyMemory::default() }
+        let mut start = self.solver.start_buffer();
+        self.solver.copy_start(&mut start);
+        let Start { weights, served, midpoints } = start;
+        PolicyMemory { users: self.slots.ids().to_vec(), weights, served, midpoints, ..PolicyMemory::default() }
     }
 
     fn restore(&mut self, memory: &PolicyMemory) {
-        let PolicyMemory { users, weights, .. } = memory;
-        let fits = (1..=MAX_USERS).contains(&users.len()) && weights.len() == users.len();
-        if fits && weights.iter().all(|weight| weight.is_finite()) {
-            if self.slots.follow(users) {
-                self.solver.change_users(self.slots.former());
-            }
-            self.solver.set_weights(weights);
+        let PolicyMemory { users, weights, served, midpoints, .. } = memory.clone();
+        if !(1..=MAX_USERS).contains(&users.len()) {
+            return;
         }
+        if self.slots.follow(&users) {
+            self.solver.change_users(self.slots.former());
+        }
+        self.solver.set_start(&Start { weights, served, midpoints });
     }
 }

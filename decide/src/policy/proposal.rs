@@ -61,6 +61,10 @@ pub struct PolicyMemory {
     pub users: Vec<u32>,
     /// Weights of these users in the last solution.
     pub weights: Vec<f64>,
+    /// The aim of each mirror in the last solution.
+    pub served: Vec<usize>,
+    /// The two users of each midpoint among these aims.
+    pub midpoints: Vec<[usize; 2]>,
     /// Position of the random generator, in words since its seed.
     pub words: u128,
 }

@@ -92,7 +92,7 @@ policies! {
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
     Pso: Direct(|room| super::pso::Pso::new(room.scenario, room.monotonic_ns).boxed()),
     /// Each mirror serves the user with the largest steering gain
-    Nearest: Direct(|room| super::nearest::Nearest::new(room.mirrors).boxed()),
+    Nearest: Direct(|_| super::nearest::Nearest::new().boxed()),
     /// One random draw per mirror, the same for the complete run
     Random: Direct(|room| super::fixed::Fixed::random(room.mirrors, room.range_rad, room.scenario.seed).boxed()),
     /// Every mirror faces straight into the room
@@ -179,7 +179,7 @@ pub fn build_fallback(fallback: Fallback, scenario: &Scenario) -> Option<Box<dyn
     let (users, mirrors) = (scenario.users.count, scenario.mirror_count());
     match fallback {
         Fallback::FixedPoint => Some(Box::new(super::model_based::ModelBased::fixed_point(users, mirrors))),
-        Fallback::Nearest => Some(Box::new(super::nearest::Nearest::new(mirrors))),
+        Fallback::Nearest => Some(Box::new(super::nearest::Nearest::new())),
         Fallback::Flat => Some(Box::new(super::fixed::Fixed::flat(mirrors))),
         Fallback::LastGood => Some(Box::new(super::fixed::Hold)),
         Fallback::Hold => None,

@@ -216,7 +216,7 @@ fn a_recording_is_readable_however_the_recorder_ends() {
     // A file at its size limit: an error with the number of lost messages, and a valid file.
     fs::remove_file(setting.file()).unwrap();
     let limited = Command::new("bash")
-        .args(["-c", "trap '' XFSZ; ulimit -f 300; exec \"$@\"", "bash"])
+        .args(["-c", "trap '' XFSZ; ulimit -f 900; exec \"$@\"", "bash"])
         .arg(programs().join("heliostat"))
         .args(setting.recorder_arguments())
         .output()

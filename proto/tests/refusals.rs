@@ -455,13 +455,14 @@ fn a_geometry_text_may_be_longer_than_other_texts_up_to_its_own_limit() {
 
 #[test]
 fn a_belief_outside_its_domain_is_refused_by_field() {
-    let refused = |change: fn(&mut UserBelief)| {
+    type Change = fn(&mut UserBelief);
+    let refused = |change: Change| {
         let mut report = belief_report();
         change(&mut report.users[0]);
         let error = encode(&report, &mut Vec::new()).expect_err("not a belief");
         (error.name(), error.to_string())
     };
-    let cases: [(fn(&mut UserBelief), &str, &str); 6] = [
+    let cases: [(Change, &str, &str); 6] = [
         (|user| user.position_m[2] = f32::NAN, "not-finite", "users.position_m"),
         (|user| user.heading_rad = f32::INFINITY, "not-finite", "users.heading_rad"),
         (|user| user.xx_m2 = -0.01, "implausible", "users.xx_m2"),

@@ -12,7 +12,7 @@
 //!
 //! A recording cannot hold messages that the controller received before the recording started. It
 //! holds the controller's state once a second, with the inputs in between, where the controller
-//! publishes both: the replay repeats these inputs ([`schedule`]), and compares commands from the
+//! publishes both: the replay repeats these inputs (`schedule.rs`), and compares commands from the
 //! first state on. Without such states, the first [`SETTLE`] decisions of an epoch are replayed but
 //! not compared. A lockstep epoch recorded from its first command needs neither.
 
@@ -42,7 +42,7 @@ use player::Player;
 /// Replays a recording into a controller of this process.
 ///
 /// # Errors
-/// [`UnusableInput`] if the recording cannot be read or lacks a required stream; a policy that cannot
+/// [`UnusableInput`](heliostat_service::exit::UnusableInput) if the recording cannot be read or lacks a required stream; a policy that cannot
 /// be built.
 pub fn run(settings: &Settings) -> Result<Verdict> {
     let plan = Plan::read(&settings.file).with_context(|| unusable(&settings.file))?;

@@ -1,7 +1,7 @@
 //! The room for Foxglove's 3D panel: walls, access points, mirrors, reflected rays, users,
 //! obstacles.
 //!
-//! Positions are in m in the room's frame, under the frame id [`FRAME`](shapes::FRAME). A scene shows the truth of
+//! Positions are in m in the room's frame, under the frame id `FRAME`. A scene shows the truth of
 //! a simulated room, or the reports of a real one. Walls, access points and mirrors are those of the
 //! geometry that the room announced, else that the controller announced, else of the scenario.
 

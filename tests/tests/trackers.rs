@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::Path;
 use std::process::{Command, ExitStatus};
+use std::time::{Duration, Instant};
 
 use heliostat_bus::{BusConfig, free_loopback_endpoint};
 use heliostat_proto::{ArrayState, Room};
@@ -66,8 +67,17 @@ fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
     });
     assert!(answered.is_sorted(), "the commands answer the ticks in their order: {answered:?}");
     // Ctrl-C closes the session: without that a session of Zenoh can keep the process alive.
-    let sent = Command::new("kill").args(["-INT", &tracker.process().id().to_string()]).status();
-    assert!(sent.expect("there is a kill command").success());
+    // A key that Python loses in native code is pressed again.
+    let id = tracker.process().id().to_string();
+    let mut pressed = None;
+    wait_until("the end of the tracker", || {
+        if pressed.is_none_or(|at: Instant| at.elapsed() > Duration::from_secs(10)) {
+            let sent = Command::new("kill").args(["-INT", &id]).status();
+            assert!(sent.expect("there is a kill command").success());
+            pressed = Some(Instant::now());
+        }
+        tracker.process().try_wait().expect("the process can be waited for").is_some()
+    });
     assert!(end(&mut tracker).success(), "Ctrl-C is an orderly end");
 }
 

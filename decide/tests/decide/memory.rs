@@ -26,7 +26,7 @@ fn room_scenario(belief: &str) -> Scenario {
 
 /// The users of a tick: they come and go, in another order each time.
 fn users(tick: u64) -> Vec<u32> {
-    let mut users: Vec<u32> = (0..5).filter(|user| (tick / 7 + u64::from(*user)) % 4 != 0).collect();
+    let mut users: Vec<u32> = (0..5).filter(|user| !(tick / 7 + u64::from(*user)).is_multiple_of(4)).collect();
     users.rotate_left(tick as usize % 3);
     users
 }

@@ -75,6 +75,9 @@ pub struct Estimate {
     pub direct_clear: f64,
 }
 
+/// A heading whose mean vector is longer than this is known: a spread of 18 degrees.
+const HEADING_CERTAIN: f64 = 0.95;
+
 /// The belief about all users of a room. Its buffers are allocated once.
 #[derive(Clone, Debug)]
 pub struct Belief {
@@ -146,6 +149,16 @@ impl Belief {
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
+        if self.map.is_none() && self.tracks.iter().all(|track| self.is_heading_certain(track)) {
+            // Only the direct paths can show anything.
+            for (user, track) in self.tracks.iter_mut().enumerate() {
+                if let Some(measured) = track.measured(user, report) {
+                    track.covered.predict();
+                    track.covered.handle_direct(measured.los_gain > 0.0, 1.0);
+                }
+            }
+            return;
+        }
         let ahead_s = signed_s(report.stamp.time_ns, self.last_ns);
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
         let Self { tracks, evidence, bodies, directions, map, body, .. } = self;
@@ -160,14 +173,16 @@ impl Belief {
         }));
         let bodies = body.as_ref().map(|shape| Bodies { shape, directions, known: bodies });
         for (user, track) in tracks.iter_mut().enumerate() {
-            let same_slot = report.users.get(user).filter(|entry| entry.user == track.user);
-            let measured = same_slot.or_else(|| report.users.iter().find(|entry| entry.user == track.user));
-            let Some(measured) = measured else { continue };
+            let Some(measured) = track.measured(user, report) else { continue };
             let measured = MeasuredGains { los: f64::from(measured.los_gain), irs: f64::from(measured.irs_gain) };
             let beliefs = Beliefs { heading: &mut track.heading, covered: &mut track.covered };
             evidence.examine(model, user, measured, bodies.as_ref(), beliefs, map.as_mut());
         }
         map.iter_mut().for_each(Occupancy::finish_report);
+    }
+
+    fn is_heading_certain(&self, track: &Track) -> bool {
+        self.body.is_none() || track.heading.mean(&self.directions).norm() > HEADING_CERTAIN
     }
 
     /// Writes the probability that no unreported obstacle blocks the path from a place to each

@@ -28,7 +28,10 @@ const BOUNDS: [f64; 2] = [1e-4, 0.99];
 const RELAXATION: f64 = 0.005;
 
 /// A cell is suspected if its probability exceeds the mean one by this factor.
-const SUSPECTED: f64 = 4.0;
+const SUSPECTED: f64 = 10.0;
+
+/// Paths that are weighed together.
+const CHUNK: usize = 16;
 
 /// Probability that a measurement has another cause than the map and the bodies.
 const UNEXPLAINED: f64 = 0.05;
@@ -58,14 +61,21 @@ impl Grid {
         [low * (to.x - from.x), low * (to.y - from.y)]
     }
 
-    /// How surely an obstacle at `off` from the start of a path blocks it, from 0 to 1.
+    /// How surely an obstacle at `off` from the start of a path blocks it, from 0 to 1. `inverse` is
+    /// 1 / the squared length of the path.
     #[inline(always)]
-    fn blocks(&self, along: [f64; 2], off: [f64; 2]) -> f64 {
-        let squared = (along[0] * along[0] + along[1] * along[1]).max(f64::MIN_POSITIVE);
-        let share = ((off[0] * along[0] + off[1] * along[1]) / squared).clamp(0.0, 1.0);
+    fn blocks(&self, (along, inverse): ([f64; 2], f64), off: [f64; 2]) -> f64 {
+        let share = ((off[0] * along[0] + off[1] * along[1]) * inverse).clamp(0.0, 1.0);
         let gap = [off[0] - share * along[0], off[1] - share * along[1]];
-        let distance = (gap[0] * gap[0] + gap[1] * gap[1]).sqrt();
-        ((self.radius_m + EDGE_M - distance) / (2.0 * EDGE_M)).clamp(0.0, 1.0)
+        let squared = gap[0] * gap[0] + gap[1] * gap[1];
+        let (reach, core) = (self.radius_m + EDGE_M, self.radius_m - EDGE_M);
+        if squared >= reach * reach {
+            0.0
+        } else if core > 0.0 && squared <= core * core {
+            1.0
+        } else {
+            ((reach - squared.sqrt()) / (2.0 * EDGE_M)).min(1.0)
+        }
     }
 
     /// Calls `visit` with each cell near a path and with how surely an obstacle there blocks it,
@@ -77,6 +87,7 @@ impl Grid {
         }
         let start = [from.x, from.y];
         let along = self.low_part(from, to);
+        let inverse = inverse_square(along);
         let end = [start[0] + along[0], start[1] + along[1]];
         let reach = self.radius_m + EDGE_M;
         let index = |value: f64, axis: usize, count: usize| {
@@ -93,7 +104,7 @@ impl Grid {
                 index(x_one.min(x_two) - reach, 0, self.columns)..=index(x_one.max(x_two) + reach, 0, self.columns);
             for column in columns {
                 let x = (column as f64 + 0.5) * self.cell_m - self.half_m[0];
-                let blocks = self.blocks(along, [x - start[0], y - start[1]]);
+                let blocks = self.blocks((along, inverse), [x - start[0], y - start[1]]);
                 if blocks > 0.0 {
                     visit(row * self.columns + column, blocks);
                 }
@@ -112,6 +123,12 @@ fn outside([first, last]: &[[f64; 2]; 2], off: [f64; 2], reach: f64) -> bool {
     let distance = length(&off);
     let behind = off[0] * (first[0] + last[0]) + off[1] * (first[1] + last[1]) < 0.0 && distance > reach;
     beyond_first || beyond_last || behind || distance > length(first).max(length(last)) + reach
+}
+
+/// 1 / the squared length of a vector; 0 for one without a length.
+fn inverse_square(along: [f64; 2]) -> f64 {
+    let squared = along[0] * along[0] + along[1] * along[1];
+    if squared > 0.0 { 1.0 / squared } else { 0.0 }
 }
 
 /// How the expected share of the light changes if it is certain that a cell holds no obstacle, or
@@ -218,16 +235,25 @@ impl Occupancy {
     /// Multiplies each entry of `clear` by the probability that no suspected obstacle blocks the path
     /// from a user to the point of the same index. The points lie on a line.
     pub fn weigh(&self, from: &Vec3, points: &[Vec3], clear: &mut [f64]) {
+        if from.z >= self.grid.height_m {
+            return;
+        }
         let reach = self.grid.radius_m + EDGE_M;
-        let (Some(first), Some(last)) = (points.first(), points.last()) else { return };
-        let ends = [self.grid.low_part(from, first), self.grid.low_part(from, last)];
-        for suspect in &self.suspects {
-            let off = [suspect.at_m[0] - from.x, suspect.at_m[1] - from.y];
-            if outside(&ends, off, reach) {
-                continue;
+        for (points, clear) in points.chunks(CHUNK).zip(clear.chunks_mut(CHUNK)) {
+            let mut paths = [([0.0; 2], 0.0); CHUNK];
+            for (path, point) in paths.iter_mut().zip(points) {
+                let along = self.grid.low_part(from, point);
+                *path = (along, inverse_square(along));
             }
-            for (clear, point) in clear.iter_mut().zip(points) {
-                *clear *= 1.0 - suspect.probability * self.grid.blocks(self.grid.low_part(from, point), off);
+            let ends = [paths[0].0, paths[points.len() - 1].0];
+            for suspect in &self.suspects {
+                let off = [suspect.at_m[0] - from.x, suspect.at_m[1] - from.y];
+                if outside(&ends, off, reach) {
+                    continue;
+                }
+                for (clear, path) in clear.iter_mut().zip(&paths) {
+                    *clear *= 1.0 - suspect.probability * self.grid.blocks(*path, off);
+                }
             }
         }
     }

@@ -1,7 +1,7 @@
 //! What is remembered of one user.
 
 use heliostat_channel::Vec3;
-use heliostat_proto::{Nanos, UserState};
+use heliostat_proto::{ChannelReport, Nanos, UserChannel, UserState};
 use serde::{Deserialize, Serialize};
 
 use crate::belief::{
@@ -42,6 +42,12 @@ impl Track {
     pub fn place(&self, ahead_s: f64) -> Vec3 {
         let [x, y] = self.motion.estimate(ahead_s).position_m;
         Vec3::new(x, y, self.height.mean_m())
+    }
+
+    /// The entry of this user in a channel report; `slot` is the likely index.
+    pub fn measured<'a>(&self, slot: usize, report: &'a ChannelReport) -> Option<&'a UserChannel> {
+        let same_slot = report.users.get(slot).filter(|entry| entry.user == self.user);
+        same_slot.or_else(|| report.users.iter().find(|entry| entry.user == self.user))
     }
 
     pub fn remember(&mut self, user: &UserState, time_ns: Nanos) {

@@ -99,8 +99,8 @@ pub struct Belief {
     bodies: Vec<Option<Cylinder>>,
     /// Absent where there are no unreported obstacles.
     map: Option<Occupancy>,
-    /// The place of the lamp, in a room with one.
-    lamp: Option<Vec3>,
+    /// The place of the LED, in a room with one.
+    led: Option<Vec3>,
     innovations: Innovations,
 }
 
@@ -124,7 +124,7 @@ impl Belief {
             angles: MirrorAngles::flat(model.mirrors.len()),
             evidence: ChannelEvidence::new(model, capacity),
             bodies: Vec::with_capacity(capacity),
-            lamp: channel_evidence::single_lamp(model),
+            led: channel_evidence::single_led(model),
             map: Occupancy::new(scenario),
             innovations: Innovations::default(),
         }
@@ -243,8 +243,8 @@ impl Belief {
         let position = Vec3::new(x, y, track.height.mean_m());
         let heading = track.heading.mean(&self.directions);
         let mut direct_clear = [1.0 - track.covered.probability()];
-        if let (Some(map), Some(lamp)) = (&self.map, &self.lamp) {
-            map.weigh(&position, std::slice::from_ref(lamp), &mut direct_clear);
+        if let (Some(map), Some(led)) = (&self.map, &self.led) {
+            map.weigh(&position, std::slice::from_ref(led), &mut direct_clear);
         }
         let [direct_clear] = direct_clear;
         let velocity = Vec3::new(u, v, 0.0);

@@ -148,9 +148,9 @@ impl ChannelEvidence {
                 *unobstructed = map.clear_probability(&position, column);
             }
         }
-        let lamp = single_lamp(model);
-        let unobstructed = match (&map, &lamp) {
-            (Some(map), Some(lamp)) => map.clear_probability(&position, lamp),
+        let led = single_led(model);
+        let unobstructed = match (&map, &led) {
+            (Some(map), Some(led)) => map.clear_probability(&position, led),
             _ => 1.0,
         };
         covered.predict();
@@ -178,8 +178,8 @@ impl ChannelEvidence {
             covered.handle_direct(is_clear, past_bodies * unobstructed);
         }
         let Some(map) = map else { return };
-        if let Some(lamp) = lamp.filter(|_| is_modelled) {
-            map.handle_direct(&position, &lamp, is_clear, past_bodies * is_open);
+        if let Some(led) = led.filter(|_| is_modelled) {
+            map.handle_direct(&position, &led, is_clear, past_bodies * is_open);
         }
         if !self.angles_known {
             return;
@@ -286,12 +286,12 @@ pub(super) fn columns(model: &ChannelModel) -> Vec<Vec3> {
     model.mirrors.positions()[rows / 2 * columns..][..columns].to_vec()
 }
 
-/// The place of the lamp, in a room with one.
-pub(super) fn single_lamp(model: &ChannelModel) -> Option<Vec3> {
+/// The place of the LED, in a room with one.
+pub(super) fn single_led(model: &ChannelModel) -> Option<Vec3> {
     (model.leds.len() == 1).then(|| model.leds[0].position)
 }
 
-/// Whether a body blocks the paths from all lamps to a point.
+/// Whether a body blocks the paths from all LEDs to a point.
 fn is_blocked(model: &ChannelModel, body: &Cylinder, position: &Vec3) -> bool {
     model.leds.iter().all(|led| blockage::blocks(body, &led.position, position))
 }

@@ -1,7 +1,7 @@
 //! Where unreported obstacles stand: a map of probabilities over the floor.
 //!
 //! A cell holds the probability that an obstacle's axis is in it. Radius, height and mean density
-//! are the scenario's. The path from a user to a lamp or to a column of mirrors is blocked by an
+//! are the scenario's. The path from a user to an LED or to a column of mirrors is blocked by an
 //! axis that is nearer than the radius to the part of the path below the obstacle's height, in plan
 //! view. Each measurement updates the cells near its paths by Bayes' rule; the cells are treated as
 //! independent, as in occupancy grids (Elfes, 1989). With each report one row of cells relaxes
@@ -258,10 +258,10 @@ impl Occupancy {
         }
     }
 
-    /// Takes whether the path from a user to a lamp was clear; `otherwise` is the probability that
+    /// Takes whether the path from a user to an LED was clear; `otherwise` is the probability that
     /// bodies leave it clear.
-    pub fn handle_direct(&mut self, from: &Vec3, lamp: &Vec3, is_clear: bool, otherwise: f64) {
-        let expected = self.expect(from, [(*lamp, otherwise)].into_iter());
+    pub fn handle_direct(&mut self, from: &Vec3, led: &Vec3, is_clear: bool, otherwise: f64) {
+        let expected = self.expect(from, [(*led, otherwise)].into_iter());
         self.update(expected, |expected| {
             let clear = expected.clamp(0.0, 1.0);
             UNEXPLAINED + (1.0 - 2.0 * UNEXPLAINED) * if is_clear { clear } else { 1.0 - clear }
@@ -338,7 +338,7 @@ impl Occupancy {
 mod tests {
     use super::*;
 
-    const LAMP: Vec3 = Vec3::new(0.0, 0.0, 3.0);
+    const LED: Vec3 = Vec3::new(0.0, 0.0, 3.0);
 
     fn map() -> Occupancy {
         Occupancy::new(&Scenario::builtin("hall").expect("a built-in scenario")).expect("hidden obstacles")
@@ -359,15 +359,15 @@ mod tests {
     #[test]
     fn paths_past_an_obstacle_find_it() {
         let mut map = map();
-        // Devices on circles around an obstacle, with the lamp at the origin: the paths of those
+        // Devices on circles around an obstacle, with the LED at the origin: the paths of those
         // beyond it are blocked, as they would be by an obstacle at the device.
         let obstacle = heliostat_channel::Cylinder::new(1.5, 0.0, map.grid.radius_m, map.grid.height_m).expect("valid");
         for step in 0..200 {
             let angle = f64::from(step) * 0.7;
             let radius = 0.3 + 0.1 * f64::from(step % 5);
             let at = device(1.5 + radius * angle.cos(), radius * angle.sin());
-            let blocked = heliostat_channel::blockage::blocks(&obstacle, &LAMP, &at);
-            map.handle_direct(&at, &LAMP, !blocked, 1.0);
+            let blocked = heliostat_channel::blockage::blocks(&obstacle, &LED, &at);
+            map.handle_direct(&at, &LED, !blocked, 1.0);
         }
         map.finish_report();
         let found: f64 = map.suspects.iter().map(|suspect| suspect.probability).sum();
@@ -375,17 +375,17 @@ mod tests {
         let near = |suspect: &Suspect| (suspect.at_m[0] - 1.7).hypot(suspect.at_m[1]) < 0.7;
         assert!(map.suspects.iter().filter(|suspect| suspect.probability > 0.3).all(near), "{:?}", map.suspects);
         // The path of a new device behind it is blocked, and that of one beside it is not.
-        assert!(map.clear_probability(&device(2.1, 0.0), &LAMP) < 0.4);
-        assert!(map.clear_probability(&device(1.5, 1.2), &LAMP) > 0.8);
+        assert!(map.clear_probability(&device(2.1, 0.0), &LED) < 0.4);
+        assert!(map.clear_probability(&device(1.5, 1.2), &LED) > 0.8);
     }
 
     #[test]
     fn a_clear_path_frees_its_cells_and_another_cause_leaves_them() {
         let (mut map, at) = (map(), device(2.0, 0.0));
         let before = probability(&map, 1.7, 0.0);
-        map.handle_direct(&at, &LAMP, false, 0.05);
+        map.handle_direct(&at, &LED, false, 0.05);
         assert!(probability(&map, 1.7, 0.0) < 1.3 * before, "a body explains the blockage");
-        map.handle_direct(&at, &LAMP, true, 0.95);
+        map.handle_direct(&at, &LED, true, 0.95);
         assert!(probability(&map, 1.7, 0.0) < 0.3 * before);
         assert_eq!(probability(&map, -2.0, 2.0), before, "far from the path");
         map.clear();

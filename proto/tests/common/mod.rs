@@ -262,3 +262,14 @@ pub fn unhex(text: &str) -> Vec<u8> {
     let byte = |at: usize| u8::from_str_radix(&text[at..at + 2], 16).expect("hexadecimal digits");
     (0..text.len()).step_by(2).map(byte).collect()
 }
+
+/// Why a payload does not decode.
+pub fn refusal<T: Message + std::fmt::Debug>(payload: &[u8]) -> CodecError {
+    decode::<T>(payload).expect_err("this payload is invalid")
+}
+
+/// The payload with the four bytes at an offset replaced by those of a number.
+pub fn with_f32(mut payload: Vec<u8>, at: usize, value: f32) -> Vec<u8> {
+    payload[at..at + 4].copy_from_slice(&value.to_le_bytes());
+    payload
+}

@@ -84,16 +84,16 @@
 
 mod array;
 mod degraded_actions;
+mod figures;
 mod journal;
 pub mod memory;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
-use heliostat_proto::{BeliefReport, InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
+use heliostat_proto::{InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
 use heliostat_scenario::{DegradedAction, Scenario};
 
 pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{
-    belief::{Belief, innovations::Innovations},
     input::{
         inbox::{Inbox, Message},
         refusal::{Refusal, Stream},
@@ -103,7 +103,7 @@ use crate::{
         observer::{LosSource, Observer},
     },
     output::{guard::Guard, safety::Limits, tenure::Tenure},
-    policy::{self, Policy, PolicyError, ProposedBy, Tally, WithFallback},
+    policy::{self, Policy, ProposedBy, WithFallback},
 };
 use degraded_actions::{DegradedActions, LastReport};
 use journal::Journal;
@@ -334,54 +334,6 @@ impl Controller {
     /// start-up warm-up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
         self.policy.replace_policy(policy)
-    }
-
-    /// The latest reports, and the counters of refusals.
-    pub fn inbox(&self) -> &Inbox {
-        &self.inbox
-    }
-
-    /// Counters since the start.
-    pub fn counters(&self) -> &Counters {
-        &self.counters
-    }
-
-    /// Name of the policy.
-    pub fn policy_name(&self) -> &str {
-        self.policy.policy().name()
-    }
-
-    /// The figures of each policy since the start.
-    pub fn tallies(&self) -> &[Tally] {
-        self.policy.tallies.all()
-    }
-
-    /// The last failure of the policy.
-    pub fn last_failure(&self) -> Option<&PolicyError> {
-        self.policy.last_failure()
-    }
-
-    /// How well the belief's predictions agreed with the reports; absent where `control.belief`
-    /// names no filter.
-    pub fn innovations(&self) -> Option<Innovations> {
-        self.observer.belief().map(Belief::innovations)
-    }
-
-    /// The last observation, with the angles of the last command.
-    pub fn observation(&self) -> &Observation {
-        &self.observation
-    }
-
-    /// Fills a report with the belief about the users in the decision that was polled last, at
-    /// `now`; its stamp is the caller's. False, without a change, where `control.belief` names no
-    /// filter. Does not allocate in a report with memory for all users.
-    pub fn report_beliefs(&self, now: Nanos, report: &mut BeliefReport) -> bool {
-        self.observer.report_beliefs(&self.inbox, &self.observation, now, report)
-    }
-
-    /// What fills the observation: the belief of the filter, and the headings of the users.
-    pub fn observer(&self) -> &Observer {
-        &self.observer
     }
 
     /// Proposes angles by `action`, limits them and completes the command.

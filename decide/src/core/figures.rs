@@ -1,0 +1,62 @@
+//! What a controller shows of itself: reports, counters, figures, the last observation and the belief.
+
+use heliostat_proto::{BeliefReport, Nanos};
+
+use super::Controller;
+use crate::{
+    belief::{Belief, innovations::Innovations},
+    input::inbox::Inbox,
+    observe::{observation::Observation, observer::Observer},
+    output::outcome::Counters,
+    policy::{PolicyError, Tally},
+};
+
+impl Controller {
+    /// The latest reports, and the counters of refusals.
+    pub fn inbox(&self) -> &Inbox {
+        &self.inbox
+    }
+
+    /// Counters since the start.
+    pub fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// Name of the policy.
+    pub fn policy_name(&self) -> &str {
+        self.policy.policy().name()
+    }
+
+    /// The figures of each policy since the start.
+    pub fn tallies(&self) -> &[Tally] {
+        self.policy.tallies.all()
+    }
+
+    /// The last failure of the policy.
+    pub fn last_failure(&self) -> Option<&PolicyError> {
+        self.policy.last_failure()
+    }
+
+    /// How well the belief's predictions agreed with the reports; absent where `control.belief`
+    /// names no filter.
+    pub fn innovations(&self) -> Option<Innovations> {
+        self.observer.belief().map(Belief::innovations)
+    }
+
+    /// The last observation, with the angles of the last command.
+    pub fn observation(&self) -> &Observation {
+        &self.observation
+    }
+
+    /// Fills a report with the belief about the users in the decision that was polled last, at
+    /// `now`; its stamp is the caller's. False, without a change, where `control.belief` names no
+    /// filter. Does not allocate in a report with memory for all users.
+    pub fn report_beliefs(&self, now: Nanos, report: &mut BeliefReport) -> bool {
+        self.observer.report_beliefs(&self.inbox, &self.observation, now, report)
+    }
+
+    /// What fills the observation: the belief of the filter, and the headings of the users.
+    pub fn observer(&self) -> &Observer {
+        &self.observer
+    }
+}

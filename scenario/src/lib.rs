@@ -40,6 +40,7 @@ pub mod runtime;
 mod scenario;
 pub mod tables;
 mod trace;
+mod user_orientation;
 
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
 pub use builtin::BUILTIN_NAMES;
@@ -51,3 +52,4 @@ pub use runtime::*;
 pub use scenario::Scenario;
 pub use tables::*;
 pub use trace::TraceFileError;
+pub use user_orientation::{OrientationModel, UserOrientation};

@@ -7,15 +7,17 @@
 //! - [`arrivals`]: when users enter and leave.
 //! - [`walker`]: the floor and one user's receiver.
 //! - [`mobility`], [`trace`]: random and recorded walks.
+//! - [`orientation`]: how the users hold their receivers.
 //! - [`obstacles`]: the hard-core process.
 
-use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
+use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Orientation, Scene, Vec3};
 use heliostat_scenario::{Blockage, Scenario};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
 use self::mobility::{Mobility, MobilityError, RandomWaypoint, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
+use self::orientation::Orientations;
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
 use crate::random::{self, Purpose};
@@ -23,6 +25,7 @@ use crate::random::{self, Purpose};
 pub mod arrivals;
 pub mod mobility;
 pub mod obstacles;
+pub mod orientation;
 pub mod trace;
 pub mod walker;
 
@@ -73,6 +76,7 @@ pub struct World {
     /// A receiver before its first step.
     start: Walker,
     walkers: Vec<Walker>,
+    orientations: Orientations,
     positions: Vec<Vec3>,
     /// Obstacles first, then one body for each user when bodies block.
     blockers: Vec<Cylinder>,
@@ -120,6 +124,7 @@ impl World {
             ids: Vec::new(),
             start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
             walkers: Vec::new(),
+            orientations: Orientations::new(scenario.users.orientation.as_ref()),
             positions: Vec::new(),
             blockers: Vec::new(),
             obstacles: 0,
@@ -181,6 +186,8 @@ impl World {
             self.resize_lists();
         }
         self.mobility.reserve(most);
+        self.mobility.write(&mut self.walkers);
+        self.orientations.begin(seed, &self.walkers, most);
         self.refresh();
     }
 
@@ -192,6 +199,19 @@ impl World {
 
     /// Advances by `dt_s` seconds without an update of the scene; [`World::refresh`] does that.
     pub fn advance(&mut self, dt_s: f64) {
+        let mut left_s = dt_s;
+        while let Some(node_s) = self.orientations.next_node_s().filter(|node_s| *node_s < self.time_s + left_s) {
+            let until_s = (node_s - self.time_s).max(0.0);
+            self.walk(until_s);
+            left_s -= until_s;
+            self.mobility.write(&mut self.walkers);
+            self.orientations.pass_node(&self.walkers);
+        }
+        self.walk(left_s);
+    }
+
+    /// Moves the users, and lets them enter and leave.
+    fn walk(&mut self, dt_s: f64) {
         self.time_s += dt_s;
         self.mobility.step(dt_s);
         let mut changed = false;
@@ -201,10 +221,12 @@ impl World {
                 Change::Enter { at_s, id } => {
                     let walk = RandomWaypoint::new(self.waypoints, random::stream(self.seed, Purpose::Walk, id));
                     self.mobility.enter(walk, self.time_s - at_s);
+                    self.orientations.enter(id);
                     self.ids.push(id);
                 }
                 Change::Leave { index } => {
                     self.mobility.leave(index);
+                    self.orientations.leave(index);
                     self.ids.remove(index);
                 }
             }
@@ -242,7 +264,9 @@ impl World {
             body.x_m = walker.position.x - offset * walker.direction[0];
             body.y_m = walker.position.y - offset * walker.direction[1];
         }
-        self.scene.update(&self.model, &self.positions, &self.blockers, &self.forced);
+        self.orientations.hold(self.time_s, &self.walkers);
+        let orientations = self.orientations.held();
+        self.scene.update_turned(&self.model, &self.positions, orientations, &self.blockers, &self.forced);
     }
 
     /// The users' numbers, in the order of entry, as all lists of users. No number is used twice.
@@ -258,6 +282,11 @@ impl World {
     /// The users' receivers: positions, headings and velocities.
     pub fn users(&self) -> &[Walker] {
         &self.walkers
+    }
+
+    /// How the users hold their receivers.
+    pub fn orientations(&self) -> &[Orientation] {
+        self.orientations.held()
     }
 
     /// Positions of the users' receivers in m.

@@ -201,14 +201,19 @@ fn a_restarted_world_equals_a_new_one_and_one_more_user_does_not_change_the_othe
 }
 
 #[test]
-fn without_the_table_and_with_the_model_up_every_receiver_faces_up() {
+fn without_the_table_and_with_the_model_up_every_receiver_faces_up_and_the_walks_are_the_same() {
     let (mut plain, mut up) = (world(&[], 4), world(&["users.orientation.model=up"], 4));
+    let mut tilted = world(&["users.orientation.model=measured"], 4);
     for _ in 0..50 {
         plain.step(0.07);
         up.step(0.07);
+        tilted.step(0.07);
         assert!(normals(&plain).iter().all(|normal| *normal == Vec3::z()));
         assert_eq!(plain.users(), up.users());
         assert_eq!(plain.scene().steering_gain(), up.scene().steering_gain());
+        for (a, b) in plain.positions().iter().zip(tilted.positions()) {
+            assert!((a - b).norm() < 1e-9, "{a:?} {b:?}");
+        }
     }
 }
 

@@ -121,7 +121,7 @@ struct Process {
 impl Process {
     /// A process in its stationary regime.
     fn new(distributions: &Distributions, mut rng: RoomRng, walking: bool) -> Self {
-        let [polar, azimuth] = [0; 2].map(|_| random::normal(&mut rng));
+        let [polar, azimuth] = random::normal_pair(&mut rng);
         let first = Node { polar, azimuth, walking: f64::from(u8::from(walking)) };
         let mut process = Self { rng, last: first, next: first, correlation: 1.0 };
         process.pass_node(distributions, walking);
@@ -134,9 +134,10 @@ impl Process {
         self.correlation = distributions.of(walking).correlation;
         let (kept, drawn) = (self.correlation, (1.0 - self.correlation * self.correlation).sqrt());
         let target = f64::from(u8::from(walking));
+        let [polar, azimuth] = random::normal_pair(&mut self.rng);
         self.next = Node {
-            polar: kept * self.last.polar + drawn * random::normal(&mut self.rng),
-            azimuth: kept * self.last.azimuth + drawn * random::normal(&mut self.rng),
+            polar: kept * self.last.polar + drawn * polar,
+            azimuth: kept * self.last.azimuth + drawn * azimuth,
             walking: target + kept * (self.last.walking - target),
         };
     }

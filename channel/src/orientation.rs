@@ -43,6 +43,15 @@ impl Orientation {
         Self { scalar: cos_half, vector: Vec3::new(-sin_half * sin_azimuth, sin_half * cos_azimuth, 0.0) }
     }
 
+    /// The rotation about an axis by its length in radians.
+    pub fn from_rotation_vector(rotation: [f64; 3]) -> Self {
+        let rotation = Vec3::from(rotation);
+        let angle = rotation.norm();
+        let (sin_half, cos_half) = (0.5 * angle).sin_cos();
+        let share = if angle > 0.0 { sin_half / angle } else { 0.0 };
+        Self { scalar: cos_half, vector: share * rotation }
+    }
+
     /// The rotation of a quaternion w + x i + y j + z k, which is normalised.
     ///
     /// # Errors

@@ -107,6 +107,8 @@ fn a_polar_angle_and_an_azimuth_give_the_direction_of_the_normal() {
         assert!((orientation.normal() - expected).norm() < 1e-14);
         let axis = Vec3::new(-azimuth.sin(), azimuth.cos(), 0.0);
         assert!((orientation.turn(&axis) - axis).norm() < 1e-14, "the axis of the smallest rotation is level");
+        let rotated = Orientation::from_rotation_vector((polar * axis).into());
+        assert!((rotated.normal() - expected).norm() < 1e-14, "about the same axis");
         let again = Orientation::from_quaternion(orientation.quaternion()).expect("of length 1");
         let v = random.position();
         assert!((again.turn(&v) - orientation.turn(&v)).norm() < 1e-14 * v.norm());
@@ -121,6 +123,7 @@ fn a_quaternion_of_another_length_or_without_a_number_is_refused() {
     for bad in [[0.0; 4], [1.0, 0.0, 0.0, 0.1], [f64::NAN, 0.0, 0.0, 1.0], [f64::INFINITY, 0.0, 0.0, 0.0]] {
         assert!(matches!(Orientation::from_quaternion(bad), Err(GeometryError::NotUnit { .. })), "{bad:?}");
     }
+    assert_eq!(Orientation::from_rotation_vector([0.0; 3]), Orientation::UPRIGHT);
     let rounded = Orientation::from_quaternion([0.8001, 0.6, 0.0, 0.0]).expect("rounded");
     assert!((rounded.turn(&Vec3::x()).norm() - 1.0).abs() < 1e-15);
 }

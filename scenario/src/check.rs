@@ -209,6 +209,11 @@ impl Scenario {
         within("streams.telemetry.rate_hz", streams.telemetry.rate_hz, 0.1..=10_000.0)?;
         within("streams.obstacles.rate_hz", streams.obstacles.rate_hz, 0.0..=1000.0)?;
         within("streams.truth.rate_hz", streams.truth.rate_hz, 0.1..=1000.0)?;
+        if let Some(orientation) = &streams.orientation {
+            within("streams.orientation.rate_hz", orientation.rate_hz, 0.01..=10_000.0)?;
+            within("streams.orientation.latency_ms", orientation.latency_ms, 0.0..=10_000.0)?;
+            within("streams.orientation.noise_deg", orientation.noise_deg, 0.0..=180.0)?;
+        }
         let control = &self.control;
         within("control.validity_ms", control.validity_ms, 1.0..=10_000.0)?;
         within("control.report_age_max_ms", control.report_age_max_ms, 1.0..=60_000.0)?;

@@ -31,6 +31,8 @@ pub enum Purpose {
     Arrivals,
     /// How one user holds the receiver.
     Orientation,
+    /// Measurement noise of orientations.
+    OrientationNoise,
 }
 
 impl Purpose {
@@ -46,6 +48,7 @@ impl Purpose {
             Self::CalibrationNoise => 7,
             Self::Arrivals => 8,
             Self::Orientation => 9,
+            Self::OrientationNoise => 10,
         }
     }
 }

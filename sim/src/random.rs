@@ -29,6 +29,10 @@ pub enum Purpose {
     CalibrationNoise,
     /// When users enter, and how long they stay.
     Arrivals,
+    /// The difference between the true equipment and the nominal one.
+    Mismatch,
+    /// The difference between the true body of a user and the nominal one.
+    Body,
 }
 
 impl Purpose {
@@ -43,6 +47,8 @@ impl Purpose {
             Self::Faults => 6,
             Self::CalibrationNoise => 7,
             Self::Arrivals => 8,
+            Self::Mismatch => 9,
+            Self::Body => 10,
         }
     }
 }

@@ -172,8 +172,8 @@ fn solve(
     for instant_ns in &episode.instants_ns {
         world.step((instant_ns - now_ns) as f64 * 1e-9);
         now_ns = *instant_ns;
-        let angles = best_angles(&mut solver, evaluator.model(), world.scene(), world.min_rate_bps());
-        samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), &angles));
+        let angles = best_angles(&mut solver, world.model(), world.scene(), world.min_rate_bps());
+        samples.push(evaluator.evaluate_world(&world, &angles));
     }
     Ok(samples)
 }
@@ -199,7 +199,7 @@ fn run(
             let mut samples = Vec::new();
             let mut look = |room: &SimulatedRoom| {
                 let world = room.world();
-                samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), room.angles()));
+                samples.push(evaluator.evaluate_world(world, room.angles()));
             };
             let done = lockstep.run(&episode.instants_ns, &mut look);
             done.with_context(|| format!("policy {}", evaluated.name()))?;

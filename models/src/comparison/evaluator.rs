@@ -5,6 +5,7 @@ use heliostat_channel::{ChannelModel, MirrorAngles, Scene};
 use heliostat_sim::World;
 
 use super::belief_log::Errors;
+use super::outage::OutageLog;
 use crate::evaluation::held_out::met;
 
 /// The evaluation of angles in one state.
@@ -41,6 +42,8 @@ impl Sample {
 pub(super) struct Run {
     pub groups: Vec<Vec<Sample>>,
     pub decisions_us: Vec<f64>,
+    /// In closed loop, the outages of each episode.
+    pub outages: Vec<OutageLog>,
     /// In closed loop, the errors of the belief in each episode.
     pub belief: Vec<Errors>,
 }
@@ -49,6 +52,7 @@ impl Run {
     /// One run whose samples are the means over several runs on the same states.
     pub fn mean(mut runs: Vec<Self>) -> Self {
         let decisions_us = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.decisions_us)).collect();
+        let outages = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.outages)).collect();
         let belief = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.belief)).collect();
         let same = |group: usize, state: usize| {
             Sample::mean(&runs.iter().map(|run| run.groups[group][state]).collect::<Vec<_>>())
@@ -58,6 +62,7 @@ impl Run {
         Self {
             groups: groups.map(|(group, states)| (0..states.len()).map(|state| same(group, state)).collect()).collect(),
             decisions_us,
+            outages,
             belief,
         }
     }
@@ -97,6 +102,11 @@ impl Evaluator {
         self.rates.rates_bps.resize(users, 0.0);
         let sample = self.rates.sample(world.model(), world.scene(), angles);
         if users > 0 { sample } else { Sample { jain: f64::NAN, ..sample } }
+    }
+
+    /// Whether each user was below the minimum rate in the last evaluation. Shape: K.
+    pub fn below_minimum(&self) -> impl Iterator<Item = bool> + Clone {
+        self.rates.rates_bps.iter().zip(&self.rates.min_rate_bps).map(|(rate, least)| rate < least)
     }
 
     /// Evaluates angles in one state.

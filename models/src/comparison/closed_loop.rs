@@ -214,7 +214,7 @@ fn run(
                 if episode.instants_ns.binary_search(&now_ns).is_ok() {
                     samples.push(sample);
                 }
-                if now_ns % STEP_NS == 0 {
+                if now_ns.is_multiple_of(STEP_NS) {
                     outages.handle(world.ids().iter().copied().zip(evaluator.below_minimum()));
                 }
             };

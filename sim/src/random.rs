@@ -29,6 +29,10 @@ pub enum Purpose {
     CalibrationNoise,
     /// When users enter, and how long they stay.
     Arrivals,
+    /// The difference between the true equipment and the nominal one.
+    Mismatch,
+    /// The difference between the true body of a user and the nominal one.
+    Body,
     /// How one user holds the receiver.
     Orientation,
     /// Measurement noise of orientations.
@@ -47,8 +51,10 @@ impl Purpose {
             Self::Faults => 6,
             Self::CalibrationNoise => 7,
             Self::Arrivals => 8,
-            Self::Orientation => 9,
-            Self::OrientationNoise => 10,
+            Self::Mismatch => 9,
+            Self::Body => 10,
+            Self::Orientation => 11,
+            Self::OrientationNoise => 12,
         }
     }
 }

@@ -11,7 +11,7 @@
 //! - [`obstacles`]: the hard-core process.
 
 use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Orientation, Scene, Vec3};
-use heliostat_scenario::{Blockage, Scenario};
+use heliostat_scenario::{Blockage, Scenario, Spreads};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
@@ -20,6 +20,7 @@ use self::obstacles::{HardCore, ObstacleError};
 use self::orientation::Orientations;
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
+use crate::mismatch::{TrueBody, true_room};
 use crate::random::{self, Purpose};
 
 pub mod arrivals;
@@ -64,6 +65,8 @@ pub struct World {
     waypoints: Waypoints,
     hard_core: HardCore,
     blockage: Blockage,
+    /// Spreads of the users' true bodies around those of `blockage`.
+    spreads: Spreads,
     mobility: Mobility,
     seed: u64,
     /// Number of users at the start.
@@ -78,6 +81,8 @@ pub struct World {
     walkers: Vec<Walker>,
     orientations: Orientations,
     positions: Vec<Vec3>,
+    /// The users' true bodies.
+    bodies: Vec<TrueBody>,
     /// Obstacles first, then one body for each user when bodies block.
     blockers: Vec<Cylinder>,
     obstacles: usize,
@@ -100,7 +105,7 @@ impl World {
     /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recorded walk are not
     /// valid.
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
-        let model = scenario.channel_model()?;
+        let model = true_room(scenario, seed).channel_model()?;
         let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
         let speeds = Speeds::new(scenario.users.speed_min_m_s, scenario.users.speed_max_m_s)?;
         let waypoints = Waypoints { floor, speeds, pause_mean_s: scenario.users.pause_mean_s };
@@ -126,8 +131,10 @@ impl World {
             walkers: Vec::new(),
             orientations: Orientations::new(scenario.users.orientation.as_ref()),
             positions: Vec::new(),
+            bodies: Vec::new(),
             blockers: Vec::new(),
             obstacles: 0,
+            spreads: scenario.mismatch.spreads(),
             forced_users: blockage.forced_users,
             forced: Vec::new(),
             min_rate_bps: Vec::new(),
@@ -246,9 +253,13 @@ impl World {
         let rates = &self.min_rates_bps;
         self.min_rate_bps.clear();
         self.min_rate_bps.extend(self.ids.iter().map(|id| rates[*id as usize % rates.len()]));
+        self.bodies.clear();
+        let body = |id: &u32| TrueBody::draw(&self.blockage, &self.spreads, (self.seed, *id));
+        self.bodies.extend(self.ids.iter().map(body));
         if self.blockage.bodies {
-            let (radius_m, height_m) = (self.blockage.body_radius_m, self.blockage.body_height_m);
-            self.blockers.resize(self.obstacles + users, Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m });
+            self.blockers.truncate(self.obstacles);
+            let cylinder = |&TrueBody { radius_m, height_m, .. }| Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m };
+            self.blockers.extend(self.bodies.iter().map(cylinder));
         }
         self.scene.resize(users);
     }
@@ -259,10 +270,10 @@ impl World {
         for (position, walker) in self.positions.iter_mut().zip(&self.walkers) {
             *position = walker.position;
         }
-        let offset = self.blockage.body_offset_m;
-        for (body, walker) in self.blockers[self.obstacles..].iter_mut().zip(&self.walkers) {
-            body.x_m = walker.position.x - offset * walker.direction[0];
-            body.y_m = walker.position.y - offset * walker.direction[1];
+        let bodies = self.blockers[self.obstacles..].iter_mut().zip(&self.bodies);
+        for ((cylinder, body), walker) in bodies.zip(&self.walkers) {
+            cylinder.x_m = walker.position.x - body.offset_m * walker.direction[0];
+            cylinder.y_m = walker.position.y - body.offset_m * walker.direction[1];
         }
         self.orientations.hold(self.time_s, &self.walkers);
         let orientations = self.orientations.held();

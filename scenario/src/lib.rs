@@ -8,6 +8,7 @@
 //!
 //! # Modules
 //! - [`tables`]: the tables that do not change while a room runs.
+//! - [`mobility`]: how simulated users move.
 //! - [`runtime`]: actuators, report streams and limits of the controller.
 //! - [`renames`]: old names of keys and values.
 //!
@@ -33,6 +34,7 @@ mod check;
 mod error;
 mod geometry;
 mod lines;
+pub mod mobility;
 mod overrides;
 mod problems;
 pub mod renames;
@@ -46,6 +48,7 @@ pub use builtin::BUILTIN_NAMES;
 pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use geometry::GeometryDifference;
+pub use mobility::*;
 pub use problems::{Checked, Problem};
 pub use runtime::*;
 pub use scenario::Scenario;

@@ -29,6 +29,8 @@ pub enum Purpose {
     CalibrationNoise,
     /// When users enter, and how long they stay.
     Arrivals,
+    /// Which users of a mixture have which mobility model.
+    MobilityModel,
 }
 
 impl Purpose {
@@ -43,6 +45,7 @@ impl Purpose {
             Self::Faults => 6,
             Self::CalibrationNoise => 7,
             Self::Arrivals => 8,
+            Self::MobilityModel => 10,
         }
     }
 }

@@ -6,7 +6,7 @@
 //!
 //! - [`arrivals`]: when users enter and leave.
 //! - [`walker`]: the floor and one user's receiver.
-//! - [`mobility`], [`trace`]: random and recorded walks.
+//! - [`mobility`], [`trace`]: models of movement and recorded walks.
 //! - [`obstacles`]: the hard-core process.
 
 use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
@@ -14,7 +14,7 @@ use heliostat_scenario::{Blockage, Scenario};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
-use self::mobility::{Mobility, MobilityError, RandomWaypoint, Speeds, Waypoints};
+use self::mobility::{Mobility, MobilityError, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
@@ -62,7 +62,6 @@ pub struct World {
     hard_core: HardCore,
     blockage: Blockage,
     mobility: Mobility,
-    seed: u64,
     /// Number of users at the start.
     users: usize,
     /// `None`: the users stay.
@@ -103,7 +102,7 @@ impl World {
         let users = scenario.users.count;
         let mobility = match &scenario.users.trace {
             Some(path) => Mobility::Trace(parse_trace(path, trace, users, &floor)?),
-            None => Mobility::random_waypoint(waypoints, users, seed),
+            None => Mobility::new(scenario, waypoints),
         };
         let blockage = scenario.blockage.clone();
         let start = Vec3::new(0.0, 0.0, scenario.receiver.height_m);
@@ -113,7 +112,6 @@ impl World {
             waypoints,
             hard_core: HardCore::new(blockage.obstacles_per_m2, blockage.obstacle_min_distance_m)?,
             mobility,
-            seed,
             users,
             arrivals: None,
             settings: scenario.users.arrivals.clone(),
@@ -144,9 +142,6 @@ impl World {
     ///
     /// A recorded walk continues.
     pub fn restart(&mut self, seed: u64) {
-        if let Mobility::RandomWaypoint(_) = self.mobility {
-            self.mobility = Mobility::random_waypoint(self.waypoints, self.users, seed);
-        }
         self.time_s = 0.0;
         self.begin(seed);
     }
@@ -155,7 +150,7 @@ impl World {
     pub fn recording_s(&self) -> Option<f64> {
         match &self.mobility {
             Mobility::Trace(trace) => Some(trace.duration_s()),
-            Mobility::RandomWaypoint(_) => None,
+            Mobility::RandomWaypoint { .. } | Mobility::Crowd(_) => None,
         }
     }
 
@@ -170,9 +165,9 @@ impl World {
 
     /// Places the users of the start and the obstacles.
     fn begin(&mut self, seed: u64) {
-        self.seed = seed;
         self.arrivals = self.settings.as_ref().map(|settings| Arrivals::new(settings, self.users, seed));
         self.place_obstacles(seed);
+        self.mobility.begin(self.users, seed, &self.blockers);
         // Once for the largest number of users, so that later changes do not allocate.
         let most = self.settings.as_ref().map_or(self.users, |settings| settings.max_users.max(self.users));
         for users in [most, self.users] {
@@ -192,22 +187,32 @@ impl World {
 
     /// Advances by `dt_s` seconds without an update of the scene; [`World::refresh`] does that.
     pub fn advance(&mut self, dt_s: f64) {
+        let mut moved_to_s = self.time_s;
         self.time_s += dt_s;
-        self.mobility.step(dt_s);
+        let is_crowd = self.mobility.is_crowd();
+        if !is_crowd {
+            self.mobility.step(dt_s);
+        }
         let mut changed = false;
         while let Some(change) = self.arrivals.as_mut().and_then(|arrivals| arrivals.next_change(self.time_s)) {
             changed = true;
+            if is_crowd {
+                self.mobility.step(change.at_s() - moved_to_s);
+                moved_to_s = change.at_s();
+            }
             match change {
                 Change::Enter { at_s, id } => {
-                    let walk = RandomWaypoint::new(self.waypoints, random::stream(self.seed, Purpose::Walk, id));
-                    self.mobility.enter(walk, self.time_s - at_s);
+                    self.mobility.enter(id, self.time_s - at_s);
                     self.ids.push(id);
                 }
-                Change::Leave { index } => {
+                Change::Leave { index, .. } => {
                     self.mobility.leave(index);
                     self.ids.remove(index);
                 }
             }
+        }
+        if is_crowd {
+            self.mobility.step(self.time_s - moved_to_s);
         }
         if changed {
             self.resize_lists();

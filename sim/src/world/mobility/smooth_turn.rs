@@ -5,9 +5,10 @@
 //! the target. At other exponential times the user draws a target direction and a turn rate, both
 //! uniform, and turns at this rate.
 //!
-//! In the source, users leave the area or bounce. Here a user brakes in time and turns into the
-//! room: the point at which it would stop is always on the floor. Near a wall its speed can
-//! therefore be below the smallest walking speed. Obstacles have no effect.
+//! In the source, users leave the area or bounce. Here a user turns towards a point drawn uniformly
+//! when a wall is nearer than its way to brake plus its turning radius, and brakes where it must:
+//! the point at which it would stop is always on the floor. Near a wall its speed can therefore be
+//! below the smallest walking speed. Obstacles have no effect.
 //!
 //! The walk starts at rest at a place drawn uniformly and is then run for 30 s.
 //!
@@ -31,9 +32,16 @@ const RUN_IN_S: f64 = 30.0;
 #[derive(Clone, Copy, Debug)]
 struct Target<T> {
     value: T,
-    /// In m/s2 for a speed, in rad/s for a direction.
-    rate: f64,
+    /// Share of the largest acceleration, deceleration or turn rate.
+    share: f64,
     left_s: f64,
+}
+
+impl<T> Target<T> {
+    fn draw(value: T, mean_s: f64, rng: &mut RoomRng) -> Self {
+        let share = 1.0 - random::uniform(rng);
+        Self { value, share, left_s: random::exponential(rng, mean_s) }
+    }
 }
 
 /// Speed and direction of a user.
@@ -72,8 +80,8 @@ impl SmoothTurn {
             turn_rate: settings.turn_rate_deg_per_s.to_radians(),
             at: draw_point(&floor, &mut rng),
             course: Course { speed_m_s: 0.0, direction },
-            target_speed: Target { value: 0.0, rate: 0.0, left_s: 0.0 },
-            target_direction: Target { value: direction, rate: 0.0, left_s: 0.0 },
+            target_speed: Target { value: 0.0, share: 1.0, left_s: 0.0 },
+            target_direction: Target { value: direction, share: 1.0, left_s: 0.0 },
             is_avoiding: false,
             rng,
         };
@@ -118,39 +126,45 @@ impl SmoothTurn {
         self.target_speed.left_s -= GRID_S;
         if self.target_speed.left_s <= 0.0 {
             let value = self.speeds.draw(&mut self.rng);
-            let is_faster = value > self.course.speed_m_s;
-            let most = if is_faster { self.settings.acceleration_m_s2 } else { self.settings.deceleration_m_s2 };
-            let rate = most * (1.0 - random::uniform(&mut self.rng));
-            let left_s = random::exponential(&mut self.rng, self.settings.speed_change_mean_s);
-            self.target_speed = Target { value, rate, left_s };
+            self.target_speed = Target::draw(value, self.settings.speed_change_mean_s, &mut self.rng);
         }
         self.target_direction.left_s -= GRID_S;
-        if self.target_direction.left_s <= 0.0 {
+        if self.target_direction.left_s <= 0.0 && !self.is_avoiding {
             let value = draw_direction(&mut self.rng);
-            let rate = self.turn_rate * (1.0 - random::uniform(&mut self.rng));
-            let left_s = random::exponential(&mut self.rng, self.settings.direction_change_mean_s);
-            self.target_direction = Target { value, rate, left_s };
+            self.target_direction = Target::draw(value, self.settings.direction_change_mean_s, &mut self.rng);
         }
+    }
+
+    /// The speed after one step towards the target speed.
+    fn next_speed_m_s(&self) -> f64 {
+        let speed_m_s = self.course.speed_m_s;
+        let Target { value, share, .. } = self.target_speed;
+        if value < speed_m_s {
+            return (speed_m_s - share * self.settings.deceleration_m_s2 * GRID_S).max(value);
+        }
+        // A user who had to stop at a wall starts again without delay.
+        let share = if speed_m_s < self.speeds.bounds_m_s()[0] { 1.0 } else { share };
+        (speed_m_s + share * self.settings.acceleration_m_s2 * GRID_S).min(value)
     }
 
     /// The course towards the targets, or one that stops on the floor.
     fn next_course(&mut self) -> Course {
         let Course { speed_m_s, direction } = self.course;
-        let change = self.target_speed.rate * GRID_S;
-        let towards = self.target_speed.value.clamp(speed_m_s - change, speed_m_s + change);
-        let turn = turned(direction, self.target_direction.value, self.target_direction.rate * GRID_S);
-        let planned = Course { speed_m_s: towards, direction: turn };
-        if self.stops_on_floor(&planned) {
-            self.is_avoiding = false;
-            return planned;
-        }
-        if !self.is_avoiding || direction == self.target_direction.value {
+        let most = self.target_direction.share * self.turn_rate * GRID_S;
+        let turn = turned(direction, self.target_direction.value, most);
+        let planned = Course { speed_m_s: self.next_speed_m_s(), direction: turn };
+        let sees_wall = !self.has_floor_ahead(&planned, planned.speed_m_s / self.turn_rate);
+        if sees_wall && (!self.is_avoiding || direction == self.target_direction.value) {
             self.turn_into_room();
+        }
+        self.is_avoiding = sees_wall;
+        if self.has_floor_ahead(&planned, 0.0) {
+            return planned;
         }
         let braked = (speed_m_s - self.settings.deceleration_m_s2 * GRID_S).max(0.0);
         let turning = Course { speed_m_s: braked, direction: turn };
         // Straight on, the user stops where it would have stopped before.
-        if self.stops_on_floor(&turning) { turning } else { Course { speed_m_s: braked, direction } }
+        if self.has_floor_ahead(&turning, 0.0) { turning } else { Course { speed_m_s: braked, direction } }
     }
 
     fn turn_into_room(&mut self) {
@@ -159,15 +173,15 @@ impl SmoothTurn {
         let length_m = x.hypot(y);
         if length_m > 0.0 {
             self.target_direction.value = [x / length_m, y / length_m];
-            self.target_direction.rate = self.turn_rate;
-            self.is_avoiding = true;
+            self.target_direction.share = 1.0;
         }
     }
 
-    /// Whether the user, after one step on a course, can brake on the floor.
-    fn stops_on_floor(&self, course: &Course) -> bool {
+    /// Whether the user, after one step on a course, can brake on the floor, and has `more_m` to
+    /// the next wall then.
+    fn has_floor_ahead(&self, course: &Course, more_m: f64) -> bool {
         let braking_m = course.speed_m_s * course.speed_m_s / (2.0 * self.settings.deceleration_m_s2);
-        let length_m = course.speed_m_s * GRID_S + braking_m;
+        let length_m = course.speed_m_s * GRID_S + braking_m + more_m;
         let [x, y] = [0, 1].map(|axis| self.at[axis] + course.direction[axis] * length_m);
         self.floor.contains(x, y)
     }

@@ -317,6 +317,7 @@ pub struct Users {
     /// Parameters of `seated`.
     pub seated: Seated,
     /// Places of seated users in m, in the order in which they are taken; empty: drawn at random.
+    /// Obstacles near them are left out.
     pub seats_m: Vec<[f64; 2]>,
     /// The models of `mixture` and their shares.
     pub mixture: Vec<MixtureShare>,

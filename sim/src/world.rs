@@ -10,10 +10,11 @@
 //! - [`obstacles`]: the hard-core process.
 
 use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
-use heliostat_scenario::{Blockage, Scenario};
+use heliostat_scenario::{Blockage, MobilityModel, Scenario};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
+use self::mobility::places::distance_m;
 use self::mobility::{Mobility, MobilityError, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
 use self::trace::{Trace, TraceError};
@@ -61,6 +62,8 @@ pub struct World {
     waypoints: Waypoints,
     hard_core: HardCore,
     blockage: Blockage,
+    /// Seats of the scenario, which stay free of obstacles.
+    seats_m: Vec<[f64; 2]>,
     mobility: Mobility,
     /// Number of users at the start.
     users: usize,
@@ -105,6 +108,8 @@ impl World {
             None => Mobility::new(scenario, waypoints),
         };
         let blockage = scenario.blockage.clone();
+        let has_seats = scenario.users.trace.is_none()
+            && matches!(scenario.users.mobility, MobilityModel::Seated | MobilityModel::Mixture);
         let start = Vec3::new(0.0, 0.0, scenario.receiver.height_m);
         let mut world = Self {
             scene: Scene::new(&model, users),
@@ -112,6 +117,7 @@ impl World {
             waypoints,
             hard_core: HardCore::new(blockage.obstacles_per_m2, blockage.obstacle_min_distance_m)?,
             mobility,
+            seats_m: if has_seats { scenario.users.seats_m.clone() } else { Vec::new() },
             users,
             arrivals: None,
             settings: scenario.users.arrivals.clone(),
@@ -343,9 +349,11 @@ impl World {
         let blockage = &self.blockage;
         let points = self.hard_core.sample(&self.waypoints.floor, &mut random::stream(seed, Purpose::Obstacles, 0));
         let cylinder = |at: [f64; 2], radius_m, height_m| Cylinder { x_m: at[0], y_m: at[1], radius_m, height_m };
+        let clearance_m = blockage.obstacle_radius_m + blockage.body_offset_m + blockage.body_radius_m;
+        let is_off_seats = |at: &[f64; 2]| self.seats_m.iter().all(|seat| distance_m(*at, *seat) >= clearance_m);
+        let points = points.into_iter().filter(is_off_seats);
         self.blockers.clear();
-        self.blockers
-            .extend(points.into_iter().map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)));
+        self.blockers.extend(points.map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)));
         self.obstacles = self.blockers.len();
     }
 }

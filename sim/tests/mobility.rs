@@ -255,3 +255,26 @@ fn a_mixture_has_its_shares_by_the_seed() {
     assert_eq!(seated(1), seated(1));
     assert_ne!(seated(1), seated(2));
 }
+
+#[test]
+fn seats_of_the_list_are_free_of_obstacles_and_users_sit_there() {
+    let scenario = Scenario::builtin("office").unwrap();
+    let (mut seated, mut walking, mut obstacles) = (0, 0, 0);
+    for seed in 0..40 {
+        let mut world = World::new(&scenario, None, seed).unwrap();
+        obstacles += world.obstacles().len();
+        world.step(20.0);
+        for user in world.users() {
+            let at = [user.position.x, user.position.y];
+            if scenario.users.seats_m.contains(&at) {
+                seated += 1;
+                // The body is 0.3 m behind the receiver and has a radius of 0.2 m.
+                let clear = |x: f64, y: f64| (at[0] - x).hypot(at[1] - y) >= 0.8;
+                assert!(world.obstacles().iter().all(|obstacle| clear(obstacle.x_m, obstacle.y_m)));
+            } else {
+                walking += 1;
+            }
+        }
+    }
+    assert!((120..=168).contains(&seated) && walking > 40 && obstacles > 10, "{seated} {walking} {obstacles}");
+}

@@ -11,8 +11,8 @@
 //!
 //! Sources: Liang and Haas, Predictive distance-based mobility management for PCS networks, IEEE
 //! INFOCOM 1999; Camp, Boleng and Davies, A survey of mobility models for ad hoc network research,
-//! Wireless Communications and Mobile Computing 2, 2002, section 2.5. The model uses the platform's
-//! sine, cosine and logarithm.
+//! Wireless Communications and Mobile Computing 2, 2002. The model uses the platform's sine, cosine
+//! and logarithm.
 
 use std::f64::consts::PI;
 

@@ -4,8 +4,8 @@
 //! time, and then draws again. A wall mirrors the direction. With pauses the user stands after each
 //! leg for an exponential time, turned to a direction drawn uniformly.
 //!
-//! Places and directions are uniform at all times if they are so at the start (theorem 2.2 of the
-//! source), so the walk starts in its stationary regime.
+//! Places and directions that are uniform at the start are uniform at all times, as the source
+//! proves, so the walk starts in its stationary regime.
 //!
 //! Source: Nain, Towsley, Liu and Liu, Properties of random direction models, IEEE INFOCOM 2005.
 

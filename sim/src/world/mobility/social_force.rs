@@ -13,7 +13,7 @@
 //! free floor. A goal that is not reached in a time that suffices for a detour is replaced.
 //!
 //! Source: Helbing and Molnar, Social force model for pedestrian dynamics, Physical Review E 51,
-//! 1995, eqs. (2) to (9). The model uses the platform's exponential, cosine and logarithm.
+//! 1995. The model uses the platform's exponential, cosine and logarithm.
 
 use heliostat_scenario::SocialForce as Settings;
 

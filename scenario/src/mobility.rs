@@ -225,8 +225,8 @@ impl SmoothTurn {
 
 impl SocialForce {
     fn check(&self) -> Result<(), ScenarioError> {
-        within("users.social_force.desired_speed_m_s", self.desired_speed_m_s, 0.01..=10.0)?;
-        within("users.social_force.desired_speed_std_m_s", self.desired_speed_std_m_s, 0.0..=10.0)?;
+        within("users.social_force.desired_speed_m_s", self.desired_speed_m_s, 0.01..=5.0)?;
+        within("users.social_force.desired_speed_std_m_s", self.desired_speed_std_m_s, 0.0..=2.0)?;
         within("users.social_force.relaxation_s", self.relaxation_s, 0.05..=60.0)?;
         within("users.social_force.user_repulsion_m2_s2", self.user_repulsion_m2_s2, 0.0..=100.0)?;
         within("users.social_force.user_range_m", self.user_range_m, 0.05..=10.0)?;

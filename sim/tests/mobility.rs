@@ -189,6 +189,19 @@ fn users_of_the_social_force_model_touch_neither_users_nor_obstacles_nor_walls()
 }
 
 #[test]
+fn users_who_have_no_room_for_their_discs_stay_on_the_floor() {
+    let crowded = ["users.mobility=mixture", MIXTURE, "users.count=12", "blockage.body_radius_m=1.0"];
+    for seed in 0..20 {
+        let mut world = world(&[&crowded[..], &["room.length_x_m=3.0"]].concat(), seed);
+        for _ in 0..500 {
+            world.step(0.02);
+            let outside = world.users().iter().find(|user| user.position.x.abs() > 1.5 || user.position.y.abs() > 2.5);
+            assert!(outside.is_none(), "{outside:?}, seed {seed}");
+        }
+    }
+}
+
+#[test]
 fn users_of_the_social_force_model_walk_near_their_desired_speed() {
     let floor = ["room.length_x_m=30.0", "room.length_y_m=8.0", "blockage.obstacles_per_m2=0"];
     let forces = ["users.mobility=social-force", "users.count=4", "users.social_force.desired_speed_std_m_s=0"];

@@ -20,8 +20,11 @@ pub fn separate(members: &mut [Member], places: &Places, radius_m: f64) {
             break;
         }
     }
+    let half = places.half_extents_m(radius_m);
     for member in members.iter_mut() {
         if let Some(reach_m) = member.reach_m() {
+            // The last push can have been into a wall.
+            member.to.at = [0, 1].map(|axis| member.to.at[axis].clamp(-half[axis], half[axis]));
             shorten(member, reach_m);
             member.is_held = false;
         }

@@ -219,6 +219,25 @@ fn users_of_the_social_force_model_walk_near_their_desired_speed() {
 }
 
 #[test]
+fn users_of_the_social_force_model_stand_still_in_their_pauses() {
+    let mut world = world(&["users.mobility=social-force", "users.count=6", "users.pause_mean_s=4"], 2);
+    let (mut standing, mut creeping, mut turned, steps) = (0, 0, 0, 6000);
+    for _ in 0..steps {
+        let before = world.users().to_vec();
+        world.step(0.02);
+        for (a, b) in before.iter().zip(world.users()) {
+            let speed_m_s = b.velocity[0].hypot(b.velocity[1]);
+            standing += usize::from(speed_m_s == 0.0);
+            creeping += usize::from(speed_m_s > 0.0 && speed_m_s < 0.05);
+            turned += usize::from(speed_m_s == 0.0 && a.velocity == [0.0; 2] && a.direction != b.direction);
+        }
+    }
+    let users = steps * 6;
+    assert!(standing > users / 3 && standing < 9 * users / 10, "{standing} of {users}");
+    assert!(creeping < users / 25 && turned < standing / 100, "creeping {creeping}, turned {turned} of {standing}");
+}
+
+#[test]
 fn two_users_in_a_corridor_pass_each_other() {
     // A corridor of 1.6 m: discs of 0.4 m can pass, and goals are on both sides.
     let corridor = ["room.length_x_m=14.0", "room.length_y_m=1.6", "blockage.obstacles_per_m2=0", "mirrors.wall=+y"];

@@ -23,6 +23,11 @@ impl Motion {
         Self { at, velocity: [0.0; 2], facing }
     }
 
+    /// The motion after `dt_s` seconds at a velocity.
+    pub fn moved_by(&self, velocity: [f64; 2], facing: [f64; 2], dt_s: f64) -> Self {
+        Self { at: [0, 1].map(|axis| self.at[axis] + velocity[axis] * dt_s), velocity, facing }
+    }
+
     /// Writes the motion to a receiver; its height does not change.
     pub fn write(&self, walker: &mut Walker) {
         walker.position.x = self.at[0];

@@ -10,7 +10,8 @@
 //! - The weight w is 1 for users within the angle of sight, and lower for others.
 //!
 //! Without fluctuations and attractions of the source. Goals are points drawn uniformly from the
-//! free floor. A goal that is not reached in a time that suffices for a detour is replaced.
+//! free floor. With pauses a user brakes at a goal and stands there for an exponential time, turned
+//! to a direction drawn uniformly; no repulsion acts on it. A goal that is not reached in a time that suffices for a detour is replaced.
 //!
 //! Source: Helbing and Molnar, Social force model for pedestrian dynamics, Physical Review E 51,
 //! 1995. The model uses the platform's exponential, cosine and logarithm.
@@ -31,8 +32,8 @@ const REACHED_M: f64 = 0.5;
 const GOAL_CLEARANCE_M: f64 = 0.6;
 /// Time for a goal: a multiple of the time on a straight line at the desired speed, and a time in s.
 const LEG_TIME: (f64, f64) = (3.0, 5.0);
-/// Speed in m/s from which on a user faces the direction of its velocity.
-const FACING_M_S: f64 = 0.1;
+/// Speed in m/s below which a user does not turn to its velocity, and in a pause stands still.
+const STANDING_M_S: f64 = 0.1;
 /// Number of ranges from which on a repulsion counts as zero.
 const RANGES_MAX: f64 = 12.0;
 /// Least semi-axis in m: the force of a user who walks straight at another one stays finite.
@@ -167,33 +168,49 @@ impl Pedestrian {
             return Motion::standing(me.at, me.facing);
         }
         self.choose_goal(me.at, places);
-        let (desired_m_s, look) = match self.pause {
-            Some(_) => (0.0, me.facing),
-            None => (self.desired_speed_m_s, direction(me.at, self.goal).unwrap_or(me.facing)),
+        let force = match self.pause {
+            Some(_) => [0.0; 2],
+            None => self.repulsion(forces, me, others, places),
         };
+        let desired = self.desired_velocity(me);
         let relaxation_s = forces.settings.relaxation_s;
-        let mut force = forces.by_room(me.at, places);
-        for axis in [0, 1] {
-            force[axis] += (desired_m_s * look[axis] - me.velocity[axis]) / relaxation_s;
-        }
-        for other in others {
-            let repulsion = forces.by_user(me, look, other);
-            [0, 1].into_iter().for_each(|axis| force[axis] += repulsion[axis]);
-        }
-        let velocity = [0, 1].map(|axis| me.velocity[axis] + force[axis] * GRID_S);
+        let velocity = [0, 1].map(|axis| {
+            let drive = (desired[axis] - me.velocity[axis]) / relaxation_s;
+            me.velocity[axis] + (drive + force[axis]) * GRID_S
+        });
         self.moved(me, velocity)
+    }
+
+    fn desired_velocity(&self, me: &Motion) -> [f64; 2] {
+        let speed_m_s = if self.pause.is_some() { 0.0 } else { self.desired_speed_m_s };
+        direction(me.at, self.goal).unwrap_or(me.facing).map(|component| component * speed_m_s)
+    }
+
+    fn repulsion<'a>(
+        &self,
+        forces: &SocialForce,
+        me: &Motion,
+        others: impl Iterator<Item = &'a Motion>,
+        places: &Places,
+    ) -> [f64; 2] {
+        let look = direction(me.at, self.goal).unwrap_or(me.facing);
+        others.fold(forces.by_room(me.at, places), |[x, y], other| {
+            let [by_x, by_y] = forces.by_user(me, look, other);
+            [x + by_x, y + by_y]
+        })
     }
 
     fn moved(&self, me: &Motion, velocity: [f64; 2]) -> Motion {
         let speed_m_s = length(velocity);
+        if speed_m_s < STANDING_M_S {
+            return match self.pause {
+                Some(pause) => Motion::standing(me.at, pause.facing),
+                None => me.moved_by(velocity, me.facing, GRID_S),
+            };
+        }
         let scale = (SPEED_MAX * self.desired_speed_m_s / speed_m_s).min(1.0);
-        let facing = match self.pause {
-            Some(pause) => pause.facing,
-            None if speed_m_s > FACING_M_S => velocity.map(|component| component / speed_m_s),
-            None => me.facing,
-        };
-        let velocity = velocity.map(|component| if speed_m_s > 0.0 { component * scale } else { 0.0 });
-        Motion { at: [0, 1].map(|axis| me.at[axis] + velocity[axis] * GRID_S), velocity, facing }
+        let facing = velocity.map(|component| component / speed_m_s);
+        me.moved_by(velocity.map(|component| component * scale), facing, GRID_S)
     }
 
     /// Ends a pause, or begins one at the goal; without pauses draws the next goal there.

@@ -45,7 +45,7 @@ mod quadrature;
 pub mod receiver;
 pub mod scene;
 pub mod sharing;
-mod simd;
+pub mod simd;
 pub mod solver;
 pub mod specular;
 mod trig;

@@ -10,6 +10,6 @@
 /// are therefore marked `#[inline(always)]`. The results do not depend on the instructions: the
 /// order of operations is fixed in the source, and rustc fuses no multiplication with an addition.
 #[inline]
-pub(crate) fn with_widest_simd<T>(work: impl FnOnce() -> T) -> T {
+pub fn with_widest_simd<T>(work: impl FnOnce() -> T) -> T {
     pulp::Arch::new().dispatch(work)
 }

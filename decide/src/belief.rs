@@ -165,11 +165,11 @@ impl Belief {
         let places = tracks.iter().map(|track| track.place(ahead_s));
         evidence.expect(model, places, obstacles, angles, unusable);
         bodies.clear();
-        bodies.extend(tracks.iter().map(|track| {
+        bodies.extend(tracks.iter().zip(evidence.positions()).map(|(track, position)| {
             let heading = track.heading.mean(directions);
             let length = heading.norm();
             let body = body.filter(|_| length > HEADING_KNOWN)?;
-            Some(body.behind(&track.place(ahead_s), &(heading / length)))
+            Some(body.behind(position, &(heading / length)))
         }));
         let bodies = body.as_ref().map(|shape| Bodies { shape, directions, known: bodies });
         for (user, track) in tracks.iter_mut().enumerate() {

@@ -10,6 +10,7 @@
 //! - [`tables`]: the tables that do not change while a room runs.
 //! - [`mobility`]: how simulated users move.
 //! - [`runtime`]: actuators, report streams and limits of the controller.
+//! - [`mismatch`]: how the true room differs from the assumed one.
 //! - [`renames`]: old names of keys and values.
 //!
 //! [`Scenario::channel_model`] converts degrees and square millimetres to the types of
@@ -34,6 +35,7 @@ mod check;
 mod error;
 mod geometry;
 mod lines;
+pub mod mismatch;
 pub mod mobility;
 mod overrides;
 mod problems;
@@ -48,6 +50,7 @@ pub use builtin::BUILTIN_NAMES;
 pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use geometry::GeometryDifference;
+pub use mismatch::{Mismatch, MismatchKind, MismatchLevel, Spreads};
 pub use mobility::*;
 pub use problems::{Checked, Problem};
 pub use runtime::*;

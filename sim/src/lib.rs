@@ -20,12 +20,14 @@
 //! - [`episode`]: a room with its reports and telemetry, driven in closed loop in simulated time.
 //! - [`baselines`]: the users' rates without the array, with flat mirrors and with the oracle.
 //! - [`control`]: changes that an operator may order in a running room.
+//! - [`mismatch`]: the true room, drawn around the nominal one.
 //! - [`random`]: one stream of random numbers for each purpose.
 
 pub mod baselines;
 pub mod control;
 pub mod episode;
 pub mod mirrors;
+pub mod mismatch;
 pub mod random;
 pub mod reports;
 pub mod room;

@@ -29,6 +29,10 @@ pub enum Purpose {
     CalibrationNoise,
     /// When users enter, and how long they stay.
     Arrivals,
+    /// The difference between the true equipment and the nominal one.
+    Mismatch,
+    /// The difference between the true body of a user and the nominal one.
+    Body,
     /// Which users of a mixture have which mobility model.
     MobilityModel,
 }
@@ -45,7 +49,9 @@ impl Purpose {
             Self::Faults => 6,
             Self::CalibrationNoise => 7,
             Self::Arrivals => 8,
-            Self::MobilityModel => 10,
+            Self::Mismatch => 9,
+            Self::Body => 10,
+            Self::MobilityModel => 13,
         }
     }
 }

@@ -10,7 +10,7 @@
 //! - [`obstacles`]: the hard-core process.
 
 use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
-use heliostat_scenario::{Blockage, MobilityModel, Scenario};
+use heliostat_scenario::{Blockage, MobilityModel, Scenario, Spreads};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
@@ -19,6 +19,7 @@ use self::mobility::{Mobility, MobilityError, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
+use crate::mismatch::{TrueBody, true_room};
 use crate::random::{self, Purpose};
 
 pub mod arrivals;
@@ -64,7 +65,10 @@ pub struct World {
     blockage: Blockage,
     /// Seats of the scenario, which stay free of obstacles.
     seats_m: Vec<[f64; 2]>,
+    /// Spreads of the users' true bodies around those of `blockage`.
+    spreads: Spreads,
     mobility: Mobility,
+    seed: u64,
     /// Number of users at the start.
     users: usize,
     /// `None`: the users stay.
@@ -76,6 +80,8 @@ pub struct World {
     start: Walker,
     walkers: Vec<Walker>,
     positions: Vec<Vec3>,
+    /// The users' true bodies.
+    bodies: Vec<TrueBody>,
     /// Obstacles first, then one body for each user when bodies block.
     blockers: Vec<Cylinder>,
     obstacles: usize,
@@ -98,7 +104,7 @@ impl World {
     /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recorded walk are not
     /// valid.
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
-        let model = scenario.channel_model()?;
+        let model = true_room(scenario, seed).channel_model()?;
         let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
         let speeds = Speeds::new(scenario.users.speed_min_m_s, scenario.users.speed_max_m_s)?;
         let waypoints = Waypoints { floor, speeds, pause_mean_s: scenario.users.pause_mean_s };
@@ -117,6 +123,7 @@ impl World {
             waypoints,
             hard_core: HardCore::new(blockage.obstacles_per_m2, blockage.obstacle_min_distance_m)?,
             mobility,
+            seed,
             seats_m: if has_seats { scenario.users.seats_m.clone() } else { Vec::new() },
             users,
             arrivals: None,
@@ -125,8 +132,10 @@ impl World {
             start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
             walkers: Vec::new(),
             positions: Vec::new(),
+            bodies: Vec::new(),
             blockers: Vec::new(),
             obstacles: 0,
+            spreads: scenario.mismatch.spreads(),
             forced_users: blockage.forced_users,
             forced: Vec::new(),
             min_rate_bps: Vec::new(),
@@ -171,6 +180,7 @@ impl World {
 
     /// Places the users of the start and the obstacles.
     fn begin(&mut self, seed: u64) {
+        self.seed = seed;
         self.arrivals = self.settings.as_ref().map(|settings| Arrivals::new(settings, self.users, seed));
         self.place_obstacles(seed);
         self.mobility.begin(self.users, seed, &self.blockers);
@@ -235,9 +245,13 @@ impl World {
         let rates = &self.min_rates_bps;
         self.min_rate_bps.clear();
         self.min_rate_bps.extend(self.ids.iter().map(|id| rates[*id as usize % rates.len()]));
+        self.bodies.clear();
+        let body = |id: &u32| TrueBody::draw(&self.blockage, &self.spreads, (self.seed, *id));
+        self.bodies.extend(self.ids.iter().map(body));
         if self.blockage.bodies {
-            let (radius_m, height_m) = (self.blockage.body_radius_m, self.blockage.body_height_m);
-            self.blockers.resize(self.obstacles + users, Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m });
+            self.blockers.truncate(self.obstacles);
+            let cylinder = |&TrueBody { radius_m, height_m, .. }| Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m };
+            self.blockers.extend(self.bodies.iter().map(cylinder));
         }
         self.scene.resize(users);
     }
@@ -248,10 +262,10 @@ impl World {
         for (position, walker) in self.positions.iter_mut().zip(&self.walkers) {
             *position = walker.position;
         }
-        let offset = self.blockage.body_offset_m;
-        for (body, walker) in self.blockers[self.obstacles..].iter_mut().zip(&self.walkers) {
-            body.x_m = walker.position.x - offset * walker.direction[0];
-            body.y_m = walker.position.y - offset * walker.direction[1];
+        let bodies = self.blockers[self.obstacles..].iter_mut().zip(&self.bodies);
+        for ((cylinder, body), walker) in bodies.zip(&self.walkers) {
+            cylinder.x_m = walker.position.x - body.offset_m * walker.direction[0];
+            cylinder.y_m = walker.position.y - body.offset_m * walker.direction[1];
         }
         self.scene.update(&self.model, &self.positions, &self.blockers, &self.forced);
     }

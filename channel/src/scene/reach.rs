@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use super::Scene;
 use crate::aiming::bisect;
 use crate::model::{ChannelModel, Mode};
+use crate::simd::with_widest_simd;
 use crate::specular::Plate;
 use crate::trig::BLOCK;
 
@@ -22,6 +23,14 @@ impl Scene {
         if model.mode != Mode::Specular {
             return;
         }
+        with_widest_simd(
+            #[inline(always)]
+            || self.restrict(model, roll, yaw),
+        );
+    }
+
+    #[inline(always)]
+    fn restrict(&mut self, model: &ChannelModel, roll: &RangeInclusive<f64>, yaw: &RangeInclusive<f64>) {
         let clamp = |angle: f64, range: &RangeInclusive<f64>| angle.clamp(*range.start(), *range.end());
         for user in 0..self.users {
             let (led, position) = (model.leds[self.serving[user]].position, self.positions[user]);

@@ -105,6 +105,11 @@ impl ChannelEvidence {
         &self.columns
     }
 
+    /// The places of the expected gains in m. Shape: K.
+    pub fn positions(&self) -> &[Vec3] {
+        &self.positions
+    }
+
     /// Computes the expected gains of users at these places, without bodies; `angles` are those of
     /// the mirrors, where they are known.
     pub fn expect(
@@ -139,20 +144,23 @@ impl ChannelEvidence {
         measured: MeasuredGains,
         bodies: Option<&Bodies<'_>>,
         Beliefs { heading, covered }: Beliefs<'_>,
-        map: Option<&mut Occupancy>,
+        mut map: Option<&mut Occupancy>,
     ) {
         self.mask_others(model, user, bodies);
         let position = self.positions[user];
-        if let Some(map) = &map {
-            for (unobstructed, column) in self.unobstructed.iter_mut().zip(&self.columns) {
-                *unobstructed = map.clear_probability(&position, column);
+        let led = single_led(model);
+        // The path to the LED, if there is one, and then those to the columns.
+        let first_column = usize::from(led.is_some());
+        let mut unobstructed = 1.0;
+        if let Some(map) = &mut map {
+            map.trace(&position, led.iter().chain(&self.columns).copied());
+            for (column, unobstructed) in self.unobstructed.iter_mut().enumerate() {
+                *unobstructed = map.clear_probability(first_column + column);
+            }
+            if led.is_some() {
+                unobstructed = map.clear_probability(0);
             }
         }
-        let led = single_led(model);
-        let unobstructed = match (&map, &led) {
-            (Some(map), Some(led)) => map.clear_probability(&position, led),
-            _ => 1.0,
-        };
         covered.predict();
         let is_open = 1.0 - covered.probability();
         let is_clear = measured.los > 0.0;
@@ -178,8 +186,8 @@ impl ChannelEvidence {
             covered.handle_direct(is_clear, past_bodies * unobstructed);
         }
         let Some(map) = map else { return };
-        if let Some(led) = led.filter(|_| is_modelled) {
-            map.handle_direct(&position, &led, is_clear, past_bodies * is_open);
+        if led.is_some() && is_modelled {
+            map.handle_direct(0, is_clear, past_bodies * is_open);
         }
         if !self.angles_known {
             return;
@@ -197,9 +205,9 @@ impl ChannelEvidence {
         }
         let expected: f64 = self.shares.iter().sum();
         if expected > SERVED * self.steering(user) {
-            let shares = self.columns.iter().copied().zip(self.shares.iter().map(|gain| gain / expected));
+            let shares = self.shares.iter().enumerate().map(|(column, gain)| (first_column + column, gain / expected));
             let ratio = measured.irs / expected;
-            map.handle_reflected(&position, shares, |share| {
+            map.handle_reflected(shares, |share| {
                 density(ratio, share, SPREAD_OF_MAP * (share * (1.0 - share)).max(0.0))
             });
         }

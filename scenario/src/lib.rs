@@ -37,6 +37,7 @@ mod geometry;
 mod lines;
 pub mod mismatch;
 pub mod mobility;
+mod mobility_check;
 mod overrides;
 mod problems;
 pub mod renames;

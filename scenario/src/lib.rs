@@ -45,6 +45,7 @@ pub mod runtime;
 mod scenario;
 pub mod tables;
 mod trace;
+mod user_orientation;
 
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
 pub use builtin::BUILTIN_NAMES;
@@ -58,3 +59,4 @@ pub use runtime::*;
 pub use scenario::Scenario;
 pub use tables::*;
 pub use trace::TraceFileError;
+pub use user_orientation::{OrientationModel, UserOrientation};

@@ -7,9 +7,10 @@
 //! - [`arrivals`]: when users enter and leave.
 //! - [`walker`]: the floor and one user's receiver.
 //! - [`mobility`], [`trace`]: models of movement and recorded walks.
+//! - [`orientation`]: how the users hold their receivers.
 //! - [`obstacles`]: the hard-core process.
 
-use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
+use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Orientation, Scene, Vec3};
 use heliostat_scenario::{Blockage, MobilityModel, Scenario, Spreads};
 use thiserror::Error;
 
@@ -17,6 +18,7 @@ use self::arrivals::{Arrivals, Change, Turnover};
 use self::mobility::places::distance_m;
 use self::mobility::{Mobility, MobilityError, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
+use self::orientation::Orientations;
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
 use crate::mismatch::{TrueBody, true_room};
@@ -25,6 +27,7 @@ use crate::random::{self, Purpose};
 pub mod arrivals;
 pub mod mobility;
 pub mod obstacles;
+pub mod orientation;
 pub mod trace;
 pub mod walker;
 
@@ -79,6 +82,7 @@ pub struct World {
     /// A receiver before its first step.
     start: Walker,
     walkers: Vec<Walker>,
+    orientations: Orientations,
     positions: Vec<Vec3>,
     /// The users' true bodies.
     bodies: Vec<TrueBody>,
@@ -131,6 +135,7 @@ impl World {
             ids: Vec::new(),
             start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
             walkers: Vec::new(),
+            orientations: Orientations::new(scenario.users.orientation.as_ref()),
             positions: Vec::new(),
             bodies: Vec::new(),
             blockers: Vec::new(),
@@ -192,6 +197,8 @@ impl World {
             self.resize_lists();
         }
         self.mobility.reserve(most);
+        self.mobility.write(&mut self.walkers);
+        self.orientations.begin(seed, &self.walkers, most);
         self.refresh();
     }
 
@@ -203,6 +210,19 @@ impl World {
 
     /// Advances by `dt_s` seconds without an update of the scene; [`World::refresh`] does that.
     pub fn advance(&mut self, dt_s: f64) {
+        let mut left_s = dt_s;
+        while let Some(node_s) = self.orientations.next_node_s().filter(|node_s| *node_s < self.time_s + left_s) {
+            let until_s = (node_s - self.time_s).max(0.0);
+            self.walk(until_s);
+            left_s -= until_s;
+            self.mobility.write(&mut self.walkers);
+            self.orientations.pass_node(&self.walkers);
+        }
+        self.walk(left_s);
+    }
+
+    /// Moves the users, and lets them enter and leave.
+    fn walk(&mut self, dt_s: f64) {
         let mut moved_to_s = self.time_s;
         self.time_s += dt_s;
         let is_crowd = self.mobility.is_crowd();
@@ -219,10 +239,12 @@ impl World {
             match change {
                 Change::Enter { at_s, id } => {
                     self.mobility.enter(id, self.time_s - at_s);
+                    self.orientations.enter(id);
                     self.ids.push(id);
                 }
                 Change::Leave { index, .. } => {
                     self.mobility.leave(index);
+                    self.orientations.leave(index);
                     self.ids.remove(index);
                 }
             }
@@ -267,7 +289,9 @@ impl World {
             cylinder.x_m = walker.position.x - body.offset_m * walker.direction[0];
             cylinder.y_m = walker.position.y - body.offset_m * walker.direction[1];
         }
-        self.scene.update(&self.model, &self.positions, &self.blockers, &self.forced);
+        self.orientations.hold(self.time_s, &self.walkers);
+        let orientations = self.orientations.held();
+        self.scene.update_turned(&self.model, &self.positions, orientations, &self.blockers, &self.forced);
     }
 
     /// The users' numbers, in the order of entry, as all lists of users. No number is used twice.
@@ -283,6 +307,11 @@ impl World {
     /// The users' receivers: positions, headings and velocities.
     pub fn users(&self) -> &[Walker] {
         &self.walkers
+    }
+
+    /// How the users hold their receivers.
+    pub fn orientations(&self) -> &[Orientation] {
+        self.orientations.held()
     }
 
     /// Positions of the users' receivers in m.

@@ -55,17 +55,20 @@ fn the_same_seed_gives_the_same_walks_and_a_restarted_world_equals_a_new_one() {
 }
 
 #[test]
-fn walks_do_not_depend_on_the_time_steps_also_with_arrivals() {
+fn walks_do_not_depend_on_the_time_steps_also_with_arrivals_and_tilted_receivers() {
     for settings in settings() {
-        for arrivals in [&[][..], &ARRIVALS] {
-            let new = || world(&with(&settings, arrivals), 3);
+        for more in [&[][..], &ARRIVALS, &["users.orientation.model=measured", "users.pause_mean_s=1"]] {
+            let new = || world(&with(&settings, more), 3);
             let (mut short, mut long) = (new(), new());
             let (a, b) = (after(&mut short, 3700, 0.01), after(&mut long, 100, 0.37));
             assert_eq!(short.ids(), long.ids());
+            for (a, b) in short.orientations().iter().zip(long.orientations()) {
+                assert!((a.normal() - b.normal()).norm() < 1e-9, "{settings:?} {more:?}: {a:?} {b:?}");
+            }
             for (a, b) in a.iter().zip(&b) {
-                assert!(distance_m(a, b) < 1e-9, "{settings:?} {arrivals:?}: {a:?} {b:?}");
+                assert!(distance_m(a, b) < 1e-9, "{settings:?} {more:?}: {a:?} {b:?}");
                 let turn = (a.direction[0] - b.direction[0]).hypot(a.direction[1] - b.direction[1]);
-                assert!(turn < 1e-9, "{settings:?} {arrivals:?}: {a:?} {b:?}");
+                assert!(turn < 1e-9, "{settings:?} {more:?}: {a:?} {b:?}");
             }
         }
     }

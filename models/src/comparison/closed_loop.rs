@@ -299,6 +299,7 @@ impl Lockstep {
                 Message::Telemetry(telemetry)
             }
             Event::Obstacles(report) => Message::Obstacles(report),
+            Event::Orientation(report) => Message::Orientation(report),
             Event::Channel(report) => Message::Channel(report),
             Event::Users(report) => Message::Users(report),
         };

@@ -28,6 +28,9 @@ use crate::world::walker::Walker;
 /// Fractional part of the golden ratio.
 const GOLDEN: f64 = 0.618_033_988_749_894_8;
 
+/// Time in s by which a sum of time steps may miss an instant of the grid.
+const ROUNDING_S: f64 = 1e-9;
+
 /// All users of a room.
 #[derive(Clone, Debug)]
 pub struct Crowd {
@@ -100,7 +103,7 @@ impl Crowd {
     /// Moves on by `dt_s` seconds.
     pub fn step(&mut self, dt_s: f64) {
         self.since_s += dt_s;
-        while self.since_s >= GRID_S {
+        while self.since_s >= GRID_S - ROUNDING_S {
             self.since_s -= GRID_S;
             self.advance();
         }
@@ -108,7 +111,7 @@ impl Crowd {
 
     /// Writes the users' positions, headings and velocities; heights do not change.
     pub fn write(&self, walkers: &mut [Walker]) {
-        let share = self.since_s / GRID_S;
+        let share = (self.since_s / GRID_S).max(0.0);
         self.members.iter().zip(walkers).for_each(|(member, walker)| member.motion_at(share).write(walker));
     }
 

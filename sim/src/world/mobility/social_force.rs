@@ -11,7 +11,8 @@
 //!
 //! Without fluctuations and attractions of the source. Goals are points drawn uniformly from the
 //! free floor. With pauses a user brakes at a goal and stands there for an exponential time, turned
-//! to a direction drawn uniformly; no repulsion acts on it. A goal that is not reached in a time that suffices for a detour is replaced.
+//! to a direction drawn uniformly; no repulsion acts on it. A goal that is not reached in a time
+//! that suffices for a detour is replaced.
 //!
 //! Source: Helbing and Molnar, Social force model for pedestrian dynamics, Physical Review E 51,
 //! 1995. The model uses the platform's exponential, cosine and logarithm.
@@ -30,7 +31,7 @@ const SPEED_MAX: f64 = 1.3;
 const REACHED_M: f64 = 0.5;
 /// Distance of goals from walls and obstacles in m: where their repulsion equals the drive.
 const GOAL_CLEARANCE_M: f64 = 0.6;
-/// Time for a goal: a multiple of the time on a straight line at the desired speed, and a time in s.
+/// Time for a goal: a multiple of the time on a straight line, and a time in s.
 const LEG_TIME: (f64, f64) = (3.0, 5.0);
 /// Speed in m/s below which a user does not turn to its velocity, and in a pause stands still.
 const STANDING_M_S: f64 = 0.1;

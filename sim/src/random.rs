@@ -37,6 +37,8 @@ pub enum Purpose {
     Orientation,
     /// Measurement noise of orientations.
     OrientationNoise,
+    /// Which users of a mixture have which mobility model.
+    MobilityModel,
 }
 
 impl Purpose {
@@ -55,6 +57,7 @@ impl Purpose {
             Self::Body => 10,
             Self::Orientation => 11,
             Self::OrientationNoise => 12,
+            Self::MobilityModel => 13,
         }
     }
 }

@@ -14,7 +14,7 @@
 
 mod thor_magni;
 
-use std::io::{BufRead, Error};
+use std::io::{BufRead, Error, Read};
 
 use thiserror::Error;
 
@@ -26,6 +26,12 @@ const ANNOTATION_INTERVAL_S: f64 = 0.4;
 
 /// Rows before the row of column names of THÖR-MAGNI, at most; published files have 16.
 const METADATA_ROWS_MAX: usize = 64;
+
+/// Longest line in bytes; a row of THÖR-MAGNI has some 2000.
+const LINE_BYTES_MAX: u64 = 1 << 20;
+
+/// Largest number of rows of ETH/UCY, which are in memory until the step of the frames is known.
+const FRAME_ROWS_MAX: usize = 5_000_000;
 
 /// A published format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +64,16 @@ pub enum ReadError {
     /// The text has no row.
     #[error("the file has no rows: expected positions of people")]
     Empty,
+    /// The text is too long for its format.
+    #[error("line {line}: {what}: expected {expected}")]
+    Long {
+        /// Line, from 1.
+        line: u64,
+        /// What is too long.
+        what: &'static str,
+        /// The bound.
+        expected: String,
+    },
     /// The column names do not fit the format.
     #[error("line {line}: missing column {missing}: expected {expected}")]
     Columns {
@@ -105,10 +121,14 @@ impl<R: BufRead> Lines<R> {
     fn next(&mut self) -> Result<Option<(u64, &str)>, ReadError> {
         loop {
             self.text.clear();
-            if self.input.read_line(&mut self.text)? == 0 {
+            if self.input.by_ref().take(LINE_BYTES_MAX).read_line(&mut self.text)? == 0 {
                 return Ok(None);
             }
             self.line += 1;
+            if self.text.len() as u64 == LINE_BYTES_MAX {
+                let expected = format!("less than {} KiB, as a text file has", LINE_BYTES_MAX >> 10);
+                return Err(ReadError::Long { line: self.line, what: "the line does not end", expected });
+            }
             let trimmed = self.text.trim_start_matches('\u{feff}').trim();
             if !trimmed.is_empty() && !trimmed.starts_with('#') {
                 break;
@@ -127,6 +147,10 @@ fn read_eth_ucy(frame_rate_hz: Option<f64>, input: impl BufRead, receive: Receiv
     // The step of the frame numbers is known after the last row.
     let (mut lines, mut rows) = (Lines::new(input), Vec::new());
     while let Some((line, text)) = lines.next()? {
+        if rows.len() == FRAME_ROWS_MAX {
+            let expected = format!("at most {FRAME_ROWS_MAX}, as a file of ETH/UCY has");
+            return Err(ReadError::Long { line, what: "too many rows", expected });
+        }
         rows.push(eth_ucy_row(line, &text.split_whitespace().collect::<Vec<_>>()));
     }
     if rows.is_empty() {

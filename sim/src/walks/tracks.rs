@@ -5,6 +5,9 @@ use std::f64::consts::{PI, TAU};
 
 use crate::walks::rows::{Row, RowRefusal};
 
+/// Positions that are kept unless another number is given: some 400 MB.
+const POSITIONS_MAX: u64 = 5_000_000;
+
 /// Largest number of refused rows that are named.
 const REFUSALS_NAMED_MAX: usize = 1000;
 
@@ -98,11 +101,13 @@ pub struct Kept {
     pub crop: Option<Rectangle>,
     /// A longer time without a sample ends a track, in s.
     pub max_gap_s: f64,
+    /// Largest number of positions that are kept.
+    pub positions_max: u64,
 }
 
 impl Default for Kept {
     fn default() -> Self {
-        Self { scale: 1.0, from_s: f64::NEG_INFINITY, to_s: f64::INFINITY, crop: None, max_gap_s: 1.0 }
+        Self { scale: 1.0, from_s: f64::NEG_INFINITY, to_s: f64::INFINITY, crop: None, max_gap_s: 1.0, positions_max: POSITIONS_MAX }
     }
 }
 
@@ -117,6 +122,8 @@ pub struct RowCounts {
     pub out_of_range: u64,
     /// Positions outside the crop.
     pub cropped: u64,
+    /// Positions beyond the largest number.
+    pub beyond: u64,
 }
 
 /// All that was read of a file.
@@ -155,11 +162,6 @@ impl Collector {
         Self { kept, first_s: None, people: HashMap::new(), collected: Collected::default() }
     }
 
-    /// Positions in tracks so far.
-    pub fn kept(&self) -> u64 {
-        self.collected.counts.kept
-    }
-
     /// Adds a row, or counts and names a refused one.
     pub fn add(&mut self, row: Result<Row, RowRefusal>) {
         if let Err(refusal) = row.and_then(|row| self.add_row(row)) {
@@ -190,6 +192,9 @@ impl Collector {
             None
         } else if self.kept.crop.is_some_and(|crop| !crop.contains(at_m)) {
             counts.cropped += 1;
+            None
+        } else if counts.kept == self.kept.positions_max {
+            counts.beyond += 1;
             None
         } else {
             counts.kept += 1;
@@ -264,6 +269,8 @@ mod tests {
         let collected = collect(Kept { scale: 0.001, from_s: 1.0, to_s: 2.0, ..Kept::default() }, &walk);
         assert_eq!((collected.counts.kept, collected.counts.out_of_range), (3, 7));
         assert_eq!((collected.tracks[0].start_s(), collected.tracks[0].points[0].at_m), (101.0, [1.0, 0.0]));
+        let counts = collect(Kept { positions_max: 4, ..Kept::default() }, &walk).counts;
+        assert_eq!((counts.kept, counts.beyond), (4, 6));
     }
 
     #[test]

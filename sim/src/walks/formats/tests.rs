@@ -94,6 +94,8 @@ fn a_file_without_rows_or_columns_is_refused_with_what_is_expected() {
     assert!(error(WalkFormat::Csv, "time,user,x,y\n").contains("no rows"));
     assert!(error(WalkFormat::ThorMagni, "a,b\n1,2\n").contains("missing column Time"));
     assert!(error(WalkFormat::ThorMagni, "Frame,Time,DARKO_Robot - 1 X\n").contains("missing column Helmet_1"));
+    let endless = "0".repeat(2 << 20);
+    assert!(error(WalkFormat::Atc, &endless).contains("line 1: the line does not end"));
     let mut latin = Vec::from(*b"0,0,1,2\n");
     latin.push(0xff);
     assert!(read(of(WalkFormat::Atc), &latin[..], &mut |_| {}).is_err());

@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 /// What the holder of a certificate may do in its room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum AccessRole {
-    /// Reports positions, channel gains and obstacles.
+    /// Reports positions, channel gains, obstacles and orientations.
     Tracker,
     /// Commands the mirrors.
     Controller,
@@ -98,7 +98,7 @@ impl AccessRole {
 
     /// Keys on which it may publish.
     pub fn publishes(self, room: &Room) -> Vec<String> {
-        let reports = || [room.users(), room.channel(), room.obstacles()];
+        let reports = || [room.users(), room.channel(), room.obstacles(), room.orientation()];
         let array = || [room.telemetry(), room.capabilities(), room.safety()];
         let mut keys = match self {
             Self::Tracker => reports().to_vec(),

@@ -33,6 +33,12 @@ pub enum GeometryError {
         /// The point or direction.
         what: &'static str,
     },
+    /// A vector or quaternion whose length is not 1.
+    #[error("{what} does not have length 1: expected finite components with a sum of squares of 1")]
+    NotUnit {
+        /// The vector or quaternion.
+        what: &'static str,
+    },
 }
 
 /// Accepts a point whose three coordinates are finite.

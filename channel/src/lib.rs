@@ -19,6 +19,7 @@
 //!   different types.
 //! - [`domain`]: checks of numbers; [`error`]: why a model cannot be built.
 //! - [`emitter`], [`receiver`], [`mirrors`]: the equipment of a room.
+//! - [`orientation`]: how a user holds the receiver.
 //! - [`blockage`]: cylinders that block paths.
 //! - [`los`], [`specular`], [`diffuse`]: the gain of one path; reference implementations.
 //! - [`link`]: noise, SINR, rate, bit error rate, fairness.
@@ -41,6 +42,7 @@ pub mod link;
 pub mod los;
 pub mod mirrors;
 pub mod model;
+pub mod orientation;
 mod quadrature;
 pub mod receiver;
 pub mod scene;
@@ -58,6 +60,7 @@ pub use geometry::{GeometryError, Vec3};
 pub use link::{LinkBudget, NoiseBudget, PowerLaw, ber_ook, jain};
 pub use mirrors::{ArraySpec, MirrorAngles, MirrorArray, Wall};
 pub use model::{ChannelModel, Mode};
+pub use orientation::Orientation;
 pub use receiver::{Branch, Combining, Receiver};
 pub use scene::Scene;
 pub use solver::{Method, MinimumRates, Problem, Solution, Solver, SolverError};

@@ -8,6 +8,7 @@ use crate::geometry::Vec3;
 use crate::link::LinkBudget;
 use crate::los::front_factor;
 use crate::mirrors::MirrorArray;
+use crate::orientation::Orientation;
 use crate::quadrature::{FewPoints, POINT_LANES, PointLanes, smooth_from_squared};
 use crate::receiver::Receiver;
 use crate::trig::{Lanes, in_blocks};
@@ -58,6 +59,7 @@ pub struct ChannelModel {
     /// Power, responsivity, noise and bandwidth.
     pub budget: LinkBudget,
     pub(crate) panels: Vec<Panel>,
+    /// The branches of an upright receiver. Shape: B.
     pub(crate) detectors: Vec<Detector>,
 }
 
@@ -91,9 +93,10 @@ pub(crate) struct Panel {
     pub towards_mirror: Vec<Lanes>,
 }
 
-/// Quantities of one branch that do not depend on the users.
-#[derive(Clone, Debug)]
+/// One branch of a user's receiver.
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Detector {
+    /// Unit normal in the room's frame.
     pub normal: Vec3,
     pub fov_cosine: f64,
     pub concentrator_gain: f64,
@@ -139,6 +142,13 @@ impl ChannelModel {
             })
             .collect();
         Ok(Self { mode, leds, mirrors, receiver, budget, panels, detectors })
+    }
+
+    /// Writes the branches of a receiver that is held like this. Shape of `out`: B.
+    pub(crate) fn turn_detectors(&self, orientation: &Orientation, out: &mut [Detector]) {
+        for (out, upright) in out.iter_mut().zip(&self.detectors) {
+            *out = Detector { normal: orientation.turn(&upright.normal), ..*upright };
+        }
     }
 
     pub(crate) fn reflectivity(&self) -> f64 {

@@ -15,6 +15,7 @@
 use crate::domain::{positive, require};
 use crate::error::ChannelError;
 use crate::geometry::Vec3;
+use crate::orientation::Orientation;
 use crate::trig::Lanes;
 
 /// Largest number of branches of a receiver.
@@ -23,7 +24,7 @@ pub const BRANCHES_MAX: usize = 16;
 /// One detector of a receiver.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Branch {
-    /// Unit normal of the detector's surface, in the room's frame.
+    /// Unit normal of the detector's surface, in the room's frame, for an upright receiver.
     pub normal: Vec3,
     /// Largest incidence angle that is detected, in radians, within (0, pi/2].
     pub fov_semi_angle: f64,
@@ -98,7 +99,7 @@ impl Combining {
     }
 }
 
-/// A receiver; all users have the same one.
+/// A receiver; all users have the same one, each in an [`Orientation`] of its own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Receiver {
     /// The branches: at least 1, at most [`BRANCHES_MAX`].
@@ -124,6 +125,15 @@ impl Receiver {
     /// Units: dimensionless.
     pub fn concentrator_gain(&self, branch: &Branch) -> f64 {
         self.concentrator_index.map_or(1.0, |index| (index / branch.fov_semi_angle.sin()).powi(2))
+    }
+
+    /// The receiver of a user who holds it like this: the normals of all branches are turned.
+    pub fn turned(&self, orientation: &Orientation) -> Self {
+        let mut turned = self.clone();
+        for branch in &mut turned.branches {
+            branch.normal = orientation.turn(&branch.normal);
+        }
+        turned
     }
 
     /// Refuses a value outside its domain.

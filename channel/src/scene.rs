@@ -18,8 +18,9 @@ mod steer;
 mod update;
 mod visibility;
 
+use self::kernel::Held;
 use crate::geometry::Vec3;
-use crate::model::ChannelModel;
+use crate::model::{ChannelModel, Detector};
 use crate::receiver::Combining;
 
 pub use spill::{MIDPOINTS_MAX, SPILL_USERS_MAX, Spill, SpilledGain};
@@ -35,6 +36,8 @@ pub struct Scene {
     /// [`Combining::Best`] for a single branch, since all rules are then equal.
     combining: Combining,
     positions: Vec<Vec3>,
+    /// The branches of each user's receiver, as the user holds it. Shape: K * B.
+    detectors: Vec<Detector>,
     /// Index of the LED that serves each user. Shape: K.
     serving: Vec<usize>,
     /// Combined line-of-sight gain, zero when blocked. Shape: K.
@@ -76,6 +79,7 @@ impl Scene {
             paper,
             combining: if branches == 1 { Combining::Best } else { model.receiver.combining },
             positions: vec![Vec3::zeros(); users],
+            detectors: model.detectors.repeat(users),
             serving: vec![0; users],
             los_gain: vec![0.0; users],
             los_blocked: vec![false; users],
@@ -103,6 +107,7 @@ impl Scene {
         self.serving.resize(users, 0);
         self.los_gain.resize(users, 0.0);
         self.los_blocked.resize(users, false);
+        self.detectors.resize(branches, Detector::default());
         self.los_branch.resize(branches, 0.0);
         self.los_clear.resize(branches, 0.0);
         self.irs_path_clear.resize(pairs, false);
@@ -112,6 +117,15 @@ impl Scene {
         self.steering_branch.resize(if self.branches > 1 { paper_pairs * self.branches } else { 0 }, 0.0);
         self.directions.resize(paper_pairs, Vec3::zeros());
         self.inverse_distance.resize(paper_pairs, 0.0);
+    }
+
+    /// The receiver of one user.
+    #[inline(always)]
+    fn held(&self, user: usize) -> Held<'_> {
+        Held {
+            position: &self.positions[user],
+            branches: &self.detectors[user * self.branches..(user + 1) * self.branches],
+        }
     }
 
     /// Number of users K.

@@ -17,11 +17,13 @@ fn a_step_does_not_allocate() {
         let mut random = Random::new(41);
         let users = random.positions(20);
         let blockers = random.blockers(&users);
+        let orientations = [(); 20].map(|()| random.orientation());
         let mut scene = Scene::new(&model, 20);
         let mut angles = MirrorAngles::flat(100);
         let (mut rates, mut each) = ([0.0; 20], vec![0.0; 2000]);
         let counted = allocation_counter::measure(|| {
             scene.update(&model, &users, &blockers, &[false; 20]);
+            scene.update_turned(&model, &users, &orientations, &blockers, &[false; 20]);
             decode(&model, &scene, &[1.0; 20], &mut angles);
             scene.rates_bps(&model, &angles, &mut rates);
             scene.irs_gain_each(&model, &angles, &mut each);

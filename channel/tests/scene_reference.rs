@@ -1,4 +1,5 @@
-//! The pass over all users and mirrors equals the functions of one path, pair by pair.
+//! The pass over all users and mirrors equals the functions of one path, pair by pair, for upright
+//! and for tilted receivers.
 
 mod common;
 
@@ -7,16 +8,20 @@ use heliostat_channel::blockage::blocks;
 use heliostat_channel::decode::{aim, aim_at_point};
 use heliostat_channel::diffuse::{self, Reading};
 use heliostat_channel::specular::{self, Plate};
-use heliostat_channel::{ChannelModel, Combining, Cylinder, MirrorAngles, Mode, Scene, Vec3, Wall, los};
+use heliostat_channel::{
+    ChannelModel, Combining, Cylinder, MirrorAngles, Mode, Orientation, Receiver, Scene, Vec3, Wall, los,
+};
 
 const USERS: usize = 6;
 
-/// A scene with blockers; every second mirror is aimed at a user, the others have random angles.
+/// A scene with blockers; every second mirror is aimed at a user, the others have random angles. The
+/// users of a case with an odd seed hold their receivers in random orientations.
 struct Case {
     model: ChannelModel,
     scene: Scene,
     blockers: Vec<Cylinder>,
     forced: Vec<bool>,
+    orientations: Vec<Orientation>,
     angles: MirrorAngles,
 }
 
@@ -28,7 +33,13 @@ impl Case {
         let blockers = random.blockers(&users);
         let forced: Vec<bool> = (0..USERS).map(|_| random.uniform(0.0, 1.0) < 0.2).collect();
         let mut scene = Scene::new(&model, USERS);
-        scene.update(&model, &users, &blockers, &forced);
+        let mut orientations = vec![Orientation::UPRIGHT; USERS];
+        if seed % 2 == 1 {
+            orientations.fill_with(|| random.orientation());
+            scene.update_turned(&model, &users, &orientations, &blockers, &forced);
+        } else {
+            scene.update(&model, &users, &blockers, &forced);
+        }
         let mirrors = model.mirrors.len();
         let mut angles = MirrorAngles::flat(mirrors);
         let served: Vec<usize> = (0..mirrors).map(|_| random.next() as usize % USERS).collect();
@@ -37,7 +48,7 @@ impl Case {
             angles.roll[mirror] += 0.02 * random.normal();
             angles.yaw[mirror] += 0.02 * random.normal();
         }
-        Self { model, scene, blockers, forced, angles }
+        Self { model, scene, blockers, forced, orientations, angles }
     }
 
     fn led_of(&self, user: usize) -> &heliostat_channel::Led {
@@ -50,11 +61,15 @@ impl Case {
         !self.blockers.iter().any(|cylinder| blocks(cylinder, led, mirror) || blocks(cylinder, user, mirror))
     }
 
+    fn receiver(&self, user: usize) -> Receiver {
+        self.model.receiver.turned(&self.orientations[user])
+    }
+
     /// Gain of each branch by the functions of one path.
     fn reference(&self, user: usize, mirror: usize) -> Vec<f64> {
         let (led, position) = (self.led_of(user), &self.scene.positions()[user]);
         let (roll, yaw) = (self.angles.roll[mirror], self.angles.yaw[mirror]);
-        let receiver = &self.model.receiver;
+        let receiver = &self.receiver(user);
         let gain = |branch| match self.model.mode {
             Mode::Specular => {
                 let plate = Plate::of(&self.model.mirrors, mirror, roll, yaw);
@@ -74,8 +89,9 @@ impl Case {
         let (led, position) = (self.led_of(user), &self.scene.positions()[user]);
         let blocked =
             self.forced[user] || self.blockers.iter().any(|cylinder| blocks(cylinder, &led.position, position));
-        let gain = |branch| los::gain(led, &self.model.receiver, branch, position).expect("apart");
-        self.model.receiver.branches.iter().map(|branch| if blocked { 0.0 } else { gain(branch) }).collect()
+        let receiver = self.receiver(user);
+        let gain = |branch| los::gain(led, &receiver, branch, position).expect("apart");
+        receiver.branches.iter().map(|branch| if blocked { 0.0 } else { gain(branch) }).collect()
     }
 
     /// Compares all results; returns the number of pairs with a gain above 0.

@@ -102,11 +102,15 @@ fn spilled_gains_are_those_of_the_angles() {
     let (mut entries, mut midpoints) = (0, 0);
     for room in [Room::paper(), Room::paper().with_panel(), branches, several] {
         let model = room.model();
-        for _ in 0..10 {
+        for case in 0..20 {
             let mut positions = clusters(&mut random, &[4, 1, 2]);
             positions[1].z += 0.3;
             positions.push(random.position());
-            let scene = scene_of(&mut random, &model, &positions, 2);
+            let mut scene = scene_of(&mut random, &model, &positions, 2);
+            if case % 2 == 1 {
+                let orientations: Vec<_> = positions.iter().map(|_| random.orientation()).collect();
+                scene.update_turned(&model, &positions, &orientations, &[], &vec![false; positions.len()]);
+            }
             let spill = spill_of(&model, &scene);
             let mut angles = MirrorAngles::flat(100);
             let mut each = vec![0.0; positions.len() * 100];

@@ -31,7 +31,7 @@ pub mod occupancy;
 mod track;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
-use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, UserReport, UserState};
+use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, OrientationReport, UserReport, UserState};
 use heliostat_scenario::{Scenario, Walk};
 
 use angle_history::AngleHistory;
@@ -43,6 +43,8 @@ use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
 use track::{Track, reported_velocity};
+
+use crate::input::orientation::orientation_of;
 
 /// Bounds of the estimated noise of a coordinate in m. The lower one keeps exact reports regular.
 const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
@@ -140,12 +142,13 @@ impl Belief {
         self.history.handle_command(command);
     }
 
-    /// Takes an accepted channel report. `obstacles` are those of the latest survey, and `unusable`
-    /// the mirrors that do not follow. Does not allocate.
+    /// Takes an accepted channel report, with the orientations of the receivers where they are
+    /// reported. `obstacles` are those of the latest survey, and `unusable` the mirrors that do not
+    /// follow. Does not allocate.
     pub fn handle_channel(
         &mut self,
         model: &ChannelModel,
-        report: &ChannelReport,
+        (report, held): (&ChannelReport, Option<&OrientationReport>),
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
@@ -162,7 +165,7 @@ impl Belief {
         let ahead_s = signed_s(report.stamp.time_ns, self.last_ns);
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
         let Self { tracks, evidence, bodies, directions, map, body, .. } = self;
-        let places = tracks.iter().map(|track| track.place(ahead_s));
+        let places = tracks.iter().map(|track| (track.place(ahead_s), orientation_of(held, track.user)));
         evidence.expect(model, places, obstacles, angles, unusable);
         bodies.clear();
         bodies.extend(tracks.iter().zip(evidence.positions()).map(|(track, position)| {

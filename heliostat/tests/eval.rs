@@ -96,6 +96,11 @@ fn a_closed_loop_loses_rate_with_late_reports() {
     assert!(predicted > late && filtered > predicted + 0.02, "{late} {predicted} {filtered}");
     let met = mean(&hall, "greedy+filter", "qos_met");
     assert!((mean(&hall, "greedy+filter", "outage_time") - (1.0 - met)).abs() < 1e-12);
+    let outages = |belief: &str| &hall["policies"][format!("greedy+{belief}")]["outages"];
+    let [often, long] =
+        ["per_user_minute", "p95_s"].map(|figure| outages("filter")[figure].as_f64().expect("a figure"));
+    assert!(often > 1.0 && long > 0.02, "{often} {long}");
+    assert!(hall["oracle"].get("outages").is_none(), "the oracle is solved at the instants only");
 }
 
 /// In the recording the user stands near the mirrors, then in a far corner.

@@ -23,6 +23,7 @@ mod belief_quality;
 mod closed_loop;
 mod evaluated_policy;
 pub(crate) mod evaluator;
+mod outage;
 mod row;
 mod settings;
 mod stale_aim;
@@ -38,6 +39,7 @@ use crate::environment::room::FIXED_USERS;
 
 pub use belief_quality::BeliefQuality;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
+pub use outage::Outages;
 pub use row::{Row, Spread, Times};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;

@@ -149,6 +149,8 @@ enumerations! {
         StaleDecision = 6 "stale-decision",
         /// It decided because no user report arrived.
         SilenceDecision = 7 "silence-decision",
+        /// It accepted an orientation report.
+        Orientation = 8 "orientation",
     }
 
     /// Kind of process that takes part in a room.

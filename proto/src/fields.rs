@@ -374,6 +374,18 @@ pub(crate) fn ordered(
     Err(place.out_of_domain(f64::from(*smallest), "a smallest angle that is not above the largest"))
 }
 
+/// Largest difference of the length of a quaternion from 1.
+const LENGTH_TOLERANCE: f64 = 1e-3;
+
+/// Rule for one field: a quaternion has length 1.
+pub(crate) fn is_rotation(place: Place, (field, quaternion): (&'static str, &[f32; 4])) -> Result<(), CodecError> {
+    let length = quaternion.iter().map(|part| f64::from(*part).powi(2)).sum::<f64>().sqrt();
+    if (length - 1.0).abs() <= LENGTH_TOLERANCE {
+        return Ok(());
+    }
+    Err(Place { field, ..place }.out_of_domain(length, "a quaternion of length 1"))
+}
+
 /// Share by which a covariance may exceed its bound, because variances are rounded to f32.
 const COVARIANCE_ROUNDING: f64 = 1e-5;
 

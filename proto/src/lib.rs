@@ -57,10 +57,10 @@ pub use limits::{
 };
 pub use messages::{
     BeliefReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory, EmergencyStop,
-    MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, Rearm, RoomGeometry, RoomTruth, SafetyReport,
-    SimulatorControl, UserReport,
+    MirrorCommand, MirrorTelemetry, NodeStatus, ObstacleReport, OrientationReport, Rearm, RoomGeometry, RoomTruth,
+    SafetyReport, SimulatorControl, UserReport,
 };
 pub use structures::{
     AxisLimits, ControllerInput, Counters, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser, UserBelief,
-    UserChannel, UserState,
+    UserChannel, UserOrientation, UserState,
 };

@@ -15,7 +15,7 @@ use crate::limits::{
 };
 use crate::structures::{
     AxisLimits, ControllerInput, Counters, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser, UserBelief,
-    UserChannel, UserState,
+    UserChannel, UserOrientation, UserState,
 };
 use crate::table::message_table;
 
@@ -85,6 +85,13 @@ impl UserReport {
 }
 
 impl ChannelReport {
+    /// An empty report with memory for the largest number of users, to decode into.
+    pub fn buffer() -> Self {
+        Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }
+    }
+}
+
+impl OrientationReport {
     /// An empty report with memory for the largest number of users, to decode into.
     pub fn buffer() -> Self {
         Self { users: Vec::with_capacity(MAX_USERS), ..Self::default() }

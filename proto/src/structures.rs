@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::codec::{BufferFull, Reader, Writer};
 use crate::enumerations::{FaultKind, InputKind};
 use crate::error::CodecError;
-use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, ordered};
+use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered};
 use crate::limits::{MAX_MIRRORS, Nanos};
 
 /// Defines structures with public fields, and reads, writes and checks them.
@@ -73,6 +73,16 @@ structures! {
         /// Signal to interference and noise ratio, linear.
         sinr: f32,
     }
+
+    /// How one user holds the receiver.
+    #[derive(Copy)]
+    structure UserOrientation in users {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Rotation from the upright receiver to the receiver as it is held, in the room's frame:
+        /// the unit quaternion w + x i + y j + z k.
+        quaternion: [f32; 4],
+    } requires { is_rotation(quaternion) }
 
     /// An upright cylinder that stands on the floor and blocks light.
     #[derive(Copy)]

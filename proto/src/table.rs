@@ -337,6 +337,14 @@ macro_rules! message_table {
                 /// The state, in a format of the controller's software.
                 state: Vec<u8> where at_most(MAX_STATE),
             }
+
+            /// How the users hold their receivers, as far as the receivers measure it.
+            message OrientationReport(kind: 18, name: "orientation report", key: orientation = "orientation") {
+                /// Source, sequence, time of the measurement.
+                stamp: Stamp,
+                /// One entry for each user whose orientation is known; every other receiver faces up.
+                users: Vec<UserOrientation> where at_most(MAX_USERS),
+            }
         }
     };
 }

@@ -19,6 +19,7 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<UserReport>(payload)?;
     one::<ChannelReport>(payload)?;
     one::<ObstacleReport>(payload)?;
+    one::<OrientationReport>(payload)?;
     one::<MirrorCommand>(payload)?;
     one::<MirrorTelemetry>(payload)?;
     one::<NodeStatus>(payload)?;

@@ -55,7 +55,10 @@ const CONTROLLER_MEMORY: &str = "\
     0111f0bdf3d589cf959a12ac0280cffea7a4deb2c31807e8070200f0bdf3d589cf959a12ac0280cffea7a4deb2c3180004000080cffea7a4\
     deb2c31801030102ff";
 
-const ALL: [&str; 17] = [
+const ORIENTATION_REPORT: &str = "\
+    0112f0bdf3d589cf959a12ac0280cffea7a4deb2c31801030000003f000000bf0000003f0000003f";
+
+const ALL: [&str; 18] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -73,6 +76,7 @@ const ALL: [&str; 17] = [
     ROOM_GEOMETRY,
     BELIEF_REPORT,
     CONTROLLER_MEMORY,
+    ORIENTATION_REPORT,
 ];
 
 fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -99,6 +103,7 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&room_geometry(), ROOM_GEOMETRY);
     check_bytes(&belief_report(), BELIEF_REPORT);
     check_bytes(&controller_memory(), CONTROLLER_MEMORY);
+    check_bytes(&orientation_report(), ORIENTATION_REPORT);
 }
 
 /// The numbers of each enumeration are those in CONTRACT.md.

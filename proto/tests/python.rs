@@ -25,7 +25,7 @@ for kind, text in SAMPLES.items():
         assert refused(payload[:length], kind), (kind, length)
     assert refused(payload + b"\0", kind), kind
     assert refused(b"\2" + payload[1:], kind), kind
-    assert refused(payload, kind % 17 + 1), kind
+    assert refused(payload, kind % 18 + 1), kind
 
 command = decode(bytes.fromhex(SAMPLES[4]), 4)
 assert command == {"epoch": 7, "sequence": 300, "answers": 1000, "time_ns": 1767323045678000000, "validity_ms": 200,
@@ -45,10 +45,18 @@ for wrong in [dict(command, yaw=[0.0]), dict(command, roll=[math.nan, 0.0]), dic
         pass
 memory = decode(bytes.fromhex(SAMPLES[17]), 17)
 assert memory["state"] == bytes([1, 2, 255]) and memory["inputs"][1]["input"] == 4, memory
-for wrong in [dict(memory, state=bytes(786433)), dict(memory, inputs=[dict(memory["inputs"][0], input=8)])]:
+for wrong in [dict(memory, state=bytes(786433)), dict(memory, inputs=[dict(memory["inputs"][0], input=9)])]:
     try:
         encode(wrong, 17)
         raise AssertionError(wrong.keys())
+    except Refused:
+        pass
+orientation = decode(bytes.fromhex(SAMPLES[18]), 18)
+assert orientation["users"] == [{"user": 3, "quaternion": [0.5, -0.5, 0.5, 0.5]}], orientation
+for wrong in [[1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]]:
+    try:
+        encode(dict(orientation, users=[{"user": 3, "quaternion": wrong}]), 18)
+        raise AssertionError(wrong)
     except Refused:
         pass
 geometry = decode(bytes.fromhex(SAMPLES[15]), 15)

@@ -24,6 +24,7 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::RoomGeometry => decode::<RoomGeometry>(payload).err(),
         Kind::BeliefReport => decode::<BeliefReport>(payload).err(),
         Kind::ControllerMemory => decode::<ControllerMemory>(payload).err(),
+        Kind::OrientationReport => decode::<OrientationReport>(payload).err(),
     }
 }
 
@@ -441,4 +442,26 @@ fn a_geometry_text_may_be_longer_than_other_texts_up_to_its_own_limit() {
         Room::new("demo").expect("a valid name").geometry(NodeKind::SimNode),
         "heliostat/v1/demo/geometry/sim-node"
     );
+}
+
+#[test]
+fn an_orientation_is_a_rotation_of_each_user() {
+    let with = |quaternion| {
+        let users = vec![UserOrientation { user: 3, quaternion }];
+        encode(&OrientationReport { users, ..orientation_report() }, &mut Vec::new()).map_err(|error| error.name())
+    };
+    assert_eq!(with([0.8, 0.0, 0.0, 0.6]), Ok(()));
+    assert_eq!(with([0.8005, 0.0, 0.0, 0.6]), Ok(()), "rounded");
+    assert_eq!(with([0.0; 4]), Err("implausible"));
+    assert_eq!(with([1.0, 0.1, 0.0, 0.0]), Err("implausible"));
+    assert_eq!(with([f32::NAN, 0.0, 0.0, 1.0]), Err("not-finite"));
+    let payload = encoded(&orientation_report());
+    let last = payload.len() - 4;
+    assert_eq!(refusal::<OrientationReport>(&with_f32(payload.clone(), last, f32::INFINITY)).name(), "not-finite");
+    let longer = refusal::<OrientationReport>(&with_f32(payload, last, 2.0));
+    assert!(longer.name() == "implausible" && longer.to_string().contains("quaternion"), "{longer}");
+    let many = vec![UserOrientation { user: 1, quaternion: [1.0, 0.0, 0.0, 0.0] }; MAX_USERS + 1];
+    let report = OrientationReport { users: many, ..orientation_report() };
+    assert_eq!(encode(&report, &mut Vec::new()).map_err(|error| error.name()), Err("bad-length"));
+    assert_eq!(Room::new("demo").expect("a valid name").orientation(), "heliostat/v1/demo/orientation");
 }

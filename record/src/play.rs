@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::{
-    Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Room, Stamp,
-    UserReport, decode, encode,
+    Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport,
+    OrientationReport, Room, Stamp, UserReport, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_service::{Stop, output};
@@ -145,6 +145,7 @@ fn outlets(bus: &Bus, recorded: &Room, clock: Clock) -> Result<HashMap<String, (
         (recorded.users(), room.users(), Outlet::Users),
         (recorded.channel(), room.channel(), Outlet::Channel),
         (recorded.obstacles(), room.obstacles(), Outlet::Obstacles),
+        (recorded.orientation(), room.orientation(), Outlet::Orientation),
         (recorded.telemetry(), room.telemetry(), Outlet::Telemetry),
         (recorded.capabilities(), room.capabilities(), Outlet::Capabilities),
     ];
@@ -157,6 +158,7 @@ enum Outlet {
     Users,
     Channel,
     Obstacles,
+    Orientation,
     Telemetry,
     Capabilities,
 }
@@ -312,6 +314,7 @@ impl Outlet {
             Self::Users => moved(payload, start, |report: &mut UserReport| &mut report.stamp),
             Self::Channel => moved(payload, start, |report: &mut ChannelReport| &mut report.stamp),
             Self::Obstacles => moved(payload, start, |report: &mut ObstacleReport| &mut report.stamp),
+            Self::Orientation => moved(payload, start, |report: &mut OrientationReport| &mut report.stamp),
             Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
             Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
         }

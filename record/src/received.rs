@@ -2,8 +2,8 @@
 
 use heliostat_proto::{
     BeliefReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, ControllerMemory,
-    EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, Rearm,
-    RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
+    EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, OrientationReport,
+    Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.
@@ -12,6 +12,7 @@ pub enum Received {
     Users(UserReport),
     Channel(ChannelReport),
     Obstacles(ObstacleReport),
+    Orientation(OrientationReport),
     Command(MirrorCommand),
     Telemetry(MirrorTelemetry),
     Status(NodeStatus),
@@ -43,6 +44,7 @@ impl Received {
             Kind::UserReport => decode(payload).map(Self::Users),
             Kind::ChannelReport => decode(payload).map(Self::Channel),
             Kind::ObstacleReport => decode(payload).map(Self::Obstacles),
+            Kind::OrientationReport => decode(payload).map(Self::Orientation),
             Kind::MirrorCommand => decode(payload).map(Self::Command),
             Kind::MirrorTelemetry => decode(payload).map(Self::Telemetry),
             Kind::NodeStatus => decode(payload).map(Self::Status),
@@ -69,6 +71,7 @@ impl Received {
             Self::Users(report) => report.stamp,
             Self::Channel(report) => report.stamp,
             Self::Obstacles(report) => report.stamp,
+            Self::Orientation(report) => report.stamp,
             Self::Telemetry(telemetry) => telemetry.stamp,
             Self::Status(status) => status.stamp,
             Self::Truth(truth) => truth.stamp,

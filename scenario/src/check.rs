@@ -6,6 +6,7 @@ use crate::error::ScenarioError;
 use crate::runtime::DegradedAction;
 use crate::scenario::Scenario;
 use crate::tables::{ChannelMode, MinRate, Wall};
+use crate::user_orientation::UserOrientation;
 
 /// Largest number of users of a room: the limit of the contract.
 pub const USERS_MAX: usize = 64;
@@ -13,6 +14,8 @@ pub const USERS_MAX: usize = 64;
 const ARRIVALS_PER_MIN_MAX: f64 = 60_000.0;
 /// Mean durations of a stay in s.
 const STAY_S: RangeInclusive<f64> = 0.01..=1e6;
+/// Coherence times of the users' orientations in s.
+const COHERENCE_S: RangeInclusive<f64> = 0.001..=1e4;
 /// Largest number of mirrors of an array: the limit of the contract.
 pub const MIRRORS_MAX: usize = 16_384;
 /// Optical power of an access point in W.
@@ -162,6 +165,9 @@ impl Scenario {
                 return invalid("users.trace", trace, expected);
             }
         }
+        if let Some(orientation) = &users.orientation {
+            check_orientation(orientation)?;
+        }
         let blockage = &self.blockage;
         count("blockage.forced_users", blockage.forced_users, 0..=users.count)?;
         within("blockage.body_radius_m", blockage.body_radius_m, 0.01..=2.0)?;
@@ -203,6 +209,11 @@ impl Scenario {
         within("streams.telemetry.rate_hz", streams.telemetry.rate_hz, 0.1..=10_000.0)?;
         within("streams.obstacles.rate_hz", streams.obstacles.rate_hz, 0.0..=1000.0)?;
         within("streams.truth.rate_hz", streams.truth.rate_hz, 0.1..=1000.0)?;
+        if let Some(orientation) = &streams.orientation {
+            within("streams.orientation.rate_hz", orientation.rate_hz, 0.01..=10_000.0)?;
+            within("streams.orientation.latency_ms", orientation.latency_ms, 0.0..=10_000.0)?;
+            within("streams.orientation.noise_deg", orientation.noise_deg, 0.0..=180.0)?;
+        }
         let control = &self.control;
         within("control.validity_ms", control.validity_ms, 1.0..=10_000.0)?;
         within("control.report_age_max_ms", control.report_age_max_ms, 1.0..=60_000.0)?;
@@ -223,6 +234,18 @@ impl Scenario {
         count("control.search_evaluations", control.search_evaluations as usize, 1..=100_000_000)?;
         within("control.search_time_us", control.search_time_us, 0.0..=60e6)
     }
+}
+
+fn check_orientation(held: &UserOrientation) -> Result<(), ScenarioError> {
+    within("users.orientation.sitting_polar_mean_deg", held.sitting_polar_mean_deg, 0.0..=90.0)?;
+    within("users.orientation.sitting_polar_std_deg", held.sitting_polar_std_deg, 0.0..=90.0)?;
+    within("users.orientation.sitting_azimuth_std_deg", held.sitting_azimuth_std_deg, 0.0..=180.0)?;
+    within("users.orientation.sitting_coherence_s", held.sitting_coherence_s, COHERENCE_S)?;
+    within("users.orientation.walking_polar_mean_deg", held.walking_polar_mean_deg, 0.0..=90.0)?;
+    within("users.orientation.walking_polar_std_deg", held.walking_polar_std_deg, 0.0..=90.0)?;
+    within("users.orientation.walking_azimuth_std_deg", held.walking_azimuth_std_deg, 0.0..=180.0)?;
+    within("users.orientation.walking_coherence_s", held.walking_coherence_s, COHERENCE_S)?;
+    within("users.orientation.walking_from_m_s", held.walking_from_m_s, 0.0..=*SPEED_M_S.end())
 }
 
 /// Accepts an action that requires no decision of a policy.

@@ -9,6 +9,7 @@
 //! # Modules
 //! - [`tables`]: the tables that do not change while a room runs.
 //! - [`runtime`]: actuators, report streams and limits of the controller.
+//! - [`mismatch`]: how the true room differs from the assumed one.
 //! - [`renames`]: old names of keys and values.
 //!
 //! [`Scenario::channel_model`] converts degrees and square millimetres to the types of
@@ -33,6 +34,7 @@ mod check;
 mod error;
 mod geometry;
 mod lines;
+pub mod mismatch;
 mod overrides;
 mod problems;
 pub mod renames;
@@ -40,14 +42,17 @@ pub mod runtime;
 mod scenario;
 pub mod tables;
 mod trace;
+mod user_orientation;
 
 pub use args::{ScenarioArgs, ViewerScenarioArgs};
 pub use builtin::BUILTIN_NAMES;
 pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use geometry::GeometryDifference;
+pub use mismatch::{Mismatch, MismatchKind, MismatchLevel, Spreads};
 pub use problems::{Checked, Problem};
 pub use runtime::*;
 pub use scenario::Scenario;
 pub use tables::*;
 pub use trace::TraceFileError;
+pub use user_orientation::{OrientationModel, UserOrientation};

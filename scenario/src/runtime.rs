@@ -215,6 +215,24 @@ impl Default for ChannelStream {
     }
 }
 
+/// Orientation reports: how the users hold their receivers, as the receivers measure it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OrientationStream {
+    /// Reports a second.
+    pub rate_hz: f64,
+    /// From measurement to publication in ms.
+    pub latency_ms: f64,
+    /// Standard deviation of a rotation about each axis in degrees.
+    pub noise_deg: f64,
+}
+
+impl Default for OrientationStream {
+    fn default() -> Self {
+        Self { rate_hz: 100.0, latency_ms: 0.0, noise_deg: 0.0 }
+    }
+}
+
 /// A report stream with a rate only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -237,6 +255,9 @@ pub struct Streams {
     pub obstacles: PlainStream,
     /// The true state with reference rates, for viewers; simulator only.
     pub truth: PlainStream,
+    /// How the users hold their receivers; absent: no report contains it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation: Option<OrientationStream>,
 }
 
 impl Default for Streams {
@@ -247,6 +268,7 @@ impl Default for Streams {
             telemetry: PlainStream { rate_hz: 20.0 },
             obstacles: PlainStream { rate_hz: 1.0 },
             truth: PlainStream { rate_hz: 20.0 },
+            orientation: None,
         }
     }
 }

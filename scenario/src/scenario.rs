@@ -6,6 +6,7 @@ use sha2::{Digest, Sha256};
 use crate::builtin;
 use crate::error::ScenarioError;
 use crate::lines::line_of;
+use crate::mismatch::Mismatch;
 use crate::overrides;
 use crate::renames::{RENAMES, Renames};
 use crate::runtime::{Actuator, Control, Streams};
@@ -43,6 +44,8 @@ pub struct Scenario {
     pub streams: Streams,
     /// Limits and degraded modes of the controller.
     pub control: Control,
+    /// How the true room differs from the one that all other tables describe.
+    pub mismatch: Mismatch,
 }
 
 impl Default for Scenario {
@@ -62,6 +65,7 @@ impl Default for Scenario {
             actuator: Actuator::default(),
             streams: Streams::default(),
             control: Control::default(),
+            mismatch: Mismatch::default(),
         }
     }
 }

@@ -5,6 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::user_orientation::UserOrientation;
+
 /// Dimensions of the room; the origin is the centre of the floor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -308,6 +310,9 @@ pub struct Users {
     /// Users who enter and leave the simulated room; absent: the users stay.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub arrivals: Option<Arrivals>,
+    /// How users hold their receivers; absent: every receiver faces up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation: Option<UserOrientation>,
 }
 
 impl Default for Users {
@@ -320,6 +325,7 @@ impl Default for Users {
             min_rate_mbps: MinRate::All(1.0),
             trace: None,
             arrivals: None,
+            orientation: None,
         }
     }
 }

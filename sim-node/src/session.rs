@@ -41,6 +41,7 @@ pub(crate) struct RoomSession {
     users: MessagePublisher,
     channel: MessagePublisher,
     obstacles: MessagePublisher,
+    orientation: MessagePublisher,
     _declared: (Token, [Subscription; 3]),
 }
 
@@ -91,6 +92,7 @@ impl RoomSession {
             users: MessagePublisher::new(&bus, &keys.users(), reports)?,
             channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
             obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
+            orientation: MessagePublisher::new(&bus, &keys.orientation(), reports)?,
             array: ArraySession::open(&bus, clock, telemetry)?,
             _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control, belief]),
             bus,
@@ -134,6 +136,10 @@ impl RoomSession {
             Report::Obstacles(report) => {
                 self.obstacles.encode(report)?;
                 &self.obstacles
+            }
+            Report::Orientation(report) => {
+                self.orientation.encode(report)?;
+                &self.orientation
             }
             Report::Channel(report) => {
                 self.channel.encode(report)?;

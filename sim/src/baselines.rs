@@ -6,7 +6,7 @@
 //! bit/s for each missing bit/s.
 
 use heliostat_channel::solver::{Method, MinimumRates, QOS_PENALTY, Solver};
-use heliostat_channel::{ChannelModel, Cylinder, LinkBudget, MirrorAngles, Scene, Vec3};
+use heliostat_channel::{ChannelModel, Cylinder, LinkBudget, MirrorAngles, Orientation, Scene, Vec3};
 use heliostat_proto::SumRates;
 
 use crate::world::World;
@@ -25,6 +25,8 @@ pub struct Snapshot {
     pub ids: Vec<u32>,
     /// Positions of the receivers in m.
     pub positions: Vec<Vec3>,
+    /// How the users hold their receivers.
+    pub orientations: Vec<Orientation>,
     /// Heading of each user, in radians from +x towards +y.
     pub headings: Vec<f64>,
     /// Obstacles, then bodies.
@@ -50,6 +52,7 @@ impl Snapshot {
             commanded: true,
             ids: world.ids().to_vec(),
             positions: world.positions().to_vec(),
+            orientations: world.orientations().to_vec(),
             headings: world.users().iter().map(Walker::heading).collect(),
             blockers: world.blockers().to_vec(),
             obstacles: world.obstacles().len(),
@@ -135,7 +138,7 @@ impl Baselines {
         self.resize(at.positions.len());
         let Self { model, scene, solver, flat, best, rates, measured, .. } = self;
         model.budget.clone_from(&at.budget);
-        scene.update(model, &at.positions, &at.blockers, &at.forced);
+        scene.update_turned(model, &at.positions, &at.orientations, &at.blockers, &at.forced);
         measured.los_blocked.copy_from_slice(scene.los_blocked());
         let met =
             |rates: &[f64]| rates.iter().zip(&at.min_rate_bps).filter(|(rate, required)| rate >= required).count();

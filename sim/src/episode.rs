@@ -9,7 +9,7 @@
 //! 4. [`Episode::advance`] moves the room to an instant, at which [`Episode::room`] can be
 //!    examined.
 //!
-//! Events of the same time have a fixed order: telemetry, then obstacles, channel and positions. A
+//! Events of the same time have a fixed order: telemetry, obstacles, orientations, channel, positions. A
 //! command changes the mirrors at once, so later events of the same time include its effect. The
 //! room reports a sample one latency after it was taken, so that its age is what `streams`
 //! configures.
@@ -46,7 +46,9 @@
 
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::Refusal;
-use heliostat_proto::{Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, ObstacleReport, Stamp, UserReport};
+use heliostat_proto::{
+    Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, ObstacleReport, OrientationReport, Stamp, UserReport,
+};
 use heliostat_scenario::Scenario;
 
 use crate::reports::schedule::Schedule;
@@ -68,6 +70,8 @@ pub enum Event {
     Channel(ChannelReport),
     /// The obstacles in the room.
     Obstacles(ObstacleReport),
+    /// How the users hold their receivers.
+    Orientation(OrientationReport),
 }
 
 impl From<Report> for Event {
@@ -76,6 +80,7 @@ impl From<Report> for Event {
             Report::Users(report) => Self::Users(report),
             Report::Channel(report) => Self::Channel(report),
             Report::Obstacles(report) => Self::Obstacles(report),
+            Report::Orientation(report) => Self::Orientation(report),
         }
     }
 }
@@ -203,6 +208,7 @@ mod tests {
                 let kind = match event {
                     Event::Telemetry(_) => 't',
                     Event::Obstacles(_) => 'o',
+                    Event::Orientation(_) => 'h',
                     Event::Channel(_) => 'c',
                     Event::Users(_) => 'u',
                 };

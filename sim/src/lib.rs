@@ -21,12 +21,14 @@
 //! - [`baselines`]: the users' rates without the array, with flat mirrors and with the oracle.
 //! - [`control`]: changes that an operator may order in a running room.
 //! - [`walks`]: recorded walks of pedestrian data sets, prepared for a room.
+//! - [`mismatch`]: the true room, drawn around the nominal one.
 //! - [`random`]: one stream of random numbers for each purpose.
 
 pub mod baselines;
 pub mod control;
 pub mod episode;
 pub mod mirrors;
+pub mod mismatch;
 pub mod random;
 pub mod reports;
 pub mod room;

@@ -29,6 +29,14 @@ pub enum Purpose {
     CalibrationNoise,
     /// When users enter, and how long they stay.
     Arrivals,
+    /// The difference between the true equipment and the nominal one.
+    Mismatch,
+    /// The difference between the true body of a user and the nominal one.
+    Body,
+    /// How one user holds the receiver.
+    Orientation,
+    /// Measurement noise of orientations.
+    OrientationNoise,
 }
 
 impl Purpose {
@@ -43,6 +51,10 @@ impl Purpose {
             Self::Faults => 6,
             Self::CalibrationNoise => 7,
             Self::Arrivals => 8,
+            Self::Mismatch => 9,
+            Self::Body => 10,
+            Self::Orientation => 11,
+            Self::OrientationNoise => 12,
         }
     }
 }
@@ -70,14 +82,20 @@ pub fn exponential(rng: &mut RoomRng, mean: f64) -> f64 {
     -mean * (1.0 - uniform(rng)).ln()
 }
 
-/// A normal number of mean 0 and standard deviation 1 (Marsaglia's polar method, one of the pair).
+/// A normal number of mean 0 and standard deviation 1: the first of a pair.
 pub fn normal(rng: &mut RoomRng) -> f64 {
+    normal_pair(rng)[0]
+}
+
+/// Two independent normal numbers of mean 0 and standard deviation 1 (Marsaglia's polar method).
+pub fn normal_pair(rng: &mut RoomRng) -> [f64; 2] {
     loop {
         let u = 2.0 * uniform(rng) - 1.0;
         let v = 2.0 * uniform(rng) - 1.0;
         let square = u * u + v * v;
         if square > 0.0 && square < 1.0 {
-            return u * (-2.0 * square.ln() / square).sqrt();
+            let radius = (-2.0 * square.ln() / square).sqrt();
+            return [u * radius, v * radius];
         }
     }
 }
@@ -126,6 +144,10 @@ mod tests {
         let (mean, variance) = moments(|| uniform(&mut rng));
         assert!((mean - 0.5).abs() < 5e-3 && (variance - 1.0 / 12.0).abs() < 2e-3);
         let (mean, variance) = moments(|| normal(&mut rng));
+        assert!(mean.abs() < 0.01 && (variance - 1.0).abs() < 0.02, "{mean} {variance}");
+        let (mean, variance) = moments(|| normal_pair(&mut rng)[1]);
+        assert!(mean.abs() < 0.01 && (variance - 1.0).abs() < 0.02, "{mean} {variance}");
+        let (mean, variance) = moments(|| normal_pair(&mut rng).iter().product());
         assert!(mean.abs() < 0.01 && (variance - 1.0).abs() < 0.02, "{mean} {variance}");
         let (mean, variance) = moments(|| poisson(&mut rng, 2.5) as f64);
         assert!((mean - 2.5).abs() < 0.02 && (variance - 2.5).abs() < 0.05, "{mean} {variance}");

@@ -2,16 +2,19 @@
 //! noise.
 //!
 //! A sample is taken when it is due and released one latency later; its stamp has the time of the
-//! sample. Reports that are released at the same instant are ordered: obstacles, channel,
-//! positions, because the positions complete a tick.
+//! sample. Reports that are released at the same instant are ordered: obstacles, orientations,
+//! channel, positions, because the positions complete a tick.
 //!
 //! - [`schedule`]: when the samples of a stream are due.
 
 use std::collections::BTreeMap;
 
 use heliostat_array::moment::Moment;
-use heliostat_channel::{Cylinder, MirrorAngles};
-use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState};
+use heliostat_channel::{Cylinder, MirrorAngles, Orientation};
+use heliostat_proto::{
+    ChannelReport, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel, UserOrientation, UserReport,
+    UserState,
+};
 use heliostat_scenario::Streams;
 
 use self::schedule::Schedule;
@@ -30,6 +33,8 @@ pub const LATE_NS: u64 = 1_000_000;
 pub enum Report {
     /// The obstacles in the room.
     Obstacles(ObstacleReport),
+    /// How the users hold their receivers.
+    Orientation(OrientationReport),
     /// The users' channel gains and SINR.
     Channel(ChannelReport),
     /// The users' positions and velocities; completes a tick.
@@ -52,11 +57,14 @@ pub struct Reports {
     positions: Schedule,
     channel: Schedule,
     obstacles: Schedule,
+    orientation: Schedule,
     position_noise: RoomRng,
     channel_noise: RoomRng,
+    orientation_noise: RoomRng,
     tick: u64,
     channel_sequence: u64,
     obstacle_sequence: u64,
+    orientation_sequence: u64,
     late_ticks: u64,
     waiting: BTreeMap<ReleaseOrder, Report>,
     irs_gain: Vec<f64>,
@@ -71,12 +79,15 @@ impl Reports {
             positions: Schedule::new(settings.positions.rate_hz, 0),
             channel: Schedule::new(settings.channel.rate_hz, 0),
             obstacles: Schedule::new(settings.obstacles.rate_hz, 0),
+            orientation: Schedule::new(settings.orientation.as_ref().map_or(0.0, |stream| stream.rate_hz), 0),
             settings: settings.clone(),
             position_noise: random::stream(seed, Purpose::PositionNoise, 0),
             channel_noise: random::stream(seed, Purpose::ChannelNoise, 0),
+            orientation_noise: random::stream(seed, Purpose::OrientationNoise, 0),
             tick: 0,
             channel_sequence: 0,
             obstacle_sequence: 0,
+            orientation_sequence: 0,
             late_ticks: 0,
             waiting: BTreeMap::new(),
             irs_gain: Vec::new(),
@@ -86,8 +97,8 @@ impl Reports {
 
     /// When the next sample is due, in local time.
     pub fn next_sample_ns(&self) -> u64 {
-        let due = [self.positions, self.channel, self.obstacles].into_iter().filter_map(|schedule| schedule.next_ns());
-        due.min().unwrap_or(u64::MAX)
+        let schedules = [self.positions, self.channel, self.obstacles, self.orientation];
+        schedules.into_iter().filter_map(|schedule| schedule.next_ns()).min().unwrap_or(u64::MAX)
     }
 
     /// When the next report is released, in local time.
@@ -111,6 +122,13 @@ impl Reports {
                 obstacles: world.obstacles().iter().map(obstacle).collect(),
             };
             self.queue(now.local_ns, Report::Obstacles(report));
+        }
+        if self.orientation.take(now.local_ns).is_some()
+            && let Some(stream) = &self.settings.orientation
+        {
+            let (release_ns, noise) = (now.local_ns + latency_ns(stream.latency_ms), stream.noise_deg.to_radians());
+            let report = self.orientation_report(now, world, noise);
+            self.queue(release_ns, Report::Orientation(report));
         }
         if self.channel.take(now.local_ns).is_some() {
             let report = self.channel_report(now, world, angles);
@@ -156,6 +174,21 @@ impl Reports {
         UserReport { stamp, tick: self.tick, users }
     }
 
+    /// The orientations, each with a random rotation of this standard deviation in rad about each
+    /// axis.
+    fn orientation_report(&mut self, now: Moment, world: &World, noise: f64) -> OrientationReport {
+        self.orientation_sequence += 1;
+        let stamp = self.stamp(self.orientation_sequence, now);
+        let rng = &mut self.orientation_noise;
+        let mut measured = |held: &Orientation| {
+            let error = Orientation::from_rotation_vector([0; 3].map(|_| noise * random::normal(rng)));
+            held.then(&error).quaternion().map(|part| part as f32)
+        };
+        let users = world.ids().iter().zip(world.orientations());
+        let users = users.map(|(user, held)| UserOrientation { user: *user, quaternion: measured(held) }).collect();
+        OrientationReport { stamp, users }
+    }
+
     fn channel_report(&mut self, now: Moment, world: &World, angles: &MirrorAngles) -> ChannelReport {
         self.channel_sequence += 1;
         let stamp = self.stamp(self.channel_sequence, now);
@@ -191,8 +224,9 @@ impl Reports {
     fn queue(&mut self, release_ns: u64, report: Report) {
         let (rank, sequence) = match &report {
             Report::Obstacles(report) => (0, report.stamp.sequence),
-            Report::Channel(report) => (1, report.stamp.sequence),
-            Report::Users(report) => (2, report.stamp.sequence),
+            Report::Orientation(report) => (1, report.stamp.sequence),
+            Report::Channel(report) => (2, report.stamp.sequence),
+            Report::Users(report) => (3, report.stamp.sequence),
         };
         self.waiting.insert(ReleaseOrder { release_ns, rank, sequence }, report);
     }

@@ -7,22 +7,26 @@
 //! - [`arrivals`]: when users enter and leave.
 //! - [`walker`]: the floor and one user's receiver.
 //! - [`mobility`], [`trace`]: random and recorded walks.
+//! - [`orientation`]: how the users hold their receivers.
 //! - [`obstacles`]: the hard-core process.
 
-use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Scene, Vec3};
-use heliostat_scenario::{Blockage, Scenario};
+use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Orientation, Scene, Vec3};
+use heliostat_scenario::{Blockage, Scenario, Spreads};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
 use self::mobility::{Mobility, MobilityError, RandomWaypoint, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
+use self::orientation::Orientations;
 use self::trace::{Trace, TraceError};
 use self::walker::{Floor, Walker};
+use crate::mismatch::{TrueBody, true_room};
 use crate::random::{self, Purpose};
 
 pub mod arrivals;
 pub mod mobility;
 pub mod obstacles;
+pub mod orientation;
 pub mod trace;
 pub mod walker;
 
@@ -61,6 +65,8 @@ pub struct World {
     waypoints: Waypoints,
     hard_core: HardCore,
     blockage: Blockage,
+    /// Spreads of the users' true bodies around those of `blockage`.
+    spreads: Spreads,
     mobility: Mobility,
     seed: u64,
     /// Number of users at the start.
@@ -73,7 +79,10 @@ pub struct World {
     /// A receiver before its first step.
     start: Walker,
     walkers: Vec<Walker>,
+    orientations: Orientations,
     positions: Vec<Vec3>,
+    /// The users' true bodies.
+    bodies: Vec<TrueBody>,
     /// Obstacles first, then one body for each user when bodies block.
     blockers: Vec<Cylinder>,
     obstacles: usize,
@@ -96,7 +105,7 @@ impl World {
     /// [`WorldError`] for a scenario whose channel, speeds, obstacles or recorded walk are not
     /// valid.
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
-        let model = scenario.channel_model()?;
+        let model = true_room(scenario, seed).channel_model()?;
         let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
         let speeds = Speeds::new(scenario.users.speed_min_m_s, scenario.users.speed_max_m_s)?;
         let waypoints = Waypoints { floor, speeds, pause_mean_s: scenario.users.pause_mean_s };
@@ -120,9 +129,12 @@ impl World {
             ids: Vec::new(),
             start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
             walkers: Vec::new(),
+            orientations: Orientations::new(scenario.users.orientation.as_ref()),
             positions: Vec::new(),
+            bodies: Vec::new(),
             blockers: Vec::new(),
             obstacles: 0,
+            spreads: scenario.mismatch.spreads(),
             forced_users: blockage.forced_users,
             forced: Vec::new(),
             min_rate_bps: Vec::new(),
@@ -181,6 +193,8 @@ impl World {
             self.resize_lists();
         }
         self.mobility.reserve(most);
+        self.mobility.write(&mut self.walkers);
+        self.orientations.begin(seed, &self.walkers, most);
         self.refresh();
     }
 
@@ -192,6 +206,19 @@ impl World {
 
     /// Advances by `dt_s` seconds without an update of the scene; [`World::refresh`] does that.
     pub fn advance(&mut self, dt_s: f64) {
+        let mut left_s = dt_s;
+        while let Some(node_s) = self.orientations.next_node_s().filter(|node_s| *node_s < self.time_s + left_s) {
+            let until_s = (node_s - self.time_s).max(0.0);
+            self.walk(until_s);
+            left_s -= until_s;
+            self.mobility.write(&mut self.walkers);
+            self.orientations.pass_node(&self.walkers);
+        }
+        self.walk(left_s);
+    }
+
+    /// Moves the users, and lets them enter and leave.
+    fn walk(&mut self, dt_s: f64) {
         self.time_s += dt_s;
         self.mobility.step(dt_s);
         let mut changed = false;
@@ -201,10 +228,12 @@ impl World {
                 Change::Enter { at_s, id } => {
                     let walk = RandomWaypoint::new(self.waypoints, random::stream(self.seed, Purpose::Walk, id));
                     self.mobility.enter(walk, self.time_s - at_s);
+                    self.orientations.enter(id);
                     self.ids.push(id);
                 }
                 Change::Leave { index } => {
                     self.mobility.leave(index);
+                    self.orientations.leave(index);
                     self.ids.remove(index);
                 }
             }
@@ -224,9 +253,13 @@ impl World {
         let rates = &self.min_rates_bps;
         self.min_rate_bps.clear();
         self.min_rate_bps.extend(self.ids.iter().map(|id| rates[*id as usize % rates.len()]));
+        self.bodies.clear();
+        let body = |id: &u32| TrueBody::draw(&self.blockage, &self.spreads, (self.seed, *id));
+        self.bodies.extend(self.ids.iter().map(body));
         if self.blockage.bodies {
-            let (radius_m, height_m) = (self.blockage.body_radius_m, self.blockage.body_height_m);
-            self.blockers.resize(self.obstacles + users, Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m });
+            self.blockers.truncate(self.obstacles);
+            let cylinder = |&TrueBody { radius_m, height_m, .. }| Cylinder { x_m: 0.0, y_m: 0.0, radius_m, height_m };
+            self.blockers.extend(self.bodies.iter().map(cylinder));
         }
         self.scene.resize(users);
     }
@@ -237,12 +270,14 @@ impl World {
         for (position, walker) in self.positions.iter_mut().zip(&self.walkers) {
             *position = walker.position;
         }
-        let offset = self.blockage.body_offset_m;
-        for (body, walker) in self.blockers[self.obstacles..].iter_mut().zip(&self.walkers) {
-            body.x_m = walker.position.x - offset * walker.direction[0];
-            body.y_m = walker.position.y - offset * walker.direction[1];
+        let bodies = self.blockers[self.obstacles..].iter_mut().zip(&self.bodies);
+        for ((cylinder, body), walker) in bodies.zip(&self.walkers) {
+            cylinder.x_m = walker.position.x - body.offset_m * walker.direction[0];
+            cylinder.y_m = walker.position.y - body.offset_m * walker.direction[1];
         }
-        self.scene.update(&self.model, &self.positions, &self.blockers, &self.forced);
+        self.orientations.hold(self.time_s, &self.walkers);
+        let orientations = self.orientations.held();
+        self.scene.update_turned(&self.model, &self.positions, orientations, &self.blockers, &self.forced);
     }
 
     /// The users' numbers, in the order of entry, as all lists of users. No number is used twice.
@@ -258,6 +293,11 @@ impl World {
     /// The users' receivers: positions, headings and velocities.
     pub fn users(&self) -> &[Walker] {
         &self.walkers
+    }
+
+    /// How the users hold their receivers.
+    pub fn orientations(&self) -> &[Orientation] {
+        self.orientations.held()
     }
 
     /// Positions of the users' receivers in m.

@@ -1,7 +1,8 @@
 //! The report streams: rates, latencies, order, noise.
 
 use heliostat_array::moment::Moment;
-use heliostat_proto::{ChannelReport, UserReport};
+use heliostat_channel::Orientation;
+use heliostat_proto::{ChannelReport, OrientationReport, UserReport};
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
 use heliostat_sim::reports::{Report, Reports};
@@ -71,16 +72,17 @@ fn each_stream_has_its_own_rate_and_latency_and_stamps_have_the_sample_time() {
 
 #[test]
 fn positions_are_the_last_report_of_an_instant() {
-    let reports = run(&["streams.obstacles.rate_hz=50"], 100);
+    let reports = run(&["streams.obstacles.rate_hz=50", "streams.orientation.rate_hz=50"], 100);
     let rank = |report: &Report| match report {
         Report::Obstacles(_) => 0,
-        Report::Channel(_) => 1,
-        Report::Users(_) => 2,
+        Report::Orientation(_) => 1,
+        Report::Channel(_) => 2,
+        Report::Users(_) => 3,
     };
     let order: Vec<(u64, i32)> = reports.iter().map(|(at, report)| (*at, rank(report))).collect();
     assert!(order.is_sorted(), "{order:?}");
-    assert_eq!(order[..3], [(0, 0), (0, 1), (0, 2)]);
-    assert_eq!(order[3..5], [(10 * MS, 1), (10 * MS, 2)]);
+    assert_eq!(order[..4], [(0, 0), (0, 1), (0, 2), (0, 3)]);
+    assert_eq!(order[4..6], [(10 * MS, 2), (10 * MS, 3)]);
 }
 
 #[test]
@@ -119,6 +121,62 @@ fn gain_noise_is_relative_and_a_blocked_path_remains_blocked() {
     let deviation = (ratios.iter().map(|r| (r - 1.0).powi(2)).sum::<f64>() / ratios.len() as f64).sqrt();
     assert!((deviation / 0.1 - 1.0).abs() < 0.05, "{deviation}");
     assert_eq!(users(&quiet), users(&noisy));
+}
+
+fn orientations(reports: &[(u64, Report)]) -> Vec<(u64, &OrientationReport)> {
+    reports
+        .iter()
+        .filter_map(|(at, report)| if let Report::Orientation(r) = report { Some((*at, r)) } else { None })
+        .collect()
+}
+
+fn held(report: &OrientationReport) -> Vec<Orientation> {
+    let of = |quaternion: [f32; 4]| Orientation::from_quaternion(quaternion.map(f64::from)).unwrap();
+    report.users.iter().map(|user| of(user.quaternion)).collect()
+}
+
+#[test]
+fn orientations_are_reported_where_the_scenario_names_their_stream() {
+    let tilted = "users.orientation.model=measured";
+    assert!(orientations(&run(&[tilted], 1000)).is_empty());
+    let stream = ["streams.orientation.rate_hz=20", "streams.orientation.latency_ms=30"];
+    let up = run(&stream, 100);
+    assert!(orientations(&up).iter().all(|(_, report)| held(report) == [Orientation::UPRIGHT; 5]));
+    let reports = run(&[&[tilted], &stream[..]].concat(), 1000);
+    let overrides = [tilted].map(String::from);
+    let scenario = Scenario::builtin("specular").unwrap().with_overrides(&overrides).unwrap();
+    let mut room = SimulatedRoom::new(&scenario, None, 3).unwrap();
+    for (index, (at, report)) in orientations(&reports).into_iter().enumerate() {
+        let (sampled_ns, sequence) = (index as u64 * 50 * MS, index as u64 + 1);
+        assert_eq!((report.stamp.time_ns, report.stamp.sequence, at), (sampled_ns, sequence, sampled_ns + 30 * MS));
+        room.advance(sampled_ns);
+        assert_eq!(report.users.iter().map(|user| user.user).collect::<Vec<_>>(), room.world().ids());
+        for (reported, true_one) in held(report).iter().zip(room.world().orientations()) {
+            assert!((reported.normal() - true_one.normal()).norm() < 1e-6);
+        }
+    }
+}
+
+#[test]
+fn noise_of_orientations_turns_them_about_each_axis_and_does_not_change_the_other_streams() {
+    let settings = ["users.orientation.model=measured", "streams.orientation.rate_hz=100"];
+    let quiet = run(&settings, 20_000);
+    let noisy = run(&[&settings[..], &["streams.orientation.noise_deg=3"]].concat(), 20_000);
+    let mut squares = [Vec::new(), Vec::new(), Vec::new()];
+    for ((_, a), (_, b)) in orientations(&quiet).into_iter().zip(orientations(&noisy)) {
+        for (a, b) in held(a).iter().zip(held(b)) {
+            let [w, x, y, z] = a.quaternion();
+            let back = Orientation::from_quaternion([w, -x, -y, -z]).unwrap();
+            // For small rotations, twice the vector part is the angle about each axis.
+            let [_, error @ ..] = back.then(&b).quaternion();
+            squares.iter_mut().zip(error).for_each(|(squares, part)| squares.push((2.0 * part).powi(2)));
+        }
+    }
+    for squares in &squares {
+        let deviation = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt().to_degrees();
+        assert!((deviation / 3.0 - 1.0).abs() < 0.05, "{deviation}");
+    }
+    assert_eq!((users(&quiet), channels(&quiet)), (users(&noisy), channels(&noisy)));
 }
 
 #[test]

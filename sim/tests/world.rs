@@ -209,3 +209,17 @@ fn arrivals_and_a_recorded_walk_exclude_each_other() {
     let refusal = Scenario::builtin("specular").unwrap().with_overrides(&both).unwrap_err().to_string();
     assert!(refusal.contains("users.trace") && refusal.contains("remove users.trace or users.arrivals"), "{refusal}");
 }
+
+#[test]
+fn a_mismatch_changes_bodies_and_equipment_and_no_walk() {
+    let (nominal, rough) = (world(&[], 9), world(&["mismatch.level=rough"], 9));
+    assert_eq!(nominal.positions(), rough.positions());
+    assert_eq!(nominal.obstacles(), rough.obstacles());
+    let radii = |world: &World| -> Vec<f64> {
+        world.blockers()[world.obstacles().len()..].iter().map(|body| body.radius_m).collect()
+    };
+    assert_eq!(radii(&nominal), [0.2; 5]);
+    let radii = radii(&rough);
+    assert!(radii.iter().all(|radius| *radius != 0.2) && radii[0] != radii[1], "{radii:?}");
+    assert_ne!(nominal.model().receiver.detector_area_m2, rough.model().receiver.detector_area_m2);
+}

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use heliostat_bus::free_loopback_endpoint;
-use heliostat_proto::{MirrorCommand, Stamp, UserReport, codec};
+use heliostat_proto::{MirrorCommand, OrientationReport, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
 use heliostat_tests::{Process, RoomObserver, programs, wait_until};
@@ -151,6 +151,36 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     let playback = player.wait().json();
     assert_eq!((playback["answered"].as_u64(), playback["same"].as_u64()), (Some(150), Some(150)), "{playback}");
     controller.end();
+}
+
+#[test]
+fn a_room_with_reported_orientations_replays_bit_for_bit_and_not_without_them() {
+    let setting = Setting::new();
+    let both = [
+        "--set",
+        "users.orientation.model=measured",
+        "--set",
+        "streams.orientation.rate_hz=50",
+        "--set",
+        "control.belief=none",
+    ];
+    setting.record(&both, &["--lockstep", "150"], &["--lockstep"]);
+    let file = setting.file();
+    let verdict = verified(&file);
+    assert_eq!((verdict["same"].as_u64(), verdict["different"].as_u64()), (Some(150), Some(0)), "{verdict}");
+    let upright = setting.folder.path().join("upright.mcap");
+    let mut reports = 0;
+    copy(&file, &upright, |topic, payload| {
+        if topic.ends_with("/orientation") {
+            reports += 1;
+            let mut report: OrientationReport = codec::decode(payload).unwrap();
+            report.users.iter_mut().for_each(|user| user.quaternion = [1.0, 0.0, 0.0, 0.0]);
+            codec::encode(&report, payload).unwrap();
+        }
+    });
+    assert!(reports >= 70, "{reports}");
+    let other = replay(&upright, &["--policy", "fixed-point"]).wait().json();
+    assert!(other["different"].as_u64() > Some(0), "{other}");
 }
 
 #[test]

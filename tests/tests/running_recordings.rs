@@ -139,6 +139,19 @@ fn a_recording_of_a_running_controller_with_a_filter_replays_bit_for_bit() {
 }
 
 #[test]
+fn a_recording_of_a_running_controller_with_reported_orientations_replays_bit_for_bit() {
+    let tilted = ["--set", "users.orientation.model=measured", "--set", "streams.orientation.rate_hz=20"];
+    let setting = Setting::new(&tilted, "greedy");
+    let file = setting.file("room.mcap");
+    let recorder = setting.recorder(&file);
+    std::thread::sleep(Duration::from_secs(7));
+    let account = recorder.end().json();
+    assert!(account["streams"]["heliostat/v1/demo/orientation"]["messages"].as_u64() > Some(50), "{account}");
+    let _folder = setting.end();
+    assert_replays(&file, "greedy");
+}
+
+#[test]
 fn recordings_of_users_who_come_and_go_replay_also_when_the_recorder_is_killed() {
     let arrivals = [
         "--set",

@@ -116,7 +116,7 @@ impl Scene {
                 match model.mode.reading() {
                     None => self.each_hit(model, &block, user, |_, plate| {
                         let panel = &model.panels[self.serving[user]];
-                        add_reflected(model, panel, plate, &self.positions[user], gains);
+                        add_reflected(model, panel, plate, self.held(user), gains);
                     }),
                     Some(reading) => {
                         for (branch, gain) in gains.iter_mut().enumerate() {
@@ -136,7 +136,7 @@ impl Scene {
             return self.each_hit(model, block, user, |lane, plate| {
                 let mut gains = [0.0; BRANCHES_MAX];
                 let gains = &mut gains[..self.branches];
-                add_reflected(model, &model.panels[self.serving[user]], plate, &self.positions[user], gains);
+                add_reflected(model, &model.panels[self.serving[user]], plate, self.held(user), gains);
                 row[lane] = self.combining.combine(gains);
             });
         };

@@ -17,6 +17,13 @@ use crate::trig::{BLOCK, Lanes, sin_cos};
 /// have errors of about 1e-14.
 const ROUNDING_M2: f64 = 1e-9;
 
+/// The receiver of one user: the position of its detectors, and the branches as the user holds it.
+#[derive(Clone, Copy)]
+pub(crate) struct Held<'a> {
+    pub position: &'a Vec3,
+    pub branches: &'a [Detector],
+}
+
 /// A block of mirrors at their angles, in the room's frame.
 pub(crate) struct Turned {
     /// Centre in m; lanes past the last mirror repeat it.
@@ -211,7 +218,7 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
     }
 }
 
-/// Adds the gain of a panel by way of one mirror to the gains of a detector's branches: the exact
+/// Adds the gain of a panel by way of one mirror to the gains of a receiver's branches: the exact
 /// evaluation.
 ///
 /// Equal to [`specular::gain`](crate::specular::gain), but with the image R' of the detector
@@ -222,12 +229,12 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
 ///
 /// `gains`: one per branch, dimensionless.
 #[inline(always)]
-pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, detector: &Vec3, gains: &mut [f64]) {
+pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, held: Held, gains: &mut [f64]) {
     // One lane is enough for a point LED.
     if panel.points.len() == 1 {
-        add_points(model, (panel, &[PointLanes::CENTRE], &[]), plate, detector, gains);
+        add_points(model, (panel, &[PointLanes::CENTRE], &[]), plate, held, gains);
     } else {
-        add_points(model, (panel, &panel.lanes, &panel.few_lanes), plate, detector, gains);
+        add_points(model, (panel, &panel.lanes, &panel.few_lanes), plate, held, gains);
     }
 }
 
@@ -237,7 +244,7 @@ fn add_points<const N: usize>(
     model: &ChannelModel,
     (panel, all, few): (&Panel, &[PointLanes<N>], &[PointLanes<N>]),
     plate: &Plate,
-    detector: &Vec3,
+    Held { position: detector, branches }: Held,
     gains: &mut [f64],
 ) {
     let to_detector = detector - plate.centre;
@@ -280,7 +287,7 @@ fn add_points<const N: usize>(
     let smooth = all_inside
         && !few.is_empty()
         && towards_panel.norm_squared() >= panel.few_from_squared
-        && model.detectors.iter().all(|branch| facing(branch).1);
+        && branches.iter().all(|branch| facing(branch).1);
     let front = model.reflectivity() * panel.front;
     for lanes in if smooth { few } else { all } {
         let (mut squared, mut share) = ([0.0; N], lanes.weight);
@@ -300,7 +307,7 @@ fn add_points<const N: usize>(
             }
         }
         fade(&mut share, &squared, towards_panel.z, panel.order);
-        for (gain, branch) in gains.iter_mut().zip(&model.detectors) {
+        for (gain, branch) in gains.iter_mut().zip(branches) {
             let (facing, all_seen) = facing(branch);
             let mut detected = [0.0; N];
             for lane in 0..N {

@@ -316,7 +316,7 @@ fn gains_of_block(model: &ChannelModel, scene: &Scene, turned: &Turned, user: us
     }
     let complete = match Reflected::new(turned, panel, position) {
         Some(mut reflected) => {
-            for branch in &model.detectors {
+            for branch in scene.held(user).branches {
                 scene.combining.add_each(&mut combined, &reflected.gains(model, panel, branch));
             }
             scene.combining.finish_each(&mut combined, scene.branches);
@@ -332,7 +332,7 @@ fn gains_of_block(model: &ChannelModel, scene: &Scene, turned: &Turned, user: us
         } else if !complete[lane] {
             let mut gains = [0.0; BRANCHES_MAX];
             let gains = &mut gains[..scene.branches];
-            add_reflected(model, panel, &turned.plate(lane), position, gains);
+            add_reflected(model, panel, &turned.plate(lane), scene.held(user), gains);
             combined[lane] = scene.combining.combine(gains);
         }
     }

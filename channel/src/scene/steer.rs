@@ -51,11 +51,12 @@ impl Scene {
     #[inline(always)]
     fn steer_point(&mut self, model: &ChannelModel, user: usize, panel: &Panel) {
         let position = self.positions[user];
+        let branches = &self.detectors[user * self.branches..(user + 1) * self.branches];
         let row = &mut self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
         for (index, out) in row.chunks_mut(BLOCK).enumerate() {
             let to_mirrors = ToMirrors::new(&model.mirrors, index, &position);
             let mut combined = [0.0; BLOCK];
-            for branch in &model.detectors {
+            for branch in branches {
                 let facing = to_mirrors.facing(branch).map(|facing| branch.concentrator_gain * facing);
                 self.combining.add_each(&mut combined, &facing);
             }
@@ -80,7 +81,7 @@ impl Scene {
             let (mut complete, mut combined) = ([false; BLOCK], [0.0; BLOCK]);
             if few {
                 let mut aimed = Aimed::new(model, panel, first, &position);
-                for branch in &model.detectors {
+                for branch in self.held(user).branches {
                     self.combining.add_each(&mut combined, &aimed.gains(model, panel, branch));
                 }
                 self.combining.finish_each(&mut combined, self.branches);
@@ -91,7 +92,7 @@ impl Scene {
                 self.steering_gain[pair] = if complete[lane] {
                     combined[lane]
                 } else if self.irs_path_clear[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
-                    self.aimed_exactly(model, panel, first + lane, &position)
+                    self.aimed_exactly(model, panel, first + lane, user)
                 } else {
                     0.0
                 };
@@ -99,13 +100,13 @@ impl Scene {
         }
     }
 
-    /// Combined gain of one mirror that is aimed at a detector, by the exact evaluation.
-    fn aimed_exactly(&self, model: &ChannelModel, panel: &Panel, mirror: usize, detector: &Vec3) -> f64 {
+    /// Combined gain of one mirror that is aimed at a user, by the exact evaluation.
+    fn aimed_exactly(&self, model: &ChannelModel, panel: &Panel, mirror: usize, user: usize) -> f64 {
         let mut gains = [0.0; BRANCHES_MAX];
         let gains = &mut gains[..self.branches];
-        if let Some(normal) = bisector(&model.mirrors.positions()[mirror], &panel.centre, detector) {
+        if let Some(normal) = bisector(&model.mirrors.positions()[mirror], &panel.centre, &self.positions[user]) {
             let plate = Plate::facing(&model.mirrors, mirror, &normal);
-            add_reflected(model, panel, &plate, detector, gains);
+            add_reflected(model, panel, &plate, self.held(user), gains);
         }
         self.combining.combine(gains)
     }
@@ -122,9 +123,10 @@ impl Scene {
             let illumination = &panel.towards_mirror[first / BLOCK];
             let lanes = BLOCK.min(self.mirrors - first);
             let mut combined = [0.0; BLOCK];
-            for (index, branch) in model.detectors.iter().enumerate() {
+            for index in 0..self.branches {
+                let branch = self.detectors[user * self.branches + index];
                 let facing = match reading {
-                    Reading::Sensible => to_mirrors.facing(branch),
+                    Reading::Sensible => to_mirrors.facing(&branch),
                     Reading::Literal => to_mirrors.against(&inward),
                 };
                 let mut gains = [0.0; BLOCK];

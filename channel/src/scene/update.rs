@@ -6,10 +6,12 @@ use crate::blockage::{Cylinder, blocks};
 use crate::geometry::Vec3;
 use crate::los::unit_gain;
 use crate::model::ChannelModel;
+use crate::orientation::Orientation;
 use crate::simd::with_widest_simd;
 
 impl Scene {
-    /// Computes blockage, line-of-sight gains and steering gains for these positions.
+    /// Computes blockage, line-of-sight gains and steering gains for upright receivers at these
+    /// positions.
     ///
     /// `users`: positions of the receivers in m. `forced`: whether the line-of-sight path of each
     /// user is blocked regardless of the cylinders. Shape of both: K. `blockers`: all cylinders in
@@ -20,9 +22,41 @@ impl Scene {
     /// When `users` or `forced` does not have one entry per user, or the model has another size
     /// than that of [`Scene::new`].
     pub fn update(&mut self, model: &ChannelModel, users: &[Vec3], blockers: &[Cylinder], forced: &[bool]) {
+        assert_eq!(model.detectors.len(), self.branches, "the scene was made for another receiver");
+        for held in self.detectors.chunks_exact_mut(self.branches) {
+            held.copy_from_slice(&model.detectors);
+        }
+        self.update_paths(model, users, blockers, forced);
+    }
+
+    /// The same for receivers that the users hold in these orientations. Shape of `orientations`: K.
+    ///
+    /// A branch that faces away from a path has gain zero. With [`Orientation::UPRIGHT`] the gains
+    /// are those of [`Scene::update`]. The literal interpretation of the paper's equations does
+    /// not use the normals, so there only the direct gain depends on the orientation.
+    ///
+    /// # Panics
+    /// As [`Scene::update`], and when `orientations` does not have one entry per user.
+    pub fn update_turned(
+        &mut self,
+        model: &ChannelModel,
+        users: &[Vec3],
+        orientations: &[Orientation],
+        blockers: &[Cylinder],
+        forced: &[bool],
+    ) {
+        assert_eq!(orientations.len(), self.users, "one orientation per user");
+        assert_eq!(model.detectors.len(), self.branches, "the scene was made for another receiver");
+        for (held, orientation) in self.detectors.chunks_exact_mut(self.branches).zip(orientations) {
+            model.turn_detectors(orientation, held);
+        }
+        self.update_paths(model, users, blockers, forced);
+    }
+
+    /// Computes all tables for the detectors as they are.
+    fn update_paths(&mut self, model: &ChannelModel, users: &[Vec3], blockers: &[Cylinder], forced: &[bool]) {
         assert_eq!(forced.len(), self.users, "one flag per user");
         assert_eq!(model.mirrors.len(), self.mirrors, "the scene was made for another array");
-        assert_eq!(model.receiver.branches.len(), self.branches, "the scene was made for another receiver");
         assert_eq!(model.leds.len() * self.mirrors, self.led_path_clear.len(), "the scene was made for other LEDs");
         self.positions.copy_from_slice(users);
         with_widest_simd(
@@ -87,8 +121,8 @@ impl Scene {
     #[inline(always)]
     fn direct(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let panel = &model.panels[led];
-        let clear = &mut self.los_clear[user * self.branches..(user + 1) * self.branches];
-        for (out, detector) in clear.iter_mut().zip(&model.detectors) {
+        let branches = user * self.branches..(user + 1) * self.branches;
+        for (out, detector) in self.los_clear[branches.clone()].iter_mut().zip(&self.detectors[branches]) {
             let branch = (&detector.normal, detector.fov_cosine);
             let gain = |point| unit_gain(point, panel.order, branch, &self.positions[user]);
             *out = panel.front * detector.concentrator_gain * panel.points.iter().map(gain).sum::<f64>();

@@ -2,9 +2,10 @@
 #![allow(dead_code, reason = "each test file uses its own part of this")]
 
 use heliostat_channel::{
-    ArraySpec, Branch, ChannelModel, Combining, Cylinder, Led, LinkBudget, MirrorArray, Mode, NoiseBudget, PowerLaw,
-    Receiver, Vec3, Wall,
+    ArraySpec, Branch, ChannelModel, Combining, Cylinder, Led, LinkBudget, MirrorArray, Mode, NoiseBudget, Orientation,
+    PowerLaw, Receiver, Vec3, Wall,
 };
+use std::f64::consts::PI;
 
 /// The paper's mode as printed, read sensibly.
 pub const PAPER: Mode = Mode::Paper { literal: false, gain_scale: 1.0 };
@@ -141,6 +142,11 @@ impl Random {
             draws[1]
         };
         Vec3::new(coordinate(), coordinate(), RECEIVER_HEIGHT_M)
+    }
+
+    /// An orientation that tilts the device by up to 70 degrees in any direction.
+    pub fn orientation(&mut self) -> Orientation {
+        Orientation::from_polar_azimuth(self.uniform(0.0, 1.2), self.uniform(-PI, PI))
     }
 
     pub fn positions(&mut self, count: usize) -> Vec<Vec3> {

@@ -27,7 +27,9 @@ use heliostat_decide::{
     policy::Policy,
     refusal::{Refusal, Stream},
 };
-use heliostat_proto::{ChannelReport, CodecError, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode_into};
+use heliostat_proto::{
+    ChannelReport, CodecError, MirrorTelemetry, Nanos, ObstacleReport, OrientationReport, UserReport, decode_into,
+};
 
 use super::{
     cache_warmer::{Action, CacheWarmer, KeepWarm},
@@ -117,6 +119,7 @@ struct Buffers {
     channel: ChannelReport,
     obstacles: ObstacleReport,
     telemetry: MirrorTelemetry,
+    orientation: OrientationReport,
 }
 
 impl Buffers {
@@ -126,6 +129,7 @@ impl Buffers {
             channel: ChannelReport::buffer(),
             obstacles: ObstacleReport::default(),
             telemetry: MirrorTelemetry::default(),
+            orientation: OrientationReport::buffer(),
         }
     }
 
@@ -138,6 +142,9 @@ impl Buffers {
             }
             Stream::Telemetry => {
                 decode_into(&mut self.telemetry, payload).map(|()| Message::Telemetry(&mut self.telemetry))
+            }
+            Stream::Orientation => {
+                decode_into(&mut self.orientation, payload).map(|()| Message::Orientation(&mut self.orientation))
             }
         }
     }

@@ -29,6 +29,7 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
     let keys = [
         (Stream::Telemetry, room.telemetry()),
         (Stream::Obstacles, room.obstacles()),
+        (Stream::Orientation, room.orientation()),
         (Stream::Channel, room.channel()),
         (Stream::Users, room.users()),
     ];

@@ -5,7 +5,7 @@
 //! force at the time of the measurement, is compared with the measured one. What bodies do not
 //! explain, obstacles do.
 
-use heliostat_channel::{ChannelModel, Scene, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
+use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
 
 use crate::belief::{
     body::Body,
@@ -63,6 +63,7 @@ pub(super) struct Bodies<'a> {
 pub(super) struct ChannelEvidence {
     scene: Scene,
     positions: Vec<Vec3>,
+    orientations: Vec<Orientation>,
     forced: Vec<bool>,
     /// Gain over each mirror without bodies. Shape: K * M.
     gains: Vec<f64>,
@@ -88,6 +89,7 @@ impl ChannelEvidence {
         Self {
             scene: Scene::new(model, capacity),
             positions: Vec::with_capacity(capacity),
+            orientations: Vec::with_capacity(capacity),
             forced: Vec::with_capacity(capacity),
             gains: Vec::with_capacity(capacity * mirrors),
             clear: vec![false; mirrors],
@@ -110,23 +112,27 @@ impl ChannelEvidence {
         &self.positions
     }
 
-    /// Computes the expected gains of users at these places, without bodies; `angles` are those of
-    /// the mirrors, where they are known.
+    /// Computes the expected gains of users at these places and orientations, without bodies;
+    /// `angles` are those of the mirrors, where they are known.
     pub fn expect(
         &mut self,
         model: &ChannelModel,
-        places: impl Iterator<Item = Vec3>,
+        places: impl Iterator<Item = (Vec3, Orientation)>,
         obstacles: &[Cylinder],
         angles: Option<&MirrorAngles>,
         unusable: &[u32],
     ) {
         self.positions.clear();
-        self.positions.extend(places);
+        self.orientations.clear();
+        for (position, orientation) in places {
+            self.positions.push(position);
+            self.orientations.push(orientation);
+        }
         let users = self.positions.len();
         self.forced.clear();
         self.forced.resize(users, false);
         self.scene.resize(users);
-        self.scene.update(model, &self.positions, obstacles, &self.forced);
+        self.scene.update_turned(model, &self.positions, &self.orientations, obstacles, &self.forced);
         self.scene.exclude_mirrors(unusable);
         self.gains.clear();
         self.gains.resize(users * model.mirrors.len(), 0.0);

@@ -29,6 +29,7 @@ impl Journal {
             Stream::Channel => InputKind::Channel,
             Stream::Obstacles => InputKind::Obstacles,
             Stream::Telemetry => InputKind::Telemetry,
+            Stream::Orientation => InputKind::Orientation,
         };
         let Stamp { source, sequence, .. } = *stamp;
         self.push(ControllerInput { input, source, sequence, time_ns: now, command: false });

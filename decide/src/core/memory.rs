@@ -13,12 +13,17 @@ use thiserror::Error;
 
 use super::{Controller, degraded_actions::LastReport, journal::Journal};
 use crate::{
-    input::inbox::memory::InboxMemory, observe::observer::memory::ObserverMemory, output::guard::GuardMemory,
-    output::safety::check_finite, policy::FallbackMemory,
+    input::inbox::memory::{InboxMemory, OrientationMemory},
+    observe::observer::memory::ObserverMemory,
+    output::guard::GuardMemory,
+    output::safety::check_finite,
+    policy::FallbackMemory,
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
-const LAYOUT: u32 = 1;
+const LAYOUT: u32 = 2;
+/// The layout that ends before the orientations.
+const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
 
 /// The state of a controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -36,6 +41,8 @@ pub struct Memory {
     has_command: bool,
     /// Roll and yaw of the observation: those of the last command before they are rounded.
     angles_rad: [Vec<f64>; 2],
+    /// Last, since the layout before has all other fields.
+    orientation: OrientationMemory,
 }
 
 /// Why a state cannot be restored.
@@ -74,10 +81,15 @@ impl Memory {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MemoryError> {
         // The layout comes first: a state of another layout is no value of this type.
         let found = bytes.first().map_or(0, |byte| u32::from(*byte));
-        if found != LAYOUT {
-            return Err(MemoryError::Layout { found });
+        match found {
+            LAYOUT => Ok(decode_state(bytes)?),
+            LAYOUT_WITHOUT_ORIENTATIONS => {
+                let none = encode_state(&OrientationMemory::default())?;
+                let memory = decode_state(&[bytes, &none].concat())?;
+                Ok(Self { layout: LAYOUT, ..memory })
+            }
+            _ => Err(MemoryError::Layout { found }),
         }
-        Ok(decode_state(bytes)?)
     }
 }
 
@@ -109,6 +121,7 @@ impl Controller {
             last_report: self.last_report,
             command,
             has_command: self.has_command,
+            orientation: self.inbox.orientation_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
     }
@@ -132,7 +145,7 @@ impl Controller {
         if !self.limits.restore_axes(memory.axes_rad) {
             return Err(other("range of the mirrors"));
         }
-        if !self.inbox.restore(&memory.inbox) {
+        if !self.inbox.restore(&memory.inbox, &memory.orientation) {
             return Err(other("reports"));
         }
         if !self.observer.restore(&memory.observer) {

@@ -19,7 +19,8 @@
 pub mod memory;
 
 use heliostat_proto::{
-    CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, Stamp, UserReport,
+    CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp,
+    UserReport,
 };
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
@@ -44,6 +45,8 @@ pub enum Message<'a> {
     Obstacles(&'a mut ObstacleReport),
     /// The state of the array.
     Telemetry(&'a mut MirrorTelemetry),
+    /// How the users hold their receivers.
+    Orientation(&'a mut OrientationReport),
 }
 
 impl Message<'_> {
@@ -54,6 +57,7 @@ impl Message<'_> {
             Self::Channel(_) => Stream::Channel,
             Self::Obstacles(_) => Stream::Obstacles,
             Self::Telemetry(_) => Stream::Telemetry,
+            Self::Orientation(_) => Stream::Orientation,
         }
     }
 
@@ -64,6 +68,7 @@ impl Message<'_> {
             Self::Channel(report) => &report.stamp,
             Self::Obstacles(report) => &report.stamp,
             Self::Telemetry(report) => &report.stamp,
+            Self::Orientation(report) => &report.stamp,
         }
     }
 }
@@ -110,6 +115,7 @@ pub struct Inbox {
     channel: Slot<ChannelReport>,
     obstacles: Slot<ObstacleReport>,
     telemetry: Slot<MirrorTelemetry>,
+    orientation: Slot<OrientationReport>,
     /// The sequence numbers of each stream, in the order of [`Stream::ALL`].
     tracks: [SequenceTrack; Stream::ALL.len()],
     refused: Refused,
@@ -129,6 +135,7 @@ impl Inbox {
             channel: Slot { report: ChannelReport::buffer(), filled: false },
             obstacles: Slot::default(),
             telemetry: Slot::default(),
+            orientation: Slot { report: OrientationReport::buffer(), filled: false },
             tracks: Default::default(),
             refused: Refused::default(),
             sources: 0,
@@ -189,6 +196,11 @@ impl Inbox {
     /// owner.
     pub fn obstacles(&self) -> Option<&ObstacleReport> {
         self.obstacles.get()
+    }
+
+    /// How the users hold their receivers, unless the report is too old at `now`.
+    pub fn orientation(&self, now: Nanos) -> Option<&OrientationReport> {
+        self.orientation.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
     }
 
     /// The latest telemetry of the array.
@@ -293,6 +305,7 @@ impl Inbox {
         self.users.forget();
         self.channel.forget();
         self.obstacles.forget();
+        self.orientation.forget();
     }
 
     fn keep(&mut self, message: Message<'_>) {
@@ -301,6 +314,7 @@ impl Inbox {
             Message::Channel(report) => self.channel.keep(report),
             Message::Obstacles(report) => self.obstacles.keep(report),
             Message::Telemetry(report) => self.telemetry.keep(report),
+            Message::Orientation(report) => self.orientation.keep(report),
         }
     }
 }
@@ -355,6 +369,7 @@ impl Rules {
             Message::Channel(report) => check_channel(report),
             Message::Obstacles(report) => check_obstacles(report),
             Message::Telemetry(report) => self.check_telemetry(report),
+            Message::Orientation(report) => check_distinct(report.users.iter().map(|user| user.user)),
         }
     }
 

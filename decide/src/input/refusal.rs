@@ -15,11 +15,13 @@ pub enum Stream {
     Obstacles,
     /// The state of the array.
     Telemetry,
+    /// How the users hold their receivers.
+    Orientation,
 }
 
 impl Stream {
     /// All streams, in the order of their counters.
-    pub const ALL: [Self; 4] = [Self::Users, Self::Channel, Self::Obstacles, Self::Telemetry];
+    pub const ALL: [Self; 5] = [Self::Users, Self::Channel, Self::Obstacles, Self::Telemetry, Self::Orientation];
 
     /// The name in counters and messages.
     pub fn name(self) -> &'static str {
@@ -28,6 +30,7 @@ impl Stream {
             Self::Channel => "channel",
             Self::Obstacles => "obstacles",
             Self::Telemetry => "telemetry",
+            Self::Orientation => "orientation",
         }
     }
 }

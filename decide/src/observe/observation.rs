@@ -24,7 +24,7 @@
 
 use std::ops::Range;
 
-use heliostat_channel::{ChannelModel, Scene, Vec3, blockage::Cylinder, mirrors::MirrorAngles, sharing};
+use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3, blockage::Cylinder, mirrors::MirrorAngles, sharing};
 use thiserror::Error;
 
 /// Version of the vector's layout; an actor made for another version is refused.
@@ -100,6 +100,8 @@ pub struct RoomState<'a> {
     pub tick: u64,
     /// Positions in m, room frame.
     pub positions: &'a [Vec3],
+    /// How the users hold their receivers; absent: every receiver faces up.
+    pub orientations: Option<&'a [Orientation]>,
     /// Velocities in m/s, room frame.
     pub velocities: &'a [Vec3],
     /// Minimum rates in bit/s.
@@ -159,7 +161,10 @@ impl Observation {
         self.positions.copy_from_slice(state.positions);
         self.velocities.copy_from_slice(state.velocities);
         self.min_rate_bps.copy_from_slice(state.min_rate_bps);
-        self.scene.update(model, state.positions, state.blockers, state.forced);
+        match state.orientations {
+            Some(held) => self.scene.update_turned(model, state.positions, held, state.blockers, state.forced),
+            None => self.scene.update(model, state.positions, state.blockers, state.forced),
+        }
         if let Some(gains) = state.measured_los_gain {
             self.scene.set_los_gain(gains);
         }

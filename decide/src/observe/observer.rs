@@ -5,6 +5,9 @@
 //! gains of the direct path replace modelled gains, because they include blockage that no survey
 //! reports.
 //!
+//! Where receivers report their orientation, the gains are those of the receivers as they were held
+//! last; every other receiver faces up.
+//!
 //! Users may come and go with every report, in any order. A user is known by its number: reports
 //! about positions and about gains are matched by it, and it keeps its index in the observation as
 //! long as possible ([`Slots`]). A user without a measured gain has the modelled one, and a measured
@@ -23,13 +26,13 @@
 mod beliefs;
 pub mod memory;
 
-use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
+use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, UserReport};
 use heliostat_scenario::Scenario;
 
 use crate::{
     belief::{Belief, Estimate, HEADING_KNOWN, body::Body},
-    input::inbox::Inbox,
+    input::{inbox::Inbox, orientation::orientation_of},
     observe::{
         observation::{Observation, RoomState},
         prediction::{Predicted, Prediction},
@@ -56,6 +59,7 @@ pub struct Observer {
     headings: Vec<Vec3>,
     former_headings: Vec<Vec3>,
     positions: Vec<Vec3>,
+    orientations: Vec<Orientation>,
     velocities: Vec<Vec3>,
     /// Probability that the direct path is clear past all but bodies, where it is believed.
     direct_clear: Vec<Option<f64>>,
@@ -91,6 +95,7 @@ impl Observer {
             headings: Vec::with_capacity(MAX_USERS),
             former_headings: Vec::with_capacity(MAX_USERS),
             positions: Vec::with_capacity(MAX_USERS),
+            orientations: Vec::with_capacity(MAX_USERS),
             velocities: Vec::with_capacity(MAX_USERS),
             direct_clear: Vec::with_capacity(MAX_USERS),
             min_rate_bps: Vec::with_capacity(MAX_USERS),
@@ -116,7 +121,8 @@ impl Observer {
         let Some(report) = inbox.last_channel() else { return };
         self.place_obstacles(inbox);
         let unusable = inbox.telemetry().map_or(&[][..], |telemetry| &telemetry.unusable);
-        self.prediction.handle_channel(model, report, &self.blockers, unusable);
+        let held = inbox.orientation(report.stamp.time_ns);
+        self.prediction.handle_channel(model, (report, held), &self.blockers, unusable);
     }
 
     /// Notes a command that was given.
@@ -162,11 +168,15 @@ impl Observer {
         let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
         self.place_users(report, age_s);
         self.place_blockers(inbox);
+        let held = inbox.orientation(now);
+        self.orientations.clear();
+        self.orientations.extend(self.slots.ids().iter().map(|user| orientation_of(held, *user)));
         into.set_state(
             model,
             &RoomState {
                 tick: report.tick,
                 positions: &self.positions,
+                orientations: held.map(|_| &self.orientations[..]),
                 velocities: &self.velocities,
                 min_rate_bps: &self.min_rate_bps,
                 blockers: &self.blockers,

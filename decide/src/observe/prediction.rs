@@ -1,7 +1,7 @@
 //! Where a user is while a command is in force, by `control.belief`.
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
-use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, UserReport, UserState};
+use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport, UserState};
 use heliostat_scenario::{self as scenario, Scenario};
 use serde::{Deserialize, Serialize};
 
@@ -122,12 +122,12 @@ impl Prediction {
     pub fn handle_channel(
         &mut self,
         model: &ChannelModel,
-        report: &ChannelReport,
+        (report, held): (&ChannelReport, Option<&OrientationReport>),
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
         if let Method::Filter(belief) = &mut self.method {
-            belief.handle_channel(model, report, obstacles, unusable);
+            belief.handle_channel(model, (report, held), obstacles, unusable);
         }
     }
 

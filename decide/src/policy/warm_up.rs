@@ -21,6 +21,7 @@ pub fn warm_up(policies: &mut [&mut dyn Policy], model: &ChannelModel, users: us
         min_rate_bps: &vec![1e6; users],
         blockers: &[],
         forced: &vec![false; users],
+        orientations: None,
         measured_los_gain: None,
     };
     let mut observation = Observation::new(model, users);

@@ -36,10 +36,20 @@ fn gain(tick: u64) -> f32 {
     if tick.is_multiple_of(9) { 0.0 } else { 1e-6 }
 }
 
+/// What the receivers report of a tick; their orientations are old at times.
+fn measure(room: &mut Room, controller: &mut Controller, tick: u64) {
+    let (now, users) = (Room::time(tick), users(tick));
+    if tick.is_multiple_of(3) {
+        let polar = 0.01 * tick as f64;
+        receive(controller, now, Message::Orientation(&mut room.orientations_of(tick, polar, &users)));
+    }
+    receive(controller, now, Message::Channel(&mut room.gains_of(tick, gain(tick), &users)));
+}
+
 /// One tick of a room whose users come and go.
 fn tick(room: &mut Room, controller: &mut Controller, tick: u64) -> Outcome {
     let (now, users) = (Room::time(tick), users(tick));
-    receive(controller, now, Message::Channel(&mut room.gains_of(tick, gain(tick), &users)));
+    measure(room, controller, tick);
     receive(controller, now, Message::Users(&mut room.positions_of(tick, &users)))
 }
 
@@ -81,7 +91,7 @@ fn a_restored_controller_gives_the_same_commands_with_each_belief_and_policy() {
                 let sequence = room.sequence;
                 // A cache warm-up changes no later command, whatever has arrived since the last one.
                 let (now, users) = (Room::time(number), users(number));
-                receive(&mut first, now, Message::Channel(&mut room.gains_of(number, gain(number), &users)));
+                measure(&mut room, &mut first, number);
                 first.warm_cache();
                 let expected = receive(&mut first, now, Message::Users(&mut room.positions_of(number, &users)));
                 room.sequence = sequence;
@@ -132,6 +142,30 @@ fn a_state_of_another_scenario_or_layout_is_refused() {
     let mut bytes = memory.to_bytes().unwrap();
     bytes[0] = 99;
     assert!(matches!(Memory::from_bytes(&bytes), Err(MemoryError::Layout { found: 99 })));
+}
+
+#[test]
+fn a_state_of_the_layout_without_orientations_is_restored() {
+    let scenario = room_scenario("none");
+    let mut first = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
+    let mut room = Room::new(&scenario);
+    let plain = |controller: &mut Controller, number: u64| {
+        receive(controller, Room::time(number), Message::Users(&mut room_report(number, number)))
+    };
+    (1..=5).for_each(|number| drop(plain(&mut first, number)));
+    let mut bytes = first.memory().to_bytes().unwrap();
+    // No report and no sequence number: one byte each.
+    assert_eq!(bytes.split_off(bytes.len() - 2), [0, 0]);
+    bytes[0] = 1;
+    let memory = Memory::from_bytes(&bytes).unwrap();
+    assert_eq!(memory.to_bytes().unwrap(), first.memory().to_bytes().unwrap());
+    let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
+    second.restore(&memory).unwrap();
+    assert_eq!(plain(&mut second, 6), plain(&mut first, 6));
+    let mut held = room.orientations_of(7, 0.3, &[0]);
+    held.stamp.sequence = 1;
+    receive(&mut second, Room::time(7), Message::Orientation(&mut held));
+    assert!(second.inbox().orientation(Room::time(7)).is_some());
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The layout of the observation, and values inferred from reports.
 
-use heliostat_channel::{MirrorAngles, Vec3};
+use heliostat_channel::{MirrorAngles, Orientation, Vec3};
 use heliostat_decide::{
     inbox::Message,
     observation::{EncodeError, Observation, ObservationEncoder, RoomState, Summary},
@@ -21,6 +21,7 @@ const STATE: RoomState<'_> = RoomState {
     min_rate_bps: &[1e6, 2e6, 0.0],
     blockers: &[],
     forced: &[false; 3],
+    orientations: None,
     measured_los_gain: None,
 };
 
@@ -230,6 +231,44 @@ fn surveyed_obstacles_stand_in_the_light() {
     receive(&mut controller, Room::time(3), Message::Users(&mut room.positions(3))).command();
     let cleared = controller.observation().scene.los_gain()[0];
     assert!(free > 0.0 && shaded == 0.0 && cleared > 0.0, "{free} {shaded} {cleared}");
+}
+
+#[test]
+fn reported_orientations_tilt_the_receivers_of_the_observation_until_they_are_too_old() {
+    let scenario = scenario(&["blockage.bodies=false", "led.side_m=0", "led.points_per_side=1"]);
+    for belief in ["none", "filter"] {
+        let scenario = scenario.with_overrides(&[format!("control.belief={belief}")]).unwrap();
+        let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+        let mut room = Room::new(&scenario);
+        let mut gains_at = |tick: u64, held: Option<&[u32]>| {
+            if let Some(users) = held {
+                let mut report = room.orientations_of(tick, 0.4, users);
+                receive(&mut controller, Room::time(tick), Message::Orientation(&mut report));
+            }
+            // The same positions at each time.
+            let mut report = room.positions(tick);
+            report.users = Room::new(&scenario).positions(0).users;
+            report.users.iter_mut().for_each(|user| user.velocity_m_s = [0.0; 2]);
+            receive(&mut controller, Room::time(tick), Message::Users(&mut report)).command();
+            let scene = &controller.observation().scene;
+            (scene.positions().to_vec(), scene.los_gain().to_vec(), scene.steering_gain().to_vec())
+        };
+        let (_, upright, steered) = gains_at(1, None);
+        let (positions, tilted, tilted_steered) = gains_at(2, Some(&[2, 0]));
+        for (user, position) in positions.iter().enumerate() {
+            let ray = (Vec3::new(0.0, 0.0, 3.0) - position).normalize();
+            let held = Orientation::from_polar_azimuth(if user == 1 { 0.0 } else { 0.4 }, user as f64);
+            let expected = upright[user] * ray.dot(&held.normal()) / ray.z;
+            assert!((tilted[user] / expected - 1.0).abs() < 1e-4, "{belief}, user {user}: {tilted:?} {upright:?}");
+            let all_mirrors = |gains: &[f64]| gains[user * 9..user * 9 + 9].iter().sum::<f64>();
+            let change = (all_mirrors(&tilted_steered) / all_mirrors(&steered) - 1.0).abs();
+            assert_eq!(change > 0.01, user != 1, "{belief}, user {user}: {change}");
+        }
+        let (_, later, _) = gains_at(3, None);
+        assert!((later[0] / tilted[0] - 1.0).abs() < 1e-4, "the last report holds");
+        let (_, old, _) = gains_at(1000, None);
+        assert!((old[0] / upright[0] - 1.0).abs() < 1e-4, "the last report is too old");
+    }
 }
 
 #[test]

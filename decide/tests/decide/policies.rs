@@ -23,6 +23,7 @@ fn observe(scenario: &Scenario) -> (ChannelModel, Observation) {
             min_rate_bps: &[1e6; 3],
             blockers: &[],
             forced: &[true, true, false],
+            orientations: None,
             measured_los_gain: None,
         },
     );

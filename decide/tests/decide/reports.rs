@@ -143,6 +143,36 @@ fn a_report_with_two_entries_for_one_user_is_refused() {
 }
 
 #[test]
+fn orientations_are_refused_for_the_reasons_of_the_other_reports() {
+    let (mut controller, mut room) = flat(&[]);
+    let mut other = Room { source: 0x99, users: 3, sequence: 0 };
+    room.tick(&mut controller, 1).command();
+    let now = Room::time(100);
+    let stale = room.orientations_of(1, 0.3, &[0]);
+    let repeated = room.orientations_of(100, 0.3, &[0]);
+    let cases = [
+        (room.orientations_of(100, 0.3, &[4, 4]), Refusal::DuplicateUser),
+        (stale, Refusal::Stale),
+        (room.orientations_of(110, 0.3, &[0]), Refusal::FromFuture),
+    ];
+    receive(&mut controller, now, Message::Users(&mut room.positions(100))).command();
+    for (mut report, reason) in cases {
+        receive(&mut controller, now, Message::Orientation(&mut report));
+        assert_eq!(refused(&controller, Stream::Orientation, reason), 1, "{reason}");
+        assert!(controller.inbox().orientation(now).is_none(), "{reason}");
+    }
+    for _ in 0..2 {
+        receive(&mut controller, now, Message::Orientation(&mut repeated.clone()));
+    }
+    assert_eq!(refused(&controller, Stream::Orientation, Refusal::Repeated), 1);
+    receive(&mut controller, now, Message::Orientation(&mut other.orientations_of(100, 0.9, &[0])));
+    assert_eq!(refused(&controller, Stream::Orientation, Refusal::ForeignSource), 1);
+    assert_eq!(controller.inbox().orientation(now), Some(&repeated));
+    controller.handle_source_lost(NodeKind::SimNode, SOURCE);
+    assert_eq!(controller.inbox().orientation(now), None, "the source has left");
+}
+
+#[test]
 fn physically_impossible_values_are_refused() {
     let (mut controller, mut room) = flat(&[]);
     let now = Room::time(1);
@@ -259,5 +289,5 @@ fn reports_that_did_not_arrive_are_counted_by_stream() {
     receive(&mut controller, Room::time(5), Message::Channel(&mut gains.clone()));
     gains.stamp.sequence = 72;
     receive(&mut controller, Room::time(5), Message::Channel(&mut gains));
-    assert_eq!(Stream::ALL.map(|stream| controller.inbox().missed(stream)), [4, 1, 0, 0]);
+    assert_eq!(Stream::ALL.map(|stream| controller.inbox().missed(stream)), [4, 1, 0, 0, 0]);
 }

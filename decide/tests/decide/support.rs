@@ -1,6 +1,6 @@
 //! A small room that reports, and actors made to order.
 
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::{ChannelModel, MirrorAngles, Orientation};
 use heliostat_decide::{
     core::{Controller, Decision, DegradedMode},
     inbox::Message,
@@ -15,7 +15,8 @@ use heliostat_onnx::{
     TypeProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto, type_proto,
 };
 use heliostat_proto::{
-    ChannelReport, MirrorCommand, Nanos, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState,
+    ChannelReport, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
+    UserOrientation, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
 use prost::Message as _;
@@ -108,6 +109,13 @@ impl Room {
         let stamp = self.stamp(tick);
         let one = |user: &u32| UserChannel { user: *user, los_gain, irs_gain: 0.0, sinr: 0.0 };
         ChannelReport { stamp, tick, users: ids.iter().map(one).collect() }
+    }
+
+    /// These users hold their receivers with this polar angle in rad, each towards another azimuth.
+    pub fn orientations_of(&mut self, tick: u64, polar: f64, ids: &[u32]) -> OrientationReport {
+        let held = |user: u32| Orientation::from_polar_azimuth(polar, f64::from(user)).quaternion();
+        let one = |user: &u32| UserOrientation { user: *user, quaternion: held(*user).map(|part| part as f32) };
+        OrientationReport { stamp: self.stamp(tick), users: ids.iter().map(one).collect() }
     }
 
     pub fn survey(&mut self, tick: u64, obstacles: Vec<Obstacle>) -> ObstacleReport {

@@ -41,6 +41,7 @@ impl<'a> Instant<'a> {
             min_rate_bps: &min_rate_bps,
             blockers,
             forced,
+            orientations: None,
             measured_los_gain: None,
         };
         observation.set_state(model, &state);

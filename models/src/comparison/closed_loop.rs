@@ -33,6 +33,7 @@ use super::belief_log::BeliefLog;
 use super::belief_quality::{BeliefQuality, quality};
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
+use super::outage::{OutageLog, STEP_NS};
 use super::row::{Rows, rows};
 use super::settings::{RANDOM_DRAWS, Settings};
 use crate::evaluation::held_out::{SETTLE_S, best_angles, held_out_seed};
@@ -75,6 +76,16 @@ impl Episode {
         let place = ChaCha8Rng::seed_from_u64(self.seed ^ RECORDING_STREAM).random_range(0.0..1.0);
         let start_s = spread_s * (index as f64 + place) / count as f64;
         Self { recording_from_s: start_s - SETTLE_S, ..self }
+    }
+
+    /// The sampling times, and those at which outages are observed between the first and the last.
+    fn looks_ns(&self) -> Vec<u64> {
+        let [first, .., last] = self.instants_ns[..] else { return self.instants_ns.clone() };
+        let mut looks: Vec<u64> = (first.next_multiple_of(STEP_NS)..last).step_by(STEP_NS as usize).collect();
+        looks.extend(&self.instants_ns);
+        looks.sort_unstable();
+        looks.dedup();
+        looks
     }
 
     /// The room of the episode at time 0.
@@ -172,8 +183,8 @@ fn solve(
     for instant_ns in &episode.instants_ns {
         world.step((instant_ns - now_ns) as f64 * 1e-9);
         now_ns = *instant_ns;
-        let angles = best_angles(&mut solver, evaluator.model(), world.scene(), world.min_rate_bps());
-        samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), &angles));
+        let angles = best_angles(&mut solver, world.model(), world.scene(), world.min_rate_bps());
+        samples.push(evaluator.evaluate_world(&world, &angles));
     }
     Ok(samples)
 }
@@ -196,14 +207,21 @@ fn run(
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
             let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, controller)?;
             lockstep.names_unusable = evaluated.is_aware();
-            let mut samples = Vec::new();
-            let mut look = |room: &SimulatedRoom| {
+            let (mut samples, mut outages) = (Vec::new(), OutageLog::default());
+            let mut look = |now_ns: u64, room: &SimulatedRoom| {
                 let world = room.world();
-                samples.push(evaluator.evaluate_users(world.scene(), world.min_rate_bps(), room.angles()));
+                let sample = evaluator.evaluate_world(world, room.angles());
+                if episode.instants_ns.binary_search(&now_ns).is_ok() {
+                    samples.push(sample);
+                }
+                if now_ns.is_multiple_of(STEP_NS) {
+                    outages.handle(world.ids().iter().copied().zip(evaluator.below_minimum()));
+                }
             };
-            let done = lockstep.run(&episode.instants_ns, &mut look);
+            let done = lockstep.run(&episode.looks_ns(), &mut look);
             done.with_context(|| format!("policy {}", evaluated.name()))?;
             run.groups.push(samples);
+            run.outages.push(outages);
             run.decisions_us.append(&mut lockstep.decisions_us);
             if evaluated.belief(&scenario).is_some() {
                 let measured_ns = start_ns() + settings.warm.as_nanos() as u64;
@@ -254,14 +272,14 @@ impl Lockstep {
         })
     }
 
-    /// Runs until the last sampling time and calls `look` with the room at each.
-    pub fn run(&mut self, instants_ns: &[u64], look: &mut dyn FnMut(&SimulatedRoom)) -> anyhow::Result<()> {
-        for instant_ns in instants_ns {
+    /// Runs until the last of these times and calls `look` with each and with the room at it.
+    pub fn run(&mut self, times_ns: &[u64], look: &mut dyn FnMut(u64, &SimulatedRoom)) -> anyhow::Result<()> {
+        for instant_ns in times_ns {
             while let Some((now, event)) = self.episode.poll_event(*instant_ns) {
                 self.deliver(now, event)?;
             }
             self.episode.advance(*instant_ns);
-            look(self.episode.room());
+            look(*instant_ns, self.episode.room());
         }
         let failed = self.controller.counters().degraded(DegradedMode::PolicyFailed);
         let held = self.controller.counters().degraded(DegradedMode::Held);
@@ -281,6 +299,7 @@ impl Lockstep {
                 Message::Telemetry(telemetry)
             }
             Event::Obstacles(report) => Message::Obstacles(report),
+            Event::Orientation(report) => Message::Orientation(report),
             Event::Channel(report) => Message::Channel(report),
             Event::Users(report) => Message::Users(report),
         };

@@ -2,8 +2,10 @@
 
 use heliostat_channel::link::{ber_ook, jain};
 use heliostat_channel::{ChannelModel, MirrorAngles, Scene};
+use heliostat_sim::World;
 
 use super::belief_log::Errors;
+use super::outage::OutageLog;
 use crate::evaluation::held_out::met;
 
 /// The evaluation of angles in one state.
@@ -40,6 +42,8 @@ impl Sample {
 pub(super) struct Run {
     pub groups: Vec<Vec<Sample>>,
     pub decisions_us: Vec<f64>,
+    /// In closed loop, the outages of each episode.
+    pub outages: Vec<OutageLog>,
     /// In closed loop, the errors of the belief in each episode.
     pub belief: Vec<Errors>,
 }
@@ -48,6 +52,7 @@ impl Run {
     /// One run whose samples are the means over several runs on the same states.
     pub fn mean(mut runs: Vec<Self>) -> Self {
         let decisions_us = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.decisions_us)).collect();
+        let outages = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.outages)).collect();
         let belief = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.belief)).collect();
         let same = |group: usize, state: usize| {
             Sample::mean(&runs.iter().map(|run| run.groups[group][state]).collect::<Vec<_>>())
@@ -57,6 +62,7 @@ impl Run {
         Self {
             groups: groups.map(|(group, states)| (0..states.len()).map(|state| same(group, state)).collect()).collect(),
             decisions_us,
+            outages,
             belief,
         }
     }
@@ -65,6 +71,11 @@ impl Run {
 /// Evaluates angles with the complete channel: spill, the LED's panel and blocked paths.
 pub(crate) struct Evaluator {
     model: ChannelModel,
+    rates: Rates,
+}
+
+/// Buffers with one entry per user.
+struct Rates {
     min_rate_bps: Vec<f64>,
     sinr: Vec<f64>,
     rates_bps: Vec<f64>,
@@ -74,31 +85,42 @@ impl Evaluator {
     /// An evaluator for a channel and the users' minimum rates.
     pub fn new(model: ChannelModel, min_rate_bps: Vec<f64>) -> Self {
         let users = min_rate_bps.len();
-        Self { model, min_rate_bps, sinr: vec![0.0; users], rates_bps: vec![0.0; users] }
+        Self { model, rates: Rates { min_rate_bps, sinr: vec![0.0; users], rates_bps: vec![0.0; users] } }
     }
 
     pub fn model(&self) -> &ChannelModel {
         &self.model
     }
 
-    /// Evaluates angles in a state with other users, who have these minimum rates. Without users
-    /// the sum rate is 0, and the shares and means over users are NaN.
-    pub fn evaluate_users(&mut self, scene: &Scene, min_rate_bps: &[f64], angles: &MirrorAngles) -> Sample {
-        let users = scene.users();
-        self.min_rate_bps.clear();
-        self.min_rate_bps.extend_from_slice(min_rate_bps);
-        self.sinr.resize(users, 0.0);
-        self.rates_bps.resize(users, 0.0);
-        let sample = self.evaluate(scene, angles);
+    /// Evaluates angles in a world, with its users and its true equipment. Without users the sum
+    /// rate is 0, and the shares and means over users are NaN.
+    pub fn evaluate_world(&mut self, world: &World, angles: &MirrorAngles) -> Sample {
+        let users = world.scene().users();
+        self.rates.min_rate_bps.clear();
+        self.rates.min_rate_bps.extend_from_slice(world.min_rate_bps());
+        self.rates.sinr.resize(users, 0.0);
+        self.rates.rates_bps.resize(users, 0.0);
+        let sample = self.rates.sample(world.model(), world.scene(), angles);
         if users > 0 { sample } else { Sample { jain: f64::NAN, ..sample } }
+    }
+
+    /// Whether each user was below the minimum rate in the last evaluation. Shape: K.
+    pub fn below_minimum(&self) -> impl Iterator<Item = bool> + Clone {
+        self.rates.rates_bps.iter().zip(&self.rates.min_rate_bps).map(|(rate, least)| rate < least)
     }
 
     /// Evaluates angles in one state.
     pub fn evaluate(&mut self, scene: &Scene, angles: &MirrorAngles) -> Sample {
-        scene.sinr(&self.model, angles, &mut self.sinr);
+        self.rates.sample(&self.model, scene, angles)
+    }
+}
+
+impl Rates {
+    fn sample(&mut self, model: &ChannelModel, scene: &Scene, angles: &MirrorAngles) -> Sample {
+        scene.sinr(model, angles, &mut self.sinr);
         let users = self.sinr.len();
         for (rate, sinr) in self.rates_bps.iter_mut().zip(&self.sinr) {
-            *rate = self.model.budget.rate_bps(*sinr, users);
+            *rate = model.budget.rate_bps(*sinr, users);
         }
         let blocked = self.rates_bps.iter().zip(scene.los_blocked()).filter(|(_, blocked)| **blocked);
         let (sum, count) = blocked.fold((0.0, 0.0), |(sum, count), (rate, _)| (sum + rate, count + 1.0));

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Run, Sample};
+use super::outage::Outages;
 use super::settings::{Loop, Settings};
 use crate::evaluation::Estimate;
 
@@ -131,6 +132,9 @@ pub struct Row {
     /// Closed loop: share of the users' time below their minimum rate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub outage_time: Option<Spread>,
+    /// Closed loop: number and lengths of outages; `None` for the oracle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outages: Option<Outages>,
     /// Decision time; `None` for the oracle as the reference.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub decision_us: Option<Times>,
@@ -148,6 +152,7 @@ impl Row {
         decisions_us.sort_by(f64::total_cmp);
         let times = Times { p50: quantile(&decisions_us, 0.5), p99: quantile(&decisions_us, 0.99) };
         Self {
+            outages: Outages::of(runs.iter().flat_map(|run| &run.outages)),
             decision_us: (!decisions_us.is_empty()).then_some(times),
             training_seeds: evaluated.is_learned().then_some(runs.len()),
             ..Self::of_samples(&samples, oracle, mode)
@@ -181,6 +186,7 @@ impl Row {
             blocked_rate_mbps: spread(|sample| sample.blocked_rate_mbps),
             ber: spread(|sample| sample.ber),
             outage_time: (mode == Loop::ClosedLoop).then(|| spread(|sample| 1.0 - sample.met)),
+            outages: None,
             decision_us: None,
             training_seeds: None,
         }
@@ -207,7 +213,7 @@ fn mean(values: &[f64]) -> f64 {
 }
 
 /// The quantile of sorted values, linear between them; NaN without values.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
+pub(super) fn quantile(sorted: &[f64], share: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = share * last as f64;
     let below = place as usize;

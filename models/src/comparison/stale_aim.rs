@@ -29,7 +29,7 @@ pub fn kept_sinr(scenario: &Scenario, evaluated: &EvaluatedPolicy, instants: usi
     let mut solver = Solver::new(users, scenario.mirror_count());
     let [mut sinr, mut perfect] = [vec![0.0; users], vec![0.0; users]];
     let mut kept = Vec::with_capacity(users * instants);
-    let mut look = |room: &SimulatedRoom| {
+    let mut look = |_, room: &SimulatedRoom| {
         let (model, scene) = (room.world().model(), room.world().scene());
         scene.sinr(model, room.angles(), &mut sinr);
         let best = best_angles(&mut solver, model, scene, room.world().min_rate_bps());

@@ -62,6 +62,9 @@ pub struct Outcome {
 /// Why arrivals are refused.
 pub(crate) const FIXED_USERS: &str = "users.arrivals: training and held-out states need a fixed number of users; remove the arrivals, or measure them with `heliostat eval --closed-loop`";
 
+/// Why a difference between the true room and the assumed one is refused.
+pub(crate) const KNOWN_ROOM: &str = "mismatch.level: training and held-out states show the true room to the policy; expected \"none\", or measure the mismatch with `heliostat eval --closed-loop`";
+
 /// A simulated room with the learner's buffers.
 pub struct Environment {
     world: World,
@@ -78,6 +81,7 @@ impl Environment {
     /// The scenario describes no room, or it has more than [`USERS_CAPACITY`] users.
     pub fn new(scenario: &Scenario, seed: u64) -> anyhow::Result<Self> {
         ensure!(scenario.users.arrivals.is_none(), FIXED_USERS);
+        ensure!(scenario.mismatch.is_none(), KNOWN_ROOM);
         let world = World::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
         let users = scenario.users.count;
         let mut observation = Observation::new(world.model(), users);

@@ -13,7 +13,7 @@ use heliostat_sim::World;
 use serde::Serialize;
 
 use super::statistics::Estimate;
-use crate::environment::room::{Environment, FIXED_USERS};
+use crate::environment::room::{Environment, FIXED_USERS, KNOWN_ROOM};
 
 /// Seconds that users walk before a state is taken, so that positions and headings are those of a
 /// continuing walk.
@@ -31,6 +31,7 @@ pub(crate) fn held_out_seed(set: u64, index: u64) -> u64 {
 /// A held-out room at the time of its state.
 pub(crate) fn held_out_world(scenario: &Scenario, set: u64, index: u64) -> anyhow::Result<World> {
     ensure!(scenario.users.arrivals.is_none(), FIXED_USERS);
+    ensure!(scenario.mismatch.is_none(), KNOWN_ROOM);
     let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), held_out_seed(set, index))?;
     world.step(SETTLE_S);
     Ok(world)

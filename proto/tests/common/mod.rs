@@ -225,6 +225,11 @@ pub fn controller_memory() -> ControllerMemory {
     ControllerMemory { stamp: stamp(), epoch: 7, tick: 1000, inputs: vec![report, decision], state: vec![1, 2, 255] }
 }
 
+pub fn orientation_report() -> OrientationReport {
+    let user = UserOrientation { user: 3, quaternion: [0.5, -0.5, 0.5, 0.5] };
+    OrientationReport { stamp: stamp(), users: vec![user] }
+}
+
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
     encode(message, &mut payload).expect("the sample is valid");
@@ -251,6 +256,7 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("room geometry", encoded(&room_geometry())),
         ("belief report", encoded(&belief_report())),
         ("controller memory", encoded(&controller_memory())),
+        ("orientation report", encoded(&orientation_report())),
     ]
 }
 

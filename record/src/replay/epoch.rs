@@ -3,7 +3,8 @@
 use heliostat_decide::core::{Controller, Decision, Due, Timing};
 use heliostat_decide::inbox::Message;
 use heliostat_proto::{
-    ChannelReport, InputKind, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, UserReport, decode,
+    ChannelReport, InputKind, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, OrientationReport, UserReport,
+    decode,
 };
 
 use super::inputs::handle;
@@ -69,6 +70,7 @@ fn time_of(input: InputKind, data: &[u8]) -> Option<Nanos> {
     let stamp = match input {
         InputKind::Channel => decode::<ChannelReport>(data).ok()?.stamp,
         InputKind::Obstacles => decode::<ObstacleReport>(data).ok()?.stamp,
+        InputKind::Orientation => decode::<OrientationReport>(data).ok()?.stamp,
         InputKind::Telemetry => decode::<MirrorTelemetry>(data).ok()?.stamp,
         _ => return None,
     };

@@ -11,6 +11,9 @@ pub(super) fn handle(controller: &mut Controller, input: InputKind, data: &[u8],
         InputKind::Users => (Stream::Users, pass(controller, data, now, |report| Message::Users(report))),
         InputKind::Channel => (Stream::Channel, pass(controller, data, now, |report| Message::Channel(report))),
         InputKind::Obstacles => (Stream::Obstacles, pass(controller, data, now, |report| Message::Obstacles(report))),
+        InputKind::Orientation => {
+            (Stream::Orientation, pass(controller, data, now, |report| Message::Orientation(report)))
+        }
         InputKind::Telemetry => (Stream::Telemetry, pass(controller, data, now, |report| Message::Telemetry(report))),
         InputKind::Decision | InputKind::LateDecision | InputKind::StaleDecision | InputKind::SilenceDecision => return,
     };

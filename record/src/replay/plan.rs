@@ -215,6 +215,7 @@ fn input_of(received: &Received) -> Option<InputKind> {
         Received::Users(_) => Some(InputKind::Users),
         Received::Channel(_) => Some(InputKind::Channel),
         Received::Obstacles(_) => Some(InputKind::Obstacles),
+        Received::Orientation(_) => Some(InputKind::Orientation),
         Received::Telemetry(_) => Some(InputKind::Telemetry),
         _ => None,
     }

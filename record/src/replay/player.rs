@@ -160,6 +160,7 @@ impl<'a> Player<'a> {
         let input = match topic {
             topic if *topic == room.channel() => InputKind::Channel,
             topic if *topic == room.obstacles() => InputKind::Obstacles,
+            topic if *topic == room.orientation() => InputKind::Orientation,
             topic if *topic == room.telemetry() => InputKind::Telemetry,
             topic if *topic == room.controller_memory() => {
                 self.keep_memory(&entry.data);

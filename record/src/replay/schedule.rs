@@ -92,7 +92,11 @@ impl Schedule {
     fn add(&mut self, input: &ControllerInput, messages: &HashMap<(InputKind, u64, u64), EntryIndex>) {
         let ControllerInput { input: kind, source, sequence, time_ns: now, command: gave_command } = *input;
         match kind {
-            InputKind::Users | InputKind::Channel | InputKind::Obstacles | InputKind::Telemetry => {
+            InputKind::Users
+            | InputKind::Channel
+            | InputKind::Obstacles
+            | InputKind::Orientation
+            | InputKind::Telemetry => {
                 let entry = messages.get(&(kind, source, sequence)).copied();
                 self.named.extend(entry);
                 self.last.insert((kind, source), sequence);

@@ -2,7 +2,8 @@
 
 use heliostat_proto::{
     ArrayState, Calibration, Capabilities, ChannelReport, ControllerControl, EmergencyStop, MirrorCommand,
-    MirrorTelemetry, NodeKind, ObstacleReport, Rearm, SafetyReport, SimulatorControl, Stamp, UserChannel, UserReport,
+    MirrorTelemetry, NodeKind, ObstacleReport, OrientationReport, Rearm, SafetyReport, SimulatorControl, Stamp,
+    UserChannel, UserReport,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_tests::faults::{Array, Attacker, Effect, FaultRoom, Setup, encoded};
@@ -34,6 +35,7 @@ fn valid_payloads(room: &FaultRoom) -> Vec<(String, Vec<u8>)> {
         (keys.users(), encoded(&room.witness.users())),
         (keys.channel(), encoded(&ChannelReport { stamp, ..ChannelReport::default() })),
         (keys.obstacles(), encoded(&ObstacleReport { stamp, ..ObstacleReport::default() })),
+        (keys.orientation(), encoded(&OrientationReport { stamp, ..OrientationReport::default() })),
         (keys.command(), encoded(&room.witness.command())),
         (keys.telemetry(), encoded(&room.witness.telemetry())),
         (keys.capabilities(), encoded(&room.witness.capabilities())),

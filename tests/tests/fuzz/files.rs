@@ -90,6 +90,7 @@ pub fn scenario(input: &[u8]) {
             Event::Users(report) => encode(report, &mut payload),
             Event::Channel(report) => encode(report, &mut payload),
             Event::Obstacles(report) => encode(report, &mut payload),
+            Event::Orientation(report) => encode(report, &mut payload),
         };
         encoded.unwrap_or_else(|error| panic!("{error}: {event:?}"));
     }
@@ -179,6 +180,7 @@ fn write_recording(script: &mut Script<'_>, file: &tempfile::NamedTempFile) {
             Kind::UserReport => room.users(),
             Kind::ChannelReport => room.channel(),
             Kind::ObstacleReport => room.obstacles(),
+            Kind::OrientationReport => room.orientation(),
             Kind::MirrorCommand => room.command(),
             Kind::MirrorTelemetry => room.telemetry(),
             Kind::Capabilities => room.capabilities(),

@@ -95,6 +95,7 @@ impl<'s, 'a> Forge<'s, 'a> {
             Kind::UserReport => encode(&self.users(), out),
             Kind::ChannelReport => encode(&self.channel(), out),
             Kind::ObstacleReport => encode(&self.obstacles(), out),
+            Kind::OrientationReport => encode(&self.orientation(), out),
             Kind::MirrorCommand => encode(&self.command(), out),
             Kind::MirrorTelemetry => encode(&self.telemetry(), out),
             Kind::NodeStatus => encode(&NodeStatus { stamp: self.stamp(), ..example_of() }, out),
@@ -230,6 +231,16 @@ impl<'s, 'a> Forge<'s, 'a> {
             height_m: self.real(1.75),
         };
         ObstacleReport { stamp, obstacles: (0..count).map(|_| obstacle()).collect() }
+    }
+
+    fn orientation(&mut self) -> OrientationReport {
+        let genuine = example_of::<OrientationReport>().users[0];
+        let (stamp, count) = (self.stamp(), self.count(1));
+        let mut user = || UserOrientation {
+            user: self.short(genuine.user),
+            quaternion: genuine.quaternion.map(|value| self.real(value)),
+        };
+        OrientationReport { stamp, users: (0..count).map(|_| user()).collect() }
     }
 
     fn command(&mut self) -> MirrorCommand {

@@ -297,6 +297,9 @@ impl Room {
             Kind::ObstacleReport => {
                 self.report::<ObstacleReport>(Stream::Obstacles, &payload, |report| Report::Obstacles(report))
             }
+            Kind::OrientationReport => {
+                self.report::<OrientationReport>(Stream::Orientation, &payload, |report| Report::Orientation(report))
+            }
             Kind::MirrorTelemetry => {
                 self.report::<MirrorTelemetry>(Stream::Telemetry, &payload, |report| Report::Telemetry(report))
             }

@@ -6,7 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::{Inbox, Message, Owner, Rules, Slot};
 use crate::input::{refusal::Stream, sequence::SequenceTrack};
 
-/// The owners, the latest reports and the sequence numbers. Counters of refusals are not in it.
+/// The streams of [`InboxMemory`], in the order of its sequence numbers.
+const STREAMS: [Stream; 4] = [Stream::Users, Stream::Channel, Stream::Obstacles, Stream::Telemetry];
+
+/// The owners, and the latest reports and sequence numbers of all streams but the orientations.
+/// Counters of refusals are not in it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct InboxMemory {
     room: Option<Owner>,
@@ -17,11 +21,18 @@ pub struct InboxMemory {
     channel: Payload,
     obstacles: Payload,
     telemetry: Payload,
-    tracks: [SequenceTrack; Stream::ALL.len()],
+    tracks: [SequenceTrack; STREAMS.len()],
+}
+
+/// The latest orientation report and its sequence numbers.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct OrientationMemory {
+    report: Payload,
+    track: SequenceTrack,
 }
 
 /// A report as it was on the wire; empty for none.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 struct Payload(Vec<u8>);
 
 impl Payload {
@@ -52,7 +63,7 @@ impl Payload {
 }
 
 impl Inbox {
-    /// The present state.
+    /// The present state without the orientations.
     pub fn memory(&self) -> InboxMemory {
         InboxMemory {
             room: self.room,
@@ -63,19 +74,28 @@ impl Inbox {
             channel: Payload::of(&self.channel),
             obstacles: Payload::of(&self.obstacles),
             telemetry: Payload::of(&self.telemetry),
-            tracks: self.tracks,
+            tracks: STREAMS.map(|stream| self.tracks[stream as usize]),
         }
     }
 
+    /// The present state of the orientations.
+    pub fn orientation_memory(&self) -> OrientationMemory {
+        OrientationMemory { report: Payload::of(&self.orientation), track: self.tracks[Stream::Orientation as usize] }
+    }
+
     /// Replaces the state; false where a report in it is not one of this scenario.
-    pub fn restore(&mut self, memory: &InboxMemory) -> bool {
+    pub fn restore(&mut self, memory: &InboxMemory, orientation: &OrientationMemory) -> bool {
         (self.room, self.array) = (memory.room, memory.array);
         (self.lost_room, self.lost_array) = (memory.lost_room, memory.lost_array);
-        self.tracks = memory.tracks;
+        for (stream, track) in STREAMS.into_iter().zip(memory.tracks) {
+            self.tracks[stream as usize] = track;
+        }
+        self.tracks[Stream::Orientation as usize] = orientation.track;
         let rules = &self.rules;
         memory.users.restore(&mut self.users, rules, |report| Message::Users(report))
             && memory.channel.restore(&mut self.channel, rules, |report| Message::Channel(report))
             && memory.obstacles.restore(&mut self.obstacles, rules, |report| Message::Obstacles(report))
             && memory.telemetry.restore(&mut self.telemetry, rules, |report| Message::Telemetry(report))
+            && orientation.report.restore(&mut self.orientation, rules, |report| Message::Orientation(report))
     }
 }

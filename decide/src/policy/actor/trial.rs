@@ -129,6 +129,7 @@ impl Trial {
             min_rate_bps: &scenario.min_rate_bps(),
             blockers: &[],
             forced: &(0..users).map(|user| (index + user).is_multiple_of(2)).collect::<Vec<_>>(),
+            orientations: None,
             measured_los_gain: None,
         };
         self.observation.set_state(model, &state);

@@ -69,11 +69,29 @@ pub fn print_table(report: &Report) -> io::Result<()> {
         "±: half the width of the 95 % confidence interval of the mean; ratio: to the sum rate of the oracle with minimum rates; p5: its 5th percentile"
     )?;
     outln!("blocked: mean rate of a user without direct path, in Mbit/s")?;
-    if report.mode == Loop::ClosedLoop {
-        outln!("outage: share of the users' time below their minimum rate, equal to one minus QoS met")?;
-    }
     print_differences(report)?;
+    print_outages(report)?;
     print_beliefs(report)
+}
+
+/// Prints number and lengths of the outages in closed loop.
+fn print_outages(report: &Report) -> io::Result<()> {
+    let mut rows = rows(report).filter_map(|(name, row)| Some((name, row.outages?))).peekable();
+    if rows.peek().is_none() {
+        return Ok(());
+    }
+    outln!("\noutages: times in which a user is below the minimum rate, sampled every 20 ms")?;
+    let width = name_width(report);
+    outln!("{:<width$} {:>18} {:>15} {:>19}", "", "per user minute", "median (s)", "95th percentile (s)")?;
+    for (name, outages) in rows {
+        outln!(
+            "{name:<width$} {:>18} {:>15} {:>19}",
+            number(outages.per_user_minute, 2),
+            number(outages.p50_s, 2),
+            number(outages.p95_s, 2)
+        )?;
+    }
+    Ok(())
 }
 
 /// Prints the paired differences of the policies from the first one, if there are several.

@@ -1,0 +1,110 @@
+//! Outages: for how long the rate of a user stays below the minimum rate.
+//!
+//! The rates are sampled every 20 ms, which is below the coherence times of indoor optical channels
+//! with moving users. An outage is a run of samples of one user below the minimum rate. It ends when
+//! the user leaves or the episode ends, so the longest outages are cut off at the length of an
+//! episode.
+
+use serde::Serialize;
+
+use super::row::quantile;
+
+/// Time between two samples of the rates in ns.
+pub(super) const STEP_NS: u64 = 20_000_000;
+
+/// The outages of one episode.
+#[derive(Clone, Debug, Default)]
+pub(super) struct OutageLog {
+    /// Users whose outage lasts, with its number of samples.
+    open: Vec<(u32, u64)>,
+    /// The number of samples of each outage that has ended.
+    ended: Vec<u64>,
+    /// Number of samples, over all users.
+    samples: u64,
+}
+
+impl OutageLog {
+    /// Takes one sample: the users, and whether each is below the minimum rate.
+    pub fn handle(&mut self, users: impl Iterator<Item = (u32, bool)> + Clone) {
+        let Self { open, ended, samples } = self;
+        let is_below = |id: u32| users.clone().any(|(user, below)| user == id && below);
+        open.retain(|(id, length)| {
+            let lasts = is_below(*id);
+            if !lasts {
+                ended.push(*length);
+            }
+            lasts
+        });
+        for (id, below) in users.clone() {
+            *samples += 1;
+            if below {
+                match open.iter_mut().find(|(user, _)| *user == id) {
+                    Some((_, length)) => *length += 1,
+                    None => open.push((id, 1)),
+                }
+            }
+        }
+    }
+}
+
+/// The distribution of the outages of a policy.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Outages {
+    /// Outages per minute of a user's time.
+    pub per_user_minute: f64,
+    /// Median length in s.
+    pub p50_s: f64,
+    /// 95th percentile of the length in s.
+    pub p95_s: f64,
+}
+
+impl Outages {
+    /// The distribution over episodes; `None` without a sample.
+    pub(super) fn of<'a>(logs: impl Iterator<Item = &'a OutageLog>) -> Option<Self> {
+        let step_s = STEP_NS as f64 * 1e-9;
+        let (mut lengths_s, mut samples) = (Vec::new(), 0);
+        for log in logs {
+            let lengths = log.ended.iter().chain(log.open.iter().map(|(_, length)| length));
+            lengths_s.extend(lengths.map(|length| *length as f64 * step_s));
+            samples += log.samples;
+        }
+        lengths_s.sort_by(f64::total_cmp);
+        let user_s = samples as f64 * step_s;
+        (samples > 0).then(|| Self {
+            per_user_minute: lengths_s.len() as f64 / (user_s / 60.0),
+            p50_s: quantile(&lengths_s, 0.5),
+            p95_s: quantile(&lengths_s, 0.95),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_of_samples_below_the_minimum_rate_are_outages() {
+        let mut log = OutageLog::default();
+        // User 1 is below for two samples and for one; user 2 for the last two; user 3 leaves.
+        let samples: [&[(u32, bool)]; 5] = [
+            &[(1, true), (2, false), (3, true)],
+            &[(1, true), (2, false)],
+            &[(1, false), (2, false)],
+            &[(2, true), (1, true)],
+            &[(2, true), (1, false)],
+        ];
+        samples.iter().for_each(|users| log.handle(users.iter().copied()));
+        let outages = Outages::of([&log, &OutageLog::default()].into_iter()).expect("samples");
+        assert!((outages.per_user_minute - 4.0 / (11.0 * 0.02 / 60.0)).abs() < 1e-9);
+        assert!((outages.p50_s - 0.03).abs() < 1e-12 && (outages.p95_s - 0.04).abs() < 1e-12);
+        assert_eq!(Outages::of([&OutageLog::default()].into_iter()), None);
+    }
+
+    #[test]
+    fn a_policy_without_outages_has_none() {
+        let mut log = OutageLog::default();
+        log.handle([(1, false)].into_iter());
+        let outages = Outages::of(std::iter::once(&log)).expect("a sample");
+        assert!(outages.per_user_minute == 0.0 && outages.p50_s.is_nan(), "{outages:?}");
+    }
+}

@@ -1,0 +1,127 @@
+//! The difference between the room that the controller assumes, and the true one.
+//!
+//! A scenario describes the room that the controller knows: nominal values. A simulator draws the
+//! true room around them, once for each seed. The spreads are standard deviations. Where neither a
+//! data sheet nor a paper has a value, the list says that it is assumed.
+//!
+//! | quantity | typical | rough | source |
+//! | --- | --- | --- | --- |
+//! | body radius | 0.02 m | 0.04 m | half of the spread of the bideltoid breadth of adults, 33 mm (ANSUR II, Gordon et al., 2014); rough: clothes and bags, assumed |
+//! | body height | 0.07 m | 0.07 m | stature of adults (ANSUR II) |
+//! | body offset | 0.05 m | 0.10 m | how far a device is held from the body, assumed |
+//! | mirror angles | 0.2 deg | 0.6 deg | fixed offset of each axis, after alignment with a laser or by eye, assumed |
+//! | reflectivity | 2 % | 5 % | loss by dust and ageing, always below the nominal value, assumed |
+//! | LED position | 0.01 m | 0.03 m | along x, y and z, by a laser meter or a tape, assumed |
+//! | half-power semi-angle | 3 % | 8 % | spread between parts and diffusers, assumed |
+//! | received power | 5 % | 12 % | flux bins of white LEDs are 7 % wide on either side (Cree XLamp data sheets), and photodiodes differ |
+//! | floor height | 0.01 m | 0.03 m | LED and mirrors above the tracker's floor, assumed |
+
+use serde::{Deserialize, Serialize};
+
+/// How far the true room is from the assumed one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MismatchLevel {
+    /// The room is as the scenario describes it.
+    #[default]
+    None,
+    /// An installation with care.
+    Typical,
+    /// A hasty installation, and users of any kind.
+    Rough,
+}
+
+/// A part of the room that may differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MismatchKind {
+    /// Radius, height and offset of each user's body.
+    Bodies,
+    /// The angles of each mirror, and the reflectivity of the array.
+    Mirrors,
+    /// Position and half-power semi-angle of each LED.
+    Led,
+    /// The power that a detector receives, as a factor on all gains.
+    Receiver,
+    /// The height of LED and mirrors above the floor of the tracker.
+    Floor,
+}
+
+/// The difference between the assumed room and the true one.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Mismatch {
+    /// The size of the differences.
+    pub level: MismatchLevel,
+    /// The parts that differ; empty: all.
+    pub kinds: Vec<MismatchKind>,
+}
+
+/// Standard deviations of the true values around the nominal ones; the [module](self) has their
+/// sources.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spreads {
+    /// Of the radius of a body in m.
+    pub body_radius_m: f64,
+    /// Of the height of a body in m.
+    pub body_height_m: f64,
+    /// Of the distance of a body's axis behind the device in m.
+    pub body_offset_m: f64,
+    /// Of the fixed offset of each axis of each mirror in degrees.
+    pub mirror_deg: f64,
+    /// Of the loss of reflectivity, relative; the true value is never above the nominal one.
+    pub reflectivity_loss: f64,
+    /// Of each coordinate of an LED in m.
+    pub led_m: f64,
+    /// Of the half-power semi-angle, relative.
+    pub semi_angle: f64,
+    /// Of the received power, relative.
+    pub received: f64,
+    /// Of the height of LED and mirrors in m.
+    pub floor_m: f64,
+}
+
+impl Mismatch {
+    /// Whether the true room is the assumed one.
+    pub fn is_none(&self) -> bool {
+        self.level == MismatchLevel::None
+    }
+
+    /// The spreads of the chosen kinds; those of the other kinds are 0.
+    pub fn spreads(&self) -> Spreads {
+        let chosen = |kind: MismatchKind, typical: f64, rough: f64| {
+            let applies = self.kinds.is_empty() || self.kinds.contains(&kind);
+            match self.level {
+                MismatchLevel::Typical if applies => typical,
+                MismatchLevel::Rough if applies => rough,
+                _ => 0.0,
+            }
+        };
+        Spreads {
+            body_radius_m: chosen(MismatchKind::Bodies, 0.02, 0.04),
+            body_height_m: chosen(MismatchKind::Bodies, 0.07, 0.07),
+            body_offset_m: chosen(MismatchKind::Bodies, 0.05, 0.10),
+            mirror_deg: chosen(MismatchKind::Mirrors, 0.2, 0.6),
+            reflectivity_loss: chosen(MismatchKind::Mirrors, 0.02, 0.05),
+            led_m: chosen(MismatchKind::Led, 0.01, 0.03),
+            semi_angle: chosen(MismatchKind::Led, 0.03, 0.08),
+            received: chosen(MismatchKind::Receiver, 0.05, 0.12),
+            floor_m: chosen(MismatchKind::Floor, 0.01, 0.03),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_chosen_kinds_differ_and_none_does_without_a_level() {
+        assert_eq!(Mismatch::default().spreads(), Spreads::default());
+        let all = Mismatch { level: MismatchLevel::Typical, kinds: Vec::new() }.spreads();
+        let rough = Mismatch { level: MismatchLevel::Rough, kinds: Vec::new() }.spreads();
+        assert!(rough.mirror_deg > all.mirror_deg && all.mirror_deg > 0.0);
+        let floor = Mismatch { level: MismatchLevel::Typical, kinds: vec![MismatchKind::Floor] }.spreads();
+        assert_eq!(floor, Spreads { floor_m: all.floor_m, ..Spreads::default() });
+    }
+}

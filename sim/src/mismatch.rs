@@ -1,0 +1,162 @@
+//! The true room of a scenario: nominal values plus differences drawn from a seed.
+//!
+//! The controller knows the scenario. Here the spreads of
+//! [`mismatch`](heliostat_scenario::mismatch) become values, once for each seed, so that a restart
+//! of the walks leaves the equipment as it is.
+
+use heliostat_scenario::{Blockage, Scenario, Spreads};
+
+use crate::random::{self, Purpose, RoomRng};
+
+/// Smallest share of a nominal value that a drawn one can have.
+const LEAST_SHARE: f64 = 0.5;
+
+/// Smallest distance of a device from the surface of its user's body in m.
+const DEVICE_MARGIN_M: f64 = 0.05;
+
+/// A half-power semi-angle stays below this, in degrees.
+const SEMI_ANGLE_MAX_DEG: f64 = 89.0;
+
+/// The true equipment of a scenario's room: LED, mirrors and receivers. Positions stay as far from
+/// walls and ceiling as the nominal ones.
+pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
+    let mut room = nominal.clone();
+    if nominal.mismatch.is_none() {
+        return room;
+    }
+    let spreads = nominal.mismatch.spreads();
+    let mut rng = random::stream(seed, Purpose::Mismatch, 0);
+    let mut deviation = |spread: f64| spread * random::normal(&mut rng);
+
+    let raised_m = deviation(spreads.floor_m);
+    room.room.height_m += raised_m;
+    room.mirrors.centre_height_m += raised_m;
+    let half_m = [0.5 * room.room.length_x_m, 0.5 * room.room.length_y_m];
+    for [x, y, z] in &mut room.led.positions_m {
+        *x = (*x + deviation(spreads.led_m)).clamp(-half_m[0], half_m[0]);
+        *y = (*y + deviation(spreads.led_m)).clamp(-half_m[1], half_m[1]);
+        // A panel on the ceiling cannot be above it.
+        *z = (*z + raised_m + deviation(spreads.led_m)).min(room.room.height_m);
+    }
+    let semi_angle_deg = scaled(room.led.half_power_semi_angle_deg, deviation(spreads.semi_angle));
+    room.led.half_power_semi_angle_deg = semi_angle_deg.min(SEMI_ANGLE_MAX_DEG);
+    room.receiver.area_mm2 = scaled(room.receiver.area_mm2, deviation(spreads.received));
+    room.mirrors.reflectivity = scaled(room.mirrors.reflectivity, -deviation(spreads.reflectivity_loss).abs());
+    let offset_deg = room.actuator.parameters().offset_rad.to_degrees().hypot(spreads.mirror_deg);
+    room.actuator.offset_deg = Some(offset_deg);
+    room
+}
+
+/// The true body of a user: radius, height and distance behind the device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrueBody {
+    /// Radius in m.
+    pub radius_m: f64,
+    /// Height in m.
+    pub height_m: f64,
+    /// Distance of the axis behind the device in m.
+    pub offset_m: f64,
+}
+
+impl TrueBody {
+    /// The body of the user with this number.
+    pub fn draw(nominal: &Blockage, spreads: &Spreads, (seed, user): (u64, u32)) -> Self {
+        let Blockage { body_radius_m, body_height_m, body_offset_m, .. } = *nominal;
+        let mut rng: RoomRng = random::stream(seed, Purpose::Body, user);
+        let mut drawn = |value: f64, spread: f64| {
+            let deviation = if spread > 0.0 { spread * random::normal(&mut rng) } else { 0.0 };
+            (value + deviation).max(LEAST_SHARE * value)
+        };
+        let radius_m = drawn(body_radius_m, spreads.body_radius_m);
+        let height_m = drawn(body_height_m, spreads.body_height_m);
+        // A device is outside the body, as the nominal one is.
+        let margin_m = (body_offset_m - body_radius_m).min(DEVICE_MARGIN_M);
+        let offset_m = drawn(body_offset_m, spreads.body_offset_m).max(radius_m + margin_m);
+        Self { radius_m, height_m, offset_m }
+    }
+}
+
+/// A value with a relative deviation.
+fn scaled(value: f64, deviation: f64) -> f64 {
+    value * (1.0 + deviation).max(LEAST_SHARE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scenario(overrides: &[&str]) -> Scenario {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap()
+    }
+
+    #[test]
+    fn without_a_level_the_true_room_is_the_scenario() {
+        let nominal = scenario(&[]);
+        assert_eq!(true_room(&nominal, 1), nominal);
+    }
+
+    #[test]
+    fn each_kind_changes_its_own_values_and_no_others() {
+        let nominal = scenario(&[]);
+        let of_kind = |kind: &str| {
+            let level = scenario(&["mismatch.level=rough", &format!("mismatch.kinds=[\"{kind}\"]")]);
+            true_room(&level, 3)
+        };
+        let led = of_kind("led");
+        assert_ne!(led.led, nominal.led);
+        assert_eq!((&led.mirrors, &led.receiver, &led.room), (&nominal.mirrors, &nominal.receiver, &nominal.room));
+        let receiver = of_kind("receiver");
+        assert_ne!(receiver.receiver.area_mm2, nominal.receiver.area_mm2);
+        assert_eq!((&receiver.led, &receiver.mirrors), (&nominal.led, &nominal.mirrors));
+        let mirrors = of_kind("mirrors");
+        assert!(mirrors.mirrors.reflectivity < nominal.mirrors.reflectivity);
+        assert_eq!(mirrors.actuator.offset_deg, Some(0.6));
+        let floor = of_kind("floor");
+        let raised_m = floor.room.height_m - nominal.room.height_m;
+        assert!(
+            raised_m != 0.0 && (floor.led.positions_m[0][2] - nominal.led.positions_m[0][2] - raised_m).abs() < 1e-12
+        );
+        let bodies = of_kind("bodies");
+        assert_eq!((&bodies.led, &bodies.mirrors), (&nominal.led, &nominal.mirrors));
+        assert!(bodies.channel_model().is_ok());
+    }
+
+    #[test]
+    fn the_drawn_values_have_the_spreads_of_the_level() {
+        let level = scenario(&["mismatch.level=typical"]);
+        let (count, mut area, mut radius) = (4000, [0.0; 2], [0.0; 2]);
+        let spreads = level.mismatch.spreads();
+        for seed in 0..count {
+            let ratio = true_room(&level, seed).receiver.area_mm2 / level.receiver.area_mm2 - 1.0;
+            let body = TrueBody::draw(&level.blockage, &spreads, (seed, 2)).radius_m - level.blockage.body_radius_m;
+            for ([sum, squares], value) in [(&mut area, ratio), (&mut radius, body)] {
+                (*sum, *squares) = (*sum + value, *squares + value * value);
+            }
+        }
+        let deviation = |[sum, squares]: [f64; 2]| (squares / count as f64 - (sum / count as f64).powi(2)).sqrt();
+        assert!((deviation(area) - 0.05).abs() < 0.003, "{}", deviation(area));
+        assert!((deviation(radius) - 0.02).abs() < 0.0012, "{}", deviation(radius));
+    }
+
+    #[test]
+    fn a_device_stays_outside_the_body_of_its_user() {
+        let rough = scenario(&["mismatch.level=rough"]);
+        let spreads = rough.mismatch.spreads();
+        let bodies = (0..1000).map(|user| TrueBody::draw(&rough.blockage, &spreads, (1, user)));
+        assert!(bodies.into_iter().all(|body| body.offset_m >= body.radius_m + 0.049));
+    }
+
+    #[test]
+    fn every_drawn_room_is_a_valid_one() {
+        for name in heliostat_scenario::BUILTIN_NAMES {
+            let level = Scenario::builtin(name).unwrap();
+            let level = level.with_overrides(&["mismatch.level=rough".to_owned()]).unwrap();
+            for seed in 0..200 {
+                let room = true_room(&level, seed);
+                assert!(room.channel_model().is_ok(), "{name}, seed {seed}");
+                assert!(room.with_overrides(&[]).is_ok(), "{name}, seed {seed}");
+            }
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! How the users hold their receivers: random angles with measured distributions.
+//!
+//! The normal of a device is tilted towards the face of its user. The polar angle between normal
+//! and vertical, and the deviation of the azimuth from the direction towards the face, are those of
+//! a user who sits or stands ([Laplace](laplace)) or who walks (normal).
+//!
+//! Each angle follows a stationary Gaussian process z of variance 1 with the autocorrelation
+//! 0.05^(lag / coherence time). The quantile function of the distribution gives the angle. A user
+//! who starts or stops walking keeps z; the distribution changes over the coherence time.
+//!
+//! The processes have a value every [`NODE_S`] seconds. These nodes depend on the seed and the walk,
+//! and not on the steps of the room. Between two nodes z is interpolated and scaled to variance 1.
+//!
+//! Source: Soltani, Purwita, Zeng, Haas and Safari, "Modeling the random orientation of mobile
+//! devices: measurement, analysis and LiFi use case", IEEE Trans. Commun. 67(3), 2019: the
+//! distributions, and the autoregressive process with its threshold of 0.05.
+
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
+
+use heliostat_channel::Orientation;
+use heliostat_scenario::{OrientationModel, UserOrientation};
+
+use crate::random::{self, Purpose, RoomRng};
+use crate::world::walker::Walker;
+
+/// Time between two nodes of the processes in s.
+pub const NODE_S: f64 = 0.005;
+/// Autocorrelation of an angle at the coherence time.
+const AT_COHERENCE_TIME: f64 = 0.05;
+
+/// Quantile of a Laplace distribution of mean 0 at the probability of a standard normal number.
+///
+/// sign(z) (std / sqrt 2) (-ln(2 Phi(-|z|))), with the distribution function Phi of the standard
+/// normal distribution. Units: those of `std`.
+fn laplace(std: f64, z: f64) -> f64 {
+    let both_tails = libm::erfc(z.abs() * FRAC_1_SQRT_2);
+    (-std * FRAC_1_SQRT_2 * both_tails.ln()).copysign(z)
+}
+
+/// The distributions of a user's angles in radians.
+#[derive(Clone, Copy, Debug)]
+struct Distribution {
+    polar_mean: f64,
+    polar_std: f64,
+    azimuth_std: f64,
+    /// Autocorrelation from one node to the next.
+    correlation: f64,
+}
+
+/// The distributions of a scenario.
+#[derive(Clone, Copy, Debug)]
+struct Distributions {
+    sitting: Distribution,
+    walking: Distribution,
+    walking_from_m_s: f64,
+}
+
+impl Distributions {
+    fn new(table: &UserOrientation) -> Self {
+        let correlation = |coherence_s: f64| AT_COHERENCE_TIME.powf(NODE_S / coherence_s);
+        Self {
+            sitting: Distribution {
+                polar_mean: table.sitting_polar_mean_deg.to_radians(),
+                polar_std: table.sitting_polar_std_deg.to_radians(),
+                azimuth_std: table.sitting_azimuth_std_deg.to_radians(),
+                correlation: correlation(table.sitting_coherence_s),
+            },
+            walking: Distribution {
+                polar_mean: table.walking_polar_mean_deg.to_radians(),
+                polar_std: table.walking_polar_std_deg.to_radians(),
+                azimuth_std: table.walking_azimuth_std_deg.to_radians(),
+                correlation: correlation(table.walking_coherence_s),
+            },
+            walking_from_m_s: table.walking_from_m_s,
+        }
+    }
+
+    fn is_walking(&self, walker: &Walker) -> bool {
+        let [x, y] = walker.velocity;
+        x * x + y * y >= self.walking_from_m_s * self.walking_from_m_s && [x, y] != [0.0; 2]
+    }
+
+    fn of(&self, walking: bool) -> &Distribution {
+        if walking { &self.walking } else { &self.sitting }
+    }
+
+    /// Polar angle and deviation of the azimuth in radians; a device never faces down.
+    fn angles(&self, node: &Node) -> [f64; 2] {
+        let (sitting, walking) = (&self.sitting, &self.walking);
+        let between = |sits: f64, walks: f64| sits + node.walking * (walks - sits);
+        let polar = between(
+            sitting.polar_mean + laplace(sitting.polar_std, node.polar),
+            walking.polar_mean + walking.polar_std * node.polar,
+        );
+        let azimuth = between(laplace(sitting.azimuth_std, node.azimuth), walking.azimuth_std * node.azimuth);
+        [polar.clamp(0.0, FRAC_PI_2), azimuth]
+    }
+}
+
+/// The processes of one user at one time.
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    /// Standard normal number of the polar angle.
+    polar: f64,
+    /// Standard normal number of the azimuth.
+    azimuth: f64,
+    /// Share of the distribution of a user who walks, from 0 to 1.
+    walking: f64,
+}
+
+/// The processes of one user between two nodes.
+#[derive(Clone, Debug)]
+struct Process {
+    rng: RoomRng,
+    last: Node,
+    next: Node,
+    /// Autocorrelation from the last node to the next.
+    correlation: f64,
+}
+
+impl Process {
+    /// A process in its stationary regime.
+    fn new(distributions: &Distributions, mut rng: RoomRng, walking: bool) -> Self {
+        let [polar, azimuth] = random::normal_pair(&mut rng);
+        let first = Node { polar, azimuth, walking: f64::from(u8::from(walking)) };
+        let mut process = Self { rng, last: first, next: first, correlation: 1.0 };
+        process.pass_node(distributions, walking);
+        process
+    }
+
+    /// The next node becomes the last one.
+    fn pass_node(&mut self, distributions: &Distributions, walking: bool) {
+        self.last = self.next;
+        self.correlation = distributions.of(walking).correlation;
+        let (kept, drawn) = (self.correlation, (1.0 - self.correlation * self.correlation).sqrt());
+        let target = f64::from(u8::from(walking));
+        let [polar, azimuth] = random::normal_pair(&mut self.rng);
+        self.next = Node {
+            polar: kept * self.last.polar + drawn * polar,
+            azimuth: kept * self.last.azimuth + drawn * azimuth,
+            walking: target + kept * (self.last.walking - target),
+        };
+    }
+
+    /// The processes at a share of the time from the last node to the next.
+    fn at(&self, share: f64) -> Node {
+        let rest = 1.0 - share;
+        let deviation = (rest * rest + share * share + 2.0 * rest * share * self.correlation).sqrt();
+        let between = |last: f64, next: f64| (rest * last + share * next) / deviation;
+        Node {
+            polar: between(self.last.polar, self.next.polar),
+            azimuth: between(self.last.azimuth, self.next.azimuth),
+            walking: rest * self.last.walking + share * self.next.walking,
+        }
+    }
+}
+
+/// The orientations of all users, in the order of entry.
+#[derive(Clone, Debug)]
+pub struct Orientations {
+    /// `None`: every receiver faces up.
+    distributions: Option<Distributions>,
+    seed: u64,
+    /// Number of nodes that have passed.
+    passed: u64,
+    processes: Vec<Process>,
+    held: Vec<Orientation>,
+}
+
+impl Orientations {
+    /// The orientations of a scenario, without users.
+    pub fn new(table: Option<&UserOrientation>) -> Self {
+        let measured = table.filter(|table| table.model == OrientationModel::Measured);
+        Self {
+            distributions: measured.map(Distributions::new),
+            seed: 0,
+            passed: 0,
+            processes: Vec::new(),
+            held: Vec::new(),
+        }
+    }
+
+    /// Restarts at time 0 with these users; makes room for `most` users in all.
+    pub fn begin(&mut self, seed: u64, walkers: &[Walker], most: usize) {
+        (self.seed, self.passed) = (seed, 0);
+        self.processes.clear();
+        self.held.reserve(most.saturating_sub(self.held.len()));
+        if let Some(distributions) = &self.distributions {
+            self.processes.reserve(most);
+            for (id, walker) in walkers.iter().enumerate() {
+                let rng = random::stream(seed, Purpose::Orientation, id as u32);
+                self.processes.push(Process::new(distributions, rng, distributions.is_walking(walker)));
+            }
+        }
+    }
+
+    /// A user enters after the others, walking, with the process of its number.
+    pub fn enter(&mut self, id: u32) {
+        if let Some(distributions) = &self.distributions {
+            let rng = random::stream(self.seed, Purpose::Orientation, id);
+            self.processes.push(Process::new(distributions, rng, true));
+        }
+    }
+
+    /// The user at this index leaves.
+    pub fn leave(&mut self, index: usize) {
+        if self.distributions.is_some() {
+            self.processes.remove(index);
+        }
+    }
+
+    /// Time of the next node in s since the start; `None` where every receiver faces up.
+    pub fn next_node_s(&self) -> Option<f64> {
+        self.distributions.map(|_| (self.passed + 1) as f64 * NODE_S)
+    }
+
+    /// Passes the next node, at which the users move like this.
+    pub fn pass_node(&mut self, walkers: &[Walker]) {
+        self.passed += 1;
+        if let Some(distributions) = &self.distributions {
+            for (process, walker) in self.processes.iter_mut().zip(walkers) {
+                process.pass_node(distributions, distributions.is_walking(walker));
+            }
+        }
+    }
+
+    /// Computes the orientations at a time in s between the last node and the next.
+    pub fn hold(&mut self, time_s: f64, walkers: &[Walker]) {
+        self.held.clear();
+        let Some(distributions) = &self.distributions else {
+            self.held.resize(walkers.len(), Orientation::UPRIGHT);
+            return;
+        };
+        let share = (time_s / NODE_S - self.passed as f64).clamp(0.0, 1.0);
+        for (process, walker) in self.processes.iter().zip(walkers) {
+            let [polar, azimuth] = distributions.angles(&process.at(share));
+            self.held.push(Orientation::from_polar_azimuth(polar, walker.heading() + PI + azimuth));
+        }
+    }
+
+    /// The orientation of each user's receiver.
+    pub fn held(&self) -> &[Orientation] {
+        &self.held
+    }
+}

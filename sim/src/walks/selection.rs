@@ -36,7 +36,7 @@ pub struct Choice {
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SelectionError {
     /// Too few people.
-    #[error("the tracks have {found} usable people, {presence}: expected {users}")]
+    #[error("people {presence}: at most {found}; expected {users}")]
     Few {
         /// People who can be chosen.
         found: usize,
@@ -46,7 +46,7 @@ pub enum SelectionError {
         users: usize,
     },
     /// All are present, but not for long enough.
-    #[error("{users} people are present for at most {found_s:.2} s, {presence}: expected {duration_s} s")]
+    #[error("{users} people {presence} last {found_s:.2} s; expected {duration_s} s or more")]
     Short {
         /// Users required.
         users: usize,
@@ -73,8 +73,8 @@ pub struct Selected {
 impl Presence {
     fn condition(self) -> &'static str {
         match self {
-            Self::Together => "present at the same time",
-            Self::Longest => "each at a time of its own",
+            Self::Together => "who are present at the same time",
+            Self::Longest => "with more than one position",
         }
     }
 }
@@ -94,7 +94,9 @@ pub fn select(tracks: &[Track], choice: &Choice) -> Result<Selected, SelectionEr
     if chosen.len() < users {
         return Err(SelectionError::Few { found: chosen.len(), presence, users });
     }
-    let duration_s = choice.duration_s.unwrap_or(longest_s);
+    // A rate needs at least one interval.
+    let least_s = choice.rate_hz.map_or(INTERVAL_MIN_S, |rate_hz| 1.0 / rate_hz);
+    let duration_s = choice.duration_s.unwrap_or(longest_s).max(least_s);
     if duration_s > longest_s {
         return Err(SelectionError::Short { users, found_s: longest_s, presence, duration_s });
     }
@@ -171,10 +173,9 @@ struct Times {
 }
 
 impl Times {
-    /// With a rate the duration is a whole number of intervals, at least one.
+    /// With a rate the duration is a whole number of intervals.
     fn new(duration_s: f64, rate_hz: Option<f64>) -> Self {
-        let duration_s =
-            rate_hz.map_or(duration_s, |rate_hz| ((duration_s * rate_hz + 1e-6).floor().max(1.0)) / rate_hz);
+        let duration_s = rate_hz.map_or(duration_s, |rate_hz| (duration_s * rate_hz + 1e-6).floor() / rate_hz);
         Self { duration_s, rate_hz }
     }
 
@@ -245,10 +246,12 @@ mod tests {
         let tracks = [track("a", 0.0, 4.0), track("b", 2.0, 6.0), track("c", 7.0, 9.0)];
         let error = |choice| select(&tracks, &choice).expect_err("refused").to_string();
         let few = error(choice(3, Presence::Together));
-        assert!(few.contains("2 usable people") && few.contains("expected 3"), "{few}");
+        assert!(few.contains("present at the same time: at most 2; expected 3"), "{few}");
         let short = error(Choice { duration_s: Some(2.5), ..choice(2, Presence::Together) });
-        assert!(short.contains("at most 2.00 s") && short.contains("expected 2.5 s"), "{short}");
-        assert!(error(choice(4, Presence::Longest)).contains("3 usable people"));
+        assert!(short.contains("2 people who are present at the same time last 2.00 s; expected 2.5 s"), "{short}");
+        let slow = error(Choice { rate_hz: Some(0.25), ..choice(2, Presence::Together) });
+        assert!(slow.contains("expected 4 s"), "{slow}");
+        assert!(error(choice(4, Presence::Longest)).contains("at most 3; expected 4"));
     }
 
     #[test]

@@ -107,7 +107,14 @@ pub struct Kept {
 
 impl Default for Kept {
     fn default() -> Self {
-        Self { scale: 1.0, from_s: f64::NEG_INFINITY, to_s: f64::INFINITY, crop: None, max_gap_s: 1.0, positions_max: POSITIONS_MAX }
+        Self {
+            scale: 1.0,
+            from_s: f64::NEG_INFINITY,
+            to_s: f64::INFINITY,
+            crop: None,
+            max_gap_s: 1.0,
+            positions_max: POSITIONS_MAX,
+        }
     }
 }
 
@@ -133,6 +140,8 @@ pub struct Collected {
     pub tracks: Vec<Track>,
     /// What became of the positions.
     pub counts: RowCounts,
+    /// Time of the first row in s.
+    pub first_s: f64,
     /// People of whom a row was read.
     pub people: usize,
     /// The first 1000 refused rows.
@@ -206,7 +215,7 @@ impl Collector {
 
     /// All that was read.
     pub fn finish(self) -> Collected {
-        Collected { people: self.people.len(), ..self.collected }
+        Collected { first_s: self.first_s.unwrap_or(0.0), people: self.people.len(), ..self.collected }
     }
 }
 

@@ -103,6 +103,17 @@ fn a_closed_loop_loses_rate_with_late_reports() {
     assert!(hall["oracle"].get("outages").is_none(), "the oracle is solved at the instants only");
 }
 
+#[test]
+fn a_policy_that_knows_the_true_room_is_above_one_with_reports() {
+    let flags = ["--closed-loop", "--scenario", "hall", "--states", "60", "--seeds", "1", "--policies", "greedy,flat"];
+    let compared = report(&[&flags[..], &["--ceilings"]].concat());
+    let [reports, present, future] =
+        ["greedy", "greedy+true-present", "greedy+true-future"].map(|name| mean(&compared, name, "ratio_to_oracle"));
+    assert!(reports < present && present < future && future < 1.001, "{reports} {present} {future}");
+    assert!(compared["policies"].get("flat+true-present").is_none(), "flat mirrors observe nothing");
+    assert!(compared["policies"]["greedy+true-present"].get("decision_us").is_none());
+}
+
 /// In the recording the user stands near the mirrors, then in a far corner.
 #[test]
 fn episodes_of_a_recorded_walk_see_different_parts_of_it() {

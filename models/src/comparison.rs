@@ -20,6 +20,7 @@
 
 mod belief_log;
 mod belief_quality;
+mod ceiling;
 mod closed_loop;
 mod evaluated_policy;
 pub(crate) mod evaluator;
@@ -38,6 +39,7 @@ use serde::{Serialize, Serializer};
 use crate::environment::room::FIXED_USERS;
 
 pub use belief_quality::BeliefQuality;
+pub use ceiling::Known;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
 pub use outage::Outages;
 pub use row::{Row, Spread, Times};

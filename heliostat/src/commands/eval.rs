@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
-use heliostat_models::comparison::{EvaluatedPolicy, Loop, Settings, compare};
+use heliostat_models::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
 use heliostat_scenario::{Belief, ScenarioArgs};
 use heliostat_service::duration::seconds;
 
@@ -62,6 +62,10 @@ pub struct Args {
     /// Time in s from the controller's start to the first measured instant of an episode, at least 0.01
     #[arg(long, requires = "closed_loop", value_name = "SECONDS", default_value = "1", value_parser = seconds, allow_negative_numbers = true)]
     warm: Duration,
+    /// Add two rows for each policy that observes the true room in place of reports: when it decides,
+    /// and in the middle of the time in which its command is in force
+    #[arg(long, requires = "closed_loop")]
+    ceilings: bool,
     /// Add a row for each policy that ignores which mirrors are unusable
     #[arg(long, requires = "closed_loop")]
     unaware: bool,
@@ -110,10 +114,12 @@ impl Args {
             let mut believing: Vec<_> =
                 self.beliefs.iter().filter_map(|belief| evaluated.with_belief(*belief)).collect();
             let unaware = self.unaware.then(|| evaluated.unaware());
+            let ceilings = [Known::Present, Known::Future].map(|known| evaluated.knowing(known));
+            let ceilings = ceilings.into_iter().flatten().filter(|_| self.ceilings).collect::<Vec<_>>();
             if believing.is_empty() {
                 believing.push(evaluated);
             }
-            believing.into_iter().chain(unaware)
+            believing.into_iter().chain(unaware).chain(ceilings)
         });
         Ok(Settings {
             scenario,

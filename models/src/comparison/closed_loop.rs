@@ -31,6 +31,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::belief_log::BeliefLog;
 use super::belief_quality::{BeliefQuality, quality};
+use super::ceiling::Ceiling;
 use super::evaluated_policy::EvaluatedPolicy;
 use super::evaluator::{Evaluator, Run, Sample};
 use super::outage::{OutageLog, STEP_NS};
@@ -93,6 +94,11 @@ impl Episode {
         let mut room = SimulatedRoom::new(scenario, trace, self.seed)?;
         room.world_mut().seek_recording(self.recording_from_s);
         Ok(room)
+    }
+
+    /// The room of the episode with its reports, at the controller's start.
+    fn begun(&self, scenario: &Scenario, trace: Option<&str>) -> Result<episode::Episode, WorldError> {
+        Ok(episode::Episode::of_room(self.room(scenario, trace)?, scenario, self.seed, start_ns()))
     }
 
     /// Users and obstacles of the episode at time 0.
@@ -204,9 +210,6 @@ fn run(
         for episode in episodes {
             let seed = scenario.seed.wrapping_add(episode.set * draws + draw);
             let policy = evaluated.build(&scenario, seed)?;
-            let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
-            let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, controller)?;
-            lockstep.names_unusable = evaluated.is_aware();
             let (mut samples, mut outages) = (Vec::new(), OutageLog::default());
             let mut look = |now_ns: u64, room: &SimulatedRoom| {
                 let world = room.world();
@@ -218,8 +221,20 @@ fn run(
                     outages.handle(world.ids().iter().copied().zip(evaluator.below_minimum()));
                 }
             };
-            let done = lockstep.run(&episode.looks_ns(), &mut look);
-            done.with_context(|| format!("policy {}", evaluated.name()))?;
+            let failed = || format!("policy {}", evaluated.name());
+            if let Some(known) = evaluated.known() {
+                let room = episode.begun(&scenario, trace.as_deref())?;
+                Ceiling::new(&scenario, room, policy, known)
+                    .run(&episode.looks_ns(), &mut look)
+                    .with_context(failed)?;
+                run.groups.push(samples);
+                run.outages.push(outages);
+                continue;
+            }
+            let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
+            let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, controller)?;
+            lockstep.names_unusable = evaluated.is_aware();
+            lockstep.run(&episode.looks_ns(), &mut look).with_context(failed)?;
             run.groups.push(samples);
             run.outages.push(outages);
             run.decisions_us.append(&mut lockstep.decisions_us);
@@ -258,8 +273,7 @@ impl Lockstep {
         mut controller: Controller,
     ) -> Result<Self, WorldError> {
         controller.warm_up(0..2);
-        let room = episode.room(scenario, trace)?;
-        let episode = episode::Episode::of_room(room, scenario, episode.seed, start_ns());
+        let episode = episode.begun(scenario, trace)?;
         controller.handle_capabilities(&episode.capabilities(), Ok(()));
         Ok(Self {
             episode,

@@ -13,6 +13,7 @@ use heliostat_scenario::{Belief, Scenario};
 use heliostat_sim::World;
 use thiserror::Error;
 
+use super::ceiling::Known;
 use crate::environment::codebook::BestCodeword;
 use crate::environment::room::observe;
 
@@ -43,6 +44,8 @@ pub struct EvaluatedPolicy {
     origin: Origin,
     /// Replaces the scenario's belief.
     belief: Option<Belief>,
+    /// Replaces reports and belief by the true room.
+    known: Option<Known>,
     /// Whether telemetry leaves the unusable mirrors unnamed.
     unaware: bool,
 }
@@ -62,7 +65,7 @@ impl EvaluatedPolicy {
             let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
             Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
-        Ok(Self { name: name.into(), origin, belief: None, unaware: false })
+        Ok(Self { name: name.into(), origin, belief: None, known: None, unaware: false })
     }
 
     /// The names of all policies.
@@ -82,10 +85,23 @@ impl EvaluatedPolicy {
         })
     }
 
+    /// The same policy in closed loop, with the true room in place of reports. `None` for policies
+    /// that do not observe the users.
+    pub fn knowing(&self, known: Known) -> Option<Self> {
+        let name = format!("{}+{}", self.name, known.name());
+        (!self.is_blind()).then(|| Self { name, known: Some(known), ..self.clone() })
+    }
+
+    /// The part of the true room that the policy knows in place of reports.
+    pub(super) fn known(&self) -> Option<Known> {
+        self.known
+    }
+
     /// The belief with which the policy observes the users of a room; `None` for policies that do not
-    /// observe them.
+    /// observe them, or not by reports.
     pub(super) fn belief(&self, scenario: &Scenario) -> Option<Belief> {
-        (!self.is_blind()).then(|| self.belief.unwrap_or(scenario.control.belief))
+        let by_reports = self.known.is_none() && !self.is_blind();
+        by_reports.then(|| self.belief.unwrap_or(scenario.control.belief))
     }
 
     /// Whether the policy does not observe the users.

@@ -33,6 +33,8 @@ pub enum Purpose {
     Mismatch,
     /// The difference between the true body of a user and the nominal one.
     Body,
+    /// The fixed tilt of the receiver of a user.
+    ReceiverTilt,
     /// How one user holds the receiver.
     Orientation,
     /// Measurement noise of orientations.
@@ -58,6 +60,7 @@ impl Purpose {
             Self::Orientation => 11,
             Self::OrientationNoise => 12,
             Self::MobilityModel => 13,
+            Self::ReceiverTilt => 14,
         }
     }
 }

@@ -83,6 +83,8 @@ pub struct World {
     start: Walker,
     walkers: Vec<Walker>,
     orientations: Orientations,
+    /// How the users hold their receivers, with the true tilt of each.
+    held: Vec<Orientation>,
     positions: Vec<Vec3>,
     /// The users' true bodies.
     bodies: Vec<TrueBody>,
@@ -136,6 +138,7 @@ impl World {
             start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
             walkers: Vec::new(),
             orientations: Orientations::new(scenario.users.orientation.as_ref()),
+            held: Vec::new(),
             positions: Vec::new(),
             bodies: Vec::new(),
             blockers: Vec::new(),
@@ -290,8 +293,10 @@ impl World {
             cylinder.y_m = walker.position.y - body.offset_m * walker.direction[1];
         }
         self.orientations.hold(self.time_s, &self.walkers);
-        let orientations = self.orientations.held();
-        self.scene.update_turned(&self.model, &self.positions, orientations, &self.blockers, &self.forced);
+        self.held.clear();
+        let tilted = |(body, held): (&TrueBody, &Orientation)| body.tilt.then(held);
+        self.held.extend(self.bodies.iter().zip(self.orientations.held()).map(tilted));
+        self.scene.update_turned(&self.model, &self.positions, &self.held, &self.blockers, &self.forced);
     }
 
     /// The users' numbers, in the order of entry, as all lists of users. No number is used twice.
@@ -309,8 +314,14 @@ impl World {
         &self.walkers
     }
 
-    /// How the users hold their receivers.
+    /// The orientations of the users' receivers: those of the devices, with the true tilt of each
+    /// receiver in its device.
     pub fn orientations(&self) -> &[Orientation] {
+        &self.held
+    }
+
+    /// How the users hold their devices, which a sensor in the device can measure.
+    pub fn device_orientations(&self) -> &[Orientation] {
         self.orientations.held()
     }
 

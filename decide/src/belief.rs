@@ -36,7 +36,7 @@ use heliostat_scenario::{Scenario, Walk};
 
 use angle_history::AngleHistory;
 use body::Body;
-use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains};
+use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains, Readings};
 use heading::HEADINGS;
 use innovations::Innovations;
 use motion::{MotionEstimate, Sighting, WalkPriors};
@@ -97,6 +97,7 @@ pub struct Belief {
     /// The angles at the time of a measurement.
     angles: MirrorAngles,
     evidence: ChannelEvidence,
+    readings: Readings,
     /// The body of each user of a channel report, where the heading is known.
     bodies: Vec<Option<Cylinder>>,
     /// Absent where there are no unreported obstacles.
@@ -110,6 +111,7 @@ impl Belief {
     /// A belief about no users, with the scenario's priors and noise.
     pub fn new(scenario: &Scenario, model: &ChannelModel, capacity: usize) -> Self {
         let streams = &scenario.streams.positions;
+        let readings = Readings::new(&scenario.streams.channel);
         let position_noise = NoiseLevel::new(streams.noise_m, POSITION_NOISE_M);
         let velocity_noise = NoiseLevel::new(streams.velocity_noise_m_s, VELOCITY_NOISE_M_S);
         Self {
@@ -124,7 +126,8 @@ impl Belief {
             directions: heading::directions(),
             history: AngleHistory::new(model.mirrors.len()),
             angles: MirrorAngles::flat(model.mirrors.len()),
-            evidence: ChannelEvidence::new(model, capacity),
+            evidence: ChannelEvidence::new(model, readings, capacity),
+            readings,
             bodies: Vec::with_capacity(capacity),
             led: channel_evidence::single_led(model),
             map: Occupancy::new(scenario),
@@ -157,7 +160,7 @@ impl Belief {
             for (user, track) in self.tracks.iter_mut().enumerate() {
                 if let Some(measured) = track.measured(user, report) {
                     track.covered.predict();
-                    track.covered.handle_direct(measured.los_gain > 0.0, 1.0);
+                    track.covered.handle_direct(self.readings.shows(f64::from(measured.los_gain)), 1.0);
                 }
             }
             return;

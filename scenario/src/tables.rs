@@ -324,8 +324,9 @@ pub struct Users {
     pub mixture: Vec<MixtureShare>,
     /// Minimum rate R_min in Mbit/s.
     pub min_rate_mbps: MinRate,
-    /// A CSV file of recorded movement (`time,user,x,y`) that replaces the random walk. A relative
-    /// path starts at the folder of the scenario file, in `--set` at the working directory.
+    /// A CSV file of recorded movement (`time,user,x,y[,heading_deg]`) that replaces the random
+    /// walk. A relative path starts at the folder of the scenario file, in `--set` at the working
+    /// directory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
     /// Users who enter and leave the simulated room; absent: the users stay.

@@ -38,7 +38,7 @@ use heliostat_scenario::{Scenario, Walk};
 
 use angle_history::AngleHistory;
 use body::Body;
-use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains};
+use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains, Readings};
 use heading::{HEADING_KNOWN, HEADINGS};
 use innovations::Innovations;
 use motion::{MotionEstimate, Sighting, WalkPriors};
@@ -96,6 +96,7 @@ pub struct Belief {
     /// The angles at the time of a measurement.
     angles: MirrorAngles,
     evidence: ChannelEvidence,
+    readings: Readings,
     /// The body of each user of a channel report, where the heading is known.
     bodies: Vec<Option<Cylinder>>,
     /// Absent where there are no unreported obstacles.
@@ -109,6 +110,7 @@ impl Belief {
     /// A belief about no users, with the scenario's priors and noise.
     pub fn new(scenario: &Scenario, model: &ChannelModel, capacity: usize) -> Self {
         let streams = &scenario.streams.positions;
+        let readings = Readings::new(&scenario.streams.channel);
         let position_noise = NoiseLevel::new(streams.noise_m, POSITION_NOISE_M);
         let velocity_noise = NoiseLevel::new(streams.velocity_noise_m_s, VELOCITY_NOISE_M_S);
         Self {
@@ -124,7 +126,8 @@ impl Belief {
             directions: heading::directions(),
             history: AngleHistory::new(model.mirrors.len()),
             angles: MirrorAngles::flat(model.mirrors.len()),
-            evidence: ChannelEvidence::new(model, capacity),
+            evidence: ChannelEvidence::new(model, readings, capacity),
+            readings,
             bodies: Vec::with_capacity(capacity),
             led: channel_evidence::single_led(model),
             map: Occupancy::new(scenario),
@@ -157,7 +160,7 @@ impl Belief {
             for (user, track) in self.tracks.iter_mut().enumerate() {
                 if let Some(measured) = track.measured(user, report) {
                     track.covered.predict();
-                    track.covered.handle_direct(measured.los_gain > 0.0, 1.0);
+                    track.covered.handle_direct(self.readings.shows(f64::from(measured.los_gain)), 1.0);
                 }
             }
             return;
@@ -311,7 +314,7 @@ fn signed_s(to_ns: Nanos, from_ns: Nanos) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::Stamp;
+    use heliostat_proto::{Stamp, UserChannel};
     use rand_chacha::rand_core::{Rng, SeedableRng};
 
     use super::*;
@@ -393,6 +396,43 @@ mod tests {
         let Innovations { count, sum } = belief.innovations();
         assert_eq!(count, 1999, "the first report of a user has no prediction");
         assert!((sum / count as f64 - 2.0).abs() < 0.4, "{}", sum / count as f64);
+    }
+
+    /// The probability of a clear direct path, after readings of this share of its gain.
+    fn direct_clear(share: f64, overrides: &[&str]) -> f64 {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
+        let scenario = scenario.with_overrides(&overrides).expect("valid overrides");
+        let model = scenario.channel_model().expect("a valid channel");
+        let mut belief = Belief::new(&scenario, &model, 64);
+        for tick in 1..=30 {
+            let users = report(tick, &[(7, [1.0, 0.5, 0.85], [0.0, 0.0])]);
+            belief.handle_users(&users);
+            let los_gain = (1e-6 * share) as f32;
+            let measured = UserChannel { user: 7, los_gain, irs_gain: 0.0, sinr: 0.0 };
+            let channel = ChannelReport { stamp: users.stamp, tick, users: vec![measured] };
+            belief.handle_channel(&model, (&channel, None), &[], &[]);
+        }
+        belief.estimate(7, 0.0).expect("a user").direct_clear
+    }
+
+    #[test]
+    fn readings_within_the_noise_of_the_receiver_show_a_blocked_path() {
+        let noise = ["blockage.bodies=false", "streams.channel.noise_gain=1e-8"];
+        assert!(direct_clear(0.02, &noise[..1]) > 0.9, "without noise any reading shows a clear path");
+        assert!(direct_clear(0.02, &noise) < 0.1);
+        assert!(direct_clear(1.0, &noise) > 0.9);
+    }
+
+    #[test]
+    fn a_path_that_the_converter_cannot_resolve_shows_nothing() {
+        let coarse =
+            ["blockage.bodies=false", "streams.channel.resolution_bits=2", "streams.channel.full_scale_gain=3e-5"];
+        let fine =
+            ["blockage.bodies=false", "streams.channel.resolution_bits=12", "streams.channel.full_scale_gain=3e-5"];
+        assert!(direct_clear(0.0, &fine) < 0.1);
+        let unknown = direct_clear(0.0, &coarse);
+        assert!((0.2..1.0).contains(&unknown), "the prior remains: {unknown}");
     }
 
     #[test]

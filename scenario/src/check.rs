@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use crate::error::ScenarioError;
 use crate::runtime::DegradedAction;
 use crate::scenario::Scenario;
+use crate::streams::Streams;
 use crate::tables::{ChannelMode, MinRate, Wall};
 use crate::user_orientation::UserOrientation;
 
@@ -14,6 +15,10 @@ pub const USERS_MAX: usize = 64;
 const ARRIVALS_PER_MIN_MAX: f64 = 60_000.0;
 /// Mean durations of a stay in s.
 const STAY_S: RangeInclusive<f64> = 0.01..=1e6;
+/// Share of lost reports.
+const LOSS: RangeInclusive<f64> = 0.0..=0.99;
+/// Mean number of reports lost in a row, where losses are not independent.
+const BURST_REPORTS: RangeInclusive<f64> = 1.0..=1e4;
 /// Coherence times of the users' orientations in s.
 const COHERENCE_S: RangeInclusive<f64> = 0.001..=1e4;
 /// Largest number of mirrors of an array: the limit of the contract.
@@ -198,22 +203,7 @@ impl Scenario {
         within("actuator.scale_error_relative", actuator.scale_error_relative.unwrap_or(0.0), 0.0..=0.2)?;
         within("actuator.hysteresis_deg", actuator.hysteresis_deg.unwrap_or(0.0), 0.0..=90.0)?;
         within("actuator.stuck_share", actuator.stuck_share.unwrap_or(0.0), 0.0..=1.0)?;
-        let streams = &self.streams;
-        within("streams.positions.rate_hz", streams.positions.rate_hz, 0.01..=10_000.0)?;
-        within("streams.positions.latency_ms", streams.positions.latency_ms, 0.0..=10_000.0)?;
-        within("streams.positions.noise_m", streams.positions.noise_m, 0.0..=10.0)?;
-        within("streams.positions.velocity_noise_m_s", streams.positions.velocity_noise_m_s, 0.0..=10.0)?;
-        within("streams.channel.rate_hz", streams.channel.rate_hz, 0.01..=10_000.0)?;
-        within("streams.channel.latency_ms", streams.channel.latency_ms, 0.0..=10_000.0)?;
-        within("streams.channel.noise_relative", streams.channel.noise_relative, 0.0..=1.0)?;
-        within("streams.telemetry.rate_hz", streams.telemetry.rate_hz, 0.1..=10_000.0)?;
-        within("streams.obstacles.rate_hz", streams.obstacles.rate_hz, 0.0..=1000.0)?;
-        within("streams.truth.rate_hz", streams.truth.rate_hz, 0.1..=1000.0)?;
-        if let Some(orientation) = &streams.orientation {
-            within("streams.orientation.rate_hz", orientation.rate_hz, 0.01..=10_000.0)?;
-            within("streams.orientation.latency_ms", orientation.latency_ms, 0.0..=10_000.0)?;
-            within("streams.orientation.noise_deg", orientation.noise_deg, 0.0..=180.0)?;
-        }
+        check_streams(&self.streams)?;
         let control = &self.control;
         within("control.validity_ms", control.validity_ms, 1.0..=10_000.0)?;
         within("control.report_age_max_ms", control.report_age_max_ms, 1.0..=60_000.0)?;
@@ -238,6 +228,47 @@ impl Scenario {
         count("control.search_evaluations", control.search_evaluations as usize, 1..=100_000_000)?;
         within("control.search_time_us", control.search_time_us, 0.0..=60e6)
     }
+}
+
+fn check_streams(streams: &Streams) -> Result<(), ScenarioError> {
+    within("streams.positions.rate_hz", streams.positions.rate_hz, 0.01..=10_000.0)?;
+    within("streams.positions.latency_ms", streams.positions.latency_ms, 0.0..=10_000.0)?;
+    within("streams.positions.noise_m", streams.positions.noise_m, 0.0..=10.0)?;
+    within("streams.positions.velocity_noise_m_s", streams.positions.velocity_noise_m_s, 0.0..=10.0)?;
+    within("streams.channel.rate_hz", streams.channel.rate_hz, 0.01..=10_000.0)?;
+    within("streams.channel.latency_ms", streams.channel.latency_ms, 0.0..=10_000.0)?;
+    within("streams.channel.noise_relative", streams.channel.noise_relative, 0.0..=1.0)?;
+    within("streams.channel.noise_gain", streams.channel.noise_gain, 0.0..=1.0)?;
+    count("streams.channel.resolution_bits", streams.channel.resolution_bits as usize, 0..=24)?;
+    within("streams.channel.full_scale_gain", streams.channel.full_scale_gain, 0.0..=1.0)?;
+    if streams.channel.resolution_bits > 0 && streams.channel.full_scale_gain == 0.0 {
+        let expected = "expected streams.channel.full_scale_gain, the largest gain that the receiver measures; \
+                        `heliostat link` prints the gains of a user";
+        return invalid("streams.channel.resolution_bits", streams.channel.resolution_bits, expected);
+    }
+    check_loss("streams.positions", streams.positions.loss, streams.positions.loss_burst_reports)?;
+    check_loss("streams.channel", streams.channel.loss, streams.channel.loss_burst_reports)?;
+    within("streams.telemetry.rate_hz", streams.telemetry.rate_hz, 0.1..=10_000.0)?;
+    within("streams.obstacles.rate_hz", streams.obstacles.rate_hz, 0.0..=1000.0)?;
+    within("streams.truth.rate_hz", streams.truth.rate_hz, 0.1..=1000.0)?;
+    if let Some(orientation) = &streams.orientation {
+        within("streams.orientation.rate_hz", orientation.rate_hz, 0.01..=10_000.0)?;
+        within("streams.orientation.latency_ms", orientation.latency_ms, 0.0..=10_000.0)?;
+        within("streams.orientation.noise_deg", orientation.noise_deg, 0.0..=180.0)?;
+    }
+    Ok(())
+}
+
+/// Checks the share of lost reports, and their mean number in a row.
+fn check_loss(table: &str, loss: f64, burst_reports: f64) -> Result<(), ScenarioError> {
+    within(&format!("{table}.loss"), loss, LOSS)?;
+    if burst_reports == 0.0 {
+        return Ok(());
+    }
+    let key = format!("{table}.loss_burst_reports");
+    within(&key, burst_reports, BURST_REPORTS)?;
+    // At least one report arrives between two bursts.
+    within(&format!("{table}.loss"), loss, 0.0..=burst_reports / (burst_reports + 1.0))
 }
 
 fn check_orientation(held: &UserOrientation) -> Result<(), ScenarioError> {

@@ -9,7 +9,8 @@
 //! # Modules
 //! - [`tables`]: the tables that do not change while a room runs.
 //! - [`mobility`]: how simulated users move.
-//! - [`runtime`]: actuators, report streams and limits of the controller.
+//! - [`runtime`]: actuators and limits of the controller.
+//! - [`streams`]: rates, latencies, noise, resolution and losses of the reports.
 //! - [`mismatch`]: how the true room differs from the assumed one.
 //! - [`renames`]: old names of keys and values.
 //!
@@ -43,6 +44,7 @@ mod problems;
 pub mod renames;
 pub mod runtime;
 mod scenario;
+pub mod streams;
 pub mod tables;
 mod trace;
 mod user_orientation;
@@ -57,6 +59,7 @@ pub use mobility::*;
 pub use problems::{Checked, Problem};
 pub use runtime::*;
 pub use scenario::Scenario;
+pub use streams::*;
 pub use tables::*;
 pub use trace::TraceFileError;
 pub use user_orientation::{OrientationModel, UserOrientation};

@@ -1,4 +1,4 @@
-//! The tables of a running room: actuators, report streams, and the limits of the controller.
+//! The tables of a running room: actuators, and the limits of the controller.
 
 use heliostat_channel::Mechanical;
 use serde::{Deserialize, Serialize};
@@ -175,102 +175,6 @@ struct Profile {
     resolution_bits: u32,
     delay_ms: f64,
     jitter_deg: f64,
-}
-
-/// Position reports of a tracker.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct PositionStream {
-    /// Reports a second.
-    pub rate_hz: f64,
-    /// From measurement to publication in ms.
-    pub latency_ms: f64,
-    /// Standard deviation of each coordinate in m.
-    pub noise_m: f64,
-    /// Standard deviation of each velocity component in m/s.
-    pub velocity_noise_m_s: f64,
-}
-
-impl Default for PositionStream {
-    fn default() -> Self {
-        Self { rate_hz: 100.0, latency_ms: 0.0, noise_m: 0.0, velocity_noise_m_s: 0.0 }
-    }
-}
-
-/// Channel reports: the gains that the users measure.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ChannelStream {
-    /// Reports a second.
-    pub rate_hz: f64,
-    /// From measurement to publication in ms.
-    pub latency_ms: f64,
-    /// Standard deviation of a gain, relative to it.
-    pub noise_relative: f64,
-}
-
-impl Default for ChannelStream {
-    fn default() -> Self {
-        Self { rate_hz: 100.0, latency_ms: 0.0, noise_relative: 0.0 }
-    }
-}
-
-/// Orientation reports: how the users hold their receivers, as the receivers measure it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct OrientationStream {
-    /// Reports a second.
-    pub rate_hz: f64,
-    /// From measurement to publication in ms.
-    pub latency_ms: f64,
-    /// Standard deviation of a rotation about each axis in degrees.
-    pub noise_deg: f64,
-}
-
-impl Default for OrientationStream {
-    fn default() -> Self {
-        Self { rate_hz: 100.0, latency_ms: 0.0, noise_deg: 0.0 }
-    }
-}
-
-/// A report stream with a rate only.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PlainStream {
-    /// Reports per second; 0 switches the stream off if that is allowed.
-    pub rate_hz: f64,
-}
-
-/// Rates, latencies and noise of the reports of a room.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Streams {
-    /// The positions of the users; each report starts a decision.
-    pub positions: PositionStream,
-    /// The channel gains of the users.
-    pub channel: ChannelStream,
-    /// Telemetry: the angles and states of the mirrors.
-    pub telemetry: PlainStream,
-    /// The positions of the obstacles; at 0 no report contains them.
-    pub obstacles: PlainStream,
-    /// The true state with reference rates, for viewers; simulator only.
-    pub truth: PlainStream,
-    /// How the users hold their receivers; absent: no report contains it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub orientation: Option<OrientationStream>,
-}
-
-impl Default for Streams {
-    fn default() -> Self {
-        Self {
-            positions: PositionStream::default(),
-            channel: ChannelStream::default(),
-            telemetry: PlainStream { rate_hz: 20.0 },
-            obstacles: PlainStream { rate_hz: 1.0 },
-            truth: PlainStream { rate_hz: 20.0 },
-            orientation: None,
-        }
-    }
 }
 
 /// The degraded mode when the policy fails.

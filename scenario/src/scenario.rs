@@ -9,7 +9,8 @@ use crate::lines::line_of;
 use crate::mismatch::Mismatch;
 use crate::overrides;
 use crate::renames::{RENAMES, Renames};
-use crate::runtime::{Actuator, Control, Streams};
+use crate::runtime::{Actuator, Control};
+use crate::streams::Streams;
 use crate::tables::{Blockage, Channel, Led, Link, MinRate, Mirrors, Noise, PowerLaw, Receiver, Room, Users};
 
 /// The description of one room; the files in deploy/scenarios explain every key.

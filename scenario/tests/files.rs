@@ -107,11 +107,27 @@ fn values_that_contradict_each_other_are_refused() {
         "[users]\nmixture = [{ mobility = \"mixture\", share = 1.0 }]",
         "[users]\nmixture = [{ mobility = \"seated\", share = 1.5 }, { mobility = \"seated\", share = -0.5 }]",
         "[users]\nmobility = \"seated\"\nseats_m = [[0.0, 0.0], [1.0, 0.0]]",
+        "[streams.channel]\nresolution_bits = 10",
+        "[streams.channel]\nloss = 0.7\nloss_burst_reports = 2.0",
+        "[streams.positions]\nloss_burst_reports = 0.5",
+        "[streams.positions]\nloss = 1.0",
         "[noise]\nvariance_a2 = 0.0",
         "[noise]\nvariance_a2 = nan",
     ] {
         assert!(matches!(Scenario::from_toml(text), Err(ScenarioError::Invalid { .. })), "{text}");
     }
+}
+
+#[test]
+fn gains_can_be_told_from_none_above_the_noise_and_half_a_step() {
+    let channel = |text: &str| Scenario::from_toml(&format!("[streams.channel]\n{text}")).unwrap().streams.channel;
+    assert_eq!((channel("").detectable_gain(), channel("").gain_variance()), (0.0, 0.0));
+    let fine = channel("noise_gain = 1e-8\nresolution_bits = 10\nfull_scale_gain = 1.023e-6");
+    assert!((fine.step_gain() / 1e-9 - 1.0).abs() < 1e-12);
+    assert!((fine.detectable_gain() / 3e-8 - 1.0).abs() < 1e-12);
+    assert!((fine.gain_variance() / (1e-16 + 1e-18 / 12.0) - 1.0).abs() < 1e-12);
+    let coarse = channel("noise_gain = 1e-8\nresolution_bits = 3\nfull_scale_gain = 7e-7");
+    assert!((coarse.detectable_gain() / 5e-8 - 1.0).abs() < 1e-12);
 }
 
 #[test]

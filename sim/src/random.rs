@@ -41,6 +41,12 @@ pub enum Purpose {
     OrientationNoise,
     /// Which users of a mixture have which mobility model.
     MobilityModel,
+    /// Measurement noise of the receivers that does not depend on the gain.
+    ReceiverNoise,
+    /// Which position reports are lost.
+    PositionLoss,
+    /// Which channel reports are lost.
+    ChannelLoss,
 }
 
 impl Purpose {
@@ -61,6 +67,9 @@ impl Purpose {
             Self::OrientationNoise => 12,
             Self::MobilityModel => 13,
             Self::ReceiverTilt => 14,
+            Self::ReceiverNoise => 15,
+            Self::PositionLoss => 16,
+            Self::ChannelLoss => 17,
         }
     }
 }

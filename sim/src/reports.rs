@@ -1,11 +1,13 @@
 //! The reports of the room's trackers and receivers: each stream has its own rate, latency and
-//! noise.
+//! noise, and may lose reports.
 //!
 //! A sample is taken when it is due and released one latency later; its stamp has the time of the
 //! sample. Reports that are released at the same instant are ordered: obstacles, orientations,
 //! channel, positions, because the positions complete a tick.
 //!
 //! - [`schedule`]: when the samples of a stream are due.
+//! - [`receiver`]: how a receiver measures a gain.
+//! - [`losses`]: which reports are lost.
 
 use std::collections::BTreeMap;
 
@@ -17,11 +19,15 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Streams;
 
+use self::losses::Losses;
+use self::receiver::Receivers;
 use self::schedule::Schedule;
 use crate::random::{self, Purpose, RoomRng};
 use crate::world::World;
 use crate::world::walker::Walker;
 
+pub mod losses;
+pub mod receiver;
 pub mod schedule;
 
 /// A tick that is sampled later than this after its due time is a delayed tick; half a period if
@@ -59,7 +65,9 @@ pub struct Reports {
     obstacles: Schedule,
     orientation: Schedule,
     position_noise: RoomRng,
-    channel_noise: RoomRng,
+    receivers: Receivers,
+    position_losses: Losses,
+    channel_losses: Losses,
     orientation_noise: RoomRng,
     tick: u64,
     channel_sequence: u64,
@@ -74,15 +82,18 @@ pub struct Reports {
 impl Reports {
     /// The streams of a scenario; `source` is the id in every stamp.
     pub fn new(settings: &Streams, seed: u64, source: u64) -> Self {
+        let (positions, channel) = (&settings.positions, &settings.channel);
         Self {
             source,
-            positions: Schedule::new(settings.positions.rate_hz, 0),
-            channel: Schedule::new(settings.channel.rate_hz, 0),
+            positions: Schedule::new(positions.rate_hz, 0),
+            channel: Schedule::new(channel.rate_hz, 0),
             obstacles: Schedule::new(settings.obstacles.rate_hz, 0),
             orientation: Schedule::new(settings.orientation.as_ref().map_or(0.0, |stream| stream.rate_hz), 0),
             settings: settings.clone(),
             position_noise: random::stream(seed, Purpose::PositionNoise, 0),
-            channel_noise: random::stream(seed, Purpose::ChannelNoise, 0),
+            receivers: Receivers::new(channel, seed),
+            position_losses: Losses::new(positions.loss, positions.loss_burst_reports, seed, Purpose::PositionLoss),
+            channel_losses: Losses::new(channel.loss, channel.loss_burst_reports, seed, Purpose::ChannelLoss),
             orientation_noise: random::stream(seed, Purpose::OrientationNoise, 0),
             tick: 0,
             channel_sequence: 0,
@@ -108,7 +119,8 @@ impl Reports {
 
     /// Takes the samples that are due. The world must be up to date, with the mirrors at `angles`.
     pub fn sample(&mut self, now: Moment, world: &World, angles: &MirrorAngles) {
-        // The tick number advances first: a channel report of the same instant has it too.
+        // The tick number advances first: a channel report of the same instant has it too. A lost
+        // report is made all the same, so that losses do not change the noise of the others.
         let tick_due = self.positions.take(now.local_ns);
         if let Some(due) = tick_due {
             self.tick += 1;
@@ -133,12 +145,16 @@ impl Reports {
         if self.channel.take(now.local_ns).is_some() {
             let report = self.channel_report(now, world, angles);
             let release_ns = now.local_ns + latency_ns(self.settings.channel.latency_ms);
-            self.queue(release_ns, Report::Channel(report));
+            if !self.channel_losses.next_is_lost() {
+                self.queue(release_ns, Report::Channel(report));
+            }
         }
         if tick_due.is_some() {
             let report = self.user_report(now, world);
             let release_ns = now.local_ns + latency_ns(self.settings.positions.latency_ms);
-            self.queue(release_ns, Report::Users(report));
+            if !self.position_losses.next_is_lost() {
+                self.queue(release_ns, Report::Users(report));
+            }
         }
     }
 
@@ -196,13 +212,10 @@ impl Reports {
         self.sinr.resize(world.ids().len(), 0.0);
         world.scene().irs_gain(world.model(), angles, &mut self.irs_gain);
         world.scene().sinr(world.model(), angles, &mut self.sinr);
-        let spread = self.settings.channel.noise_relative;
-        let rng = &mut self.channel_noise;
-        let mut factor = || (1.0 + spread * random::normal(rng)).max(0.0);
+        let receivers = &mut self.receivers;
         let gains = world.scene().los_gain().iter().zip(&self.irs_gain).zip(&self.sinr).zip(world.ids());
         let users = gains.map(|(((los_gain, irs_gain), sinr), user)| {
-            let (los_factor, irs_factor) = (factor(), factor());
-            let (measured_los, measured_irs) = (los_gain * los_factor, irs_gain * irs_factor);
+            let (measured_los, measured_irs) = (receivers.measure(*los_gain), receivers.measure(*irs_gain));
             let total = los_gain + irs_gain;
             // SINR is proportional to the square of the total gain.
             let sinr_factor = if total > 0.0 { ((measured_los + measured_irs) / total).powi(2) } else { 1.0 };

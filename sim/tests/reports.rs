@@ -123,6 +123,66 @@ fn gain_noise_is_relative_and_a_blocked_path_remains_blocked() {
     assert_eq!(users(&quiet), users(&noisy));
 }
 
+const CONVERTER: [&str; 2] = ["streams.channel.resolution_bits=6", "streams.channel.full_scale_gain=1.26e-6"];
+
+#[test]
+fn quantised_gains_are_multiples_of_a_step_up_to_the_full_scale() {
+    let (exact, quantised) = (run(&[], 2000), run(&CONVERTER, 2000));
+    let step = 2e-8;
+    let (mut zeros, mut saturated) = (0, 0);
+    for ((_, a), (_, b)) in channels(&exact).into_iter().zip(channels(&quantised)) {
+        for (a, b) in a.users.iter().zip(&b.users) {
+            for (exact, read) in [(a.los_gain, b.los_gain), (a.irs_gain, b.irs_gain)] {
+                let (exact, steps) = (f64::from(exact), f64::from(read) / step);
+                assert!((steps - steps.round()).abs() < 1e-4 && steps < 63.01, "{steps}");
+                assert!((exact.min(63.0 * step) - steps * step).abs() < 0.501 * step, "{exact} {steps}");
+                zeros += u32::from(exact > 0.0 && read == 0.0);
+                saturated += u32::from(exact > 63.5 * step);
+            }
+            let ratio = f64::from(b.los_gain + b.irs_gain) / f64::from(a.los_gain + a.irs_gain);
+            if ratio.is_finite() {
+                assert!((f64::from(b.sinr) - f64::from(a.sinr) * ratio * ratio).abs() < 1e-4 * f64::from(a.sinr));
+            }
+        }
+    }
+    assert!(zeros > 0 && saturated > 0, "{zeros} {saturated}");
+    assert_eq!(users(&exact), users(&quantised));
+}
+
+#[test]
+fn the_noise_of_a_receiver_has_its_size_at_every_gain_and_is_never_negative() {
+    let relative = "streams.channel.noise_relative=0.1";
+    let quiet = run(&["blockage.forced_users=1", relative], 20_000);
+    let noisy = run(&["blockage.forced_users=1", relative, "streams.channel.noise_gain=1e-8"], 20_000);
+    let (mut errors, mut blocked) = (Vec::new(), Vec::new());
+    for ((_, a), (_, b)) in channels(&quiet).into_iter().zip(channels(&noisy)) {
+        blocked.push(f64::from(b.users[0].los_gain));
+        let clear = a.users.iter().zip(&b.users).filter(|(a, _)| a.los_gain > 1e-7);
+        errors.extend(clear.map(|(a, b)| f64::from(b.los_gain) - f64::from(a.los_gain)));
+    }
+    let deviation = (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt();
+    assert!((deviation / 1e-8 - 1.0).abs() < 0.05, "{deviation}");
+    // Half of the readings of a blocked path are clipped; the mean of the others is that of a half-normal number.
+    let zeros = blocked.iter().filter(|gain| **gain == 0.0).count() as f64 / blocked.len() as f64;
+    let mean = blocked.iter().sum::<f64>() / blocked.len() as f64 / (1.0 - zeros);
+    assert!((zeros - 0.5).abs() < 0.05 && (mean / 0.798e-8 - 1.0).abs() < 0.06, "{zeros} {mean}");
+}
+
+#[test]
+fn lost_reports_are_missing_and_the_others_do_not_change() {
+    let noise = ["streams.channel.noise_relative=0.1", "streams.positions.noise_m=0.05"];
+    let losses = ["streams.channel.loss=0.3", "streams.positions.loss=0.2", "streams.positions.loss_burst_reports=4"];
+    let (complete, lossy) = (run(&noise, 20_000), run(&[&noise[..], &losses].concat(), 20_000));
+    let share = |lost: usize, all: usize| 1.0 - lost as f64 / all as f64;
+    let (arrived, all) = (channels(&lossy), channels(&complete));
+    assert!((share(arrived.len(), all.len()) - 0.3).abs() < 0.04, "{} {}", arrived.len(), all.len());
+    assert!(arrived.iter().all(|report| all.contains(report)));
+    let (arrived, all) = (users(&lossy), users(&complete));
+    assert!((share(arrived.len(), all.len()) - 0.2).abs() < 0.06, "{} {}", arrived.len(), all.len());
+    assert!(arrived.iter().all(|report| all.contains(report)));
+    assert!(arrived.windows(2).any(|pair| pair[1].1.tick >= pair[0].1.tick + 5), "losses in a row");
+}
+
 fn orientations(reports: &[(u64, Report)]) -> Vec<(u64, &OrientationReport)> {
     reports
         .iter()

@@ -7,6 +7,8 @@
 
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
 
+use heliostat_scenario::ChannelStream;
+
 use crate::belief::{
     body::Body,
     covered::Covered,
@@ -39,6 +41,26 @@ const SERVED: f64 = 0.02;
 pub(super) struct MeasuredGains {
     pub los: f64,
     pub irs: f64,
+}
+
+/// What the receivers can tell apart.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Readings {
+    /// The largest reading of a blocked path; see `ChannelStream::detectable_gain`.
+    pub detectable_gain: f64,
+    /// Variance of a reading that does not depend on the gain.
+    pub gain_variance: f64,
+}
+
+impl Readings {
+    pub fn new(settings: &ChannelStream) -> Self {
+        Self { detectable_gain: settings.detectable_gain(), gain_variance: settings.gain_variance() }
+    }
+
+    /// Whether a direct gain shows a path that is not blocked.
+    pub fn shows(&self, los_gain: f64) -> bool {
+        los_gain > self.detectable_gain
+    }
 }
 
 /// What is believed about one user besides the motion.
@@ -79,11 +101,12 @@ pub(super) struct ChannelEvidence {
     shares: Vec<f64>,
     /// Whether the angles of the mirrors were known.
     angles_known: bool,
+    readings: Readings,
 }
 
 impl ChannelEvidence {
     /// Buffers for this many users.
-    pub fn new(model: &ChannelModel, capacity: usize) -> Self {
+    pub fn new(model: &ChannelModel, readings: Readings, capacity: usize) -> Self {
         let mirrors = model.mirrors.len();
         let columns = columns(model);
         Self {
@@ -99,6 +122,7 @@ impl ChannelEvidence {
             shares: vec![0.0; columns.len()],
             columns,
             angles_known: false,
+            readings,
         }
     }
 
@@ -169,7 +193,7 @@ impl ChannelEvidence {
         }
         covered.predict();
         let is_open = 1.0 - covered.probability();
-        let is_clear = measured.los > 0.0;
+        let is_clear = self.readings.shows(measured.los);
         // Probability that no body blocks the direct path.
         let mut past_bodies = 1.0;
         if let Some(bodies) = bodies {
@@ -187,7 +211,7 @@ impl ChannelEvidence {
         } else {
             self.sum_columns(user, 0);
         }
-        let is_modelled = self.scene.los_gain()[user] > 0.0;
+        let is_modelled = self.readings.shows(self.scene.los_gain()[user]);
         if is_modelled {
             covered.handle_direct(is_clear, past_bodies * unobstructed);
         }
@@ -212,9 +236,9 @@ impl ChannelEvidence {
         let expected: f64 = self.shares.iter().sum();
         if expected > SERVED * self.steering(user) {
             let shares = self.shares.iter().enumerate().map(|(column, gain)| (first_column + column, gain / expected));
-            let ratio = measured.irs / expected;
+            let (ratio, noise) = (measured.irs / expected, self.readings.gain_variance / expected.powi(2));
             map.handle_reflected(shares, |share| {
-                density(ratio, share, SPREAD_OF_MAP * (share * (1.0 - share)).max(0.0))
+                density(ratio, share, noise + SPREAD_OF_MAP * (share * (1.0 - share)).max(0.0))
             });
         }
     }
@@ -262,7 +286,7 @@ impl ChannelEvidence {
         self.sum_columns(user, 0);
         let without_body = expected(&self.by_heading[..self.columns.len()], &self.unobstructed);
         let is_served = self.angles_known && without_body > SERVED * self.steering(user);
-        let los_modelled = self.scene.los_gain()[user] > 0.0;
+        let los_modelled = self.readings.shows(self.scene.los_gain()[user]);
         let mut likelihood = [1.0; HEADINGS];
         for (index, _) in heading.possible() {
             let own = bodies.shape.behind(&position, &bodies.directions[index]);
@@ -272,7 +296,7 @@ impl ChannelEvidence {
                 } else {
                     direct_clear.clamp(BODY_WRONG, 1.0 - BODY_WRONG)
                 };
-                likelihood[index] *= if measured.los > 0.0 { clear } else { 1.0 - clear };
+                likelihood[index] *= if self.readings.shows(measured.los) { clear } else { 1.0 - clear };
             }
             if self.angles_known {
                 model.mirrors.visible_from(&position, std::slice::from_ref(&own), &mut self.clear);
@@ -281,7 +305,8 @@ impl ChannelEvidence {
             if is_served {
                 let row = &self.by_heading[index * self.columns.len()..][..self.columns.len()];
                 let expected = expected(row, &self.unobstructed) / without_body;
-                likelihood[index] *= density(measured.irs / without_body, expected, 0.0);
+                let noise = self.readings.gain_variance / without_body.powi(2);
+                likelihood[index] *= density(measured.irs / without_body, expected, noise);
             }
         }
         likelihood

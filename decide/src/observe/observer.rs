@@ -66,6 +66,8 @@ pub struct Observer {
     direct_clear: Vec<Option<f64>>,
     min_rate_bps: Vec<f64>,
     los_gain: Vec<f64>,
+    /// A measured gain up to this one is that of a blocked path.
+    detectable_gain: f64,
     blockers: Vec<Cylinder>,
     /// Probability that the path to each column of mirrors is clear.
     unobstructed: Vec<f64>,
@@ -102,6 +104,7 @@ impl Observer {
             direct_clear: Vec::with_capacity(MAX_USERS),
             min_rate_bps: Vec::with_capacity(MAX_USERS),
             los_gain: Vec::with_capacity(MAX_USERS),
+            detectable_gain: scenario.streams.channel.detectable_gain(),
             blockers: Vec::with_capacity(MAX_OBSTACLES + MAX_USERS),
             unobstructed: vec![1.0; model.mirrors.columns()],
             forced: Vec::with_capacity(MAX_USERS),
@@ -245,7 +248,8 @@ impl Observer {
         }
     }
 
-    /// Replaces each user's modelled gain by the measured one, where there is one.
+    /// Replaces each user's modelled gain by the measured one, where there is one. A gain that the
+    /// receivers cannot tell from their noise is that of a blocked path.
     fn take_gains(&mut self, channel: &ChannelReport, into: &mut Observation) -> LosSource {
         self.los_gain.clear();
         self.los_gain.extend_from_slice(into.scene.los_gain());
@@ -253,7 +257,8 @@ impl Observer {
         for (slot, (id, gain)) in self.slots.ids().iter().zip(&mut self.los_gain).enumerate() {
             let same_place = channel.users.get(slot).filter(|entry| entry.user == *id);
             match same_place.or_else(|| channel.users.iter().find(|entry| entry.user == *id)) {
-                Some(entry) => *gain = f64::from(entry.los_gain),
+                Some(entry) if f64::from(entry.los_gain) > self.detectable_gain => *gain = f64::from(entry.los_gain),
+                Some(_) => *gain = 0.0,
                 None => unmeasured += 1,
             }
         }

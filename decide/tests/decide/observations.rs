@@ -183,6 +183,24 @@ fn measured_gains_replace_modelled_ones() {
     }
 }
 
+#[test]
+fn a_gain_within_the_noise_of_the_receiver_is_that_of_a_blocked_path() {
+    let sets = ["blockage.bodies=false", "streams.channel.noise_gain=1e-8", "blockage.obstacles_per_m2=0"];
+    for belief in ["control.belief=none", "control.belief=filter"] {
+        let scenario = scenario(&[&sets[..], &[belief]].concat());
+        let mut controller = controller(&scenario, Box::new(Fixed::flat(9)));
+        let mut room = Room::new(&scenario);
+        let mut gains = room.gains(2, 0.0);
+        for (user, los_gain) in gains.users.iter_mut().zip([2.9e-8, 3.1e-8, 1e-7]) {
+            user.los_gain = los_gain;
+        }
+        receive(&mut controller, Room::time(2), Message::Channel(&mut gains));
+        receive(&mut controller, Room::time(2), Message::Users(&mut room.positions(2)));
+        let seen: Vec<bool> = controller.observation().scene.los_gain().iter().map(|gain| *gain > 0.0).collect();
+        assert_eq!(seen, [false, true, true], "{belief}");
+    }
+}
+
 /// A user walks towards the LED: the body behind the device blocks no path. On the way back the body
 /// is between LED and device.
 #[test]

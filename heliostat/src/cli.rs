@@ -4,7 +4,7 @@ use anyhow::Result;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::commands::{
-    bench, calibrate, completions, config, demo, doctor, eval, keys, link, map, results, scenario, stop, ui,
+    bench, calibrate, completions, config, demo, doctor, eval, keys, link, map, results, scenario, stop, trace, ui,
 };
 
 /// Real-time control of a MEMS mirror array for indoor optical wireless communication (LiFi).
@@ -54,6 +54,8 @@ enum Command {
     Results(results::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
+    /// Make a recorded walk from a data set or from a recording
+    Trace(trace::Args),
     /// Check the machine before a run, and recommend changes
     Doctor(doctor::Args),
     /// Print the effective configuration of a process
@@ -91,6 +93,7 @@ pub fn run() -> Result<()> {
         Command::Bench(args) => bench::run(args),
         Command::Results(args) => results::run(args),
         Command::Scenario(args) => scenario::run(args),
+        Command::Trace(args) => trace::run(args),
         Command::Doctor(args) => doctor::run(args),
         Command::Config(args) => config::run(args),
         Command::Record(args) => heliostat_record::cli::record(args),

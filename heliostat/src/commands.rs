@@ -20,6 +20,7 @@ mod mirrors;
 pub mod results;
 pub mod scenario;
 pub mod stop;
+pub mod trace;
 pub mod ui;
 mod whole_file;
 

@@ -8,7 +8,8 @@ fn heliostat(arguments: &[&str]) -> Output {
 
 #[test]
 fn every_command_has_a_help_text() {
-    let commands = ["demo", "controller", "sim-node", "train", "eval", "link", "map", "bench", "scenario", "calibrate"];
+    let commands =
+        ["demo", "controller", "sim-node", "train", "eval", "link", "map", "bench", "scenario", "calibrate", "trace"];
     let overview = String::from_utf8(heliostat(&["--help"]).stdout).expect("text");
     for command in commands {
         assert!(overview.contains(command), "{command} is missing in: {overview}");

@@ -71,7 +71,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn random_bytes_are_decoded_or_refused(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..18) {
+    fn random_bytes_are_decoded_or_refused(mut payload in prop::collection::vec(any::<u8>(), 0..400), kind in 0u8..20) {
         decodes_or_refuses(&payload)?;
         if payload.len() >= 2 {
             payload[0] = VERSION;

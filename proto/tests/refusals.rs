@@ -51,7 +51,7 @@ fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
     assert_eq!(error.to_string(), "payload of the kind \"user report\": expected \"mirror command\"");
-    for number in [0, 18, 255] {
+    for number in [0, 19, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }

@@ -10,7 +10,7 @@ use crate::scenario::Scenario;
 /// A scenario and its overrides.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ScenarioArgs {
-    /// Scenario file (TOML), or the name of a built-in one: specular, paper, paper-calibrated, hall
+    /// Scenario file (TOML), or a built-in one: specular, paper, paper-calibrated, hall, office, corridor
     #[arg(long, value_name = "FILE", default_value = BUILTIN_NAMES[0])]
     pub scenario: String,
     /// Override any key of the scenario, for example --set blockage.forced_users=2 (repeatable)

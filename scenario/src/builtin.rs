@@ -1,7 +1,7 @@
 //! The built-in scenarios.
 
 /// The names of the built-in scenarios; the first is the default.
-pub const BUILTIN_NAMES: [&str; 4] = ["specular", "paper", "paper-calibrated", "hall"];
+pub const BUILTIN_NAMES: [&str; 6] = ["specular", "paper", "paper-calibrated", "hall", "office", "corridor"];
 
 /// The text of a built-in scenario; `None` for a name that is not in [`BUILTIN_NAMES`].
 pub(crate) fn text(name: &str) -> Option<&'static str> {
@@ -10,6 +10,8 @@ pub(crate) fn text(name: &str) -> Option<&'static str> {
         "paper" => Some(include_str!("../../deploy/scenarios/paper.toml")),
         "paper-calibrated" => Some(include_str!("../../deploy/scenarios/paper-calibrated.toml")),
         "hall" => Some(include_str!("../../deploy/scenarios/hall.toml")),
+        "office" => Some(include_str!("../../deploy/scenarios/office.toml")),
+        "corridor" => Some(include_str!("../../deploy/scenarios/corridor.toml")),
         _ => None,
     }
 }

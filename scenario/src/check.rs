@@ -148,7 +148,7 @@ impl Scenario {
             within("users.speed_min_m_s", users.speed_min_m_s, SPEED_M_S)?;
             within("users.speed_max_m_s", users.speed_max_m_s, users.speed_min_m_s..=*SPEED_M_S.end())?;
         }
-        within("users.pause_mean_s", users.pause_mean_s, 0.0..=1e4)?;
+        users.check_mobility(&self.room)?;
         match &users.min_rate_mbps {
             MinRate::All(rate) => within("users.min_rate_mbps", *rate, 0.0..=1e6)?,
             MinRate::Each(rates) => {
@@ -259,14 +259,14 @@ fn without_decision(key: &str, action: DegradedAction, why: &str) -> Result<(), 
     }
 }
 
-fn within(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), ScenarioError> {
+pub(crate) fn within(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), ScenarioError> {
     if domain.contains(&value) {
         return Ok(());
     }
     invalid(key, value, &format!("expected a number from {} to {}", domain.start(), domain.end()))
 }
 
-fn count(key: &str, value: usize, domain: RangeInclusive<usize>) -> Result<(), ScenarioError> {
+pub(crate) fn count(key: &str, value: usize, domain: RangeInclusive<usize>) -> Result<(), ScenarioError> {
     if domain.contains(&value) {
         return Ok(());
     }

@@ -8,6 +8,7 @@
 //!
 //! # Modules
 //! - [`tables`]: the tables that do not change while a room runs.
+//! - [`mobility`]: how simulated users move.
 //! - [`runtime`]: actuators, report streams and limits of the controller.
 //! - [`mismatch`]: how the true room differs from the assumed one.
 //! - [`renames`]: old names of keys and values.
@@ -35,6 +36,8 @@ mod error;
 mod geometry;
 mod lines;
 pub mod mismatch;
+pub mod mobility;
+mod mobility_check;
 mod overrides;
 mod problems;
 pub mod renames;
@@ -50,6 +53,7 @@ pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use geometry::GeometryDifference;
 pub use mismatch::{Mismatch, MismatchKind, MismatchLevel, Spreads};
+pub use mobility::*;
 pub use problems::{Checked, Problem};
 pub use runtime::*;
 pub use scenario::Scenario;

@@ -9,6 +9,7 @@
 //! | body radius | 0.02 m | 0.04 m | half of the spread of the bideltoid breadth of adults, 33 mm (ANSUR II, Gordon et al., 2014); rough: clothes and bags, assumed |
 //! | body height | 0.07 m | 0.07 m | stature of adults (ANSUR II) |
 //! | body offset | 0.05 m | 0.10 m | how far a device is held from the body, assumed |
+//! | receiver tilt | 3 deg | 10 deg | of the detector in its device, about each horizontal axis, fixed for each user, assumed |
 //! | mirror angles | 0.2 deg | 0.6 deg | fixed offset of each axis, after alignment with a laser or by eye, assumed |
 //! | reflectivity | 2 % | 5 % | loss by dust and ageing, always below the nominal value, assumed |
 //! | LED position | 0.01 m | 0.03 m | along x, y and z, by a laser meter or a tape, assumed |
@@ -37,6 +38,8 @@ pub enum MismatchLevel {
 pub enum MismatchKind {
     /// Radius, height and offset of each user's body.
     Bodies,
+    /// A fixed tilt of each user's receiver.
+    Tilt,
     /// The angles of each mirror, and the reflectivity of the array.
     Mirrors,
     /// Position and half-power semi-angle of each LED.
@@ -67,6 +70,8 @@ pub struct Spreads {
     pub body_height_m: f64,
     /// Of the distance of a body's axis behind the device in m.
     pub body_offset_m: f64,
+    /// Of the tilt of a receiver about each horizontal axis in degrees.
+    pub tilt_deg: f64,
     /// Of the fixed offset of each axis of each mirror in degrees.
     pub mirror_deg: f64,
     /// Of the loss of reflectivity, relative; the true value is never above the nominal one.
@@ -101,6 +106,7 @@ impl Mismatch {
             body_radius_m: chosen(MismatchKind::Bodies, 0.02, 0.04),
             body_height_m: chosen(MismatchKind::Bodies, 0.07, 0.07),
             body_offset_m: chosen(MismatchKind::Bodies, 0.05, 0.10),
+            tilt_deg: chosen(MismatchKind::Tilt, 3.0, 10.0),
             mirror_deg: chosen(MismatchKind::Mirrors, 0.2, 0.6),
             reflectivity_loss: chosen(MismatchKind::Mirrors, 0.02, 0.05),
             led_m: chosen(MismatchKind::Led, 0.01, 0.03),

@@ -5,6 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothTurn, SocialForce};
 use crate::user_orientation::UserOrientation;
 
 /// Dimensions of the room; the origin is the centre of the floor.
@@ -294,17 +295,38 @@ pub enum MinRate {
 pub struct Users {
     /// Number of users, with arrivals that at the start.
     pub count: usize,
+    /// How the users move.
+    pub mobility: MobilityModel,
     /// Minimum speed in m/s; 0 only if the maximum is 0 too, so that all users stand still.
     pub speed_min_m_s: f64,
     /// Maximum speed in m/s.
     pub speed_max_m_s: f64,
-    /// Mean duration in s (exponential) of a pause at each point of the random walk, in which the
-    /// user is turned to a direction drawn at random; 0: no pauses.
+    /// Mean duration in s (exponential) of a pause at each point of a walk, in which the user is
+    /// turned to a direction drawn at random; 0: no pauses. For `random-waypoint`,
+    /// `random-direction` and `social-force`.
     pub pause_mean_s: f64,
+    /// Time constant in s with which the heading follows the model, first-order; 0: at once.
+    pub heading_lag_s: f64,
+    /// Parameters of `random-direction`.
+    pub random_direction: RandomDirection,
+    /// Parameters of `gauss-markov`.
+    pub gauss_markov: GaussMarkov,
+    /// Parameters of `smooth-turn`.
+    pub smooth_turn: SmoothTurn,
+    /// Parameters of `social-force`.
+    pub social_force: SocialForce,
+    /// Parameters of `seated`.
+    pub seated: Seated,
+    /// Places of seated users in m, in the order in which they are taken; empty: drawn at random.
+    /// Obstacles near them are left out.
+    pub seats_m: Vec<[f64; 2]>,
+    /// The models of `mixture` and their shares.
+    pub mixture: Vec<MixtureShare>,
     /// Minimum rate R_min in Mbit/s.
     pub min_rate_mbps: MinRate,
-    /// A CSV file of recorded movement (`time,user,x,y`) that replaces the random walk. A relative
-    /// path starts at the folder of the scenario file, in `--set` at the working directory.
+    /// A CSV file of recorded movement (`time,user,x,y[,heading_deg]`) that replaces the random
+    /// walk. A relative path starts at the folder of the scenario file, in `--set` at the working
+    /// directory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
     /// Users who enter and leave the simulated room; absent: the users stay.
@@ -319,9 +341,18 @@ impl Default for Users {
     fn default() -> Self {
         Self {
             count: 5,
+            mobility: MobilityModel::RandomWaypoint,
             speed_min_m_s: 0.1,
             speed_max_m_s: 2.0,
             pause_mean_s: 0.0,
+            heading_lag_s: 0.0,
+            random_direction: RandomDirection::default(),
+            gauss_markov: GaussMarkov::default(),
+            smooth_turn: SmoothTurn::default(),
+            social_force: SocialForce::default(),
+            seated: Seated::default(),
+            seats_m: Vec::new(),
+            mixture: Vec::new(),
             min_rate_mbps: MinRate::All(1.0),
             trace: None,
             arrivals: None,

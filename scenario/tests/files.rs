@@ -54,6 +54,12 @@ fn each_refusal_names_its_line() {
         ("[actuator]\nscale_error_relative = 0.5\n", "line 2", "actuator.scale_error_relative"),
         ("[actuator]\nhysteresis_deg = -0.1\n", "line 2", "actuator.hysteresis_deg"),
         ("[actuator]\nstuck_share = 1.5\n", "line 2", "actuator.stuck_share"),
+        ("[users]\nheading_lag_s = -1.0\n", "line 2", "users.heading_lag_s"),
+        ("[users]\ngauss_markov = { memory = 1.0 }\n", "line 2", "users.gauss_markov.memory"),
+        ("[users.smooth_turn]\nturn_rate_deg_per_s = 0.0\n", "line 2", "users.smooth_turn.turn_rate_deg_per_s"),
+        ("[users.social_force]\nforce = 2.0\n", "line 2", "force"),
+        ("[users]\nmobility = \"levy\"\n", "line 2", "social-force"),
+        ("[users]\nseats_m = [\n  [0.0, 0.0],\n  [0.0, 2.6],\n]\n", "line 2", "users.seats_m = [0.0, 2.6]"),
         ("[led]\n# high up\npositions_m = [[0.0, 0.0, 3.5]]\n", "line 3", "led.positions_m"),
     ] {
         let message = Scenario::from_toml(text).unwrap_err().to_string();
@@ -96,11 +102,25 @@ fn values_that_contradict_each_other_are_refused() {
         "[mirrors]\nrows = 1024\ncolumns = 1024",
         "[mirrors]\ncolumns = 19",
         "[mirrors]\nrows = 17",
+        "[users]\nmobility = \"mixture\"",
+        "[users]\nmixture = [{ mobility = \"seated\", share = 0.5 }]",
+        "[users]\nmixture = [{ mobility = \"mixture\", share = 1.0 }]",
+        "[users]\nmixture = [{ mobility = \"seated\", share = 1.5 }, { mobility = \"seated\", share = -0.5 }]",
+        "[users]\nmobility = \"seated\"\nseats_m = [[0.0, 0.0], [1.0, 0.0]]",
         "[noise]\nvariance_a2 = 0.0",
         "[noise]\nvariance_a2 = nan",
     ] {
         assert!(matches!(Scenario::from_toml(text), Err(ScenarioError::Invalid { .. })), "{text}");
     }
+}
+
+#[test]
+fn a_mixture_can_be_written_as_tables() {
+    let text = "[users]\nmobility = \"mixture\"\n[[users.mixture]]\nmobility = \"seated\"\nshare = 0.25\n\
+                [[users.mixture]]\nmobility = \"social-force\"\nshare = 0.75\n[users.social_force]\nrelaxation_s = 0.4\n";
+    let users = Scenario::from_toml(text).unwrap().users;
+    assert_eq!((users.mixture.len(), users.mixture[1].share), (2, 0.75));
+    assert_eq!((users.social_force.relaxation_s, users.social_force.desired_speed_m_s), (0.4, 1.34));
 }
 
 #[test]

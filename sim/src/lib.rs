@@ -20,6 +20,7 @@
 //! - [`episode`]: a room with its reports and telemetry, driven in closed loop in simulated time.
 //! - [`baselines`]: the users' rates without the array, with flat mirrors and with the oracle.
 //! - [`control`]: changes that an operator may order in a running room.
+//! - [`walks`]: recorded walks of pedestrian data sets, prepared for a room.
 //! - [`mismatch`]: the true room, drawn around the nominal one.
 //! - [`random`]: one stream of random numbers for each purpose.
 
@@ -31,6 +32,7 @@ pub mod mismatch;
 pub mod random;
 pub mod reports;
 pub mod room;
+pub mod walks;
 pub mod world;
 
 pub use episode::Episode;

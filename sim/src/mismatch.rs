@@ -4,6 +4,7 @@
 //! [`mismatch`](heliostat_scenario::mismatch) become values, once for each seed, so that a restart
 //! of the walks leaves the equipment as it is.
 
+use heliostat_channel::Orientation;
 use heliostat_scenario::{Blockage, Scenario, Spreads};
 
 use crate::random::{self, Purpose, RoomRng};
@@ -47,7 +48,8 @@ pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     room
 }
 
-/// The true body of a user: radius, height and distance behind the device.
+/// The true body of a user: radius, height and distance behind the device, and the tilt of the
+/// receiver in the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrueBody {
     /// Radius in m.
@@ -56,6 +58,8 @@ pub struct TrueBody {
     pub height_m: f64,
     /// Distance of the axis behind the device in m.
     pub offset_m: f64,
+    /// The fixed tilt of the receiver.
+    pub tilt: Orientation,
 }
 
 impl TrueBody {
@@ -72,7 +76,15 @@ impl TrueBody {
         // A device is outside the body, as the nominal one is.
         let margin_m = (body_offset_m - body_radius_m).min(DEVICE_MARGIN_M);
         let offset_m = drawn(body_offset_m, spreads.body_offset_m).max(radius_m + margin_m);
-        Self { radius_m, height_m, offset_m }
+        let tilt = if spreads.tilt_deg > 0.0 {
+            let mut rng = random::stream(seed, Purpose::ReceiverTilt, user);
+            let [about_x, about_y] =
+                random::normal_pair(&mut rng).map(|normal| (spreads.tilt_deg * normal).to_radians());
+            Orientation::from_rotation_vector([about_x, about_y, 0.0])
+        } else {
+            Orientation::UPRIGHT
+        };
+        Self { radius_m, height_m, offset_m, tilt }
     }
 }
 
@@ -145,6 +157,24 @@ mod tests {
         let spreads = rough.mismatch.spreads();
         let bodies = (0..1000).map(|user| TrueBody::draw(&rough.blockage, &spreads, (1, user)));
         assert!(bodies.into_iter().all(|body| body.offset_m >= body.radius_m + 0.049));
+    }
+
+    #[test]
+    fn receivers_are_tilted_by_their_own_kind_only() {
+        let tilt = |kind: &str| {
+            let level = scenario(&["mismatch.level=rough", &format!("mismatch.kinds=[\"{kind}\"]")]);
+            TrueBody::draw(&level.blockage, &level.mismatch.spreads(), (3, 1)).tilt
+        };
+        assert_eq!(tilt("bodies"), Orientation::UPRIGHT);
+        let mean = (0..2000)
+            .map(|user| {
+                let level = scenario(&[]);
+                let spreads = Spreads { tilt_deg: 10.0, ..Spreads::default() };
+                TrueBody::draw(&level.blockage, &spreads, (3, user)).tilt.normal().z.acos().to_degrees().powi(2)
+            })
+            .sum::<f64>()
+            / 2000.0;
+        assert!((mean - 200.0).abs() < 15.0, "two axes of 10 degrees: {mean}");
     }
 
     #[test]

@@ -33,10 +33,14 @@ pub enum Purpose {
     Mismatch,
     /// The difference between the true body of a user and the nominal one.
     Body,
+    /// The fixed tilt of the receiver of a user.
+    ReceiverTilt,
     /// How one user holds the receiver.
     Orientation,
     /// Measurement noise of orientations.
     OrientationNoise,
+    /// Which users of a mixture have which mobility model.
+    MobilityModel,
 }
 
 impl Purpose {
@@ -55,6 +59,8 @@ impl Purpose {
             Self::Body => 10,
             Self::Orientation => 11,
             Self::OrientationNoise => 12,
+            Self::MobilityModel => 13,
+            Self::ReceiverTilt => 14,
         }
     }
 }

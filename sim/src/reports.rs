@@ -184,7 +184,7 @@ impl Reports {
             let error = Orientation::from_rotation_vector([0; 3].map(|_| noise * random::normal(rng)));
             held.then(&error).quaternion().map(|part| part as f32)
         };
-        let users = world.ids().iter().zip(world.orientations());
+        let users = world.ids().iter().zip(world.device_orientations());
         let users = users.map(|(user, held)| UserOrientation { user: *user, quaternion: measured(held) }).collect();
         OrientationReport { stamp, users }
     }

@@ -6,16 +6,17 @@
 //!
 //! - [`arrivals`]: when users enter and leave.
 //! - [`walker`]: the floor and one user's receiver.
-//! - [`mobility`], [`trace`]: random and recorded walks.
+//! - [`mobility`], [`trace`]: models of movement and recorded walks.
 //! - [`orientation`]: how the users hold their receivers.
 //! - [`obstacles`]: the hard-core process.
 
 use heliostat_channel::{ChannelError, ChannelModel, Cylinder, Orientation, Scene, Vec3};
-use heliostat_scenario::{Blockage, Scenario, Spreads};
+use heliostat_scenario::{Blockage, MobilityModel, Scenario, Spreads};
 use thiserror::Error;
 
 use self::arrivals::{Arrivals, Change, Turnover};
-use self::mobility::{Mobility, MobilityError, RandomWaypoint, Speeds, Waypoints};
+use self::mobility::places::distance_m;
+use self::mobility::{Mobility, MobilityError, Speeds, Waypoints};
 use self::obstacles::{HardCore, ObstacleError};
 use self::orientation::Orientations;
 use self::trace::{Trace, TraceError};
@@ -65,6 +66,8 @@ pub struct World {
     waypoints: Waypoints,
     hard_core: HardCore,
     blockage: Blockage,
+    /// Seats of the scenario, which stay free of obstacles.
+    seats_m: Vec<[f64; 2]>,
     /// Spreads of the users' true bodies around those of `blockage`.
     spreads: Spreads,
     mobility: Mobility,
@@ -80,6 +83,8 @@ pub struct World {
     start: Walker,
     walkers: Vec<Walker>,
     orientations: Orientations,
+    /// How the users hold their receivers, with the true tilt of each.
+    held: Vec<Orientation>,
     positions: Vec<Vec3>,
     /// The users' true bodies.
     bodies: Vec<TrueBody>,
@@ -112,9 +117,11 @@ impl World {
         let users = scenario.users.count;
         let mobility = match &scenario.users.trace {
             Some(path) => Mobility::Trace(parse_trace(path, trace, users, &floor)?),
-            None => Mobility::random_waypoint(waypoints, users, seed),
+            None => Mobility::new(scenario, waypoints),
         };
         let blockage = scenario.blockage.clone();
+        let has_seats = scenario.users.trace.is_none()
+            && matches!(scenario.users.mobility, MobilityModel::Seated | MobilityModel::Mixture);
         let start = Vec3::new(0.0, 0.0, scenario.receiver.height_m);
         let mut world = Self {
             scene: Scene::new(&model, users),
@@ -123,6 +130,7 @@ impl World {
             hard_core: HardCore::new(blockage.obstacles_per_m2, blockage.obstacle_min_distance_m)?,
             mobility,
             seed,
+            seats_m: if has_seats { scenario.users.seats_m.clone() } else { Vec::new() },
             users,
             arrivals: None,
             settings: scenario.users.arrivals.clone(),
@@ -130,6 +138,7 @@ impl World {
             start: Walker { position: start, direction: [1.0, 0.0], velocity: [0.0, 0.0] },
             walkers: Vec::new(),
             orientations: Orientations::new(scenario.users.orientation.as_ref()),
+            held: Vec::new(),
             positions: Vec::new(),
             bodies: Vec::new(),
             blockers: Vec::new(),
@@ -156,9 +165,6 @@ impl World {
     ///
     /// A recorded walk continues.
     pub fn restart(&mut self, seed: u64) {
-        if let Mobility::RandomWaypoint(_) = self.mobility {
-            self.mobility = Mobility::random_waypoint(self.waypoints, self.users, seed);
-        }
         self.time_s = 0.0;
         self.begin(seed);
     }
@@ -167,7 +173,7 @@ impl World {
     pub fn recording_s(&self) -> Option<f64> {
         match &self.mobility {
             Mobility::Trace(trace) => Some(trace.duration_s()),
-            Mobility::RandomWaypoint(_) => None,
+            Mobility::RandomWaypoint { .. } | Mobility::Crowd(_) => None,
         }
     }
 
@@ -185,6 +191,7 @@ impl World {
         self.seed = seed;
         self.arrivals = self.settings.as_ref().map(|settings| Arrivals::new(settings, self.users, seed));
         self.place_obstacles(seed);
+        self.mobility.begin(self.users, seed, &self.blockers);
         // Once for the largest number of users, so that later changes do not allocate.
         let most = self.settings.as_ref().map_or(self.users, |settings| settings.max_users.max(self.users));
         for users in [most, self.users] {
@@ -219,24 +226,34 @@ impl World {
 
     /// Moves the users, and lets them enter and leave.
     fn walk(&mut self, dt_s: f64) {
+        let mut moved_to_s = self.time_s;
         self.time_s += dt_s;
-        self.mobility.step(dt_s);
+        let is_crowd = self.mobility.is_crowd();
+        if !is_crowd {
+            self.mobility.step(dt_s);
+        }
         let mut changed = false;
         while let Some(change) = self.arrivals.as_mut().and_then(|arrivals| arrivals.next_change(self.time_s)) {
             changed = true;
+            if is_crowd {
+                self.mobility.step(change.at_s() - moved_to_s);
+                moved_to_s = change.at_s();
+            }
             match change {
                 Change::Enter { at_s, id } => {
-                    let walk = RandomWaypoint::new(self.waypoints, random::stream(self.seed, Purpose::Walk, id));
-                    self.mobility.enter(walk, self.time_s - at_s);
+                    self.mobility.enter(id, self.time_s - at_s);
                     self.orientations.enter(id);
                     self.ids.push(id);
                 }
-                Change::Leave { index } => {
+                Change::Leave { index, .. } => {
                     self.mobility.leave(index);
                     self.orientations.leave(index);
                     self.ids.remove(index);
                 }
             }
+        }
+        if is_crowd {
+            self.mobility.step(self.time_s - moved_to_s);
         }
         if changed {
             self.resize_lists();
@@ -276,8 +293,10 @@ impl World {
             cylinder.y_m = walker.position.y - body.offset_m * walker.direction[1];
         }
         self.orientations.hold(self.time_s, &self.walkers);
-        let orientations = self.orientations.held();
-        self.scene.update_turned(&self.model, &self.positions, orientations, &self.blockers, &self.forced);
+        self.held.clear();
+        let tilted = |(body, held): (&TrueBody, &Orientation)| body.tilt.then(held);
+        self.held.extend(self.bodies.iter().zip(self.orientations.held()).map(tilted));
+        self.scene.update_turned(&self.model, &self.positions, &self.held, &self.blockers, &self.forced);
     }
 
     /// The users' numbers, in the order of entry, as all lists of users. No number is used twice.
@@ -295,8 +314,14 @@ impl World {
         &self.walkers
     }
 
-    /// How the users hold their receivers.
+    /// The orientations of the users' receivers: those of the devices, with the true tilt of each
+    /// receiver in its device.
     pub fn orientations(&self) -> &[Orientation] {
+        &self.held
+    }
+
+    /// How the users hold their devices, which a sensor in the device can measure.
+    pub fn device_orientations(&self) -> &[Orientation] {
         self.orientations.held()
     }
 
@@ -378,9 +403,11 @@ impl World {
         let blockage = &self.blockage;
         let points = self.hard_core.sample(&self.waypoints.floor, &mut random::stream(seed, Purpose::Obstacles, 0));
         let cylinder = |at: [f64; 2], radius_m, height_m| Cylinder { x_m: at[0], y_m: at[1], radius_m, height_m };
+        let clearance_m = blockage.obstacle_radius_m + blockage.body_offset_m + blockage.body_radius_m;
+        let is_off_seats = |at: &[f64; 2]| self.seats_m.iter().all(|seat| distance_m(*at, *seat) >= clearance_m);
+        let points = points.into_iter().filter(is_off_seats);
         self.blockers.clear();
-        self.blockers
-            .extend(points.into_iter().map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)));
+        self.blockers.extend(points.map(|at| cylinder(at, blockage.obstacle_radius_m, blockage.obstacle_height_m)));
         self.obstacles = self.blockers.len();
     }
 }

@@ -326,6 +326,22 @@ fn the_switches_show_what_the_one_channel_model_computes() {
 }
 
 #[test]
+fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    let script = "return import('/outages.js').then(({ Outages }) => { \
+           const outages = new Outages(); \
+           const at = (time_s, rate_mbps) => \
+             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
+           for (let time_s = 0; time_s <= 10; time_s += 1) at(time_s, time_s >= 2 && time_s < 5 ? 0.5 : 2); \
+           const { share, longest_s } = outages.of(3); \
+           for (let time_s = 11; time_s <= 70; time_s += 1) at(time_s, 2); \
+           return [share, longest_s, outages.of(3).share, outages.of(9)]; })";
+    let found = browser.run(script);
+    assert_eq!(found, serde_json::json!([0.3, 3, 0, null]));
+}
+
+#[test]
 fn the_sentence_says_what_is_unknown() {
     let setting = Setting::new();
     let Some(browser) = setting.browser(&[]) else { return };

@@ -30,7 +30,7 @@ export function chips(now, ages) {
 }
 
 // One row for each user, by id: users come and go.
-export function users(now, shown, frame) {
+export function users(now, shown, frame, outages) {
   const body = at("users");
   const without = new Map((frame?.users ?? []).map((user) => [user.user, user.without_mirrors_mbps]));
   const rateOf = (user) => (shown.wall ? (user.is_rate_known ? user.rate_mbps : null) : without.get(user.user) ?? null);
@@ -41,6 +41,7 @@ export function users(now, shown, frame) {
     rows.delete(String(user.user));
     if (body.rows[index] !== row) body.insertBefore(row, body.rows[index] ?? null);
     fill(row, user, rateOf(user), largest);
+    setText(row.cells[4], outageText(outages.of(user.user)));
   });
   for (const row of rows.values()) row.remove();
   setText(at("rates-title"), shown.wall ? "Rate of each user" : "Rate of each user without the mirrors");
@@ -50,14 +51,14 @@ function newRow(user) {
   const row = document.createElement("tr");
   row.dataset.user = user;
   row.innerHTML = '<td><span class="swatch"></span><span></span></td><td></td><td class="number"></td>' +
-    '<td class="number"></td><td><div class="bar"><i></i><b></b></div></td>';
+    '<td class="number"></td><td class="number"></td><td><div class="bar"><i></i><b></b></div></td>';
   row.querySelector(".swatch").style.background = userColour(user);
   row.querySelector(".bar i").style.background = userColour(user);
   return row;
 }
 
 function fill(row, user, rate, largest) {
-  const [name, path, figure, minimum, bar] = row.cells;
+  const [name, path, figure, minimum, , bar] = row.cells;
   const below = rate !== null && rate < user.min_rate_mbps;
   setText(name.lastChild, String(user.user));
   setText(path, user.forced ? "blocked (order)" : user.blocked ? "blocked" : "clear");
@@ -67,6 +68,11 @@ function fill(row, user, rate, largest) {
   setClass(minimum, figure.className);
   bar.querySelector("i").style.width = `${(100 * (rate ?? 0)) / largest}%`;
   bar.querySelector("b").style.left = `${(100 * user.min_rate_mbps) / largest}%`;
+}
+
+function outageText(outage) {
+  if (outage === null) return "–";
+  return outage.share === 0 ? "none" : `${(100 * outage.share).toFixed(0)} %, up to ${outage.longest_s.toFixed(1)} s`;
 }
 
 function list(element, entries) {

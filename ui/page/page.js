@@ -3,6 +3,7 @@ import { Ages } from "./stale.js";
 import { Charts } from "./charts.js";
 import { Live } from "./live.js";
 import { Orders } from "./orders.js";
+import { Outages } from "./outages.js";
 import { Room } from "./room.js";
 import { presentUsers } from "./geometry.js";
 import { banner, sentence } from "./sentence.js";
@@ -72,17 +73,19 @@ async function start() {
   });
 
   const state = { now: null, frame: null, room, ages: null };
+  const outages = new Outages();
   const show = () => showAges(state);
   state.ages = new Ages(show);
-  addEventListener("shown", () => { if (state.now) users(state.now, room.shown, state.frame); show(); });
+  addEventListener("shown", () => { if (state.now) users(state.now, room.shown, state.frame, outages); show(); });
   addEventListener("heat", ({ detail }) => showHeat(detail));
   new Live(plan.page, {
     figures: (now) => {
+      outages.take(now);
       if (state.ages.silence * 1000 < SHOW_EVERY_MS && state.now) return;
       state.now = now;
       keepColours(state);
       state.ages.take(now);
-      users(now, room.shown, state.frame);
+      users(now, room.shown, state.frame, outages);
       counters(now);
       orders.update(now);
       charts.update(now);

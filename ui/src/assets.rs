@@ -10,7 +10,7 @@ pub(crate) struct Asset {
 }
 
 /// All files except Plotly.
-static ASSETS: [Asset; 22] = [
+static ASSETS: [Asset; 23] = [
     Asset { path: "/", media: "text/html; charset=utf-8", text: include_str!("../page/index.html") },
     Asset { path: "/page.css", media: "text/css; charset=utf-8", text: include_str!("../page/page.css") },
     Asset { path: "/camera.js", media: JAVASCRIPT, text: include_str!("../page/camera.js") },
@@ -21,6 +21,7 @@ static ASSETS: [Asset; 22] = [
     Asset { path: "/live.js", media: JAVASCRIPT, text: include_str!("../page/live.js") },
     Asset { path: "/motion.js", media: JAVASCRIPT, text: include_str!("../page/motion.js") },
     Asset { path: "/orders.js", media: JAVASCRIPT, text: include_str!("../page/orders.js") },
+    Asset { path: "/outages.js", media: JAVASCRIPT, text: include_str!("../page/outages.js") },
     Asset { path: "/page.js", media: JAVASCRIPT, text: include_str!("../page/page.js") },
     Asset { path: "/plan2d.js", media: JAVASCRIPT, text: include_str!("../page/plan2d.js") },
     Asset { path: "/redraw.js", media: JAVASCRIPT, text: include_str!("../page/redraw.js") },

@@ -17,11 +17,16 @@ use crate::geometry::Vec3;
 use crate::model::{ChannelModel, Detector, Panel};
 use crate::trig::{BLOCK, Lanes};
 
+/// Margin for rounding in m: a detector that faces away by less may still see a point.
+const ROUNDING_M: f64 = 1e-9;
+
 /// The mirrors, aimed.
 pub(super) struct Aimed<'a> {
     /// Lanes in which the complete panel is reflected to the detector, at a distance at which the
     /// eight points may be used.
     pub complete: [bool; BLOCK],
+    /// Lanes in which no branch so far faces any point of the panel.
+    pub dark: [bool; BLOCK],
     normal: [Lanes; 3],
     /// Unit vector from mirror to detector.
     to_detector: [Lanes; 3],
@@ -47,6 +52,7 @@ impl<'a> Aimed<'a> {
         let zero = [0.0; BLOCK];
         let mut aimed = Self {
             complete: [false; BLOCK],
+            dark: [true; BLOCK],
             normal: [zero; 3],
             to_detector: [zero; 3],
             towards_panel: [zero; 3],
@@ -100,7 +106,8 @@ impl<'a> Aimed<'a> {
         aimed
     }
 
-    /// Gain of each mirror on a branch, for Lambertian order 1; clears `complete` where the field
+    /// Gain of each mirror on a branch, for Lambertian order 1; clears `dark` where the branch may face
+    /// the panel, and `complete` where the field
     /// of view truncates the panel.
     ///
     /// rho (n + 1) A_r T_s g / (2 pi) times the mean of cos(irradiance_angle) cos(incidence_angle)
@@ -117,7 +124,9 @@ impl<'a> Aimed<'a> {
             slope_x[lane] = branch.normal.x - twice * self.normal[0][lane];
             slope_y[lane] = branch.normal.y - twice * self.normal[1][lane];
             seen[lane] = -self.length[lane] * dot(&self.to_detector);
-            let least = seen[lane] - panel.half_side * (slope_x[lane].abs() + slope_y[lane].abs());
+            let spread = panel.half_side * (slope_x[lane].abs() + slope_y[lane].abs());
+            let (least, most) = (seen[lane] - spread, seen[lane] + spread);
+            self.dark[lane] &= most < -ROUNDING_M;
             self.complete[lane] &= (least > 0.0) & (least * least >= least_squared * self.farthest_squared[lane]);
         }
         let [x, y, z] = &self.towards_panel;

@@ -81,20 +81,20 @@ impl Scene {
         let position = self.positions[user];
         let few = panel.order == 1.0 && !panel.few_lanes.is_empty();
         for first in (0..self.mirrors).step_by(BLOCK) {
-            let (mut complete, mut combined) = ([false; BLOCK], [0.0; BLOCK]);
+            let (mut complete, mut dark, mut combined) = ([false; BLOCK], [false; BLOCK], [0.0; BLOCK]);
             if few {
                 let mut aimed = Aimed::new(model, panel, first, &position);
                 for branch in self.held(user).branches {
                     self.combining.add_each(&mut combined, &aimed.gains(panel, branch));
                 }
                 self.combining.finish_each(&mut combined, self.branches);
-                complete = aimed.complete;
+                (complete, dark) = (aimed.complete, aimed.dark);
             }
             for lane in 0..BLOCK.min(self.mirrors - first) {
                 let pair = user * self.mirrors + first + lane;
                 self.steering_gain[pair] = if complete[lane] {
                     combined[lane]
-                } else if self.irs_path_clear[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
+                } else if !dark[lane] && self.irs_path_clear[pair] && panel.towards_mirror[first / BLOCK][lane] > 0.0 {
                     self.aimed_exactly(model, panel, first + lane, user)
                 } else {
                     0.0

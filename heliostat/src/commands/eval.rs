@@ -62,8 +62,8 @@ pub struct Args {
     /// Time in s from the controller's start to the first measured instant of an episode, at least 0.01
     #[arg(long, requires = "closed_loop", value_name = "SECONDS", default_value = "1", value_parser = seconds, allow_negative_numbers = true)]
     warm: Duration,
-    /// Add two rows for each policy that observes the true room in place of reports: when it decides,
-    /// and in the middle of the time in which its command is in force
+    /// Add two rows in which the first policy that observes users knows the true room in place of
+    /// reports: when it decides, and in the middle of the time in which its command is in force
     #[arg(long, requires = "closed_loop")]
     ceilings: bool,
     /// Add a row for each policy that ignores which mirrors are unusable
@@ -110,20 +110,21 @@ impl Args {
                 .collect::<Result<_, _>>()?;
             policies.retain(|evaluated| self.model.is_some() || evaluated.fits(&scenario));
         }
+        let known = [Known::Present, Known::Future];
+        let ceilings = policies.iter().map(|first| known.map(|known| first.knowing(known)));
+        let ceilings = ceilings.filter(|_| self.ceilings).find_map(|[present, future]| present.zip(future));
         let policies = policies.into_iter().flat_map(|evaluated| {
             let mut believing: Vec<_> =
                 self.beliefs.iter().filter_map(|belief| evaluated.with_belief(*belief)).collect();
             let unaware = self.unaware.then(|| evaluated.unaware());
-            let ceilings = [Known::Present, Known::Future].map(|known| evaluated.knowing(known));
-            let ceilings = ceilings.into_iter().flatten().filter(|_| self.ceilings).collect::<Vec<_>>();
             if believing.is_empty() {
                 believing.push(evaluated);
             }
-            believing.into_iter().chain(unaware).chain(ceilings)
+            believing.into_iter().chain(unaware)
         });
         Ok(Settings {
             scenario,
-            policies: policies.collect(),
+            policies: policies.chain(ceilings.into_iter().flat_map(|(present, future)| [present, future])).collect(),
             states: self.states as usize,
             seeds: self.seeds as usize,
             mode: if self.closed_loop { Loop::ClosedLoop } else { Loop::Static },

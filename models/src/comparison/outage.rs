@@ -7,7 +7,7 @@
 
 use serde::Serialize;
 
-use super::row::quantile;
+use crate::evaluation::statistics::quantile;
 
 /// Time between two samples of the rates in ns.
 pub(super) const STEP_NS: u64 = 20_000_000;

@@ -11,6 +11,7 @@ use super::evaluator::{Run, Sample};
 use super::outage::Outages;
 use super::settings::{Loop, Settings};
 use crate::evaluation::Estimate;
+use crate::evaluation::statistics::quantile;
 
 /// A quantity over all states. In JSON a missing number, such as the rate of blocked users without
 /// such a user, is null.
@@ -212,15 +213,6 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// The quantile of sorted values, linear between them; NaN without values.
-pub(super) fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let place = share * last as f64;
-    let below = place as usize;
-    let above = (below + 1).min(last);
-    sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -228,14 +220,6 @@ mod tests {
     /// 97.5 % quantiles of Student's t with one and three degrees of freedom.
     const T_1: f64 = 12.706204736174694;
     const T_3: f64 = 3.18244630528371;
-
-    #[test]
-    fn quantiles_are_linear_between_neighbours() {
-        assert_eq!(quantile(&[1.0, 2.0, 3.0], 0.5), 2.0);
-        assert_eq!(quantile(&[0.0, 10.0], 0.05), 0.5);
-        assert_eq!(quantile(&[4.0], 0.99), 4.0);
-        assert!(quantile(&[], 0.5).is_nan());
-    }
 
     #[test]
     fn intervals_come_from_groups_and_missing_values_are_ignored() {

@@ -25,9 +25,20 @@ pub enum Change {
     },
     /// The user at this index leaves; the indices above it decrease by one.
     Leave {
+        /// Time since the start in s.
+        at_s: f64,
         /// Index in the order of entry.
         index: usize,
     },
+}
+
+impl Change {
+    /// Time of the change in s since the start.
+    pub fn at_s(&self) -> f64 {
+        match *self {
+            Self::Enter { at_s, .. } | Self::Leave { at_s, .. } => at_s,
+        }
+    }
 }
 
 /// The users who enter and leave so far.
@@ -85,7 +96,7 @@ impl Arrivals {
             if leave_s <= arrival_s {
                 self.leave_s.remove(index);
                 self.turnover.left += 1;
-                return Some(Change::Leave { index });
+                return Some(Change::Leave { at_s: leave_s, index });
             }
             let stay_s = random::exponential(&mut self.rng, self.settings.mean_stay_s);
             self.draw_arrival();
@@ -166,7 +177,7 @@ mod tests {
                     ids.push(id);
                     present += 1;
                 }
-                Change::Leave { index } => {
+                Change::Leave { index, .. } => {
                     assert!(index < present);
                     present -= 1;
                 }

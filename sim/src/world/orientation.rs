@@ -2,7 +2,7 @@
 //!
 //! The normal of a device is tilted towards the face of its user. The polar angle between normal
 //! and vertical, and the deviation of the azimuth from the direction towards the face, are those of
-//! a user who sits or stands ([Laplace](laplace)) or who walks (normal).
+//! a user who sits or stands (Laplace) or who walks (normal).
 //!
 //! Each angle follows a stationary Gaussian process z of variance 1 with the autocorrelation
 //! 0.05^(lag / coherence time). The quantile function of the distribution gives the angle. A user

@@ -1,12 +1,17 @@
-//! Recorded walks in place of the random walk: a CSV text with the header `time,user,x,y`.
+//! Recorded walks in place of the random walk: a CSV text with the header `time,user,x,y`, or
+//! `time,user,x,y,heading_deg`.
 //!
 //! Times are in s, users count from 0, positions are in m in the room frame. Between two samples of
 //! a user the position is interpolated linearly; before the first and after the last sample it is
 //! constant. At its latest time the recording repeats: all users jump back to their first
 //! positions.
 //!
-//! A user faces the direction of the last section that was walked at 0.05 m/s or more: a slower
-//! motion is the noise of a tracker, or a step of a user who stands.
+//! With headings, in degrees from +x towards +y, a user faces as recorded, and turns along the
+//! shortest arc between two samples. Without them a user faces the direction of the last section
+//! that was walked at 0.05 m/s or more: a slower motion is the noise of a tracker, or a step of a
+//! user who stands.
+
+use std::f64::consts::{PI, TAU};
 
 use thiserror::Error;
 
@@ -16,20 +21,22 @@ use crate::world::walker::{Floor, Walker};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum TraceError {
     /// The first line that is neither empty nor a comment is not the header.
-    #[error("line {line}: invalid header `{found}`: expected `time,user,x,y`")]
+    #[error("line {line}: invalid header `{found}`: expected `time,user,x,y` or `time,user,x,y,heading_deg`")]
     Header {
         /// Line number, from 1.
         line: usize,
         /// The line as it stands.
         found: String,
     },
-    /// A line has another number of columns than four.
-    #[error("line {line}: number of columns {found}: expected 4 (time,user,x,y)")]
+    /// A line has another number of columns than the header.
+    #[error("line {line}: number of columns {found}: expected {expected}, as in the header")]
     Columns {
         /// Line number, from 1.
         line: usize,
         /// Columns in it.
         found: usize,
+        /// Columns of the header.
+        expected: usize,
     },
     /// A column holds no finite number.
     #[error("line {line}: invalid {column} `{found}`: expected a finite number, for `user` a whole one")]
@@ -102,13 +109,27 @@ pub enum TraceError {
 /// Speed in m/s from which on a motion shows the direction in which a user faces.
 const WALKING_M_S: f64 = 0.05;
 
+/// The columns; the last one is optional.
+const COLUMNS: [&str; 5] = ["time", "user", "x", "y", "heading_deg"];
+
 /// Largest number of problems that are listed.
 const PROBLEMS_MAX: usize = 50;
+
+/// A line of samples.
+#[derive(Clone, Copy, Debug)]
+struct Line<'a> {
+    line: usize,
+    row: &'a str,
+    /// Columns of the header.
+    columns: usize,
+}
 
 #[derive(Clone, Copy, Debug)]
 struct Sample {
     time: f64,
     at: [f64; 2],
+    /// Recorded heading in rad.
+    heading: Option<f64>,
     /// Unit vector in which the user faces from here to the next sample; `None` before the first
     /// walk.
     facing: Option<[f64; 2]>,
@@ -194,12 +215,27 @@ impl Trace {
             walker.position.x = at[0];
             walker.position.y = at[1];
             walker.velocity = velocity;
-            walker.direction = last.and_then(|last| last.facing).unwrap_or(walker.direction);
+            let facing = recorded_direction(last.as_ref(), samples.get(next), now);
+            walker.direction = facing.or(last.and_then(|last| last.facing)).unwrap_or(walker.direction);
         }
     }
 }
 
-/// Sets the direction in which a user faces at each sample.
+/// The direction of the recorded heading at a time between two samples, as a unit vector; `None`
+/// without headings.
+fn recorded_direction(last: Option<&Sample>, next: Option<&Sample>, now: f64) -> Option<[f64; 2]> {
+    let heading = match (last, next) {
+        (Some(a), Some(b)) => {
+            let (from, to) = a.heading.zip(b.heading)?;
+            let turn = (to - from + PI).rem_euclid(TAU) - PI;
+            from + turn * (now - a.time) / (b.time - a.time)
+        }
+        (only, first) => only.or(first)?.heading?,
+    };
+    Some([heading.cos(), heading.sin()])
+}
+
+/// Sets the direction of movement in which a user faces at each sample.
 fn face(samples: &mut [Sample]) {
     let mut facing = None;
     for index in 0..samples.len() {
@@ -225,15 +261,19 @@ fn read(text: &str, users: usize, floor: &Floor, report: &mut dyn FnMut(TraceErr
     let mut samples: Vec<Vec<Sample>> = vec![Vec::new(); users];
     let lines = text.lines().enumerate().map(|(index, row)| (index + 1, row.trim()));
     let mut rows = lines.filter(|(_, row)| !row.is_empty() && !row.starts_with('#'));
-    if let Some((line, row)) = rows.next()
-        && row.split(',').map(str::trim).ne(["time", "user", "x", "y"])
-        && !report(TraceError::Header { line, found: row.to_owned() })
-    {
-        return samples;
+    let mut columns = COLUMNS.len() - 1;
+    if let Some((line, row)) = rows.next() {
+        let names: Vec<&str> = row.split(',').map(str::trim).collect();
+        let is_header = names == COLUMNS || names == COLUMNS[..columns];
+        if is_header {
+            columns = names.len();
+        } else if !report(TraceError::Header { line, found: row.to_owned() }) {
+            return samples;
+        }
     }
     let mut is_complete = true;
     for (line, row) in rows {
-        if let Err(problem) = add_row(line, row, floor, &mut samples) {
+        if let Err(problem) = add_row(Line { line, row, columns }, floor, &mut samples) {
             is_complete = false;
             if !report(problem) {
                 return samples;
@@ -254,8 +294,9 @@ fn read(text: &str, users: usize, floor: &Floor, report: &mut dyn FnMut(TraceErr
 }
 
 /// Adds the sample of a row to its user.
-fn add_row(line: usize, row: &str, floor: &Floor, samples: &mut [Vec<Sample>]) -> Result<(), TraceError> {
-    let (user, sample) = parse_row(line, row, floor)?;
+fn add_row(text: Line<'_>, floor: &Floor, samples: &mut [Vec<Sample>]) -> Result<(), TraceError> {
+    let line = text.line;
+    let (user, sample) = parse_row(text, floor)?;
     let last = samples.len().saturating_sub(1);
     let list = samples.get_mut(user).ok_or(TraceError::User { line, user, last })?;
     if let Some(previous) = list.last().filter(|previous| previous.time >= sample.time) {
@@ -272,10 +313,12 @@ fn between(a: &Sample, b: &Sample, now: f64) -> ([f64; 2], [f64; 2]) {
     ([a.at[0] + velocity[0] * since, a.at[1] + velocity[1] * since], velocity)
 }
 
-fn parse_row(line: usize, row: &str, floor: &Floor) -> Result<(usize, Sample), TraceError> {
+fn parse_row(text: Line<'_>, floor: &Floor) -> Result<(usize, Sample), TraceError> {
+    let Line { line, row, columns: expected } = text;
     let columns: Vec<&str> = row.split(',').map(str::trim).collect();
-    let &[time, user, x, y] = columns.as_slice() else {
-        return Err(TraceError::Columns { line, found: columns.len() });
+    let (&[time, user, x, y], heading) = match columns.split_first_chunk::<4>() {
+        Some((first, rest)) if columns.len() == expected => (first, rest.first()),
+        _ => return Err(TraceError::Columns { line, found: columns.len(), expected }),
     };
     let number = |column, text: &str| {
         let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
@@ -283,98 +326,14 @@ fn parse_row(line: usize, row: &str, floor: &Floor) -> Result<(usize, Sample), T
     };
     let user = user.parse().map_err(|_| TraceError::Value { line, column: "user", found: user.to_owned() })?;
     let (time, x, y) = (number("time", time)?, number("x", x)?, number("y", y)?);
+    let heading = heading.map(|text| number(COLUMNS[4], text)).transpose()?;
     if !floor.contains(x, y) {
         let (length_x_m, length_y_m) = (floor.length_x_m, floor.length_y_m);
         return Err(TraceError::Outside { line, x, y, length_x_m, length_y_m });
     }
-    Ok((user, Sample { time, at: [x, y], facing: None }))
+    let heading = heading.map(|degrees| (degrees % 360.0).to_radians());
+    Ok((user, Sample { time, at: [x, y], heading, facing: None }))
 }
 
 #[cfg(test)]
-mod tests {
-    use heliostat_channel::Vec3;
-
-    use super::*;
-
-    const FLOOR: Floor = Floor { length_x_m: 5.0, length_y_m: 5.0 };
-    const TWO: &str = "time,user,x,y\n# a comment\n10,0,0,0\n10, 1, 1, 1\n\n12,0,2,0\n14,0,2,2\n";
-
-    fn at(trace: &Trace) -> Vec<Walker> {
-        let mut out =
-            vec![Walker { position: Vec3::new(9.0, 9.0, 0.85), direction: [0.0, 1.0], velocity: [9.0, 9.0] }; 2];
-        trace.write(&mut out);
-        out
-    }
-
-    #[test]
-    fn interpolates_holds_and_repeats() {
-        let mut trace = Trace::parse(TWO, 2, &FLOOR).unwrap();
-        assert_eq!(at(&trace)[0].position, Vec3::new(0.0, 0.0, 0.85));
-        trace.step(0.5);
-        let now = at(&trace);
-        assert_eq!((now[0].position, now[0].velocity), (Vec3::new(0.5, 0.0, 0.85), [1.0, 0.0]));
-        assert_eq!(now[0].direction, [1.0, 0.0]);
-        // User 1 has one sample: it stands still and keeps its heading.
-        assert_eq!((now[1].position, now[1].velocity), (Vec3::new(1.0, 1.0, 0.85), [0.0, 0.0]));
-        assert_eq!(now[1].direction, [0.0, 1.0]);
-        trace.step(2.5);
-        assert_eq!(at(&trace)[0].position, Vec3::new(2.0, 1.0, 0.85));
-        trace.step(1.0 + 4.0 + 0.25);
-        assert_eq!(at(&trace)[0].position, Vec3::new(0.25, 0.0, 0.85));
-    }
-
-    #[test]
-    fn a_user_who_creeps_keeps_the_direction_of_the_last_walk() {
-        // A walk along x, then a tracker's noise of some millimetres, then a walk along -y.
-        let text = "time,user,x,y\n0,0,0,0\n1,0,1,0\n2,0,1.01,0.02\n3,0,1,-0.01\n4,0,1,-0.51\n";
-        let mut trace = Trace::parse(text, 1, &FLOOR).unwrap();
-        let mut facing = |time_s| {
-            trace.seek(time_s);
-            let mut walkers = [Walker { position: Vec3::zeros(), direction: [0.0, 1.0], velocity: [0.0, 0.0] }];
-            trace.write(&mut walkers);
-            walkers[0].direction
-        };
-        for (time_s, expected) in [(0.5, [1.0, 0.0]), (1.5, [1.0, 0.0]), (2.5, [1.0, 0.0]), (3.5, [0.0, -1.0])] {
-            assert_eq!(facing(time_s), expected, "after {time_s} s");
-        }
-        // A place in the recording is found from both sides.
-        assert_eq!((facing(-0.5), trace.duration_s()), ([0.0, -1.0], 4.0));
-    }
-
-    #[test]
-    fn a_recording_of_one_row_is_refused_with_what_is_expected() {
-        let error = |text: &str, users| Trace::parse(text, users, &FLOOR).unwrap_err().to_string();
-        for (rows, users) in [("3,0,1,1\n", 1), ("3,0,1,1\n3,1,0,0\n", 2)] {
-            let text = error(&format!("time,user,x,y\n{rows}"), users);
-            assert!(text.contains("time 3 s") && text.contains("at least two times"), "{text}");
-        }
-        assert!(error("time,user,x,y\n", 1).contains("user 0 has no sample"));
-    }
-
-    #[test]
-    fn all_problems_of_a_recording_are_listed() {
-        let text = "time,user,x,y\n0,0,9,0\n0,1,1,1\n1,1,a,1\n0,1,1,1\n2,7,0,0\n";
-        let lines: Vec<String> = Trace::problems(text, 2, &FLOOR).iter().map(ToString::to_string).collect();
-        assert_eq!(lines.len(), 4, "{lines:?}");
-        for (line, number) in lines.iter().zip([2, 4, 5, 6]) {
-            assert!(line.starts_with(&format!("line {number}: ")), "{line}");
-        }
-        assert!(Trace::problems(TWO, 2, &FLOOR).is_empty());
-    }
-
-    #[test]
-    fn errors_name_the_line() {
-        let error = |body: &str| Trace::parse(&format!("time,user,x,y\n{body}"), 2, &FLOOR).unwrap_err().to_string();
-        assert!(error("0,0,1").contains("line 2: number of columns 3"));
-        assert!(error("0,0,1,1\n0,0,x,1").contains("line 3: invalid x `x`"));
-        assert!(error("0,0,1,NaN").contains("line 2: invalid y `NaN`"));
-        assert!(error("0,-1,1,1").contains("line 2: invalid user `-1`"));
-        assert!(error("0,2,1,1").contains("line 2: unknown user 2: expected 0 to 1"));
-        assert!(error("0,0,2.6,1").contains("line 2: (2.6, 1) is outside"));
-        assert!(error("1,0,1,1\n1,0,1,1").contains("line 3: time 1 of user 0 is not after 1"));
-        assert!(error("1,0,1,1").contains("user 1 has no sample"));
-        assert!(
-            Trace::parse("t,u,x,y\n", 1, &FLOOR).unwrap_err().to_string().contains("line 1: invalid header `t,u,x,y`")
-        );
-    }
-}
+mod tests;

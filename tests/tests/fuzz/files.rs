@@ -37,6 +37,7 @@ const DRIVER: &str = "rows = 1\ncolumns = 3\ncalibration_reserve_deg = 1.0\npark
                       measures = true\nmirrors = [1, 0]\n";
 
 const TRACE: &str = "time,user,x,y\n# a comment\n10,0,0,0\n10,1,1,1\n12,0,2,0\n14,0,2,2\n14.5,1,-1,0.5\n";
+const HEADED: &str = "time,user,x,y,heading_deg\n0,0,0,0,170\n0,1,1,1,-5.5\n2,0,2,0,-170\n3,1,-1,0.5,1e308\n";
 
 /// The bytes after a leading zero byte.
 fn whole_file(input: &[u8]) -> Option<&[u8]> {
@@ -100,7 +101,7 @@ pub fn scenario(input: &[u8]) {
 /// A recorded walk: users of a walk that is accepted stay at finite positions.
 pub fn trace(input: &[u8]) {
     let mut script = Script::new(input);
-    let text = text(input, &mut script, &[TRACE]);
+    let text = text(input, &mut script, &[TRACE, HEADED]);
     let Ok(mut room) = SimulatedRoom::new(&small_room(), Some(&text), 1) else { return };
     let mut now_ns = 0;
     for _ in 0..20 {

@@ -4,6 +4,7 @@ mod actuators;
 mod evaluation;
 mod latency;
 mod page;
+mod rooms;
 
 pub use page::{Page, Section};
 
@@ -12,6 +13,8 @@ pub use page::{Page, Section};
 pub enum PageName {
     /// Policies on the same states, beside the oracle: held-out states, sweeps, closed loop
     Evaluation,
+    /// Rooms that differ from the plain hall: mobility, orientation, mismatch
+    Rooms,
     /// What each property of the mirrors' drives costs, and calibration
     Actuators,
     /// Decision, loop, mirrors, users, rooms and policies, each beside a reference of the same run
@@ -23,6 +26,7 @@ impl PageName {
     pub fn page(self) -> &'static Page {
         match self {
             Self::Evaluation => &evaluation::PAGE,
+            Self::Rooms => &rooms::PAGE,
             Self::Actuators => &actuators::PAGE,
             Self::Latency => &latency::PAGE,
         }

@@ -1,0 +1,86 @@
+//! Checks of the keys of all mobility models.
+
+use crate::check::{count, invalid, within};
+use crate::error::ScenarioError;
+use crate::mobility::{MobilityModel, SmoothTurn, SocialForce};
+use crate::tables::{Room, Users};
+
+/// Largest number of entries of `users.mixture`.
+const SHARES_MAX: usize = 16;
+/// Distance of the sum of all shares from 1 that rounding explains.
+const SHARE_ROUNDING: f64 = 1e-6;
+
+impl Users {
+    /// Checks the keys of all mobility models.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Invalid`] for the first value outside its domain.
+    pub(crate) fn check_mobility(&self, room: &Room) -> Result<(), ScenarioError> {
+        within("users.pause_mean_s", self.pause_mean_s, 0.0..=1e4)?;
+        within("users.heading_lag_s", self.heading_lag_s, 0.0..=60.0)?;
+        within("users.random_direction.leg_mean_s", self.random_direction.leg_mean_s, 0.1..=1e4)?;
+        let gauss_markov = &self.gauss_markov;
+        within("users.gauss_markov.memory", gauss_markov.memory, 0.0..=0.9999)?;
+        within("users.gauss_markov.interval_s", gauss_markov.interval_s, 0.02..=1e3)?;
+        within("users.gauss_markov.direction_std_deg", gauss_markov.direction_std_deg, 0.0..=360.0)?;
+        self.smooth_turn.check()?;
+        self.social_force.check()?;
+        within("users.seated.turn_mean_s", self.seated.turn_mean_s, 0.1..=1e6)?;
+        within("users.seated.spacing_m", self.seated.spacing_m, 0.0..=10.0)?;
+        self.check_seats(room)?;
+        self.check_mixture()
+    }
+
+    fn check_seats(&self, room: &Room) -> Result<(), ScenarioError> {
+        let inside = |seat: &[f64; 2]| seat[0].abs() <= room.length_x_m / 2.0 && seat[1].abs() <= room.length_y_m / 2.0;
+        if let Some(seat) = self.seats_m.iter().find(|seat| !inside(seat)) {
+            return invalid("users.seats_m", format!("{seat:?}"), "expected a place in the room");
+        }
+        let seated = if self.mobility == MobilityModel::Seated { self.count } else { 0 };
+        match self.seats_m.len() {
+            0 => Ok(()),
+            seats => count("users.seats_m (entries)", seats, seated..=1024),
+        }
+    }
+
+    fn check_mixture(&self) -> Result<(), ScenarioError> {
+        let least = usize::from(self.mobility == MobilityModel::Mixture);
+        count("users.mixture (entries)", self.mixture.len(), least..=SHARES_MAX)?;
+        for entry in &self.mixture {
+            within("users.mixture (share)", entry.share, 0.0..=1.0)?;
+            if entry.mobility == MobilityModel::Mixture {
+                return invalid("users.mixture (mobility)", "mixture", "expected one of the other models");
+            }
+        }
+        let sum: f64 = self.mixture.iter().map(|entry| entry.share).sum();
+        if !self.mixture.is_empty() && (sum - 1.0).abs() > SHARE_ROUNDING {
+            return invalid("users.mixture (sum of the shares)", sum, "expected shares that add up to 1");
+        }
+        Ok(())
+    }
+}
+
+impl SmoothTurn {
+    fn check(&self) -> Result<(), ScenarioError> {
+        within("users.smooth_turn.acceleration_m_s2", self.acceleration_m_s2, 0.01..=100.0)?;
+        within("users.smooth_turn.deceleration_m_s2", self.deceleration_m_s2, 0.01..=100.0)?;
+        within("users.smooth_turn.turn_rate_deg_per_s", self.turn_rate_deg_per_s, 1.0..=3600.0)?;
+        within("users.smooth_turn.speed_change_mean_s", self.speed_change_mean_s, 0.1..=1e4)?;
+        within("users.smooth_turn.direction_change_mean_s", self.direction_change_mean_s, 0.1..=1e4)
+    }
+}
+
+impl SocialForce {
+    fn check(&self) -> Result<(), ScenarioError> {
+        within("users.social_force.desired_speed_m_s", self.desired_speed_m_s, 0.01..=5.0)?;
+        within("users.social_force.desired_speed_std_m_s", self.desired_speed_std_m_s, 0.0..=2.0)?;
+        within("users.social_force.relaxation_s", self.relaxation_s, 0.05..=60.0)?;
+        within("users.social_force.user_repulsion_m2_s2", self.user_repulsion_m2_s2, 0.0..=100.0)?;
+        within("users.social_force.user_range_m", self.user_range_m, 0.05..=10.0)?;
+        within("users.social_force.anticipation_s", self.anticipation_s, 0.0..=10.0)?;
+        within("users.social_force.wall_repulsion_m2_s2", self.wall_repulsion_m2_s2, 0.0..=100.0)?;
+        within("users.social_force.wall_range_m", self.wall_range_m, 0.05..=10.0)?;
+        within("users.social_force.sight_deg", self.sight_deg, 0.0..=360.0)?;
+        within("users.social_force.out_of_sight_weight", self.out_of_sight_weight, 0.0..=1.0)
+    }
+}

@@ -251,7 +251,7 @@ impl ActorInfo {
         }
         if self.mirrors != scenario.mirror_count() {
             let expected =
-                format!("{} ({} x {})", scenario.mirror_count(), scenario.mirrors.rows, scenario.mirrors.columns);
+                format!("{} ({})", scenario.mirror_count(), scenario.mirrors);
             return unfit("a number of mirrors of", self.mirrors.to_string(), expected, train);
         }
         if scenario.users.count > self.users_max {

@@ -51,7 +51,7 @@ impl Evaluation {
         seed: u64,
         corrections: Option<&CalibrationFile>,
     ) -> anyhow::Result<f64> {
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.evaluator.model().mirrors.arrays()[0], seed);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.evaluator.model().mirrors, seed);
         let mut kit = Kit::new(mirrors);
         let mut now_ns = SETTLED_NS;
         kit.advance(Moment::simulated(now_ns));

@@ -36,12 +36,11 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         }
     };
     let found = format!(
-        "{}: {} mode, {}, {} x {} mirrors, configuration {}",
+        "{}: {} mode, {}, {} mirrors, configuration {}",
         scenario.name,
         scenario.channel.mode.name(),
         counted(scenario.users.count, "user"),
-        scenario.mirrors.rows,
-        scenario.mirrors.columns,
+        scenario.mirrors,
         scenario.hash()
     );
     let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario), check_driver(args, &scenario)];
@@ -118,7 +117,7 @@ fn fetch_capabilities(args: &Args) -> anyhow::Result<Capabilities> {
 
 /// Whether the array fits the scenario.
 fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
-    let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
+    let found = format!("{} ({}), {} mirrors", array.hardware, array.driver, array.rows, array.columns);
     // The controller examines the capabilities in the same way.
     let examined = scenario
         .channel_model()

@@ -18,7 +18,8 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// for training seeds other than 1.
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
     let mode = scenario.channel.mode.name();
-    let sizes: Vec<_> = scenario.mirrors.arrays().iter().map(|array| format!("{}x{}", array.rows, array.columns)).collect();
+    let sizes: Vec<_> =
+        scenario.mirrors.arrays().iter().map(|array| format!("{}x{}", array.rows, array.columns)).collect();
     let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
     format!("{}-{mode}-{}{seed}.onnx", policy.name(), sizes.join("-"))
 }

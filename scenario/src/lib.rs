@@ -28,10 +28,10 @@
 //! ```
 
 mod args;
+mod array_check;
 mod bounded_file;
 mod build;
 mod builtin;
-mod array_check;
 mod check;
 mod error;
 mod geometry;

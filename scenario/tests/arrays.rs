@@ -30,8 +30,8 @@ fn the_effective_configuration_of_several_arrays_can_be_read_again() {
 
 #[test]
 fn a_list_of_one_table_is_the_same_scenario_as_the_table() {
-    let [list, table] = ["[[mirrors]]\nrows = 4\n", "[mirrors]\nrows = 4\n"]
-        .map(|text| Scenario::from_toml(text).expect("valid"));
+    let [list, table] =
+        ["[[mirrors]]\nrows = 4\n", "[mirrors]\nrows = 4\n"].map(|text| Scenario::from_toml(text).expect("valid"));
     assert_eq!((list.hash(), list.geometry_hash()), (table.hash(), table.geometry_hash()));
     assert!(table.to_toml().contains("\n[mirrors]\n"));
 }
@@ -65,7 +65,10 @@ fn a_refusal_names_the_array_and_the_line() {
 fn arrays_that_overlap_are_refused() {
     let same_wall = TWO.replace("\"-x\"", "\"+y\"");
     let refused = message(&same_wall);
-    assert!(refused.contains("mirrors.1.centre_height_m") && refused.contains("overlaps that of mirrors.0"), "{refused}");
+    assert!(
+        refused.contains("mirrors.1.centre_height_m") && refused.contains("overlaps that of mirrors.0"),
+        "{refused}"
+    );
     let above = same_wall.replace("reflectivity = 0.8", "centre_height_m = 2.7");
     assert!(Scenario::from_toml(&above).is_ok(), "one above the other");
 }

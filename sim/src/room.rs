@@ -34,8 +34,7 @@ impl SimulatedRoom {
     /// [`WorldError`] as from [`World::new`].
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
         let world = World::new(scenario, trace, seed)?;
-        let mirrors =
-            SimulatedMirrors::new(&true_room(scenario, seed).actuator, &world.model().mirrors, seed);
+        let mirrors = SimulatedMirrors::new(&true_room(scenario, seed).actuator, &world.model().mirrors, seed);
         let mut room = Self { world, kit: Kit::new(mirrors), world_ns: 0, room_ahead_ns: 0 };
         room.kit.advance(Moment::default());
         Ok(room)

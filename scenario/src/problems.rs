@@ -126,7 +126,14 @@ fn by_place(table: &DeTable<'_>, place: usize) -> Option<(String, Range<usize>)>
             return Some((format!("{}.{name}", key.get_ref()), found));
         }
         let entry = key.span().start..value.span().end.max(key.span().end);
-        entry.contains(&place).then(|| (key.get_ref().to_string(), entry))
+        if entry.contains(&place) {
+            return Some((key.get_ref().to_string(), entry));
+        }
+        // The tables of `[[key]]` are outside the entry of the key.
+        let tables = value.get_ref().as_array()?.iter().enumerate();
+        tables.filter_map(|(index, item)| Some((index, item.get_ref().as_table()?))).find_map(|(index, inner)| {
+            by_place(inner, place).map(|(name, found)| (format!("{}.{index}.{name}", key.get_ref()), found))
+        })
     })
 }
 

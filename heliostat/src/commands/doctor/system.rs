@@ -117,7 +117,7 @@ fn fetch_capabilities(args: &Args) -> anyhow::Result<Capabilities> {
 
 /// Whether the array fits the scenario.
 fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
-    let found = format!("{} ({}), {} mirrors", array.hardware, array.driver, array.rows, array.columns);
+    let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
     // The controller examines the capabilities in the same way.
     let examined = scenario
         .channel_model()

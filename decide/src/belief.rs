@@ -13,6 +13,7 @@
 //! - [`noise`]: the noise of the reports, which starts from the scenario's values.
 //! - [`heading`]: the direction in which the user faces, by the velocity and by measured gains.
 //! - [`covered`]: whether the direct path is off for another reason than bodies and obstacles.
+//! - `posture`: how users hold their receivers.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
 //! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
@@ -28,6 +29,7 @@ pub mod memory;
 pub mod motion;
 pub mod noise;
 pub mod occupancy;
+pub(crate) mod posture;
 mod track;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
@@ -37,14 +39,13 @@ use heliostat_scenario::{Scenario, Walk};
 use angle_history::AngleHistory;
 use body::Body;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains};
-use heading::HEADINGS;
+use heading::{HEADING_KNOWN, HEADINGS};
 use innovations::Innovations;
 use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
+use posture::Posture;
 use track::{Track, reported_velocity};
-
-use crate::input::orientation::orientation_of;
 
 /// Bounds of the estimated noise of a coordinate in m. The lower one keeps exact reports regular.
 const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
@@ -54,9 +55,6 @@ const VELOCITY_NOISE_M_S: [f64; 2] = [1e-3, 2.0];
 
 /// Two intervals between reports count as equal if they differ by less than this share.
 const EQUAL_INTERVALS: f64 = 0.02;
-
-/// A heading whose mean vector is shorter than this is unknown.
-pub(crate) const HEADING_KNOWN: f64 = 0.3;
 
 /// Place and velocity of a user at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -92,6 +90,7 @@ pub struct Belief {
     former: Vec<Track>,
     last_ns: Nanos,
     body: Option<Body>,
+    posture: Posture,
     directions: [Vec3; HEADINGS],
     history: AngleHistory,
     /// The angles at the time of a measurement.
@@ -121,6 +120,7 @@ impl Belief {
             former: Vec::with_capacity(capacity),
             last_ns: 0,
             body: Body::new(&scenario.blockage),
+            posture: Posture::new(scenario.control.tilt),
             directions: heading::directions(),
             history: AngleHistory::new(model.mirrors.len()),
             angles: MirrorAngles::flat(model.mirrors.len()),
@@ -164,8 +164,8 @@ impl Belief {
         }
         let ahead_s = signed_s(report.stamp.time_ns, self.last_ns);
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
-        let Self { tracks, evidence, bodies, directions, map, body, .. } = self;
-        let places = tracks.iter().map(|track| (track.place(ahead_s), orientation_of(held, track.user)));
+        let Self { tracks, evidence, bodies, directions, map, body, posture, .. } = self;
+        let places = tracks.iter().map(|track| track.held_place(ahead_s, (posture, held), directions));
         evidence.expect(model, places, obstacles, angles, unusable);
         bodies.clear();
         bodies.extend(tracks.iter().zip(evidence.positions()).map(|(track, position)| {

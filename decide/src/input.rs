@@ -1,6 +1,5 @@
 //! Input of the core: the latest report of each stream, and the reasons for refusing a report.
 
 pub mod inbox;
-pub(crate) mod orientation;
 pub mod refusal;
 pub mod sequence;

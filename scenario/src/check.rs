@@ -194,6 +194,10 @@ impl Scenario {
         within("control.walk.standing", walk.standing, 0.0..=1.0)?;
         within("control.walk.curving", walk.curving, 0.0..=1.0 - walk.standing)?;
         within("control.walk.turn_rate_deg_per_s", walk.turn_rate_deg_per_s, 1.0..=720.0)?;
+        if let Some(tilt) = &control.tilt {
+            within("control.tilt.walking_deg", tilt.walking_deg, 0.0..=90.0)?;
+            within("control.tilt.walking_from_m_s", tilt.walking_from_m_s, 0.0..=100.0)?;
+        }
         let no_positions = "the policy has no positions";
         without_decision("control.when_stale", control.when_stale, no_positions)?;
         without_decision("control.when_silent", control.when_silent, no_positions)?;

@@ -352,6 +352,27 @@ impl Default for Walk {
     }
 }
 
+/// Mean angle between the vertical and the normal of a receiver that a walking user tilts towards
+/// the face.
+///
+/// A user who does not walk shows the heading too seldom for such an assumption.
+///
+/// Source of the defaults: Soltani, Purwita, Zeng, Haas and Safari, IEEE Trans. Commun. 67(3), 2019.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AssumedTilt {
+    /// The angle in degrees.
+    pub walking_deg: f64,
+    /// Speed in m/s from which a user walks.
+    pub walking_from_m_s: f64,
+}
+
+impl Default for AssumedTilt {
+    fn default() -> Self {
+        Self { walking_deg: 29.67, walking_from_m_s: 0.1 }
+    }
+}
+
 /// Limits and degraded modes of the controller.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -389,6 +410,10 @@ pub struct Control {
     pub belief: Belief,
     /// Prior knowledge about walks, for the belief `filter`.
     pub walk: Walk,
+    /// How walking users are assumed to hold receivers whose orientation is not reported; absent:
+    /// facing up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tilt: Option<AssumedTilt>,
     /// Maximum number of evaluations of a metaheuristic policy per decision.
     pub search_evaluations: u32,
     /// Maximum search time of a metaheuristic policy per decision, in us; 0 is no limit.
@@ -412,6 +437,7 @@ impl Default for Control {
             when_unanswered: DegradedAction::Hold,
             belief: Belief::Filter,
             walk: Walk::default(),
+            tilt: None,
             search_evaluations: 2000,
             search_time_us: 500.0,
         }

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 /// Headings of the distribution: every 10 degrees.
 pub const HEADINGS: usize = 36;
 
+/// A heading whose mean vector is shorter than this is unknown.
+pub(crate) const HEADING_KNOWN: f64 = 0.3;
+
 /// Rate per second at which a user turns to any other direction.
 const TURNS_PER_S: f64 = 0.5;
 

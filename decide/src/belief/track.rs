@@ -1,14 +1,15 @@
 //! What is remembered of one user.
 
-use heliostat_channel::Vec3;
-use heliostat_proto::{ChannelReport, Nanos, UserChannel, UserState};
+use heliostat_channel::{Orientation, Vec3};
+use heliostat_proto::{ChannelReport, Nanos, OrientationReport, UserChannel, UserState};
 use serde::{Deserialize, Serialize};
 
 use crate::belief::{
     covered::Covered,
-    heading::Heading,
+    heading::{HEADING_KNOWN, HEADINGS, Heading},
     height::Height,
     motion::{Motion, WalkPriors},
+    posture::Posture,
 };
 
 /// A user's reports, motion and heading.
@@ -38,10 +39,21 @@ impl Track {
         Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None }
     }
 
-    /// Position of the detector in m, a time in s after the last report.
-    pub fn place(&self, ahead_s: f64) -> Vec3 {
-        let [x, y] = self.motion.estimate(ahead_s).position_m;
-        Vec3::new(x, y, self.height.mean_m())
+    /// Position and orientation of the receiver, a time in s after the last report; `held` are the
+    /// reported orientations.
+    pub fn held_place(
+        &self,
+        ahead_s: f64,
+        (posture, held): (&Posture, Option<&OrientationReport>),
+        directions: &[Vec3; HEADINGS],
+    ) -> (Vec3, Orientation) {
+        let motion = self.motion.estimate(ahead_s);
+        let [x, y] = motion.position_m;
+        let [u, v] = motion.velocity_m_s;
+        let mean = self.heading.mean(directions);
+        let length = mean.norm();
+        let heading = if length > HEADING_KNOWN { mean / length } else { Vec3::zeros() };
+        (Vec3::new(x, y, self.height.mean_m()), posture.of(held, self.user, (&heading, u.hypot(v))))
     }
 
     /// The entry of this user in a channel report; `slot` is the likely index.

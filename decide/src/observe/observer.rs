@@ -31,8 +31,8 @@ use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Na
 use heliostat_scenario::Scenario;
 
 use crate::{
-    belief::{Belief, Estimate, HEADING_KNOWN, body::Body},
-    input::{inbox::Inbox, orientation::orientation_of},
+    belief::{Belief, Estimate, body::Body, heading::HEADING_KNOWN, posture::Posture},
+    input::inbox::Inbox,
     observe::{
         observation::{Observation, RoomState},
         prediction::{Predicted, Prediction},
@@ -60,6 +60,7 @@ pub struct Observer {
     former_headings: Vec<Vec3>,
     positions: Vec<Vec3>,
     orientations: Vec<Orientation>,
+    posture: Posture,
     velocities: Vec<Vec3>,
     /// Probability that the direct path is clear past all but bodies, where it is believed.
     direct_clear: Vec<Option<f64>>,
@@ -96,6 +97,7 @@ impl Observer {
             former_headings: Vec::with_capacity(MAX_USERS),
             positions: Vec::with_capacity(MAX_USERS),
             orientations: Vec::with_capacity(MAX_USERS),
+            posture: Posture::new(scenario.control.tilt),
             velocities: Vec::with_capacity(MAX_USERS),
             direct_clear: Vec::with_capacity(MAX_USERS),
             min_rate_bps: Vec::with_capacity(MAX_USERS),
@@ -170,13 +172,17 @@ impl Observer {
         self.place_blockers(inbox);
         let held = inbox.orientation(now);
         self.orientations.clear();
-        self.orientations.extend(self.slots.ids().iter().map(|user| orientation_of(held, *user)));
+        let users = self.slots.ids().iter().zip(self.headings.iter().zip(&self.velocities));
+        let held_by = |(user, (heading, velocity)): (&u32, (&Vec3, &Vec3))| {
+            self.posture.of(held, *user, (heading, velocity.norm()))
+        };
+        self.orientations.extend(users.map(held_by));
         into.set_state(
             model,
             &RoomState {
                 tick: report.tick,
                 positions: &self.positions,
-                orientations: held.map(|_| &self.orientations[..]),
+                orientations: (held.is_some() || !self.posture.is_upright()).then_some(&self.orientations[..]),
                 velocities: &self.velocities,
                 min_rate_bps: &self.min_rate_bps,
                 blockers: &self.blockers,

@@ -8,7 +8,7 @@ use heliostat_decide::{
     inbox::Message,
     policy::{PolicyKind, actor_file::ActorFile},
 };
-use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, UserReport, decode_into, encode};
+use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, OrientationReport, UserReport, decode_into, encode};
 use heliostat_scenario::Scenario;
 
 use crate::support::{ActorRecipe, Room, build, build_with, controller, scenario};
@@ -21,8 +21,11 @@ fn actor_of(scenario: &Scenario) -> ActorFile {
     ActorRecipe::fitting(scenario).file()
 }
 
+/// Survey, orientations, gains and positions of a tick.
+type Payloads = [Vec<u8>; 4];
+
 /// The payloads of some ticks, made before anything is measured.
-fn payloads(scenario: &Scenario) -> Vec<[Vec<u8>; 3]> {
+fn payloads(scenario: &Scenario) -> Vec<Payloads> {
     let mut room = Room::new(scenario);
     let bytes = |message: &dyn Fn(&mut Vec<u8>)| {
         let mut payload = Vec::new();
@@ -34,8 +37,10 @@ fn payloads(scenario: &Scenario) -> Vec<[Vec<u8>; 3]> {
             let pillar = Obstacle { x_m: 1.0, y_m: 0.5, radius_m: 0.25, height_m: 1.75 };
             let (gains, users) = (room.gains(tick, 1e-6), room.positions(tick));
             let survey = room.survey(tick, vec![pillar; 3]);
+            let held = room.orientations_of(tick, 0.5, &[2, 0]);
             [
                 bytes(&|out| encode(&survey, out).unwrap()),
+                bytes(&|out| encode(&held, out).unwrap()),
                 bytes(&|out| encode(&gains, out).unwrap()),
                 bytes(&|out| encode(&users, out).unwrap()),
             ]
@@ -47,15 +52,18 @@ fn payloads(scenario: &Scenario) -> Vec<[Vec<u8>; 3]> {
 #[derive(Default)]
 struct Scratch {
     obstacles: ObstacleReport,
+    orientation: OrientationReport,
     channel: ChannelReport,
     users: UserReport,
     payload: Vec<u8>,
 }
 
-fn tick(controller: &mut Controller, scratch: &mut Scratch, tick: u64, [survey, gains, users]: &[Vec<u8>; 3]) {
+fn tick(controller: &mut Controller, scratch: &mut Scratch, tick: u64, [survey, held, gains, users]: &Payloads) {
     let now = Room::time(tick);
     decode_into(&mut scratch.obstacles, survey).unwrap();
     controller.handle_and_poll(now, Message::Obstacles(&mut scratch.obstacles), &mut |_| {});
+    decode_into(&mut scratch.orientation, held).unwrap();
+    controller.handle_and_poll(now, Message::Orientation(&mut scratch.orientation), &mut |_| {});
     decode_into(&mut scratch.channel, gains).unwrap();
     controller.handle_and_poll(now, Message::Channel(&mut scratch.channel), &mut |_| {});
     decode_into(&mut scratch.users, users).unwrap();
@@ -89,7 +97,7 @@ fn no_policy_without_a_network_allocates() {
 }
 
 /// Users who come and go: one at first, then up to the largest number of the contract, and none.
-fn crowds() -> Vec<[Vec<u8>; 3]> {
+fn crowds() -> Vec<Payloads> {
     let mut room = Room::new(&scenario(&[]));
     (1..=26)
         .map(|tick| {
@@ -99,10 +107,11 @@ fn crowds() -> Vec<[Vec<u8>; 3]> {
                 ids.reverse();
             }
             let (gains, users) = (room.gains_of(tick, 1e-6, &ids), room.positions_of(tick, &ids));
-            let mut payloads = [Vec::new(), Vec::new(), Vec::new()];
+            let mut payloads = Payloads::default();
             encode(&room.survey(tick, Vec::new()), &mut payloads[0]).unwrap();
-            encode(&gains, &mut payloads[1]).unwrap();
-            encode(&users, &mut payloads[2]).unwrap();
+            encode(&room.orientations_of(tick, 0.5, &ids), &mut payloads[1]).unwrap();
+            encode(&gains, &mut payloads[2]).unwrap();
+            encode(&users, &mut payloads[3]).unwrap();
             payloads
         })
         .collect()
@@ -112,7 +121,12 @@ fn crowds() -> Vec<[Vec<u8>; 3]> {
 fn assert_no_allocation_for_crowds(scenario: &Scenario, kind: PolicyKind) {
     let mut controller = controller(scenario, build_with(kind, scenario, &actor_of(scenario)).unwrap());
     controller.warm_up(0..2);
-    let mut scratch = Scratch { users: UserReport::buffer(), channel: ChannelReport::buffer(), ..Scratch::default() };
+    let mut scratch = Scratch {
+        users: UserReport::buffer(),
+        channel: ChannelReport::buffer(),
+        orientation: OrientationReport::buffer(),
+        ..Scratch::default()
+    };
     for (index, payloads) in crowds().iter().enumerate() {
         let counted = measure(|| tick(&mut controller, &mut scratch, index as u64 + 1, payloads)).count_total;
         assert!(index < 4 || counted == 0, "{kind:?}, tick {}: {counted}", index + 1);

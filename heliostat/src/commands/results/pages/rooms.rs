@@ -99,6 +99,12 @@ pub static PAGE: Page = Page {
             in_hall!(" --set users.orientation={}"),
         ),
         room(
+            "orientation-assumed",
+            "Orientation of the receivers, assumed",
+            "The controller assumes the mean angle of users who walk.",
+            in_hall!(" --set users.orientation={} --set control.tilt={}"),
+        ),
+        room(
             "orientation-social-force",
             "Orientation of the receivers, social force",
             "Unreported angles of users who avoid each other.",

@@ -1,6 +1,6 @@
 //! Angles of mirrors aimed by the law of reflection, block by block.
 
-use crate::mirrors::MirrorArray;
+use crate::arrays::MirrorArrays;
 use crate::trig::{BLOCK, Lanes, atan_of_quotient};
 
 /// Vectors shorter than this, in m, have no direction.
@@ -11,11 +11,11 @@ const TOO_NEAR_M: f64 = 1e-9;
 ///
 /// With the unit vector u to the LED, the vector t to the target and its length b, the normal has
 /// the direction of b u + t. In the wall frame, yaw = atan(x / y) and roll = atan(-z / sqrt(x^2 +
-/// y^2)), as in [`MirrorArray::angles_of`]. Both are 0 where the bisector does not exist.
+/// y^2)), as in [`MirrorArrays::angles_of`]. Both are 0 where the bisector does not exist.
 #[inline(always)]
-pub(crate) fn bisect(mirrors: &MirrorArray, block: usize, to_led: [&Lanes; 3], target: &[Lanes; 3]) -> (Lanes, Lanes) {
+pub(crate) fn bisect(mirrors: &MirrorArrays, block: usize, to_led: [&Lanes; 3], target: &[Lanes; 3]) -> (Lanes, Lanes) {
     let centre = mirrors.block(block);
-    let (cos, sin) = mirrors.rotation();
+    let surfaces = mirrors.surfaces(block);
     let zero = [0.0; BLOCK];
     let (mut down, mut level, mut along, mut inward) = (zero, zero, zero, zero);
     for lane in 0..BLOCK {
@@ -23,6 +23,7 @@ pub(crate) fn bisect(mirrors: &MirrorArray, block: usize, to_led: [&Lanes; 3], t
         let squared = to_target[0] * to_target[0] + to_target[1] * to_target[1] + to_target[2] * to_target[2];
         let distance = squared.sqrt();
         let normal = [0, 1, 2].map(|axis: usize| distance * to_led[axis][lane] + to_target[axis]);
+        let (cos, sin) = (surfaces.wall_cos[lane], surfaces.wall_sin[lane]);
         let (x, y) = (cos * normal[0] + sin * normal[1], cos * normal[1] - sin * normal[0]);
         let across = x * x + y * y;
         // No bisector: the target is in the mirror or opposite to the LED, or a coordinate is not a

@@ -107,7 +107,7 @@ pub fn decode(model: &ChannelModel, scene: &Scene, weights: &[f64], out: &mut Mi
         let direction = |user: usize| scene.directions()[user * mirrors + mirror];
         let sum: Vec3 = (0..users).map(|user| gain(user, mirror) * direction(user)).sum();
         let flat = sum == Vec3::zeros();
-        (out.roll[mirror], out.yaw[mirror]) = if flat { (0.0, 0.0) } else { model.mirrors.angles_of(&sum) };
+        (out.roll[mirror], out.yaw[mirror]) = if flat { (0.0, 0.0) } else { model.mirrors.angles_of(mirror, &sum) };
     }
 }
 

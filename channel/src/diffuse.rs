@@ -7,9 +7,9 @@
 //! docs/physics.md compares the two interpretations of the symbols, see [`Reading`].
 //!
 //! ```
-//! use heliostat_channel::{ArraySpec, MirrorArray, Wall, diffuse, geometry::Vec3};
+//! use heliostat_channel::{ArraySpec, MirrorArray, MirrorArrays, Wall, diffuse, geometry::Vec3};
 //!
-//! let array = MirrorArray::new(&ArraySpec {
+//! let mirrors: MirrorArrays = MirrorArray::new(&ArraySpec {
 //!     rows: 1,
 //!     columns: 1,
 //!     mirror_width_m: 0.25,
@@ -19,16 +19,17 @@
 //!     wall: Wall::PlusY,
 //!     wall_distance_m: 2.5,
 //!     reflectivity: 0.95,
-//! })?;
+//! })?
+//! .into();
 //! // The cosine of eq. (3) is 1 for a user on the mirror's normal.
 //! let user = Vec3::new(0.0, 0.5, 2.0);
-//! assert_eq!(diffuse::tilt_cosine(&array, 0, (0.0, 0.0), &user), 1.0);
+//! assert_eq!(diffuse::tilt_cosine(&mirrors, 0, (0.0, 0.0), &user), 1.0);
 //! # Ok::<(), heliostat_channel::ChannelError>(())
 //! ```
 
+use crate::arrays::MirrorArrays;
 use crate::emitter::{Led, lambertian};
 use crate::geometry::Vec3;
-use crate::mirrors::MirrorArray;
 use crate::receiver::{Branch, Receiver};
 use crate::specular::detected;
 use std::f64::consts::PI;
@@ -54,8 +55,8 @@ pub enum Reading {
 ///
 /// Source: paper eq. (3).
 /// Units: roll and yaw mechanical, in radians, positions in m; the cosine is dimensionless.
-pub fn tilt_cosine(mirrors: &MirrorArray, mirror: usize, (roll, yaw): (f64, f64), user: &Vec3) -> f64 {
-    let from_user = mirrors.wall_from_room(&(mirrors.positions()[mirror] - user));
+pub fn tilt_cosine(mirrors: &MirrorArrays, mirror: usize, (roll, yaw): (f64, f64), user: &Vec3) -> f64 {
+    let from_user = mirrors.array_of(mirror).wall_from_room(&(mirrors.positions()[mirror] - user));
     let weighted =
         from_user.x * yaw.sin() * roll.cos() + from_user.y * yaw.cos() * roll.cos() + from_user.z * roll.sin();
     weighted / from_user.norm()
@@ -68,9 +69,10 @@ pub fn tilt_cosine(mirrors: &MirrorArray, mirror: usize, (roll, yaw): (f64, f64)
 /// panel, zero above the LED's plane.
 ///
 /// Source: paper eq. (2). Units: positions in m, area in m2; the factor is dimensionless.
-pub fn illumination(led: &Led, mirrors: &MirrorArray, mirror: usize) -> f64 {
+pub fn illumination(led: &Led, mirrors: &MirrorArrays, mirror: usize) -> f64 {
     let order = led.lambertian_order();
-    let inward = mirrors.inward();
+    let array = mirrors.array_of(mirror);
+    let inward = array.inward();
     let points = led.points();
     let sum: f64 = points
         .iter()
@@ -83,7 +85,7 @@ pub fn illumination(led: &Led, mirrors: &MirrorArray, mirror: usize) -> f64 {
             lambertian(irradiance_cosine, order) * incidence_cosine / squared
         })
         .sum();
-    let front = (order + 1.0) * mirrors.spec().reflectivity * mirrors.mirror_area_m2() / (2.0 * PI * PI);
+    let front = (order + 1.0) * array.spec().reflectivity * array.mirror_area_m2() / (2.0 * PI * PI);
     front * sum / points.len() as f64
 }
 
@@ -122,7 +124,7 @@ pub fn collection(reading: Reading, (receiver, branch): (&Receiver, &Branch), fr
 /// Units: angles mechanical, in radians, positions in m, areas in m2; the gain is dimensionless.
 pub fn gain(
     reading: Reading,
-    (led, mirrors, mirror): (&Led, &MirrorArray, usize),
+    (led, mirrors, mirror): (&Led, &MirrorArrays, usize),
     angles: (f64, f64),
     (receiver, branch): (&Receiver, &Branch),
     user: &Vec3,
@@ -132,7 +134,8 @@ pub fn gain(
     if !(cosine > 0.0 && cosine >= tilt_least(reading, branch.fov_cosine())) {
         return 0.0;
     }
-    illumination(led, mirrors, mirror) * collection(reading, (receiver, branch), &from_user, &mirrors.inward()) * cosine
+    let inward = mirrors.array_of(mirror).inward();
+    illumination(led, mirrors, mirror) * collection(reading, (receiver, branch), &from_user, &inward) * cosine
 }
 
 /// Smallest tilt cosine with a gain: the literal interpretation applies the field of view to this

@@ -1,8 +1,8 @@
 //! Channel physics of a mirror-array optical wireless link: geometry, gain, SINR, rate and bit
 //! error rate.
 //!
-//! LED panels on the ceiling of a room transmit data to mobile users. An array of small mirrors on
-//! a wall, each with two angles, reflects light to users whose direct path is blocked. This crate
+//! LED panels on the ceiling of a room transmit data to mobile users. Arrays of small mirrors on
+//! walls, each with two angles, reflect light to users whose direct path is blocked. This crate
 //! computes the gain of each path, and from it SINR, rate and bit error rate. [`Scene`] treats all
 //! users and mirrors in one pass.
 //!
@@ -18,7 +18,7 @@
 //! - [`geometry`]: points, directions and their errors; [`angle`]: mechanical and optical angles as
 //!   different types.
 //! - [`domain`]: checks of numbers; [`error`]: why a model cannot be built.
-//! - [`emitter`], [`receiver`], [`mirrors`]: the equipment of a room.
+//! - [`emitter`], [`receiver`], [`mirrors`], [`arrays`]: the equipment of a room.
 //! - [`orientation`]: how a user holds the receiver.
 //! - [`blockage`]: cylinders that block paths.
 //! - [`los`], [`specular`], [`diffuse`]: the gain of one path; reference implementations.
@@ -31,6 +31,7 @@
 
 mod aiming;
 pub mod angle;
+pub mod arrays;
 pub mod blockage;
 pub mod decode;
 pub mod diffuse;
@@ -53,6 +54,7 @@ pub mod specular;
 mod trig;
 
 pub use angle::{Mechanical, Optical};
+pub use arrays::MirrorArrays;
 pub use blockage::Cylinder;
 pub use emitter::Led;
 pub use error::ChannelError;

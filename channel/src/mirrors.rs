@@ -1,4 +1,6 @@
-//! The mirror array: positions of the mirrors, and normals from roll and yaw.
+//! One mirror array: positions of the mirrors, and normals from roll and yaw.
+//!
+//! [`MirrorArrays`](crate::MirrorArrays) joins the arrays of a room.
 //!
 //! Mirror quantities are defined in the *wall frame*: the array is on the wall y = +L/2, and its
 //! inward direction is -y. For the three other walls, [`MirrorArray::room_from_wall`] rotates that
@@ -31,7 +33,6 @@
 use crate::domain::{finite, not_negative, positive, require};
 use crate::error::ChannelError;
 use crate::geometry::Vec3;
-use crate::trig::{Lanes, in_blocks};
 
 /// Largest number of mirrors of an array: the limit of the messages that carry their angles.
 pub const MIRRORS_MAX: usize = 16_384;
@@ -131,8 +132,6 @@ impl MirrorAngles {
 pub struct MirrorArray {
     spec: ArraySpec,
     positions: Vec<Vec3>,
-    /// The same positions, as x, y and z in blocks of mirrors.
-    pub(crate) blocks: [Vec<Lanes>; 3],
 }
 
 impl MirrorArray {
@@ -148,11 +147,7 @@ impl MirrorArray {
     pub fn new(spec: &ArraySpec) -> Result<Self, ChannelError> {
         spec.check()?;
         let (pitch_x, pitch_z) = (spec.mirror_width_m + spec.gap_m, spec.mirror_height_m + spec.gap_m);
-        let mut array = Self {
-            spec: spec.clone(),
-            positions: Vec::with_capacity(spec.rows * spec.columns),
-            blocks: [const { Vec::new() }; 3],
-        };
+        let mut array = Self { spec: spec.clone(), positions: Vec::with_capacity(spec.rows * spec.columns) };
         for row in 0..spec.rows {
             for column in 0..spec.columns {
                 let x = (column as f64 - 0.5 * (spec.columns - 1) as f64) * pitch_x;
@@ -161,7 +156,6 @@ impl MirrorArray {
                 array.positions.push(position);
             }
         }
-        array.blocks = [0, 1, 2].map(|axis| in_blocks(array.positions.iter().map(|position| position[axis])));
         Ok(array)
     }
 
@@ -243,12 +237,6 @@ impl MirrorArray {
         let yaw = if n.x == 0.0 { 0.0 } else { (n.x / n.y).atan() };
         let roll = (-n.z).atan2(n.x.hypot(n.y));
         (roll, yaw)
-    }
-
-    /// x, y and z of a block of mirrors in m.
-    #[inline(always)]
-    pub(crate) fn block(&self, index: usize) -> [&Lanes; 3] {
-        [&self.blocks[0][index], &self.blocks[1][index], &self.blocks[2][index]]
     }
 
     pub(crate) fn rotation(&self) -> (f64, f64) {

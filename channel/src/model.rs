@@ -1,5 +1,6 @@
 //! The optical equipment of a room as one checked value: LEDs, mirrors, receiver and link budget.
 
+use crate::arrays::MirrorArrays;
 use crate::diffuse::{self, Reading};
 use crate::domain::positive;
 use crate::emitter::{Led, lambertian};
@@ -7,7 +8,6 @@ use crate::error::ChannelError;
 use crate::geometry::Vec3;
 use crate::link::LinkBudget;
 use crate::los::front_factor;
-use crate::mirrors::MirrorArray;
 use crate::orientation::Orientation;
 use crate::quadrature::{FewPoints, POINT_LANES, PointLanes, smooth_from_squared};
 use crate::receiver::Receiver;
@@ -52,8 +52,8 @@ pub struct ChannelModel {
     pub mode: Mode,
     /// The access points; each has the optical power of `budget`.
     pub leds: Vec<Led>,
-    /// The mirror array.
-    pub mirrors: MirrorArray,
+    /// The mirrors of all arrays.
+    pub mirrors: MirrorArrays,
     /// The receiver of every user.
     pub receiver: Receiver,
     /// Power, responsivity, noise and bandwidth.
@@ -107,12 +107,12 @@ impl ChannelModel {
     ///
     /// # Errors
     /// [`ChannelError`] for a value of an LED, the receiver, the budget or the gain scale outside
-    /// its domain, for no LED or more than [`LEDS_MAX`], and for an LED that is not in front of the
-    /// mirror wall.
+    /// its domain, for no LED or more than [`LEDS_MAX`], and for an LED that is not in front of every
+    /// wall with mirrors.
     pub fn new(
         mode: Mode,
         leds: Vec<Led>,
-        mirrors: MirrorArray,
+        mirrors: impl Into<MirrorArrays>,
         receiver: Receiver,
         budget: LinkBudget,
     ) -> Result<Self, ChannelError> {
@@ -124,11 +124,14 @@ impl ChannelModel {
         }
         receiver.check()?;
         budget.check()?;
+        let mirrors = mirrors.into();
         for (index, led) in leds.iter().enumerate() {
             led.check()?;
-            let distance_m = (led.position - mirrors.positions()[0]).dot(&mirrors.inward());
-            if distance_m <= 0.5 * led.side_m {
-                return Err(ChannelError::LedBehindWall { led: index, distance_m: distance_m - 0.5 * led.side_m });
+            for array in mirrors.arrays() {
+                let distance_m = (led.position - array.positions()[0]).dot(&array.inward());
+                if distance_m <= 0.5 * led.side_m {
+                    return Err(ChannelError::LedBehindWall { led: index, distance_m: distance_m - 0.5 * led.side_m });
+                }
             }
         }
         let panels = leds.iter().map(|led| Panel::new(mode, led, &mirrors, &receiver)).collect();
@@ -151,10 +154,6 @@ impl ChannelModel {
         }
     }
 
-    pub(crate) fn reflectivity(&self) -> f64 {
-        self.mirrors.spec().reflectivity
-    }
-
     /// Unit vectors from a block of mirrors to an LED: x, y and z.
     #[inline(always)]
     pub(crate) fn directions_to_led(&self, led: usize, block: usize) -> [&Lanes; 3] {
@@ -163,7 +162,7 @@ impl ChannelModel {
 }
 
 impl Panel {
-    fn new(mode: Mode, led: &Led, mirrors: &MirrorArray, receiver: &Receiver) -> Self {
+    fn new(mode: Mode, led: &Led, mirrors: &MirrorArrays, receiver: &Receiver) -> Self {
         let points = led.points();
         let order = led.lambertian_order();
         let front = front_factor(order, receiver);
@@ -172,7 +171,7 @@ impl Panel {
             Mode::Specular => {
                 let rise = led.position.z - mirrors.positions()[index].z;
                 let cosine = (rise / distance[index]).max(0.0);
-                mirrors.spec().reflectivity * front * lambertian(cosine, order)
+                mirrors.reflectivity(index) * front * lambertian(cosine, order)
             }
             Mode::Paper { gain_scale, .. } => gain_scale * diffuse::illumination(led, mirrors, index),
         };

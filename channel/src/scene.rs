@@ -205,7 +205,7 @@ impl Scene {
     /// Sets the steering gains of these mirrors to zero until the next update, as if their paths
     /// were blocked.
     ///
-    /// An index beyond the array has no effect.
+    /// An index beyond the last mirror has no effect.
     pub fn exclude_mirrors(&mut self, mirrors: &[u32]) {
         for mirror in mirrors.iter().map(|mirror| *mirror as usize).filter(|mirror| *mirror < self.mirrors) {
             for user in 0..self.users {
@@ -221,28 +221,30 @@ impl Scene {
     }
 
     /// Multiplies a user's steering gains, and its gains in [`Spill`], by a factor for each column of
-    /// mirrors until the next update: the probability that the path is clear. Shape: columns of the
-    /// array.
+    /// mirrors until the next update: the probability that the path is clear. Shape: columns of all
+    /// arrays, array after array.
     ///
     /// # Panics
-    /// When the array is not a multiple of `factors`.
-    pub fn weigh_columns(&mut self, user: usize, factors: &[f64]) {
-        assert_eq!(self.mirrors % factors.len(), 0, "one factor per column");
+    /// When `factors` does not have one entry per column of the model's arrays.
+    pub fn weigh_columns(&mut self, model: &ChannelModel, user: usize, factors: &[f64]) {
+        assert_eq!(model.mirrors.columns(), factors.len(), "one factor per column");
         let weigh = |gains: &mut [f64]| {
-            for row in gains.chunks_exact_mut(factors.len()) {
-                row.iter_mut().zip(factors).for_each(|(gain, factor)| *gain *= factor);
+            for ((_, mirrors), (_, columns)) in model.mirrors.ranges().zip(model.mirrors.column_ranges()) {
+                for row in gains[mirrors].chunks_exact_mut(columns.len()) {
+                    row.iter_mut().zip(&factors[columns.clone()]).for_each(|(gain, factor)| *gain *= factor);
+                }
             }
         };
         weigh(&mut self.steering_gain[user * self.mirrors..][..self.mirrors]);
         weigh(&mut self.path_weight[user * self.mirrors..][..self.mirrors]);
         if !self.steering_branch.is_empty() {
             let branches = self.branches * self.mirrors;
-            weigh(&mut self.steering_branch[user * branches..][..branches]);
+            self.steering_branch[user * branches..][..branches].chunks_exact_mut(self.mirrors).for_each(weigh);
         }
     }
 
     /// Whether the paths LED-mirror and mirror-user are both clear; false for a user behind the
-    /// mirror wall. Shape: K * M.
+    /// wall of the mirror. Shape: K * M.
     pub fn irs_path_clear(&self) -> &[bool] {
         &self.irs_path_clear
     }

@@ -18,10 +18,10 @@
 //! assert!((normal - Vec3::new(0.0, -1.0, 1.0).normalize()).norm() < 1e-12);
 //! ```
 
+use crate::arrays::MirrorArrays;
 use crate::emitter::{Led, lambertian};
 use crate::geometry::{GeometryError, Vec3, finite_point};
 use crate::los::front_factor;
-use crate::mirrors::MirrorArray;
 use crate::receiver::{Branch, Receiver};
 
 /// One mirror at one orientation: a rectangle that reflects on one side.
@@ -54,41 +54,43 @@ pub struct Path {
 }
 
 impl Plate {
-    /// Mirror `index` of the array at these mechanical angles in radians.
+    /// Mirror `index` of the arrays at these mechanical angles in radians.
     ///
     /// # Panics
-    /// When the array has no such mirror.
-    pub fn of(mirrors: &MirrorArray, index: usize, roll: f64, yaw: f64) -> Self {
-        let normal = mirrors.normal(roll, yaw);
-        let width_axis = mirrors.room_from_wall(&Vec3::new(yaw.cos(), -yaw.sin(), 0.0));
+    /// When there is no such mirror.
+    pub fn of(mirrors: &MirrorArrays, index: usize, roll: f64, yaw: f64) -> Self {
+        let array = mirrors.array_of(index);
+        let normal = array.normal(roll, yaw);
+        let width_axis = array.room_from_wall(&Vec3::new(yaw.cos(), -yaw.sin(), 0.0));
         Self {
             centre: mirrors.positions()[index],
             normal,
             width_axis,
             height_axis: width_axis.cross(&-normal),
-            half_width_m: 0.5 * mirrors.spec().mirror_width_m,
-            half_height_m: 0.5 * mirrors.spec().mirror_height_m,
+            half_width_m: 0.5 * array.spec().mirror_width_m,
+            half_height_m: 0.5 * array.spec().mirror_height_m,
         }
     }
 
-    /// Mirror `index` of the array with this unit normal.
+    /// Mirror `index` of the arrays with this unit normal.
     ///
     /// # Panics
-    /// When the array has no such mirror.
+    /// When there is no such mirror.
     #[inline(always)]
-    pub fn facing(mirrors: &MirrorArray, index: usize, normal: &Vec3) -> Self {
+    pub fn facing(mirrors: &MirrorArrays, index: usize, normal: &Vec3) -> Self {
+        let array = mirrors.array_of(index);
         // Horizontal and perpendicular to the normal; for a vertical normal, the direction of the
         // wall.
         let width_axis = Vec3::new(-normal.y, normal.x, 0.0)
             .try_normalize(1e-12)
-            .unwrap_or_else(|| mirrors.room_from_wall(&Vec3::x()));
+            .unwrap_or_else(|| array.room_from_wall(&Vec3::x()));
         Self {
             centre: mirrors.positions()[index],
             normal: *normal,
             width_axis,
             height_axis: width_axis.cross(&-normal),
-            half_width_m: 0.5 * mirrors.spec().mirror_width_m,
-            half_height_m: 0.5 * mirrors.spec().mirror_height_m,
+            half_width_m: 0.5 * array.spec().mirror_width_m,
+            half_height_m: 0.5 * array.spec().mirror_height_m,
         }
     }
 

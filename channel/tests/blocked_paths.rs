@@ -215,7 +215,7 @@ fn a_mirror_has_no_steering_gain_outside_its_range() {
     for (pair, (gain, before)) in scene.steering_gain().iter().zip(&complete).enumerate() {
         let (mirror, user, led) = (pair % mirrors, &users[pair / mirrors], &model.leds[0].position);
         let towards = bisector(&model.mirrors.positions()[mirror], led, user).expect("an angle");
-        let aim = model.mirrors.angles_of(&towards);
+        let aim = model.mirrors.angles_of(mirror, &towards);
         let within = roll.contains(&aim.0) && yaw.contains(&aim.1);
         let off = (aim.0 - aim.0.clamp(-0.1, 0.15)).hypot(aim.1 - aim.1.clamp(-0.3, 0.05));
         // The ray still meets the mirror within twice a quarter of its side over the distance:

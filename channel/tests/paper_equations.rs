@@ -38,7 +38,7 @@ fn eq_3_is_the_cosine_between_mirror_normal_and_direction_to_the_user() {
     for user in random.positions(200) {
         let angles = (random.uniform(-1.5, 1.5), random.uniform(-1.5, 1.5));
         let direction = (user - mirrors.positions()[45]).normalize();
-        let cosine = mirrors.normal(angles.0, angles.1).dot(&direction);
+        let cosine = mirrors.normal(45, angles).dot(&direction);
         assert!((tilt_cosine(&mirrors, 45, angles, &user) - cosine).abs() < 1e-12);
         assert!((eq_3_as_printed(&mirrors.positions()[45], &user, angles) - cosine).abs() < 1e-12);
     }
@@ -48,8 +48,8 @@ fn eq_3_is_the_cosine_between_mirror_normal_and_direction_to_the_user() {
 #[test]
 fn the_papers_roll_is_a_yaw() {
     let mirrors = Room::paper().mirrors();
-    assert!(mirrors.normal(0.0, 0.5).z.abs() < 1e-15, "yaw keeps the normal level");
-    assert!(mirrors.normal(0.5, 0.0).x.abs() < 1e-15, "roll keeps it in its upright plane");
+    assert!(mirrors.normal(0, (0.0, 0.5)).z.abs() < 1e-15, "yaw keeps the normal level");
+    assert!(mirrors.normal(0, (0.5, 0.0)).x.abs() < 1e-15, "roll keeps it in its upright plane");
 }
 
 /// Each mirror's best normal under eqs. (2) and (3) faces the user; by the law of reflection it is
@@ -61,7 +61,7 @@ fn eq_2_is_largest_for_a_mirror_that_faces_the_user() {
     let user = Vec3::new(0.8, -0.6, 0.85);
     let receiver = (&room.receiver, &room.receiver.branches[0]);
     let gain = |angles| diffuse::gain(Reading::Sensible, (&room.leds[0], &mirrors, 45), angles, receiver, &user);
-    let facing = mirrors.angles_of(&(user - mirrors.positions()[45]));
+    let facing = mirrors.angles_of(45, &(user - mirrors.positions()[45]));
     let best = gain(facing);
     for step in 0..64 {
         let turn = f64::from(step) * 0.1;
@@ -101,7 +101,7 @@ fn eq_2_falls_like_scattered_light() {
 fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     let mut room = Room::paper();
     room.receiver.branches[0].fov_semi_angle = 60.0_f64.to_radians();
-    let (mirrors, inward) = (room.mirrors(), room.mirrors().inward());
+    let (mirrors, inward) = (room.mirrors(), room.mirrors().array_of(45).inward());
     let receiver = (&room.receiver, &room.receiver.branches[0]);
     let mirror = mirrors.positions()[45];
     // Below the mirror and far to the side: a small incidence angle, or a grazing angle at the
@@ -110,7 +110,7 @@ fn the_literal_reading_puts_the_field_of_view_on_the_mirrors_angle() {
     let gain = |reading, angles| diffuse::gain(reading, (&room.leds[0], &mirrors, 45), angles, receiver, &user);
     let incidence = (mirror - user).normalize().z.acos().to_degrees();
     assert!(incidence > 60.0, "{incidence}");
-    let facing = mirrors.angles_of(&(user - mirror));
+    let facing = mirrors.angles_of(45, &(user - mirror));
     assert_eq!(gain(Reading::Sensible, facing), 0.0, "arrives outside the field of view");
     assert!(gain(Reading::Literal, facing) > 0.0, "the literal gate looks at the mirror's angle");
     let at_cosine = |cosine: f64| {

@@ -50,7 +50,7 @@ fn the_reflected_path_is_reversible() {
         let (a, b) = (random.position(), Vec3::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), 2.9));
         let mirror = random.next() as usize % 100;
         let normal = bisector(&model.mirrors.positions()[mirror], &a, &b).expect("not in line");
-        let (roll, yaw) = model.mirrors.angles_of(&normal);
+        let (roll, yaw) = model.mirrors.angles_of(mirror, &normal);
         let plate = Plate::of(&model.mirrors, mirror, roll + 0.02 * random.normal(), yaw + 0.02 * random.normal());
         let (there, back) = (plate.path(&a, &b), plate.path(&b, &a));
         assert_eq!(there.is_some(), back.is_some());
@@ -77,13 +77,13 @@ fn angles_and_normals_are_inverse() {
     let mut random = Random::new(9);
     for room in rooms() {
         let mirrors = room.mirrors();
-        assert!((mirrors.normal(0.0, 0.0) - mirrors.inward()).norm() < 1e-15);
-        assert!(mirrors.normal(0.3, 0.0).z < 0.0, "a positive roll looks down");
+        assert!((mirrors.normal(0, (0.0, 0.0)) - mirrors.array_of(0).inward()).norm() < 1e-15);
+        assert!(mirrors.normal(0, (0.3, 0.0)).z < 0.0, "a positive roll looks down");
         for _ in 0..200 {
             let (roll, yaw) = (random.uniform(-1.5, 1.5), random.uniform(-1.5, 1.5));
-            let normal = mirrors.normal(roll, yaw);
+            let normal = mirrors.normal(0, (roll, yaw));
             assert!((normal.norm() - 1.0).abs() < 1e-15);
-            let (found_roll, found_yaw) = mirrors.angles_of(&(3.0 * normal));
+            let (found_roll, found_yaw) = mirrors.angles_of(0, &(3.0 * normal));
             assert!((found_roll - roll).abs() < 1e-12 && (found_yaw - yaw).abs() < 1e-12);
             let turned = Plate::of(&mirrors, 0, roll, yaw);
             let faced = Plate::facing(&mirrors, 0, &normal);
@@ -98,7 +98,7 @@ fn angles_and_normals_are_inverse() {
 fn the_array_hangs_where_it_should() {
     let mirrors = Room::paper().mirrors();
     let positions = mirrors.positions();
-    assert_eq!((mirrors.len(), mirrors.rows(), mirrors.columns()), (100, 10, 10));
+    assert_eq!((mirrors.len(), mirrors.arrays()[0].rows(), mirrors.columns()), (100, 10, 10));
     assert!((positions[0] - Vec3::new(-1.215, 2.5, 1.46)).norm() < 1e-12, "row 0 lowest, column 0 at the smallest x");
     assert!((positions[9] - Vec3::new(1.215, 2.5, 1.46)).norm() < 1e-12, "index = row * columns + column");
     assert!((positions[90] - Vec3::new(-1.215, 2.5, 2.54)).norm() < 1e-12);

@@ -73,7 +73,7 @@ impl Case {
         let gain = |branch| match self.model.mode {
             Mode::Specular => {
                 let plate = Plate::of(&self.model.mirrors, mirror, roll, yaw);
-                let reflectivity = self.model.mirrors.spec().reflectivity;
+                let reflectivity = self.model.mirrors.reflectivity(mirror);
                 specular::gain(led, &plate, reflectivity, (receiver, branch), position).expect("finite")
             }
             Mode::Paper { literal, gain_scale } => {
@@ -255,5 +255,23 @@ fn positions_without_light_have_zero_gain() {
         assert_eq!(gains, [0.0; 5]);
         assert_eq!(scene.los_gain()[1..], [0.0; 4]);
         assert!(scene.steering_gain().iter().all(|gain| *gain == 0.0));
+    }
+}
+
+#[test]
+fn several_arrays() {
+    for base in [Room::paper(), Room::paper().with_panel(), Room::paper().with_mode(PAPER)] {
+        let mut room = base;
+        let small = |wall, columns| heliostat_channel::ArraySpec {
+            rows: 5,
+            columns,
+            mirror_width_m: 0.18,
+            reflectivity: 0.8,
+            centre_height_m: 1.7,
+            wall,
+            ..room.array.clone()
+        };
+        room.others = vec![small(Wall::MinusX, 7), small(Wall::MinusY, 3)];
+        check_room(&room);
     }
 }

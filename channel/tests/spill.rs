@@ -152,7 +152,7 @@ fn spilled_gains_are_weighed_by_the_probability_of_a_clear_path() {
     scene.update(&model, &positions, &[], &[false; 2]);
     let certain = spill_of(&model, &scene);
     let factors: Vec<f64> = (0..10).map(|column| 0.1 * f64::from(column)).collect();
-    scene.weigh_columns(1, &factors);
+    scene.weigh_columns(&model, 1, &factors);
     let weighed = spill_of(&model, &scene);
     for mirror in 0..100 {
         let factor = factors[mirror % 10];

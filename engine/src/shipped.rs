@@ -17,9 +17,11 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot
 /// for training seeds other than 1.
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
-    let (mode, rows, columns) = (scenario.channel.mode.name(), scenario.mirrors.rows, scenario.mirrors.columns);
+    let mode = scenario.channel.mode.name();
+    let sizes: Vec<_> =
+        scenario.mirrors.arrays().iter().map(|array| format!("{}x{}", array.rows, array.columns)).collect();
     let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
-    format!("{}-{mode}-{rows}x{columns}{seed}.onnx", policy.name())
+    format!("{}-{mode}-{}{seed}.onnx", policy.name(), sizes.join("-"))
 }
 
 /// The training seeds with a built-in actor for a scenario, in ascending order.
@@ -49,8 +51,7 @@ pub fn find(policy: PolicyKind, scenario: &Scenario, training_seed: u32) -> Resu
             };
             let available = names().filter(of_policy).collect::<Vec<_>>().join(", ");
             let available = if available.is_empty() { "none of this policy".into() } else { available };
-            let (rows, columns) = (scenario.mirrors.rows, scenario.mirrors.columns);
-            let room = format!("{rows} x {columns} mirrors in the mode {}", scenario.channel.mode.name());
+            let room = format!("{} mirrors in the mode {}", scenario.mirrors, scenario.channel.mode.name());
             Err(SourceError::NotShipped { policy: policy.name(), room, expected, available })
         }
     }

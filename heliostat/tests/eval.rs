@@ -195,6 +195,31 @@ fn the_exhaustive_search_agrees_with_the_oracle_in_a_small_room() {
 }
 
 #[test]
+fn several_arrays_are_evaluated_static_and_in_closed_loop() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("two.toml");
+    let array = |wall: &str| format!("[[mirrors]]\nrows = 5\ncolumns = 5\nwall = \"{wall}\"\n");
+    let write = |text: &str| std::fs::write(&file, text).expect("written");
+    let obstacles = "[streams.obstacles]\nrate_hz = 0.0\n";
+    let scenario = ["--scenario", file.to_str().expect("a plain path")];
+    for mode in [&["--states", "20"][..], &["--closed-loop", "--states", "20"]] {
+        let flags = [&["--policies", "greedy,flat", "--seeds", "1"], &scenario[..], mode].concat();
+        write(&[&array("+y"), obstacles].concat());
+        let one = report(&flags);
+        write(&[&array("+y"), &array("-x"), obstacles].concat());
+        let two = report(&flags);
+        let rate = |report: &Value| mean(report, "greedy", "sum_rate_mbps");
+        assert!(rate(&two) > 1.01 * rate(&one), "{} and {}", rate(&one), rate(&two));
+        assert!(mean(&two, "greedy", "sum_rate_mbps") > mean(&two, "flat", "sum_rate_mbps"));
+    }
+    let message = refusal(&[&["--policies", "ddpg"], &scenario[..]].concat());
+    assert!(message.contains("5x5-5x5"), "{message}");
+    let trained = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(["train", "ddpg"]).args(scenario).output();
+    let message = String::from_utf8(trained.expect("it runs").stderr).expect("text");
+    assert!(message.contains("2 mirror arrays") && message.contains("model-based"), "{message}");
+}
+
+#[test]
 fn a_csv_has_a_line_for_each_policy() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("figures.csv");

@@ -25,7 +25,7 @@ use anyhow::{Context, ensure};
 use heliostat_array::calibration::{GAIN_RANGE, OFFSET_MAX_RAD};
 use heliostat_array::calibration_file::{AxisCorrections, CalibrationFile};
 use heliostat_proto::AxisLimits;
-use heliostat_scenario::{ChannelMode, Scenario};
+use heliostat_scenario::{ChannelMode, Mirrors, Scenario};
 use indicatif::ProgressBar;
 use serde::Serialize;
 
@@ -99,7 +99,8 @@ pub fn calibrate(scenario: &Scenario, seed: u64, method: &Method, bar: &Progress
         return Err(failure).context("the array did not answer");
     }
     let [roll, yaw] = axes;
-    let file = CalibrationFile { rows: scenario.mirrors.rows, columns: scenario.mirrors.columns, roll, yaw };
+    let Mirrors { rows, columns, .. } = *scenario.mirrors.first();
+    let file = CalibrationFile { rows, columns, roll, yaw };
     Ok(Outcome { file, readings: bench.readings(), seconds: bench.seconds(), unfound, limited })
 }
 

@@ -187,12 +187,12 @@ impl Scene {
     /// Walls, access points and mirrors.
     fn room(&self) -> SceneEntity {
         let [x, y, z] = self.size_m;
-        let spec = self.model.mirrors.spec();
-        let across = self.model.mirrors.room_from_wall(&Vec3::x());
         let panel = |position: &Vec3| cube(position, Vec3::new(0.3, 0.3, 0.03), LED);
-        let mirror = |position: &Vec3| {
+        let mirror = |(index, position): (usize, &Vec3)| {
+            let array = self.model.mirrors.array_of(index);
+            let (spec, across) = (array.spec(), array.room_from_wall(&Vec3::x()));
             let half = across * (spec.mirror_width_m / 2.0) + Vec3::z() * (spec.mirror_height_m / 2.0);
-            let size = 2.0 * half.map(f64::abs) + self.model.mirrors.inward().map(f64::abs) * 0.01;
+            let size = 2.0 * half.map(f64::abs) + array.inward().map(f64::abs) * 0.01;
             cube(position, size, MIRROR)
         };
         let outline = CubeEdges { centre: Vec3::new(0.0, 0.0, z / 2.0), half: Vec3::new(x, y, z) / 2.0 };
@@ -202,7 +202,7 @@ impl Scene {
                 .leds
                 .iter()
                 .map(|led| panel(&led.position))
-                .chain(self.model.mirrors.positions().iter().map(mirror))
+                .chain(self.model.mirrors.positions().iter().enumerate().map(mirror))
                 .collect(),
             lines: vec![segments(outline.points(), 0.01, WALL)],
             ..entity("room")
@@ -215,7 +215,8 @@ impl Scene {
         let height = self.users.first().map_or(0.0, |user| user.position.z);
         let (mut rays, mut clear, mut blocked) = (Vec::new(), Vec::new(), Vec::new());
         for (index, mirror) in self.model.mirrors.positions().iter().enumerate() {
-            let normal = self.model.mirrors.normal(f64::from(self.angles.0[index]), f64::from(self.angles.1[index]));
+            let normal =
+                self.model.mirrors.normal(index, (f64::from(self.angles.0[index]), f64::from(self.angles.1[index])));
             let Some(incoming) = self.nearest_led(mirror).map(|led| (mirror - led).normalize()) else { continue };
             let outgoing = incoming - 2.0 * incoming.dot(&normal) * normal;
             if outgoing.z < -1e-3 {

@@ -42,12 +42,11 @@ pub fn provide(room: &Room, out: &Path, train: bool) -> Result<()> {
     let file = folder.join("scenario.toml");
     if !train {
         bail!(
-            "room {} has no trained actor: none is built in for channel mode {} with {} x {} mirrors in this geometry; give --train-missing to train one \
+            "room {} has no trained actor: none is built in for channel mode {} with {} mirrors in this geometry; give --train-missing to train one \
              now (some minutes), or build in one that you train with `heliostat train ddpg`",
             room.name,
             room.scenario.channel.mode.name(),
-            room.scenario.mirrors.rows,
-            room.scenario.mirrors.columns
+            room.scenario.mirrors
         );
     }
     fs::create_dir_all(&folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;

@@ -51,11 +51,19 @@ impl ViewerScenarioArgs {
 }
 
 impl ScenarioArgs {
-    /// Reads the scenario and applies the overrides.
+    /// Reads the scenario of a room with one mirror array and applies the overrides.
+    ///
+    /// # Errors
+    /// As [`ScenarioArgs::load_arrays`], and for a scenario with several mirror arrays.
+    pub fn load(&self) -> Result<Scenario, ScenarioError> {
+        self.load_arrays()?.require_one_array()
+    }
+
+    /// Reads the scenario of a room with any number of mirror arrays and applies the overrides.
     ///
     /// # Errors
     /// [`ScenarioError`] if the file cannot be read, or if the file or an override is invalid.
-    pub fn load(&self) -> Result<Scenario, ScenarioError> {
+    pub fn load_arrays(&self) -> Result<Scenario, ScenarioError> {
         let mut overrides = self.overrides.clone();
         overrides.extend(self.seed.map(|seed| format!("seed={seed}")));
         let in_file = |error| match error {

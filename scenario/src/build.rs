@@ -4,7 +4,7 @@ use heliostat_channel as optics;
 use optics::{ArraySpec, ChannelError, ChannelModel, LinkBudget, Mode, NoiseBudget, Vec3};
 
 use crate::scenario::Scenario;
-use crate::tables::{Branch, ChannelMode, Combining, PowerLaw, ReceiverPreset, Wall};
+use crate::tables::{Branch, ChannelMode, Combining, Mirrors, PowerLaw, ReceiverPreset, Wall};
 
 /// Field of view of each branch of the angle-diversity preset, in degrees.
 const ANGLE_DIVERSITY_FOV_DEG: f64 = 35.0;
@@ -24,27 +24,29 @@ impl Scenario {
                 Mode::Paper { literal: self.channel.literal, gain_scale: self.channel.gain_scale }
             }
         };
-        let mirrors = optics::MirrorArray::new(&self.array_spec())?;
+        let array = |table| optics::MirrorArray::new(&self.array_spec(table));
+        let arrays = self.mirrors.arrays().iter().map(array).collect::<Result<_, _>>()?;
+        let mirrors = optics::MirrorArrays::new(arrays)?;
         ChannelModel::new(mode, self.leds(), mirrors, self.detectors(), self.link_budget())
     }
 
-    fn array_spec(&self) -> ArraySpec {
-        let (wall, wall_distance_m) = match self.mirrors.wall {
+    fn array_spec(&self, table: &Mirrors) -> ArraySpec {
+        let (wall, wall_distance_m) = match table.wall {
             Wall::PlusY => (optics::Wall::PlusY, self.room.length_y_m / 2.0),
             Wall::PlusX => (optics::Wall::PlusX, self.room.length_x_m / 2.0),
             Wall::MinusY => (optics::Wall::MinusY, self.room.length_y_m / 2.0),
             Wall::MinusX => (optics::Wall::MinusX, self.room.length_x_m / 2.0),
         };
         ArraySpec {
-            rows: self.mirrors.rows,
-            columns: self.mirrors.columns,
-            mirror_width_m: self.mirrors.width_m,
-            mirror_height_m: self.mirrors.height_m,
-            gap_m: self.mirrors.gap_m,
-            centre_height_m: self.mirrors.centre_height_m,
+            rows: table.rows,
+            columns: table.columns,
+            mirror_width_m: table.width_m,
+            mirror_height_m: table.height_m,
+            gap_m: table.gap_m,
+            centre_height_m: table.centre_height_m,
             wall,
             wall_distance_m,
-            reflectivity: self.mirrors.reflectivity,
+            reflectivity: table.reflectivity,
         }
     }
 

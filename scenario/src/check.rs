@@ -6,7 +6,7 @@ use crate::error::ScenarioError;
 use crate::runtime::DegradedAction;
 use crate::scenario::Scenario;
 use crate::streams::Streams;
-use crate::tables::{ChannelMode, MinRate, Wall};
+use crate::tables::{ChannelMode, MinRate};
 use crate::user_orientation::UserOrientation;
 
 /// Largest number of users of a room: the limit of the contract.
@@ -21,7 +21,7 @@ const LOSS: RangeInclusive<f64> = 0.0..=0.99;
 const BURST_REPORTS: RangeInclusive<f64> = 1.0..=1e4;
 /// Coherence times of the users' orientations in s.
 const COHERENCE_S: RangeInclusive<f64> = 0.001..=1e4;
-/// Largest number of mirrors of an array: the limit of the contract.
+/// Largest number of mirrors of a room: the limit of the contract.
 pub const MIRRORS_MAX: usize = 16_384;
 /// Optical power of an access point in W.
 pub const POWER_W: RangeInclusive<f64> = 1e-6..=1e4;
@@ -89,16 +89,7 @@ impl Scenario {
     }
 
     fn check_optics(&self) -> Result<(), ScenarioError> {
-        let mirrors = &self.mirrors;
-        count("mirrors.rows", mirrors.rows, 1..=1024)?;
-        count("mirrors.columns", mirrors.columns, 1..=1024)?;
-        count("mirrors.rows x mirrors.columns", mirrors.rows * mirrors.columns, 1..=MIRRORS_MAX)?;
-        within("mirrors.width_m", mirrors.width_m, 1e-4..=5.0)?;
-        within("mirrors.height_m", mirrors.height_m, 1e-4..=5.0)?;
-        within("mirrors.gap_m", mirrors.gap_m, 0.0..=5.0)?;
-        within("mirrors.reflectivity", mirrors.reflectivity, 0.0..=1.0)?;
-        within("mirrors.centre_height_m", mirrors.centre_height_m, 0.0..=self.room.height_m)?;
-        self.check_array_fits()?;
+        self.check_arrays()?;
         let receiver = &self.receiver;
         within("receiver.height_m", receiver.height_m, 0.0..=self.room.height_m)?;
         within("receiver.area_mm2", receiver.area_mm2, 1e-4..=1e6)?;
@@ -118,30 +109,6 @@ impl Scenario {
         within("noise.preamplifier_a2_per_hz", noise.preamplifier_a2_per_hz, 0.0..=1.0)?;
         within("noise.variance_a2", noise.variance_a2.unwrap_or(1e-15), 1e-30..=1.0)?;
         within("link.bandwidth_mhz", self.link.bandwidth_mhz, 1e-6..=1e6)
-    }
-
-    fn check_array_fits(&self) -> Result<(), ScenarioError> {
-        let mirrors = &self.mirrors;
-        let extent = |count: usize, size: f64| count as f64 * size + (count - 1) as f64 * mirrors.gap_m;
-        let (width, height) = (extent(mirrors.columns, mirrors.width_m), extent(mirrors.rows, mirrors.height_m));
-        let wall = match mirrors.wall {
-            Wall::PlusY | Wall::MinusY => self.room.length_x_m,
-            Wall::PlusX | Wall::MinusX => self.room.length_y_m,
-        };
-        if width > wall {
-            let expected = format!(
-                "expected an array no wider than its wall of {wall} m, but it has {width:.2} m; use fewer or narrower mirrors"
-            );
-            return invalid("mirrors.columns", mirrors.columns, &expected);
-        }
-        if mirrors.centre_height_m - height / 2.0 < 0.0 || mirrors.centre_height_m + height / 2.0 > self.room.height_m {
-            let expected = format!(
-                "expected an array between floor and ceiling, but it has {height:.2} m centred at {} m; use fewer or lower mirrors",
-                mirrors.centre_height_m
-            );
-            return invalid("mirrors.rows", mirrors.rows, &expected);
-        }
-        Ok(())
     }
 
     fn check_users(&self) -> Result<(), ScenarioError> {

@@ -46,6 +46,14 @@ pub enum ScenarioError {
         /// The line of the file that sets the key, if any.
         line: Option<usize>,
     },
+    /// More than one mirror array, where only one can be used.
+    #[error(
+        "the scenario has {count} mirror arrays ([[mirrors]]): expected one ([mirrors]), because messages, actors and training have a single array; several arrays can be evaluated with model-based policies"
+    )]
+    SeveralArrays {
+        /// Number of arrays.
+        count: usize,
+    },
     /// An override is not of the form `table.key=value`.
     #[error("override \"{text}\": expected table.key=value, for example blockage.forced_users=2")]
     Override {

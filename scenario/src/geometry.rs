@@ -6,8 +6,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::ScenarioError;
+use crate::mirror_tables::MirrorTables;
 use crate::scenario::{Scenario, parse_error, with_line};
-use crate::tables::{Blockage, Channel, Led, Link, Mirrors, Noise, Receiver, Room, Users};
+use crate::tables::{Blockage, Channel, Led, Link, Noise, Receiver, Room, Users};
 
 /// The tables of a geometry, in the order in which a difference is reported.
 const TABLES: [&str; 8] = ["room", "led", "mirrors", "receiver", "channel", "noise", "link", "blockage"];
@@ -20,7 +21,7 @@ struct Geometry {
     room: Room,
     channel: Channel,
     led: Led,
-    mirrors: Mirrors,
+    mirrors: MirrorTables,
     receiver: Receiver,
     noise: Noise,
     link: Link,
@@ -57,12 +58,13 @@ impl Scenario {
     /// A scenario with this geometry and channel; all other keys have values that suit any geometry.
     ///
     /// # Errors
-    /// As [`Scenario::from_toml`]; also for a key of a scenario that a geometry does not hold.
+    /// As [`Scenario::from_toml`]; also for a key of a scenario that a geometry does not hold, and for
+    /// several mirror arrays.
     pub fn from_geometry_toml(text: &str) -> Result<Self, ScenarioError> {
         let geometry: Geometry = toml::from_str(text).map_err(|error| parse_error("room geometry", &error))?;
         let scenario = geometry.into_scenario();
         scenario.check().map_err(|error| with_line(error, text))?;
-        Ok(scenario)
+        scenario.require_one_array()
     }
 
     /// The first key in which the geometry differs from that of another scenario; their names may

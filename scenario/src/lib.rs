@@ -29,6 +29,7 @@
 //! ```
 
 mod args;
+mod array_check;
 mod bounded_file;
 mod build;
 mod builtin;
@@ -36,6 +37,7 @@ mod check;
 mod error;
 mod geometry;
 mod lines;
+mod mirror_tables;
 pub mod mismatch;
 pub mod mobility;
 mod mobility_check;
@@ -54,6 +56,7 @@ pub use builtin::BUILTIN_NAMES;
 pub use check::{MIRRORS_MAX, POWER_W, SPEED_M_S, USERS_MAX};
 pub use error::ScenarioError;
 pub use geometry::GeometryDifference;
+pub use mirror_tables::MirrorTables;
 pub use mismatch::{Mismatch, MismatchKind, MismatchLevel, Spreads};
 pub use mobility::*;
 pub use problems::{Checked, Problem};

@@ -8,8 +8,15 @@ pub(crate) fn line_of(text: &str, key: &str) -> Option<usize> {
     let mut keys = key.split(' ').next()?.split('.');
     let first = keys.next()?;
     let mut found = document.get_ref().get_key_value(first)?;
-    for key in keys {
-        match found.1.get_ref().as_table().and_then(|table| table.get_key_value(key)) {
+    while let Some(mut key) = keys.next() {
+        let mut value = found.1.get_ref();
+        // A number selects one of several tables.
+        if let Some(tables) = value.as_array() {
+            let Some(item) = key.parse().ok().and_then(|index: usize| tables.get(index)) else { break };
+            let Some(next) = keys.next() else { break };
+            (value, key) = (item.get_ref(), next);
+        }
+        match value.as_table().and_then(|table| table.get_key_value(key)) {
             Some(entry) => found = entry,
             None => break,
         }

@@ -5,7 +5,8 @@ use crate::error::ScenarioError;
 /// Sets one `table.key=value` in a table; a value that is not TOML is a string.
 ///
 /// # Errors
-/// [`ScenarioError::Override`] for another form, or for a key below a value that is no table.
+/// [`ScenarioError::Override`] for another form, or for a key below a value that is no table. One of
+/// several tables is selected by its index from 0: `mirrors.1.rows=4`.
 pub(crate) fn apply(table: &mut toml::Table, text: &str) -> Result<(), ScenarioError> {
     let refused = || ScenarioError::Override { text: text.into() };
     let (path, value) = text.split_once('=').ok_or_else(refused)?;
@@ -16,9 +17,16 @@ pub(crate) fn apply(table: &mut toml::Table, text: &str) -> Result<(), ScenarioE
         .unwrap_or_else(|| toml::Value::String(value.into()));
     let mut keys: Vec<&str> = path.trim().split('.').collect();
     let last = keys.pop().filter(|key| !key.is_empty()).ok_or_else(refused)?;
-    let mut table = table;
-    for key in keys {
-        let entry = table.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+    let (mut table, mut keys) = (table, keys.into_iter());
+    while let Some(key) = keys.next() {
+        let entry = match table.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new())) {
+            // A number selects one of several tables.
+            toml::Value::Array(tables) => {
+                let index = keys.next().and_then(|key| key.parse().ok());
+                index.and_then(|index: usize| tables.get_mut(index)).ok_or_else(refused)?
+            }
+            entry => entry,
+        };
         table = entry.as_table_mut().ok_or_else(refused)?;
     }
     // An integer is accepted for a key that holds a floating-point number.

@@ -65,6 +65,8 @@ impl Scenario {
 
 fn checked(mut problems: Vec<Problem>, scenario: Option<Scenario>, refused_tables: Vec<String>) -> Checked {
     problems.sort_by_key(|problem| problem.line.unwrap_or(usize::MAX));
+    // A problem in one of several tables remains until its own table is removed.
+    problems.dedup();
     Checked { problems, scenario, refused_tables }
 }
 
@@ -101,7 +103,14 @@ fn by_name(text: &str, name: &str) -> Option<Range<usize>> {
     let mut keys = name.split(' ').next()?.split('.').peekable();
     loop {
         let (key, value) = table.get_key_value(keys.next()?)?;
-        match value.get_ref() {
+        let mut selected = value.get_ref();
+        // A number selects one of several tables.
+        if let DeValue::Array(tables) = selected
+            && let Some(index) = keys.next_if(|key| key.parse::<usize>().is_ok())
+        {
+            selected = tables.get(index.parse::<usize>().ok()?)?.get_ref();
+        }
+        match selected {
             DeValue::Table(inner) if keys.peek().is_some() => table = inner,
             _ => return Some(key.span().start..value.span().end.max(key.span().end)),
         }
@@ -117,7 +126,14 @@ fn by_place(table: &DeTable<'_>, place: usize) -> Option<(String, Range<usize>)>
             return Some((format!("{}.{name}", key.get_ref()), found));
         }
         let entry = key.span().start..value.span().end.max(key.span().end);
-        entry.contains(&place).then(|| (key.get_ref().to_string(), entry))
+        if entry.contains(&place) {
+            return Some((key.get_ref().to_string(), entry));
+        }
+        // The tables of `[[key]]` are outside the entry of the key.
+        let tables = value.get_ref().as_array()?.iter().enumerate();
+        tables.filter_map(|(index, item)| Some((index, item.get_ref().as_table()?))).find_map(|(index, inner)| {
+            by_place(inner, place).map(|(name, found)| (format!("{}.{index}.{name}", key.get_ref()), found))
+        })
     })
 }
 

@@ -6,12 +6,13 @@ use sha2::{Digest, Sha256};
 use crate::builtin;
 use crate::error::ScenarioError;
 use crate::lines::line_of;
+use crate::mirror_tables::MirrorTables;
 use crate::mismatch::Mismatch;
 use crate::overrides;
 use crate::renames::{RENAMES, Renames};
 use crate::runtime::{Actuator, Control};
 use crate::streams::Streams;
-use crate::tables::{Blockage, Channel, Led, Link, MinRate, Mirrors, Noise, PowerLaw, Receiver, Room, Users};
+use crate::tables::{Blockage, Channel, Led, Link, MinRate, Noise, PowerLaw, Receiver, Room, Users};
 
 /// The description of one room; the files in deploy/scenarios explain every key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,8 +28,8 @@ pub struct Scenario {
     pub channel: Channel,
     /// The access points on the ceiling.
     pub led: Led,
-    /// The mirror array.
-    pub mirrors: Mirrors,
+    /// The mirror arrays.
+    pub mirrors: MirrorTables,
     /// The users' receiver.
     pub receiver: Receiver,
     /// Noise of one detector.
@@ -57,7 +58,7 @@ impl Default for Scenario {
             room: Room::default(),
             channel: Channel::default(),
             led: Led::default(),
-            mirrors: Mirrors::default(),
+            mirrors: MirrorTables::default(),
             receiver: Receiver::default(),
             noise: Noise::default(),
             link: Link::default(),
@@ -174,7 +175,7 @@ impl Scenario {
             room: &'a Room,
             channel: Channel,
             led: Led,
-            mirrors: &'a Mirrors,
+            mirrors: &'a MirrorTables,
             receiver: &'a Receiver,
         }
         let geometry = Geometry {
@@ -187,9 +188,9 @@ impl Scenario {
         short_hash(&toml::to_string(&geometry).expect("every table of a scenario has a TOML form"))
     }
 
-    /// Number of mirrors of the array.
+    /// Number of mirrors of all arrays.
     pub fn mirror_count(&self) -> usize {
-        self.mirrors.rows * self.mirrors.columns
+        self.mirrors.count()
     }
 
     /// Minimum rate of each user in bit/s. Shape: K.

@@ -31,7 +31,7 @@ pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
 
     let raised_m = deviation(spreads.floor_m);
     room.room.height_m += raised_m;
-    room.mirrors.centre_height_m += raised_m;
+    room.mirrors.arrays_mut().iter_mut().for_each(|array| array.centre_height_m += raised_m);
     let half_m = [0.5 * room.room.length_x_m, 0.5 * room.room.length_y_m];
     for [x, y, z] in &mut room.led.positions_m {
         *x = (*x + deviation(spreads.led_m)).clamp(-half_m[0], half_m[0]);
@@ -42,7 +42,9 @@ pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     let semi_angle_deg = scaled(room.led.half_power_semi_angle_deg, deviation(spreads.semi_angle));
     room.led.half_power_semi_angle_deg = semi_angle_deg.min(SEMI_ANGLE_MAX_DEG);
     room.receiver.area_mm2 = scaled(room.receiver.area_mm2, deviation(spreads.received));
-    room.mirrors.reflectivity = scaled(room.mirrors.reflectivity, -deviation(spreads.reflectivity_loss).abs());
+    for array in room.mirrors.arrays_mut() {
+        array.reflectivity = scaled(array.reflectivity, -deviation(spreads.reflectivity_loss).abs());
+    }
     room.streams.positions.noise_m *= 1.0 + spreads.tracker_excess;
     room.streams.positions.velocity_noise_m_s *= 1.0 + spreads.tracker_excess;
     let offset_deg = room.actuator.parameters().offset_rad.to_degrees().hypot(spreads.mirror_deg);
@@ -124,7 +126,7 @@ mod tests {
         assert_ne!(receiver.receiver.area_mm2, nominal.receiver.area_mm2);
         assert_eq!((&receiver.led, &receiver.mirrors), (&nominal.led, &nominal.mirrors));
         let mirrors = of_kind("mirrors");
-        assert!(mirrors.mirrors.reflectivity < nominal.mirrors.reflectivity);
+        assert!(mirrors.mirrors.first().reflectivity < nominal.mirrors.first().reflectivity);
         assert_eq!(mirrors.actuator.offset_deg, Some(0.6));
         let floor = of_kind("floor");
         let raised_m = floor.room.height_m - nominal.room.height_m;

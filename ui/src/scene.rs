@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use heliostat_channel::{Cylinder, MirrorAngles, MirrorArray, Scene, Vec3};
+use heliostat_channel::{Cylinder, MirrorAngles, MirrorArrays, Scene, Vec3};
 use heliostat_proto::MirrorTelemetry;
 use heliostat_scenario::Scenario;
 use heliostat_service::printable::printable;
@@ -310,7 +310,8 @@ fn angles(mirrors: usize, telemetry: Option<&MirrorTelemetry>) -> MirrorAngles {
 }
 
 /// Corners of a mirror, in order along its edge.
-fn corners(array: &MirrorArray, index: usize, angles: &MirrorAngles) -> [f64; 12] {
+fn corners(mirrors: &MirrorArrays, index: usize, angles: &MirrorAngles) -> [f64; 12] {
+    let array = mirrors.array_of(index);
     let normal = array.normal(angles.roll[index], angles.yaw[index]);
     // Yaw turns a mirror about the vertical and roll about its own width, which therefore stays
     // horizontal.
@@ -320,7 +321,7 @@ fn corners(array: &MirrorArray, index: usize, angles: &MirrorAngles) -> [f64; 12
     let (half_width, half_height) = (array.spec().mirror_width_m / 2.0, array.spec().mirror_height_m / 2.0);
     let mut corners = [0.0; 12];
     for (corner, (x, z)) in corners.chunks_exact_mut(3).zip([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) {
-        let at = array.positions()[index] + x * half_width * width + z * half_height * height;
+        let at = mirrors.positions()[index] + x * half_width * width + z * half_height * height;
         corner.copy_from_slice(&rounded(&at));
     }
     corners

@@ -159,7 +159,7 @@ mod tests {
         controller: Option<Arc<str>>,
     ) -> (usize, GeometrySource) {
         let (room, _) = chooser.choose(Announcements { sim_node, controller });
-        (room.model.mirrors.spec().rows, room.source)
+        (room.model.mirrors.arrays()[0].rows(), room.source)
     }
 
     #[test]

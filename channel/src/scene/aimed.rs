@@ -12,6 +12,7 @@
 //! [`Aimed::complete`] marks the mirrors that reflect the complete panel. The caller evaluates the
 //! others exactly.
 
+use crate::arrays::Surfaces;
 use crate::geometry::Vec3;
 use crate::model::{ChannelModel, Detector, Panel};
 use crate::trig::{BLOCK, Lanes};
@@ -20,7 +21,7 @@ use crate::trig::{BLOCK, Lanes};
 const ROUNDING_M: f64 = 1e-9;
 
 /// The mirrors, aimed.
-pub(super) struct Aimed {
+pub(super) struct Aimed<'a> {
     /// Lanes in which the complete panel is reflected to the detector, at a distance at which the
     /// eight points may be used.
     pub complete: [bool; BLOCK],
@@ -35,14 +36,15 @@ pub(super) struct Aimed {
     length: Lanes,
     /// Upper bound of its square, for any point of the panel.
     farthest_squared: Lanes,
+    surfaces: &'a Surfaces,
 }
 
-impl Aimed {
+impl<'a> Aimed<'a> {
     /// The mirrors from index `first` on, aimed at a detector.
     #[inline(always)]
-    pub fn new(model: &ChannelModel, panel: &Panel, first: usize, detector: &Vec3) -> Self {
+    pub fn new(model: &'a ChannelModel, panel: &Panel, first: usize, detector: &Vec3) -> Self {
         let mirrors = &model.mirrors;
-        let (half_width, half_height) = (0.5 * mirrors.spec().mirror_width_m, 0.5 * mirrors.spec().mirror_height_m);
+        let surfaces = mirrors.surfaces(first / BLOCK);
         let centre = mirrors.block(first / BLOCK);
         let to_panel = [0, 1, 2].map(|axis: usize| &panel.direction[axis][first / BLOCK]);
         let panel_distance = &panel.distance[first / BLOCK];
@@ -56,6 +58,7 @@ impl Aimed {
             towards_panel: [zero; 3],
             length: zero,
             farthest_squared: zero,
+            surfaces,
         };
         for lane in 0..BLOCK {
             let to_target = [0, 1, 2].map(|axis: usize| detector[axis] - centre[axis][lane]);
@@ -89,8 +92,8 @@ impl Aimed {
             // A NaN fails every comparison.
             aimed.complete[lane] = (least_height > 0.0)
                 & (towards_panel[2] > 0.0)
-                & (spread(across, width) <= half_width * room)
-                & (spread(up, [height[0], height[1]]) <= half_height * room)
+                & (spread(across, width) <= surfaces.half_width[lane] * room)
+                & (spread(up, [height[0], height[1]]) <= surfaces.half_height[lane] * room)
                 & (length * length >= panel.few_from_squared);
             aimed.length[lane] = length;
             aimed.farthest_squared[lane] = far_x * far_x + far_y * far_y + towards_panel[2] * towards_panel[2];
@@ -110,7 +113,7 @@ impl Aimed {
     /// rho (n + 1) A_r T_s g / (2 pi) times the mean of cos(irradiance_angle) cos(incidence_angle)
     /// / (D1 + D2)^2 over the panel.
     #[inline(always)]
-    pub fn gains(&mut self, model: &ChannelModel, panel: &Panel, branch: &Detector) -> Lanes {
+    pub fn gains(&mut self, panel: &Panel, branch: &Detector) -> Lanes {
         let least_squared = branch.fov_cosine * branch.fov_cosine;
         let (mut seen, mut slope_x, mut slope_y) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
         for lane in 0..BLOCK {
@@ -138,8 +141,8 @@ impl Aimed {
                 }
             }
         }
-        let factor = model.reflectivity() * panel.front * branch.concentrator_gain;
         for lane in 0..BLOCK {
+            let factor = self.surfaces.reflectivity[lane] * panel.front * branch.concentrator_gain;
             sum[lane] *= factor * z[lane];
         }
         sum

@@ -114,9 +114,15 @@ impl Scene {
             for (user, gains) in users.clone().zip(gains.iter_mut()) {
                 let gains = &mut gains[..self.branches];
                 match model.mode.reading() {
-                    None => self.each_hit(model, &block, user, |_, plate| {
+                    None => self.each_hit(model, &block, user, |lane, plate| {
                         let panel = &model.panels[self.serving[user]];
-                        add_reflected(model, panel, plate, self.held(user), gains);
+                        add_reflected(
+                            model.mirrors.reflectivity(block.first + lane),
+                            panel,
+                            plate,
+                            self.held(user),
+                            gains,
+                        );
                     }),
                     Some(reading) => {
                         for (branch, gain) in gains.iter_mut().enumerate() {
@@ -136,7 +142,8 @@ impl Scene {
             return self.each_hit(model, block, user, |lane, plate| {
                 let mut gains = [0.0; BRANCHES_MAX];
                 let gains = &mut gains[..self.branches];
-                add_reflected(model, &model.panels[self.serving[user]], plate, self.held(user), gains);
+                let reflectivity = model.mirrors.reflectivity(block.first + lane);
+                add_reflected(reflectivity, &model.panels[self.serving[user]], plate, self.held(user), gains);
                 row[lane] = self.combining.combine(gains);
             });
         };
@@ -191,7 +198,7 @@ impl Scene {
 
     /// Computes normals and axes of the block of mirrors that starts at index `first`.
     #[inline(always)]
-    fn turn(&self, model: &ChannelModel, angles: &MirrorAngles, first: usize) -> Block {
+    fn turn<'a>(&self, model: &'a ChannelModel, angles: &MirrorAngles, first: usize) -> Block<'a> {
         assert_eq!(angles.roll.len(), self.mirrors, "one roll per mirror");
         assert_eq!(angles.yaw.len(), self.mirrors, "one yaw per mirror");
         let turned = Turned::new(&model.mirrors, angles, first);
@@ -201,12 +208,12 @@ impl Scene {
 }
 
 /// A block of mirrors at their angles.
-struct Block {
+struct Block<'a> {
     /// Index of the first mirror.
     first: usize,
     /// Number of lanes that are mirrors; the other lanes repeat the last mirror.
     lanes: usize,
-    turned: Turned,
+    turned: Turned<'a>,
     /// The first LED, which serves all users in most rooms.
     source: Source,
 }

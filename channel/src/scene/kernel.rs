@@ -5,10 +5,11 @@
 //! baseline, four with AVX2 (see [`with_widest_simd`](crate::simd::with_widest_simd)). To inspect
 //! the code: `cargo rustc --release -p heliostat-channel -- --emit asm`.
 
+use crate::arrays::{MirrorArrays, Surfaces};
 use crate::emitter::lambertian;
 use crate::geometry::Vec3;
-use crate::mirrors::{MirrorAngles, MirrorArray};
-use crate::model::{ChannelModel, Detector, Panel};
+use crate::mirrors::MirrorAngles;
+use crate::model::{Detector, Panel};
 use crate::quadrature::PointLanes;
 use crate::specular::Plate;
 use crate::trig::{BLOCK, Lanes, sin_cos};
@@ -25,7 +26,7 @@ pub(crate) struct Held<'a> {
 }
 
 /// A block of mirrors at their angles, in the room's frame.
-pub(crate) struct Turned {
+pub(crate) struct Turned<'a> {
     /// Centre in m; lanes past the last mirror repeat it.
     pub centre: [Lanes; 3],
     /// Unit normal.
@@ -34,8 +35,8 @@ pub(crate) struct Turned {
     pub width: [Lanes; 2],
     /// Unit vector along the height.
     pub height: [Lanes; 3],
-    pub half_width: f64,
-    pub half_height: f64,
+    /// Sizes and reflectivities.
+    pub surfaces: &'a Surfaces,
 }
 
 /// An LED panel relative to a block of mirrors, for the test whether its light can reach a point.
@@ -73,29 +74,29 @@ impl Form {
     }
 }
 
-impl Turned {
+impl<'a> Turned<'a> {
     /// The mirrors from index `first` on.
     #[inline(always)]
-    pub fn new(mirrors: &MirrorArray, angles: &MirrorAngles, first: usize) -> Self {
+    pub fn new(mirrors: &'a MirrorArrays, angles: &MirrorAngles, first: usize) -> Self {
         Self::at(mirrors, &lanes(&angles.roll[first..]), &lanes(&angles.yaw[first..]), first / BLOCK)
     }
 
     /// The mirrors of a block at these angles in radians.
     #[inline(always)]
-    pub fn at(mirrors: &MirrorArray, roll: &Lanes, yaw: &Lanes, block: usize) -> Self {
+    pub fn at(mirrors: &'a MirrorArrays, roll: &Lanes, yaw: &Lanes, block: usize) -> Self {
         let (sin_roll, cos_roll) = sin_cos(roll);
         let (sin_yaw, cos_yaw) = sin_cos(yaw);
-        let (cos_wall, sin_wall) = mirrors.rotation();
+        let surfaces = mirrors.surfaces(block);
         let mut turned = Self {
             centre: mirrors.block(block).map(|lanes| *lanes),
             normal: [[0.0; BLOCK]; 3],
             width: [[0.0; BLOCK]; 2],
             height: [[0.0; BLOCK]; 3],
-            half_width: 0.5 * mirrors.spec().mirror_width_m,
-            half_height: 0.5 * mirrors.spec().mirror_height_m,
+            surfaces,
         };
         for lane in 0..BLOCK {
             // Yaw in the room's frame: the mirror's yaw plus the rotation of the wall.
+            let (cos_wall, sin_wall) = (surfaces.wall_cos[lane], surfaces.wall_sin[lane]);
             let sin = sin_yaw[lane] * cos_wall - cos_yaw[lane] * sin_wall;
             let cos = sin_yaw[lane] * sin_wall + cos_yaw[lane] * cos_wall;
             turned.normal[0][lane] = -sin * cos_roll[lane];
@@ -137,8 +138,8 @@ impl Turned {
         for lane in 0..BLOCK {
             let height = source.height.at(point, lane);
             let heights = source.above[lane] + height + source.radius;
-            let across = self.half_width * heights + ROUNDING_M2 - source.across.at(point, lane).abs();
-            let up = self.half_height * heights + ROUNDING_M2 - source.up.at(point, lane).abs();
+            let across = self.surfaces.half_width[lane] * heights + ROUNDING_M2 - source.across.at(point, lane).abs();
+            let up = self.surfaces.half_height[lane] * heights + ROUNDING_M2 - source.up.at(point, lane).abs();
             // f64::min ignores a NaN, so a comparison handles the height.
             slack[lane] = if across < up { across } else { up };
             slack[lane] = if height > 0.0 { slack[lane] } else { -1.0 };
@@ -177,8 +178,8 @@ impl Turned {
             normal: vector(&self.normal),
             width_axis: Vec3::new(self.width[0][lane], self.width[1][lane], 0.0),
             height_axis: vector(&self.height),
-            half_width_m: self.half_width,
-            half_height_m: self.half_height,
+            half_width_m: self.surfaces.half_width[lane],
+            half_height_m: self.surfaces.half_height[lane],
         }
     }
 
@@ -229,19 +230,19 @@ pub(crate) fn lanes(values: &[f64]) -> Lanes {
 ///
 /// `gains`: one per branch, dimensionless.
 #[inline(always)]
-pub(crate) fn add_reflected(model: &ChannelModel, panel: &Panel, plate: &Plate, held: Held, gains: &mut [f64]) {
+pub(crate) fn add_reflected(reflectivity: f64, panel: &Panel, plate: &Plate, held: Held, gains: &mut [f64]) {
     // One lane is enough for a point LED.
     if panel.points.len() == 1 {
-        add_points(model, (panel, &[PointLanes::CENTRE], &[]), plate, held, gains);
+        add_points(reflectivity, (panel, &[PointLanes::CENTRE], &[]), plate, held, gains);
     } else {
-        add_points(model, (panel, &panel.lanes, &panel.few_lanes), plate, held, gains);
+        add_points(reflectivity, (panel, &panel.lanes, &panel.few_lanes), plate, held, gains);
     }
 }
 
 #[inline(always)]
 #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
 fn add_points<const N: usize>(
-    model: &ChannelModel,
+    reflectivity: f64,
     (panel, all, few): (&Panel, &[PointLanes<N>], &[PointLanes<N>]),
     plate: &Plate,
     Held { position: detector, branches }: Held,
@@ -288,7 +289,7 @@ fn add_points<const N: usize>(
         && !few.is_empty()
         && towards_panel.norm_squared() >= panel.few_from_squared
         && branches.iter().all(|branch| facing(branch).1);
-    let front = model.reflectivity() * panel.front;
+    let front = reflectivity * panel.front;
     for lanes in if smooth { few } else { all } {
         let (mut squared, mut share) = ([0.0; N], lanes.weight);
         for lane in 0..N {

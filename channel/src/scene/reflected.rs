@@ -7,7 +7,7 @@
 
 use super::kernel::Turned;
 use crate::geometry::Vec3;
-use crate::model::{ChannelModel, Detector, Panel};
+use crate::model::{Detector, Panel};
 use crate::trig::{BLOCK, Lanes};
 
 /// The images of a detector in a block of mirrors.
@@ -15,7 +15,7 @@ pub(super) struct Reflected<'a> {
     /// Lanes in which the complete panel is reflected to the detector, at a distance at which the
     /// eight points may be used.
     pub complete: [bool; BLOCK],
-    normal: &'a [Lanes; 3],
+    turned: &'a Turned<'a>,
     /// From the image of the detector to the panel's centre, in m.
     towards_panel: [Lanes; 3],
     /// Upper bound of the square of the distance from the image to any point of the panel.
@@ -26,13 +26,12 @@ impl<'a> Reflected<'a> {
     /// The images of a detector, if the panel has eight points for the mean; their gains are valid
     /// for Lambertian order 1.
     #[inline(always)]
-    pub fn new(turned: &'a Turned, panel: &Panel, detector: &Vec3) -> Option<Self> {
+    pub fn new(turned: &'a Turned<'a>, panel: &Panel, detector: &Vec3) -> Option<Self> {
         if panel.order != 1.0 || panel.few_lanes.is_empty() {
             return None;
         }
         let zero = [0.0; BLOCK];
-        let mut reflected =
-            Self { complete: [false; BLOCK], normal: &turned.normal, towards_panel: [zero; 3], most_squared: zero };
+        let mut reflected = Self { complete: [false; BLOCK], turned, towards_panel: [zero; 3], most_squared: zero };
         let half = panel.half_side;
         let spread = |x: f64, y: f64| half * (x.abs() + y.abs());
         for lane in 0..BLOCK {
@@ -59,8 +58,8 @@ impl<'a> Reflected<'a> {
             reflected.complete[lane] = (detector_above > 0.0)
                 & (towards[2] > 0.0)
                 & (least_height > 0.0)
-                & inside(&width, turned.half_width)
-                & inside(&part(&turned.height), turned.half_height)
+                & inside(&width, turned.surfaces.half_width[lane])
+                & inside(&part(&turned.height), turned.surfaces.half_height[lane])
                 & (distance_squared >= panel.few_from_squared);
             for (lanes, part) in reflected.towards_panel.iter_mut().zip(towards) {
                 lanes[lane] = part;
@@ -73,12 +72,12 @@ impl<'a> Reflected<'a> {
     /// Gain of each mirror on a branch; clears `complete` where the field of view truncates the
     /// panel.
     #[inline(always)]
-    pub fn gains(&mut self, model: &ChannelModel, panel: &Panel, branch: &Detector) -> Lanes {
+    pub fn gains(&mut self, panel: &Panel, branch: &Detector) -> Lanes {
         let branch_normal = [branch.normal.x, branch.normal.y, branch.normal.z];
         let least_squared = branch.fov_cosine * branch.fov_cosine;
         let (mut centre, mut slope_x, mut slope_y) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
         for lane in 0..BLOCK {
-            let normal = [0, 1, 2].map(|axis: usize| self.normal[axis][lane]);
+            let normal = [0, 1, 2].map(|axis: usize| self.turned.normal[axis][lane]);
             let towards = [0, 1, 2].map(|axis: usize| self.towards_panel[axis][lane]);
             let twice = 2.0 * dot(&normal, &branch_normal);
             let turned = [0, 1, 2].map(|axis: usize| branch_normal[axis] - twice * normal[axis]);
@@ -88,7 +87,6 @@ impl<'a> Reflected<'a> {
             self.complete[lane] &= (least > 0.0) & (least * least >= least_squared * self.most_squared[lane]);
         }
         let [towards_x, towards_y, rise] = &self.towards_panel;
-        let front = model.reflectivity() * panel.front * branch.concentrator_gain;
         let mut gains = [0.0; BLOCK];
         for points in &panel.few_lanes {
             let mut sum = [0.0; BLOCK];
@@ -101,6 +99,7 @@ impl<'a> Reflected<'a> {
                 }
             }
             for lane in 0..BLOCK {
+                let front = self.turned.surfaces.reflectivity[lane] * panel.front * branch.concentrator_gain;
                 gains[lane] += front * sum[lane];
             }
         }

@@ -13,6 +13,7 @@ use super::kernel::{Turned, add_reflected};
 use super::reflected::Reflected;
 use crate::aiming::bisect;
 use crate::geometry::Vec3;
+use crate::mirrors::MirrorArray;
 use crate::model::ChannelModel;
 use crate::receiver::BRANCHES_MAX;
 use crate::simd::with_widest_simd;
@@ -317,7 +318,7 @@ fn gains_of_block(model: &ChannelModel, scene: &Scene, turned: &Turned, user: us
     let complete = match Reflected::new(turned, panel, position) {
         Some(mut reflected) => {
             for branch in scene.held(user).branches {
-                scene.combining.add_each(&mut combined, &reflected.gains(model, panel, branch));
+                scene.combining.add_each(&mut combined, &reflected.gains(panel, branch));
             }
             scene.combining.finish_each(&mut combined, scene.branches);
             reflected.complete
@@ -332,7 +333,7 @@ fn gains_of_block(model: &ChannelModel, scene: &Scene, turned: &Turned, user: us
         } else if !complete[lane] {
             let mut gains = [0.0; BRANCHES_MAX];
             let gains = &mut gains[..scene.branches];
-            add_reflected(model, panel, &turned.plate(lane), scene.held(user), gains);
+            add_reflected(turned.surfaces.reflectivity[lane], panel, &turned.plate(lane), scene.held(user), gains);
             combined[lane] = scene.combining.combine(gains);
         }
     }
@@ -358,12 +359,16 @@ fn keep(gains: &mut Vec<SpilledGain>, start: usize, user: usize, gain: f64) {
 impl Extent {
     fn of(model: &ChannelModel, position: &Vec3, led: usize) -> Self {
         let panel = &model.panels[led];
-        let (mirrors, columns) = (model.mirrors.positions(), model.mirrors.columns());
-        let (lowest, highest) = (&mirrors[0], &mirrors[mirrors.len() - 1]);
-        // A distance is a convex function of the mirror, so it is largest at a corner.
-        let corners = [lowest, highest, &mirrors[columns - 1], &mirrors[mirrors.len() - columns]];
-        let farthest = corners.map(|corner| (corner - position).norm()).into_iter().fold(0.0, f64::max);
-        let rise = (lowest.z - position.z).max(position.z - highest.z).max(0.0);
+        let (mut farthest, mut lowest_z, mut highest_z) = (0.0, f64::INFINITY, f64::NEG_INFINITY);
+        for array in model.mirrors.arrays() {
+            let (mirrors, columns) = (array.positions(), array.columns());
+            let (lowest, highest) = (&mirrors[0], &mirrors[mirrors.len() - 1]);
+            // A distance is a convex function of the mirror, so it is largest at a corner.
+            let corners = [lowest, highest, &mirrors[columns - 1], &mirrors[mirrors.len() - columns]];
+            farthest = corners.map(|corner| (corner - position).norm()).into_iter().fold(farthest, f64::max);
+            (lowest_z, highest_z) = (lowest.z.min(lowest_z), highest.z.max(highest_z));
+        }
+        let rise = (lowest_z - position.z).max(position.z - highest_z).max(0.0);
         Self {
             least_inclination: rise / farthest,
             beam_radius_m: beam_radius_m(model, panel.nearest_mirror_m, panel.radius, farthest),
@@ -379,8 +384,8 @@ impl Extent {
 /// R from the axis is at most h + s (h + r). With the distances D1 from the panel's centre to the
 /// mirror and D2 from c to R, s is at most (D2 + h) / (D1 - r - h).
 fn beam_radius_m(model: &ChannelModel, nearest_mirror_m: f64, panel_radius_m: f64, farthest_m: f64) -> f64 {
-    let spec = model.mirrors.spec();
-    let half_diagonal_m = 0.5 * spec.mirror_width_m.hypot(spec.mirror_height_m);
+    let half_diagonal = |array: &MirrorArray| 0.5 * array.spec().mirror_width_m.hypot(array.spec().mirror_height_m);
+    let half_diagonal_m = model.mirrors.arrays().iter().map(half_diagonal).fold(0.0, f64::max);
     let before_m = nearest_mirror_m - panel_radius_m - half_diagonal_m;
     if before_m <= 0.0 {
         return f64::INFINITY;

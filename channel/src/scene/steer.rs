@@ -4,9 +4,9 @@
 use super::Scene;
 use super::aimed::Aimed;
 use super::kernel::add_reflected;
+use crate::arrays::{MirrorArrays, Surfaces};
 use crate::diffuse::Reading;
 use crate::geometry::Vec3;
-use crate::mirrors::MirrorArray;
 use crate::model::{ChannelModel, Detector, Panel};
 use crate::receiver::BRANCHES_MAX;
 use crate::specular::{Plate, bisector};
@@ -26,11 +26,14 @@ impl Scene {
     #[inline(always)]
     pub(super) fn steer(&mut self, model: &ChannelModel, user: usize, led: usize) {
         let row = user * self.mirrors..(user + 1) * self.mirrors;
-        let in_front = (self.positions[user] - model.mirrors.positions()[0]).dot(&model.mirrors.inward()) > 0.0;
-        self.can_aim[row.clone()].fill(in_front);
         self.path_weight[row.clone()].fill(1.0);
-        if !in_front {
-            self.irs_path_clear[row.clone()].fill(false);
+        for (array, mirrors) in model.mirrors.ranges() {
+            let in_front = (self.positions[user] - array.positions()[0]).dot(&array.inward()) > 0.0;
+            let pairs = row.start + mirrors.start..row.start + mirrors.end;
+            self.can_aim[pairs.clone()].fill(in_front);
+            if !in_front {
+                self.irs_path_clear[pairs].fill(false);
+            }
         }
         let panel = &model.panels[led];
         match model.mode.reading() {
@@ -82,7 +85,7 @@ impl Scene {
             if few {
                 let mut aimed = Aimed::new(model, panel, first, &position);
                 for branch in self.held(user).branches {
-                    self.combining.add_each(&mut combined, &aimed.gains(model, panel, branch));
+                    self.combining.add_each(&mut combined, &aimed.gains(panel, branch));
                 }
                 self.combining.finish_each(&mut combined, self.branches);
                 (complete, dark) = (aimed.complete, aimed.dark);
@@ -106,7 +109,7 @@ impl Scene {
         let gains = &mut gains[..self.branches];
         if let Some(normal) = bisector(&model.mirrors.positions()[mirror], &panel.centre, &self.positions[user]) {
             let plate = Plate::facing(&model.mirrors, mirror, &normal);
-            add_reflected(model, panel, &plate, self.held(user), gains);
+            add_reflected(model.mirrors.reflectivity(mirror), panel, &plate, self.held(user), gains);
         }
         self.combining.combine(gains)
     }
@@ -116,7 +119,6 @@ impl Scene {
     #[inline(always)]
     fn steer_paper(&mut self, model: &ChannelModel, user: usize, panel: &Panel, reading: Reading) {
         let position = self.positions[user];
-        let inward = model.mirrors.inward();
         let factor = model.receiver.detector_area_m2 * model.receiver.filter_gain;
         for first in (0..self.mirrors).step_by(BLOCK) {
             let to_mirrors = ToMirrors::new(&model.mirrors, first / BLOCK, &position);
@@ -127,7 +129,7 @@ impl Scene {
                 let branch = self.detectors[user * self.branches + index];
                 let facing = match reading {
                     Reading::Sensible => to_mirrors.facing(&branch),
-                    Reading::Literal => to_mirrors.against(&inward),
+                    Reading::Literal => to_mirrors.against(model.mirrors.surfaces(first / BLOCK)),
                 };
                 let mut gains = [0.0; BLOCK];
                 for lane in 0..BLOCK {
@@ -158,7 +160,7 @@ impl Scene {
 
 impl ToMirrors {
     #[inline(always)]
-    fn new(mirrors: &MirrorArray, block: usize, detector: &Vec3) -> Self {
+    fn new(mirrors: &MirrorArrays, block: usize, detector: &Vec3) -> Self {
         let [x, y, z] = mirrors.block(block).map(|lanes| *lanes);
         let mut to_mirrors = Self { x, y, z, squared: [0.0; BLOCK], distance: [0.0; BLOCK] };
         for lane in 0..BLOCK {
@@ -191,10 +193,11 @@ impl ToMirrors {
     /// Distance times cosine from the wall's normal in m, zero behind the wall.
     #[inline(always)]
     #[expect(clippy::needless_range_loop, reason = "one index into several arrays is what the compiler vectorises")]
-    fn against(&self, inward: &Vec3) -> Lanes {
+    fn against(&self, surfaces: &Surfaces) -> Lanes {
         let mut facing = [0.0; BLOCK];
         for lane in 0..BLOCK {
-            let along = inward.x * self.x[lane] + inward.y * self.y[lane] + inward.z * self.z[lane];
+            // The inward normal of a wall is (sin, -cos, 0).
+            let along = surfaces.wall_sin[lane] * self.x[lane] - surfaces.wall_cos[lane] * self.y[lane];
             facing[lane] = (-along).max(0.0);
         }
         facing

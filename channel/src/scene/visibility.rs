@@ -2,7 +2,7 @@
 //!
 //! Three facts avoid most of the K * M * C segment tests:
 //! - A cylinder that is lower than both ends of every path blocks none.
-//! - In plan view, the paths from one point to the array fill a triangle. A cylinder whose disc
+//! - In plan view, the paths from one point to an array fill a triangle. A cylinder whose disc
 //!   misses the triangle blocks none.
 //! - The mirrors of a column share their path in plan view, so the chord is computed once per
 //!   column.
@@ -10,6 +10,7 @@
 //! The remaining tests use the arithmetic of [`blocks`](crate::blockage::blocks), so the results
 //! are identical to the last bit.
 
+use crate::arrays::MirrorArrays;
 use crate::blockage::{Cylinder, dips, plan_chord};
 use crate::geometry::Vec3;
 use crate::mirrors::MirrorArray;
@@ -19,7 +20,7 @@ use crate::trig::BLOCK;
 /// Margin for rounding in m: far above the rounding errors of coordinates, far below a radius.
 const ROUNDING_M: f64 = 1e-9;
 
-impl MirrorArray {
+impl MirrorArrays {
     /// Writes to `clear[m]` whether no cylinder blocks the path from a point to the centre of
     /// mirror m, as [`Scene::update`](super::Scene::update) computes it. Shape: M.
     ///
@@ -37,10 +38,18 @@ impl MirrorArray {
 /// Writes to `clear[m]` whether no cylinder blocks the path from a point to the centre of mirror m.
 /// Shape: M.
 #[inline(always)]
-pub(super) fn mark_visible(clear: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blockers: &[Cylinder]) {
+pub(super) fn mark_visible(clear: &mut [bool], mirrors: &MirrorArrays, from: &Vec3, blockers: &[Cylinder]) {
     clear.fill(true);
-    let columns = mirrors.columns();
-    let positions = mirrors.positions();
+    for (array, range) in mirrors.ranges() {
+        shade_array(&mut clear[range], array, from, blockers);
+    }
+}
+
+/// Clears the flag of each mirror of an array that a cylinder hides.
+#[inline(always)]
+fn shade_array(clear: &mut [bool], array: &MirrorArray, from: &Vec3, blockers: &[Cylinder]) {
+    let columns = array.columns();
+    let positions = array.positions();
     let lowest = from.z.min(positions[0].z);
     let view = Triangle::new(from, &positions[0], &positions[columns - 1]);
     for blocker in blockers {
@@ -48,15 +57,15 @@ pub(super) fn mark_visible(clear: &mut [bool], mirrors: &MirrorArray, from: &Vec
             continue;
         }
         for first in (0..columns).step_by(BLOCK) {
-            shade(clear, mirrors, from, blocker, first);
+            shade(clear, array, from, blocker, first);
         }
     }
 }
 
 /// Clears the flag of each mirror that a cylinder hides, in the block of columns from `first` on.
 #[inline(always)]
-fn shade(clear: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blocker: &Cylinder, first: usize) {
-    let (columns, positions) = (mirrors.columns(), mirrors.positions());
+fn shade(clear: &mut [bool], array: &MirrorArray, from: &Vec3, blocker: &Cylinder, first: usize) {
+    let (columns, positions) = (array.columns(), array.positions());
     let lanes = BLOCK.min(columns - first);
     // A column without a chord has NaN, which fails all comparisons with heights.
     let (mut enter, mut leave, mut any) = ([f64::NAN; BLOCK], [f64::NAN; BLOCK], false);
@@ -77,7 +86,7 @@ fn shade(clear: &mut [bool], mirrors: &MirrorArray, from: &Vec3, blocker: &Cylin
     }
 }
 
-/// The paths from one point to the array, in plan view.
+/// The paths from one point to an array, in plan view.
 struct Triangle {
     axes: [Axis; 3],
 }

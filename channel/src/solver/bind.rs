@@ -121,7 +121,7 @@ impl Solver {
         }
         for (m, normal) in self.normals().iter().enumerate() {
             let matters = normal.norm_squared() > 0.0;
-            (out.roll[m], out.yaw[m]) = if matters { model.mirrors.angles_of(normal) } else { (0.0, 0.0) };
+            (out.roll[m], out.yaw[m]) = if matters { model.mirrors.angles_of(m, normal) } else { (0.0, 0.0) };
         }
     }
 }

@@ -2,8 +2,8 @@
 #![allow(dead_code, reason = "each test file uses its own part of this")]
 
 use heliostat_channel::{
-    ArraySpec, Branch, ChannelModel, Combining, Cylinder, Led, LinkBudget, MirrorArray, Mode, NoiseBudget, Orientation,
-    PowerLaw, Receiver, Vec3, Wall,
+    ArraySpec, Branch, ChannelModel, Combining, Cylinder, Led, LinkBudget, MirrorArray, MirrorArrays, Mode,
+    NoiseBudget, Orientation, PowerLaw, Receiver, Vec3, Wall,
 };
 use std::f64::consts::PI;
 
@@ -19,6 +19,8 @@ pub struct Room {
     pub mode: Mode,
     pub leds: Vec<Led>,
     pub array: ArraySpec,
+    /// Arrays after the first.
+    pub others: Vec<ArraySpec>,
     pub receiver: Receiver,
     pub budget: LinkBudget,
 }
@@ -41,6 +43,7 @@ impl Room {
                 wall_distance_m: 2.5,
                 reflectivity: 0.95,
             },
+            others: Vec::new(),
             receiver: Receiver {
                 branches: vec![Branch { normal: Vec3::z(), fov_semi_angle: 90.0_f64.to_radians() }],
                 detector_area_m2: 20e-6,
@@ -75,8 +78,9 @@ impl Room {
         self
     }
 
-    pub fn mirrors(&self) -> MirrorArray {
-        MirrorArray::new(&self.array).expect("the array is valid")
+    pub fn mirrors(&self) -> MirrorArrays {
+        let array = |spec| MirrorArray::new(spec).expect("the array is valid");
+        MirrorArrays::new(std::iter::once(&self.array).chain(&self.others).map(array).collect()).expect("few arrays")
     }
 
     pub fn model(&self) -> ChannelModel {

@@ -200,7 +200,8 @@ mod tests {
     #[test]
     fn a_policy_that_does_not_fit_the_room_is_refused_with_the_reason() {
         let mut scenario = Scenario::default();
-        (scenario.mirrors.rows, scenario.mirrors.columns) = (6, 9);
+        let array = scenario.mirrors.first_mut();
+        (array.rows, array.columns) = (6, 9);
         let refusal = builder(scenario).build("ddpg").err().expect("no file for 6 x 9 mirrors");
         assert!(refusal.contains("6x9"), "{refusal}");
     }

@@ -5,7 +5,9 @@
 //! force at the time of the measurement, is compared with the measured one. What bodies do not
 //! explain, obstacles do.
 
-use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
+use heliostat_channel::{
+    ChannelModel, MirrorArray, Orientation, Scene, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles,
+};
 
 use heliostat_scenario::ChannelStream;
 
@@ -209,7 +211,7 @@ impl ChannelEvidence {
             }
             past_bodies = past_bodies.clamp(BODY_WRONG, 1.0 - BODY_WRONG);
         } else {
-            self.sum_columns(user, 0);
+            self.sum_columns(model, user, 0);
         }
         let is_modelled = self.readings.shows(self.scene.los_gain()[user]);
         if is_modelled {
@@ -256,14 +258,17 @@ impl ChannelEvidence {
     }
 
     /// Sums the gains of a user over each column, past the body of a heading.
-    fn sum_columns(&mut self, user: usize, heading: usize) {
+    fn sum_columns(&mut self, model: &ChannelModel, user: usize, heading: usize) {
         let (columns, mirrors) = (self.columns.len(), self.clear.len());
         let sums = &mut self.by_heading[heading * columns..][..columns];
         sums.fill(0.0);
         let gains = &self.gains[user * mirrors..][..mirrors];
-        for (gains, clear) in gains.chunks_exact(columns).zip(self.clear.chunks_exact(columns)) {
-            for ((sum, gain), clear) in sums.iter_mut().zip(gains).zip(clear) {
-                *sum += gain * f64::from(u8::from(*clear));
+        for ((_, mirrors), (_, columns)) in model.mirrors.ranges().zip(model.mirrors.column_ranges()) {
+            let rows = gains[mirrors.clone()].chunks_exact(columns.len());
+            for (gains, clear) in rows.zip(self.clear[mirrors].chunks_exact(columns.len())) {
+                for ((sum, gain), clear) in sums[columns.clone()].iter_mut().zip(gains).zip(clear) {
+                    *sum += gain * f64::from(u8::from(*clear));
+                }
             }
         }
     }
@@ -283,7 +288,7 @@ impl ChannelEvidence {
         };
         // A heading that becomes possible by this measurement must not have the gains of another user.
         self.by_heading.fill(0.0);
-        self.sum_columns(user, 0);
+        self.sum_columns(model, user, 0);
         let without_body = expected(&self.by_heading[..self.columns.len()], &self.unobstructed);
         let is_served = self.angles_known && without_body > SERVED * self.steering(user);
         let los_modelled = self.readings.shows(self.scene.los_gain()[user]);
@@ -300,7 +305,7 @@ impl ChannelEvidence {
             }
             if self.angles_known {
                 model.mirrors.visible_from(&position, std::slice::from_ref(&own), &mut self.clear);
-                self.sum_columns(user, index);
+                self.sum_columns(model, user, index);
             }
             if is_served {
                 let row = &self.by_heading[index * self.columns.len()..][..self.columns.len()];
@@ -319,10 +324,13 @@ impl ChannelEvidence {
     }
 }
 
-/// A point in the middle of each column of mirrors.
+/// A point in the middle of each column of mirrors, array after array.
 pub(super) fn columns(model: &ChannelModel) -> Vec<Vec3> {
-    let (rows, columns) = (model.mirrors.rows(), model.mirrors.columns());
-    model.mirrors.positions()[rows / 2 * columns..][..columns].to_vec()
+    let middle_row = |array: &MirrorArray| {
+        let columns = array.columns();
+        array.positions()[array.rows() / 2 * columns..][..columns].to_vec()
+    };
+    model.mirrors.arrays().iter().flat_map(middle_row).collect()
 }
 
 /// The place of the LED, in a room with one.

@@ -131,7 +131,7 @@ impl Occupancy {
             probability: vec![mean; cells],
             mean,
             row: 0,
-            paths: Paths::with_capacity(scenario.mirrors.columns + 1, cells),
+            paths: Paths::with_capacity(scenario.mirrors.columns() + 1, cells),
             changes: vec![Change::default(); cells],
             touched: Vec::with_capacity(cells),
             suspects: Vec::with_capacity(cells),

@@ -194,7 +194,7 @@ impl Observer {
             },
         );
         into.ids.copy_from_slice(self.slots.ids());
-        self.apply_belief(into);
+        self.apply_belief(model, into);
         Some(match inbox.channel(now) {
             Some(channel) => self.take_gains(channel, into),
             None => LosSource::Modelled,
@@ -236,14 +236,14 @@ impl Observer {
     /// Applies what the filter believes about unreported obstacles and covered detectors: a direct
     /// path that is probably blocked counts as blocked, and a steering gain is multiplied by the
     /// probability that the path is clear.
-    fn apply_belief(&mut self, into: &mut Observation) {
+    fn apply_belief(&mut self, model: &ChannelModel, into: &mut Observation) {
         let Some(belief) = self.prediction.belief() else { return };
         for (user, (position, clear)) in self.positions.iter().zip(&self.direct_clear).enumerate() {
             if clear.is_some_and(|clear| clear < 0.5) {
                 into.scene.set_los_blocked(user, true);
             }
             if belief.unobstructed(position, &mut self.unobstructed) {
-                into.scene.weigh_columns(user, &self.unobstructed);
+                into.scene.weigh_columns(model, user, &self.unobstructed);
             }
         }
     }

@@ -91,7 +91,7 @@ impl Examiner {
     /// [`Unfit`] where the shape differs or the range is too small.
     pub fn examine(&self, capabilities: &Capabilities) -> Result<(), Unfit> {
         let hardware = capabilities.hardware.clone();
-        let (rows, columns) = (self.model.mirrors.rows(), self.model.mirrors.columns());
+        let (rows, columns) = self.model.mirrors.grid();
         let (found_rows, found_columns) = (capabilities.rows, capabilities.columns);
         if (found_rows as usize, found_columns as usize) != (rows, columns) {
             return Err(Unfit::Shape { hardware, found_rows, found_columns, rows, columns });
@@ -135,13 +135,13 @@ impl Examiner {
         let led = self.model.leds[0].position;
         let (mut places, mut lit, mut pairs) = (0.0, 0.0, 0.0);
         for place in self.floor() {
-            let reaches = |mirror: &&Vec3| {
+            let reaches = |(index, mirror): &(usize, &Vec3)| {
                 bisector(mirror, &led, &place).is_some_and(|normal| {
-                    let angles = mirrors.angles_of(&normal);
+                    let angles = mirrors.angles_of(*index, &normal);
                     within(angles.0, roll) && within(angles.1, yaw)
                 })
             };
-            let reaching = mirrors.positions().iter().filter(reaches).count() as f64;
+            let reaching = mirrors.positions().iter().enumerate().filter(reaches).count() as f64;
             places += 1.0;
             lit += f64::from(u8::from(reaching > 0.0));
             pairs += reaching / mirrors.len() as f64;

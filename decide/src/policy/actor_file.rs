@@ -250,8 +250,7 @@ impl ActorInfo {
             return unfit("observation version", found, expected, "train it again with this release of heliostat");
         }
         if self.mirrors != scenario.mirror_count() {
-            let expected =
-                format!("{} ({} x {})", scenario.mirror_count(), scenario.mirrors.rows, scenario.mirrors.columns);
+            let expected = format!("{} ({})", scenario.mirror_count(), scenario.mirrors);
             return unfit("a number of mirrors of", self.mirrors.to_string(), expected, train);
         }
         if scenario.users.count > self.users_max {

@@ -36,7 +36,7 @@ fn face_served(model: &ChannelModel, observation: &Observation, out: &mut Mirror
         };
         let served = (1..users).fold(0, larger);
         let direction = &observation.scene.directions()[served * mirrors + mirror];
-        (out.roll[mirror], out.yaw[mirror]) = model.mirrors.angles_of(direction);
+        (out.roll[mirror], out.yaw[mirror]) = model.mirrors.angles_of(mirror, direction);
     }
 }
 

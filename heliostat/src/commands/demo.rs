@@ -77,11 +77,10 @@ pub fn run(args: Args) -> Result<()> {
     )?;
     let (room_id, controller_id) = processes.ids();
     output::note(format_args!(
-        "scenario {}: {}, {} x {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
+        "scenario {}: {}, {} mirrors; sim-node is process {room_id} at {}, controller is process {} at {}; Ctrl-C ends both",
         scenario.name,
         counted(scenario.users.count, "user"),
-        scenario.mirrors.rows,
-        scenario.mirrors.columns,
+        scenario.mirrors,
         endpoints.0,
         controller_id.unwrap_or_default(),
         endpoints.1

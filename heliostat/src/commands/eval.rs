@@ -90,7 +90,7 @@ impl Args {
         let mut scenario = self.scenario.clone();
         scenario.overrides.extend(self.blocked.map(|blocked| format!("blockage.forced_users={blocked}")));
         scenario.overrides.extend(change);
-        let scenario = scenario.load()?;
+        let scenario = scenario.load_arrays()?;
         let actor = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         ensure!(
             self.model.is_none()

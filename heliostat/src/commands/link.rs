@@ -81,7 +81,7 @@ struct LinkBudgetReport {
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
-    let mut scenario = args.scenario.load()?;
+    let mut scenario = args.scenario.load_arrays()?;
     let rows = user_rows(&args, &scenario)?;
     set_user_count(&mut scenario, rows.len())?;
     let model = scenario.channel_model()?;

@@ -64,7 +64,7 @@ const SINR_FLOOR_DB: f64 = -20.0;
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load_arrays()?;
     ensure!((0.5..=100.0).contains(&args.step_cm), "--step-cm {}: expected 0.5 to 100", args.step_cm);
     let (room, step_m) = (&scenario.room, args.step_cm * 1e-2);
     let points = room.length_x_m / step_m * (room.length_y_m / step_m);

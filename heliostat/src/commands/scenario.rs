@@ -59,7 +59,7 @@ pub fn run(args: Args) -> Result<()> {
             Ok(())
         }
         Action::Show { scenario } => {
-            outln!("{}", scenario.load()?.to_toml().trim_end())?;
+            outln!("{}", scenario.load_arrays()?.to_toml().trim_end())?;
             Ok(())
         }
     }
@@ -77,12 +77,11 @@ fn check(file: String, json: bool) -> Result<()> {
         )?;
     } else if let Some(scenario) = scenario.filter(|_| valid) {
         outln!(
-            "{}: valid: {} mode, {}, {} x {} mirrors, configuration {}",
+            "{}: valid: {} mode, {}, {} mirrors, configuration {}",
             args.scenario,
             scenario.channel.mode.name(),
             counted(scenario.users.count, "user"),
-            scenario.mirrors.rows,
-            scenario.mirrors.columns,
+            scenario.mirrors,
             scenario.hash()
         )?;
     }

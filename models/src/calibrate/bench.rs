@@ -105,9 +105,10 @@ impl Bench {
     fn pair(&self, mirror: usize, spot: usize) -> Option<Pair> {
         let (mirrors, led) = (&self.model.mirrors, &self.model.leds[self.scene.serving()[spot]]);
         let (centre, position) = (mirrors.positions()[mirror], self.scene.positions()[spot]);
-        let aim = mirrors.angles_of(&bisector(&centre, &led.position, &position)?).into();
+        let aim = mirrors.angles_of(mirror, &bisector(&centre, &led.position, &position)?).into();
         let (to_led, to_spot) = ((led.position - centre).norm(), (position - centre).norm());
-        let half_width = [mirrors.spec().mirror_height_m, mirrors.spec().mirror_width_m]
+        let spec = mirrors.array_of(mirror).spec();
+        let half_width = [spec.mirror_height_m, spec.mirror_width_m]
             .map(|side| 0.25 * side * (1.0 / to_led + 1.0 / to_spot) + 0.25 * led.side_m / to_led);
         let gain = self.expected().read(mirror, spot, aim);
         Some(Pair { mirror, spot, aim, half_width, gain })
@@ -196,7 +197,7 @@ impl Instrument for Expected<'_> {
         let ChannelModel { leds, mirrors, receiver, .. } = self.model;
         let plate = Plate::of(mirrors, mirror, roll, yaw);
         let (led, position) = (&leds[self.scene.serving()[spot]], &self.scene.positions()[spot]);
-        let gain = |branch| specular::gain(led, &plate, mirrors.spec().reflectivity, (receiver, branch), position);
+        let gain = |branch| specular::gain(led, &plate, mirrors.reflectivity(mirror), (receiver, branch), position);
         // The gain is defined because positions of detectors are finite.
         receiver.branches.iter().map(|branch| gain(branch).unwrap_or(0.0)).fold(0.0, f64::max)
     }

@@ -208,7 +208,7 @@ fn positions(graph: &mut Graph, observed: &Observed, mirrors: &MirrorArray) -> V
 ///
 /// A mirror that reaches no user takes the first.
 fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores: &str) -> Value {
-    let (mirrors, led) = (&model.mirrors, model.leds[0].position);
+    let (mirrors, led) = (&model.mirrors.arrays()[0], model.leds[0].position);
     let served = graph.best_row(scores, [observed.slots, observed.mirrors]);
     let positions = positions(graph, observed, mirrors);
     let target = graph.gather(&positions, &served, 1);
@@ -227,7 +227,7 @@ fn specular(graph: &mut Graph, model: &ChannelModel, observed: &Observed, scores
 /// Normals, not normalised, (3, mirrors): the sum over users of weight, coefficient and direction;
 /// flat where it is zero.
 fn paper(graph: &mut Graph, model: &ChannelModel, observed: &Observed, weighted: &str) -> Value {
-    let mirrors = &model.mirrors;
+    let mirrors = &model.mirrors.arrays()[0];
     let squares = [0, 1, 2].map(|axis| {
         let place = column(graph, observed, Summary::Place as usize + axis);
         let centre: Vec<f32> = mirrors.positions().iter().map(|centre| centre[axis] as f32).collect();

@@ -29,7 +29,7 @@ use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME};
 use heliostat_onnx::graph::{Ends, Graph};
-use heliostat_scenario::Scenario;
+use heliostat_scenario::{Mirrors, Scenario};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -172,7 +172,8 @@ impl DdpgRaw {
     /// Errors of candle.
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
         let layout = AngleState::of(scenario, settings.angles_in_state);
-        let basis = Basis::new(scenario.mirrors.rows, scenario.mirrors.columns, settings.patterns)?;
+        let Mirrors { rows, columns, .. } = *scenario.mirrors.first();
+        let basis = Basis::new(rows, columns, settings.patterns)?;
         let (inputs, outputs) = (layout.inputs(), layout.outputs());
         let plain = |inputs, hidden, outputs| Shape { encoder: Encoder::Mlp, slots: 1, inputs, hidden, outputs };
         let actor = Network::new(plain(inputs, [128, 64], outputs), rng)?;

@@ -55,11 +55,10 @@ impl Card<'_> {
         writeln!(text, "# {}\n", self.file)?;
         writeln!(
             text,
-            "Turns the {} mirrors ({} x {}) of an array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}. \
+            "Turns the {} mirrors ({}) of an array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}. \
              Output: roll and yaw of each mirror in radians. The graph holds the complete computation between the two.\n",
             scenario.mirror_count(),
-            scenario.mirrors.rows,
-            scenario.mirrors.columns,
+            scenario.mirrors,
             scenario.channel.mode.name()
         )?;
         writeln!(text, "Made by\n\n```sh\n{}\n```\n", self.command)?;

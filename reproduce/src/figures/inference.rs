@@ -64,7 +64,8 @@ impl Timing {
         scenario.control.search_evaluations = self.trials;
         let mut names: &[&str] = &POLICIES;
         if self.small {
-            (scenario.mirrors.rows, scenario.mirrors.columns) = (SMALL_SIDE, SMALL_SIDE);
+            let array = scenario.mirrors.first_mut();
+            (array.rows, array.columns) = (SMALL_SIDE, SMALL_SIDE);
             scenario.users.count = SMALL_USERS;
             scenario.blockage.forced_users = scenario.blockage.forced_users.min(SMALL_USERS);
             names = &SMALL;

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use anyhow::{Result, ensure};
-use heliostat_channel::{Cylinder, MirrorAngles};
+use heliostat_channel::{Cylinder, MirrorAngles, MirrorArray};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_scenario::Scenario;
@@ -74,9 +74,11 @@ fn symbols(world: &World) -> Vec<Series> {
         Series { name: "obstacle or body".into(), points: (0..=24).map(at).collect() }
     };
     let mirrors = &world.model().mirrors;
-    let foot = |index: usize| point(mirrors.positions()[index].x, mirrors.positions()[index].y);
+    let foot = |array: &MirrorArray, column: usize| point(array.positions()[column].x, array.positions()[column].y);
     let mut symbols: Vec<Series> = world.blockers().iter().map(outline).collect();
-    symbols.push(Series { name: "mirrors".into(), points: vec![foot(0), foot(mirrors.columns() - 1)] });
+    for array in mirrors.arrays() {
+        symbols.push(Series { name: "mirrors".into(), points: vec![foot(array, 0), foot(array, array.columns() - 1)] });
+    }
     let users = world.positions().iter().map(|position| point(position.x, position.y)).collect();
     symbols.push(Series { name: "user".into(), points: users });
     symbols

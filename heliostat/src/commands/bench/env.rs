@@ -192,7 +192,8 @@ fn reference(model: &ChannelModel, state: &State) -> f64 {
             if !(clear(&led.position, centre) && clear(centre, user)) {
                 continue;
             }
-            let aimed = specular::bisector(centre, &led.position, user).map(|normal| model.mirrors.angles_of(&normal));
+            let aimed =
+                specular::bisector(centre, &led.position, user).map(|normal| model.mirrors.angles_of(mirror, &normal));
             let given = (state.angles.roll[mirror], state.angles.yaw[mirror]);
             total += pair(model, mirror, aimed.unwrap_or_default(), user) + pair(model, mirror, given, user);
         }
@@ -205,7 +206,7 @@ fn pair(model: &ChannelModel, mirror: usize, (roll, yaw): (f64, f64), user: &Vec
     match model.mode {
         Mode::Specular => {
             let plate = Plate::of(&model.mirrors, mirror, roll, yaw);
-            let reflectivity = model.mirrors.spec().reflectivity;
+            let reflectivity = model.mirrors.reflectivity(mirror);
             specular::gain(led, &plate, reflectivity, (receiver, branch), user).unwrap_or_default()
         }
         Mode::Paper { .. } => {

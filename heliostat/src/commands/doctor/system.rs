@@ -36,12 +36,11 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         }
     };
     let found = format!(
-        "{}: {} mode, {}, {} x {} mirrors, configuration {}",
+        "{}: {} mode, {}, {} mirrors, configuration {}",
         scenario.name,
         scenario.channel.mode.name(),
         counted(scenario.users.count, "user"),
-        scenario.mirrors.rows,
-        scenario.mirrors.columns,
+        scenario.mirrors,
         scenario.hash()
     );
     let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario), check_driver(args, &scenario)];

@@ -127,9 +127,10 @@ fn draw_floor(area: &Area, picture: &Picture, scale: &Scale) -> Result<()> {
     chart.draw_series(world.model().leds.iter().map(|led| {
         TriangleMarker::new((led.position.x, led.position.y), 6, ShapeStyle::from(&WHITE).stroke_width(2))
     }))?;
-    let mirrors = &world.model().mirrors;
-    let foot = |index: usize| (mirrors.positions()[index].x, mirrors.positions()[index].y);
-    chart.draw_series([PathElement::new(vec![foot(0), foot(mirrors.columns() - 1)], BLUE.stroke_width(8))])?;
+    chart.draw_series(world.model().mirrors.arrays().iter().map(|array| {
+        let ends = [0, array.columns() - 1].map(|column| array.positions()[column]);
+        PathElement::new(ends.map(|at| (at.x, at.y)), BLUE.stroke_width(8))
+    }))?;
     Ok(())
 }
 

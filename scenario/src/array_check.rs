@@ -1,0 +1,81 @@
+//! Checks of the mirror arrays: each value against its domain, and the arrays against the walls and
+//! each other.
+
+use crate::check::{MIRRORS_MAX, count, invalid, within};
+use crate::error::ScenarioError;
+use crate::scenario::Scenario;
+use crate::tables::{Mirrors, Wall};
+
+/// Largest number of mirror arrays: the limit of the channel model.
+const ARRAYS_MAX: usize = 16;
+
+impl Scenario {
+    pub(crate) fn check_arrays(&self) -> Result<(), ScenarioError> {
+        let arrays = self.mirrors.arrays();
+        count("mirrors (arrays)", arrays.len(), 1..=ARRAYS_MAX)?;
+        for (index, mirrors) in arrays.iter().enumerate() {
+            self.check_array(&self.mirrors.key(index), mirrors)?;
+        }
+        count("mirrors (of all arrays)", self.mirrors.count(), 1..=MIRRORS_MAX)?;
+        for (index, mirrors) in arrays.iter().enumerate() {
+            if let Some(other) = arrays[..index].iter().position(|other| overlap(mirrors, other)) {
+                let expected = format!(
+                    "expected another wall or height, since the array overlaps that of {}: both are at the middle of the wall",
+                    self.mirrors.key(other)
+                );
+                let key = format!("{}.centre_height_m", self.mirrors.key(index));
+                return invalid(&key, mirrors.centre_height_m, &expected);
+            }
+        }
+        Ok(())
+    }
+
+    fn check_array(&self, table: &str, mirrors: &Mirrors) -> Result<(), ScenarioError> {
+        let key = |name: &str| format!("{table}.{name}");
+        count(&key("rows"), mirrors.rows, 1..=1024)?;
+        count(&key("columns"), mirrors.columns, 1..=1024)?;
+        count(&format!("{table}.rows x {table}.columns"), mirrors.rows * mirrors.columns, 1..=MIRRORS_MAX)?;
+        within(&key("width_m"), mirrors.width_m, 1e-4..=5.0)?;
+        within(&key("height_m"), mirrors.height_m, 1e-4..=5.0)?;
+        within(&key("gap_m"), mirrors.gap_m, 0.0..=5.0)?;
+        within(&key("reflectivity"), mirrors.reflectivity, 0.0..=1.0)?;
+        within(&key("centre_height_m"), mirrors.centre_height_m, 0.0..=self.room.height_m)?;
+        let (width, [low, high]) = (extent(mirrors.columns, mirrors.width_m, mirrors.gap_m), heights(mirrors));
+        let wall = match mirrors.wall {
+            Wall::PlusY | Wall::MinusY => self.room.length_x_m,
+            Wall::PlusX | Wall::MinusX => self.room.length_y_m,
+        };
+        if width > wall {
+            let expected = format!(
+                "expected an array no wider than its wall of {wall} m, but it has {width:.2} m; use fewer or narrower mirrors"
+            );
+            return invalid(&key("columns"), mirrors.columns, &expected);
+        }
+        if low < 0.0 || high > self.room.height_m {
+            let expected = format!(
+                "expected an array between floor and ceiling, but it has {:.2} m centred at {} m; use fewer or lower mirrors",
+                extent(mirrors.rows, mirrors.height_m, mirrors.gap_m),
+                mirrors.centre_height_m
+            );
+            return invalid(&key("rows"), mirrors.rows, &expected);
+        }
+        Ok(())
+    }
+}
+
+/// Length of so many mirrors in a line, with the gaps between them, in m.
+fn extent(count: usize, size_m: f64, gap_m: f64) -> f64 {
+    count as f64 * size_m + (count - 1) as f64 * gap_m
+}
+
+/// Heights of the lower and the upper edge above the floor in m.
+fn heights(mirrors: &Mirrors) -> [f64; 2] {
+    let half = extent(mirrors.rows, mirrors.height_m, mirrors.gap_m) / 2.0;
+    [mirrors.centre_height_m - half, mirrors.centre_height_m + half]
+}
+
+/// Whether two arrays cover the same part of a wall. Every array is at the middle of its wall.
+fn overlap(a: &Mirrors, b: &Mirrors) -> bool {
+    let ([low_a, high_a], [low_b, high_b]) = (heights(a), heights(b));
+    a.wall == b.wall && low_a < high_b && low_b < high_a
+}

@@ -1,0 +1,90 @@
+//! Several mirror arrays in a scenario: `[[mirrors]]`.
+
+use heliostat_scenario::{Scenario, ScenarioError, Wall};
+
+const TWO: &str = "name = \"two\"\n\n[[mirrors]]\nrows = 4\ncolumns = 6\n\n\
+                   [[mirrors]]\nrows = 3\ncolumns = 5\nwall = \"-x\"\nreflectivity = 0.8\n";
+
+fn message(text: &str) -> String {
+    Scenario::from_toml(text).expect_err("refused").to_string()
+}
+
+#[test]
+fn two_tables_describe_two_arrays() {
+    let two = Scenario::from_toml(TWO).expect("valid");
+    assert_eq!((two.mirrors.arrays().len(), two.mirror_count(), two.mirrors.columns()), (2, 39, 11));
+    assert_eq!(two.mirrors.to_string(), "4 x 6 and 3 x 5");
+    assert_eq!(two.mirrors.arrays()[1].wall, Wall::MinusX);
+    let model = two.channel_model().expect("a model");
+    assert_eq!((model.mirrors.range(0), model.mirrors.range(1)), (0..24, 24..39));
+    assert_eq!((model.mirrors.positions()[30].x, model.mirrors.reflectivity(30)), (-2.5, 0.8));
+    assert_eq!(model.mirrors.reflectivity(3), 0.95);
+}
+
+#[test]
+fn the_effective_configuration_of_several_arrays_can_be_read_again() {
+    let two = Scenario::from_toml(TWO).expect("valid");
+    assert_eq!(two.to_toml().matches("[[mirrors]]").count(), 2);
+    assert_eq!(Scenario::from_toml(&two.to_toml()).expect("valid"), two);
+}
+
+#[test]
+fn a_list_of_one_table_is_the_same_scenario_as_the_table() {
+    let [list, table] =
+        ["[[mirrors]]\nrows = 4\n", "[mirrors]\nrows = 4\n"].map(|text| Scenario::from_toml(text).expect("valid"));
+    assert_eq!((list.hash(), list.geometry_hash()), (table.hash(), table.geometry_hash()));
+    assert!(table.to_toml().contains("\n[mirrors]\n"));
+}
+
+#[test]
+fn an_override_names_the_array() {
+    let two = Scenario::from_toml(TWO).expect("valid");
+    let changed = two.with_overrides(&["mirrors.1.rows=2".into()]).expect("valid");
+    let rows: Vec<usize> = changed.mirrors.arrays().iter().map(|array| array.rows).collect();
+    assert_eq!(rows, [4, 2]);
+    for refused in ["mirrors.rows=2", "mirrors.2.rows=2"] {
+        let error = two.with_overrides(&[refused.into()]).expect_err("refused");
+        assert!(matches!(error, ScenarioError::Override { .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_refusal_names_the_array_and_the_line() {
+    let refused = message(&TWO.replace("0.8", "1.8"));
+    assert_eq!(refused, "line 11: mirrors.1.reflectivity = 1.8: expected a number from 0 to 1");
+    let unknown = message(&TWO.replace("reflectivity", "reflectvity"));
+    assert!(unknown.contains("line 11") && unknown.contains("unknown field `reflectvity`"), "{unknown}");
+    let wide = message(&TWO.replace("columns = 5", "columns = 50"));
+    assert!(wide.starts_with("line 9: mirrors.1.columns = 50"), "{wide}");
+    assert!(message("mirrors = []\n").contains("[[mirrors]]"));
+    let many = "[[mirrors]]\nrows = 1\ncolumns = 1\n".repeat(17);
+    assert!(message(&many).contains("mirrors (arrays) = 17: expected an integer from 1 to 16"));
+}
+
+#[test]
+fn arrays_that_overlap_are_refused() {
+    let same_wall = TWO.replace("\"-x\"", "\"+y\"");
+    let refused = message(&same_wall);
+    assert!(
+        refused.contains("mirrors.1.centre_height_m") && refused.contains("overlaps that of mirrors.0"),
+        "{refused}"
+    );
+    let above = same_wall.replace("reflectivity = 0.8", "centre_height_m = 2.7");
+    assert!(Scenario::from_toml(&above).is_ok(), "one above the other");
+}
+
+#[test]
+fn the_check_lists_each_problem_of_several_arrays_once() {
+    let text = TWO.replace("0.8", "1.8").replace("rows = 4", "rows = 0").replace("columns = 5", "colums = 5");
+    let lines: Vec<_> = Scenario::check_all(&text).problems.iter().map(|problem| problem.line).collect();
+    assert_eq!(lines, [Some(4), Some(9), Some(11)]);
+}
+
+#[test]
+fn a_room_on_the_bus_has_one_array() {
+    let two = Scenario::from_toml(TWO).expect("valid");
+    let refused = Scenario::from_geometry_toml(&two.geometry_toml()).expect_err("refused");
+    assert_eq!(refused, ScenarioError::SeveralArrays { count: 2 });
+    assert_eq!(two.require_one_array().expect_err("refused"), refused);
+    assert!(Scenario::default().require_one_array().is_ok());
+}

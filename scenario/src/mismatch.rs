@@ -15,6 +15,7 @@
 //! | LED position | 0.01 m | 0.03 m | along x, y and z, by a laser meter or a tape, assumed |
 //! | half-power semi-angle | 3 % | 8 % | spread between parts and diffusers, assumed |
 //! | received power | 5 % | 12 % | flux bins of white LEDs are 7 % wide on either side (Cree XLamp data sheets), and photodiodes differ |
+//! | tracker noise | x 1.3 | x 2 | factor on the noise of positions and velocities, assumed |
 //! | floor height | 0.01 m | 0.03 m | LED and mirrors above the tracker's floor, assumed |
 
 use serde::{Deserialize, Serialize};
@@ -48,6 +49,8 @@ pub enum MismatchKind {
     Receiver,
     /// The height of LED and mirrors above the floor of the tracker.
     Floor,
+    /// The noise of reported positions and velocities.
+    Tracker,
 }
 
 /// The difference between the assumed room and the true one.
@@ -84,6 +87,9 @@ pub struct Spreads {
     pub received: f64,
     /// Of the height of LED and mirrors in m.
     pub floor_m: f64,
+    /// How much more noise positions and velocities have than the scenario states, relative: not a
+    /// deviation, but the same for each seed.
+    pub tracker_excess: f64,
 }
 
 impl Mismatch {
@@ -113,6 +119,7 @@ impl Mismatch {
             semi_angle: chosen(MismatchKind::Led, 0.03, 0.08),
             received: chosen(MismatchKind::Receiver, 0.05, 0.12),
             floor_m: chosen(MismatchKind::Floor, 0.01, 0.03),
+            tracker_excess: chosen(MismatchKind::Tracker, 0.3, 1.0),
         }
     }
 }

@@ -13,6 +13,7 @@ use heliostat_scenario::Scenario;
 use heliostat_service::{Exporter, Page};
 use heliostat_sim::baselines::Snapshot;
 use heliostat_sim::control;
+use heliostat_sim::mismatch::true_room;
 use heliostat_sim::reports::Reports;
 use heliostat_sim::reports::schedule::Schedule;
 use heliostat_sim::room::SimulatedRoom;
@@ -97,7 +98,7 @@ impl Node {
         // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
         Ok(Self {
-            reports: Reports::new(&scenario.streams, scenario.seed, session.source()),
+            reports: Reports::new(&true_room(scenario, scenario.seed).streams, scenario.seed, session.source()),
             telemetry: Schedule::new(scenario.streams.telemetry.rate_hz, between_ticks_ns),
             truth: Schedule::new(scenario.streams.truth.rate_hz, between_ticks_ns),
             status: Schedule::new(STATUS_HZ, between_ticks_ns),

@@ -51,6 +51,7 @@ use heliostat_proto::{
 };
 use heliostat_scenario::Scenario;
 
+use crate::mismatch::true_room;
 use crate::reports::schedule::Schedule;
 use crate::reports::{Report, Reports};
 use crate::room::SimulatedRoom;
@@ -115,10 +116,11 @@ impl Episode {
     /// begins at another time.
     pub fn of_room(mut room: SimulatedRoom, scenario: &Scenario, seed: u64, start_ns: u64) -> Self {
         room.advance(start_ns);
-        let streams = &scenario.streams;
+        // A tracker is more accurate or less than the controller knows.
+        let streams = true_room(scenario, seed).streams;
         Self {
             room,
-            reports: Reports::new(streams, seed, SOURCE),
+            reports: Reports::new(&streams, seed, SOURCE),
             telemetry: Schedule::new(streams.telemetry.rate_hz, 0),
             telemetry_sequence: 0,
             start_ns,

@@ -18,7 +18,7 @@ const DEVICE_MARGIN_M: f64 = 0.05;
 /// A half-power semi-angle stays below this, in degrees.
 const SEMI_ANGLE_MAX_DEG: f64 = 89.0;
 
-/// The true equipment of a scenario's room: LED, mirrors and receivers. Positions stay as far from
+/// The true equipment of a scenario's room: LED, mirrors, receivers and tracker. Positions stay as far from
 /// walls and ceiling as the nominal ones.
 pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     let mut room = nominal.clone();
@@ -43,6 +43,8 @@ pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     room.led.half_power_semi_angle_deg = semi_angle_deg.min(SEMI_ANGLE_MAX_DEG);
     room.receiver.area_mm2 = scaled(room.receiver.area_mm2, deviation(spreads.received));
     room.mirrors.reflectivity = scaled(room.mirrors.reflectivity, -deviation(spreads.reflectivity_loss).abs());
+    room.streams.positions.noise_m *= 1.0 + spreads.tracker_excess;
+    room.streams.positions.velocity_noise_m_s *= 1.0 + spreads.tracker_excess;
     let offset_deg = room.actuator.parameters().offset_rad.to_degrees().hypot(spreads.mirror_deg);
     room.actuator.offset_deg = Some(offset_deg);
     room
@@ -129,6 +131,9 @@ mod tests {
         assert!(
             raised_m != 0.0 && (floor.led.positions_m[0][2] - nominal.led.positions_m[0][2] - raised_m).abs() < 1e-12
         );
+        let tracker = of_kind("tracker");
+        assert_eq!(tracker.streams.positions.noise_m, 2.0 * nominal.streams.positions.noise_m);
+        assert_eq!((&tracker.led, &tracker.mirrors), (&nominal.led, &nominal.mirrors));
         let bodies = of_kind("bodies");
         assert_eq!((&bodies.led, &bodies.mirrors), (&nominal.led, &nominal.mirrors));
         assert!(bodies.channel_model().is_ok());

@@ -173,6 +173,12 @@ pub static PAGE: Page = Page {
             in_hall!(" --set mismatch.level=rough --set mismatch.kinds=[\"floor\"]"),
         ),
         room(
+            "rough-tracker",
+            "Mismatch: rough, tracker only",
+            "Twice the noise of positions and velocities that the controller knows.",
+            in_hall!(" --set mismatch.level=rough --set mismatch.kinds=[\"tracker\"]"),
+        ),
+        room(
             "all",
             "All at once",
             "Social force, unreported orientation and a rough mismatch.",

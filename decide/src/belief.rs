@@ -314,7 +314,7 @@ fn signed_s(to_ns: Nanos, from_ns: Nanos) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use heliostat_proto::{Stamp, UserChannel};
+    use heliostat_proto::Stamp;
     use rand_chacha::rand_core::{Rng, SeedableRng};
 
     use super::*;
@@ -396,43 +396,6 @@ mod tests {
         let Innovations { count, sum } = belief.innovations();
         assert_eq!(count, 1999, "the first report of a user has no prediction");
         assert!((sum / count as f64 - 2.0).abs() < 0.4, "{}", sum / count as f64);
-    }
-
-    /// The probability of a clear direct path, after readings of this share of its gain.
-    fn direct_clear(share: f64, overrides: &[&str]) -> f64 {
-        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
-        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
-        let scenario = scenario.with_overrides(&overrides).expect("valid overrides");
-        let model = scenario.channel_model().expect("a valid channel");
-        let mut belief = Belief::new(&scenario, &model, 64);
-        for tick in 1..=30 {
-            let users = report(tick, &[(7, [1.0, 0.5, 0.85], [0.0, 0.0])]);
-            belief.handle_users(&users);
-            let los_gain = (1e-6 * share) as f32;
-            let measured = UserChannel { user: 7, los_gain, irs_gain: 0.0, sinr: 0.0 };
-            let channel = ChannelReport { stamp: users.stamp, tick, users: vec![measured] };
-            belief.handle_channel(&model, (&channel, None), &[], &[]);
-        }
-        belief.estimate(7, 0.0).expect("a user").direct_clear
-    }
-
-    #[test]
-    fn readings_within_the_noise_of_the_receiver_show_a_blocked_path() {
-        let noise = ["blockage.bodies=false", "streams.channel.noise_gain=1e-8"];
-        assert!(direct_clear(0.02, &noise[..1]) > 0.9, "without noise any reading shows a clear path");
-        assert!(direct_clear(0.02, &noise) < 0.1);
-        assert!(direct_clear(1.0, &noise) > 0.9);
-    }
-
-    #[test]
-    fn a_path_that_the_converter_cannot_resolve_shows_nothing() {
-        let coarse =
-            ["blockage.bodies=false", "streams.channel.resolution_bits=2", "streams.channel.full_scale_gain=3e-5"];
-        let fine =
-            ["blockage.bodies=false", "streams.channel.resolution_bits=12", "streams.channel.full_scale_gain=3e-5"];
-        assert!(direct_clear(0.0, &fine) < 0.1);
-        let unknown = direct_clear(0.0, &coarse);
-        assert!((0.2..1.0).contains(&unknown), "the prior remains: {unknown}");
     }
 
     #[test]

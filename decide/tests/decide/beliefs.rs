@@ -1,7 +1,9 @@
-//! The belief about the users as a message.
+//! The belief about the users: as a message, and from the readings of real receivers.
 
+use heliostat_decide::belief::Belief;
 use heliostat_decide::policy::PolicyKind;
-use heliostat_proto::{BeliefReport, encode};
+use heliostat_proto::{BeliefReport, ChannelReport, Stamp, UserChannel, UserReport, UserState, encode};
+use heliostat_scenario::Scenario;
 
 use crate::support::{MS, Room, build, controller, scenario};
 
@@ -43,4 +45,39 @@ fn without_a_filter_there_is_no_belief() {
         assert!(!controller.report_beliefs(Room::time(1), &mut BeliefReport::buffer()), "{belief}");
         assert_eq!(controller.innovations(), None, "{belief}");
     }
+}
+
+/// The probability of a clear direct path in `hall`, after 30 readings of this gain.
+fn direct_clear(los_gain: f32, overrides: &[&str]) -> f64 {
+    let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+    let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();
+    let model = scenario.channel_model().unwrap();
+    let mut belief = Belief::new(&scenario, &model, 64);
+    for tick in 1..=30 {
+        let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100 * MS };
+        let position_m = [1.0, 0.5, 0.85];
+        let user = UserState { user: 7, position_m, velocity_m_s: [0.0; 2], min_rate_bps: 1e6 };
+        belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
+        let measured = UserChannel { user: 7, los_gain, irs_gain: 0.0, sinr: 0.0 };
+        let channel = ChannelReport { stamp, tick, users: vec![measured] };
+        belief.handle_channel(&model, (&channel, None), &[], &[]);
+    }
+    belief.estimate(7, 0.0).unwrap().direct_clear
+}
+
+#[test]
+fn readings_within_the_noise_of_the_receiver_show_a_blocked_path() {
+    let noise = ["blockage.bodies=false", "streams.channel.noise_gain=1e-8"];
+    assert!(direct_clear(2e-8, &noise[..1]) > 0.9, "without noise any reading shows a clear path");
+    assert!(direct_clear(2e-8, &noise) < 0.1);
+    assert!(direct_clear(1e-6, &noise) > 0.9);
+}
+
+#[test]
+fn a_path_that_the_converter_cannot_resolve_shows_nothing() {
+    let full_scale = "streams.channel.full_scale_gain=3e-5";
+    let with = |bits| direct_clear(0.0, &["blockage.bodies=false", full_scale, bits]);
+    assert!(with("streams.channel.resolution_bits=12") < 0.1);
+    let unknown = with("streams.channel.resolution_bits=2");
+    assert!((0.2..1.0).contains(&unknown), "the prior remains: {unknown}");
 }

@@ -27,7 +27,7 @@ use crate::commands::whole_file;
 ///
 /// Formats: eth-ucy is obsmat.txt (frame id x z y vx vz vy) or text of "frame id x y"; atc is a day of
 /// the ATC shopping centre; thor-magni is the CSV of a run, of which the helmets are read; csv has the
-/// header time,user,x,y[,heading_deg] in s, m and degrees. Data sets are not included: obtain them
+/// header time,user,x,y in s and m, and heading_deg as an optional last column. Data sets are not included: obtain them
 /// from their authors, and observe their licences.
 #[derive(Debug, clap::Args)]
 pub struct ImportArgs {
@@ -108,7 +108,7 @@ enum FormatName {
     Atc,
     /// THÖR-MAGNI: one file for each run
     ThorMagni,
-    /// CSV with the header time,user,x,y[,heading_deg]
+    /// CSV with the header time,user,x,y and heading_deg as an optional last column
     Csv,
 }
 

@@ -10,6 +10,7 @@ import json
 import math
 import pathlib
 import random
+import signal
 import sys
 import time
 
@@ -41,6 +42,8 @@ def main(room, endpoints, seconds):
                        "scouting/multicast/enabled": False, "scouting/gossip/enabled": False}.items():
         config.insert_json5(key, json.dumps(value))
     source, base, tick, begin = random.getrandbits(63), "heliostat/v1/%s/" % room, 0, time.monotonic()
+    # A shell starts background processes with Ctrl-C ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # `with` closes the session. A session that is not closed keeps the process alive after an error.
     with zenoh.open(config) as session:
         token = session.liveliness().declare_token(base + "alive/tracker/%016x" % source)

@@ -342,7 +342,7 @@ macro_rules! message_table {
             message OrientationReport(kind: 18, name: "orientation report", key: orientation = "orientation") {
                 /// Source, sequence, time of the measurement.
                 stamp: Stamp,
-                /// One entry for each user whose orientation is known; every other receiver faces up.
+                /// One entry for each user whose orientation is known; the controller assumes the others.
                 users: Vec<UserOrientation> where at_most(MAX_USERS),
             }
         }

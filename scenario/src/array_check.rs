@@ -1,15 +1,25 @@
 //! Checks of the mirror arrays: each value against its domain, and the arrays against the walls and
 //! each other.
 
+use heliostat_channel::arrays::ARRAYS_MAX;
+
 use crate::check::{MIRRORS_MAX, count, invalid, within};
 use crate::error::ScenarioError;
 use crate::scenario::Scenario;
 use crate::tables::{Mirrors, Wall};
 
-/// Largest number of mirror arrays: the limit of the channel model.
-const ARRAYS_MAX: usize = 16;
-
 impl Scenario {
+    /// The scenario, if it has one mirror array.
+    ///
+    /// # Errors
+    /// [`ScenarioError::SeveralArrays`] for more.
+    pub fn require_one_array(self) -> Result<Self, ScenarioError> {
+        match self.mirrors.arrays().len() {
+            1 => Ok(self),
+            count => Err(ScenarioError::SeveralArrays { count }),
+        }
+    }
+
     pub(crate) fn check_arrays(&self) -> Result<(), ScenarioError> {
         let arrays = self.mirrors.arrays();
         count("mirrors (arrays)", arrays.len(), 1..=ARRAYS_MAX)?;

@@ -6,8 +6,6 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::error::ScenarioError;
-use crate::scenario::Scenario;
 use crate::tables::Mirrors;
 
 /// The tables of the mirror arrays, at least one. Mirrors have one index, array after array.
@@ -48,19 +46,6 @@ impl MirrorTables {
     /// The key of an array in messages: `mirrors`, or with its index from 0 where there are several.
     pub(crate) fn key(&self, index: usize) -> String {
         if self.0.len() == 1 { "mirrors".into() } else { format!("mirrors.{index}") }
-    }
-}
-
-impl Scenario {
-    /// The scenario, if it has one mirror array.
-    ///
-    /// # Errors
-    /// [`ScenarioError::SeveralArrays`] for more.
-    pub fn require_one_array(self) -> Result<Self, ScenarioError> {
-        match self.mirrors.arrays().len() {
-            1 => Ok(self),
-            count => Err(ScenarioError::SeveralArrays { count }),
-        }
     }
 }
 

@@ -14,7 +14,7 @@
 //! | reflectivity | 2 % | 5 % | loss by dust and ageing, always below the nominal value, assumed |
 //! | LED position | 0.01 m | 0.03 m | along x, y and z, by a laser meter or a tape, assumed |
 //! | half-power semi-angle | 3 % | 8 % | spread between parts and diffusers, assumed |
-//! | received power | 5 % | 12 % | flux bins of white LEDs are 7 % wide on either side (Cree XLamp data sheets), and photodiodes differ |
+//! | received power | 5 % | 12 % | spread of the flux of LEDs within a bin, and of photodiodes, assumed |
 //! | tracker noise | x 1.3 | x 2 | factor on the noise of positions and velocities, assumed |
 //! | floor height | 0.01 m | 0.03 m | LED and mirrors above the tracker's floor, assumed |
 
@@ -29,7 +29,7 @@ pub enum MismatchLevel {
     None,
     /// An installation with care.
     Typical,
-    /// A hasty installation, and users of any kind.
+    /// An installation without alignment tools, and a wider spread of bodies.
     Rough,
 }
 
@@ -43,7 +43,7 @@ pub enum MismatchKind {
     Tilt,
     /// The angles of each mirror, and the reflectivity of the array.
     Mirrors,
-    /// Position and half-power semi-angle of each LED.
+    /// Position of each LED, and the half-power semi-angle of all.
     Led,
     /// The power that a detector receives, as a factor on all gains.
     Receiver,

@@ -259,7 +259,8 @@ impl Default for Walk {
 /// Mean angle between the vertical and the normal of a receiver that a walking user tilts towards
 /// the face.
 ///
-/// A user who does not walk shows the heading too seldom for such an assumption.
+/// Without movement the heading is seldom known, so standing users are assumed to hold receivers
+/// upright.
 ///
 /// Source of the defaults: Soltani, Purwita, Zeng, Haas and Safari, IEEE Trans. Commun. 67(3), 2019.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

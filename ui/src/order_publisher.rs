@@ -35,9 +35,17 @@ impl OrderPublisher {
     /// # Errors
     /// [`UiError::NoReceiver`] if the order was published without a subscriber.
     pub fn publish<M: Message>(&self, source: u64, message: impl FnOnce(Stamp) -> M) -> Result<(), UiError> {
-        let has_subscriber = self.await_subscriber()?;
+        let subscriber = self.require_subscriber();
         self.publish_at_once(source, message)?;
-        if has_subscriber { Ok(()) } else { Err(UiError::NoReceiver(self.receiver)) }
+        subscriber
+    }
+
+    /// Waits up to [`DISCOVERY_LIMIT`] for a subscriber.
+    ///
+    /// # Errors
+    /// [`UiError::NoReceiver`] without one.
+    pub fn require_subscriber(&self) -> Result<(), UiError> {
+        if self.await_subscriber()? { Ok(()) } else { Err(UiError::NoReceiver(self.receiver)) }
     }
 
     /// Publishes without regard to subscribers.

@@ -104,9 +104,7 @@ impl StopSwitch {
         let Some(report) = report else {
             return self.send(StopAction::Rearm, reason);
         };
-        if !report.stopped {
-            return Err(UiError::NotStopped);
-        }
+        self.check_stopped(report)?;
         self.rearm.publish(self.source, |stamp| Rearm {
             stamp,
             stop_source: report.stop_source,
@@ -114,6 +112,16 @@ impl StopSwitch {
             operator: self.operator.clone(),
             reason: reason.to_owned(),
         })
+    }
+
+    /// Refuses the release of an array that is not stopped. The last report of an array that has just
+    /// left does not count.
+    fn check_stopped(&self, report: &SafetyReport) -> Result<(), UiError> {
+        if report.stopped {
+            return Ok(());
+        }
+        self.rearm.require_subscriber()?;
+        Err(UiError::NotStopped)
     }
 
     /// Stops the array, and repeats the stop until telemetry confirms it; returns the time that
@@ -138,9 +146,7 @@ impl StopSwitch {
         limit: Duration,
     ) -> Result<(Duration, Option<SafetyReport>), UiError> {
         let named = self.await_safety();
-        if named.as_ref().is_some_and(|report| !report.stopped) {
-            return Err(UiError::NotStopped);
-        }
+        named.as_ref().map_or(Ok(()), |report| self.check_stopped(report))?;
         let is_released = |state| state != ArrayState::Stopped;
         let took = self.repeat_until(limit, "re-arm", is_released, || self.rearm_of(named.as_ref(), reason))?;
         Ok((took, named))

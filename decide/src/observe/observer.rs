@@ -6,7 +6,7 @@
 //! reports.
 //!
 //! Where receivers report their orientation, the gains are those of the receivers as they were held
-//! last; every other receiver faces up.
+//! last; the others are as `control.tilt` assumes.
 //!
 //! Users may come and go with every report, in any order. A user is known by its number: reports
 //! about positions and about gains are matched by it, and it keeps its index in the observation as

@@ -62,8 +62,8 @@ pub struct Args {
     /// Time in s from the controller's start to the first measured instant of an episode, at least 0.01
     #[arg(long, requires = "closed_loop", value_name = "SECONDS", default_value = "1", value_parser = seconds, allow_negative_numbers = true)]
     warm: Duration,
-    /// Add two rows in which the first policy that observes users knows the true room in place of
-    /// reports: when it decides, and in the middle of the time in which its command is in force
+    /// Add two rows: the first policy that observes users, with the true room in place of reports, now
+    /// and in the middle of the command's time in force
     #[arg(long, requires = "closed_loop")]
     ceilings: bool,
     /// Add a row for each policy that ignores which mirrors are unusable

@@ -92,7 +92,7 @@ impl EvaluatedPolicy {
         (!self.is_blind()).then(|| Self { name, known: Some(known), ..self.clone() })
     }
 
-    /// The part of the true room that the policy knows in place of reports.
+    /// The time of the true room that the policy knows; `None`: it observes reports.
     pub(super) fn known(&self) -> Option<Known> {
         self.known
     }

@@ -1,7 +1,6 @@
 //! Outages: for how long the rate of a user stays below the minimum rate.
 //!
-//! The rates are sampled every 20 ms, which is below the coherence times of indoor optical channels
-//! with moving users. An outage is a run of samples of one user below the minimum rate. It ends when
+//! The rates are sampled every 20 ms. An outage is a run of samples of one user below the minimum rate. It ends when
 //! the user leaves or the episode ends, so the longest outages are cut off at the length of an
 //! episode.
 

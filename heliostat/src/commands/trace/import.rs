@@ -18,7 +18,7 @@ use super::report::{ImportReport, print};
 use super::written::write_trace;
 use crate::commands::whole_file;
 
-/// Read people's walks of a data set, and write them as a recorded walk for a room.
+/// Read pedestrians' walks from a data set, and write them as a recorded walk for a room.
 ///
 /// The scenario's floor is the room: by default the walks are centred on it, and made smaller where
 /// they do not fit. The scenario's users.count is the number of users. All of them are present from
@@ -26,9 +26,9 @@ use crate::commands::whole_file;
 /// and how to use the file.
 ///
 /// Formats: eth-ucy is obsmat.txt (frame id x z y vx vz vy) or text of "frame id x y"; atc is a day of
-/// the ATC shopping centre; thor-magni is the CSV of a run, of which the helmets are read; csv has the
-/// header time,user,x,y in s and m, and heading_deg as an optional last column. Data sets are not included: obtain them
-/// from their authors, and observe their licences.
+/// the ATC shopping centre; thor-magni is the CSV of a run, of which the helmets are read; csv has a
+/// header with time, user, x, y (s, m) and optionally heading_deg, in any order. Data sets are not
+/// included: obtain them from their authors, and observe their licences.
 #[derive(Debug, clap::Args)]
 pub struct ImportArgs {
     /// The file of the data set
@@ -89,7 +89,7 @@ struct Choosing {
     /// Number of users [default: users.count of the scenario]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     users: Option<u32>,
-    /// Which people become users
+    /// Which pedestrians become users
     #[arg(long, value_enum, default_value = "together")]
     select: PresenceName,
     /// Duration of the walk in s [default: as long as all users are present]
@@ -108,7 +108,7 @@ enum FormatName {
     Atc,
     /// THÖR-MAGNI: one file for each run
     ThorMagni,
-    /// CSV with the header time,user,x,y and heading_deg as an optional last column
+    /// CSV with a header of time, user, x, y and optionally heading_deg, in any order
     Csv,
 }
 

@@ -1,4 +1,4 @@
-//! The page `rooms`: policies in rooms that differ from the plain hall, each change alone.
+//! The page `rooms`: policies in rooms that differ from the plain hall.
 
 use super::super::table::{Column, Form, Layout};
 use super::page::{Page, Section};
@@ -15,8 +15,8 @@ const COLUMNS: [Column; 9] = [
     Column { title: "outage p95 (s)", at: "/outages/p95_s", form: Form::Number(2) },
 ];
 
-/// The command of a section about `hall`: the good policies with two beliefs, and what the first of them would
-/// have if it knew the room.
+/// The command of a section about `hall`: three policies with two beliefs, and the ceilings of the
+/// first.
 macro_rules! in_hall {
     ($overrides:literal) => {
         concat!(
@@ -46,7 +46,7 @@ const fn room(name: &'static str, title: &'static str, about: &'static str, comm
 pub static PAGE: Page = Page {
     name: "rooms",
     title: "Results: rooms that are not the plain hall",
-    about: "How to read it: [evaluation.md](../evaluation.md). Each section changes one thing of `hall`. A difference is to the \
+    about: "How to read it: [evaluation.md](../evaluation.md). The sections about `hall` name what they change. A difference is to the \
             first row, paired state by state. `true-present` and `true-future` know the true room in place of reports. An \
             episode of 20 instants counts as one sample.",
     sections: &[
@@ -95,7 +95,7 @@ pub static PAGE: Page = Page {
         room(
             "orientation",
             "Orientation of the receivers",
-            "Users hold their receivers at measured angles, which nobody reports.",
+            "Users hold their receivers at measured angles, without orientation reports.",
             in_hall!(" --set users.orientation={}"),
         ),
         room(
@@ -133,7 +133,7 @@ pub static PAGE: Page = Page {
         room(
             "rough",
             "Mismatch: rough",
-            "The same after a hasty installation.",
+            "The same after an installation without alignment tools.",
             in_hall!(" --set mismatch.level=rough"),
         ),
         room(

@@ -35,17 +35,9 @@ impl OrderPublisher {
     /// # Errors
     /// [`UiError::NoReceiver`] if the order was published without a subscriber.
     pub fn publish<M: Message>(&self, source: u64, message: impl FnOnce(Stamp) -> M) -> Result<(), UiError> {
-        let subscriber = self.require_subscriber();
+        let has_subscriber = self.await_subscriber()?;
         self.publish_at_once(source, message)?;
-        subscriber
-    }
-
-    /// Waits up to [`DISCOVERY_LIMIT`] for a subscriber.
-    ///
-    /// # Errors
-    /// [`UiError::NoReceiver`] without one.
-    pub fn require_subscriber(&self) -> Result<(), UiError> {
-        if self.await_subscriber()? { Ok(()) } else { Err(UiError::NoReceiver(self.receiver)) }
+        if has_subscriber { Ok(()) } else { Err(UiError::NoReceiver(self.receiver)) }
     }
 
     /// Publishes without regard to subscribers.

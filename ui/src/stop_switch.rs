@@ -17,6 +17,9 @@ use crate::view::Dated;
 
 /// A report older than this says nothing about the array.
 const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
+/// Without telemetry for this time, an array that published some has left, and its last safety report
+/// no longer counts.
+const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
 /// Time to wait for a safety report; an array publishes one each second.
 const SAFETY_LIMIT: Duration = Duration::from_millis(1500);
 /// Time after which an order is repeated if the array did not confirm it.
@@ -104,7 +107,9 @@ impl StopSwitch {
         let Some(report) = report else {
             return self.send(StopAction::Rearm, reason);
         };
-        self.check_stopped(report)?;
+        if !report.stopped {
+            return Err(UiError::NotStopped);
+        }
         self.rearm.publish(self.source, |stamp| Rearm {
             stamp,
             stop_source: report.stop_source,
@@ -112,16 +117,6 @@ impl StopSwitch {
             operator: self.operator.clone(),
             reason: reason.to_owned(),
         })
-    }
-
-    /// Refuses the release of an array that is not stopped. The last report of an array that has just
-    /// left does not count.
-    fn check_stopped(&self, report: &SafetyReport) -> Result<(), UiError> {
-        if report.stopped {
-            return Ok(());
-        }
-        self.rearm.require_subscriber()?;
-        Err(UiError::NotStopped)
     }
 
     /// Stops the array, and repeats the stop until telemetry confirms it; returns the time that
@@ -146,7 +141,9 @@ impl StopSwitch {
         limit: Duration,
     ) -> Result<(Duration, Option<SafetyReport>), UiError> {
         let named = self.await_safety();
-        named.as_ref().map_or(Ok(()), |report| self.check_stopped(report))?;
+        if named.as_ref().is_some_and(|report| !report.stopped) {
+            return Err(UiError::NotStopped);
+        }
         let is_released = |state| state != ArrayState::Stopped;
         let took = self.repeat_until(limit, "re-arm", is_released, || self.rearm_of(named.as_ref(), reason))?;
         Ok((took, named))
@@ -183,9 +180,11 @@ impl StopSwitch {
         }
     }
 
-    /// The safety report, unless the array publishes none.
+    /// The safety report, unless the array publishes none or has left.
     fn await_safety(&self) -> Option<SafetyReport> {
-        let is_fresh = |seen: &Seen| seen.safety.as_ref().is_some_and(|(at, _)| at.elapsed() < REPORT_AGE_MAX);
+        let has_left = |seen: &Seen| seen.state.is_some_and(|(at, _)| at.elapsed() > TELEMETRY_AGE_MAX);
+        let is_fresh =
+            |seen: &Seen| !has_left(seen) && seen.safety.as_ref().is_some_and(|(at, _)| at.elapsed() < REPORT_AGE_MAX);
         if !self.seen.wait(SAFETY_LIMIT, is_fresh) {
             return None;
         }

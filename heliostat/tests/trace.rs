@@ -18,7 +18,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).expect("text")
 }
 
-/// Two people of an ETH/UCY file who walk 8 m along x, the second one 2 s later, and two bad rows.
+/// Two pedestrians of an ETH/UCY file who walk 8 m along x, the second one 2 s later, and two bad rows.
 fn folder() -> TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     let mut rows = String::new();

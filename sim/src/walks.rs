@@ -1,7 +1,7 @@
 //! Recorded walks of pedestrian data sets, prepared for `users.trace`.
 //!
 //! 1. [`formats`] reads the [`rows`] of a published format.
-//! 2. [`tracks`] sorts them by person, and ends a track at a gap or at the edge of a crop.
+//! 2. [`tracks`] sorts them by pedestrian, and ends a track at a gap or at the edge of a crop.
 //! 3. [`selection`] chooses users who are present throughout, and their sample times.
 //! 4. [`placement`] moves and scales the walks onto the floor of a room.
 //! 5. [`text`] writes the CSV that [`crate::world::trace`] plays.

@@ -1,5 +1,5 @@
 //! Whether a user's direct path is off for a reason that neither bodies nor obstacles explain: a hand
-//! over the detector, a person without a device.
+//! over the detector, a user without a device.
 
 use serde::{Deserialize, Serialize};
 

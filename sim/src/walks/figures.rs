@@ -80,7 +80,7 @@ mod tests {
             point.at_m[1] += step_m;
             points.push(point);
         }
-        Track { person: "a".to_owned(), points }
+        Track { pedestrian: "a".to_owned(), points }
     }
 
     #[test]

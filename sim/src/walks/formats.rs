@@ -8,7 +8,7 @@
 //! | CSV | a header with `time`, `user`, `x`, `y` and optionally `heading_deg` | s, m, degrees |
 //!
 //! Sources: Pellegrini et al., You'll never walk alone, ICCV 2009, README of the data set; Lerner et
-//! al., Crowds by example, 2007, in the form `frame id x y` of later work; Brscic et al., Person
+//! al., Crowds by example, 2007, in the form `frame id x y` of later work; Brscic et al., Pedestrian
 //! tracking in large public spaces using 3-D range sensors, 2013, page of the data set; Schreiter et
 //! al., THÖR-MAGNI, 2024, with the tools of its authors (thor-magni-tools).
 
@@ -62,7 +62,7 @@ pub enum ReadError {
     #[error("{0}")]
     Text(String),
     /// The text has no row.
-    #[error("the file has no rows: expected positions of people")]
+    #[error("the file has no rows: expected positions of pedestrians")]
     Empty,
     /// The text is too long for its format.
     #[error("line {line}: {what}: expected {expected}")]
@@ -168,8 +168,8 @@ fn read_eth_ucy(frame_rate_hz: Option<f64>, input: impl BufRead, receive: Receiv
 
 /// A row of ETH/UCY, with the frame number as its time.
 fn eth_ucy_row(line: u64, cells: &[&str]) -> Result<Row, RowRefusal> {
-    let (frame, person, x, y) = match cells {
-        [frame, person, x, _, y, _, _, _] | [frame, person, x, y] => (frame, person, x, y),
+    let (frame, pedestrian, x, y) = match cells {
+        [frame, pedestrian, x, _, y, _, _, _] | [frame, pedestrian, x, y] => (frame, pedestrian, x, y),
         _ => {
             let found = cells.len();
             return Err(refusal(
@@ -180,8 +180,8 @@ fn eth_ucy_row(line: u64, cells: &[&str]) -> Result<Row, RowRefusal> {
     };
     let time_s = number(line, "frame", frame)?;
     // Published files write the ids as floating-point numbers.
-    let person = number(line, "id", person)?.to_string();
-    Ok(Row { line, time_s, person, at_m: [number(line, "x", x)?, number(line, "y", y)?], heading_rad: None })
+    let pedestrian = number(line, "id", pedestrian)?.to_string();
+    Ok(Row { line, time_s, pedestrian, at_m: [number(line, "x", x)?, number(line, "y", y)?], heading_rad: None })
 }
 
 /// The smallest difference between two of the frame numbers; 1 where all are equal.
@@ -202,16 +202,16 @@ fn read_atc(input: impl BufRead, receive: Receive<'_>) -> Result<(), ReadError> 
 }
 
 fn atc_row(line: u64, cells: &[&str]) -> Result<Row, RowRefusal> {
-    let &[time, person, x, y, _, _, _, facing] = cells else {
+    let &[time, pedestrian, x, y, _, _, _, facing] = cells else {
         let found = cells.len();
-        let expected = "time, person id, x, y, z, velocity, angle of motion, facing angle";
+        let expected = "time, pedestrian id, x, y, z, velocity, angle of motion, facing angle";
         return Err(refusal(line, format!("number of columns {found}: expected 8 ({expected})")));
     };
     let at_mm = [number(line, "x", x)?, number(line, "y", y)?];
     Ok(Row {
         line,
         time_s: number(line, "time", time)?,
-        person: person.to_owned(),
+        pedestrian: pedestrian.to_owned(),
         at_m: at_mm.map(|mm| mm / 1000.0),
         heading_rad: Some(number(line, "facing angle", facing)?),
     })
@@ -279,7 +279,7 @@ impl CsvColumns {
         Ok(Row {
             line,
             time_s: number(line, "time", cells[self.time])?,
-            person: cells[self.user].to_owned(),
+            pedestrian: cells[self.user].to_owned(),
             at_m: [number(line, "x", cells[self.x])?, number(line, "y", cells[self.y])?],
             heading_rad: heading.map(f64::to_radians),
         })

@@ -127,7 +127,7 @@ mod tests {
     fn walk(corners: &[[f64; 2]]) -> Vec<Track> {
         let point = |(time_s, at_m): (f64, &[f64; 2])| TrackPoint { time_s, at_m: *at_m, heading_rad: Some(FRAC_PI_4) };
         let times = [0.0, 1.0, 2.0, 3.0];
-        vec![Track { person: "a".to_owned(), points: times.into_iter().zip(corners).map(point).collect() }]
+        vec![Track { pedestrian: "a".to_owned(), points: times.into_iter().zip(corners).map(point).collect() }]
     }
 
     fn placed(fit: Fit, corners: &[[f64; 2]]) -> (Vec<Track>, Placement) {

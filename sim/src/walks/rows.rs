@@ -1,20 +1,20 @@
-//! One position of one person in a file, or the reason for which a row cannot be used.
+//! One position of one pedestrian in a file, or the reason for which a row cannot be used.
 
 /// Characters of a cell that a reason quotes.
 const QUOTED: usize = 40;
 
-/// One position of one person.
+/// One position of one pedestrian.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// Line in the file, from 1.
     pub line: u64,
     /// Time in s.
     pub time_s: f64,
-    /// Name of the person in the file.
-    pub person: String,
+    /// Name of the pedestrian in the file.
+    pub pedestrian: String,
     /// Position in m, in the frame of the file.
     pub at_m: [f64; 2],
-    /// Direction in which the person faces, in rad from +x towards +y.
+    /// Direction in which the pedestrian faces, in rad from +x towards +y.
     pub heading_rad: Option<f64>,
 }
 

@@ -10,10 +10,10 @@ use crate::walks::tracks::{Track, TrackPoint};
 /// Least time between two samples of a user in s; the trace has milliseconds.
 const INTERVAL_MIN_S: f64 = 1e-3;
 
-/// Which people become users.
+/// Which pedestrians become users.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
-    /// People who were present at the same time, over the longest such time.
+    /// Pedestrians who were present at the same time, over the longest such time.
     Together,
     /// The longest tracks; each begins at time 0, whenever it was recorded.
     Longest,
@@ -24,7 +24,7 @@ pub enum Presence {
 pub struct Choice {
     /// Number of users.
     pub users: usize,
-    /// Which people.
+    /// Which pedestrians.
     pub presence: Presence,
     /// Duration in s; `None`: as long as all users are present.
     pub duration_s: Option<f64>,
@@ -35,10 +35,10 @@ pub struct Choice {
 /// Why users cannot be chosen.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SelectionError {
-    /// Too few people.
-    #[error("people {presence}: at most {found}; expected {users}")]
+    /// Too few pedestrians.
+    #[error("pedestrians {presence}: at most {found}; expected {users}")]
     Few {
-        /// People who can be chosen.
+        /// Pedestrians who can be chosen.
         found: usize,
         /// Under which condition.
         presence: &'static str,
@@ -46,7 +46,7 @@ pub enum SelectionError {
         users: usize,
     },
     /// All are present, but not for long enough.
-    #[error("{users} people {presence} last {found_s:.2} s; expected {duration_s} s or more")]
+    #[error("{users} pedestrians {presence} last {found_s:.2} s; expected {duration_s} s or more")]
     Short {
         /// Users required.
         users: usize,
@@ -82,7 +82,7 @@ impl Presence {
 /// Chooses users, and their samples from the first to the last time of the trace.
 ///
 /// # Errors
-/// [`SelectionError`] where too few people are present, or not for long enough.
+/// [`SelectionError`] where too few pedestrians are present, or not for long enough.
 pub fn select(tracks: &[Track], choice: &Choice) -> Result<Selected, SelectionError> {
     let lasting: Vec<&Track> = tracks.iter().filter(|track| track.duration_s() > INTERVAL_MIN_S).collect();
     let users = choice.users;
@@ -108,8 +108,8 @@ pub fn select(tracks: &[Track], choice: &Choice) -> Result<Selected, SelectionEr
     })
 }
 
-/// The longest time in which the same `users` people are present: those people with its beginning,
-/// and its duration in s. With too few people: as many as are ever present at once.
+/// The longest time in which the same `users` pedestrians are present: those pedestrians with its beginning,
+/// and its duration in s. With too few pedestrians: as many as are ever present at once.
 fn together<'a>(tracks: &[&'a Track], users: usize) -> (Vec<(&'a Track, f64)>, f64) {
     let mut by_start = tracks.to_vec();
     by_start.sort_by(|a, b| a.start_s().total_cmp(&b.start_s()));
@@ -197,7 +197,7 @@ impl Times {
                 points
             }
         };
-        Track { person: track.person.clone(), points }
+        Track { pedestrian: track.pedestrian.clone(), points }
     }
 }
 
@@ -205,29 +205,29 @@ impl Times {
 mod tests {
     use super::*;
 
-    /// A person who walks along x at 1 m/s, sampled twice a second.
-    fn track(person: &str, start_s: f64, end_s: f64) -> Track {
+    /// A pedestrian who walks along x at 1 m/s, sampled twice a second.
+    fn track(pedestrian: &str, start_s: f64, end_s: f64) -> Track {
         let count = ((end_s - start_s) * 2.0) as usize;
         let times = (0..=count).map(|index| start_s + 0.5 * index as f64);
         let point = |time_s| TrackPoint { time_s, at_m: [time_s, 0.0], heading_rad: None };
-        Track { person: person.to_owned(), points: times.map(point).collect() }
+        Track { pedestrian: pedestrian.to_owned(), points: times.map(point).collect() }
     }
 
     fn choice(users: usize, presence: Presence) -> Choice {
         Choice { users, presence, duration_s: None, rate_hz: None }
     }
 
-    fn people(selected: &Selected) -> Vec<&str> {
-        selected.users.iter().map(|track| track.person.as_str()).collect()
+    fn pedestrians(selected: &Selected) -> Vec<&str> {
+        selected.users.iter().map(|track| track.pedestrian.as_str()).collect()
     }
 
     #[test]
     fn users_who_are_together_have_the_longest_common_time() {
         let tracks = [track("a", 0.0, 10.0), track("b", 8.0, 30.0), track("c", 9.0, 20.0), track("d", 12.0, 19.0)];
-        let two = select(&tracks, &choice(2, Presence::Together)).expect("two people");
-        assert_eq!((people(&two), two.duration_s, two.starts_s[0]), (vec!["b", "c"], 11.0, 9.0));
-        let three = select(&tracks, &choice(3, Presence::Together)).expect("three people");
-        assert_eq!((people(&three), three.duration_s, three.starts_s[0]), (vec!["b", "c", "d"], 7.0, 12.0));
+        let two = select(&tracks, &choice(2, Presence::Together)).expect("two pedestrians");
+        assert_eq!((pedestrians(&two), two.duration_s, two.starts_s[0]), (vec!["b", "c"], 11.0, 9.0));
+        let three = select(&tracks, &choice(3, Presence::Together)).expect("three pedestrians");
+        assert_eq!((pedestrians(&three), three.duration_s, three.starts_s[0]), (vec!["b", "c", "d"], 7.0, 12.0));
         for user in &three.users {
             assert_eq!((user.start_s(), user.end_s(), user.points[0].at_m), (0.0, 7.0, [12.0, 0.0]));
         }
@@ -236,19 +236,22 @@ mod tests {
     #[test]
     fn the_longest_tracks_begin_together_whenever_they_were_recorded() {
         let tracks = [track("a", 0.0, 4.0), track("b", 50.0, 52.0), track("c", 90.0, 93.0)];
-        let two = select(&tracks, &choice(2, Presence::Longest)).expect("two people");
-        assert_eq!((people(&two), two.duration_s), (vec!["a", "c"], 3.0));
+        let two = select(&tracks, &choice(2, Presence::Longest)).expect("two pedestrians");
+        assert_eq!((pedestrians(&two), two.duration_s), (vec!["a", "c"], 3.0));
         assert_eq!((two.starts_s.as_slice(), two.users[1].start_s()), (&[0.0, 90.0][..], 0.0));
     }
 
     #[test]
-    fn too_few_people_and_too_short_walks_are_refused_with_what_was_found() {
+    fn too_few_pedestrians_and_too_short_walks_are_refused_with_what_was_found() {
         let tracks = [track("a", 0.0, 4.0), track("b", 2.0, 6.0), track("c", 7.0, 9.0)];
         let error = |choice| select(&tracks, &choice).expect_err("refused").to_string();
         let few = error(choice(3, Presence::Together));
         assert!(few.contains("present at the same time: at most 2; expected 3"), "{few}");
         let short = error(Choice { duration_s: Some(2.5), ..choice(2, Presence::Together) });
-        assert!(short.contains("2 people who are present at the same time last 2.00 s; expected 2.5 s"), "{short}");
+        assert!(
+            short.contains("2 pedestrians who are present at the same time last 2.00 s; expected 2.5 s"),
+            "{short}"
+        );
         let slow = error(Choice { rate_hz: Some(0.25), ..choice(2, Presence::Together) });
         assert!(slow.contains("expected 4 s"), "{slow}");
         assert!(error(choice(4, Presence::Longest)).contains("at most 3; expected 4"));

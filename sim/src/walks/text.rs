@@ -55,7 +55,7 @@ mod tests {
             at_m: *at_m,
             heading_rad: *heading_rad,
         };
-        Track { person: "a".to_owned(), points: points.iter().map(point).collect() }
+        Track { pedestrian: "a".to_owned(), points: points.iter().map(point).collect() }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Rows sorted by person: tracks without gaps.
+//! Rows sorted by pedestrian: tracks without gaps.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -18,7 +18,7 @@ pub struct TrackPoint {
     pub time_s: f64,
     /// Position in m.
     pub at_m: [f64; 2],
-    /// Direction in which the person faces, in rad from +x towards +y.
+    /// Direction in which the pedestrian faces, in rad from +x towards +y.
     pub heading_rad: Option<f64>,
 }
 
@@ -39,11 +39,11 @@ fn turn(from_rad: f64, to_rad: f64) -> f64 {
     (to_rad - from_rad + PI).rem_euclid(TAU) - PI
 }
 
-/// The walk of one person, with ascending times and no long gap; it is not empty.
+/// The walk of one pedestrian, with ascending times and no long gap; it is not empty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
-    /// Name of the person in the file.
-    pub person: String,
+    /// Name of the pedestrian in the file.
+    pub pedestrian: String,
     /// Its samples.
     pub points: Vec<TrackPoint>,
 }
@@ -142,33 +142,33 @@ pub struct Collected {
     pub counts: RowCounts,
     /// Time of the first row in s.
     pub first_s: f64,
-    /// People of whom a row was read.
-    pub people: usize,
+    /// Pedestrians of whom a row was read.
+    pub pedestrians: usize,
     /// The first 1000 refused rows.
     pub refusals: Vec<RowRefusal>,
 }
 
-/// A person of whom a row was read.
+/// A pedestrian of whom a row was read.
 #[derive(Clone, Copy, Debug)]
-struct Person {
+struct Pedestrian {
     last_s: f64,
     /// The track that the next row continues.
     track: Option<usize>,
 }
 
-/// Sorts rows by person.
+/// Sorts rows by pedestrian.
 #[derive(Clone, Debug)]
 pub struct Collector {
     kept: Kept,
     first_s: Option<f64>,
-    people: HashMap<String, Person>,
+    pedestrians: HashMap<String, Pedestrian>,
     collected: Collected,
 }
 
 impl Collector {
     /// No rows yet.
     pub fn new(kept: Kept) -> Self {
-        Self { kept, first_s: None, people: HashMap::new(), collected: Collected::default() }
+        Self { kept, first_s: None, pedestrians: HashMap::new(), collected: Collected::default() }
     }
 
     /// Adds a row, or counts and names a refused one.
@@ -183,16 +183,16 @@ impl Collector {
 
     fn add_row(&mut self, row: Row) -> Result<(), RowRefusal> {
         let first_s = *self.first_s.get_or_insert(row.time_s);
-        let before = self.people.get(&row.person).copied();
-        if let Some(last_s) = before.map(|person| person.last_s).filter(|last_s| row.time_s <= *last_s) {
+        let before = self.pedestrians.get(&row.pedestrian).copied();
+        if let Some(last_s) = before.map(|pedestrian| pedestrian.last_s).filter(|last_s| row.time_s <= *last_s) {
             let reason = format!(
-                "time {} s of {} is not after {last_s} s: expected ascending times for each person",
-                row.time_s, row.person
+                "time {} s of {} is not after {last_s} s: expected ascending times for each pedestrian",
+                row.time_s, row.pedestrian
             );
             return Err(RowRefusal { line: row.line, reason });
         }
-        let track =
-            before.and_then(|person| person.track.filter(|_| row.time_s - person.last_s <= self.kept.max_gap_s));
+        let track = before
+            .and_then(|pedestrian| pedestrian.track.filter(|_| row.time_s - pedestrian.last_s <= self.kept.max_gap_s));
         let at_m = row.at_m.map(|coordinate| coordinate * self.kept.scale);
         let point = TrackPoint { time_s: row.time_s, at_m, heading_rad: row.heading_rad };
         let counts = &mut self.collected.counts;
@@ -207,23 +207,23 @@ impl Collector {
             None
         } else {
             counts.kept += 1;
-            Some(self.collected.put(track, &row.person, point))
+            Some(self.collected.put(track, &row.pedestrian, point))
         };
-        self.people.insert(row.person, Person { last_s: row.time_s, track });
+        self.pedestrians.insert(row.pedestrian, Pedestrian { last_s: row.time_s, track });
         Ok(())
     }
 
     /// All that was read.
     pub fn finish(self) -> Collected {
-        Collected { first_s: self.first_s.unwrap_or(0.0), people: self.people.len(), ..self.collected }
+        Collected { first_s: self.first_s.unwrap_or(0.0), pedestrians: self.pedestrians.len(), ..self.collected }
     }
 }
 
 impl Collected {
     /// Adds a point to a track, or to a new one; the result is the track.
-    fn put(&mut self, track: Option<usize>, person: &str, point: TrackPoint) -> usize {
+    fn put(&mut self, track: Option<usize>, pedestrian: &str, point: TrackPoint) -> usize {
         let index = track.unwrap_or_else(|| {
-            self.tracks.push(Track { person: person.to_owned(), points: Vec::new() });
+            self.tracks.push(Track { pedestrian: pedestrian.to_owned(), points: Vec::new() });
             self.tracks.len() - 1
         });
         self.tracks[index].points.push(point);
@@ -237,14 +237,14 @@ mod tests {
 
     use super::*;
 
-    fn row(line: u64, person: &str, time_s: f64, at_m: [f64; 2]) -> Result<Row, RowRefusal> {
-        Ok(Row { line, time_s, person: person.to_owned(), at_m, heading_rad: None })
+    fn row(line: u64, pedestrian: &str, time_s: f64, at_m: [f64; 2]) -> Result<Row, RowRefusal> {
+        Ok(Row { line, time_s, pedestrian: pedestrian.to_owned(), at_m, heading_rad: None })
     }
 
     fn collect(kept: Kept, rows: &[(&str, f64, [f64; 2])]) -> Collected {
         let mut collector = Collector::new(kept);
-        for (line, (person, time_s, at_m)) in (1..).zip(rows) {
-            collector.add(row(line, person, *time_s, *at_m));
+        for (line, (pedestrian, time_s, at_m)) in (1..).zip(rows) {
+            collector.add(row(line, pedestrian, *time_s, *at_m));
         }
         collector.finish()
     }
@@ -258,7 +258,7 @@ mod tests {
         let crop = Some(Rectangle { min_m: [-1.0, -1.0], max_m: [0.6, 1.0] });
         let cropped = collect(Kept { crop, ..Kept::default() }, &walk);
         assert_eq!((cropped.tracks.len(), cropped.counts.kept, cropped.counts.cropped), (1, 2, 3));
-        // A person who leaves the crop for less than the gap walked outside it: two tracks.
+        // A pedestrian who leaves the crop for less than the gap walked outside it: two tracks.
         let out_and_in = [("a", 0.0, [0.0, 0.0]), ("a", 0.2, [0.7, 0.0]), ("a", 0.4, [0.0, 0.0])];
         assert_eq!(collect(Kept { crop, ..Kept::default() }, &out_and_in).tracks.len(), 2);
     }
@@ -268,7 +268,7 @@ mod tests {
         let rows = [("a", 1.0, [0.0; 2]), ("b", 0.5, [0.0; 2]), ("a", 1.0, [0.0; 2]), ("a", 0.9, [0.0; 2])];
         let collected = collect(Kept::default(), &rows);
         let lines: Vec<u64> = collected.refusals.iter().map(|refusal| refusal.line).collect();
-        assert_eq!((lines, collected.counts.refused, collected.people), (vec![3, 4], 2, 2));
+        assert_eq!((lines, collected.counts.refused, collected.pedestrians), (vec![3, 4], 2, 2));
         assert!(collected.refusals[0].reason.contains("time 1 s of a is not after 1 s"));
     }
 
@@ -285,7 +285,7 @@ mod tests {
     #[test]
     fn headings_turn_along_the_shortest_arc() {
         let point = |time_s, heading| TrackPoint { time_s, at_m: [time_s, 0.0], heading_rad: Some(heading) };
-        let track = Track { person: "a".to_owned(), points: vec![point(0.0, 3.0), point(1.0, -3.0)] };
+        let track = Track { pedestrian: "a".to_owned(), points: vec![point(0.0, 3.0), point(1.0, -3.0)] };
         let heading = track.at(0.5).heading_rad.expect("a heading");
         assert!((heading.cos() + 1.0).abs() < 1e-12, "{heading}");
         let quarter = point(0.0, 0.0).interpolate(&point(1.0, FRAC_PI_2), 0.5);

@@ -62,12 +62,12 @@ fn print(args: &ExportArgs, recorded: &Recorded) -> Result<()> {
     let usage = format!("--set users.count={count} --set users.trace={out}");
     let samples: usize = users.iter().map(|user| user.points.len()).sum();
     if args.json {
-        let of_user = |user: &Track| json!({ "user": user.person, "from_s": user.start_s(), "to_s": user.end_s(), "positions": user.points.len() });
-        let people: Vec<_> = users.iter().map(of_user).collect();
+        let of_user = |user: &Track| json!({ "user": user.pedestrian, "from_s": user.start_s(), "to_s": user.end_s(), "positions": user.points.len() });
+        let pedestrians: Vec<_> = users.iter().map(of_user).collect();
         let positions = if *is_true { "true" } else { "reported" };
         let report = json!({
             "positions": positions, "samples": samples, "refused": refused, "duration_s": duration_s,
-            "users": people, "out": out, "use": usage,
+            "users": pedestrians, "out": out, "use": usage,
         });
         return Ok(outln!("{report}")?);
     }
@@ -77,9 +77,9 @@ fn print(args: &ExportArgs, recorded: &Recorded) -> Result<()> {
         outln!("left out: {refused} positions whose time is not after the one before")?;
     }
     for (number, user) in users.iter().enumerate().filter(|(_, user)| user.duration_s() < 0.99 * duration_s) {
-        let (person, from_s, to_s) = (&user.person, user.start_s(), user.end_s());
+        let (pedestrian, from_s, to_s) = (&user.pedestrian, user.start_s(), user.end_s());
         outln!(
-            "user {number} (number {person}) is present from {from_s:.2} to {to_s:.2} s only, and stands still else"
+            "user {number} (number {pedestrian}) is present from {from_s:.2} to {to_s:.2} s only, and stands still else"
         )?;
     }
     Ok(outln!("wrote {out}; use it in the same scenario with: {usage}")?)
@@ -104,7 +104,7 @@ fn users<R: Read>(mut reading: Reading<R>) -> Result<Recorded> {
     let floor = Floor { length_x_m: scenario.room.length_x_m, length_y_m: scenario.room.length_y_m };
     let (is_true, collected) = positions.finish();
     let mut users = collected.tracks;
-    users.sort_by_key(|user| user.person.parse::<u32>().ok());
+    users.sort_by_key(|user| user.pedestrian.parse::<u32>().ok());
     let start_s = users.iter().map(Track::start_s).fold(f64::INFINITY, f64::min);
     users.iter_mut().flat_map(|user| &mut user.points).for_each(|point| point.time_s -= start_s);
     ensure!(!users.is_empty(), "it holds no positions of users: expected a recording of a room with users");
@@ -152,7 +152,7 @@ impl Positions {
     }
 
     fn row(&self, time_s: f64, user: u32, [x, y, _]: [f32; 3], heading_rad: Option<f64>) -> Row {
-        Row { line: self.messages, time_s, person: user.to_string(), at_m: [x, y].map(f64::from), heading_rad }
+        Row { line: self.messages, time_s, pedestrian: user.to_string(), at_m: [x, y].map(f64::from), heading_rad }
     }
 
     /// Whether there are true positions, and these or the reported ones.

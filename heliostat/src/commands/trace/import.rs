@@ -114,7 +114,7 @@ enum FormatName {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum PresenceName {
-    /// People who were present at the same time, over the longest such time
+    /// Pedestrians who were present at the same time, over the longest such time
     Together,
     /// The longest tracks; each begins at 0 s, whenever it was recorded
     Longest,

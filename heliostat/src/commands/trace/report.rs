@@ -57,7 +57,7 @@ fn print_read(file: &str, collected: &Collected) -> Result<()> {
     if counts.refused > REFUSALS_SHOWN as u64 {
         outln!("  refused     and {} more; --json lists them", counts.refused - REFUSALS_SHOWN as u64)?;
     }
-    outln!("  people      {} in {}", collected.people, counted(tracks.len(), "track"))?;
+    outln!("  pedestrians      {} in {}", collected.pedestrians, counted(tracks.len(), "track"))?;
     let rate = rate_hz(tracks).map_or(String::new(), |rate| format!(", {rate:.2} positions a second"));
     outln!("  duration    {:.2} s{rate}", duration_s(tracks))?;
     if let Some(area) = bounds(tracks) {
@@ -77,7 +77,7 @@ fn print_selected(report: &ImportReport) -> Result<()> {
             outln!("  users       {}, each from a time of its own, so they did not meet", users.len())?
         }
     }
-    outln!("  people      {}", people(report).join(", ").escape_debug())?;
+    outln!("  pedestrians      {}", pedestrians(report).join(", ").escape_debug())?;
     let samples: usize = users.iter().map(|user| user.points.len()).sum();
     let headings = if has_headings(users) { "recorded headings" } else { "headings from movement" };
     outln!("  duration    {duration_s:.2} s, {}, {headings}", counted(samples, "position"))?;
@@ -95,8 +95,8 @@ fn has_headings(users: &[Track]) -> bool {
     users.iter().flat_map(|user| &user.points).all(|point| point.heading_rad.is_some())
 }
 
-fn people(report: &ImportReport) -> Vec<&str> {
-    report.selected.users.iter().map(|user| user.person.as_str()).collect()
+fn pedestrians(report: &ImportReport) -> Vec<&str> {
+    report.selected.users.iter().map(|user| user.pedestrian.as_str()).collect()
 }
 
 fn speed_text(figures: Option<SpeedFigures>) -> String {
@@ -113,7 +113,7 @@ fn usage(report: &ImportReport) -> String {
 }
 
 fn json_of(report: &ImportReport) -> Value {
-    let Collected { tracks, counts, first_s, people: people_read, refusals } = &report.collected;
+    let Collected { tracks, counts, first_s, pedestrians: pedestrians_read, refusals } = &report.collected;
     let starts_s: Vec<f64> = report.selected.starts_s.iter().map(|start_s| start_s - first_s).collect();
     let speed = |figures: Option<SpeedFigures>| {
         figures.map(|speeds| json!({ "median_m_s": speeds.median_m_s, "p95_m_s": speeds.p95_m_s }))
@@ -128,7 +128,7 @@ fn json_of(report: &ImportReport) -> Value {
             "cropped": counts.cropped,
             "refused_rows": counts.refused,
             "refused": refused,
-            "people": people_read,
+            "pedestrians": pedestrians_read,
             "tracks": tracks.len(),
             "duration_s": duration_s(tracks),
             "rate_hz": rate_hz(tracks),
@@ -137,7 +137,7 @@ fn json_of(report: &ImportReport) -> Value {
         },
         "selected": {
             "users": report.selected.users.len(),
-            "people": people(report),
+            "pedestrians": pedestrians(report),
             "starts_s": starts_s,
             "duration_s": report.selected.duration_s,
             "has_headings": has_headings(&report.selected.users),

@@ -14,9 +14,9 @@ fn of(format: WalkFormat) -> Source {
     Source { format, frame_rate_hz: None }
 }
 
-/// Time, person and position of each row that can be used.
+/// Time, pedestrian and position of each row that can be used.
 fn positions(rows: &Rows) -> Vec<(f64, &str, [f64; 2])> {
-    rows.iter().flatten().map(|row| (row.time_s, row.person.as_str(), row.at_m)).collect()
+    rows.iter().flatten().map(|row| (row.time_s, row.pedestrian.as_str(), row.at_m)).collect()
 }
 
 fn refusals(rows: &Rows) -> Vec<(u64, &str)> {
@@ -55,7 +55,7 @@ fn atc_positions_are_in_mm_and_the_facing_angle_is_the_heading() {
 }
 
 /// Metadata, column names, two frames: helmet 1 has a centroid, helmet 2 has markers only, the robot
-/// is no person.
+/// is no pedestrian.
 const THOR_MAGNI: &str = "FILE_ID,THOR-Magni_120522_SC1B_R1,,,
 N_FRAMES_QTM,3
 BODY_NAMES,DARKO_Robot,Helmet_1,Helmet_2
@@ -66,7 +66,7 @@ Frame,Time,DARKO_Robot - 1 X,DARKO_Robot - 1 Y,Helmet_1 - 1 X,Helmet_1 - 1 Y,Hel
 ";
 
 #[test]
-fn thor_magni_helmets_are_people_with_their_centroid_or_the_mean_of_their_markers() {
+fn thor_magni_helmets_are_pedestrians_with_their_centroid_or_the_mean_of_their_markers() {
     let read = rows(of(WalkFormat::ThorMagni), THOR_MAGNI).expect("readable");
     let expected = [(0.0, "Helmet_1", [1.0005, 2.0]), (0.0, "Helmet_2", [-1.5, 0.6]), (0.01, "Helmet_2", [-1.0, 0.5])];
     assert_eq!(positions(&read), expected);

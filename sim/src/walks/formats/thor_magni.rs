@@ -1,6 +1,6 @@
 //! The columns of THÖR-MAGNI: bodies with a centroid or with markers.
 //!
-//! A body whose name begins with `Helmet_` is a person; robots and carried objects are not read. A
+//! A body whose name begins with `Helmet_` is a pedestrian; robots and carried objects are not read. A
 //! body has the columns `NAME Centroid_X` and `NAME Centroid_Y`, and for each marker `NAME - 1 X` and
 //! so on. An empty cell and `NaN` mean that the body was not tracked in this frame. The rotation
 //! matrices (`R0` to `R8`) are not read: the axes of a helmet are not documented with the columns.
@@ -12,14 +12,14 @@ use crate::walks::rows::{Receive, Row, RowRefusal, number, refusal};
 /// Places of the columns x and y of one centroid or marker.
 type Point = [usize; 2];
 
-/// Where a person's position stands.
+/// Where a pedestrian's position stands.
 struct Body {
     name: String,
     /// The centroid, or all markers.
     points: Vec<Point>,
 }
 
-/// All people of a file.
+/// All pedestrians of a file.
 pub(super) struct Bodies {
     time: usize,
     columns: usize,
@@ -27,7 +27,7 @@ pub(super) struct Bodies {
 }
 
 impl Bodies {
-    /// The people whom the row of column names lists; `None` without any.
+    /// The pedestrians whom the row of column names lists; `None` without any.
     pub(super) fn of(names: &[&str]) -> Option<Self> {
         let places: BTreeMap<&str, usize> = names.iter().enumerate().map(|(index, name)| (*name, index)).collect();
         let time = *places.get("Time")?;
@@ -51,7 +51,7 @@ impl Bodies {
         (!bodies.is_empty()).then_some(Self { time, columns: names.len(), bodies })
     }
 
-    /// Passes on the position of each person in a frame.
+    /// Passes on the position of each pedestrian in a frame.
     pub(super) fn rows(&self, line: u64, cells: &[&str], receive: Receive<'_>) {
         let (found, expected) = (cells.len(), self.columns);
         if found != expected {
@@ -62,7 +62,7 @@ impl Bodies {
             Err(refusal) => return receive(Err(refusal)),
         };
         for body in &self.bodies {
-            let row = |at_m| Row { line, time_s, person: body.name.clone(), at_m, heading_rad: None };
+            let row = |at_m| Row { line, time_s, pedestrian: body.name.clone(), at_m, heading_rad: None };
             if let Some(position) = body.position_m(line, cells).transpose() {
                 receive(position.map(row));
             }

@@ -99,20 +99,24 @@ impl AccessRole {
     /// Keys on which it may publish.
     pub fn publishes(self, room: &Room) -> Vec<String> {
         let reports = || [room.users(), room.channel(), room.obstacles(), room.orientation()];
-        let array = || [room.telemetry(), room.capabilities(), room.safety()];
+        let arrays = || [room.array(0), room.later_arrays()];
+        let reported = || arrays().into_iter().flat_map(|keys| [keys.telemetry(), keys.capabilities(), keys.safety()]);
+        let commands = || arrays().map(|keys| keys.command());
+        let calibrations = || arrays().map(|keys| keys.calibration());
         let mut keys = match self {
             Self::Tracker => reports().to_vec(),
             Self::Controller => {
-                vec![room.command(), room.geometry(NodeKind::Controller), room.belief(), room.controller_memory()]
+                let own = [room.geometry(NodeKind::Controller), room.belief(), room.controller_memory()];
+                commands().into_iter().chain(own).collect()
             }
-            Self::Driver => array().to_vec(),
+            Self::Driver => reported().collect(),
             Self::Simulator => {
                 let own = [room.truth(), room.geometry(NodeKind::SimNode)];
-                reports().into_iter().chain(array()).chain(own).collect()
+                reports().into_iter().chain(reported()).chain(own).collect()
             }
             Self::Operator => vec![room.rearm(), room.simulator_control(), room.controller_control()],
-            Self::Calibrator => vec![room.calibration()],
-            Self::Checker => vec![room.command(), room.calibration(), room.rearm()],
+            Self::Calibrator => calibrations().to_vec(),
+            Self::Checker => commands().into_iter().chain(calibrations()).chain([room.rearm()]).collect(),
             Self::Viewer => Vec::new(),
             Self::Router => return vec![room.everything()],
         };
@@ -138,7 +142,10 @@ impl AccessRole {
     /// Keys whose queries it answers.
     fn answers(self, room: &Room) -> Vec<String> {
         match self {
-            Self::Driver | Self::Simulator => vec![room.capabilities(), room.safety()],
+            Self::Driver | Self::Simulator => {
+                let arrays = [room.array(0), room.later_arrays()];
+                arrays.iter().flat_map(|keys| [keys.capabilities(), keys.safety()]).collect()
+            }
             _ => Vec::new(),
         }
     }
@@ -148,7 +155,10 @@ impl AccessRole {
         if self == Self::Router {
             return vec![rule(format!("{self} forwards"), "ingress", &ALL_MESSAGES, &[room.everything()])];
         }
-        let tokens: Vec<String> = self.nodes().iter().map(|node| room.alive_of(*node)).collect();
+        let mut tokens: Vec<String> = self.nodes().iter().map(|node| room.alive_of(*node)).collect();
+        if self == Self::Driver {
+            tokens.push(room.later_arrays().drivers_alive());
+        }
         let mut rules = vec![
             rule(format!("{self} publishes"), "ingress", &["put"], &self.publishes(room)),
             rule(format!("{self} is alive"), "ingress", &["liveliness_token"], &tokens),

@@ -14,7 +14,7 @@ use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
-const KEYS: [&str; 24] = [
+const KEYS: [&str; 30] = [
     "users",
     "channel",
     "obstacles",
@@ -38,6 +38,12 @@ const KEYS: [&str; 24] = [
     "controller/memory",
     "geometry/sim-node",
     "geometry/driver",
+    "mirrors-1/command",
+    "mirrors-15/telemetry",
+    "mirrors-1/capabilities",
+    "mirrors-1/calibration",
+    "mirrors-1/safety",
+    "mirrors-1/stop",
     "something/else",
 ];
 
@@ -46,17 +52,27 @@ const RIGHTS: [(AccessRole, &str); 8] = [
     (AccessRole::Tracker, "users channel obstacles mirrors/stop status/tracker"),
     (
         AccessRole::Controller,
-        "mirrors/command mirrors/stop status/controller geometry/controller controller/belief controller/memory",
+        "mirrors/command mirrors-1/command mirrors/stop status/controller geometry/controller controller/belief \
+         controller/memory",
     ),
-    (AccessRole::Driver, "mirrors/telemetry mirrors/capabilities mirrors/safety mirrors/stop status/driver"),
+    (
+        AccessRole::Driver,
+        "mirrors/telemetry mirrors/capabilities mirrors/safety mirrors-15/telemetry mirrors-1/capabilities \
+         mirrors-1/safety mirrors/stop status/driver",
+    ),
     (
         AccessRole::Simulator,
-        "users channel obstacles truth mirrors/telemetry mirrors/capabilities mirrors/safety mirrors/stop \
+        "users channel obstacles truth mirrors/telemetry mirrors/capabilities mirrors/safety \
+         mirrors-15/telemetry mirrors-1/capabilities mirrors-1/safety mirrors/stop \
          status/sim-node status/tracker geometry/sim-node",
     ),
     (AccessRole::Operator, "mirrors/stop mirrors/rearm sim/control controller/control status/viewer"),
-    (AccessRole::Calibrator, "mirrors/calibration mirrors/stop status/viewer"),
-    (AccessRole::Checker, "mirrors/command mirrors/calibration mirrors/rearm mirrors/stop status/viewer"),
+    (AccessRole::Calibrator, "mirrors/calibration mirrors-1/calibration mirrors/stop status/viewer"),
+    (
+        AccessRole::Checker,
+        "mirrors/command mirrors/calibration mirrors-1/command mirrors-1/calibration mirrors/rearm \
+         mirrors/stop status/viewer",
+    ),
     (AccessRole::Viewer, "mirrors/stop status/viewer"),
 ];
 
@@ -134,6 +150,7 @@ fn words(text: &str) -> BTreeSet<String> {
 
 #[test]
 fn a_listening_peer_accepts_from_each_role_only_its_own_keys() {
+    let _turn = common::turn();
     let keys = Keys::new();
     let endpoint = common::tls_endpoint();
     let driver = keys.open(AccessRole::Driver, |config| config.listen_at(&endpoint));
@@ -147,6 +164,7 @@ fn a_listening_peer_accepts_from_each_role_only_its_own_keys() {
 
 #[test]
 fn a_connecting_peer_accepts_from_each_role_only_its_own_keys() {
+    let _turn = common::turn();
     let keys = Keys::new();
     for (role, rights) in RIGHTS {
         let endpoint = common::tls_endpoint();
@@ -158,6 +176,7 @@ fn a_connecting_peer_accepts_from_each_role_only_its_own_keys() {
 
 #[test]
 fn a_router_forwards_from_each_role_only_its_own_keys() {
+    let _turn = common::turn();
     let keys = Keys::new();
     let (router, endpoint) = router(keys.folder());
     let viewer = keys.client(AccessRole::Viewer, &endpoint);
@@ -172,6 +191,7 @@ fn a_router_forwards_from_each_role_only_its_own_keys() {
 
 #[test]
 fn every_role_receives_every_key_of_its_room() {
+    let _turn = common::turn();
     let keys = Keys::new();
     let (router, router_endpoint) = router(keys.folder());
     for (role, _) in RIGHTS {
@@ -203,9 +223,11 @@ fn every_role_receives_every_key_of_its_room() {
 fn expect_presence(holder: &Bus, observer: &Bus, role: AccessRole, nodes: &[NodeKind]) {
     let room = holder.room().clone();
     let source = role as u64 + 1;
-    let tokens: Vec<Token> =
-        NodeKind::ALL.iter().map(|node| holder.announce(&room.alive(*node, source)).expect("a valid key")).collect();
-    let expected: BTreeSet<String> = nodes.iter().map(|node| room.alive(*node, source)).collect();
+    let of_array = room.array(2).driver_alive(source);
+    let all = NodeKind::ALL.iter().map(|node| room.alive(*node, source)).chain([of_array.clone()]);
+    let tokens: Vec<Token> = all.map(|key| holder.announce(&key).expect("a valid key")).collect();
+    let mut expected: BTreeSet<String> = nodes.iter().map(|node| room.alive(*node, source)).collect();
+    expected.extend(nodes.contains(&NodeKind::Driver).then_some(of_array));
     let present = || -> BTreeSet<String> {
         observer.alive(&room.all_alive(), Duration::from_secs(1)).expect("a valid pattern").into_iter().collect()
     };
@@ -222,6 +244,7 @@ fn expect_presence(holder: &Bus, observer: &Bus, role: AccessRole, nodes: &[Node
 
 #[test]
 fn each_role_is_present_only_as_its_own_kind_of_process() {
+    let _turn = common::turn();
     let keys = Keys::new();
     let (router, router_endpoint) = router(keys.folder());
     let endpoint = common::tls_endpoint();
@@ -236,6 +259,7 @@ fn each_role_is_present_only_as_its_own_kind_of_process() {
 
 #[test]
 fn only_the_roles_that_drive_mirrors_answer_queries() {
+    let _turn = common::turn();
     let keys = Keys::new();
     let (router, router_endpoint) = router(keys.folder());
     for (role, _) in RIGHTS {
@@ -247,7 +271,7 @@ fn only_the_roles_that_drive_mirrors_answer_queries() {
         let clients = [keys.client(role, &router_endpoint), keys.client(AccessRole::Controller, &router_endpoint)];
         for [answering, asking] in [peers, clients] {
             let room = answering.room();
-            let keys = [room.capabilities(), room.safety(), room.telemetry()];
+            let keys = [room.capabilities(), room.safety(), room.telemetry(), room.array(1).safety()];
             let serve = |key: &String| answering.serve(key, |answer| answer.extend(b"answer")).expect("a valid key");
             let _services = keys.each_ref().map(serve);
             let is_driver = matches!(role, AccessRole::Driver | AccessRole::Simulator);
@@ -255,9 +279,9 @@ fn only_the_roles_that_drive_mirrors_answer_queries() {
             Received::everything(&asking).from(&answering);
             let ask = |key: &String| asking.fetch(key, Duration::from_secs(1)).expect("a valid key").len();
             if is_driver {
-                wait_until("an answer", || ask(&keys[0]) == 1);
+                wait_until("an answer", || ask(&keys[0]) == 1 && ask(&keys[3]) == 1);
             }
-            let expected = if is_driver { [1, 1, 0] } else { [0, 0, 0] };
+            let expected = if is_driver { [1, 1, 0, 1] } else { [0; 4] };
             assert_eq!(keys.each_ref().map(ask), expected, "{role}");
         }
     }
@@ -293,6 +317,7 @@ fn expect_no_right(foreign: &zenoh::Session, receiving: &Bus, member: &Bus, name
 
 #[test]
 fn a_certificate_of_the_authority_with_another_name_gives_no_right() {
+    let _turn = common::turn();
     let keys = Keys::new();
     let (router, router_endpoint) = router(keys.folder());
     let endpoint = common::tls_endpoint();
@@ -312,6 +337,7 @@ fn a_certificate_of_the_authority_with_another_name_gives_no_right() {
 
 #[test]
 fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing() {
+    let _turn = common::turn();
     let (keys, other, expired) = (Keys::new(), Keys::new(), Keys::new());
     expired.adopt(&keys);
     expired.expire();
@@ -346,6 +372,7 @@ fn without_a_valid_certificate_of_the_room_a_process_sends_and_receives_nothing(
 
 #[test]
 fn a_process_does_not_connect_to_a_listener_with_an_expired_or_foreign_certificate() {
+    let _turn = common::turn();
     let (keys, other, expired) = (Keys::new(), Keys::new(), Keys::new());
     expired.adopt(&keys);
     expired.expire();
@@ -361,6 +388,7 @@ fn a_process_does_not_connect_to_a_listener_with_an_expired_or_foreign_certifica
 
 #[test]
 fn a_connection_ends_when_its_certificate_expires() {
+    let _turn = common::turn();
     let keys = Keys::new();
     let brief = Keys::new();
     brief.adopt(&keys);

@@ -207,7 +207,13 @@ impl Scene {
     ///
     /// An index beyond the last mirror has no effect.
     pub fn exclude_mirrors(&mut self, mirrors: &[u32]) {
-        for mirror in mirrors.iter().map(|mirror| *mirror as usize).filter(|mirror| *mirror < self.mirrors) {
+        self.exclude(mirrors.iter().map(|mirror| *mirror as usize));
+    }
+
+    /// The same for any list of indices, for example those of an array.
+    pub fn exclude(&mut self, mirrors: impl Iterator<Item = usize>) {
+        let count = self.mirrors;
+        for mirror in mirrors.filter(|mirror| *mirror < count) {
             for user in 0..self.users {
                 let pair = user * self.mirrors + mirror;
                 self.irs_path_clear[pair] = false;

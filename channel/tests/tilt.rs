@@ -272,3 +272,25 @@ fn the_solvers_objective_for_tilted_receivers_is_that_of_its_angles() {
         }
     }
 }
+
+#[test]
+fn a_user_served_by_a_given_led_has_the_gains_of_a_room_with_that_led_alone() {
+    let mut random = Random::new(11);
+    let mut room = Room::paper().with_panel();
+    room.leds = vec![led(-1.2, 0.3, 0.1), led(1.1, -0.4, 0.1)];
+    let both = room.model();
+    let (users, blockers) = (random.positions(6), random.blockers(&[]));
+    let held: Vec<_> = (0..6).map(|_| random.orientation()).collect();
+    let mut scene = Scene::new(&both, 6);
+    scene.update_turned(&both, &users, &held, &blockers, &[false; 6]);
+    for index in 0..2 {
+        let alone = Room { leds: vec![room.leds[index].clone()], ..room.clone() }.model();
+        let mut expected = Scene::new(&alone, 6);
+        expected.update_turned(&alone, &users, &held, &blockers, &[false; 6]);
+        (0..6).for_each(|user| scene.serve_by(&both, &blockers, user, index));
+        assert_eq!(scene.los_gain(), expected.los_gain(), "LED {index}");
+        assert_eq!(scene.steering_gain(), expected.steering_gain(), "LED {index}");
+        assert_eq!(scene.irs_path_clear(), expected.irs_path_clear(), "LED {index}");
+        assert_eq!(scene.serving(), [index; 6]);
+    }
+}

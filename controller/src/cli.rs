@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 use heliostat_bus::{AccessRole, BusArgs};
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
-use heliostat_engine::ActorSource;
+use heliostat_engine::{ActorSource, EngineChoice};
 use heliostat_proto::Room;
 use heliostat_scenario::ScenarioArgs;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
@@ -37,6 +37,10 @@ pub struct Args {
     /// ONNX file of a learned policy, in place of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
+    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
+    #[arg(long, default_value_t = EngineChoice::Auto)]
+    engine: EngineChoice,
     /// Serve these rooms too (comma-separated), with the same scenario and over the same session
     #[arg(long, value_name = "ROOM", value_delimiter = ',')]
     also_room: Vec<String>,
@@ -90,12 +94,13 @@ impl Args {
             bail!("--also-room {}: this room is already named; name each room once", twice.1);
         }
         Ok(NodeConfig {
-            scenario: self.scenario.load()?,
+            scenario: self.scenario.load_arrays()?,
             bus,
             also_rooms: self.also_room.iter().map(|name| Room::new(name)).collect::<Result<_, _>>()?,
             decisions: DecisionSettings { decide_in: self.decide_in, keep_warm: self.keep_warm },
             policy: self.policy,
             model: self.model.clone(),
+            engine: self.engine,
             force: Force { small_range: self.accept_small_range, paper_angles: self.force_paper_angles },
             pace: if self.lockstep { Pace::Lockstep } else { Pace::Live },
             run_for: self.end.seconds,

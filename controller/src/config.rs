@@ -4,6 +4,7 @@ use std::{path::PathBuf, time::Duration};
 
 use heliostat_bus::BusConfig;
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
+use heliostat_engine::EngineChoice;
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_service::MetricsArgs;
@@ -36,6 +37,8 @@ pub struct NodeConfig {
     pub policy: PolicyKind,
     /// The actor's file in place of the built-in one.
     pub model: Option<PathBuf>,
+    /// The engine of learned policies.
+    pub engine: EngineChoice,
     /// Live or lockstep.
     pub pace: Pace,
     /// Mismatches between array and scenario that the operator accepts.

@@ -19,6 +19,7 @@ pub mod command_sender;
 pub mod decision_loop;
 mod driver_presence;
 mod geometry;
+pub mod inlet;
 mod locks;
 mod policy_swap;
 pub mod receive_queue;
@@ -35,7 +36,7 @@ use std::{
 };
 
 use anyhow::Context;
-use heliostat_bus::{Bus, Class, Publisher, Subscription, Token};
+use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription, Token};
 use heliostat_decide::{capabilities::Examiner, core::Controller, tenure::Tenure};
 use heliostat_engine::ActorSource;
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Room, encode};
@@ -101,17 +102,23 @@ impl RoomRuntime {
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
         let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let (policy, findings) = heliostat_engine::build_tried(config.policy, scenario, &actor)?;
+        let (policy, findings) = config.engine.build_tried(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
         let mut controller = Controller::new(scenario, model.clone(), policy, 0).with_tenure(tenure).with_journal();
         controller.warm_up(warm_up_runs());
         let room = bus.room().clone();
-        tracing::info!(policy = controller.policy_name(), scenario = scenario.name, %room, "ready");
+        let engine = controller.engine_name();
+        tracing::info!(policy = controller.policy_name(), engine, scenario = scenario.name, %room, "ready");
 
         let settings = config.decisions.among(1 + config.also_rooms.len());
-        let sender = CommandSender::new(bus.publisher(&room.command(), class)?, scenario.mirror_count());
-        let (sender, watchdog) = (Arc::new(sender), Arc::new(Watchdog::new(scenario.control.when_unanswered)));
+        let arrays = scenario.mirrors.arrays().iter().enumerate();
+        let outlets = arrays.map(|(index, array)| {
+            Ok((bus.publisher(&room.array(index).command(), class)?, array.rows * array.columns))
+        });
+        let sender = CommandSender::new(outlets.collect::<Result<Vec<_>, BusError>>()?);
+        let watchdog = Watchdog::new(scenario.control.when_unanswered, sender.arrays());
+        let (sender, watchdog) = (Arc::new(sender), Arc::new(watchdog));
         let shared = (Arc::clone(&sender), Arc::clone(&watchdog));
         let states = StatePublisher::open(bus, source)?;
         let decision_loop = DecisionLoop::new(controller, clock, deadline(config), shared, states);
@@ -124,10 +131,15 @@ impl RoomRuntime {
             queue: Arc::clone(&queue),
             decide_in: settings.decide_in,
         };
-        // The array first: its announcements precede the first command.
-        let mut subscriptions = subscriptions::subscribe_to_array(bus, &decision_loop, &watchdog, examiner)?;
+        // The arrays first: their announcements precede the first command.
+        let mut subscriptions = subscriptions::subscribe_to_arrays(bus, &decision_loop, &watchdog, examiner)?;
         subscriptions.extend(subscriptions::subscribe_to_reports(bus, &handler)?);
-        let builder = PolicyBuilder { scenario: scenario.clone(), model, configured: (config.policy, actor) };
+        let builder = PolicyBuilder {
+            scenario: scenario.clone(),
+            model,
+            configured: (config.policy, actor),
+            engine: config.engine,
+        };
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
         policy_swap.report(findings);
@@ -180,7 +192,9 @@ impl RoomRuntime {
             return;
         }
         let Some(action) = self.watchdog.on_busy(Instant::now()) else { return };
-        if !self.sender.send_on_behalf(action, utc_ns()) {
+        let now = utc_ns();
+        let mut arrays = (0..self.sender.arrays()).filter(|array| !self.watchdog.is_stopped(*array));
+        if !arrays.all(|array| self.sender.send_on_behalf(array, action, now)) {
             tracing::warn!(room = %self.room, "the command on behalf of the policy could not be sent");
         }
     }

@@ -13,7 +13,10 @@
 //! - [`noise`]: the noise of the reports, which starts from the scenario's values.
 //! - [`heading`]: the direction in which the user faces, by the velocity and by measured gains.
 //! - [`covered`]: whether the direct path is off for another reason than bodies and obstacles.
-//! - `posture`: how users hold their receivers.
+//! - `posture`: how users hold their receivers, as stated or by measured gains.
+//! - `expected`, `tilt`: the gains that the model expects, also of tilted receivers.
+//! - `independence`: how much a measurement of a user who stays at a place counts.
+//! - [`residual`]: measured gains beside the expected ones, where a policy reads them.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
 //! - [`angle_history`]: the angles of the mirrors at the time of a measurement.
 
@@ -21,15 +24,19 @@ pub mod angle_history;
 pub(crate) mod body;
 mod channel_evidence;
 pub mod covered;
+mod expected;
 pub mod heading;
 pub mod height;
 mod hypothesis;
+mod independence;
 pub mod innovations;
 pub mod memory;
 pub mod motion;
 pub mod noise;
 pub mod occupancy;
 pub(crate) mod posture;
+pub mod residual;
+mod tilt;
 mod track;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
@@ -39,12 +46,14 @@ use heliostat_scenario::{Scenario, Walk};
 use angle_history::AngleHistory;
 use body::Body;
 use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains, Readings};
-use heading::{HEADING_KNOWN, HEADINGS};
+use heading::{HEADING_KNOWN, HEADINGS, Heading};
+use independence::independent_share;
 use innovations::Innovations;
 use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
+use residual::Residual;
 use track::{Track, reported_velocity};
 
 /// Bounds of the estimated noise of a coordinate in m. The lower one keeps exact reports regular.
@@ -52,6 +61,9 @@ const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
 
 /// Bounds of the estimated noise of a velocity component in m/s.
 const VELOCITY_NOISE_M_S: [f64; 2] = [1e-3, 2.0];
+
+/// Up to this speed in m/s the velocity shows little of the heading.
+const SLOW_M_S: f64 = 0.25;
 
 /// Two intervals between reports count as equal if they differ by less than this share.
 const EQUAL_INTERVALS: f64 = 0.02;
@@ -67,8 +79,8 @@ pub struct Estimate {
     pub position_cov_m2: [f64; 3],
     /// Variance of a velocity component in m2/s2.
     pub velocity_var_m2_s2: f64,
-    /// Mean of the unit vector in which the user faces: its length is 1 for a certain heading and 0
-    /// for an unknown one.
+    /// The direction in which the user faces: its length is that of the mean unit vector, 1 for a
+    /// certain heading and 0 for an unknown one.
     pub heading: Vec3,
     /// Probability that neither an unreported obstacle nor a covered detector blocks the direct
     /// path; bodies are not included.
@@ -91,6 +103,8 @@ pub struct Belief {
     last_ns: Nanos,
     body: Option<Body>,
     posture: Posture,
+    /// The polar angle in rad of each receiver of which measurements show whether it is tilted.
+    undecided: Vec<Option<f64>>,
     directions: [Vec3; HEADINGS],
     history: AngleHistory,
     /// The angles at the time of a measurement.
@@ -104,6 +118,9 @@ pub struct Belief {
     /// The place of the LED, in a room with one.
     led: Option<Vec3>,
     innovations: Innovations,
+    /// Those of the last channel report, where they are kept.
+    residuals: Vec<Residual>,
+    keeps_residuals: bool,
 }
 
 impl Belief {
@@ -123,6 +140,7 @@ impl Belief {
             last_ns: 0,
             body: Body::new(&scenario.blockage),
             posture: Posture::new(scenario.control.tilt),
+            undecided: Vec::with_capacity(capacity),
             directions: heading::directions(),
             history: AngleHistory::new(model.mirrors.len()),
             angles: MirrorAngles::flat(model.mirrors.len()),
@@ -132,6 +150,8 @@ impl Belief {
             led: channel_evidence::single_led(model),
             map: Occupancy::new(scenario),
             innovations: Innovations::default(),
+            residuals: Vec::with_capacity(capacity),
+            keeps_residuals: false,
         }
     }
 
@@ -155,7 +175,9 @@ impl Belief {
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
-        if self.map.is_none() && self.tracks.iter().all(|track| self.is_heading_certain(track)) {
+        self.residuals.clear();
+        let only_direct = self.map.is_none() && self.tracks.iter().all(|track| self.is_heading_certain(track));
+        if only_direct {
             // Only the direct paths can show anything.
             for (user, track) in self.tracks.iter_mut().enumerate() {
                 if let Some(measured) = track.measured(user, report) {
@@ -163,13 +185,31 @@ impl Belief {
                     track.covered.handle_direct(self.readings.shows(f64::from(measured.los_gain)), 1.0);
                 }
             }
-            return;
+            if !self.keeps_residuals {
+                return;
+            }
         }
         let ahead_s = signed_s(report.stamp.time_ns, self.last_ns);
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
-        let Self { tracks, evidence, bodies, directions, map, body, posture, .. } = self;
-        let places = tracks.iter().map(|track| track.held_place(ahead_s, (posture, held), directions));
+        let Self { tracks, evidence, bodies, directions, map, body, posture, undecided, .. } = self;
+        undecided.clear();
+        let places = tracks.iter().map(|track| {
+            let place = track.held_place(ahead_s, (posture, held), directions);
+            undecided.push(posture.undecided(place.held));
+            place
+        });
         evidence.expect(model, places, obstacles, angles, unusable);
+        if self.keeps_residuals {
+            let measured = |(user, track): (usize, &Track)| Some((user, *track.measured(user, report)?));
+            self.residuals.extend(tracks.iter().enumerate().filter_map(measured).map(|(user, measured)| Residual {
+                user: measured.user,
+                los_shown: self.readings.shows(f64::from(measured.los_gain)),
+                ..evidence.residual(user, [measured.los_gain, measured.irs_gain].map(f64::from))
+            }));
+        }
+        if only_direct {
+            return;
+        }
         bodies.clear();
         bodies.extend(tracks.iter().zip(evidence.positions()).map(|(track, position)| {
             let heading = track.heading.mean(directions);
@@ -181,10 +221,27 @@ impl Belief {
         for (user, track) in tracks.iter_mut().enumerate() {
             let Some(measured) = track.measured(user, report) else { continue };
             let measured = MeasuredGains { los: f64::from(measured.los_gain), irs: f64::from(measured.irs_gain) };
-            let beliefs = Beliefs { heading: &mut track.heading, covered: &mut track.covered };
+            if let (Some(bodies), Some(polar_rad)) = (&bodies, undecided[user]) {
+                let of_user = evidence.tilt_log_ratio(model, (user, polar_rad), measured, bodies, &track.heading);
+                track.tilt.handle_log_ratio(of_user);
+            }
+            let [u, v] = track.motion.estimate(0.0).velocity_m_s;
+            let independent = independent_share(u.hypot(v), self.readings.interval_s);
+            let beliefs = Beliefs { heading: &mut track.heading, covered: &mut track.covered, independent };
             evidence.examine(model, user, measured, bodies.as_ref(), beliefs, map.as_mut());
         }
         map.iter_mut().for_each(Occupancy::finish_report);
+        self.decide_posture();
+    }
+
+    /// Decides how users hold their receivers, by the evidence of those present.
+    fn decide_posture(&mut self) {
+        let was_upright = self.posture.is_upright();
+        self.posture.decide(self.tracks.iter().map(|track| track.tilt));
+        if self.posture.is_upright() != was_upright {
+            // The headings so far are those by gains of other receivers.
+            self.tracks.iter_mut().for_each(|track| track.heading = Heading::default());
+        }
     }
 
     fn is_heading_certain(&self, track: &Track) -> bool {
@@ -200,9 +257,25 @@ impl Belief {
         true
     }
 
+    /// Keeps the residuals of each channel report from now on, or does not.
+    pub fn keep_residuals(&mut self, keeps: bool) {
+        self.keeps_residuals = keeps;
+        self.residuals.clear();
+    }
+
+    /// The residuals of the last channel report, where they are kept.
+    pub fn residuals(&self) -> &[Residual] {
+        &self.residuals
+    }
+
     /// Whether all obstacles are reported, so that no map of others is kept.
     pub fn knows_obstacles(&self) -> bool {
         self.map.is_none()
+    }
+
+    /// How receivers without a report are held.
+    pub(crate) fn posture(&self) -> &Posture {
+        &self.posture
     }
 
     /// How well the predictions agreed with the reports.
@@ -214,6 +287,7 @@ impl Belief {
     pub fn forget(&mut self) {
         self.tracks.clear();
         self.history.clear();
+        self.posture.decide(std::iter::empty());
         self.map.iter_mut().for_each(Occupancy::clear);
         [self.position_noise, self.velocity_noise] = self.first_noise;
     }
@@ -239,6 +313,7 @@ impl Belief {
             self.tracks.push(track);
         }
         self.last_ns = time_ns;
+        self.decide_posture();
     }
 
     /// The estimate for a user of the last report, at a time in s after that report.
@@ -247,7 +322,7 @@ impl Belief {
         let MotionEstimate { position_m: [x, y], velocity_m_s: [u, v], position_cov_m2, velocity_var_m2_s2 } =
             track.motion.estimate(ahead_s);
         let position = Vec3::new(x, y, track.height.mean_m());
-        let heading = track.heading.mean(&self.directions);
+        let heading = self.heading(track, u.hypot(v));
         let mut direct_clear = [1.0 - track.covered.probability()];
         if let (Some(map), Some(led)) = (&self.map, &self.led) {
             map.weigh(&position, std::slice::from_ref(led), &mut direct_clear);
@@ -255,6 +330,17 @@ impl Belief {
         let [direct_clear] = direct_clear;
         let velocity = Vec3::new(u, v, 0.0);
         Some(Estimate { position, velocity, position_cov_m2, velocity_var_m2_s2, heading, direct_clear })
+    }
+
+    /// The heading of a user with this speed. That of a slow user who tilts the receiver is the most
+    /// probable one: measured gains are often as probable at a second heading, and between the two
+    /// the receiver would face elsewhere.
+    fn heading(&self, track: &Track, speed: f64) -> Vec3 {
+        let mean = track.heading.mean(&self.directions);
+        if self.posture.is_upright() || speed > SLOW_M_S {
+            return mean;
+        }
+        mean.norm() * track.heading.mode(&self.directions)
     }
 
     /// Estimated standard deviations of a reported coordinate in m and of a reported velocity
@@ -310,103 +396,4 @@ fn priors(settings: &Walk) -> WalkPriors {
 /// The time in s from `from_ns` to `to_ns`, negative where it is earlier.
 fn signed_s(to_ns: Nanos, from_ns: Nanos) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-9 - from_ns.saturating_sub(to_ns) as f64 * 1e-9
-}
-
-#[cfg(test)]
-mod tests {
-    use heliostat_proto::Stamp;
-    use rand_chacha::rand_core::{Rng, SeedableRng};
-
-    use super::*;
-
-    fn report(tick: u64, users: &[(u32, [f32; 3], [f32; 2])]) -> UserReport {
-        let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100_000_000 };
-        let state = |&(user, position_m, velocity_m_s): &(u32, [f32; 3], [f32; 2])| UserState {
-            user,
-            position_m,
-            velocity_m_s,
-            min_rate_bps: 1e6,
-        };
-        UserReport { stamp, tick, users: users.iter().map(state).collect() }
-    }
-
-    fn belief() -> Belief {
-        let scenario = Scenario::builtin("hall").expect("a built-in scenario");
-        let model = scenario.channel_model().expect("a valid channel");
-        Belief::new(&scenario, &model, 64)
-    }
-
-    /// The position after user 7 walked along x at 1 m/s for ten reports, beside these others.
-    fn after_walk(others: impl Fn(u64) -> Vec<(u32, [f32; 3], [f32; 2])>, first: bool) -> Vec3 {
-        let mut belief = belief();
-        for tick in 1..=10 {
-            let mut users = others(tick);
-            let slot = if first { 0 } else { users.len() };
-            users.insert(slot, (7, [0.1 * tick as f32, 0.5, 0.9], [1.0, 0.0]));
-            belief.handle_users(&report(tick, &users));
-        }
-        belief.estimate(7, 0.5).expect("a user").position
-    }
-
-    #[test]
-    fn a_user_is_found_by_number_whatever_the_order_of_the_report() {
-        let alone = after_walk(|_| Vec::new(), true);
-        assert!((alone - Vec3::new(1.5, 0.5, 0.9)).norm() < 0.05, "{alone:?}");
-        let other = |user| (user, [-2.0, 1.0, 1.2], [0.0, 0.4]);
-        let come_and_go = |tick| if tick % 3 == 0 { vec![other(3)] } else { vec![other(9), other(3)] };
-        // The noise of the reports is learned from all users, so the weights differ a little.
-        for first in [true, false] {
-            assert!((after_walk(come_and_go, first) - alone).norm() < 1e-3);
-        }
-    }
-
-    #[test]
-    fn a_user_who_returns_starts_again() {
-        let mut belief = belief();
-        for tick in 1..=10 {
-            belief.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
-        }
-        belief.handle_users(&report(11, &[]));
-        assert_eq!(belief.estimate(7, 0.0), None);
-        belief.handle_users(&report(12, &[(7, [-3.0, 2.0, 0.9], [0.0, 0.5])]));
-        let back = belief.estimate(7, 0.0).expect("a user").position;
-        assert!((back - Vec3::new(-3.0, 2.0, 0.9)).norm() < 0.01, "{back:?}");
-    }
-
-    #[test]
-    fn a_tracker_without_velocities_still_shows_the_direction() {
-        let mut belief = belief();
-        for tick in 1..=20 {
-            belief.handle_users(&report(tick, &[(7, [0.08 * tick as f32, 0.0, 0.9], [0.0, 0.0])]));
-        }
-        let estimate = belief.estimate(7, 0.0).expect("a user");
-        assert!((estimate.velocity.x - 0.8).abs() < 0.1, "{estimate:?}");
-    }
-
-    #[test]
-    fn the_innovations_of_a_straight_walk_have_the_mean_of_two_degrees_of_freedom() {
-        let (mut belief, mut rng) = (belief(), rand_chacha::ChaCha8Rng::seed_from_u64(1));
-        for tick in 1..=2000_u64 {
-            // A circular normal error of 0.05 m.
-            let [quantile, turn] = [0; 2].map(|_| (rng.next_u64() >> 40) as f32 / (1_u64 << 24) as f32);
-            let (radius, angle) = (0.05 * (-2.0 * (1.0 - quantile).ln()).sqrt(), turn * std::f32::consts::TAU);
-            let position = [0.5 + radius * angle.cos(), radius * angle.sin(), 0.9];
-            belief.handle_users(&report(tick, &[(7, position, [0.0, 0.0])]));
-        }
-        let Innovations { count, sum } = belief.innovations();
-        assert_eq!(count, 1999, "the first report of a user has no prediction");
-        assert!((sum / count as f64 - 2.0).abs() < 0.4, "{}", sum / count as f64);
-    }
-
-    #[test]
-    fn the_noise_of_the_reports_is_learned() {
-        let mut belief = belief();
-        for tick in 1..=400_u64 {
-            let angle = tick as f32 * 2.399_963;
-            let (dx, dy) = (0.2 * angle.cos(), 0.2 * angle.sin());
-            belief.handle_users(&report(tick, &[(7, [dx, dy, 0.9], [dy, dx])]));
-        }
-        let [position_m, _] = belief.noise();
-        assert!(position_m > 0.1, "{position_m}");
-    }
 }

@@ -18,7 +18,9 @@
 //! 3. the `poll_*` method that `handle_message` names by [`Due`]:
 //!    [`poll_command`](Controller::poll_command) or
 //!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled
-//!    before one poll; the poll then decides for the newest tick.
+//!    before one poll; the poll then decides for the newest tick. A learner that proposes angles
+//!    itself polls [`poll_observation`](Controller::poll_observation), then
+//!    [`poll_proposed`](Controller::poll_proposed).
 //!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
 //! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
 //!    shorter than the validity of a command, so that the controller also acts when reports are
@@ -48,6 +50,13 @@
 //! the last angles, or has flat mirrors where there was no command. Counters have the users without
 //! an entry, and those without a slot.
 //!
+//! # Several arrays
+//!
+//! One decision gives the angles of all mirrors, and one command for each array. Each array has an
+//! epoch, a stop and limits of its own. The mirrors of an array that gets no command are left out
+//! like mirrors that do not follow, and the others are commanded. Both withheld modes are counted
+//! once for each array.
+//!
 //! # Degraded modes
 //!
 //! Each degraded condition has one action and one counter. Where the table names a key, that key
@@ -63,8 +72,8 @@
 //! | The policy does not return within 0.1 s: policy timeout. | `when_unanswered` | no command | `unanswered` |
 //! | The policy fails, or an angle is not finite. | `fallback` | the fixed point decides | `policy-failed` |
 //! | The fallback fails or is `hold`, or there is no last command. | | no command | `held` |
-//! | The array is stopped, or does not fit the scenario. | | no command | `withheld` |
-//! | The array follows another controller: [`tenure`](crate::tenure). | | no command | `standby` |
+//! | An array is stopped, or does not fit the scenario; or one of several has left. | | no command to it | `withheld` |
+//! | An array follows another controller: [`tenure`](crate::tenure). | | no command to it | `standby` |
 //!
 //! The caller predicts the latency: the waiting time plus the mean duration of earlier decisions.
 //! A `deadline_ms` of 0 means the report interval.
@@ -83,6 +92,8 @@
 //! - *Cache warm-up*: a repetition of the last decision between two reports.
 
 mod array;
+mod array_output;
+mod decision;
 mod degraded_actions;
 mod figures;
 mod journal;
@@ -92,19 +103,22 @@ use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_proto::{InputKind, MAX_USERS, MirrorCommand, Nanos, NodeKind};
 use heliostat_scenario::{DegradedAction, Scenario};
 
-pub use crate::output::outcome::{Counters, Decision, DegradedMode, Due, Stage, Timing};
+pub use decision::Observed;
+
+pub use crate::output::outcome::{ArrayCommand, Counters, Decision, DegradedMode, Due, Stage, Timing};
 use crate::{
     input::{
-        inbox::{Inbox, Message},
+        inbox::{Inbox, Message, publishes},
         refusal::{Refusal, Stream},
     },
     observe::{
         observation::Observation,
         observer::{LosSource, Observer},
     },
-    output::{guard::Guard, safety::Limits, tenure::Tenure},
+    output::{safety::Clipped, tenure::Tenure},
     policy::{self, Policy, ProposedBy, WithFallback},
 };
+use array_output::{ArrayOutput, copy_narrowed, copy_widened};
 use degraded_actions::{DegradedActions, LastReport};
 use journal::Journal;
 
@@ -121,17 +135,20 @@ pub struct Controller {
     observation: Observation,
     policy: WithFallback,
     actions: DegradedActions,
-    limits: Limits,
-    guard: Guard,
+    arrays: Vec<ArrayOutput>,
+    /// In a replay, the arrays without a command in the next decision, by bits.
+    repeated: Option<u64>,
     /// The last accepted position report; absent before the first.
     last_report: Option<LastReport>,
     /// Nominal time between position reports in s.
     interval_s: f64,
     proposed: MirrorAngles,
-    /// The last command; its sequence number is the sender's.
+    /// Whether `proposed` holds angles of the caller for the command that is due.
+    is_proposed: bool,
+    /// The angles of the last command to all mirrors; its sequence number is the sender's.
     command: MirrorCommand,
-    /// Whether `command` was given.
-    has_command: bool,
+    /// The same for each of several arrays; empty in a room with one.
+    parts: Vec<ArrayCommand>,
     journal: Journal,
     counters: Counters,
 }
@@ -143,15 +160,19 @@ impl Controller {
         let observation = Observation::with_capacity(&model, scenario.users.count, MAX_USERS);
         let mirrors = model.mirrors.len();
         let validity_ms = scenario.control.validity_ms.round() as u32;
+        let mut observer = Observer::new(scenario, &model);
+        observer.keep_evidence(policy.reads_evidence());
         Self {
             inbox: Inbox::new(scenario),
-            observer: Observer::new(scenario, &model),
+            observer,
             proposed: observation.angles.clone(),
+            is_proposed: false,
             observation,
             policy: WithFallback::new(policy, policy::build_fallback(scenario.control.fallback, scenario)),
             actions: DegradedActions::new(scenario),
-            limits: Limits::new(&scenario.control),
-            guard: Guard::new(Tenure::fixed(epoch), validity_ms),
+            parts: ArrayCommand::parts(&model.mirrors),
+            arrays: ArrayOutput::of(scenario, epoch),
+            repeated: None,
             last_report: None,
             interval_s: 1.0 / scenario.streams.positions.rate_hz,
             command: MirrorCommand {
@@ -163,7 +184,6 @@ impl Controller {
                 roll: vec![0.0; mirrors],
                 yaw: vec![0.0; mirrors],
             },
-            has_command: false,
             journal: Journal::disabled(),
             counters: Counters::default(),
             model,
@@ -172,20 +192,20 @@ impl Controller {
 
     /// Chooses epochs by this tenure, as in a room with other controllers.
     pub fn with_tenure(mut self, tenure: Tenure) -> Self {
-        self.guard.tenure = tenure;
+        self.arrays.iter_mut().for_each(|array| array.guard.tenure = tenure.clone());
         self
     }
 
     /// Handles a message that arrived at `now`; the result names the `poll_*` method to call.
     pub fn handle_message(&mut self, now: Nanos, message: Message<'_>) -> Due {
-        let (stream, stamp) = (message.stream(), *message.stamp());
+        let (stream, array, stamp) = (message.stream(), message.array(), *message.stamp());
         let sources = self.inbox.sources();
         let accepted = self.inbox.accept(now, message);
         if self.inbox.sources() != sources {
             self.observer.forget();
         }
         if accepted.is_ok() {
-            self.journal.record_message(stream, &stamp, now);
+            self.journal.record_message((stream, array), &stamp, now);
         }
         match accepted {
             Ok(()) if stream == Stream::Users => {
@@ -201,8 +221,8 @@ impl Controller {
                 Due::Nothing
             }
             Ok(()) if stream == Stream::Telemetry => {
-                if let Some(telemetry) = self.inbox.telemetry() {
-                    self.guard.handle_telemetry(now, telemetry, &mut self.counters);
+                if let Some(telemetry) = self.inbox.telemetry(array) {
+                    self.arrays[array].handle_telemetry(now, telemetry, &mut self.counters);
                 }
                 Due::Nothing
             }
@@ -217,6 +237,11 @@ impl Controller {
 
     /// A source has left: another source may own the room at once.
     pub fn handle_source_lost(&mut self, node: NodeKind, source: u64) {
+        for (index, array) in self.arrays.iter_mut().enumerate() {
+            if publishes(node, Stream::Telemetry) && self.inbox.array_source(index) == Some(source) {
+                array.handle_source_lost();
+            }
+        }
         self.inbox.handle_source_lost(node, source);
     }
 
@@ -243,40 +268,8 @@ impl Controller {
     /// Decides for the tick of the last accepted position report. `mark` is called as each stage
     /// ends.
     pub fn poll_command(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Decision<'_> {
-        self.journal.record_decision(timing.input(), now);
-        // The mode matters only where the action holds; else the policy acts.
-        let (mut action, mut mode) = (DegradedAction::Policy, DegradedMode::Held);
-        if timing == Timing::Late {
-            self.counters.count_degraded(DegradedMode::Late);
-            (action, mode) = (self.actions.late, DegradedMode::Late);
-        }
-        if matches!(action, DegradedAction::Policy | DegradedAction::Fallback) {
-            match self.observer.observe(&self.model, &self.inbox, now, &mut self.observation) {
-                Some(_) if self.observation.users() == 0 => action = self.without_users(),
-                Some(LosSource::Measured { unmeasured }) => self.counters.unmeasured_users += unmeasured as u64,
-                Some(LosSource::Modelled) => {
-                    self.counters.count_degraded(DegradedMode::ChannelMissing);
-                    if action == DegradedAction::Policy {
-                        (action, mode) = (self.actions.channel_missing, DegradedMode::ChannelMissing);
-                    }
-                }
-                None => {
-                    self.counters.count_degraded(DegradedMode::Held);
-                    (action, mode) = (DegradedAction::Hold, DegradedMode::Held);
-                }
-            }
-            if let Some(telemetry) = self.inbox.telemetry() {
-                self.observation.scene.exclude_mirrors(&telemetry.unusable);
-            }
-            if let Some([roll, yaw]) = self.limits.narrow_axes_rad() {
-                self.observation.scene.restrict_to_range(&self.model, &roll, &yaw);
-            }
-            mark(Stage::Observed);
-        }
-        self.counters.decisions += 1;
-        self.policy.tallies.count_decision();
-        let tick = self.inbox.users().map_or(0, |report| report.tick);
-        self.execute((action, mode), tick, now, mark)
+        let action = self.observe(now, timing, mark);
+        self.decide(action, now, mark)
     }
 
     /// Executes the action for a position report that was too old.
@@ -285,6 +278,7 @@ impl Controller {
         self.counters.decisions += 1;
         self.policy.tallies.count_decision();
         self.counters.count_degraded(DegradedMode::StaleReport);
+        self.update_permits(now);
         self.execute((self.actions.stale, DegradedMode::StaleReport), 0, now, &mut |_| {})
     }
 
@@ -305,6 +299,7 @@ impl Controller {
             return None;
         }
         self.journal.record_decision(InputKind::SilenceDecision, now);
+        self.update_permits(now);
         Some(self.execute((self.actions.silent, DegradedMode::Silence), 0, now, &mut |_| {}))
     }
 
@@ -316,7 +311,7 @@ impl Controller {
         if self.command.answers == 0 {
             return;
         }
-        let observed = self.observer.observe(&self.model, &self.inbox, self.command.time_ns, &mut self.observation);
+        let observed = self.fill_observation(self.command.time_ns);
         if observed.is_some() && self.observation.users() > 0 {
             // The next decision overwrites this proposal before it reads it.
             self.policy.warm_cache(&self.model, &self.observation, &mut self.proposed);
@@ -333,7 +328,14 @@ impl Controller {
     /// Replaces the policy, and returns the former one. The new policy should have had its
     /// start-up warm-up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
+        self.observer.keep_evidence(policy.reads_evidence());
         self.policy.replace_policy(policy)
+    }
+
+    /// Fills the observation, with the corrections of the policy.
+    fn fill_observation(&mut self, now: Nanos) -> Option<LosSource> {
+        let Self { model, inbox, observer, observation, policy, .. } = self;
+        observer.observe(model, inbox, (now, &mut |evidence| policy.correct(evidence)), observation)
     }
 
     /// Proposes angles by `action`, limits them and completes the command.
@@ -344,14 +346,11 @@ impl Controller {
         now: Nanos,
         mark: &mut dyn FnMut(Stage),
     ) -> Decision<'_> {
-        match self.guard.permit(now, self.inbox.telemetry(), &mut self.counters) {
-            Ok(epoch) => self.command.epoch = epoch,
-            Err(withheld) => {
-                self.counters.count_degraded(withheld);
-                return Decision::Hold(withheld);
-            }
-        }
-        let elapsed_s = self.settle_angles(now);
+        let Some(epoch) = self.arrays.iter().find_map(|array| array.permit.ok()) else {
+            return Decision::Hold(self.arrays[0].permit.err().unwrap_or(DegradedMode::Withheld));
+        };
+        self.command.epoch = epoch;
+        self.settle_angles(now);
         let mut is_own = false;
         let proposed = match action {
             DegradedAction::Policy => {
@@ -373,47 +372,67 @@ impl Controller {
             return Decision::Hold(DegradedMode::Held);
         }
         mark(Stage::Inferred);
-        let clipped = self.limits.bound(&self.observation.angles, elapsed_s, &mut self.proposed);
-        self.counters.clipped.range += clipped.range;
-        self.counters.clipped.slew += clipped.slew;
+        let mut clipped = Clipped::default();
+        for array in &self.arrays {
+            clipped += array.bound(&self.observation.angles, &mut self.proposed);
+        }
+        self.counters.clipped += clipped;
         self.policy.tallies.count_command(is_own, clipped);
         self.complete_command(tick, now);
         mark(Stage::MadeSafe);
         let sampled_ns = self.inbox.users().map_or(now, |report| report.stamp.time_ns);
-        Decision::Move { command: &mut self.command, age_ns: now.saturating_sub(sampled_ns) }
+        let age_ns = now.saturating_sub(sampled_ns);
+        Decision::Move { command: &mut self.command, parts: &mut self.parts, age_ns }
     }
 
-    /// Sets the observation's angles to those of the mirrors, and returns the time in s since the
-    /// mirrors received them.
-    ///
-    /// The angles are those of the last command while it is valid, and otherwise those of the last
-    /// telemetry. Without telemetry all mirrors are flat.
-    fn settle_angles(&mut self, now: Nanos) -> f64 {
-        let since_command_ns = now.saturating_sub(self.command.time_ns);
-        if self.has_command && since_command_ns <= u64::from(self.command.validity_ms) * 1_000_000 {
-            return since_command_ns as f64 * 1e-9;
-        }
-        let angles = &mut self.observation.angles;
-        match self.inbox.telemetry() {
-            Some(telemetry) => {
-                copy_widened(&telemetry.roll_commanded, &mut angles.roll);
-                copy_widened(&telemetry.yaw_commanded, &mut angles.yaw);
-            }
-            None => {
-                angles.roll.fill(0.0);
-                angles.yaw.fill(0.0);
+    /// Decides which arrays get the command that is due at `now`.
+    fn update_permits(&mut self, now: Nanos) {
+        let repeated = self.repeated.take();
+        for (index, array) in self.arrays.iter_mut().enumerate() {
+            match repeated {
+                Some(withheld) => array.repeat_permit(withheld >> index & 1 == 0),
+                None => array.update_permit(now, self.inbox.telemetry(index), &mut self.counters),
             }
         }
-        self.interval_s
+    }
+
+    /// Leaves out the mirrors that do not follow, those of arrays without a command, and pairs
+    /// beyond the range of an array.
+    fn observe_arrays(&mut self) {
+        self.observation.scene.exclude_mirrors(self.inbox.unusable());
+        let is_one = self.arrays.len() == 1;
+        for array in &self.arrays {
+            if array.permit.is_err() && !is_one {
+                self.observation.scene.exclude(array.mirrors.clone());
+            } else if let Some([roll, yaw]) = array.limits.narrow_axes_rad() {
+                let (mirrors, ranges) = (array.mirrors.clone(), [&roll, &yaw]);
+                self.observation.scene.restrict_array_to_range(&self.model, mirrors, ranges);
+            }
+        }
+    }
+
+    /// Sets the observation's angles to those of the mirrors.
+    fn settle_angles(&mut self, now: Nanos) {
+        for (index, array) in self.arrays.iter_mut().enumerate() {
+            array.settle(now, self.inbox.telemetry(index), self.interval_s, &mut self.observation.angles);
+        }
+    }
+
+    /// Whether a command was given.
+    fn has_command(&self) -> bool {
+        self.arrays.iter().any(|array| array.commanded_ns.is_some())
     }
 
     /// The action for a report without users: no angle is better than the last one.
     fn without_users(&self) -> DegradedAction {
-        if self.has_command { DegradedAction::LastGood } else { DegradedAction::Park }
+        if self.has_command() { DegradedAction::LastGood } else { DegradedAction::Park }
     }
 
-    /// Lets the policy propose, or else the fallback.
+    /// Lets the policy propose, or else the fallback; angles of the caller stay.
     fn propose(&mut self) -> ProposedBy {
+        if self.is_proposed {
+            return ProposedBy::Policy;
+        }
         let by = self.policy.propose(&self.model, &self.observation, &mut self.proposed);
         if by == ProposedBy::Fallback {
             self.counters.count_degraded(DegradedMode::PolicyFailed);
@@ -427,13 +446,13 @@ impl Controller {
     fn repeat(&mut self) -> bool {
         copy_widened(&self.command.roll, &mut self.proposed.roll);
         copy_widened(&self.command.yaw, &mut self.proposed.yaw);
-        self.has_command
+        self.has_command()
     }
 
     fn complete_command(&mut self, tick: u64, now: Nanos) {
-        self.counters.commands += 1;
-        self.journal.record_command();
-        self.has_command = true;
+        let withheld = self.arrays.iter().rev().fold(0, |bits, array| bits << 1 | u64::from(array.permit.is_err()));
+        self.counters.commands += self.arrays.len() as u64 - u64::from(withheld.count_ones());
+        self.journal.record_command(withheld);
         self.command.sequence = 0;
         self.command.answers = tick;
         self.command.time_ns = now;
@@ -441,17 +460,11 @@ impl Controller {
         copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
         self.observation.set_angles(&self.proposed);
         self.observer.handle_command(&self.command);
-    }
-}
-
-fn copy_widened(from: &[f32], to: &mut [f64]) {
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = f64::from(*from);
-    }
-}
-
-fn copy_narrowed(from: &[f64], to: &mut [f32]) {
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = *from as f32;
+        for array in self.arrays.iter_mut().filter(|array| array.permit.is_ok()) {
+            array.commanded_ns = Some(now);
+        }
+        for (part, array) in self.parts.iter_mut().zip(&self.arrays) {
+            part.set(&self.command, array.permit.ok(), array.guard.validity_ms());
+        }
     }
 }

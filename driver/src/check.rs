@@ -31,27 +31,28 @@ use self::test_session::TestSession;
 /// Timeout for the presence of a driver.
 const PRESENCE_LIMIT: Duration = Duration::from_secs(5);
 
-/// Checks the driver of a room.
+/// Checks the driver of the array of a room with this index.
 ///
 /// # Errors
 /// No driver in the room, a controller that would interfere, a transport that fails.
-pub fn run(config: &BusConfig) -> Result<Report> {
+pub fn run(config: &BusConfig, array: usize) -> Result<Report> {
     let bus = Bus::open(config).context("cannot join the room")?;
     let room = bus.room().clone();
     let begun = std::time::Instant::now();
-    let present = |kind: NodeKind| Ok::<_, anyhow::Error>(!bus.alive(&room.alive_of(kind), PRESENCE_LIMIT)?.is_empty());
-    while !present(NodeKind::Driver)? && !present(NodeKind::SimNode)? {
+    let present = |tokens: &str| Ok::<_, anyhow::Error>(!bus.alive(tokens, PRESENCE_LIMIT)?.is_empty());
+    let (drivers, simulators) = (room.array(array).drivers_alive(), room.alive_of(NodeKind::SimNode));
+    while !present(&drivers)? && !present(&simulators)? {
         ensure!(
             begun.elapsed() < PRESENCE_LIMIT,
-            "no driver in room \"{room}\": expected a liveliness token of a driver (alive/driver/*) or a simulator; \
-             start it with the same room and a matching endpoint"
+            "no driver in room \"{room}\": expected a liveliness token of a driver ({drivers}) or a simulator; \
+             start it with the same room, the same --array and a matching endpoint"
         );
         std::thread::sleep(Duration::from_millis(50));
     }
-    if present(NodeKind::Controller)? {
+    if present(&room.alive_of(NodeKind::Controller))? {
         bail!("a controller is in room \"{room}\": stop it first, because it would interfere with the check");
     }
-    let mut session = TestSession::start(bus, config.is_authenticated())?;
+    let mut session = TestSession::start(bus, array, config.is_authenticated())?;
     let findings = rules::judge(&mut session)?;
     let report = Report {
         room: room.to_string(),

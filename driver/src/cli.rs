@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use heliostat_array::Kit;
 use heliostat_bus::{AccessRole, BusArgs};
-use heliostat_proto::{Room, Stamp};
+use heliostat_proto::{MAX_ARRAYS, Room, Stamp};
 use heliostat_service::counted::counted;
 use heliostat_service::{EndArgs, LogArgs, MetricsArgs, output};
 
@@ -35,6 +35,13 @@ enum Command {
     Check(CheckArgs),
 }
 
+#[derive(Clone, Copy, Debug, clap::Args)]
+struct ArrayArgs {
+    /// Index of the array in a room with several ([[mirrors]] in the scenario), from 0
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = index)]
+    array: usize,
+}
+
 #[derive(Clone, Debug, clap::Args)]
 struct RunArgs {
     /// TOML file of the boards and their mirrors
@@ -52,6 +59,8 @@ struct RunArgs {
     #[arg(long)]
     start_armed: bool,
     #[command(flatten)]
+    array: ArrayArgs,
+    #[command(flatten)]
     bus: BusArgs,
     #[command(flatten)]
     metrics: MetricsArgs,
@@ -66,9 +75,11 @@ struct RunArgs {
 
 #[derive(Clone, Debug, clap::Args)]
 struct CheckArgs {
-    /// The driver's command topic, heliostat/v1/ROOM/mirrors/command, in place of --room
+    /// The driver's command topic, heliostat/v1/ROOM/mirrors/command, in place of --room and --array
     #[arg(value_name = "KEY")]
     key: Option<String>,
+    #[command(flatten)]
+    array: ArrayArgs,
     #[command(flatten)]
     bus: BusArgs,
     /// Print the findings as one JSON object
@@ -100,8 +111,13 @@ fn drive(args: &RunArgs) -> Result<()> {
     args.log.start();
     tracing::info!(room = %bus.room, config = %args.config.display(), "driver starts");
     let record = StopRecordSettings::of_driver(args.state.clone(), args.start_armed, |name| std::env::var(name).ok());
-    let settings =
-        run::Settings { run_for: args.end.seconds, metrics: args.metrics, record, ..run::Settings::new(bus) };
+    let settings = run::Settings {
+        run_for: args.end.seconds,
+        metrics: args.metrics,
+        record,
+        array: args.array.array,
+        ..run::Settings::new(bus)
+    };
     let summary = run::run(kit, &settings, &stop)?;
     if args.json {
         output::line(serde_json::to_string(&summary)?)?
@@ -113,10 +129,12 @@ fn drive(args: &RunArgs) -> Result<()> {
 
 fn check_driver(args: &CheckArgs) -> Result<()> {
     let mut flags = args.bus.clone();
+    let mut array = args.array.array;
     if let Some(key) = &args.key {
-        flags.room = Some(room_of(key)?.to_string());
+        let (room, named) = array_of(key)?;
+        (flags.room, array) = (Some(room.to_string()), named);
     }
-    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?)?;
+    let report = check::run(&flags.config_or_connect(&[AccessRole::Checker])?, array)?;
     if args.json {
         output::line(serde_json::to_string_pretty(&report)?)?
     } else {
@@ -127,11 +145,23 @@ fn check_driver(args: &CheckArgs) -> Result<()> {
     Ok(())
 }
 
-/// The room of a command topic.
-fn room_of(key: &str) -> Result<Room> {
-    let name = key.strip_prefix("heliostat/v1/").and_then(|rest| rest.strip_suffix("/mirrors/command"));
-    match name.map(Room::new) {
-        Some(Ok(room)) => Ok(room),
-        _ => bail!("invalid command topic \"{key}\": expected heliostat/v1/ROOM/mirrors/command, or use --room ROOM"),
+/// The room and the array of a command topic.
+fn array_of(key: &str) -> Result<(Room, usize)> {
+    let name = key.strip_prefix("heliostat/v1/").and_then(|rest| rest.split('/').next());
+    if let Some(Ok(room)) = name.map(Room::new)
+        && let (array, first) = room.first_array_key(key)
+        && first == room.command()
+    {
+        return Ok((room, array));
     }
+    bail!(
+        "invalid command topic \"{key}\": expected heliostat/v1/ROOM/mirrors/command, or mirrors-N in place of mirrors \
+         for array N from 1, or use --room ROOM and --array N"
+    )
+}
+
+/// The index of an array.
+fn index(text: &str) -> Result<usize, String> {
+    let index = text.parse().ok().filter(|index| (0..MAX_ARRAYS).contains(index));
+    index.ok_or_else(|| format!("expected an integer from 0 to {}", MAX_ARRAYS - 1))
 }

@@ -8,6 +8,7 @@ use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
+use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{ArrayState, NodeKind, NodeStatus, Stamp};
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
@@ -41,13 +42,16 @@ pub struct Settings {
     pub metrics: MetricsArgs,
     /// Where the emergency stop is kept over a restart.
     pub record: StopRecordSettings,
+    /// Index of the array among those of the room.
+    pub array: usize,
 }
 
 impl Settings {
-    /// A driver that runs until it is stopped, serves no metrics, and starts stopped: it keeps no
-    /// state.
+    /// A driver of the only array that runs until it is stopped, serves no metrics, and starts
+    /// stopped: it keeps no state.
     pub fn new(bus: BusConfig) -> Self {
-        Self { bus, run_for: None, metrics: MetricsArgs::default(), record: StopRecordSettings::default() }
+        let (metrics, record) = (MetricsArgs::default(), StopRecordSettings::default());
+        Self { bus, run_for: None, metrics, record, array: 0 }
     }
 }
 
@@ -79,10 +83,11 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     let end = settings.run_for.map(|duration| Instant::now() + duration);
     let exporter = settings.metrics.open()?;
     let Some(bus) = open(&settings.bus, stop)? else { return Ok(Summary::default()) };
-    check_alone(&bus)?;
+    let array = settings.array;
+    check_alone(&bus, array..array + 1)?;
     let clock = Clock::start_in(Duration::ZERO);
     let source = source_id::random();
-    let (record, stop_at_start) = StopRecord::open(&settings.record, bus.room(), clock.now().room_ns);
+    let (record, stop_at_start) = StopRecord::open_array(&settings.record, (bus.room(), array), clock.now().room_ns);
     // Every role may publish under the key of the stop, only operators under that of the re-arm.
     kit.refuse_unnamed_rearm(settings.bus.is_authenticated());
     if let Some(latched) = stop_at_start {
@@ -92,10 +97,11 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     let mut driver = Driver {
         kit,
         record,
-        session: ArraySession::open(&bus, clock, Class::HighDrop)?,
+        session: ArraySession::open(&bus, array, clock, Class::HighDrop)?,
         status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::LowDrop)?,
         refused: RefusalCounts::default(),
         room: bus.room().to_string(),
+        name: if array == 0 { "array".to_owned() } else { array_name(array) },
         exporter,
         source,
         sequences: [0; 4],
@@ -104,7 +110,7 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
         logged_problem: String::new(),
         started_ns: clock.now().room_ns,
     };
-    let token = bus.announce(&bus.room().alive(NodeKind::Driver, source))?;
+    let token = bus.announce(&bus.room().array(array).driver_alive(source))?;
     let (mut telemetry, mut announcement) = (Instant::now(), Instant::now());
     while !stop.is_requested() && end.is_none_or(|end| Instant::now() < end) {
         let work = driver.kit.next_ns().map_or(telemetry, |next_ns| clock.instant_at(next_ns));
@@ -163,6 +169,8 @@ struct Driver<D> {
     status: MessagePublisher,
     refused: RefusalCounts,
     room: String,
+    /// The array in the status.
+    name: String,
     exporter: Option<Exporter>,
     source: u64,
     /// Sequence numbers of telemetry, capabilities, status and safety reports.
@@ -237,7 +245,7 @@ impl<D: Device> Driver<D> {
             node: NodeKind::Driver,
             name: format!("{:016x}", self.source),
             software: concat!(env!("CARGO_PKG_NAME"), " ", env!("CARGO_PKG_VERSION")).to_owned(),
-            state: format!("array {:?}", self.kit.array().state()).to_lowercase(),
+            state: format!("{} {:?}", self.name, self.kit.array().state()).to_lowercase(),
             started_ns: self.started_ns,
             counters: [("commands", summary.commands), ("connections", summary.connections)]
                 .map(|(name, count)| (name.to_owned(), count))

@@ -1,6 +1,7 @@
 //! The session of an array on the bus, real or simulated: it receives commands, stops, re-arms and
 //! calibrations, and publishes telemetry, capabilities and safety reports.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -24,7 +25,7 @@ pub enum SessionError {
     /// An outgoing message violates the contract.
     #[error("a message cannot be published: {0}")]
     Codec(#[from] CodecError),
-    /// Another process controls the mirrors of this room.
+    /// Another process controls the mirrors of this room, or those of the same array.
     #[error("another {other} is in room \"{room}\" ({token}): stop it, or choose another room with --room")]
     RoomTaken {
         /// Name of the room.
@@ -36,14 +37,16 @@ pub enum SessionError {
     },
 }
 
-/// Refuses a room in which another driver or simulator controls the mirrors.
+/// Refuses a room in which another driver or simulator controls the mirrors of one of these arrays.
 ///
 /// # Errors
 /// [`SessionError::RoomTaken`], or a transport that fails.
-pub fn check_alone(bus: &Bus) -> Result<(), SessionError> {
-    for other in [NodeKind::SimNode, NodeKind::Driver] {
-        if let Some(token) = bus.alive(&bus.room().alive_of(other), ALIVE_LIMIT)?.into_iter().next() {
-            return Err(SessionError::RoomTaken { room: bus.room().to_string(), other, token });
+pub fn check_alone(bus: &Bus, arrays: Range<usize>) -> Result<(), SessionError> {
+    let room = bus.room();
+    let drivers = arrays.map(|array| (NodeKind::Driver, room.array(array).drivers_alive()));
+    for (other, tokens) in std::iter::once((NodeKind::SimNode, room.alive_of(NodeKind::SimNode))).chain(drivers) {
+        if let Some(token) = bus.alive(&tokens, ALIVE_LIMIT)?.into_iter().next() {
+            return Err(SessionError::RoomTaken { room: room.to_string(), other, token });
         }
     }
     Ok(())
@@ -116,13 +119,13 @@ pub struct ArraySession {
 }
 
 impl ArraySession {
-    /// Declares subscriptions and publishers; `class` is that of telemetry, capabilities and safety
-    /// reports.
+    /// Declares subscriptions and publishers of the array with this index; `class` is that of
+    /// telemetry, capabilities and safety reports.
     ///
     /// # Errors
     /// A transport that fails.
-    pub fn open(bus: &Bus, clock: Clock, class: Class) -> Result<Self, SessionError> {
-        let keys = bus.room();
+    pub fn open(bus: &Bus, index: usize, clock: Clock, class: Class) -> Result<Self, SessionError> {
+        let (room, keys) = (bus.room(), bus.room().array(index));
         let received = Arc::new(ReceiveQueue::default());
         let subscribe = |key: String, content: fn(&[u8]) -> Content| {
             let received = Arc::clone(&received);
@@ -133,8 +136,8 @@ impl ArraySession {
         };
         let subscriptions = [
             subscribe(keys.command(), |payload| Content::Command(decode(payload)))?,
-            subscribe(keys.stop(), |payload| Content::Stop(decode(payload)))?,
-            subscribe(keys.rearm(), |payload| Content::Rearm(decode(payload)))?,
+            subscribe(room.stop(), |payload| Content::Stop(decode(payload)))?,
+            subscribe(room.rearm(), |payload| Content::Rearm(decode(payload)))?,
             subscribe(keys.calibration(), |payload| Content::Calibration(decode(payload)))?,
         ];
         Ok(Self {

@@ -1,6 +1,6 @@
 //! The emergency stop on disk, so that a stop outlives the process that obeyed it.
 //!
-//! Each room has one file, written to a new file and renamed, so that it is complete at any time. A
+//! Each array has one file, written to a new file and renamed, so that it is complete at any time. A
 //! missing, unreadable or damaged file means that the last state is unknown; the array then starts
 //! stopped. If a state cannot be written, the file is emptied, which has the same meaning.
 
@@ -9,6 +9,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use heliostat_array::latch::{Latch, LatchedStop};
+use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{Nanos, Room};
 use thiserror::Error;
 
@@ -33,7 +34,7 @@ pub struct RecordError {
     consequence: &'static str,
 }
 
-/// The file of one room.
+/// The file of one array.
 #[derive(Debug)]
 pub struct StopRecord {
     file: Option<PathBuf>,
@@ -59,19 +60,30 @@ impl StopRecordSettings {
 }
 
 impl StopRecord {
-    /// Opens the record of a room; returns the stop with which the array starts, if it starts
+    /// Opens the record of a room with one array; returns the stop with which the array starts, if it starts
     /// stopped.
     ///
     /// An array whose state cannot be recorded starts stopped too: otherwise a later stop would be
     /// lost at the next start.
     pub fn open(settings: &StopRecordSettings, room: &Room, now_ns: Nanos) -> (Self, Option<LatchedStop>) {
+        Self::open_array(settings, (room, 0), now_ns)
+    }
+
+    /// The same for the array of a room with this index; [`open`](Self::open) is for the first.
+    pub fn open_array(
+        settings: &StopRecordSettings,
+        (room, array): (&Room, usize),
+        now_ns: Nanos,
+    ) -> (Self, Option<LatchedStop>) {
         let stopped = |reason: String| Latch::stopped(LatchedStop::without_sender(&reason, now_ns));
         let Some(directory) = &settings.directory else {
             let latch = stopped("the last state is unknown: no folder for it is given (--state DIR)".into());
             let stop = latch.stop().cloned();
             return (Self { file: None, tried: latch, problem: None }, stop);
         };
-        let file = directory.join(format!("{room}.stop.toml"));
+        // The name of a room contains no full stop.
+        let of_array = if array == 0 { String::new() } else { format!(".{}", array_name(array)) };
+        let file = directory.join(format!("{room}{of_array}.stop.toml"));
         let mut latch = match read(&file) {
             Ok(text) => match Latch::parse(&text) {
                 Ok(latch) => latch,

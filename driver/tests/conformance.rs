@@ -78,7 +78,7 @@ fn checked(room: &str, drive: impl FnOnce(BusConfig, &Stop) + Send) -> Report {
     std::thread::scope(|scope| {
         let driver = config.clone().listen_at(&endpoint);
         scope.spawn(|| drive(driver, &stop));
-        let report = check::run(&config.connect_to(&endpoint));
+        let report = check::run(&config.connect_to(&endpoint), 0);
         stop.request();
         report.unwrap()
     })
@@ -129,7 +129,7 @@ enum Flaw {
 fn flawed(flaw: Flaw, bus: &BusConfig, stop: &Stop) {
     let bus = Bus::open(bus).unwrap();
     let clock = Clock::start_in(Duration::ZERO);
-    let mut session = ArraySession::open(&bus, clock, Class::HighDrop).unwrap();
+    let mut session = ArraySession::open(&bus, 0, clock, Class::HighDrop).unwrap();
     let mut statuses = MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::LowDrop).unwrap();
     let _token = bus.announce(&bus.room().alive(NodeKind::Driver, 1)).unwrap();
     let left = Arc::new(AtomicBool::new(false));
@@ -269,7 +269,7 @@ fn an_array_that_an_operator_stopped_is_not_checked() {
     let settings = Settings { record, ..Settings::new(config.clone().listen_at(&endpoint)) };
     std::thread::scope(|scope| {
         scope.spawn(|| run::run(kit, &settings, &stop).unwrap());
-        let refusal = check::run(&config.connect_to(&endpoint));
+        let refusal = check::run(&config.connect_to(&endpoint), 0);
         stop.request();
         let refusal = format!("{:#}", refusal.unwrap_err());
         assert!(refusal.contains("stopped by \"ann\"") && refusal.contains("heliostat rearm"), "{refusal}");

@@ -10,6 +10,11 @@ use ort::{
     value::Tensor,
 };
 
+use crate::batch::Batch;
+
+/// The name of this engine.
+pub const ORT: &str = "ort";
+
 /// Builds networks with ONNX Runtime.
 #[derive(Clone, Copy, Debug)]
 pub struct OnnxRuntime;
@@ -17,31 +22,56 @@ pub struct OnnxRuntime;
 impl Engine for OnnxRuntime {
     fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
         let session = session(model).map_err(|error| error.to_string())?;
-        let input = Tensor::from_array(([1, input_length], vec![0.0_f32; input_length]));
-        let input = input.map_err(|error| error.to_string())?;
-        Ok(Box::new(OrtNetwork { session, input, output: Vec::new() }))
+        let rows = match session.inputs().first().and_then(|input| input.dtype().tensor_shape()) {
+            // An open extent is negative.
+            Some(shape) => shape.first().and_then(|rows| usize::try_from(*rows).ok()),
+            None => Some(1),
+        };
+        let batch = Batch::new(input_length, rows);
+        let input = tensor([rows.unwrap_or(1), input_length]).map_err(|error| error.to_string())?;
+        Ok(Box::new(OrtNetwork { session, input, shape: [rows.unwrap_or(1), input_length], batch }))
     }
 }
 
-/// A session with its input, and a copy of its last output.
+/// A session with its input.
 struct OrtNetwork {
     session: Session,
     input: Tensor<f32>,
-    output: Vec<f32>,
+    /// The shape of the input.
+    shape: [usize; 2],
+    batch: Batch,
 }
 
 impl Network for OrtNetwork {
+    fn engine(&self) -> &'static str {
+        ORT
+    }
+
+    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+        self.batch.set_rows(rows)
+    }
+
     fn input_mut(&mut self) -> &mut [f32] {
-        self.input.extract_tensor_mut().1
+        self.batch.input_mut()
     }
 
     fn run(&mut self) -> Result<&[f32], PolicyError> {
-        let outputs = self.session.run(ort::inputs![&self.input]).map_err(failed)?;
-        let (_, values) = outputs[OUTPUT_NAME].try_extract_tensor::<f32>().map_err(failed)?;
-        self.output.clear();
-        self.output.extend_from_slice(values);
-        Ok(&self.output)
+        let Self { session, input, shape: present, batch } = self;
+        batch.run(|shape, values, output| {
+            if *present != shape {
+                (*input, *present) = (tensor(shape).map_err(failed)?, shape);
+            }
+            input.extract_tensor_mut().1.copy_from_slice(values);
+            let outputs = session.run(ort::inputs![&*input]).map_err(failed)?;
+            let (_, found) = outputs[OUTPUT_NAME].try_extract_tensor::<f32>().map_err(failed)?;
+            output.extend_from_slice(found);
+            Ok(())
+        })
     }
+}
+
+fn tensor(shape: [usize; 2]) -> ort::Result<Tensor<f32>> {
+    Tensor::from_array((shape, vec![0.0_f32; shape[0] * shape[1]]))
 }
 
 fn failed(error: ort::Error) -> PolicyError {

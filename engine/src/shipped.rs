@@ -15,8 +15,12 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 }
 
 /// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot
-/// for training seeds other than 1.
+/// for training seeds other than 1. The actor of `residual` serves any room: `residual.onnx`.
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
+    if policy == PolicyKind::Residual {
+        let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
+        return format!("{}{seed}.onnx", policy.name());
+    }
     let mode = scenario.channel.mode.name();
     let sizes: Vec<_> =
         scenario.mirrors.arrays().iter().map(|array| format!("{}x{}", array.rows, array.columns)).collect();

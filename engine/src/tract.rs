@@ -9,7 +9,20 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use heliostat_decide::policy::{Engine, Network, PolicyError};
-use tract_onnx::prelude::{Framework, InferenceModelExt, IntoRunnable, Tensor, TractResult, TypedSimplePlan, tvec};
+use tract_hir::infer::{Factoid, InferenceFact};
+use tract_hir::internal::DimLike;
+use tract_hir::prelude::{DatumType, InferenceModel, TDim};
+use tract_onnx::prelude::{
+    Framework, InferenceModelExt, IntoRunnable, Tensor, TractError, TractResult, TypedSimplePlan, tvec,
+};
+
+use crate::batch::Batch;
+
+/// The name of this engine.
+pub const TRACT: &str = "tract";
+
+/// The number of rows for which the sizes of a network are checked that takes any number.
+const ROWS_CHECKED: usize = 64;
 
 /// Builds networks with tract.
 #[derive(Clone, Copy, Debug)]
@@ -18,43 +31,76 @@ pub struct Tract;
 impl Engine for Tract {
     fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
         // tract panics on some malformed networks. No state of ours is in use meanwhile.
-        let plan = catch_unwind(AssertUnwindSafe(|| plan(model)))
+        let network = catch_unwind(AssertUnwindSafe(|| network(model, input_length)))
             .map_err(|_| "it panicked: expected a network of operators that tract supports".to_owned())?;
         // The alternate form has the chain of causes.
-        let plan = plan.map_err(|error| format!("{error:#}"))?;
-        Ok(Box::new(TractNetwork { plan, input: vec![0.0; input_length], output: Vec::new() }))
+        Ok(Box::new(network.map_err(|error| format!("{error:#}"))?))
     }
 }
 
-fn plan(mut model: &[u8]) -> TractResult<Arc<TypedSimplePlan>> {
-    let model = tract_onnx::onnx().model_for_read(&mut model)?;
-    sizes::check(&model)?;
-    model.into_optimized()?.into_runnable()
+fn network(bytes: &[u8], input_length: usize) -> TractResult<TractNetwork> {
+    let model = tract_onnx::onnx().model_for_read(&mut &*bytes)?;
+    let rows = model.input_fact(0).ok().map_or(Some(1), first_extent);
+    let model = match rows {
+        Some(_) => {
+            sizes::check(&model)?;
+            model
+        }
+        None => {
+            // The shapes of the results follow from that of the input.
+            let shapes_left_open = tract_onnx::onnx().with_ignore_output_shapes(true).with_ignore_value_info(true);
+            let model = shapes_left_open.model_for_read(&mut &*bytes)?;
+            sizes::check(&with_rows(model.clone(), ROWS_CHECKED.into(), input_length)?)?;
+            let rows = model.symbols.new_with_prefix("rows").into();
+            with_rows(model, rows, input_length)?
+        }
+    };
+    let plan = model.into_optimized()?.into_runnable()?;
+    Ok(TractNetwork { plan, batch: Batch::new(input_length, rows) })
+}
+
+/// The first extent of a shape; `None` where it is open.
+fn first_extent(fact: &InferenceFact) -> Option<usize> {
+    fact.shape.dim(0)?.concretize()?.to_usize().ok()
+}
+
+/// The model for an input of this many rows.
+fn with_rows(model: InferenceModel, rows: TDim, input_length: usize) -> TractResult<InferenceModel> {
+    let shape = [rows, input_length.into()];
+    model.with_input_fact(0, InferenceFact::dt_shape(DatumType::F32, shape))
 }
 
 struct TractNetwork {
     plan: Arc<TypedSimplePlan>,
-    input: Vec<f32>,
-    /// A copy of the last output.
-    output: Vec<f32>,
+    batch: Batch,
 }
 
 impl Network for TractNetwork {
+    fn engine(&self) -> &'static str {
+        TRACT
+    }
+
+    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+        self.batch.set_rows(rows)
+    }
+
     fn input_mut(&mut self) -> &mut [f32] {
-        &mut self.input
+        self.batch.input_mut()
     }
 
     fn run(&mut self) -> Result<&[f32], PolicyError> {
-        let failed = |error: tract_onnx::prelude::TractError| PolicyError::Inference { message: format!("{error:#}") };
-        let input = Tensor::from_shape(&[1, self.input.len()], &self.input).map_err(failed)?;
-        // tract panics on an index that a malformed network computes. Each run has a state of its own.
-        let run = catch_unwind(AssertUnwindSafe(|| self.plan.run(tvec!(input.into()))));
-        let panicked = |_| PolicyError::Inference { message: "the network panicked: repair the actor file".to_owned() };
-        let outputs = run.map_err(panicked)?.map_err(failed)?;
-        let view = outputs[0].try_as_plain_ram().map_err(failed)?;
-        let values = view.as_slice::<f32>().map_err(failed)?;
-        self.output.clear();
-        self.output.extend_from_slice(values);
-        Ok(&self.output)
+        let failed = |error: TractError| PolicyError::Inference { message: format!("{error:#}") };
+        self.batch.run(|shape, input, output| {
+            let input = Tensor::from_shape(&shape, input).map_err(failed)?;
+            // tract panics on an index that a malformed network computes. Each run has a state of
+            // its own.
+            let run = catch_unwind(AssertUnwindSafe(|| self.plan.run(tvec!(input.into()))));
+            let panicked =
+                |_| PolicyError::Inference { message: "the network panicked: repair the actor file".to_owned() };
+            let outputs = run.map_err(panicked)?.map_err(failed)?;
+            let view = outputs[0].try_as_plain_ram().map_err(failed)?;
+            output.extend_from_slice(view.as_slice::<f32>().map_err(failed)?);
+            Ok(())
+        })
     }
 }

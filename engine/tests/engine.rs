@@ -7,7 +7,7 @@ use heliostat_channel::MirrorAngles;
 use heliostat_decide::observation::Observation;
 use heliostat_decide::policy::actor_file::ActorFile;
 use heliostat_decide::policy::{Policy, PolicyKind};
-use heliostat_engine::{ActorSource, BuildError, SourceError, build, load_actor, source};
+use heliostat_engine::{ActorSource, BuildError, EngineChoice, SourceError, build, load_actor, source};
 use heliostat_scenario::Scenario;
 use support::{ActorRecipe, model, scenario};
 
@@ -61,20 +61,20 @@ fn a_file_for_a_policy_that_reads_none_is_refused() {
     assert!(refusal.contains("fixed-point, which reads none"), "{refusal}");
 }
 
-/// Allocations of one run of the engine on a network, and their bytes.
+/// Allocations of one run of the embedded engine on a network, and their bytes.
 fn engine_allocations(file: &ActorFile, scenario: &Scenario) -> (u64, u64) {
-    let mut actor = load_actor(file, scenario).unwrap();
+    let mut actor = EngineChoice::Embedded.load_actor(file, scenario).unwrap();
     (0..20).for_each(|_| actor.run_engine_alone().unwrap());
     let run = measure(|| actor.run_engine_alone().unwrap());
     (run.count_total, run.bytes_total)
 }
 
 #[test]
-fn only_the_engine_allocates_in_a_decision() {
+fn only_the_embedded_engine_allocates_in_a_decision() {
     let scenario = scenario(&["mirrors.rows=10", "mirrors.columns=10"]);
     let (model, file) = (model(&scenario), ActorRecipe::fitting(&scenario).file());
     let (alone, _) = engine_allocations(&file, &scenario);
-    let mut actor = load_actor(&file, &scenario).unwrap();
+    let mut actor = EngineChoice::Embedded.load_actor(&file, &scenario).unwrap();
     let (observation, mut angles) = (Observation::new(&model, 3), MirrorAngles::flat(100));
     (0..20).for_each(|_| actor.act(&model, &observation, &mut angles).unwrap());
     let decision = measure(|| actor.act(&model, &observation, &mut angles).unwrap()).count_total;

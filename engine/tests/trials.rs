@@ -108,7 +108,7 @@ fn an_operator_without_a_reference_is_noted() {
 
 #[test]
 fn every_built_in_actor_agrees_with_the_reference() {
-    use PolicyKind::{Analytic, Ddpg, DdpgBasis, DdpgRaw, Dql, QLearning, Sarsa};
+    use PolicyKind::{Analytic, Ddpg, DdpgBasis, DdpgRaw, Dql, QLearning, Residual, Sarsa};
     let mut tried = 0;
     let overrides = |shape: &str| {
         let (rows, columns) = shape.split_once('x').unwrap();
@@ -128,6 +128,13 @@ fn every_built_in_actor_agrees_with_the_reference() {
                 tried += 1;
             }
         }
+    }
+    // One for all rooms.
+    let room = Scenario::builtin("hall").unwrap();
+    for seed in shipped::training_seeds(Residual, &room) {
+        let (policy, findings) = build_tried(Residual, &room, &ActorSource::ShippedSeed(seed)).unwrap();
+        assert!(policy.name() == "residual" && findings.is_empty(), "{findings:?}");
+        tried += 1;
     }
     assert_eq!(tried, shipped::names().count());
 }

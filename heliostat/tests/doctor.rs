@@ -22,9 +22,10 @@ fn text<'a>(check: &'a Value, part: &str) -> &'a str {
 fn the_file_of_a_policy_is_named() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../models/actors/ddpg-specular-10x10.onnx");
     let own = policy(&["--model", file]);
-    assert_eq!((text(&own, "verdict"), text(&own, "found")), ("ok", format!("{file} fits the scenario").as_str()));
+    assert_eq!(text(&own, "verdict"), "ok");
+    assert!(text(&own, "found").starts_with(&format!("{file} fits the scenario, engine ")), "{own}");
     let built_in = policy(&[]);
-    assert_eq!(text(&built_in, "found"), "ddpg fits the scenario");
+    assert!(text(&built_in, "found").starts_with("ddpg fits the scenario, engine "), "{built_in}");
 }
 
 #[test]

@@ -36,7 +36,7 @@ use anyhow::ensure;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Serialize, Serializer};
 
-use crate::environment::room::FIXED_USERS;
+use heliostat_environment::EnvironmentError;
 
 pub use belief_quality::BeliefQuality;
 pub use ceiling::Known;
@@ -104,7 +104,10 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         settings.mode == Loop::ClosedLoop || settings.scenario.users.trace.is_none(),
         "users.trace: held-out states come from the random walk, not from a recording; remove the recording, or choose --closed-loop"
     );
-    ensure!(settings.mode == Loop::ClosedLoop || settings.scenario.users.arrivals.is_none(), "{FIXED_USERS}");
+    ensure!(
+        settings.mode == Loop::ClosedLoop || settings.scenario.users.arrivals.is_none(),
+        EnvironmentError::Arrivals
+    );
     ensure!(settings.states > 0 && settings.seeds > 0, "a comparison needs at least one state and one seed");
     let scenario = &settings.scenario;
     // Refuse an actor that does not fit before the oracle's long computation.

@@ -5,12 +5,13 @@
 //! - [`features`], [`angle_state`]: the observation vector as inputs of a network.
 //! - [`target_user`]: the user whom the mirrors can help most, as the state of the codebook
 //!   learners.
+//! - [`reported`]: rooms that a controller knows by reports only, for `residual`.
 //! - [`codebook`]: the codewords, which are the actions of the codebook learners.
 
-pub mod angle_state;
 pub mod codebook;
 pub mod features;
-pub mod room;
+pub mod reported;
 pub mod target_user;
 
+pub use heliostat_environment::{angle_state, room};
 pub use room::{Environment, Outcome, Reward, RewardForm, Rooms};

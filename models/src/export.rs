@@ -2,6 +2,8 @@
 //!
 //! - [`actor`]: the actor of `ddpg` and `analytic` with the geometric decoder.
 //! - [`network`]: the layers of a network, which `ddpg-raw` uses too.
+//! - [`rows`]: a chain of dense layers over any number of rows, for `residual`.
 
 pub mod actor;
 pub mod network;
+pub mod rows;

@@ -3,6 +3,7 @@
 //! - [`ddpg`]: DDPG with one weight for each user as the action.
 //! - [`ddpg_raw`], [`ddpg_basis`]: DDPG with the angles of all mirrors as the action.
 //! - [`analytic`]: the network of `ddpg`, trained by the gradient through the channel.
+//! - [`residual`]: corrections of the belief by channel residuals, for any room.
 //! - [`dql`]: deep Q-learning on a codebook of angles.
 //! - [`q_learning`], [`sarsa`]: tabular learning on the codebook; [`table`] is the table.
 //!
@@ -14,6 +15,7 @@ pub mod ddpg_basis;
 pub mod ddpg_raw;
 pub mod dql;
 pub mod q_learning;
+pub mod residual;
 pub mod sarsa;
 pub mod table;
 
@@ -25,6 +27,7 @@ pub const ALGORITHMS: &[Algorithm] = &[
     ddpg_raw::ALGORITHM,
     ddpg_basis::ALGORITHM,
     analytic::ALGORITHM,
+    residual::ALGORITHM,
     dql::ALGORITHM,
     q_learning::ALGORITHM,
     sarsa::ALGORITHM,

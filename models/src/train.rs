@@ -103,6 +103,9 @@ fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<
         bail!(interrupted(&mut training, args, &checkpoint)?);
     }
     let duration = (!resumed).then(|| start.elapsed());
+    if !training.learner().is_scored() {
+        return finish(&training, args, duration, &[]);
+    }
     match final_scores(&training, args.states as usize, stop_requested)? {
         Some(scores) => finish(&training, args, duration, &scores),
         None => bail!(interrupted(&mut training, args, &checkpoint)?),
@@ -181,7 +184,8 @@ fn learn(
     bar.set_style(ProgressStyle::with_template("{bar:32} {pos}/{len} episodes  {msg}")?);
     bar.set_message("solving held-out states");
     bar.set_position(training.episodes_done() as u64);
-    let mut states = training_states(training.scenario())?;
+    let scored = training.learner().is_scored();
+    let mut states = if scored { training_states(training.scenario())? } else { HeldOut::default() };
     let (mut pace, mut quality) = (Pace::default(), String::new());
     while training.episodes_done() < episodes && !stop_requested() {
         let begun = Instant::now();
@@ -189,9 +193,12 @@ fn learn(
         pace.add_episode(begun.elapsed());
         let due = episode.number % every == 0 || episode.number == episodes;
         let begun = Instant::now();
-        let score = if due { Some(states.score(|room| training.act(room))?) } else { None };
+        let score = if due && scored { Some(states.score(|room| training.act(room))?) } else { None };
         curve.add(&episode, score.as_ref())?;
         bar.inc(1);
+        if due && !scored {
+            checkpoint::save(training, checkpoint)?;
+        }
         if let Some(score) = score {
             checkpoint::save(training, checkpoint)?;
             pace.add_evaluation(begun.elapsed());

@@ -33,7 +33,7 @@ impl Bench {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut room = || {
             let room = Rooms::Randomised.draw(&self.scenario, &mut rng);
-            let environment = Environment::new(&room, rng.random()).expect("a valid room");
+            let environment = Environment::new(&room, None, rng.random()).expect("a valid room");
             let actions = (0..environment.users()).map(|_| rng.random_range(-0.9..0.9)).collect();
             (environment, actions)
         };

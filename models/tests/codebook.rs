@@ -65,7 +65,7 @@ fn differences(training: &Training) -> usize {
     let mut got = MirrorAngles::flat(scenario.mirror_count());
     let differs = (0..OBSERVATIONS).filter(|_| {
         let room = Rooms::Randomised.draw(scenario, &mut rng);
-        let environment = Environment::new(&room, rng.random()).expect("a valid room");
+        let environment = Environment::new(&room, None, rng.random()).expect("a valid room");
         let expected = training.act(&environment).expect("angles");
         served.answer(environment.vector(), &mut got).expect("angles");
         let pairs = expected.roll.iter().chain(&expected.yaw).zip(got.roll.iter().chain(&got.yaw));
@@ -117,7 +117,7 @@ fn no_policy_is_above_the_ceiling() {
         let scenario = small(name, &["blockage.forced_users=2"]);
         let trainings = ALGORITHMS.map(|algorithm| trained(algorithm, &scenario, &["episodes=8"]));
         for seed in 0..25 {
-            let environment = Environment::new(&scenario, seed).expect("a valid room");
+            let environment = Environment::new(&scenario, None, seed).expect("a valid room");
             let (model, seen) = (environment.model(), environment.observation());
             let mut rates = vec![0.0; seen.users()];
             let mut objective = |angles: &MirrorAngles| {

@@ -69,7 +69,7 @@ fn compare(scenario: &Scenario, settings: Settings) -> (f64, f64) {
     let (mut worst, mut ties) = (0.0_f64, 0);
     for _ in 0..OBSERVATIONS {
         let room = Rooms::Randomised.draw(scenario, &mut rng);
-        let environment = Environment::new(&room, rng.random()).expect("a valid room");
+        let environment = Environment::new(&room, None, rng.random()).expect("a valid room");
         let vector = environment.vector();
         let actions = actor.actions(&States::row(actor.layout, vector)).expect("actions");
         assert!(actions.iter().all(|action| action.is_finite()), "expected finite actions, found {actions:?}");
@@ -135,7 +135,7 @@ fn graphs_for_other_walls_and_arrays_match_too() {
 fn the_actions_do_not_depend_on_the_order_of_users() {
     let scenario = Scenario::builtin("specular").expect("built in");
     let actor = spread_actor(&scenario, tuned(&scenario));
-    let environment = Environment::new(&scenario, 3).expect("a valid room");
+    let environment = Environment::new(&scenario, None, 3).expect("a valid room");
     let slots = actor.layout.slots();
     let state = &States::row(actor.layout, environment.vector());
     let features = state.len() / slots - scenario.mirror_count();

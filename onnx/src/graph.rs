@@ -17,7 +17,8 @@ use prost::Message;
 use crate::attribute_proto::AttributeType;
 use crate::tensor_proto::DataType;
 use crate::{
-    AttributeProto, GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, f32_row,
+    AttributeProto, GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto,
+    ValueInfoProto, f32_row, f32_rows,
 };
 
 const IR_VERSION: i64 = 8;
@@ -57,6 +58,12 @@ impl Graph {
     /// Adds a node with one output.
     pub fn node(&mut self, operator: &str, inputs: &[&str]) -> Value {
         self.node_with(operator, inputs, Vec::new())
+    }
+
+    /// Adds the nodes and constants of another graph, whose names differ from those in this one.
+    pub fn insert(&mut self, nodes: Vec<NodeProto>, constants: Vec<TensorProto>) {
+        self.nodes.extend(nodes);
+        self.constants.extend(constants);
     }
 
     /// The part `[start, end)` of a value along an axis.
@@ -115,7 +122,21 @@ impl Graph {
     }
 
     /// The finished file: one input and one output of shape (1, n), with metadata.
-    pub fn finish(mut self, ends: &Ends<'_>, metadata: &[(String, String)]) -> Vec<u8> {
+    pub fn finish(self, ends: &Ends<'_>, metadata: &[(String, String)]) -> Vec<u8> {
+        self.finish_with(ends, f32_row, metadata)
+    }
+
+    /// The same with one input and one output of any number of rows.
+    pub fn finish_rows(self, ends: &Ends<'_>, metadata: &[(String, String)]) -> Vec<u8> {
+        self.finish_with(ends, f32_rows, metadata)
+    }
+
+    fn finish_with(
+        mut self,
+        ends: &Ends<'_>,
+        port: fn(&str, usize) -> ValueInfoProto,
+        metadata: &[(String, String)],
+    ) -> Vec<u8> {
         if let Some(last) = self.nodes.last_mut() {
             last.output = vec![ends.output.0.into()];
         }
@@ -123,8 +144,8 @@ impl Graph {
             name: ends.name.into(),
             node: self.nodes,
             initializer: self.constants,
-            input: vec![f32_row(ends.input.0, ends.input.1)],
-            output: vec![f32_row(ends.output.0, ends.output.1)],
+            input: vec![port(ends.input.0, ends.input.1)],
+            output: vec![port(ends.output.0, ends.output.1)],
             ..GraphProto::default()
         };
         let pair = |(key, value): &(String, String)| StringStringEntryProto { key: key.clone(), value: value.clone() };

@@ -31,15 +31,33 @@ use tensor_shape_proto::{Dimension, dimension};
 
 /// An input or output of shape (1, `length`) whose elements are 32-bit floats.
 pub fn f32_row(name: &str, length: usize) -> ValueInfoProto {
-    let dimension =
-        |size: usize| Dimension { value: Some(dimension::Value::DimValue(size as i64)), ..Dimension::default() };
-    let tensor = type_proto::Tensor {
-        elem_type: DataType::Float as i32,
-        shape: Some(TensorShapeProto { dim: vec![dimension(1), dimension(length)] }),
-    };
+    f32_table(name, dimension::Value::DimValue(1), length)
+}
+
+/// An input or output of any number of rows of `length` 32-bit floats.
+pub fn f32_rows(name: &str, length: usize) -> ValueInfoProto {
+    f32_table(name, dimension::Value::DimParam("rows".into()), length)
+}
+
+fn f32_table(name: &str, rows: dimension::Value, length: usize) -> ValueInfoProto {
+    let extents = [rows, dimension::Value::DimValue(length as i64)];
+    let dim = extents.map(|extent| Dimension { value: Some(extent), ..Dimension::default() }).to_vec();
+    let tensor = type_proto::Tensor { elem_type: DataType::Float as i32, shape: Some(TensorShapeProto { dim }) };
     ValueInfoProto {
         name: name.into(),
         r#type: Some(TypeProto { value: Some(type_proto::Value::TensorType(tensor)), ..TypeProto::default() }),
         ..ValueInfoProto::default()
     }
+}
+
+/// The extents of an input or output whose elements are 32-bit floats, `None` for an open one;
+/// `None` where the type is another one or the shape is absent.
+pub fn f32_extents(port: &ValueInfoProto) -> Option<Vec<Option<usize>>> {
+    let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref()?.value.as_ref() else { return None };
+    let is_float = tensor.elem_type == DataType::Float as i32;
+    let extent = |dimension: &Dimension| match dimension.value {
+        Some(dimension::Value::DimValue(size)) => usize::try_from(size).ok().filter(|size| *size > 0),
+        _ => None,
+    };
+    tensor.shape.as_ref().filter(|_| is_float).map(|shape| shape.dim.iter().map(extent).collect())
 }

@@ -7,6 +7,7 @@ use std::str::FromStr;
 use thiserror::Error;
 
 use crate::enumerations::NodeKind;
+use crate::limits::MAX_ARRAYS;
 use crate::table::message_table;
 
 /// Longest name of a room in bytes.
@@ -140,12 +141,24 @@ impl FromStr for Room {
     }
 }
 
-/// Node and source id in the key of a liveliness token; `None` for any other key.
+/// Node and source id in the key of a liveliness token; `None` for any other key. The token of a
+/// driver may name its array, as `driver-1`.
 pub fn parse_alive(key: &str) -> Option<(NodeKind, u64)> {
     let mut parts = key.strip_prefix(PREFIX)?.strip_prefix('/')?.split('/');
     let (_room, alive, node, source) = (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
     if alive != "alive" || parts.next().is_some() {
         return None;
     }
-    Some((NodeKind::from_name(node)?, u64::from_str_radix(source, 16).ok()?))
+    let node = NodeKind::from_name(node).or_else(|| {
+        let array = node.strip_prefix(NodeKind::Driver.name())?.strip_prefix('-')?;
+        later_index(array).map(|_| NodeKind::Driver)
+    })?;
+    Some((node, u64::from_str_radix(source, 16).ok()?))
+}
+
+/// The index of an array after the first, as keys have it.
+pub(crate) fn later_index(text: &str) -> Option<usize> {
+    let index = text.parse().ok().filter(|index| (1..MAX_ARRAYS).contains(index))?;
+    // Only one text names an array: neither "+1" nor "01" does.
+    (index.to_string() == text).then_some(index)
 }

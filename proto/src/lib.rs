@@ -11,7 +11,8 @@
 //! - `structures.rs` and `enumerations.rs`: the types of the fields of messages.
 //! - [`codec`]: messages to bytes and back; it refuses a malformed payload with a
 //!   specific error.
-//! - [`keys`]: the name of a room, and the key of each message.
+//! - [`keys`]: the name of a room, and the key of each message; [`array_keys`]: the keys of each
+//!   mirror array.
 //!
 //! # Example
 //! ```
@@ -35,6 +36,7 @@
 //!
 //! Within a version the layout of a message never changes; new kinds of message may be added.
 
+pub mod array_keys;
 pub mod codec;
 mod enumerations;
 mod error;
@@ -46,14 +48,15 @@ pub mod messages;
 mod structures;
 mod table;
 
+pub use array_keys::ArrayKeys;
 pub use codec::{Message, StateError, decode, decode_into, decode_state, encode, encode_state};
 pub use enumerations::{ArrayState, FaultKind, Feedback, InputKind, NodeKind, StopAction, ValidityClock};
 pub use error::CodecError;
 pub use keys::{Room, RoomError};
 pub use kind::Kind;
 pub use limits::{
-    CLOCK_LEAD_MAX_NS, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD, MAX_STATE,
-    MAX_TEXT, MAX_USERS, Nanos, VERSION,
+    CLOCK_LEAD_MAX_NS, MAX_ARRAYS, MAX_ENTRIES, MAX_GEOMETRY, MAX_INPUTS, MAX_MIRRORS, MAX_OBSTACLES, MAX_PAYLOAD,
+    MAX_STATE, MAX_TEXT, MAX_USERS, Nanos, VERSION,
 };
 pub use messages::{
     BeliefReport, Calibration, Capabilities, ChannelReport, ControllerControl, ControllerMemory, EmergencyStop,

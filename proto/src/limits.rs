@@ -9,6 +9,9 @@ pub const MAX_PAYLOAD: usize = 1 << 20;
 /// Largest number of users in one report.
 pub const MAX_USERS: usize = 64;
 
+/// Largest number of mirror arrays in one room.
+pub const MAX_ARRAYS: usize = 16;
+
 /// Largest number of mirrors in one array.
 pub const MAX_MIRRORS: usize = 16_384;
 

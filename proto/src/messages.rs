@@ -137,6 +137,16 @@ impl Stamp {
     }
 }
 
+impl ControllerInput {
+    /// Number of bits by which the index of an array is shifted in the sequence number of telemetry.
+    pub const ARRAY_SHIFT: u32 = 56;
+
+    /// Index of the array, and the sequence number in the stamp, of an input that is telemetry.
+    pub fn of_array(&self) -> (usize, u64) {
+        ((self.sequence >> Self::ARRAY_SHIFT) as usize, self.sequence & ((1 << Self::ARRAY_SHIFT) - 1))
+    }
+}
+
 impl NodeStatus {
     /// Sets the latest problem, cut to the length that a message may hold.
     pub fn set_problem(&mut self, problem: &str) {

@@ -195,7 +195,8 @@ structures! {
         input: InputKind,
         /// Source of the message; 0 for a decision.
         source: u64,
-        /// Sequence number of the message; 0 for a decision.
+        /// Sequence number of the message; for telemetry of array n, n times 2^56 is added. For a
+        /// decision that gave a command, bit n is set if array n got none; else 0.
         sequence: u64,
         /// Time of the controller's clock at which it handled the message or decided, in ns.
         time_ns: Nanos,

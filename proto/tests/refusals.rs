@@ -414,7 +414,10 @@ fn liveliness_keys_survive_a_round_trip() {
     let key = room.alive(NodeKind::Driver, 0xabc);
     assert_eq!(key, "heliostat/v1/demo/alive/driver/0000000000000abc");
     assert_eq!(keys::parse_alive(&key), Some((NodeKind::Driver, 0xabc)));
-    for other in [room.users(), room.all_alive(), format!("{key}/more"), "heliostat/v2/demo/alive/driver/1".into()] {
+    assert_eq!(keys::parse_alive(&room.array(3).driver_alive(0xabc)), Some((NodeKind::Driver, 0xabc)));
+    let not_drivers = ["driver-0", "driver-16", "tracker-1"].map(|node| format!("heliostat/v1/demo/alive/{node}/1"));
+    let others = [room.users(), room.all_alive(), format!("{key}/more"), "heliostat/v2/demo/alive/driver/1".into()];
+    for other in others.into_iter().chain(not_drivers) {
         assert_eq!(keys::parse_alive(&other), None, "{other}");
     }
 }

@@ -29,6 +29,8 @@ const CONTROLLER_WAIT: Duration = Duration::from_secs(30);
 /// Longest time to wait for the answer to a lockstep report, and for the last answers in live
 /// operation.
 const ANSWER_WAIT: Duration = Duration::from_secs(5);
+/// Longest time in lockstep from the command to one array to those to the others.
+const OTHERS_WAIT: Duration = Duration::from_millis(200);
 /// Time between two checks whether every report is answered.
 const WAIT: Duration = Duration::from_millis(20);
 /// Longest time for one query of the processes in the room.
@@ -73,7 +75,7 @@ pub struct Playback {
 /// that cannot be opened, a controller that does not join, a lockstep report that is not answered.
 pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
     let unusable = || replay::unusable(&settings.file);
-    let Beginning { room: recorded_room, clock, capabilities } =
+    let Beginning { room: recorded_room, clock, capabilities, arrays } =
         Beginning::read(&settings.file).with_context(unusable)?;
     ensure!(
         clock == Clock::Live || settings.rate == 1.0,
@@ -84,20 +86,26 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
     let room = settings.room.clone().unwrap_or_else(|| recorded_room.clone());
     let flags = BusArgs { room: Some(room.name().to_owned()), ..settings.bus.clone() };
     let bus = Bus::open(&flags.config_or_listen(&[AccessRole::Simulator])?).context("cannot join the room")?;
-    let _array = capabilities
-        .map(|payload| bus.serve(&room.capabilities(), move |answer| answer.clone_from(&payload)))
-        .transpose()?;
+    let serve = |(array, payload): (usize, Vec<u8>)| {
+        bus.serve(&room.array(array).capabilities(), move |answer| answer.clone_from(&payload))
+    };
+    let _arrays = capabilities.into_iter().map(serve).collect::<Result<Vec<_>, _>>()?;
     let (sender, answers) = channel();
-    let _subscription = bus.subscribe(&room.command(), move |payload| {
-        if let Ok(command) = decode::<MirrorCommand>(payload) {
-            // The player may have ended.
-            let _ = sender.send(command);
-        }
-    })?;
+    let subscribe = |array: usize| {
+        let sender = sender.clone();
+        bus.subscribe(&room.array(array).command(), move |payload| {
+            if let Ok(command) = decode::<MirrorCommand>(payload) {
+                // The player may have ended.
+                let _ = sender.send((array, command));
+            }
+        })
+    };
+    let _subscriptions = (0..arrays).map(subscribe).collect::<Result<Vec<_>, _>>()?;
     let mut player = Player {
-        outlets: outlets(&bus, &recorded_room, clock)?,
+        outlets: outlets(&bus, &recorded_room, arrays, clock)?,
         present: BTreeMap::new(),
-        recorded_commands: recorded_room.command(),
+        recorded_room: recorded_room.clone(),
+        arrays,
         answers,
         rate: settings.rate,
         start: None,
@@ -138,7 +146,7 @@ pub fn run(settings: &Settings, stop: &Stop) -> Result<Playback> {
 }
 
 /// The publisher for each recorded key; the room may have another name than the recorded one.
-fn outlets(bus: &Bus, recorded: &Room, clock: Clock) -> Result<HashMap<String, (Publisher, Outlet)>> {
+fn outlets(bus: &Bus, recorded: &Room, arrays: usize, clock: Clock) -> Result<HashMap<String, (Publisher, Outlet)>> {
     let class = if clock == Clock::Live { Class::RealTimeDrop } else { Class::RealTimeBlock };
     let room = bus.room();
     let keys = [
@@ -146,11 +154,16 @@ fn outlets(bus: &Bus, recorded: &Room, clock: Clock) -> Result<HashMap<String, (
         (recorded.channel(), room.channel(), Outlet::Channel),
         (recorded.obstacles(), room.obstacles(), Outlet::Obstacles),
         (recorded.orientation(), room.orientation(), Outlet::Orientation),
-        (recorded.telemetry(), room.telemetry(), Outlet::Telemetry),
-        (recorded.capabilities(), room.capabilities(), Outlet::Capabilities),
     ];
+    let of_arrays = (0..arrays).flat_map(|array| {
+        let (from, to) = (recorded.array(array), room.array(array));
+        [
+            (from.telemetry(), to.telemetry(), Outlet::Telemetry),
+            (from.capabilities(), to.capabilities(), Outlet::Capabilities),
+        ]
+    });
     let publisher = |(from, to, outlet): (String, String, Outlet)| Ok((from, (bus.publisher(&to, class)?, outlet)));
-    keys.into_iter().map(publisher).collect()
+    keys.into_iter().chain(of_arrays).map(publisher).collect()
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -189,24 +202,27 @@ struct Player {
     outlets: HashMap<String, (Publisher, Outlet)>,
     /// Liveliness tokens of the played sources: a controller releases the room when they are gone.
     present: BTreeMap<u64, Token>,
-    recorded_commands: String,
-    answers: Receiver<MirrorCommand>,
+    recorded_room: Room,
+    arrays: usize,
+    /// Commands, each with the index of its array.
+    answers: Receiver<(usize, MirrorCommand)>,
     rate: f64,
     start: Option<Start>,
-    /// Lockstep answers that wait for the recorded ones, by tick.
-    decided: HashMap<u64, MirrorCommand>,
-    /// Recorded commands that came before their report, by tick.
-    recorded: HashMap<u64, MirrorCommand>,
+    /// Lockstep answers that wait for the recorded ones, by array and tick.
+    decided: HashMap<(usize, u64), MirrorCommand>,
+    /// Recorded commands that came before their report, by array and tick.
+    recorded: HashMap<(usize, u64), MirrorCommand>,
     playback: Playback,
 }
 
 impl Player {
     fn take(&mut self, bus: &Bus, entry: &Entry) -> Result<()> {
-        if entry.topic == self.recorded_commands {
+        let (array, topic) = self.recorded_room.first_array_key(&entry.topic);
+        if topic == self.recorded_room.command() {
             if let Ok(theirs) = decode::<MirrorCommand>(&entry.data) {
-                match self.decided.remove(&theirs.answers) {
+                match self.decided.remove(&(array, theirs.answers)) {
                     Some(ours) => self.compare(&ours, &theirs),
-                    None => drop(self.recorded.insert(theirs.answers, theirs)),
+                    None => drop(self.recorded.insert((array, theirs.answers), theirs)),
                 }
             }
             return Ok(());
@@ -263,7 +279,8 @@ impl Player {
         let deadline = Instant::now() + limit;
         loop {
             match self.answers.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-                Ok(_) => self.playback.answered += 1,
+                // A report counts once, whatever the number of arrays.
+                Ok((array, _)) => self.playback.answered += u64::from(array == 0),
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return,
             }
         }
@@ -278,24 +295,29 @@ impl Player {
     }
 
     fn await_answer(&mut self, tick: u64) -> Result<()> {
-        let deadline = Instant::now() + ANSWER_WAIT;
-        loop {
+        let mut deadline = Instant::now() + ANSWER_WAIT;
+        let mut answers = 0;
+        while answers < self.arrays {
             let left = deadline.saturating_duration_since(Instant::now());
-            let command = self.answers.recv_timeout(left).ok().with_context(|| {
-                format!(
-                    "tick {tick} was not answered within {} s; start the controller with --lockstep and the scenario of the recording",
-                    ANSWER_WAIT.as_secs()
-                )
-            })?;
-            if command.answers == tick {
-                self.playback.answered += 1;
-                match self.recorded.remove(&tick) {
-                    Some(theirs) => self.compare(&command, &theirs),
-                    None => drop(self.decided.insert(tick, command)),
-                }
-                return Ok(());
+            let Ok((array, command)) = self.answers.recv_timeout(left) else { break };
+            if command.answers != tick {
+                continue;
+            }
+            // The commands of one decision follow each other; an array that is stopped gets none.
+            deadline = Instant::now() + OTHERS_WAIT;
+            answers += 1;
+            match self.recorded.remove(&(array, tick)) {
+                Some(theirs) => self.compare(&command, &theirs),
+                None => drop(self.decided.insert((array, tick), command)),
             }
         }
+        ensure!(
+            answers > 0,
+            "tick {tick} was not answered within {} s; start the controller with --lockstep and the scenario of the recording",
+            ANSWER_WAIT.as_secs()
+        );
+        self.playback.answered += 1;
+        Ok(())
     }
 }
 

@@ -222,7 +222,8 @@ impl<S: Storage> RoomWriter<S> {
             self.draw_geometry(key, &geometry.scenario);
         }
         self.series.update(&received, arrived_ns, |topic, data| recording.derived(topic, arrived_ns, data))?;
-        if self.scene.update(&received, arrived_ns) {
+        let (array, _) = self.room.first_array_key(key);
+        if self.scene.update(&received, array, arrived_ns) {
             let data = self.scene.draw(arrived_ns).to_vec();
             recording.derived(&self.scene.topic(), arrived_ns, &data)?;
         }

@@ -125,8 +125,9 @@ impl Scene {
         Ok(())
     }
 
-    /// Applies a message; true if a new scene is due.
-    pub fn update(&mut self, received: &Received, arrived_ns: Nanos) -> bool {
+    /// Applies a message; true if a new scene is due. `array` is the index of the array that
+    /// published it, for telemetry.
+    pub fn update(&mut self, received: &Received, array: usize, arrived_ns: Nanos) -> bool {
         match received {
             Received::Truth(truth) => {
                 self.has_truth = true;
@@ -156,9 +157,10 @@ impl Scene {
                 return false;
             }
             Received::Telemetry(telemetry) => {
-                let mirrors = self.model.mirrors.len();
-                if telemetry.roll_commanded.len() == mirrors && telemetry.yaw_commanded.len() == mirrors {
-                    self.angles = (telemetry.roll_commanded.clone(), telemetry.yaw_commanded.clone());
+                let Some((_, mirrors)) = self.model.mirrors.ranges().nth(array) else { return false };
+                if telemetry.check_mirrors(mirrors.len()).is_ok() {
+                    self.angles.0[mirrors.clone()].copy_from_slice(&telemetry.roll_commanded);
+                    self.angles.1[mirrors].copy_from_slice(&telemetry.yaw_commanded);
                 }
                 return false;
             }
@@ -324,8 +326,8 @@ mod tests {
         let user =
             TruthUser { position_m: [0.7, -0.4, 0.85], rate_bps: 2e6, los_blocked: true, ..TruthUser::default() };
         let truth = RoomTruth { users: vec![user], ..RoomTruth::default() };
-        assert!(!scene.update(&Received::Telemetry(telemetry), 1));
-        assert!(scene.update(&Received::Truth(truth), 10_000_000_000));
+        assert!(!scene.update(&Received::Telemetry(telemetry), 0, 1));
+        assert!(scene.update(&Received::Truth(truth), 0, 10_000_000_000));
         let update = SceneUpdate::decode(scene.draw(10_000_000_000)).expect("it matches its schema");
         let rays = &entity_of(&update, "light").lines[0];
         assert_eq!(rays.points.len(), 2 * model.mirrors.len());
@@ -362,10 +364,10 @@ mod tests {
         let (_, mut scene) = scene();
         let truth = Received::Truth(RoomTruth::default());
         let start = 1_000_000_000_000;
-        assert!(scene.update(&truth, start));
+        assert!(scene.update(&truth, 0, start));
         scene.draw(start);
-        assert!(!scene.update(&truth, start + INTERVAL_NS - 1));
-        assert!(scene.update(&truth, start + INTERVAL_NS));
+        assert!(!scene.update(&truth, 0, start + INTERVAL_NS - 1));
+        assert!(scene.update(&truth, 0, start + INTERVAL_NS));
         let entities = |bytes: &[u8]| SceneUpdate::decode(bytes).expect("a scene").entities.len();
         assert_eq!(entities(scene.draw(start + INTERVAL_NS)), 3);
         assert_eq!(entities(scene.draw(start + STILL_INTERVAL_NS)), 4);

@@ -39,14 +39,14 @@ impl ViewerScenarioArgs {
     /// The scenario that the flags name; `None` without a flag.
     ///
     /// # Errors
-    /// As [`ScenarioArgs::load`].
+    /// As [`ScenarioArgs::load_arrays`].
     pub fn load(&self) -> Result<Option<Scenario>, ScenarioError> {
         if self.scenario.is_none() && self.overrides.is_empty() {
             return Ok(None);
         }
         let scenario = self.scenario.clone().unwrap_or_else(|| BUILTIN_NAMES[0].into());
         let args = ScenarioArgs { scenario, overrides: self.overrides.clone(), seed: self.seed };
-        args.load().map(Some)
+        args.load_arrays().map(Some)
     }
 }
 

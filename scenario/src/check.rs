@@ -186,6 +186,7 @@ impl Scenario {
         within("control.walk.turn_rate_deg_per_s", walk.turn_rate_deg_per_s, 1.0..=720.0)?;
         if let Some(tilt) = &control.tilt {
             within("control.tilt.walking_deg", tilt.walking_deg, 0.0..=90.0)?;
+            within("control.tilt.sitting_deg", tilt.sitting_deg, 0.0..=90.0)?;
             within("control.tilt.walking_from_m_s", tilt.walking_from_m_s, 0.0..=100.0)?;
         }
         let no_positions = "the policy has no positions";

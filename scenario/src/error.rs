@@ -48,7 +48,7 @@ pub enum ScenarioError {
     },
     /// More than one mirror array, where only one can be used.
     #[error(
-        "the scenario has {count} mirror arrays ([[mirrors]]): expected one ([mirrors]), because messages, actors and training have a single array; several arrays can be evaluated with model-based policies"
+        "the scenario has {count} mirror arrays ([[mirrors]]): expected one ([mirrors]), because actors, training and calibration have a single array; model-based policies can be evaluated and run with several"
     )]
     SeveralArrays {
         /// Number of arrays.

@@ -58,34 +58,49 @@ impl Scenario {
     /// A scenario with this geometry and channel; all other keys have values that suit any geometry.
     ///
     /// # Errors
-    /// As [`Scenario::from_toml`]; also for a key of a scenario that a geometry does not hold, and for
-    /// several mirror arrays.
+    /// As [`Scenario::from_toml`]; also for a key of a scenario that a geometry does not hold.
     pub fn from_geometry_toml(text: &str) -> Result<Self, ScenarioError> {
         let geometry: Geometry = toml::from_str(text).map_err(|error| parse_error("room geometry", &error))?;
         let scenario = geometry.into_scenario();
         scenario.check().map_err(|error| with_line(error, text))?;
-        scenario.require_one_array()
+        Ok(scenario)
     }
 
     /// The first key in which the geometry differs from that of another scenario; their names may
     /// differ.
     pub fn geometry_difference(&self, other: &Self) -> Option<GeometryDifference> {
+        let arrays = [self, other].map(|scenario| scenario.mirrors.arrays().len());
+        if arrays[0] != arrays[1] {
+            let [here, there] = arrays.map(|count| count.to_string());
+            return Some(GeometryDifference { key: "number of mirror arrays".into(), here, there });
+        }
         let table = |scenario: &Self| {
             toml::Table::try_from(Geometry::of(scenario)).expect("every table of a scenario has a TOML form")
         };
         let (here, there) = (table(self), table(other));
-        TABLES.iter().find_map(|name| {
-            let (here, there) = (here.get(*name)?.as_table()?, there.get(*name)?.as_table()?);
-            let key = here.keys().chain(there.keys()).find(|key| here.get(*key) != there.get(*key))?;
-            let value = |table: &toml::Table| match table.get(key) {
-                None => "none".into(),
-                // The shortest form, also for very small numbers.
-                Some(toml::Value::Float(number)) => format!("{number:?}"),
-                Some(value) => value.to_string(),
-            };
-            Some(GeometryDifference { key: format!("{name}.{key}"), here: value(here), there: value(there) })
+        TABLES.iter().find_map(|name| match (here.get(*name)?, there.get(*name)?) {
+            (toml::Value::Table(here), toml::Value::Table(there)) => table_difference(name, here, there),
+            (toml::Value::Array(here), toml::Value::Array(there)) => {
+                let mut pairs = here.iter().zip(there).enumerate();
+                pairs.find_map(|(index, (here, there))| {
+                    table_difference(&format!("{name}.{index}"), here.as_table()?, there.as_table()?)
+                })
+            }
+            _ => None,
         })
     }
+}
+
+/// The first key in which two tables of this name differ.
+fn table_difference(name: &str, here: &toml::Table, there: &toml::Table) -> Option<GeometryDifference> {
+    let key = here.keys().chain(there.keys()).find(|key| here.get(*key) != there.get(*key))?;
+    let value = |table: &toml::Table| match table.get(key) {
+        None => "none".into(),
+        // The shortest form, also for very small numbers.
+        Some(toml::Value::Float(number)) => format!("{number:?}"),
+        Some(value) => value.to_string(),
+    };
+    Some(GeometryDifference { key: format!("{name}.{key}"), here: value(here), there: value(there) })
 }
 
 impl Default for Geometry {

@@ -15,7 +15,7 @@ pub enum MobilityModel {
     /// Speed and direction with memory, with reflection at walls.
     GaussMarkov,
     /// Speed changes with bounded acceleration, direction changes with bounded turn rate.
-    SmoothTurn,
+    SmoothRandom,
     /// To goals drawn at random, with repulsion by users, walls and obstacles.
     SocialForce,
     /// At fixed places, with turns.
@@ -39,12 +39,12 @@ pub struct MixtureShare {
 #[serde(deny_unknown_fields, default)]
 pub struct RandomDirection {
     /// Mean duration in s (exponential) of a walk in one direction.
-    pub leg_mean_s: f64,
+    pub travel_time_mean_s: f64,
 }
 
 impl Default for RandomDirection {
     fn default() -> Self {
-        Self { leg_mean_s: 5.0 }
+        Self { travel_time_mean_s: 5.0 }
     }
 }
 
@@ -66,10 +66,10 @@ impl Default for GaussMarkov {
     }
 }
 
-/// Parameters of `smooth-turn`.
+/// Parameters of `smooth-random`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct SmoothTurn {
+pub struct SmoothRandom {
     /// Largest acceleration in m/s2.
     pub acceleration_m_s2: f64,
     /// Largest deceleration in m/s2.
@@ -82,7 +82,7 @@ pub struct SmoothTurn {
     pub direction_change_mean_s: f64,
 }
 
-impl Default for SmoothTurn {
+impl Default for SmoothRandom {
     fn default() -> Self {
         Self {
             acceleration_m_s2: 1.0,

@@ -2,7 +2,7 @@
 
 use crate::check::{count, invalid, within};
 use crate::error::ScenarioError;
-use crate::mobility::{MobilityModel, SmoothTurn, SocialForce};
+use crate::mobility::{MobilityModel, SmoothRandom, SocialForce};
 use crate::tables::{Room, Users};
 
 /// Largest number of entries of `users.mixture`.
@@ -18,12 +18,12 @@ impl Users {
     pub(crate) fn check_mobility(&self, room: &Room) -> Result<(), ScenarioError> {
         within("users.pause_mean_s", self.pause_mean_s, 0.0..=1e4)?;
         within("users.heading_lag_s", self.heading_lag_s, 0.0..=60.0)?;
-        within("users.random_direction.leg_mean_s", self.random_direction.leg_mean_s, 0.1..=1e4)?;
+        within("users.random_direction.travel_time_mean_s", self.random_direction.travel_time_mean_s, 0.1..=1e4)?;
         let gauss_markov = &self.gauss_markov;
         within("users.gauss_markov.memory", gauss_markov.memory, 0.0..=0.9999)?;
         within("users.gauss_markov.interval_s", gauss_markov.interval_s, 0.02..=1e3)?;
         within("users.gauss_markov.direction_std_deg", gauss_markov.direction_std_deg, 0.0..=360.0)?;
-        self.smooth_turn.check()?;
+        self.smooth_random.check()?;
         self.social_force.check()?;
         within("users.seated.turn_mean_s", self.seated.turn_mean_s, 0.1..=1e6)?;
         within("users.seated.spacing_m", self.seated.spacing_m, 0.0..=10.0)?;
@@ -60,13 +60,13 @@ impl Users {
     }
 }
 
-impl SmoothTurn {
+impl SmoothRandom {
     fn check(&self) -> Result<(), ScenarioError> {
-        within("users.smooth_turn.acceleration_m_s2", self.acceleration_m_s2, 0.01..=100.0)?;
-        within("users.smooth_turn.deceleration_m_s2", self.deceleration_m_s2, 0.01..=100.0)?;
-        within("users.smooth_turn.turn_rate_deg_per_s", self.turn_rate_deg_per_s, 1.0..=3600.0)?;
-        within("users.smooth_turn.speed_change_mean_s", self.speed_change_mean_s, 0.1..=1e4)?;
-        within("users.smooth_turn.direction_change_mean_s", self.direction_change_mean_s, 0.1..=1e4)
+        within("users.smooth_random.acceleration_m_s2", self.acceleration_m_s2, 0.01..=100.0)?;
+        within("users.smooth_random.deceleration_m_s2", self.deceleration_m_s2, 0.01..=100.0)?;
+        within("users.smooth_random.turn_rate_deg_per_s", self.turn_rate_deg_per_s, 1.0..=3600.0)?;
+        within("users.smooth_random.speed_change_mean_s", self.speed_change_mean_s, 0.1..=1e4)?;
+        within("users.smooth_random.direction_change_mean_s", self.direction_change_mean_s, 0.1..=1e4)
     }
 }
 

@@ -29,7 +29,12 @@ pub enum Rename {
 }
 
 /// All renamed keys and values of scenario files.
-pub const RENAMES: &[Rename] = &[Rename::Key { old: "control.prediction", new: "control.belief" }];
+pub const RENAMES: &[Rename] = &[
+    Rename::Key { old: "control.prediction", new: "control.belief" },
+    Rename::Key { old: "users.smooth_turn", new: "users.smooth_random" },
+    Rename::Key { old: "users.random_direction.leg_mean_s", new: "users.random_direction.travel_time_mean_s" },
+    Rename::Value { key: "users.mobility", old: "smooth-turn", new: "smooth-random" },
+];
 
 /// A table of renames, applied to the parsed text of a scenario.
 #[derive(Clone, Copy, Debug)]

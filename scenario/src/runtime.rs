@@ -256,25 +256,23 @@ impl Default for Walk {
     }
 }
 
-/// Mean angle between the vertical and the normal of a receiver that a walking user tilts towards
-/// the face.
-///
-/// Without movement the heading is seldom known, so standing users are assumed to hold receivers
-/// upright.
+/// Mean angles between the vertical and the normal of a receiver that users tilt towards the face.
 ///
 /// Source of the defaults: Soltani, Purwita, Zeng, Haas and Safari, IEEE Trans. Commun. 67(3), 2019.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AssumedTilt {
-    /// The angle in degrees.
+    /// The angle of a user who walks, in degrees.
     pub walking_deg: f64,
+    /// The angle of a user who sits or stands, in degrees.
+    pub sitting_deg: f64,
     /// Speed in m/s from which a user walks.
     pub walking_from_m_s: f64,
 }
 
 impl Default for AssumedTilt {
     fn default() -> Self {
-        Self { walking_deg: 29.67, walking_from_m_s: 0.1 }
+        Self { walking_deg: 29.67, sitting_deg: 41.39, walking_from_m_s: 0.1 }
     }
 }
 

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothTurn, SocialForce};
+use crate::mobility::{GaussMarkov, MixtureShare, MobilityModel, RandomDirection, Seated, SmoothRandom, SocialForce};
 use crate::user_orientation::UserOrientation;
 
 /// Dimensions of the room; the origin is the centre of the floor.
@@ -311,8 +311,8 @@ pub struct Users {
     pub random_direction: RandomDirection,
     /// Parameters of `gauss-markov`.
     pub gauss_markov: GaussMarkov,
-    /// Parameters of `smooth-turn`.
-    pub smooth_turn: SmoothTurn,
+    /// Parameters of `smooth-random`.
+    pub smooth_random: SmoothRandom,
     /// Parameters of `social-force`.
     pub social_force: SocialForce,
     /// Parameters of `seated`.
@@ -348,7 +348,7 @@ impl Default for Users {
             heading_lag_s: 0.0,
             random_direction: RandomDirection::default(),
             gauss_markov: GaussMarkov::default(),
-            smooth_turn: SmoothTurn::default(),
+            smooth_random: SmoothRandom::default(),
             social_force: SocialForce::default(),
             seated: Seated::default(),
             seats_m: Vec::new(),

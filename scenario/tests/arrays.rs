@@ -1,6 +1,6 @@
 //! Several mirror arrays in a scenario: `[[mirrors]]`.
 
-use heliostat_scenario::{Scenario, ScenarioError, Wall};
+use heliostat_scenario::{GeometryDifference, Scenario, ScenarioError, Wall};
 
 const TWO: &str = "name = \"two\"\n\n[[mirrors]]\nrows = 4\ncolumns = 6\n\n\
                    [[mirrors]]\nrows = 3\ncolumns = 5\nwall = \"-x\"\nreflectivity = 0.8\n";
@@ -81,10 +81,24 @@ fn the_check_lists_each_problem_of_several_arrays_once() {
 }
 
 #[test]
-fn a_room_on_the_bus_has_one_array() {
+fn a_geometry_has_every_array_and_a_difference_names_the_array() {
     let two = Scenario::from_toml(TWO).expect("valid");
-    let refused = Scenario::from_geometry_toml(&two.geometry_toml()).expect_err("refused");
-    assert_eq!(refused, ScenarioError::SeveralArrays { count: 2 });
-    assert_eq!(two.require_one_array().expect_err("refused"), refused);
+    let announced = Scenario::from_geometry_toml(&two.geometry_toml()).expect("valid");
+    assert_eq!(announced.mirrors, two.mirrors);
+    assert_eq!(two.geometry_difference(&announced), None);
+    let difference = |text: &str| {
+        let other = Scenario::from_toml(text).expect("valid");
+        let GeometryDifference { key, here, there } = two.geometry_difference(&other).expect("another geometry");
+        (key, here, there)
+    };
+    let named = |key: &str, here: &str, there: &str| (key.to_owned(), here.to_owned(), there.to_owned());
+    assert_eq!(difference(&TWO.replace("0.8", "0.7")), named("mirrors.1.reflectivity", "0.8", "0.7"));
+    assert_eq!(difference("name = \"one\"\n"), named("number of mirror arrays", "2", "1"));
+}
+
+#[test]
+fn a_command_for_one_array_refuses_several() {
+    let two = Scenario::from_toml(TWO).expect("valid");
+    assert_eq!(two.require_one_array().expect_err("refused"), ScenarioError::SeveralArrays { count: 2 });
     assert!(Scenario::default().require_one_array().is_ok());
 }

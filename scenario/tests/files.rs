@@ -56,7 +56,7 @@ fn each_refusal_names_its_line() {
         ("[actuator]\nstuck_share = 1.5\n", "line 2", "actuator.stuck_share"),
         ("[users]\nheading_lag_s = -1.0\n", "line 2", "users.heading_lag_s"),
         ("[users]\ngauss_markov = { memory = 1.0 }\n", "line 2", "users.gauss_markov.memory"),
-        ("[users.smooth_turn]\nturn_rate_deg_per_s = 0.0\n", "line 2", "users.smooth_turn.turn_rate_deg_per_s"),
+        ("[users.smooth_random]\nturn_rate_deg_per_s = 0.0\n", "line 2", "users.smooth_random.turn_rate_deg_per_s"),
         ("[users.social_force]\nforce = 2.0\n", "line 2", "force"),
         ("[users]\nmobility = \"levy\"\n", "line 2", "social-force"),
         ("[users]\nseats_m = [\n  [0.0, 0.0],\n  [0.0, 2.6],\n]\n", "line 2", "users.seats_m = [0.0, 2.6]"),

@@ -56,7 +56,7 @@ impl Args {
             None => Pace::Live { duration: self.end.seconds },
         };
         Ok(Settings {
-            scenario: self.scenario.load()?,
+            scenario: self.scenario.load_arrays()?,
             bus: self.bus.config_or_listen(&[AccessRole::Simulator])?,
             pace,
             metrics: self.metrics,

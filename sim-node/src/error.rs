@@ -30,6 +30,15 @@ pub enum NodeError {
     /// The corrections do not fit the array.
     #[error("the calibration does not fit the array: {0}")]
     Calibration(#[from] Unfit),
+    /// Corrections for a room with several arrays.
+    #[error(
+        "a calibration is for one array, and the scenario has {arrays} ([[mirrors]]): leave --calibration out, \
+         or publish a calibration for each array under its own key"
+    )]
+    CalibrationOfSeveral {
+        /// Number of arrays.
+        arrays: usize,
+    },
     /// Lockstep: there is no controller.
     #[error(
         "no controller in room \"{room}\" within {waited_s} s: start one with --lockstep in the same room, \

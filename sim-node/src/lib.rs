@@ -6,8 +6,9 @@
 //! - [`tick_ledger`]: which tick was answered, and when.
 //! - [`cli`]: the command line.
 
+pub mod array_node;
 pub mod cli;
-pub mod coverage;
+mod coverage;
 mod error;
 mod live;
 mod lockstep;

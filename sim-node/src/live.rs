@@ -35,9 +35,9 @@ pub(crate) fn run(mut node: Node, duration: Option<Duration>, stop: &Stop) -> Re
     }
     if !stop.is_requested() {
         drain(&mut node);
-        node.keep_latch(false);
+        node.keep_latches(false);
     }
-    node.refused.set("dropped", node.session.received().dropped());
+    node.refused.set("dropped", node.session.dropped());
     node.refused.set("truth-skipped", publisher.skipped());
     let measurements = publisher.finish()?;
     let summary = node.summary(&measurements);
@@ -52,7 +52,7 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
     // Before the first report, so that its answer can respect them.
     if node.capabilities.take(now.local_ns).is_some() {
         node.publish_capabilities(now)?;
-        node.keep_latch(true);
+        node.keep_latches(true);
         node.publish_safety(now)?;
     }
     if node.reports.next_sample_ns() <= now.local_ns {
@@ -87,9 +87,11 @@ fn run_due(node: &mut Node, publisher: &mut PublisherThread, now: Moment) -> Res
 }
 
 fn handle_received(node: &mut Node) {
-    while let Some(arrival) = node.session.received().pop() {
-        let at = arrival.at;
-        node.handle(arrival, at);
+    for array in 0..node.room.arrays() {
+        while let Some(arrival) = node.session.received(array).pop() {
+            let at = arrival.at;
+            node.handle(array, arrival, at);
+        }
     }
 }
 
@@ -97,9 +99,11 @@ fn handle_received(node: &mut Node) {
 fn drain(node: &mut Node) {
     let give_up_ns = node.clock.local_ns() + TICK_TIMEOUT_NS;
     while node.ticks.is_waiting() && node.clock.local_ns() < give_up_ns {
-        if let Some(arrival) = node.session.received().pop_until(Instant::now() + DRAIN_SLEEP) {
-            let at = arrival.at;
-            node.handle(arrival, at);
+        for array in 0..node.room.arrays() {
+            if let Some(arrival) = node.session.received(array).pop_until(Instant::now() + DRAIN_SLEEP) {
+                let at = arrival.at;
+                node.handle(array, arrival, at);
+            }
         }
     }
     node.ticks.expire(node.clock.local_ns());

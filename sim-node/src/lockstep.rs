@@ -2,8 +2,8 @@
 //!
 //! All input of the room comes from the seed and from the answers, in a fixed order. So the same
 //! seed and the same controller give the same run, bit for bit; the hash in the summary confirms
-//! it. Stamps are in simulated time. Only the first accepted command that answers the current tick
-//! enters the room; others are counted as `not-awaited`.
+//! it. Stamps are in simulated time. For each array only the first accepted command that answers the
+//! current tick enters the room; others are counted as `not-awaited`.
 
 use std::time::{Duration, Instant};
 
@@ -69,23 +69,32 @@ fn publish(node: &mut Node, report: &Report, now: Moment, hash: &mut Fnv1a, stop
         }
     })?;
     let Report::Users(report) = report else { return Ok(0) };
-    match await_answer(node, report.tick, now, stop)? {
-        Some(command) => {
-            hash.command(&command);
-            Ok(1)
-        }
-        None => Ok(0),
+    // A controller sends no command to an array that is stopped.
+    let arrays = match node.obedient() {
+        none if none.is_empty() => vec![0],
+        some => some,
+    };
+    for array in arrays {
+        let Some(command) = await_answer(node, array, (report.tick, now), stop)? else { return Ok(0) };
+        hash.command(&command);
     }
+    Ok(1)
 }
 
-/// Waits for the command that answers the tick and gives it to the room; `None` when stopped.
-fn await_answer(node: &mut Node, tick: u64, now: Moment, stop: &Stop) -> Result<Option<MirrorCommand>, NodeError> {
+/// Waits for the command to an array that answers the tick and gives it to the room; `None` when
+/// stopped.
+fn await_answer(
+    node: &mut Node,
+    array: usize,
+    (tick, now): (u64, Moment),
+    stop: &Stop,
+) -> Result<Option<MirrorCommand>, NodeError> {
     let begun = Instant::now();
     while begun.elapsed() < ANSWER_WAIT {
         if stop.is_requested() {
             return Ok(None);
         }
-        let Some(arrival) = node.session.received().pop_until(Instant::now() + WAIT_SLICE) else { continue };
+        let Some(arrival) = node.session.received(array).pop_until(Instant::now() + WAIT_SLICE) else { continue };
         if let Content::Command(Ok(MirrorCommand { answers, .. })) = &arrival.content
             && *answers != tick
         {
@@ -93,7 +102,7 @@ fn await_answer(node: &mut Node, tick: u64, now: Moment, stop: &Stop) -> Result<
                 .count("not-awaited", format!("a command answers tick {answers}: expected an answer to tick {tick}"));
             continue;
         }
-        if let Some(command) = node.handle(arrival, now) {
+        if let Some(command) = node.handle(array, arrival, now) {
             return Ok(Some(command));
         }
     }

@@ -1,6 +1,5 @@
 //! The simulated room with its session, clock and counters: what live operation and lockstep share.
 
-use heliostat_array::latch::Latch;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_bus::Class;
@@ -8,7 +7,8 @@ use heliostat_driver::clock::Clock;
 use heliostat_driver::receive_queue::Arrival;
 use heliostat_driver::stop_record;
 use heliostat_driver::stop_record::StopRecord;
-use heliostat_proto::{ArrayState, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
+use heliostat_proto::array_keys::array_name;
+use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_scenario::Scenario;
 use heliostat_service::{Exporter, Page};
 use heliostat_sim::baselines::Snapshot;
@@ -18,6 +18,7 @@ use heliostat_sim::reports::Reports;
 use heliostat_sim::reports::schedule::Schedule;
 use heliostat_sim::room::SimulatedRoom;
 
+use crate::array_node::ArrayNode;
 use crate::coverage::Coverage;
 use crate::error::NodeError;
 use crate::metrics;
@@ -49,21 +50,12 @@ pub(crate) struct Node {
     pub truth: Schedule,
     pub status: Schedule,
     pub capabilities: Schedule,
-    telemetry_sequence: u64,
     orders: u64,
-    capabilities_sequence: u64,
-    safety_sequence: u64,
-    /// The emergency stop on disk.
-    record: Option<StopRecord>,
+    /// One for each array of the room.
+    arrays: Vec<ArrayNode>,
     /// Taken by the truth publisher when it is created.
     exporter: Option<Exporter>,
     has_exporter: bool,
-    /// The state in the last telemetry.
-    published_state: ArrayState,
-    /// The latch in the last safety report; `None` before the first.
-    published_latch: Option<Latch>,
-    /// Name of the room, for the log.
-    name: String,
     scenario: Scenario,
     scenario_hash: String,
     started_ns: u64,
@@ -72,28 +64,36 @@ pub(crate) struct Node {
 impl Node {
     pub fn open(settings: &Settings) -> Result<Self, NodeError> {
         // In lockstep no message may be dropped, and reports must not overtake telemetry.
-        let (reports, telemetry) = match settings.pace {
-            Pace::Live { .. } => (Class::RealTimeDrop, Class::HighDrop),
-            Pace::Lockstep { .. } => (Class::RealTimeBlock, Class::RealTimeBlock),
+        let classes = match settings.pace {
+            Pace::Live { .. } => [Class::RealTimeDrop, Class::HighDrop],
+            Pace::Lockstep { .. } => [Class::RealTimeBlock; 2],
         };
         let scenario = settings.scenario.clone();
         let exporter = settings.metrics.open()?;
         let mut room = SimulatedRoom::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         if let Some(corrections) = &settings.calibration {
-            room.set_calibration(&corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
+            if room.arrays() > 1 {
+                return Err(NodeError::CalibrationOfSeveral { arrays: room.arrays() });
+            }
+            room.set_calibration(0, &corrections.message(Stamp { sequence: 1, ..Stamp::default() }))?;
         }
-        let session = RoomSession::open(&settings.bus, reports, telemetry)?;
+        let session = RoomSession::open(&settings.bus, room.arrays(), classes)?;
         let clock = session.clock();
         // Every role may publish under the key of the stop, only operators under that of a re-arm.
         room.refuse_unnamed_rearm(settings.bus.is_authenticated());
-        let record = settings.record.as_ref().map(|record| {
-            let (record, stop_at_start) = StopRecord::open(record, &settings.bus.room, clock.now().room_ns);
-            if let Some(stop) = stop_at_start {
-                tracing::warn!("{}", stop_record::advice(&settings.bus.room, &stop));
-                room.stop(clock.now(), stop);
-            }
-            record
+        let arrays = (0..room.arrays()).map(|array| {
+            let record = settings.record.as_ref().map(|record| {
+                let now = clock.now();
+                let (record, stop) = StopRecord::open_array(record, (&settings.bus.room, array), now.room_ns);
+                if let Some(stop) = stop {
+                    tracing::warn!("{}", stop_record::advice(&settings.bus.room, &stop));
+                    room.stop(array, now, stop);
+                }
+                record
+            });
+            ArrayNode::new(array, record, settings.bus.room.to_string())
         });
+        let arrays = arrays.collect();
         // Halfway between two ticks: this samples the mean age of the angles, and does not delay a
         // tick.
         let between_ticks_ns = Schedule::new(scenario.streams.positions.rate_hz, 0).period_ns() / 2;
@@ -111,16 +111,10 @@ impl Node {
             refused: RefusalCounts::default(),
             coverage: Coverage::default(),
             capabilities: Schedule::new(CAPABILITIES_HZ, 0),
-            telemetry_sequence: 0,
             orders: 0,
-            capabilities_sequence: 0,
-            safety_sequence: 0,
-            record,
+            arrays,
             has_exporter: exporter.is_some(),
             exporter,
-            published_state: ArrayState::Parked,
-            published_latch: None,
-            name: settings.bus.room.to_string(),
             scenario,
         })
     }
@@ -129,43 +123,33 @@ impl Node {
         TruthPublisher::new(self.room.world(), &self.session, self.scenario.geometry_toml(), self.exporter.take())
     }
 
-    /// Gives an arrival to the array at time `at`; returns the command if it was one that was
+    /// Gives an arrival to an array at time `at`; returns the command if it was one that was
     /// accepted.
-    pub fn handle(&mut self, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
-        let command = self.room.handle(at, arrival.content, &mut self.refused)?;
+    pub fn handle(&mut self, array: usize, arrival: Arrival, at: Moment) -> Option<MirrorCommand> {
+        let command = self.room.handle(array, at, arrival.content, &mut self.refused)?;
         self.ticks.answered(command.answers, arrival.at.local_ns);
         Some(command)
     }
 
-    /// Records the emergency stop, before telemetry reports it; `again` repeats a write that
+    /// Records the emergency stops, before telemetry reports them; `again` repeats a write that
     /// failed.
-    pub fn keep_latch(&mut self, again: bool) {
-        let Some(record) = &mut self.record else { return };
-        if let Err(error) = record.keep(self.room.array().latch(), again) {
-            tracing::error!("{error}");
-        }
+    pub fn keep_latches(&mut self, again: bool) {
+        self.arrays.iter_mut().for_each(|array| array.keep_latch(&self.room, again));
     }
 
-    /// Publishes telemetry when it is due, or when the array's state has changed; with it the
+    /// Publishes telemetry when it is due, or when the state of an array has changed; with it the
     /// safety report, when the latch has changed.
     pub fn publish_telemetry(&mut self, now: Moment) -> Result<(), NodeError> {
-        self.keep_latch(false);
-        if self.published_latch.as_ref() != Some(self.room.array().latch()) {
-            self.publish_safety(now)?;
+        self.keep_latches(false);
+        for array in self.arrays.iter_mut().filter(|array| array.has_new_latch(&self.room)) {
+            array.publish_safety(&self.room, &mut self.session, now)?;
         }
         let due = self.telemetry.take(now.local_ns).is_some();
         if due {
             self.room.advance(now.local_ns);
         }
-        let state = self.room.array().state();
-        if !due && state == self.published_state {
-            return Ok(());
-        }
-        self.published_state = state;
-        self.telemetry_sequence += 1;
-        let stamp = self.session.stamp(self.telemetry_sequence, now.room_ns);
-        let telemetry = self.room.telemetry(stamp);
-        self.session.publish_telemetry(&telemetry)
+        let Self { arrays, room, session, .. } = self;
+        arrays.iter_mut().try_for_each(|array| array.publish_telemetry(room, session, (now, due)))
     }
 
     /// Applies the orders of operators.
@@ -200,36 +184,44 @@ impl Node {
     }
 
     pub fn publish_capabilities(&mut self, now: Moment) -> Result<(), NodeError> {
-        self.capabilities_sequence += 1;
-        let stamp = self.session.stamp(self.capabilities_sequence, now.room_ns);
-        self.session.publish_capabilities(&self.room.capabilities(stamp))
+        let Self { arrays, room, session, .. } = self;
+        arrays.iter_mut().try_for_each(|array| array.publish_capabilities(room, session, now))
     }
 
     pub fn publish_safety(&mut self, now: Moment) -> Result<(), NodeError> {
-        self.safety_sequence += 1;
-        let latch = self.room.array().latch();
-        if self.published_latch.as_ref().is_some_and(|published| published != latch) {
-            stop_record::log_change(&self.name, latch);
-        }
-        self.published_latch = Some(latch.clone());
-        let stamp = self.session.stamp(self.safety_sequence, now.room_ns);
-        self.session.publish_safety(&self.room.safety(stamp))
+        let Self { arrays, room, session, .. } = self;
+        arrays.iter_mut().try_for_each(|array| array.publish_safety(room, session, now))
+    }
+
+    /// The arrays that obey commands: those that no stop holds.
+    pub fn obedient(&self) -> Vec<usize> {
+        let arrays = 0..self.room.arrays();
+        arrays.filter(|array| self.room.array(*array).state() != ArrayState::Stopped).collect()
+    }
+
+    /// Whether any array follows or has followed a command.
+    fn is_commanded(&self) -> bool {
+        (0..self.room.arrays()).any(|array| self.room.array(array).followed().is_some())
     }
 
     pub fn snapshot(&self, now: Moment) -> Snapshot {
         Snapshot {
             tick: self.reports.tick(),
             time_ns: now.room_ns,
-            commanded: self.room.array().followed().is_some(),
+            commanded: self.is_commanded(),
             ..Snapshot::new(self.room.world(), self.room.angles())
         }
     }
 
     fn status_message(&self, time_ns: u64) -> NodeStatus {
         let summary = self.summary(&Measurements::default());
-        let state = match self.room.array().followed() {
-            None => "waiting for a controller".to_owned(),
-            Some(_) => format!("array {:?}", self.room.array().state()).to_lowercase(),
+        let state_of = |array: usize| {
+            let name = if array == 0 { "array".to_owned() } else { array_name(array) };
+            format!("{name} {:?}", self.room.array(array).state()).to_lowercase()
+        };
+        let state = match self.is_commanded() {
+            false => "waiting for a controller".to_owned(),
+            true => (0..self.room.arrays()).map(state_of).collect::<Vec<_>>().join(", "),
         };
         let counts = [
             ("ticks", summary.ticks),
@@ -253,7 +245,7 @@ impl Node {
             ("speed_max_m_s", fastest),
             ("forced_users", world.forced().iter().filter(|forced| **forced).count() as f64),
             ("users", world.ids().len() as f64),
-            ("faulty_mirrors", self.room.actuator().faulty_mirrors() as f64),
+            ("faulty_mirrors", self.room.faulty_mirrors() as f64),
         ];
         let us = summary.loop_us;
         let quantiles =
@@ -281,7 +273,7 @@ impl Node {
 
     /// A stop that cannot be recorded, or the last refusal.
     fn last_problem(&self) -> &str {
-        let record = self.record.as_ref().and_then(StopRecord::problem);
+        let record = self.arrays.iter().find_map(ArrayNode::record_problem);
         record.unwrap_or_else(|| self.refused.last_problem())
     }
 
@@ -295,7 +287,9 @@ impl Node {
     }
 
     pub fn summary(&self, measurements: &Measurements) -> Summary {
-        let counters = self.room.array().counters();
+        let counters = |count: fn(&Counters) -> u64| -> u64 {
+            (0..self.room.arrays()).map(|array| count(self.room.array(array).counters())).sum()
+        };
         let refused = self.refused.counts().iter().map(|(name, count)| (name.clone(), *count));
         let mut summary = Summary {
             scenario: self.scenario.name.clone(),
@@ -305,8 +299,8 @@ impl Node {
             unattended_ticks: self.ticks.unattended(),
             lost_ticks: self.ticks.lost(),
             late_ticks: self.reports.late_ticks(),
-            commands: counters.accepted,
-            clipped_commands: counters.clipped,
+            commands: counters(|counters| counters.accepted),
+            clipped_commands: counters(|counters| counters.clipped),
             refused: refused.collect(),
             turnover: self.room.world().turnover().map(TurnoverSummary::from),
             loop_us: self.ticks.distribution(),

@@ -1,4 +1,4 @@
-//! The session of the simulator on the bus: the array's session, the report streams, orders, and
+//! The session of the simulator on the bus: the arrays' sessions, the report streams, orders, and
 //! liveliness.
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,9 +9,7 @@ use heliostat_driver::clock::Clock;
 use heliostat_driver::receive_queue::ReceiveQueue;
 use heliostat_driver::session::{self, ALIVE_LIMIT, ArraySession, MessagePublisher};
 use heliostat_proto::keys::parse_alive;
-use heliostat_proto::{
-    BeliefReport, Capabilities, CodecError, MirrorTelemetry, NodeKind, SafetyReport, SimulatorControl, Stamp, decode,
-};
+use heliostat_proto::{BeliefReport, CodecError, NodeKind, SimulatorControl, Stamp, decode};
 use heliostat_service::source_id;
 use heliostat_sim::reports::Report;
 
@@ -34,7 +32,8 @@ pub(crate) struct RoomSession {
     bus: Bus,
     clock: Clock,
     source: u64,
-    array: ArraySession,
+    /// One for each array.
+    arrays: Vec<ArraySession>,
     other_simulators: Arc<Mutex<Vec<String>>>,
     orders: Arc<Mutex<Vec<Order>>>,
     beliefs: Arc<Mutex<Vec<BeliefReport>>>,
@@ -53,13 +52,14 @@ pub(crate) struct ViewerPublishers {
 }
 
 impl RoomSession {
-    /// Opens a session and declares everything, unless another driver or simulator is in the room.
+    /// Opens a session for so many arrays and declares everything, unless another driver or simulator
+    /// is in the room.
     ///
     /// `reports` and `telemetry` are their classes of transport.
-    pub fn open(config: &BusConfig, reports: Class, telemetry: Class) -> Result<Self, NodeError> {
+    pub fn open(config: &BusConfig, arrays: usize, [reports, telemetry]: [Class; 2]) -> Result<Self, NodeError> {
         let bus = Bus::open(config)?;
         let keys = config.room.clone();
-        session::check_alone(&bus)?;
+        session::check_alone(&bus, 0..arrays)?;
         let source = source_id::random();
         let clock = Clock::start_in(START_DELAY);
         let other_simulators = Arc::new(Mutex::new(Vec::new()));
@@ -93,7 +93,9 @@ impl RoomSession {
             channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
             obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
             orientation: MessagePublisher::new(&bus, &keys.orientation(), reports)?,
-            array: ArraySession::open(&bus, clock, telemetry)?,
+            arrays: (0..arrays)
+                .map(|array| ArraySession::open(&bus, array, clock, telemetry))
+                .collect::<Result<_, _>>()?,
             _declared: (bus.announce(&keys.alive(NodeKind::SimNode, source))?, [watch, control, belief]),
             bus,
             clock,
@@ -114,9 +116,19 @@ impl RoomSession {
         self.source
     }
 
-    /// The queue of messages for the array.
-    pub fn received(&self) -> &ReceiveQueue {
-        self.array.received()
+    /// The queue of messages for an array.
+    pub fn received(&self, array: usize) -> &ReceiveQueue {
+        self.arrays[array].received()
+    }
+
+    /// Messages to all arrays that were dropped because a queue was full.
+    pub fn dropped(&self) -> u64 {
+        self.arrays.iter().map(|array| array.received().dropped()).sum()
+    }
+
+    /// The session of an array.
+    pub fn array(&mut self, array: usize) -> &mut ArraySession {
+        &mut self.arrays[array]
     }
 
     /// Publishers of truth, status and geometry, for use on another thread.
@@ -152,21 +164,6 @@ impl RoomSession {
         };
         before();
         Ok(publisher.put()?)
-    }
-
-    /// Publishes telemetry.
-    pub fn publish_telemetry(&mut self, telemetry: &MirrorTelemetry) -> Result<(), NodeError> {
-        Ok(self.array.publish_telemetry(telemetry)?)
-    }
-
-    /// Publishes the capabilities, and answers queries with them from now on.
-    pub fn publish_capabilities(&mut self, capabilities: &Capabilities) -> Result<(), NodeError> {
-        Ok(self.array.publish_capabilities(capabilities)?)
-    }
-
-    /// Publishes a safety report, and answers queries with it from now on.
-    pub fn publish_safety(&mut self, safety: &SafetyReport) -> Result<(), NodeError> {
-        Ok(self.array.publish_safety(safety)?)
     }
 
     /// The room's name.

@@ -7,6 +7,7 @@ use heliostat_proto::{FaultKind, MirrorFault, SimulatorControl};
 use heliostat_scenario::{POWER_W, SPEED_M_S};
 use thiserror::Error;
 
+use crate::mirrors::actuator::Actuator;
 use crate::mirrors::fault::{AxisFault, drawn_share};
 use crate::room::SimulatedRoom;
 
@@ -111,26 +112,39 @@ pub fn apply(room: &mut SimulatedRoom, order: &SimulatorControl) -> Vec<OrderRef
     refused
 }
 
-/// Applies one fault to its mirrors.
+/// Applies one fault to its mirrors, which have the index of the room.
 fn apply_fault(room: &mut SimulatedRoom, fault: &MirrorFault) -> Result<(), OrderRefusal> {
     let mirrors = room.angles().roll.len();
     if let Some(found) = fault.mirrors.iter().copied().find(|index| *index as usize >= mirrors) {
         return Err(OrderRefusal::Mirror { found, last: mirrors - 1 });
     }
-    let selected = || selected(fault, mirrors);
-    let actuator = room.actuator_mut();
-    match fault.fault {
-        FaultKind::Offline => actuator.go_offline(duration_s(fault, OUTAGE_S)?),
-        FaultKind::Late => actuator.set_delay_fault(duration_s(fault, DELAY_S)?),
-        FaultKind::Reboot => actuator.reboot(duration_s(fault, OUTAGE_S)?),
-        FaultKind::Stuck => actuator.set_faults(&selected(), |_| (AxisFault::Stuck, AxisFault::Stuck)),
-        FaultKind::DeadRoll => actuator.set_faults(&selected(), |(_, yaw)| (AxisFault::Dead, yaw)),
-        FaultKind::DeadYaw => actuator.set_faults(&selected(), |(roll, _)| (roll, AxisFault::Dead)),
-        FaultKind::FlippedRoll => actuator.set_faults(&selected(), |(_, yaw)| (AxisFault::Flipped, yaw)),
-        FaultKind::FlippedYaw => actuator.set_faults(&selected(), |(roll, _)| (roll, AxisFault::Flipped)),
-        FaultKind::Healed => actuator.set_faults(&selected(), |_| (AxisFault::None, AxisFault::None)),
+    let selected = selected(fault, mirrors);
+    let seconds = match fault.fault {
+        FaultKind::Offline | FaultKind::Reboot => duration_s(fault, OUTAGE_S)?,
+        FaultKind::Late => duration_s(fault, DELAY_S)?,
+        _ => 0.0,
+    };
+    let ranges: Vec<_> = room.world().model().mirrors.ranges().map(|(_, mirrors)| mirrors).collect();
+    for (array, mirrors) in ranges.into_iter().enumerate() {
+        let own = selected.iter().filter(|mirror| mirrors.contains(mirror)).map(|mirror| mirror - mirrors.start);
+        apply_to_array(room.actuator_mut(array), fault.fault, seconds, &own.collect::<Vec<_>>());
     }
     Ok(())
+}
+
+/// Applies a fault to some mirrors of an array, or to all of it.
+fn apply_to_array(actuator: &mut Actuator, fault: FaultKind, seconds: f64, mirrors: &[usize]) {
+    match fault {
+        FaultKind::Offline => actuator.go_offline(seconds),
+        FaultKind::Late => actuator.set_delay_fault(seconds),
+        FaultKind::Reboot => actuator.reboot(seconds),
+        FaultKind::Stuck => actuator.set_faults(mirrors, |_| (AxisFault::Stuck, AxisFault::Stuck)),
+        FaultKind::DeadRoll => actuator.set_faults(mirrors, |(_, yaw)| (AxisFault::Dead, yaw)),
+        FaultKind::DeadYaw => actuator.set_faults(mirrors, |(roll, _)| (roll, AxisFault::Dead)),
+        FaultKind::FlippedRoll => actuator.set_faults(mirrors, |(_, yaw)| (AxisFault::Flipped, yaw)),
+        FaultKind::FlippedYaw => actuator.set_faults(mirrors, |(roll, _)| (roll, AxisFault::Flipped)),
+        FaultKind::Healed => actuator.set_faults(mirrors, |_| (AxisFault::None, AxisFault::None)),
+    }
 }
 
 /// The duration of a fault in s.
@@ -212,7 +226,7 @@ mod tests {
             let mut room = room();
             assert_eq!(names(&apply(&mut room, &beyond)), ["power", "speed", "duration", "duration"]);
             assert_eq!(room.world().forced().iter().filter(|forced| **forced).count(), 1);
-            assert!(!room.actuator().is_offline());
+            assert!(!room.actuator(0).is_offline());
         }
     }
 
@@ -222,7 +236,7 @@ mod tests {
         assert_eq!(selected(&fault, 100), drawn_share(f64::from(0.3_f32), 3, 100));
         let scenario = Scenario::builtin("specular").unwrap();
         let scenario = scenario.with_overrides(&["actuator.stuck_share=0.3".into()]).unwrap();
-        assert_eq!(SimulatedRoom::new(&scenario, None, 1).unwrap().actuator().faulty_mirrors(), 30);
+        assert_eq!(SimulatedRoom::new(&scenario, None, 1).unwrap().faulty_mirrors(), 30);
     }
 
     #[test]
@@ -231,7 +245,7 @@ mod tests {
         let mut order = |fault, mirrors: &[u32]| {
             let fault = MirrorFault { fault, mirrors: mirrors.to_vec(), ..MirrorFault::default() };
             assert!(apply(&mut room, &SimulatorControl { faults: vec![fault], ..Default::default() }).is_empty());
-            (room.actuator().fault(1), room.actuator().faulty_mirrors())
+            (room.actuator(0).fault(1), room.faulty_mirrors())
         };
         assert_eq!(order(FaultKind::DeadRoll, &[1]), ((AxisFault::Dead, AxisFault::None), 1));
         assert_eq!(order(FaultKind::FlippedYaw, &[1, 2]), ((AxisFault::Dead, AxisFault::Flipped), 2));

@@ -36,11 +36,11 @@
 //!             roll: vec![0.0; mirrors],
 //!             yaw: vec![0.0; mirrors],
 //!         };
-//!         episode.handle_command(now, &command)?;
+//!         episode.handle_command(0, now, &command)?;
 //!     }
 //! }
 //! episode.advance(end_ns);
-//! assert_eq!(episode.room().array().counters().accepted, reports);
+//! assert_eq!(episode.room().array(0).counters().accepted, reports);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -63,8 +63,8 @@ const SOURCE: u64 = 1;
 /// A message of the room.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// The array's telemetry.
-    Telemetry(Box<MirrorTelemetry>),
+    /// The telemetry of the array with this index.
+    Telemetry(usize, Box<MirrorTelemetry>),
     /// The users' positions and velocities; completes a tick.
     Users(UserReport),
     /// The users' channel gains and SINR.
@@ -97,8 +97,8 @@ pub struct Episode {
     start_ns: u64,
     /// The time of the latest event, at which reports may still wait for their release.
     event_ns: u64,
-    /// Telemetry of that time which has not been polled yet.
-    due_telemetry: Option<Box<MirrorTelemetry>>,
+    /// Telemetry of that time which has not been polled yet, of the last array first.
+    due_telemetry: Vec<(usize, Box<MirrorTelemetry>)>,
 }
 
 impl Episode {
@@ -125,7 +125,7 @@ impl Episode {
             telemetry_sequence: 0,
             start_ns,
             event_ns: 0,
-            due_telemetry: None,
+            due_telemetry: Vec::new(),
         }
     }
 
@@ -135,8 +135,8 @@ impl Episode {
     pub fn poll_event(&mut self, until_ns: u64) -> Option<(Moment, Event)> {
         loop {
             let now = Moment::simulated(self.event_ns);
-            if let Some(telemetry) = self.due_telemetry.take() {
-                return Some((now, Event::Telemetry(telemetry)));
+            if let Some((array, telemetry)) = self.due_telemetry.pop() {
+                return Some((now, Event::Telemetry(array, telemetry)));
             }
             if let Some(report) = self.reports.release(self.event_ns) {
                 return Some((now, report.into()));
@@ -149,12 +149,12 @@ impl Episode {
         }
     }
 
-    /// Gives a command to the array.
+    /// Gives a command to an array.
     ///
     /// # Errors
     /// [`Refusal`]: the array does not change.
-    pub fn handle_command(&mut self, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
-        self.room.handle_command(now, command)
+    pub fn handle_command(&mut self, array: usize, now: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+        self.room.handle_command(array, now, command)
     }
 
     /// Advances users and mirrors to a time, without events; to be called after
@@ -168,9 +168,9 @@ impl Episode {
         &self.room
     }
 
-    /// The array's capabilities, which a controller needs before the first event.
-    pub fn capabilities(&self) -> Capabilities {
-        self.room.capabilities(Stamp::default())
+    /// The capabilities of each array, which a controller needs before the first event.
+    pub fn capabilities(&self) -> impl Iterator<Item = Capabilities> {
+        (0..self.room.arrays()).map(|array| self.room.capabilities(array, Stamp::default()))
     }
 
     /// The time of the next sample or release.
@@ -189,7 +189,9 @@ impl Episode {
         if self.telemetry.take(at_ns).is_some() {
             self.telemetry_sequence += 1;
             let stamp = Stamp { source: SOURCE, sequence: self.telemetry_sequence, time_ns: at_ns };
-            self.due_telemetry = Some(Box::new(self.room.telemetry(stamp)));
+            for array in (0..self.room.arrays()).rev() {
+                self.due_telemetry.push((array, Box::new(self.room.telemetry(array, stamp))));
+            }
         }
     }
 }
@@ -208,7 +210,7 @@ mod tests {
         std::iter::from_fn(|| episode.poll_event(until_ns))
             .map(|(now, event)| {
                 let kind = match event {
-                    Event::Telemetry(_) => 't',
+                    Event::Telemetry(..) => 't',
                     Event::Obstacles(_) => 'o',
                     Event::Orientation(_) => 'h',
                     Event::Channel(_) => 'c',
@@ -258,7 +260,7 @@ mod tests {
                     roll: vec![0.1; 100],
                     yaw: vec![0.0; 100],
                 };
-                episode.handle_command(now, &command).unwrap();
+                episode.handle_command(0, now, &command).unwrap();
                 turned = episode.room().angles().roll[0];
             }
         }

@@ -6,7 +6,7 @@
 
 use heliostat_array::moment::Moment;
 use heliostat_array::{Device, DeviceError};
-use heliostat_channel::{MirrorAngles, MirrorArrays};
+use heliostat_channel::{MirrorAngles, MirrorArray};
 use heliostat_proto::{AxisLimits, Capabilities, Feedback};
 use heliostat_scenario::{Actuator as Table, ActuatorParameters};
 
@@ -27,7 +27,7 @@ pub const HOLD_MS: u32 = 300;
 /// a calibration.
 pub const CALIBRATION_RESERVE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// The actuators of all mirrors of a room, with the time up to which they were advanced.
+/// The actuators of all mirrors of an array, with the time up to which they were advanced.
 #[derive(Clone, Debug)]
 pub struct SimulatedMirrors {
     actuator: Actuator,
@@ -40,20 +40,19 @@ pub struct SimulatedMirrors {
 
 impl SimulatedMirrors {
     /// Mirrors at rest, at local time 0; mounting, jitter, drift and which of them are stuck come
-    /// from the seed.
-    pub fn new(table: &Table, mirrors: &MirrorArrays, seed: u64) -> Self {
+    /// from the seed. `index` is that of the array in its room.
+    pub fn new(table: &Table, mirrors: &MirrorArray, seed: u64, index: u32) -> Self {
         let parameters = table.parameters();
         let drive =
             ActuatorParameters { range_rad: parameters.range_rad + CALIBRATION_RESERVE_RAD, ..parameters.clone() };
-        let mut actuator = Actuator::new(&drive, mirrors.len(), random::stream(seed, Purpose::Actuator, 0));
-        let stuck = drawn_share(table.stuck_share.unwrap_or(0.0), seed, mirrors.len());
+        let mut actuator = Actuator::new(&drive, mirrors.len(), random::stream(seed, Purpose::Actuator, index));
+        let stuck = drawn_share(table.stuck_share.unwrap_or(0.0), seed.wrapping_add(index.into()), mirrors.len());
         actuator.set_faults(&stuck, |_| (AxisFault::Stuck, AxisFault::Stuck));
-        let (rows, columns) = mirrors.grid();
         Self {
             actuator,
             hardware: format!("simulated mirrors, profile {:?}", table.profile).to_lowercase(),
-            rows,
-            columns,
+            rows: mirrors.rows(),
+            columns: mirrors.columns(),
             parameters,
             time_ns: 0,
         }

@@ -1,4 +1,4 @@
-//! The simulated room: the world, and the driver kit around the simulated array, on the same time
+//! The simulated room: the world, and a driver kit around each simulated array, on the same time
 //! line.
 
 use heliostat_array::Kit;
@@ -21,7 +21,10 @@ use crate::world::{World, WorldError};
 #[derive(Clone, Debug)]
 pub struct SimulatedRoom {
     world: World,
-    kit: Kit<SimulatedMirrors>,
+    /// One for each array.
+    kits: Vec<Kit<SimulatedMirrors>>,
+    /// Where the mirrors of several arrays point, array after array; unused for one array.
+    joint: MirrorAngles,
     world_ns: u64,
     /// Room time minus local time, as of the last arrival.
     room_ahead_ns: u64,
@@ -34,54 +37,78 @@ impl SimulatedRoom {
     /// [`WorldError`] as from [`World::new`].
     pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, WorldError> {
         let world = World::new(scenario, trace, seed)?;
-        let mirrors = SimulatedMirrors::new(&true_room(scenario, seed).actuator, &world.model().mirrors, seed);
-        let mut room = Self { world, kit: Kit::new(mirrors), world_ns: 0, room_ahead_ns: 0 };
-        room.kit.advance(Moment::default());
+        let actuator = true_room(scenario, seed).actuator;
+        let arrays = world.model().mirrors.arrays().iter().zip(0..);
+        let kits = arrays.map(|(array, index)| Kit::new(SimulatedMirrors::new(&actuator, array, seed, index)));
+        let kits = kits.collect();
+        let joint = MirrorAngles::flat(world.model().mirrors.len());
+        let mut room = Self { world, kits, joint, world_ns: 0, room_ahead_ns: 0 };
+        room.kits.iter_mut().for_each(|kit| kit.advance(Moment::default()));
+        room.join_angles();
         Ok(room)
     }
 
-    /// Gives a command to the array at the time of its arrival.
+    /// Number of arrays.
+    pub fn arrays(&self) -> usize {
+        self.kits.len()
+    }
+
+    /// Gives a command to an array at the time of its arrival.
     ///
     /// The arrival may be shortly before the time up to which the world was advanced, because the
     /// mirrors have their own time line.
     ///
     /// # Errors
     /// [`Refusal`]: the array does not change.
-    pub fn handle_command(&mut self, at: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
+    pub fn handle_command(&mut self, array: usize, at: Moment, command: &MirrorCommand) -> Result<(), Refusal> {
         self.keep_time(at);
-        self.kit.handle_command(at, command)
+        let result = self.kits[array].handle_command(at, command);
+        self.join_angles();
+        result
     }
 
-    /// Gives an arrival of any kind to the array; returns the command if it was one that was
+    /// Gives an arrival of any kind to an array; returns the command if it was one that was
     /// accepted.
-    pub fn handle(&mut self, at: Moment, content: Content, refused: &mut RefusalCounts) -> Option<MirrorCommand> {
+    pub fn handle(
+        &mut self,
+        array: usize,
+        at: Moment,
+        content: Content,
+        refused: &mut RefusalCounts,
+    ) -> Option<MirrorCommand> {
         self.keep_time(at);
-        self.kit.handle(at, content, refused)
+        let accepted = self.kits[array].handle(at, content, refused);
+        self.join_angles();
+        accepted
     }
 
-    /// Latches a stop: the room starts stopped, as its state before a restart requires.
-    pub fn stop(&mut self, at: Moment, stop: LatchedStop) {
+    /// Latches a stop: the array starts stopped, as its state before a restart requires.
+    pub fn stop(&mut self, array: usize, at: Moment, stop: LatchedStop) {
         self.keep_time(at);
-        self.kit.stop(at, stop);
+        self.kits[array].stop(at, stop);
     }
 
     /// Refuses re-arms of kind 9, because any process that may stop can publish one.
     pub fn refuse_unnamed_rearm(&mut self, refuse: bool) {
-        self.kit.refuse_unnamed_rearm(refuse);
+        self.kits.iter_mut().for_each(|kit| kit.refuse_unnamed_rearm(refuse));
     }
 
-    /// Gives the array a calibration of its mirrors' mounting, before the first step.
+    /// Gives an array a calibration of its mirrors' mounting, before the first step.
     ///
     /// # Errors
     /// [`Unfit`]: the calibration in use remains.
-    pub fn set_calibration(&mut self, calibration: &Calibration) -> Result<(), Unfit> {
-        self.kit.set_calibration(calibration)
+    pub fn set_calibration(&mut self, array: usize, calibration: &Calibration) -> Result<(), Unfit> {
+        self.kits[array].set_calibration(calibration)
     }
 
     /// Advances users and mirrors to a time and computes the scene.
     pub fn advance(&mut self, to_ns: u64) {
-        self.kit.advance(self.moment(to_ns));
-        self.kit.device_mut().advance(to_ns);
+        let now = self.moment(to_ns);
+        for kit in &mut self.kits {
+            kit.advance(now);
+            kit.device_mut().advance(to_ns);
+        }
+        self.join_angles();
         self.world.step(to_ns.saturating_sub(self.world_ns) as f64 * 1e-9);
         self.world_ns = self.world_ns.max(to_ns);
     }
@@ -96,40 +123,62 @@ impl SimulatedRoom {
         &mut self.world
     }
 
-    /// The state machine of the array's rules.
-    pub fn array(&self) -> &Array {
-        self.kit.array()
+    /// The state machine of the rules of an array.
+    pub fn array(&self, array: usize) -> &Array {
+        self.kits[array].array()
     }
 
-    /// Where the mirrors point.
+    /// Where the mirrors of all arrays point.
     pub fn angles(&self) -> &MirrorAngles {
-        self.actuator().angles()
+        match self.kits.as_slice() {
+            [kit] => kit.device().actuator().angles(),
+            _ => &self.joint,
+        }
     }
 
-    /// The actuators of the mirrors.
-    pub fn actuator(&self) -> &Actuator {
-        self.kit.device().actuator()
+    /// The actuators of the mirrors of an array.
+    pub fn actuator(&self, array: usize) -> &Actuator {
+        self.kits[array].device().actuator()
     }
 
-    /// The actuators, to set faults in a running room.
-    pub fn actuator_mut(&mut self) -> &mut Actuator {
-        self.kit.device_mut().actuator_mut()
+    /// The actuators of an array, to set faults in a running room.
+    pub fn actuator_mut(&mut self, array: usize) -> &mut Actuator {
+        self.kits[array].device_mut().actuator_mut()
     }
 
-    /// The array's telemetry.
-    pub fn telemetry(&mut self, stamp: Stamp) -> MirrorTelemetry {
-        let now = Moment { local_ns: self.kit.device().time_ns(), room_ns: stamp.time_ns };
-        self.kit.telemetry(now, stamp)
+    /// Number of mirrors with a fault.
+    pub fn faulty_mirrors(&self) -> usize {
+        (0..self.arrays()).map(|array| self.actuator(array).faulty_mirrors()).sum()
     }
 
-    /// The array's capabilities.
-    pub fn capabilities(&self, stamp: Stamp) -> Capabilities {
-        self.kit.capabilities(stamp)
+    /// The telemetry of an array.
+    pub fn telemetry(&mut self, array: usize, stamp: Stamp) -> MirrorTelemetry {
+        let kit = &mut self.kits[array];
+        let now = Moment { local_ns: kit.device().time_ns(), room_ns: stamp.time_ns };
+        kit.telemetry(now, stamp)
     }
 
-    /// The emergency stop in force, and the bounds on commands.
-    pub fn safety(&self, stamp: Stamp) -> SafetyReport {
-        self.kit.safety(stamp)
+    /// The capabilities of an array.
+    pub fn capabilities(&self, array: usize, stamp: Stamp) -> Capabilities {
+        self.kits[array].capabilities(stamp)
+    }
+
+    /// The emergency stop in force on an array, and its bounds on commands.
+    pub fn safety(&self, array: usize, stamp: Stamp) -> SafetyReport {
+        self.kits[array].safety(stamp)
+    }
+
+    /// Joins the angles of several arrays. Does not allocate.
+    fn join_angles(&mut self) {
+        if self.kits.len() == 1 {
+            return;
+        }
+        let MirrorAngles { roll, yaw } = &mut self.joint;
+        for ((_, mirrors), kit) in self.world.model().mirrors.ranges().zip(&self.kits) {
+            let angles = kit.device().actuator().angles();
+            roll[mirrors.clone()].copy_from_slice(&angles.roll);
+            yaw[mirrors].copy_from_slice(&angles.yaw);
+        }
     }
 
     fn keep_time(&mut self, at: Moment) {

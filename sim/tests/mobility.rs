@@ -6,7 +6,7 @@ use heliostat_sim::World;
 use heliostat_sim::world::walker::Walker;
 
 const MODELS: [&str; 6] =
-    ["random-waypoint", "random-direction", "gauss-markov", "smooth-turn", "social-force", "seated"];
+    ["random-waypoint", "random-direction", "gauss-markov", "smooth-random", "social-force", "seated"];
 const MIXTURE: &str = "users.mixture=[{ mobility = \"seated\", share = 0.4 }, { mobility = \"social-force\", share = 0.4 }, \
                        { mobility = \"random-waypoint\", share = 0.2 }]";
 const ARRIVALS: [&str; 3] =

@@ -168,7 +168,7 @@ fn normals(world: &World) -> Vec<Vec3> {
 fn the_orientations_depend_on_the_seed_and_not_on_the_steps() {
     let coming = ["users.arrivals.rate_per_min=60", "users.arrivals.mean_stay_s=4", "users.arrivals.max_users=9"];
     let crowd = ["users.mobility=social-force"];
-    let turning = ["users.mobility=smooth-turn"];
+    let turning = ["users.mobility=smooth-random"];
     for others in [&[][..], &coming, &crowd, &turning] {
         let overrides = &[&TILTED[..], others].concat();
         let (mut one, mut many, mut other) = (world(overrides, 5), world(overrides, 5), world(overrides, 6));

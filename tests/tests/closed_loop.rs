@@ -4,7 +4,9 @@ use heliostat_tests::Process;
 use serde_json::Value;
 
 fn demo(arguments: &[&str]) -> Value {
-    let all: Vec<&str> = ["demo", "--seconds", "3", "--json"].iter().chain(arguments).copied().collect();
+    let specular: &[&str] = if arguments.contains(&"--scenario") { &[] } else { &["--scenario", "specular"] };
+    let all: Vec<&str> =
+        ["demo", "--seconds", "3", "--json"].iter().chain(specular).chain(arguments).copied().collect();
     Process::heliostat(&all).wait().json()
 }
 
@@ -33,7 +35,7 @@ fn assert_complete(summary: &Value) {
 
 #[test]
 fn the_built_in_actor_raises_the_rate_of_blocked_users() {
-    let summary = demo(&["--set", "blockage.forced_users=2"]);
+    let summary = demo(&["--policy", "ddpg", "--set", "blockage.forced_users=2"]);
     assert_complete(&summary);
     // A stalled machine delays a decision; the policy itself does not fail.
     let fallbacks = summary["fallbacks"].as_object().expect("an object");
@@ -76,7 +78,8 @@ fn another_room_works_and_an_actor_of_another_shape_is_refused() {
     assert_complete(&demo(&other));
 
     let odd = ["--set", "mirrors.rows=6", "--set", "mirrors.columns=9"];
-    let arguments: Vec<&str> = ["demo", "--seconds", "3", "--json"].into_iter().chain(odd).collect();
+    let learned = ["demo", "--policy", "ddpg", "--seconds", "3", "--json"];
+    let arguments: Vec<&str> = learned.into_iter().chain(odd).collect();
     let ended = Process::heliostat(&arguments).wait();
     let refusal = ended.refusal();
     assert!(refusal.contains("nothing was started") && refusal.contains("heliostat train ddpg"), "{refusal}");

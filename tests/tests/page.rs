@@ -21,7 +21,7 @@ struct Setting {
 
 impl Setting {
     fn new(arguments: &[&str]) -> Self {
-        let always = ["demo", "--plain", "--ui-port", "0"];
+        let always = ["demo", "--scenario", "specular", "--plain", "--ui-port", "0"];
         let all: Vec<&str> = always.iter().chain(arguments).copied().collect();
         let demo = Process::heliostat(&all);
         wait_until("the address of the page", || demo.errors().contains("the page is at http://"));

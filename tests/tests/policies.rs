@@ -7,13 +7,13 @@ use serde_json::Value;
 const QUICK: [&str; 9] = ["fixed-point", "greedy", "sine-cosine", "pso", "nearest", "random", "flat", "no-irs", "hold"];
 
 /// Learned policies, built in or not.
-const LEARNED: [&str; 7] = ["ddpg", "ddpg-raw", "ddpg-basis", "analytic", "dql", "q-learning", "sarsa"];
+const LEARNED: [&str; 8] = ["ddpg", "residual", "ddpg-raw", "ddpg-basis", "analytic", "dql", "q-learning", "sarsa"];
 
 /// A room small enough for the exhaustive search.
 const SMALL: [&str; 6] = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];
 
 fn demo(policy: &str, more: &[&str]) -> Process {
-    let first = ["demo", "--policy", policy, "--seconds", "0.6", "--json"];
+    let first = ["demo", "--scenario", "specular", "--policy", policy, "--seconds", "0.6", "--json"];
     Process::heliostat(&[&first[..], more].concat())
 }
 

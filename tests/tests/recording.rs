@@ -6,12 +6,18 @@ use std::process::Command;
 use std::time::Duration;
 
 use heliostat_bus::free_loopback_endpoint;
-use heliostat_proto::{MirrorCommand, OrientationReport, Stamp, UserReport, codec};
+use heliostat_engine::EMBEDDED;
+use heliostat_proto::{MirrorCommand, NodeStatus, OrientationReport, Stamp, UserReport, codec};
 use heliostat_record::account::Account;
 use heliostat_record::file::{Reading, Recording};
+use heliostat_scenario::Scenario;
 use heliostat_tests::{Process, RoomObserver, programs, wait_until};
 use serde_json::Value;
 use tempfile::TempDir;
+
+#[path = "../../decide/tests/decide/dense_graphs.rs"]
+#[allow(dead_code)]
+mod dense_graphs;
 
 fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
@@ -43,8 +49,9 @@ impl Setting {
 
     fn controller(&self, arguments: &[&str]) -> Process {
         let fixed = ["controller", "--connect", &self.room_at, "--connect", &self.recorder_at];
-        let ended = ["--exit-with-parent", "--json", "--policy", "fixed-point"];
-        Process::heliostat_without_loss(&[&fixed[..], &ended, arguments].concat())
+        let ended = ["--exit-with-parent", "--json"];
+        let policy: &[&str] = if arguments.contains(&"--policy") { &[] } else { &["--policy", "fixed-point"] };
+        Process::heliostat_without_loss(&[&fixed[..], &ended, policy, arguments].concat())
     }
 
     fn recorder_arguments(&self) -> Vec<String> {
@@ -151,6 +158,36 @@ fn a_lockstep_run_replays_bit_for_bit_and_a_changed_one_does_not() {
     let playback = player.wait().json();
     assert_eq!((playback["answered"].as_u64(), playback["same"].as_u64()), (Some(150), Some(150)), "{playback}");
     controller.end();
+}
+
+#[test]
+fn a_learned_policy_replays_bit_for_bit_on_the_recorded_engine_and_not_on_the_other() {
+    let setting = Setting::new();
+    let actor = setting.folder.path().join("dense.onnx");
+    fs::write(&actor, dense_graphs::dense_actor(&Scenario::default())).unwrap();
+    let actor = text(&actor);
+    setting.record(&[], &["--lockstep", "100"], &["--lockstep", "--policy", "ddpg", "--model", &actor]);
+    let file = setting.file();
+    let replayed = |arguments: &[&str]| {
+        let verdict = replay(&file, &[&["--model", &actor], arguments].concat()).wait().json();
+        (verdict["same"].as_u64().unwrap(), verdict["different"].as_u64().unwrap())
+    };
+    assert_eq!(replayed(&[]), (100, 0));
+    assert_eq!(replayed(&["--engine", "dense"]), (100, 0));
+    let (same, different) = replayed(&["--engine", EMBEDDED]);
+    assert!(different > 50 && same + different == 100, "{same} same, {different} different");
+
+    // An older controller names no engine: it evaluated every network by the embedded one.
+    let older = setting.folder.path().join("older.mcap");
+    copy(&file, &older, |topic, payload| {
+        if topic.starts_with("heliostat/") && topic.ends_with("/status/controller") {
+            let mut status: NodeStatus = codec::decode(payload).unwrap();
+            status.counters.retain(|(name, _)| !name.starts_with("engine:"));
+            codec::encode(&status, payload).unwrap();
+        }
+    });
+    let verdict = replay(&older, &["--model", &actor]).wait().json();
+    assert_eq!(verdict["different"].as_u64(), Some(different), "{verdict}");
 }
 
 #[test]

@@ -46,13 +46,21 @@ export function palette(dark) {
     : { back: "#ffffff", floor: "#dbe1e6", wall: "#edf1f4", side: "#e3e8ed", edge: "#a9b3bd", ink: "#1a1e23", obstacle: "#8a949e", shade: "#20262c", panel: "#ffffff" };
 }
 
-// The wall of mirrors: centre, unit vector into the room, extents along the wall and up.
-export function wallOf(plan) {
+// The first array of mirrors, from which the camera looks away.
+export const wallOf = (plan) => wallsOf(plan)[0];
+
+// Each array of mirrors: centre, unit vector into the room, extents along the wall and up.
+export function wallsOf(plan) {
+  let first = 0;
+  return plan.arrays.map((count) => wall(plan, plan.mirrors_m.slice(first, (first += count))));
+}
+
+function wall(plan, mirrors) {
   const [x, y, z] = [0, 1, 2].map((axis) => {
-    const values = plan.mirrors_m.map((mirror) => mirror[axis]);
+    const values = mirrors.map((mirror) => mirror[axis]);
     return { low: Math.min(...values), high: Math.max(...values) };
   });
-  if (!plan.mirrors_m.length) return { centre: [0, plan.size_m[1] / 2, plan.size_m[2] / 2], inward: [0, -1], along: 0, up: 0 };
+  if (!mirrors.length) return { centre: [0, plan.size_m[1] / 2, plan.size_m[2] / 2], inward: [0, -1], along: 0, up: 0 };
   const middle = ({ low, high }) => (low + high) / 2;
   const centre = [middle(x), middle(y), middle(z)];
   const isAlongX = x.high - x.low >= y.high - y.low;

@@ -1,5 +1,5 @@
 // The room from above on a canvas, for browsers without WebGL.
-import { LIGHT, headingMark, mirrorColour, palette, userColour, wallOf } from "./geometry.js";
+import { LIGHT, headingMark, mirrorColour, palette, userColour, wallsOf } from "./geometry.js";
 import { heatPixels } from "./heat.js";
 
 const MARGIN = 0.3;
@@ -83,12 +83,15 @@ export class Plan2D {
   // Mirrors of one column lie above each other, so each is drawn a little farther from the wall.
   mirrors(frame) {
     const unusable = new Set(frame.unusable);
-    const { centre, inward, up } = wallOf(this.plan);
-    const lowest = centre[2] - up / 2;
-    this.plan.mirrors_m.forEach(([mx, my, mz], index) => {
-      const out = 0.02 + (up > 0 ? (0.24 * (mz - lowest)) / up : 0);
-      const at = [mx - out * inward[0], my - out * inward[1]];
-      this.disc(at, 0.03, mirrorColour(frame, index, unusable), 1);
+    let first = 0;
+    wallsOf(this.plan).forEach(({ centre, inward, up }, array) => {
+      const lowest = centre[2] - up / 2;
+      const [start, end] = [first, (first += this.plan.arrays[array])];
+      this.plan.mirrors_m.slice(start, end).forEach(([mx, my, mz], index) => {
+        const out = 0.02 + (up > 0 ? (0.24 * (mz - lowest)) / up : 0);
+        const at = [mx - out * inward[0], my - out * inward[1]];
+        this.disc(at, 0.03, mirrorColour(frame, start + index, unusable), 1);
+      });
     });
   }
 

@@ -1,6 +1,6 @@
 // The objects of the room in 3-D, by three.js. `place` moves them to a frame; nothing is created for each frame.
 import * as THREE from "./vendor/three.module.min.js";
-import { LIGHT, UNUSED, cornersOf, headingMark, mirrorColour, palette, userColour, wallOf } from "./geometry.js";
+import { LIGHT, UNUSED, cornersOf, headingMark, mirrorColour, palette, userColour, wallsOf } from "./geometry.js";
 import { BELIEF_Z_M, Label, Lines, Tubes, ellipse, fan, heatTexture } from "./shapes.js";
 
 const BODY_OPACITY = 0.45;
@@ -32,7 +32,7 @@ export class RoomScene {
     this.colours = palette(dark);
     const { floor, wall, side } = this.colours;
     [side, side, wall, wall, wall, floor].forEach((colour, index) => this.sides[index].color.set(colour));
-    this.panel.material.color.set(this.colours.panel);
+    for (const panel of this.panels) panel.material.color.set(this.colours.panel);
     this.ambient.intensity = dark ? 1.7 : 2.1;
     this.beams.object.material.opacity = dark ? 0.55 : 0.5;
     this.obstacleKey = this.shadeKey = "";
@@ -53,18 +53,20 @@ export class RoomScene {
   }
 
   array() {
-    const { centre, inward, along, up } = wallOf(this.plan);
     const margin = 0.35;
-    this.panel = new THREE.Mesh(new THREE.PlaneGeometry(along + margin, up + margin), new THREE.MeshBasicMaterial({ depthWrite: false }));
-    this.panel.renderOrder = -1;
-    this.panel.up.set(0, 0, 1);
-    this.panel.position.set(centre[0] - 0.012 * inward[0], centre[1] - 0.012 * inward[1], centre[2]);
-    this.panel.lookAt(centre[0] + inward[0], centre[1] + inward[1], centre[2]);
+    this.panels = wallsOf(this.plan).map(({ centre, inward, along, up }) => {
+      const panel = new THREE.Mesh(new THREE.PlaneGeometry(along + margin, up + margin), new THREE.MeshBasicMaterial({ depthWrite: false }));
+      panel.renderOrder = -1;
+      panel.up.set(0, 0, 1);
+      panel.position.set(centre[0] - 0.012 * inward[0], centre[1] - 0.012 * inward[1], centre[2]);
+      panel.lookAt(centre[0] + inward[0], centre[1] + inward[1], centre[2]);
+      return panel;
+    });
     const count = this.plan.mirrors_m.length;
     this.mirrors = new THREE.InstancedMesh(new THREE.PlaneGeometry(1, 1), new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }), count);
     this.mirrors.frustumCulled = false;
     this.plan.mirrors_m.forEach((_, index) => this.mirrors.setColorAt(index, new THREE.Color(UNUSED)));
-    this.scene.add(this.panel, this.mirrors);
+    this.scene.add(...this.panels, this.mirrors);
   }
 
   leds() {
@@ -105,7 +107,8 @@ export class RoomScene {
   }
 
   placeMirrors(frame, isShown) {
-    this.mirrors.visible = this.panel.visible = isShown;
+    this.mirrors.visible = isShown;
+    for (const panel of this.panels) panel.visible = isShown;
     if (!isShown || frame.mirrors_m.length !== this.mirrors.count) return;
     const unusable = new Set(frame.unusable);
     const [matrix, colour] = [new THREE.Matrix4(), new THREE.Color()];

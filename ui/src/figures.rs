@@ -169,6 +169,7 @@ impl View {
         let (room, notes) = (self.shown_room(), self.notes());
         let (geometry, model) = (room.id.clone(), &room.model);
         let received = self.received();
+        let telemetry = received.arrays.joint(&model.mirrors);
         let (origin, tick, users) = users(model, &received);
         let controller = received.fresh_status(NodeKind::Controller.name());
         let room = received.fresh_status(NodeKind::SimNode.name());
@@ -184,12 +185,12 @@ impl View {
             controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
             sum_mbps: sum(&received, &users),
             users,
-            array: array(model.mirrors.len(), &received, gauge("faulty_mirrors").unwrap_or(0.0) as usize),
+            array: array(model.mirrors.len(), telemetry.as_ref(), gauge("faulty_mirrors").unwrap_or(0.0) as usize),
             nodes: received.statuses.values().map(|(at, status)| node(&received, *at, status)).collect(),
             ages_s: ages(&received),
             times: vec![time("decision", controller), time("loop", room), time("age", controller)],
             latency: received.latency.histogram(),
-            counts: counts(controller, room, Received::fresh(&received.telemetry), received.unreadable),
+            counts: counts(controller, room, telemetry.as_ref(), received.unreadable),
             power_w: gauge("power_w"),
             speed_m_s: gauge("speed_max_m_s"),
             geometry,
@@ -236,8 +237,8 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
     (Origin::Measured, report.tick, report.users.iter().map(user).collect())
 }
 
-fn array(mirrors: usize, received: &Received, faulty: usize) -> ArrayFigures {
-    let Some(telemetry) = Received::fresh(&received.telemetry) else {
+fn array(mirrors: usize, telemetry: Option<&MirrorTelemetry>, faulty: usize) -> ArrayFigures {
+    let Some(telemetry) = telemetry else {
         return ArrayFigures { state: "no telemetry", mirrors, ..ArrayFigures::default() };
     };
     ArrayFigures {
@@ -276,7 +277,7 @@ fn ages(received: &Received) -> Ages {
     let shown = if Received::fresh(&received.truth).is_some() { truth } else { users.or(truth) };
     Ages {
         room: shown.map(age),
-        array: received.telemetry.as_ref().map(|(at, _)| age(*at)),
+        array: received.arrays.at().map(age),
         controller: received.statuses.get(NodeKind::Controller.name()).map(|(at, _)| age(*at)),
     }
 }

@@ -5,6 +5,7 @@
 //! neither the controller nor the simulator.
 //!
 //! - [`view`]: subscribes to every topic, and keeps the latest message of each.
+//! - `array_reports`: the telemetry of all arrays as that of one.
 //! - `shown_room`: the room that is drawn: announced, given, or the default.
 //! - [`figures`]: rates, sums, times and counters for the page and the terminal.
 //! - [`scene`]: mirrors, users, obstacles and blocked areas for the page's 3-D view.
@@ -16,10 +17,12 @@
 //! - [`server`]: the HTTP server of the page; [`guard`] refuses requests from other pages.
 //! - [`terminal`]: the same figures on a terminal, or as plain lines.
 
+mod array_reports;
 mod assets;
 pub mod belief;
 mod blocked_area;
 mod error;
+mod expiry;
 pub mod figures;
 pub mod floor;
 pub mod guard;

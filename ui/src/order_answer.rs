@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::View;
 use crate::order::Order;
-use crate::view::{EXPIRY, Received};
+use crate::view::EXPIRY;
 
 /// Reported and ordered values differ at most by the rounding to 32 bits.
 const TOLERANCE: f64 = 1e-4;
@@ -45,7 +45,8 @@ impl Answer {
 pub(crate) struct Reported {
     pub controller: Option<(Instant, NodeStatus)>,
     pub simulator: Option<(Instant, NodeStatus)>,
-    pub array: Option<(Instant, ArrayState)>,
+    /// Each array with the arrival of its telemetry.
+    pub arrays: Vec<(Instant, ArrayState)>,
     pub controller_alive: bool,
     /// Whether the room has an array: a live process of one, or telemetry.
     pub array_present: bool,
@@ -60,15 +61,15 @@ impl View {
             status.cloned()
         };
         let is_alive = |node: NodeKind| received.alive.iter().any(|(alive, _)| *alive == node.name());
-        let telemetry = Received::fresh(&received.telemetry).and(received.telemetry.as_ref());
+        let arrays = received.arrays.states();
         Reported {
             controller: status(NodeKind::Controller),
             simulator: status(NodeKind::SimNode),
-            array: telemetry.map(|(at, array)| (*at, array.state)),
             controller_alive: is_alive(NodeKind::Controller),
-            array_present: telemetry.is_some_and(|(at, _)| at.elapsed() < REPORTING)
+            array_present: arrays.iter().any(|(at, _)| at.elapsed() < REPORTING)
                 || is_alive(NodeKind::SimNode)
                 || is_alive(NodeKind::Driver),
+            arrays,
         }
     }
 }
@@ -106,7 +107,7 @@ impl Published {
     }
 
     fn array(&self, now: &Reported, is_done: impl Fn(ArrayState) -> bool) -> bool {
-        now.array.is_some_and(|(at, state)| at > self.at && is_done(state))
+        !now.arrays.is_empty() && now.arrays.iter().all(|(at, state)| *at > self.at && is_done(*state))
     }
 
     fn policy(&self, name: &str, now: &Reported) -> Option<Answer> {
@@ -218,7 +219,7 @@ mod tests {
     fn only_telemetry_after_a_stop_confirms_it() {
         let order = published(Order::Stop);
         let answer = |at, state| {
-            order.answer(&Reported { array: Some((at, state)), array_present: true, ..Reported::default() })
+            order.answer(&Reported { arrays: vec![(at, state)], array_present: true, ..Reported::default() })
         };
         let after = order.at + Duration::from_millis(1);
         assert_eq!(answer(order.at, ArrayState::Stopped), None);

@@ -42,6 +42,8 @@ pub struct Plan {
     pub leds_m: Vec<[f64; 3]>,
     /// Centres of the mirrors in m, in index order.
     pub mirrors_m: Vec<[f64; 3]>,
+    /// Number of mirrors of each array, in the order of the arrays.
+    pub arrays: Vec<usize>,
     /// Height of the detectors above the floor in m; blocked areas are drawn at this height.
     pub detector_height_m: f64,
 }
@@ -135,6 +137,7 @@ impl View {
             size_m: [size.length_x_m, size.length_y_m, size.height_m],
             leds_m: shown.model.leds.iter().map(|led| rounded(&led.position)).collect(),
             mirrors_m: shown.model.mirrors.positions().iter().map(rounded).collect(),
+            arrays: shown.model.mirrors.arrays().iter().map(|array| array.len()).collect(),
             detector_height_m: shown.scenario.receiver.height_m,
         }
     }
@@ -154,7 +157,7 @@ impl FrameBuilder {
         if !Arc::ptr_eq(&room, &state.room) {
             *state = FrameState::new(Arc::clone(&room));
         }
-        let (users, obstacles, telemetry) = self.latest(&mut state.headings);
+        let (users, obstacles, telemetry) = self.latest(&room, &mut state.headings);
         let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| body(&room.scenario, user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let angles = angles(room.model.mirrors.len(), telemetry.as_ref());
@@ -190,8 +193,8 @@ impl FrameBuilder {
     /// The positions of the users, all cylinders that block light, and the angles of the mirrors.
     pub(crate) fn optical_state(&self) -> OpticalState {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let (users, obstacles, telemetry) = self.latest(&mut state.headings);
         let room = self.view.shown_room();
+        let (users, obstacles, telemetry) = self.latest(&room, &mut state.headings);
         let bodies = users.iter().filter_map(|user| body(&room.scenario, user));
         OpticalState {
             users: users.len(),
@@ -204,10 +207,11 @@ impl FrameBuilder {
     /// The latest users, obstacles and telemetry.
     fn latest(
         &self,
+        room: &ShownRoom,
         headings: &mut BTreeMap<u32, Vec3>,
     ) -> (Vec<ObservedUser>, Vec<Cylinder>, Option<MirrorTelemetry>) {
         let received = self.view.received();
-        let telemetry = Received::fresh(&received.telemetry).cloned();
+        let telemetry = received.arrays.joint(&room.model.mirrors);
         let cylinder = |obstacle: &heliostat_proto::Obstacle| Cylinder {
             x_m: f64::from(obstacle.x_m),
             y_m: f64::from(obstacle.y_m),

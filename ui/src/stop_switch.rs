@@ -1,9 +1,11 @@
-//! The emergency stop of an array, and its release.
+//! The emergency stop of a room's arrays, and its release.
 //!
 //! A stop is obeyed by every array, from every sender. A re-arm names the stop that it releases, as
 //! the array's safety report gives it. An array that publishes no safety report receives the re-arm
-//! that belongs to the first messages of the contract, which is compared by time.
+//! that belongs to the first messages of the contract, which is compared by time. Both orders concern
+//! every array of the room, and only the telemetry of every array that is present confirms them.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -22,24 +24,34 @@ const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
 const TELEMETRY_AGE_MAX: Duration = Duration::from_millis(1500);
 /// Time to wait for a safety report; an array publishes one each second.
 const SAFETY_LIMIT: Duration = Duration::from_millis(1500);
+/// Each array publishes telemetry at least once in this time.
+const TELEMETRY_WITHIN: Duration = Duration::from_millis(250);
 /// Time after which an order is repeated if the array did not confirm it.
 const REPEAT_AFTER: Duration = Duration::from_millis(200);
 
-/// Stops the array of a room and releases it.
+/// Stops the arrays of a room and releases them.
 pub struct StopSwitch {
     source: u64,
     operator: String,
     stop: OrderPublisher,
     rearm: OrderPublisher,
     seen: Arc<Watched>,
-    _subscriptions: [Subscription; 2],
+    _subscriptions: [Subscription; 4],
 }
 
-/// What the array reported last, with arrival times.
-#[derive(Default)]
-struct Seen {
+/// What an array reported last, with arrival times.
+#[derive(Clone, Default)]
+struct SeenArray {
     state: Dated<ArrayState>,
     safety: Dated<SafetyReport>,
+}
+
+/// What each array reported last.
+#[derive(Default)]
+struct Seen {
+    arrays: BTreeMap<usize, SeenArray>,
+    /// When the first telemetry arrived.
+    first: Option<Instant>,
 }
 
 #[derive(Default)]
@@ -56,18 +68,12 @@ impl StopSwitch {
     pub fn new(bus: &Bus, operator: &str) -> Result<Self, UiError> {
         let room = bus.room();
         let seen: Arc<Watched> = Arc::default();
-        let (telemetry, safety) = (Arc::clone(&seen), Arc::clone(&seen));
+        let (first, later) = (room.array(0), room.later_arrays());
         let subscriptions = [
-            bus.subscribe(&room.telemetry(), move |payload| {
-                if let Ok(report) = codec::decode::<MirrorTelemetry>(payload) {
-                    telemetry.note(|seen| seen.state = Some((Instant::now(), report.state)));
-                }
-            })?,
-            bus.subscribe(&room.safety(), move |payload| {
-                if let Ok(report) = codec::decode::<SafetyReport>(payload) {
-                    safety.note(|seen| seen.safety = Some((Instant::now(), report)));
-                }
-            })?,
+            watch_telemetry(bus, &first.telemetry(), &seen)?,
+            watch_safety(bus, &first.safety(), &seen)?,
+            watch_telemetry(bus, &later.telemetry(), &seen)?,
+            watch_safety(bus, &later.safety(), &seen)?,
         ];
         Ok(Self {
             source: source_id::random(),
@@ -79,10 +85,18 @@ impl StopSwitch {
         })
     }
 
-    /// What the array reported last: its state and its safety report, with their arrival times.
+    /// What the arrays reported last: the state and a safety report, with their arrival times. Of
+    /// several arrays the state is stopped where all are, and the report is one with a stop.
     pub(crate) fn reported(&self) -> (Dated<ArrayState>, Dated<SafetyReport>) {
         let seen = self.seen.lock();
-        (seen.state, seen.safety.clone())
+        let arrays = seen.present();
+        let is_stopped = |array: &&SeenArray| array.state.is_some_and(|(_, state)| state == ArrayState::Stopped);
+        let moving = arrays.iter().copied().find(|array| !is_stopped(array));
+        let oldest = arrays.iter().copied().min_by_key(|array| array.state.map(|(at, _)| at));
+        let state = moving.or(oldest).and_then(|array| array.state);
+        let has_stop = |array: &&SeenArray| array.safety.as_ref().is_some_and(|(_, report)| report.stopped);
+        let report = arrays.iter().copied().find(has_stop).or(arrays.first().copied());
+        (state, report.and_then(|array| array.safety.clone()))
     }
 
     /// Publishes a stop.
@@ -99,23 +113,31 @@ impl StopSwitch {
     /// # Errors
     /// [`UiError::NotStopped`] if the array reports no stop; otherwise as [`StopSwitch::stop`].
     pub fn rearm(&self, reason: &str) -> Result<(), UiError> {
-        self.rearm_of(self.await_safety().as_ref(), reason)
+        self.rearm_of(&self.await_safety(), reason)
     }
 
-    /// Publishes a re-arm of the stop in a report; without a report, one that is compared by time.
-    fn rearm_of(&self, report: Option<&SafetyReport>, reason: &str) -> Result<(), UiError> {
-        let Some(report) = report else {
+    /// Publishes a re-arm of each stop in the reports; without a report, one that is compared by
+    /// time.
+    fn rearm_of(&self, reports: &[SafetyReport], reason: &str) -> Result<(), UiError> {
+        if reports.is_empty() {
             return self.send(StopAction::Rearm, reason);
-        };
-        if !report.stopped {
+        }
+        let stops: BTreeSet<(u64, u64)> = reports
+            .iter()
+            .filter(|report| report.stopped)
+            .map(|report| (report.stop_source, report.stop_sequence))
+            .collect();
+        if stops.is_empty() {
             return Err(UiError::NotStopped);
         }
-        self.rearm.publish(self.source, |stamp| Rearm {
-            stamp,
-            stop_source: report.stop_source,
-            stop_sequence: report.stop_sequence,
-            operator: self.operator.clone(),
-            reason: reason.to_owned(),
+        stops.into_iter().try_for_each(|(stop_source, stop_sequence)| {
+            self.rearm.publish(self.source, |stamp| Rearm {
+                stamp,
+                stop_source,
+                stop_sequence,
+                operator: self.operator.clone(),
+                reason: reason.to_owned(),
+            })
         })
     }
 
@@ -141,12 +163,12 @@ impl StopSwitch {
         limit: Duration,
     ) -> Result<(Duration, Option<SafetyReport>), UiError> {
         let named = self.await_safety();
-        if named.as_ref().is_some_and(|report| !report.stopped) {
+        if !named.is_empty() && named.iter().all(|report| !report.stopped) {
             return Err(UiError::NotStopped);
         }
         let is_released = |state| state != ArrayState::Stopped;
-        let took = self.repeat_until(limit, "re-arm", is_released, || self.rearm_of(named.as_ref(), reason))?;
-        Ok((took, named))
+        let took = self.repeat_until(limit, "re-arm", is_released, || self.rearm_of(&named, reason))?;
+        Ok((took, named.into_iter().find(|report| report.stopped)))
     }
 
     fn send(&self, action: StopAction, reason: &str) -> Result<(), UiError> {
@@ -169,9 +191,20 @@ impl StopSwitch {
         loop {
             let sent = Instant::now();
             let result = send();
-            let confirms = |seen: &Seen| seen.state.is_some_and(|(at, state)| at >= sent && is_done(state));
+            let confirms = |seen: &Seen| {
+                let is_confirmed =
+                    |array: &&SeenArray| array.state.is_some_and(|(at, state)| at >= sent && is_done(state));
+                let arrays = seen.present();
+                !arrays.is_empty() && arrays.iter().all(is_confirmed)
+            };
             if self.seen.wait(REPEAT_AFTER, confirms) {
-                return Ok(begun.elapsed());
+                let took = begun.elapsed();
+                // Another array may not have reported yet.
+                let first = self.seen.lock().first.map_or(Duration::ZERO, |first| first.elapsed());
+                std::thread::sleep(TELEMETRY_WITHIN.saturating_sub(first));
+                if confirms(&self.seen.lock()) {
+                    return Ok(took);
+                }
             }
             if begun.elapsed() >= limit {
                 result?;
@@ -180,16 +213,54 @@ impl StopSwitch {
         }
     }
 
-    /// The safety report, unless the array publishes none or has left.
-    fn await_safety(&self) -> Option<SafetyReport> {
-        let has_left = |seen: &Seen| seen.state.is_some_and(|(at, _)| at.elapsed() > TELEMETRY_AGE_MAX);
-        let is_fresh =
-            |seen: &Seen| !has_left(seen) && seen.safety.as_ref().is_some_and(|(at, _)| at.elapsed() < REPORT_AGE_MAX);
-        if !self.seen.wait(SAFETY_LIMIT, is_fresh) {
-            return None;
-        }
-        self.seen.lock().safety.as_ref().map(|(_, report)| report.clone())
+    /// The safety reports of the arrays that publish some and have not left.
+    fn await_safety(&self) -> Vec<SafetyReport> {
+        let has_left = |array: &SeenArray| array.state.is_some_and(|(at, _)| at.elapsed() > TELEMETRY_AGE_MAX);
+        let is_fresh = |array: &SeenArray| {
+            !has_left(array) && array.safety.as_ref().is_some_and(|(at, _)| at.elapsed() < REPORT_AGE_MAX)
+        };
+        let arrays = |seen: &Seen| -> Vec<SeenArray> {
+            seen.arrays.values().filter(|array| !has_left(array)).cloned().collect()
+        };
+        self.seen.wait(SAFETY_LIMIT, |seen| {
+            let arrays = arrays(seen);
+            !arrays.is_empty() && arrays.iter().all(is_fresh)
+        });
+        let reporting = arrays(&self.seen.lock()).into_iter().filter(is_fresh);
+        reporting.filter_map(|array| Some(array.safety?.1)).collect()
     }
+}
+
+impl Seen {
+    /// The arrays whose telemetry is recent; all known ones where there is none such.
+    fn present(&self) -> Vec<&SeenArray> {
+        let is_recent = |array: &&SeenArray| array.state.is_some_and(|(at, _)| at.elapsed() < TELEMETRY_AGE_MAX);
+        let recent: Vec<&SeenArray> = self.arrays.values().filter(is_recent).collect();
+        if recent.is_empty() { self.arrays.values().collect() } else { recent }
+    }
+}
+
+fn watch_telemetry(bus: &Bus, keys: &str, seen: &Arc<Watched>) -> Result<Subscription, UiError> {
+    let (room, seen) = (bus.room().clone(), Arc::clone(seen));
+    Ok(bus.subscribe_keyed(keys, move |key, payload| {
+        if let Ok(report) = codec::decode::<MirrorTelemetry>(payload) {
+            let (now, (array, _)) = (Instant::now(), room.first_array_key(key));
+            seen.note(|seen| {
+                seen.first.get_or_insert(now);
+                seen.arrays.entry(array).or_default().state = Some((now, report.state));
+            });
+        }
+    })?)
+}
+
+fn watch_safety(bus: &Bus, keys: &str, seen: &Arc<Watched>) -> Result<Subscription, UiError> {
+    let (room, seen) = (bus.room().clone(), Arc::clone(seen));
+    Ok(bus.subscribe_keyed(keys, move |key, payload| {
+        if let Ok(report) = codec::decode::<SafetyReport>(payload) {
+            let (now, (array, _)) = (Instant::now(), room.first_array_key(key));
+            seen.note(|seen| seen.arrays.entry(array).or_default().safety = Some((now, report)));
+        }
+    })?)
 }
 
 impl Watched {

@@ -10,18 +10,19 @@ use std::time::{Duration, Instant};
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_proto::keys::parse_alive;
 use heliostat_proto::{
-    BeliefReport, ChannelReport, Message, MirrorTelemetry, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry,
-    RoomTruth, SumRates, UserReport, codec,
+    BeliefReport, ChannelReport, Message, NodeKind, NodeStatus, ObstacleReport, Room, RoomGeometry, RoomTruth,
+    SumRates, UserReport, codec,
 };
 use heliostat_scenario::Scenario;
 
 use crate::UiError;
+use crate::array_reports::ArrayReports;
 use crate::latency::Window;
 use crate::problems::Problems;
 use crate::shown_room::{Announcements, GeometrySource, RoomChooser, ShownRoom};
 
-/// A message older than this is not displayed as current.
-pub const EXPIRY: Duration = Duration::from_secs(3);
+pub use crate::expiry::EXPIRY;
+
 /// Time after the start within which a process of the room announces its geometry.
 const ANNOUNCED_WITHIN: Duration = Duration::from_secs(3);
 /// Time span of the chart of sum rates.
@@ -46,7 +47,7 @@ pub(crate) struct Received {
     pub users: Dated<UserReport>,
     pub channel: Dated<ChannelReport>,
     pub obstacles: Dated<ObstacleReport>,
-    pub telemetry: Dated<MirrorTelemetry>,
+    pub arrays: ArrayReports,
     /// Of the controller whose status is displayed.
     pub belief: Dated<BeliefReport>,
     /// The geometry that the simulator announces, as TOML.
@@ -209,9 +210,8 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         store(bus, &room.obstacles(), received, |received, obstacles| {
             received.obstacles = Some((Instant::now(), obstacles))
         })?,
-        store(bus, &room.telemetry(), received, |received, telemetry| {
-            received.telemetry = Some((Instant::now(), telemetry))
-        })?,
+        store(bus, &room.telemetry(), received, |received, telemetry| received.arrays.note(0, telemetry))?,
+        later_arrays(bus, received)?,
         store(bus, &room.belief(), received, Received::take_belief)?,
         store(bus, &room.all_status(), received, Received::take_status)?,
         store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
@@ -222,6 +222,18 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         })?,
         alive,
     ])
+}
+
+/// Keeps the telemetry of the arrays after the first.
+fn later_arrays(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
+    let (room, received) = (bus.room().clone(), Arc::clone(received));
+    Ok(bus.subscribe_keyed(&bus.room().later_arrays().telemetry(), move |key, payload| {
+        let (array, _) = room.first_array_key(key);
+        match codec::decode(payload) {
+            Ok(telemetry) if array > 0 => lock(&received).arrays.note(array, telemetry),
+            _ => lock(&received).unreadable += 1,
+        }
+    })?)
 }
 
 /// Keeps an announcement; an unchanged text keeps its memory.

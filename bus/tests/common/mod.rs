@@ -1,6 +1,7 @@
 //! Keys, sessions and a router for the tests of access.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use heliostat_bus::*;
@@ -17,6 +18,13 @@ pub const LIMIT: Duration = Duration::from_secs(30);
 
 /// Time limit of a connection that must fail.
 const REFUSAL_LIMIT_MS: &str = "1500";
+
+/// One test at a time: the more sessions a process has, the more often a data race in Zenoh's TLS
+/// links aborts it. Source: eclipse-zenoh/zenoh, issue 2557.
+pub fn turn() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// A folder of keys, deleted at the end of the test.
 pub struct Keys {

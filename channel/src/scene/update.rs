@@ -74,10 +74,34 @@ impl Scene {
 
     #[inline(always)]
     fn update_user(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) {
+        let pairs = user * self.mirrors..(user + 1) * self.mirrors;
+        mark_visible(&mut self.irs_path_clear[pairs], &model.mirrors, &self.positions[user], blockers);
+        let led = self.choose_led(model, blockers, user, forced);
+        self.set_led(model, blockers, (user, led), forced);
+    }
+
+    /// Serves one user by this LED until the next update, whichever LED is the strongest: for a
+    /// receiver of unknown orientation. `blockers` are those of the update; mirrors that were excluded
+    /// are not.
+    ///
+    /// # Panics
+    /// When there is no such user or LED.
+    pub fn serve_by(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, led: usize) {
+        with_widest_simd(
+            #[inline(always)]
+            || {
+                let pairs = user * self.mirrors..(user + 1) * self.mirrors;
+                mark_visible(&mut self.irs_path_clear[pairs], &model.mirrors, &self.positions[user], blockers);
+                self.set_led(model, blockers, (user, led), false);
+            },
+        );
+    }
+
+    /// Computes the gains of a user, whose visible mirrors are marked, for an LED.
+    #[inline(always)]
+    fn set_led(&mut self, model: &ChannelModel, blockers: &[Cylinder], (user, led): (usize, usize), forced: bool) {
         let position = self.positions[user];
         let pairs = user * self.mirrors..(user + 1) * self.mirrors;
-        mark_visible(&mut self.irs_path_clear[pairs.clone()], &model.mirrors, &position, blockers);
-        let led = self.choose_led(model, blockers, user, forced);
         self.serving[user] = led;
         self.direct(model, user, led);
         let blocked = forced || is_blocked(model, blockers, led, &position);

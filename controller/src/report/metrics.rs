@@ -93,6 +93,11 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
             "Mean normalised innovation squared of these positions since the start; 2 if the covariance is right";
         page.gauge("heliostat_belief_innovation_mean", help, &[room], belief.innovation_mean);
     }
+    for array in &summary.arrays {
+        let help = "Of several arrays: 1 while the array receives the commands of this controller";
+        let commanded = f64::from(u8::from(array.commanded));
+        page.gauge("heliostat_array_commanded", help, &[room, ("array", array.name.as_str())], commanded);
+    }
     if let Some(array) = &summary.array {
         for (bit, name) in FAULTS {
             let value = f64::from(u8::from(array.faults & bit != 0));

@@ -10,7 +10,7 @@ use heliostat_decide::{
     refusal::Stream,
     tenure::{Standing, TenureEvent},
 };
-use heliostat_proto::{Quantiles, Room};
+use heliostat_proto::{MirrorTelemetry, Quantiles, Room, array_keys::array_name};
 use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +21,9 @@ use super::stage_times::{PolicyTimes, StageTimes};
 pub struct Summary {
     /// The policy in charge at the end.
     pub policy: String,
+    /// The inference engine of this policy, if it is learned.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub engine: Option<String>,
     /// The figures of each policy that was in charge.
     #[serde(default)]
     pub policies: BTreeMap<String, PolicySummary>,
@@ -67,9 +70,12 @@ pub struct Summary {
     pub missed: BTreeMap<String, u64>,
     /// Axis values that the limits changed.
     pub clipped: ClippedSummary,
-    /// From the last telemetry of the array; absent before the first.
+    /// From the last telemetry of the arrays; absent before the first.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub array: Option<ArraySummary>,
+    /// Array by array, where a room has several.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub arrays: Vec<ArrayStanding>,
     /// The belief against the position reports; absent where `control.belief` names no filter.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub belief: Option<BeliefSummary>,
@@ -139,7 +145,25 @@ pub struct RoomReport<'a> {
     pub policy_times: &'a PolicyTimes,
 }
 
-/// The state of an array by its telemetry.
+/// Whether one of several arrays is commanded.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ArrayStanding {
+    /// The array, by the part of its keys.
+    pub name: String,
+    /// Whether the last decision gave it a command.
+    pub commanded: bool,
+    /// The epoch of the commands to it.
+    pub epoch: u64,
+}
+
+impl ArrayStanding {
+    fn of(controller: &Controller, array: usize) -> Self {
+        let (name, epoch) = (array_name(array), controller.tenure(array).epoch());
+        Self { name, commanded: controller.is_commanded(array), epoch }
+    }
+}
+
+/// The state of the arrays by their telemetry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ArraySummary {
     /// Bits of [`heliostat_proto::messages::fault`].
@@ -148,6 +172,22 @@ pub struct ArraySummary {
     pub unusable: u64,
     /// Commands that it has refused since its start.
     pub refused: u64,
+}
+
+impl ArraySummary {
+    /// The sum of all arrays; `None` without telemetry.
+    fn of<'a>(telemetry: impl Iterator<Item = &'a MirrorTelemetry>) -> Option<Self> {
+        let one = |telemetry: &MirrorTelemetry| Self {
+            faults: telemetry.faults,
+            unusable: telemetry.unusable.len() as u64,
+            refused: telemetry.counters.refused(),
+        };
+        telemetry.map(one).reduce(|here, there| Self {
+            faults: here.faults | there.faults,
+            unusable: here.unusable + there.unusable,
+            refused: here.refused + there.refused,
+        })
+    }
 }
 
 /// How well the predictions of the belief agreed with the position reports.
@@ -187,12 +227,14 @@ impl Summary {
         let counters = controller.counters();
         let degraded = DegradedMode::ALL.map(|mode| (mode.name().to_string(), counters.degraded(mode)));
         let events = TenureEvent::ALL.map(|event| (event.name().to_string(), counters.tenure(event)));
+        let arrays = 0..controller.arrays();
         let users = [("unmeasured", counters.unmeasured_users), ("unserved", counters.unserved_users)]
             .map(|(name, count)| (name.to_string(), count));
         let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
         let refused = controller.inbox().refused().named().chain([foreign]);
         Self {
             policy: controller.policy_name().into(),
+            engine: controller.engine_name().map(str::to_owned),
             policies: controller
                 .tallies()
                 .iter()
@@ -205,15 +247,15 @@ impl Summary {
             refused: refused.filter(|(_, count)| *count > 0).collect(),
             users: users.into_iter().filter(|(_, count)| *count > 0).collect(),
             epoch_events: events.into_iter().filter(|(_, count)| *count > 0).collect(),
-            standby: controller.tenure().standing() == Standing::Standby,
+            standby: arrays.clone().any(|array| controller.tenure(array).standing() == Standing::Standby),
             unfit: controller.unfit().map(describe_unfit),
             missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
             clipped: ClippedSummary { range: counters.clipped.range, slew: counters.clipped.slew },
-            array: controller.inbox().telemetry().map(|telemetry| ArraySummary {
-                faults: telemetry.faults,
-                unusable: telemetry.unusable.len() as u64,
-                refused: telemetry.counters.refused(),
-            }),
+            array: ArraySummary::of(arrays.clone().filter_map(|array| controller.inbox().telemetry(array))),
+            arrays: arrays
+                .filter(|_| controller.arrays() > 1)
+                .map(|array| ArrayStanding::of(controller, array))
+                .collect(),
             belief: controller.innovations().map(BeliefSummary::of),
             sources: controller.inbox().sources(),
             ..Self::default()
@@ -239,6 +281,7 @@ impl Summary {
     /// Adds another room's counts.
     fn add(&mut self, other: &Self) {
         self.policy.clone_from(&other.policy);
+        self.engine.clone_from(&other.engine);
         self.epoch = self.epoch.max(other.epoch);
         for (here, there) in [
             (&mut self.decisions, other.decisions),

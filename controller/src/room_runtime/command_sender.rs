@@ -1,7 +1,7 @@
 //! Numbers, encodes and publishes the commands of one room.
 //!
-//! The sender owns the publisher, the sequence number, the payload buffer and a copy of the last
-//! command behind one lock. The decision loop holds the lock for one publication. The watchdog
+//! For each array the sender owns the publisher, the sequence number, the payload buffer and a copy
+//! of the last command behind one lock. The decision loop holds the lock for one publication. The watchdog
 //! shares the sender, and sends nothing if the lock is held.
 
 use std::sync::Mutex;
@@ -13,7 +13,8 @@ use super::locks::{lock, try_lock};
 
 /// Sends the commands of one room.
 pub struct CommandSender {
-    state: Mutex<State>,
+    /// One for each array.
+    states: Vec<Mutex<State>>,
 }
 
 struct State {
@@ -32,33 +33,42 @@ pub enum OnBehalf {
 }
 
 impl CommandSender {
-    /// A sender for arrays of this number of mirrors.
-    pub fn new(publisher: Publisher, mirrors: usize) -> Self {
-        // Two f32 per mirror, and less than 100 bytes for the other fields.
-        let payload = Vec::with_capacity(100 + 8 * mirrors);
-        Self { state: Mutex::new(State { publisher, payload, last: LastCommand::default() }) }
+    /// A sender for arrays of these numbers of mirrors.
+    pub fn new(arrays: impl IntoIterator<Item = (Publisher, usize)>) -> Self {
+        let state = |(publisher, mirrors): (Publisher, usize)| {
+            // Two f32 per mirror, and less than 100 bytes for the other fields.
+            let payload = Vec::with_capacity(100 + 8 * mirrors);
+            Mutex::new(State { publisher, payload, last: LastCommand::default() })
+        };
+        Self { states: arrays.into_iter().map(state).collect() }
     }
 
-    /// Numbers and publishes a command; false where the transport refuses it. Does not allocate
-    /// after the first command.
-    pub fn send(&self, command: &mut MirrorCommand) -> bool {
-        let State { publisher, payload, last } = &mut *lock(&self.state);
+    /// Numbers and publishes a command to an array; false where the transport refuses it. Does not
+    /// allocate after the first command.
+    pub fn send(&self, array: usize, command: &mut MirrorCommand) -> bool {
+        let State { publisher, payload, last } = &mut *lock(&self.states[array]);
         last.number(command);
         publish(publisher, payload, command)
     }
 
-    /// Epoch and sequence number of the last command; 0 before the first.
-    pub fn last_sent(&self) -> (u64, u64) {
-        let state = lock(&self.state);
+    /// Number of arrays.
+    pub fn arrays(&self) -> usize {
+        self.states.len()
+    }
+
+    /// Epoch and sequence number of the last command to an array; 0 before the first.
+    pub fn last_sent(&self, array: usize) -> (u64, u64) {
+        let state = lock(&self.states[array]);
         (state.last.command.epoch, state.last.command.sequence)
     }
 
-    /// Publishes a command on behalf of the policy at `now`; false where the transport refuses it.
+    /// Publishes a command to an array on behalf of the policy at `now`; false where the transport
+    /// refuses it.
     ///
     /// Sends nothing before the first command, while another command is being sent, and to park a
     /// second time.
-    pub fn send_on_behalf(&self, action: OnBehalf, now: Nanos) -> bool {
-        let Some(mut state) = try_lock(&self.state) else { return true };
+    pub fn send_on_behalf(&self, array: usize, action: OnBehalf, now: Nanos) -> bool {
+        let Some(mut state) = try_lock(&self.states[array]) else { return true };
         let State { publisher, payload, last } = &mut *state;
         match last.on_behalf(action, now) {
             Some(command) => publish(publisher, payload, command),

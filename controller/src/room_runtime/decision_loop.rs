@@ -34,6 +34,7 @@ use heliostat_proto::{
 use super::{
     cache_warmer::{Action, CacheWarmer, KeepWarm},
     command_sender::CommandSender,
+    inlet::Inlet,
     locks::{lock, try_lock},
     receive_queue::{ReceiveQueue, Wake},
     room_clock::RoomClock,
@@ -133,7 +134,7 @@ impl Buffers {
         }
     }
 
-    fn decode(&mut self, stream: Stream, payload: &[u8]) -> Result<Message<'_>, CodecError> {
+    fn decode(&mut self, Inlet { stream, array }: Inlet, payload: &[u8]) -> Result<Message<'_>, CodecError> {
         match stream {
             Stream::Users => decode_into(&mut self.users, payload).map(|()| Message::Users(&mut self.users)),
             Stream::Channel => decode_into(&mut self.channel, payload).map(|()| Message::Channel(&mut self.channel)),
@@ -141,7 +142,7 @@ impl Buffers {
                 decode_into(&mut self.obstacles, payload).map(|()| Message::Obstacles(&mut self.obstacles))
             }
             Stream::Telemetry => {
-                decode_into(&mut self.telemetry, payload).map(|()| Message::Telemetry(&mut self.telemetry))
+                decode_into(&mut self.telemetry, payload).map(|()| Message::Telemetry(array, &mut self.telemetry))
             }
             Stream::Orientation => {
                 decode_into(&mut self.orientation, payload).map(|()| Message::Orientation(&mut self.orientation))
@@ -187,20 +188,20 @@ impl DecisionLoop {
     }
 
     /// Decodes a payload and passes it to the core; `entered` is when its callback was entered.
-    pub fn handle_payload(&mut self, stream: Stream, payload: &[u8], entered: Instant) {
+    pub fn handle_payload(&mut self, inlet: Inlet, payload: &[u8], entered: Instant) {
         let mut stamps = StageStamps::start(entered);
         stamps.mark(Stage::Waited);
-        let message = match self.buffers.decode(stream, payload) {
+        let message = match self.buffers.decode(inlet, payload) {
             Ok(message) => message,
             Err(error) => {
-                self.controller.handle_malformed(stream, Refusal::from(&error));
+                self.controller.handle_malformed(inlet.stream, Refusal::from(&error));
                 self.last_malformed = Some(error);
                 return;
             }
         };
-        if stream == Stream::Telemetry {
-            let (epoch, sequence) = self.sender.last_sent();
-            self.controller.handle_sent(epoch, sequence);
+        if inlet.stream == Stream::Telemetry {
+            let (epoch, sequence) = self.sender.last_sent(inlet.array);
+            self.controller.handle_sent(inlet.array, epoch, sequence);
         }
         let now = self.clock.at_arrival(message.stamp().time_ns);
         match self.controller.handle_message(now, message) {
@@ -312,12 +313,9 @@ impl DecisionLoop {
     }
 }
 
-/// Sends the command of a decision, if it has one; false where the transport refuses it.
+/// Sends the commands of a decision, if it has any; false where the transport refuses one.
 fn send(sender: &CommandSender, decision: Decision<'_>) -> bool {
-    match decision {
-        Decision::Move { command, .. } => sender.send(command),
-        Decision::Hold(_) => true,
-    }
+    decision.commands().fold(true, |is_sent, (array, command)| sender.send(array, command) && is_sent)
 }
 
 /// The entry of payloads: decides in the callback, or queues the payload for the room's thread.
@@ -333,21 +331,21 @@ pub struct PayloadHandler {
 
 impl PayloadHandler {
     /// Handles a payload in the callback that was entered at `entered`.
-    pub fn handle(&self, stream: Stream, payload: &[u8], entered: Instant) {
+    pub fn handle(&self, inlet: Inlet, payload: &[u8], entered: Instant) {
         let at_once: Option<MutexGuard<'_, DecisionLoop>> = match self.decide_in {
             DecideIn::Callback => Some(lock(&self.decision_loop)),
             DecideIn::Thread => None,
             // The room's thread drains the queue under the lock. A new payload therefore cannot
             // overtake a queued one.
             DecideIn::Auto if !self.queue.is_empty() => None,
-            DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(stream, entered)),
+            DecideIn::Auto => try_lock(&self.decision_loop).filter(|held| !held.is_for_thread(inlet.stream, entered)),
         };
         match at_once {
             Some(mut decision_loop) => {
-                decision_loop.handle_payload(stream, payload, entered);
+                decision_loop.handle_payload(inlet, payload, entered);
                 decision_loop.decide();
             }
-            None => self.queue.push(stream, payload, entered),
+            None => self.queue.push(inlet, payload, entered),
         }
     }
 }
@@ -379,7 +377,7 @@ pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
 fn drain(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
     decision_loop.warmer.on_arrival();
     while let Some(arrival) = queue.pop() {
-        decision_loop.handle_payload(arrival.stream, &arrival.payload, arrival.entered);
+        decision_loop.handle_payload(arrival.inlet, &arrival.payload, arrival.entered);
         queue.recycle(arrival.payload);
     }
     decision_loop.decide();

@@ -53,7 +53,9 @@ impl DriverPresence {
     /// Whether the commands of a controller reach no driver.
     pub fn is_absent(&mut self, now: Instant, controller: &Controller) -> bool {
         let has_token = !lock(&self.tokens).is_empty();
-        let telemetry = controller.inbox().telemetry().map(|telemetry| telemetry.stamp);
+        let arrays = 0..controller.arrays();
+        let telemetry = arrays.map(|array| controller.inbox().telemetry(array).map(|telemetry| telemetry.stamp));
+        let telemetry = telemetry.max_by_key(|stamp| stamp.map(|stamp| stamp.time_ns)).flatten();
         self.detector.is_absent(now, has_token, telemetry, controller.counters().commands)
     }
 }

@@ -20,7 +20,7 @@ use heliostat_decide::{
     core::WARM_UP_RUNS,
     policy::{Finding, Policy, PolicyKind, warm_up},
 };
-use heliostat_engine::ActorSource;
+use heliostat_engine::{ActorSource, EngineChoice};
 use heliostat_proto::{ControllerControl, decode};
 use heliostat_scenario::Scenario;
 
@@ -63,6 +63,8 @@ pub struct PolicyBuilder {
     /// The policy of the command line and the source of its actor; other policies use built-in
     /// actors.
     pub configured: (PolicyKind, ActorSource),
+    /// The engine of learned policies.
+    pub engine: EngineChoice,
 }
 
 impl PolicyBuilder {
@@ -74,7 +76,7 @@ impl PolicyBuilder {
         let kind = PolicyKind::from_str(name, false).map_err(|_| unknown(name))?;
         let (configured, source) = &self.configured;
         let source = if kind == *configured { source } else { &ActorSource::Shipped };
-        let tried = heliostat_engine::build_tried(kind, &self.scenario, source);
+        let tried = self.engine.build_tried(kind, &self.scenario, source);
         let (mut policy, findings) = tried.map_err(|error| error.to_string())?;
         warm_up(&mut [policy.as_mut()], &self.model, self.scenario.users.count, warm_up_runs());
         Ok((policy, findings))
@@ -178,7 +180,12 @@ mod tests {
 
     fn builder(scenario: Scenario) -> PolicyBuilder {
         let model = scenario.channel_model().expect("a built-in scenario");
-        PolicyBuilder { scenario, model, configured: (PolicyKind::Ddpg, ActorSource::Shipped) }
+        PolicyBuilder {
+            scenario,
+            model,
+            configured: (PolicyKind::Ddpg, ActorSource::Shipped),
+            engine: EngineChoice::Auto,
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use heliostat_decide::{
     core::{Counters, DegradedMode, Stage},
     refusal::Refusal,
-    tenure::{Tenure, TenureEvent},
+    tenure::{Standing, Tenure, TenureEvent},
 };
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
 use heliostat_service::clock::utc_ns;
@@ -102,8 +102,11 @@ impl Reporter {
         summary.unsent = decision_loop.unsent();
         summary.dropped = decision_loop.superseded();
         summary.cache_warm_ups = decision_loop.cache_warm_ups();
+        // Of several arrays, the first that follows another controller.
+        let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
+        let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
         let problem = self
-            .new_alarm(&summary, controller.counters(), controller.tenure())
+            .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_condition(conditions))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning));
         if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
@@ -147,6 +150,8 @@ impl Reporter {
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));
         let users = summary.users.iter().map(named("users:"));
+        // A replay evaluates the network by the same engine.
+        let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
         let totals = [("decision".to_string(), times.decision_us()), ("age".to_string(), times.age_us())];
         NodeStatus {
@@ -160,6 +165,7 @@ impl Reporter {
                 .chain(epochs)
                 .chain(missed)
                 .chain(users)
+                .chain(engine)
                 .collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),

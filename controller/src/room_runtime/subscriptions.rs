@@ -1,4 +1,4 @@
-//! The bus subscriptions of one room: reports, liveliness, and what concerns the array.
+//! The bus subscriptions of one room: reports, liveliness, and what concerns the arrays.
 
 use std::{
     sync::{Arc, Mutex},
@@ -12,6 +12,7 @@ use heliostat_service::clock::utc_ns;
 
 use super::{
     decision_loop::{DecisionLoop, PayloadHandler},
+    inlet::Inlet,
     locks::lock,
     watchdog::Watchdog,
 };
@@ -26,17 +27,18 @@ const ANNOUNCED_WITHIN: Duration = Duration::from_millis(300);
 pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Result<Vec<Subscription>> {
     let room = bus.room();
     // Positions come last, so that the other reports are there when the first decision is due.
-    let keys = [
-        (Stream::Telemetry, room.telemetry()),
-        (Stream::Obstacles, room.obstacles()),
-        (Stream::Orientation, room.orientation()),
-        (Stream::Channel, room.channel()),
-        (Stream::Users, room.users()),
+    let arrays = 0..lock(&handler.decision_loop).controller.arrays();
+    let telemetry = arrays.map(|array| (Inlet { stream: Stream::Telemetry, array }, room.array(array).telemetry()));
+    let reports = [
+        (Stream::Obstacles.into(), room.obstacles()),
+        (Stream::Orientation.into(), room.orientation()),
+        (Stream::Channel.into(), room.channel()),
+        (Stream::Users.into(), room.users()),
     ];
-    let mut subscriptions = Vec::with_capacity(keys.len() + 1);
-    for (stream, key) in keys {
+    let mut subscriptions = Vec::new();
+    for (inlet, key) in telemetry.chain(reports) {
         let handler = handler.clone();
-        let callback = move |payload: &[u8]| handler.handle(stream, payload, Instant::now());
+        let callback = move |payload: &[u8]| handler.handle(inlet, payload, Instant::now());
         subscriptions.push(bus.subscribe(&key, callback)?);
     }
     let decision_loop = Arc::clone(&handler.decision_loop);
@@ -51,44 +53,50 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
     Ok(subscriptions)
 }
 
-/// Subscribes to the announcements of the array, to orders about the emergency stop, and to the
+/// Subscribes to the announcements of each array, to orders about the emergency stop, and to the
 /// kind of node that drives the mirrors.
 ///
 /// None of this is in the decision path.
 ///
 /// # Errors
 /// If the session is closed.
-pub fn subscribe_to_array(
+pub fn subscribe_to_arrays(
     bus: &Bus,
     decision_loop: &Arc<Mutex<DecisionLoop>>,
     watchdog: &Arc<Watchdog>,
     examiner: Examiner,
 ) -> anyhow::Result<Vec<Subscription>> {
-    let mut subscriptions = vec![
-        subscribe_to_capabilities(bus, decision_loop, examiner.clone())?,
-        watch_nodes(bus, decision_loop, examiner)?,
-    ];
-    subscriptions.extend(subscribe_to_safety(bus, decision_loop, watchdog)?);
+    let mut subscriptions = Vec::new();
+    let arrays = 0..lock(decision_loop).controller.arrays();
+    for array in arrays.clone() {
+        subscriptions.push(subscribe_to_capabilities(bus, array, decision_loop, examiner.clone())?);
+    }
+    subscriptions.push(watch_nodes(bus, decision_loop, examiner)?);
+    subscriptions.extend(subscribe_to_stops(bus, decision_loop, watchdog)?);
+    for array in arrays {
+        subscriptions.push(subscribe_to_safety(bus, array, decision_loop, watchdog)?);
+    }
     Ok(subscriptions)
 }
 
 fn subscribe_to_capabilities(
     bus: &Bus,
+    array: usize,
     decision_loop: &Arc<Mutex<DecisionLoop>>,
     examiner: Examiner,
 ) -> anyhow::Result<Subscription> {
-    let key = bus.room().capabilities();
+    let key = bus.room().array(array).capabilities();
     let decision_loop = Arc::clone(decision_loop);
     let mut known = Capabilities::default();
     let mut examine = move |payload: &[u8]| {
         let Ok(new) = decode::<Capabilities>(payload) else { return };
-        let is_admitted = lock(&decision_loop).controller.admits_array(new.stamp.source);
+        let is_admitted = lock(&decision_loop).controller.admits_array(array, new.stamp.source);
         if is_admitted && known == (Capabilities { stamp: known.stamp, ..new.clone() }) {
             return;
         }
         // The examination takes long, so it does not hold the lock.
-        let verdict = if is_admitted { examiner.examine(&new) } else { Ok(()) };
-        if lock(&decision_loop).controller.handle_capabilities(&new, verdict) {
+        let verdict = if is_admitted { examiner.examine(array, &new) } else { Ok(()) };
+        if lock(&decision_loop).controller.handle_capabilities(array, &new, verdict) {
             known = new;
         }
     };
@@ -97,13 +105,13 @@ fn subscribe_to_capabilities(
     Ok(bus.subscribe(&key, examine)?)
 }
 
-/// The watchdog has a latch of its own, because the decision loop can be locked when an order
+/// The watchdog has latches of its own, because the decision loop can be locked when an order
 /// arrives.
-fn subscribe_to_safety(
+fn subscribe_to_stops(
     bus: &Bus,
     decision_loop: &Arc<Mutex<DecisionLoop>>,
     watchdog: &Arc<Watchdog>,
-) -> anyhow::Result<[Subscription; 3]> {
+) -> anyhow::Result<[Subscription; 2]> {
     let room = bus.room();
     let shared = || (Arc::clone(decision_loop), Arc::clone(watchdog));
     let (on_stop, watchdog) = shared();
@@ -120,16 +128,26 @@ fn subscribe_to_safety(
         watchdog.update_stop(|latch| latch.handle_rearm(&rearm));
         lock(&on_rearm).controller.handle_rearm(&rearm);
     })?;
-    let (on_report, watchdog) = shared();
+    Ok([stops, rearms])
+}
+
+fn subscribe_to_safety(
+    bus: &Bus,
+    array: usize,
+    decision_loop: &Arc<Mutex<DecisionLoop>>,
+    watchdog: &Arc<Watchdog>,
+) -> anyhow::Result<Subscription> {
+    let key = bus.room().array(array).safety();
+    let (decision_loop, watchdog) = (Arc::clone(decision_loop), Arc::clone(watchdog));
     let report = move |payload: &[u8]| {
         let Ok(report) = decode::<SafetyReport>(payload) else { return };
-        if lock(&on_report).controller.handle_safety(&report) {
-            watchdog.update_stop(|latch| latch.handle_safety(&report));
+        if lock(&decision_loop).controller.handle_safety(array, &report) {
+            watchdog.handle_safety(array, &report);
         }
     };
     // The first epoch must be above the one that the array follows.
-    bus.fetch(&room.safety(), ANNOUNCED_WITHIN)?.iter().for_each(|payload| report(payload));
-    Ok([stops, rearms, bus.subscribe(&room.safety(), report)?])
+    bus.fetch(&key, ANNOUNCED_WITHIN)?.iter().for_each(|payload| report(payload));
+    Ok(bus.subscribe(&key, report)?)
 }
 
 /// Withholds commands while a node that does not fit the scenario is in the room.

@@ -18,6 +18,7 @@ use std::{
 };
 
 use heliostat_decide::guard::StopLatch;
+use heliostat_proto::SafetyReport;
 use heliostat_scenario::DegradedAction;
 
 use super::{command_sender::OnBehalf, locks::lock};
@@ -31,19 +32,22 @@ pub struct Watchdog {
     action: Option<OnBehalf>,
     /// Counts the begin and end of each decision.
     progress: AtomicU64,
-    stop: Mutex<StopLatch>,
+    /// One for each array.
+    stops: Mutex<Vec<StopLatch>>,
     stall: Mutex<StallDetector>,
 }
 
 impl Watchdog {
-    /// A watchdog with the configured action: repeat the last command, park, or send nothing.
-    pub fn new(action: DegradedAction) -> Self {
+    /// A watchdog of so many arrays with the configured action: repeat the last command, park, or
+    /// send nothing.
+    pub fn new(action: DegradedAction, arrays: usize) -> Self {
         let action = match action {
             DegradedAction::LastGood => Some(OnBehalf::RepeatLast),
             DegradedAction::Park => Some(OnBehalf::Park),
             DegradedAction::Policy | DegradedAction::Fallback | DegradedAction::Hold => None,
         };
-        Self { action, progress: AtomicU64::new(0), stop: Mutex::default(), stall: Mutex::default() }
+        let stops = Mutex::new(vec![StopLatch::default(); arrays]);
+        Self { action, progress: AtomicU64::new(0), stops, stall: Mutex::default() }
     }
 
     /// A decision begins or ends.
@@ -51,9 +55,19 @@ impl Watchdog {
         self.progress.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Applies a message about the emergency stop.
-    pub fn update_stop(&self, apply: impl FnOnce(&mut StopLatch)) {
-        apply(&mut lock(&self.stop));
+    /// Applies a message about the emergency stop, which concerns all arrays.
+    pub fn update_stop(&self, apply: impl Fn(&mut StopLatch)) {
+        lock(&self.stops).iter_mut().for_each(apply);
+    }
+
+    /// Applies a safety report of an array.
+    pub fn handle_safety(&self, array: usize, report: &SafetyReport) {
+        lock(&self.stops)[array].handle_safety(report);
+    }
+
+    /// Whether an array is stopped.
+    pub fn is_stopped(&self, array: usize) -> bool {
+        lock(&self.stops)[array].is_stopped()
     }
 
     /// The decision loop was free.
@@ -61,11 +75,11 @@ impl Watchdog {
         *lock(&self.stall) = StallDetector::default();
     }
 
-    /// The decision loop was busy at `at`: the command to send on behalf of the policy, if one is
-    /// due.
+    /// The decision loop was busy at `at`: the command to send on behalf of the policy to the arrays
+    /// that are not stopped, if one is due.
     pub fn on_busy(&self, at: Instant) -> Option<OnBehalf> {
         let is_stalled = lock(&self.stall).is_stalled(at, self.progress.load(Ordering::Relaxed));
-        self.action.filter(|_| is_stalled && !lock(&self.stop).is_stopped())
+        self.action.filter(|_| is_stalled && !lock(&self.stops).iter().all(StopLatch::is_stopped))
     }
 
     /// What happens while the policy does not return, for messages.
@@ -115,13 +129,13 @@ mod tests {
     #[test]
     fn each_action_has_its_command() {
         let commands = [DegradedAction::LastGood, DegradedAction::Park, DegradedAction::Hold]
-            .map(|action| after_a_stall(&Watchdog::new(action)));
+            .map(|action| after_a_stall(&Watchdog::new(action, 1)));
         assert_eq!(commands, [Some(OnBehalf::RepeatLast), Some(OnBehalf::Park), None]);
     }
 
     #[test]
     fn no_command_is_due_while_the_array_is_stopped() {
-        let watchdog = Watchdog::new(DegradedAction::LastGood);
+        let watchdog = Watchdog::new(DegradedAction::LastGood, 2);
         let order = |action, time_ns| {
             let stamp = Stamp { time_ns, ..Stamp::default() };
             let order = EmergencyStop { stamp, action, ..EmergencyStop::default() };
@@ -131,13 +145,18 @@ mod tests {
         assert_eq!(after_a_stall(&watchdog), None);
         order(StopAction::Rearm, 5);
         assert_eq!(after_a_stall(&watchdog), None, "a re-arm as old as the stop");
-        order(StopAction::Rearm, 6);
+        // A report of one array releases that array.
+        let stamp = Stamp { time_ns: 5_000_000_000, ..Stamp::default() };
+        watchdog.handle_safety(1, &SafetyReport { stamp, ..SafetyReport::default() });
         assert!(after_a_stall(&watchdog).is_some());
+        assert_eq!([0, 1].map(|array| watchdog.is_stopped(array)), [true, false]);
+        order(StopAction::Rearm, 6);
+        assert_eq!([0, 1].map(|array| watchdog.is_stopped(array)), [false, false]);
     }
 
     #[test]
     fn a_loop_that_was_free_in_between_is_not_stalled() {
-        let (watchdog, start) = (Watchdog::new(DegradedAction::LastGood), Instant::now());
+        let (watchdog, start) = (Watchdog::new(DegradedAction::LastGood, 1), Instant::now());
         assert_eq!(watchdog.on_busy(start), None);
         watchdog.on_idle();
         assert_eq!(watchdog.on_busy(start + POLICY_TIMEOUT), None);

@@ -33,7 +33,8 @@ pub struct AngleHistory {
     /// A ring; `next` is the oldest entry, or the first unused one.
     entries: Vec<Entry>,
     next: usize,
-    /// From a command to the rest of the mirrors, in ns.
+    /// From a command to the rest of the mirrors, in ns; at least 1, since a measurement at the time
+    /// of a command precedes its effect.
     settling_ns: Nanos,
 }
 
@@ -41,12 +42,12 @@ impl AngleHistory {
     /// A history without commands to this many mirrors; allocates all memory.
     pub fn new(mirrors: usize) -> Self {
         let entry = Entry { roll: vec![0.0; mirrors], yaw: vec![0.0; mirrors], ..Entry::default() };
-        Self { entries: vec![entry; COMMANDS], next: 0, settling_ns: 0 }
+        Self { entries: vec![entry; COMMANDS], next: 0, settling_ns: 1 }
     }
 
     /// The array announces its settling time in s.
     pub fn set_settling(&mut self, settling_s: f64) {
-        self.settling_ns = (settling_s * 1e9) as Nanos;
+        self.settling_ns = ((settling_s * 1e9) as Nanos).max(1);
     }
 
     /// The commands that were valid after a time, in their order.
@@ -142,6 +143,17 @@ mod tests {
         assert_eq!(at(&history, 1501), None, "no command is valid");
         history.clear();
         assert_eq!(at(&history, 1200), None);
+    }
+
+    #[test]
+    fn a_measurement_at_the_time_of_a_command_has_the_angles_before_it_even_of_ideal_mirrors() {
+        let mut history = AngleHistory::new(2);
+        history.set_settling(0.0);
+        history.handle_command(&command(1000, 0.5));
+        assert_eq!(at(&history, 1000), None);
+        history.handle_command(&command(1100, 0.25));
+        assert_eq!(at(&history, 1100), Some(0.5));
+        assert_eq!(at(&history, 1101), Some(0.25));
     }
 
     #[test]

@@ -1,26 +1,36 @@
-//! What measured gains say about the headings of users and about unreported obstacles.
+//! What measured gains say about the headings of users, about how they hold their receivers, and
+//! about unreported obstacles.
 //!
 //! A user's own body blocks the direct path, or the paths from some mirrors, and which of them
-//! depends on the heading. For each heading the expected gain over the mirrors, with the angles in
-//! force at the time of the measurement, is compared with the measured one. What bodies do not
-//! explain, obstacles do.
+//! depends on the heading. So does the gain of a receiver that is tilted towards the face. For each
+//! heading the expected gain over the mirrors, with the angles in force at the time of the
+//! measurement, is compared with the measured one; for a tilted receiver the direct gain is
+//! compared as well. What bodies do not explain, obstacles do.
 
-use heliostat_channel::{
-    ChannelModel, MirrorArray, Orientation, Scene, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles,
-};
+use heliostat_channel::{ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
 
 use heliostat_scenario::ChannelStream;
 
 use crate::belief::{
     body::Body,
     covered::Covered,
+    expected::{ExpectedGains, HeldPlace},
     heading::{HEADINGS, Heading},
     occupancy::Occupancy,
+    residual::Residual,
+    tilt::{self, Tilt},
 };
 
 /// Standard deviation of a measured gain over the mirrors relative to the expected one: the error
 /// of the estimated place changes what each mirror contributes.
 const SPREAD: f64 = 0.2;
+
+/// The same of a measured direct gain of a tilted receiver.
+const SPREAD_OF_DIRECT: f64 = 0.08;
+
+/// The same where receivers may be upright or tilted: the spread of received power and of the tilt
+/// of detectors in their devices adds to it.
+const SPREAD_OF_DEVICES: f64 = 0.2;
 
 /// The same relative to the gain without any body: mirrors at the edge of a body.
 const SPREAD_OF_CLEAR: f64 = 0.05;
@@ -52,11 +62,17 @@ pub(super) struct Readings {
     pub detectable_gain: f64,
     /// Variance of a reading that does not depend on the gain.
     pub gain_variance: f64,
+    /// Time between two reports in s.
+    pub interval_s: f64,
 }
 
 impl Readings {
     pub fn new(settings: &ChannelStream) -> Self {
-        Self { detectable_gain: settings.detectable_gain(), gain_variance: settings.gain_variance() }
+        Self {
+            detectable_gain: settings.detectable_gain(),
+            gain_variance: settings.gain_variance(),
+            interval_s: 1.0 / settings.rate_hz,
+        }
     }
 
     /// Whether a direct gain shows a path that is not blocked.
@@ -69,6 +85,8 @@ impl Readings {
 pub(super) struct Beliefs<'a> {
     pub heading: &'a mut Heading,
     pub covered: &'a mut Covered,
+    /// Share of an independent measurement as which one of the gain over the mirrors counts.
+    pub independent: f64,
 }
 
 /// All bodies in the room.
@@ -82,14 +100,11 @@ pub(super) struct Bodies<'a> {
     pub known: &'a [Option<Cylinder>],
 }
 
-/// The expected gains at the places and angles of a measurement; its buffers are allocated once.
+/// The comparison of measured gains with expected ones; its buffers are allocated once.
 #[derive(Clone, Debug)]
 pub(super) struct ChannelEvidence {
-    scene: Scene,
-    positions: Vec<Vec3>,
-    orientations: Vec<Orientation>,
-    forced: Vec<bool>,
-    /// Gain over each mirror without bodies. Shape: K * M.
+    expected: ExpectedGains,
+    /// Gains of one user over each mirror at a heading. Shape: M.
     gains: Vec<f64>,
     clear: Vec<bool>,
     others: Vec<Cylinder>,
@@ -101,6 +116,8 @@ pub(super) struct ChannelEvidence {
     by_heading: Vec<f64>,
     /// Gain over each column with the believed heading.
     shares: Vec<f64>,
+    /// Variance of the gain for each heading, by the spread of the angles of held devices.
+    held_variance: [f64; HEADINGS],
     /// Whether the angles of the mirrors were known.
     angles_known: bool,
     readings: Readings,
@@ -112,16 +129,14 @@ impl ChannelEvidence {
         let mirrors = model.mirrors.len();
         let columns = columns(model);
         Self {
-            scene: Scene::new(model, capacity),
-            positions: Vec::with_capacity(capacity),
-            orientations: Vec::with_capacity(capacity),
-            forced: Vec::with_capacity(capacity),
-            gains: Vec::with_capacity(capacity * mirrors),
+            expected: ExpectedGains::new(model, capacity),
+            gains: vec![0.0; mirrors],
             clear: vec![false; mirrors],
             others: Vec::with_capacity(capacity),
             unobstructed: vec![1.0; columns.len()],
             by_heading: vec![0.0; HEADINGS * columns.len()],
             shares: vec![0.0; columns.len()],
+            held_variance: [0.0; HEADINGS],
             columns,
             angles_known: false,
             readings,
@@ -135,36 +150,69 @@ impl ChannelEvidence {
 
     /// The places of the expected gains in m. Shape: K.
     pub fn positions(&self) -> &[Vec3] {
-        &self.positions
+        self.expected.positions()
     }
 
-    /// Computes the expected gains of users at these places and orientations, without bodies;
-    /// `angles` are those of the mirrors, where they are known.
+    /// Computes the expected gains of users at these places, without bodies; `angles` are those of
+    /// the mirrors, where they are known.
     pub fn expect(
         &mut self,
         model: &ChannelModel,
-        places: impl Iterator<Item = (Vec3, Orientation)>,
+        places: impl Iterator<Item = HeldPlace>,
         obstacles: &[Cylinder],
         angles: Option<&MirrorAngles>,
         unusable: &[u32],
     ) {
-        self.positions.clear();
-        self.orientations.clear();
-        for (position, orientation) in places {
-            self.positions.push(position);
-            self.orientations.push(orientation);
-        }
-        let users = self.positions.len();
-        self.forced.clear();
-        self.forced.resize(users, false);
-        self.scene.resize(users);
-        self.scene.update_turned(model, &self.positions, &self.orientations, obstacles, &self.forced);
-        self.scene.exclude_mirrors(unusable);
-        self.gains.clear();
-        self.gains.resize(users * model.mirrors.len(), 0.0);
         self.angles_known = angles.is_some();
-        if let Some(angles) = angles {
-            self.scene.irs_gain_each(model, angles, &mut self.gains);
+        self.expected.update(model, places, obstacles, angles, unusable);
+    }
+
+    /// Logarithm of the likelihood ratio of a receiver that is tilted towards the face by `polar_rad`
+    /// to an upright one, by a measured direct gain; 0 where the gain shows nothing. In a room with
+    /// one LED, for receivers that are evaluated upright.
+    pub fn tilt_log_ratio(
+        &self,
+        model: &ChannelModel,
+        (user, polar_rad): (usize, f64),
+        measured: MeasuredGains,
+        bodies: &Bodies<'_>,
+        heading: &Heading,
+    ) -> f64 {
+        let upright = self.expected.direct(user);
+        let [led] = &model.leds[..] else { return 0.0 };
+        if !self.readings.shows(upright) || !self.readings.shows(measured.los) {
+            return 0.0;
+        }
+        let position = &self.expected.positions()[user];
+        let slopes = tilt::slopes(position, &led.position);
+        let ratio = measured.los / upright;
+        let variance = self.readings.gain_variance / upright.powi(2) + SPREAD_OF_DEVICES.powi(2);
+        let (mut tilted, mut possible, polar) = (0.0, 0.0, polar_rad.sin_cos());
+        for (index, probability) in heading.possible() {
+            let direction = &bodies.directions[index];
+            if blockage::blocks(&bodies.shape.behind(position, direction), &led.position, position) {
+                continue;
+            }
+            let tilt = Tilt::towards_face(polar, direction);
+            let variance = variance + tilt.factor_variance(slopes);
+            possible += probability;
+            tilted += probability * density(ratio, (tilt.factor(slopes), 0.0), variance);
+        }
+        if possible > BODY_WRONG { (tilted / possible / density(ratio, (1.0, 0.0), variance)).ln() } else { 0.0 }
+    }
+
+    /// The measured gains of a user, direct and over the mirrors, beside the expected ones of the
+    /// receiver as evaluated.
+    pub fn residual(&self, user: usize, [los, irs]: [f64; 2]) -> Residual {
+        let expected = &self.expected;
+        let by_steering =
+            |one: &usize, other: &usize| expected.steering(user, *one).total_cmp(&expected.steering(user, *other));
+        let led = expected.leds().max_by(by_steering).unwrap_or(0);
+        Residual {
+            los: [los, expected.direct(user)],
+            irs: [irs, expected.gains(user, led).iter().sum()],
+            steering: if self.angles_known { expected.steering(user, led) } else { 0.0 },
+            ..Residual::default()
         }
     }
 
@@ -175,11 +223,11 @@ impl ChannelEvidence {
         user: usize,
         measured: MeasuredGains,
         bodies: Option<&Bodies<'_>>,
-        Beliefs { heading, covered }: Beliefs<'_>,
+        Beliefs { heading, covered, independent }: Beliefs<'_>,
         mut map: Option<&mut Occupancy>,
     ) {
         self.mask_others(model, user, bodies);
-        let position = self.positions[user];
+        let position = self.expected.positions()[user];
         let led = single_led(model);
         // The path to the LED, if there is one, and then those to the columns.
         let first_column = usize::from(led.is_some());
@@ -202,18 +250,23 @@ impl ChannelEvidence {
             let clear = unobstructed * is_open;
             let likelihood = self.likelihood(model, user, (bodies, heading), clear, measured);
             heading.handle_likelihood(&likelihood);
-            let blocks = |body: &Cylinder| is_blocked(model, body, &position);
-            let behind = |index: usize| bodies.shape.behind(&position, &bodies.directions[index]);
-            let own = heading.possible().filter(|(index, _)| blocks(&behind(*index)));
-            past_bodies -= own.map(|(_, probability)| probability).sum::<f64>();
-            if self.others.iter().any(blocks) {
+            let is_dark = |index: usize| {
+                let direction = &bodies.directions[index];
+                let own = bodies.shape.behind(&position, direction);
+                let tilt = self.expected.tilt(user, direction);
+                self.expected.served(model, user, (&own, &self.others), tilt.as_ref()).direct <= 0.0
+            };
+            let dark = heading.possible().filter(|(index, _)| is_dark(*index));
+            past_bodies -= dark.map(|(_, probability)| probability).sum::<f64>();
+            if self.others.iter().any(|body| is_blocked(model, body, &position)) {
                 past_bodies *= BODY_WRONG;
             }
             past_bodies = past_bodies.clamp(BODY_WRONG, 1.0 - BODY_WRONG);
         } else {
-            self.sum_columns(model, user, 0);
+            self.expected.turn(user, 0, None, &mut self.gains);
+            self.sum_columns(model, 0);
         }
-        let is_modelled = self.readings.shows(self.scene.los_gain()[user]);
+        let is_modelled = self.readings.shows(self.expected.direct(user));
         if is_modelled {
             covered.handle_direct(is_clear, past_bodies * unobstructed);
         }
@@ -236,11 +289,13 @@ impl ChannelEvidence {
             add(0, 1.0);
         }
         let expected: f64 = self.shares.iter().sum();
-        if expected > SERVED * self.steering(user) {
+        if expected > SERVED * self.expected.steering(user, 0) {
             let shares = self.shares.iter().enumerate().map(|(column, gain)| (first_column + column, gain / expected));
             let (ratio, noise) = (measured.irs / expected, self.readings.gain_variance / expected.powi(2));
+            let by_heading = if bodies.is_some() { self.variance_by_heading(heading, expected) } else { 0.0 };
             map.handle_reflected(shares, |share| {
-                density(ratio, share, noise + SPREAD_OF_MAP * (share * (1.0 - share)).max(0.0))
+                let variance = SPREAD_OF_MAP * (share * (1.0 - share)).max(0.0) + by_heading * share.powi(2);
+                density(ratio, (share, SPREAD), noise + variance).powf(independent)
             });
         }
     }
@@ -250,27 +305,56 @@ impl ChannelEvidence {
         self.others.clear();
         let known = bodies.map_or(&[][..], |bodies| bodies.known);
         self.others.extend(known.iter().enumerate().filter(|(other, _)| *other != user).filter_map(|(_, body)| *body));
-        model.mirrors.visible_from(&self.positions[user], &self.others, &mut self.clear);
-        let mirrors = self.clear.len();
-        let gains = &mut self.gains[user * mirrors..][..mirrors];
-        gains.iter_mut().zip(&self.clear).for_each(|(gain, clear)| *gain *= f64::from(u8::from(*clear)));
+        model.mirrors.visible_from(&self.expected.positions()[user], &self.others, &mut self.clear);
+        self.expected.select(model, user, &self.clear);
         self.clear.fill(true);
     }
 
-    /// Sums the gains of a user over each column, past the body of a heading.
-    fn sum_columns(&mut self, model: &ChannelModel, user: usize, heading: usize) {
-        let (columns, mirrors) = (self.columns.len(), self.clear.len());
+    /// Sums `gains` over each column, past the body of a heading, whose visible mirrors are `clear`.
+    fn sum_columns(&mut self, model: &ChannelModel, heading: usize) {
+        let columns = self.columns.len();
         let sums = &mut self.by_heading[heading * columns..][..columns];
         sums.fill(0.0);
-        let gains = &self.gains[user * mirrors..][..mirrors];
         for ((_, mirrors), (_, columns)) in model.mirrors.ranges().zip(model.mirrors.column_ranges()) {
-            let rows = gains[mirrors.clone()].chunks_exact(columns.len());
+            let rows = self.gains[mirrors.clone()].chunks_exact(columns.len());
             for (gains, clear) in rows.zip(self.clear[mirrors].chunks_exact(columns.len())) {
                 for ((sum, gain), clear) in sums[columns.clone()].iter_mut().zip(gains).zip(clear) {
                     *sum += gain * f64::from(u8::from(*clear));
                 }
             }
         }
+    }
+
+    /// Variance of the gain over the mirrors relative to the `expected` one, by what is unknown of the
+    /// heading and of the angles at which the device is held.
+    fn variance_by_heading(&self, heading: &Heading, expected: f64) -> f64 {
+        let columns = self.columns.len();
+        let of = |(index, probability): (usize, f64)| {
+            let gain: f64 = self.by_heading[index * columns..][..columns].iter().sum();
+            probability * ((gain - expected).powi(2) + self.held_variance[index])
+        };
+        heading.possible().map(of).sum::<f64>() / expected.powi(2)
+    }
+
+    /// The expected gain of a user over the mirrors past unreported obstacles, at a heading.
+    fn past_obstacles(&self, heading: usize) -> f64 {
+        let sums = &self.by_heading[heading * self.columns.len()..][..self.columns.len()];
+        sums.iter().zip(&self.unobstructed).map(|(sum, clear)| sum * clear).sum()
+    }
+
+    /// The LED with the most light for a user over the mirrors, of the receiver as evaluated and
+    /// without a body, and that gain.
+    fn brightest(&mut self, model: &ChannelModel, user: usize) -> (usize, f64) {
+        let mut brightest = (0, 0.0);
+        for led in self.expected.leds() {
+            self.expected.turn(user, led, None, &mut self.gains);
+            self.sum_columns(model, 0);
+            let gain = self.past_obstacles(0);
+            if gain > brightest.1 {
+                brightest = (led, gain);
+            }
+        }
+        brightest
     }
 
     /// The likelihood of each possible heading of a user.
@@ -282,45 +366,45 @@ impl ChannelEvidence {
         direct_clear: f64,
         measured: MeasuredGains,
     ) -> [f64; HEADINGS] {
-        let position = self.positions[user];
-        let expected = |sums: &[f64], unobstructed: &[f64]| -> f64 {
-            sums.iter().zip(unobstructed).map(|(sum, clear)| sum * clear).sum()
-        };
+        let position = self.expected.positions()[user];
         // A heading that becomes possible by this measurement must not have the gains of another user.
         self.by_heading.fill(0.0);
-        self.sum_columns(model, user, 0);
-        let without_body = expected(&self.by_heading[..self.columns.len()], &self.unobstructed);
-        let is_served = self.angles_known && without_body > SERVED * self.steering(user);
-        let los_modelled = self.readings.shows(self.scene.los_gain()[user]);
+        self.held_variance.fill(0.0);
+        let (brightest, without_body) = self.brightest(model, user);
+        let is_served = self.angles_known && without_body > SERVED * self.expected.steering(user, brightest);
+        let reference = self.expected.direct(user);
+        let slopes = self.expected.mean_slopes(user, brightest);
+        let is_clear = self.readings.shows(measured.los);
         let mut likelihood = [1.0; HEADINGS];
         for (index, _) in heading.possible() {
-            let own = bodies.shape.behind(&position, &bodies.directions[index]);
-            if los_modelled {
-                let clear = if is_blocked(model, &own, &position) {
-                    BODY_WRONG
-                } else {
-                    direct_clear.clamp(BODY_WRONG, 1.0 - BODY_WRONG)
-                };
-                likelihood[index] *= if self.readings.shows(measured.los) { clear } else { 1.0 - clear };
+            let direction = &bodies.directions[index];
+            let own = bodies.shape.behind(&position, direction);
+            let tilt = self.expected.tilt(user, direction);
+            let served = self.expected.served(model, user, (&own, &self.others), tilt.as_ref());
+            if self.readings.shows(reference) {
+                let shows = self.readings.shows(served.direct);
+                let clear = if shows { direct_clear.clamp(BODY_WRONG, 1.0 - BODY_WRONG) } else { BODY_WRONG };
+                likelihood[index] *= if is_clear { clear } else { 1.0 - clear };
+                if is_clear && tilt.is_some() {
+                    let variance = (served.variance + self.readings.gain_variance) / reference.powi(2);
+                    let expected = (served.direct / reference, SPREAD_OF_DIRECT);
+                    likelihood[index] *= density(measured.los / reference, expected, variance);
+                }
             }
             if self.angles_known {
+                self.expected.turn(user, served.led, tilt.as_ref(), &mut self.gains);
                 model.mirrors.visible_from(&position, std::slice::from_ref(&own), &mut self.clear);
-                self.sum_columns(model, user, index);
+                self.sum_columns(model, index);
             }
             if is_served {
-                let row = &self.by_heading[index * self.columns.len()..][..self.columns.len()];
-                let expected = expected(row, &self.unobstructed) / without_body;
-                let noise = self.readings.gain_variance / without_body.powi(2);
-                likelihood[index] *= density(measured.irs / without_body, expected, noise);
+                let expected = (self.past_obstacles(index) / without_body, SPREAD);
+                let held = tilt.map_or(0.0, |tilt| tilt.factor_variance(slopes));
+                self.held_variance[index] = without_body.powi(2) * held;
+                let variance = self.readings.gain_variance / without_body.powi(2) + held;
+                likelihood[index] *= density(measured.irs / without_body, expected, variance);
             }
         }
         likelihood
-    }
-
-    /// The gain of a user if all mirrors were aimed at this user.
-    fn steering(&self, user: usize) -> f64 {
-        let mirrors = self.clear.len();
-        self.scene.steering_gain()[user * mirrors..][..mirrors].iter().sum()
     }
 }
 
@@ -343,9 +427,10 @@ fn is_blocked(model: &ChannelModel, body: &Cylinder, position: &Vec3) -> bool {
     model.leds.iter().all(|led| blockage::blocks(body, &led.position, position))
 }
 
-/// Density of a measured gain; both are shares of the same gain.
-fn density(measured: f64, expected: f64, variance: f64) -> f64 {
-    let spread = ((SPREAD * expected).powi(2) + SPREAD_OF_CLEAR * SPREAD_OF_CLEAR + variance).sqrt();
+/// Density of a measured gain at an expected one, which has this relative standard deviation; all are
+/// shares of the same gain.
+fn density(measured: f64, (expected, relative): (f64, f64), variance: f64) -> f64 {
+    let spread = ((relative * expected).powi(2) + SPREAD_OF_CLEAR * SPREAD_OF_CLEAR + variance).sqrt();
     let deviation = (measured - expected) / spread;
     let normal = (-0.5 * deviation * deviation).exp() / (spread * std::f64::consts::TAU.sqrt());
     (1.0 - UNEXPLAINED) * normal + UNEXPLAINED

@@ -24,6 +24,9 @@ const CONCENTRATION_MAX: f64 = 50.0;
 /// A heading with less probability than this share of the uniform one is not examined.
 const NEGLIGIBLE: f64 = 1e-3 / HEADINGS as f64;
 
+/// Headings on each side of the most probable one that belong to the same direction: 50 degrees.
+const NEAR: usize = 5;
+
 /// The probability of each heading.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(into = "Vec<f64>", try_from = "Vec<f64>")]
@@ -90,6 +93,15 @@ impl Heading {
     /// Mean of the unit vectors: its length is 1 for a certain heading and 0 without knowledge.
     pub fn mean(&self, directions: &[Vec3; HEADINGS]) -> Vec3 {
         self.probability.iter().zip(directions).map(|(probability, direction)| *probability * direction).sum()
+    }
+
+    /// The unit vector of the most probable direction: the mean of the headings near the most probable
+    /// one.
+    pub fn mode(&self, directions: &[Vec3; HEADINGS]) -> Vec3 {
+        let by_probability = |one: &usize, other: &usize| self.probability[*one].total_cmp(&self.probability[*other]);
+        let peak = (0..HEADINGS).max_by(by_probability).unwrap_or(0);
+        let near = (HEADINGS - NEAR..=HEADINGS + NEAR).map(|offset| (peak + offset) % HEADINGS);
+        near.map(|index| self.probability[index] * directions[index]).sum::<Vec3>().normalize()
     }
 
     fn normalise(&mut self) {

@@ -7,6 +7,7 @@ use crate::belief::{
     Belief, angle_history,
     noise::NoiseLevel,
     occupancy::{Occupancy, OccupancyMemory},
+    posture::TiltEvidence,
     track::Track,
 };
 
@@ -25,7 +26,35 @@ pub struct BeliefMemory {
     map: Option<OccupancyMemory>,
 }
 
+/// What a belief has learned about how users hold their receivers, which older recordings lack.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct TiltMemory {
+    /// Logarithms of likelihood ratios, in the order of the tracks; empty: without measurements.
+    log_ratios: Vec<f64>,
+}
+
+impl TiltMemory {
+    /// Gives each track its part; false where this is no memory of these tracks.
+    fn restore(&self, tracks: &mut [Track]) -> bool {
+        if self.log_ratios.is_empty() {
+            tracks.iter_mut().for_each(|track| track.tilt = TiltEvidence::default());
+            return true;
+        }
+        let fits = self.log_ratios.len() == tracks.len();
+        fits && tracks.iter_mut().zip(&self.log_ratios).all(|(track, log_ratio)| {
+            let evidence = TiltEvidence::from_log_ratio(*log_ratio);
+            track.tilt = evidence.unwrap_or_default();
+            evidence.is_some()
+        })
+    }
+}
+
 impl Belief {
+    /// The present state of the belief about tilted receivers.
+    pub fn tilt_memory(&self) -> TiltMemory {
+        TiltMemory { log_ratios: self.tracks.iter().map(|track| track.tilt.log_ratio()).collect() }
+    }
+
     /// The present state.
     pub fn memory(&self) -> BeliefMemory {
         BeliefMemory {
@@ -39,7 +68,7 @@ impl Belief {
     }
 
     /// Replaces the state; false, with parts of it replaced, where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &BeliefMemory) -> bool {
+    pub fn restore(&mut self, memory: &BeliefMemory, tilt: &TiltMemory) -> bool {
         let BeliefMemory { position_noise, velocity_noise, tracks, last_ns, commands, map } = memory;
         let [position_first, velocity_first] = &self.first_noise;
         let is_sound = |track: &Track| track.motion.is_sound() && track.height.is_sound() && track.covered.is_sound();
@@ -57,6 +86,8 @@ impl Belief {
             (self.position_noise, self.velocity_noise, self.last_ns) = (*position_noise, *velocity_noise, *last_ns);
             self.tracks.clone_from(tracks);
         }
+        let fits = fits && tilt.restore(&mut self.tracks);
+        self.posture.decide(self.tracks.iter().map(|track| track.tilt));
         fits
     }
 }

@@ -1,15 +1,16 @@
 //! What is remembered of one user.
 
-use heliostat_channel::{Orientation, Vec3};
+use heliostat_channel::Vec3;
 use heliostat_proto::{ChannelReport, Nanos, OrientationReport, UserChannel, UserState};
 use serde::{Deserialize, Serialize};
 
 use crate::belief::{
     covered::Covered,
+    expected::HeldPlace,
     heading::{HEADING_KNOWN, HEADINGS, Heading},
     height::Height,
     motion::{Motion, WalkPriors},
-    posture::Posture,
+    posture::{Posture, TiltEvidence},
 };
 
 /// A user's reports, motion and heading.
@@ -23,6 +24,9 @@ pub(super) struct Track {
     /// The last two reported positions, the later one first, with the time between them in s.
     pub earlier: [Option<Place>; 2],
     pub reported_velocity: Option<[f64; 2]>,
+    /// In a recorded state apart from the rest, since older ones lack it.
+    #[serde(skip)]
+    pub tilt: TiltEvidence,
 }
 
 /// A reported position.
@@ -36,24 +40,26 @@ impl Track {
     pub fn new(user: u32, priors: &WalkPriors, known_obstacles: bool) -> Self {
         let (motion, height, heading) = (Motion::new(priors), Height::default(), Heading::default());
         let covered = if known_obstacles { Covered::KNOWN_OBSTACLES } else { Covered::UNKNOWN_OBSTACLES };
-        Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None }
+        let tilt = TiltEvidence::default();
+        Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None, tilt }
     }
 
-    /// Position and orientation of the receiver, a time in s after the last report; `held` are the
-    /// reported orientations.
+    /// Place of the receiver, and how it is held, a time in s after the last report; `reported` are
+    /// the reported orientations.
     pub fn held_place(
         &self,
         ahead_s: f64,
-        (posture, held): (&Posture, Option<&OrientationReport>),
+        (posture, reported): (&Posture, Option<&OrientationReport>),
         directions: &[Vec3; HEADINGS],
-    ) -> (Vec3, Orientation) {
+    ) -> HeldPlace {
         let motion = self.motion.estimate(ahead_s);
         let [x, y] = motion.position_m;
         let [u, v] = motion.velocity_m_s;
         let mean = self.heading.mean(directions);
         let length = mean.norm();
         let heading = if length > HEADING_KNOWN { mean / length } else { Vec3::zeros() };
-        (Vec3::new(x, y, self.height.mean_m()), posture.of(held, self.user, (&heading, u.hypot(v))))
+        let position = Vec3::new(x, y, self.height.mean_m());
+        HeldPlace { position, held: posture.held(reported, self.user, u.hypot(v)), heading }
     }
 
     /// The entry of this user in a channel report; `slot` is the likely index.

@@ -1,4 +1,4 @@
-//! Messages about the array other than its telemetry, and this controller's standing towards it.
+//! Messages about an array other than its telemetry, and this controller's standing towards it.
 
 use heliostat_proto::{Capabilities, EmergencyStop, Nanos, Rearm, SafetyReport};
 
@@ -6,15 +6,20 @@ use super::Controller;
 use crate::output::{capabilities::Unfit, tenure::Tenure};
 
 impl Controller {
-    /// Notes the epoch and sequence number of the last command sent.
-    pub fn handle_sent(&mut self, epoch: u64, sequence: u64) {
-        self.guard.tenure.handle_sent(epoch, sequence);
+    /// Number of arrays of the room.
+    pub fn arrays(&self) -> usize {
+        self.arrays.len()
+    }
+
+    /// Notes the epoch and sequence number of the last command sent to an array.
+    pub fn handle_sent(&mut self, array: usize, epoch: u64, sequence: u64) {
+        self.arrays[array].guard.tenure.handle_sent(epoch, sequence);
     }
 
     /// Whether announcements of this source concern the array that is followed. Before the first
     /// telemetry those of every source do.
-    pub fn admits_array(&self, source: u64) -> bool {
-        self.inbox.array_source().is_none_or(|followed| followed == source)
+    pub fn admits_array(&self, array: usize, source: u64) -> bool {
+        self.inbox.array_source(array).is_none_or(|followed| followed == source)
     }
 
     /// Counts an announcement of an array that is not followed.
@@ -24,58 +29,79 @@ impl Controller {
 
     /// Applies the capabilities of an array that fits the scenario; an array that does not fit
     /// receives no commands until it announces others. False for an array that is not followed.
-    pub fn handle_capabilities(&mut self, capabilities: &Capabilities, verdict: Result<(), Unfit>) -> bool {
-        if !self.admits_array(capabilities.stamp.source) {
+    pub fn handle_capabilities(
+        &mut self,
+        array: usize,
+        capabilities: &Capabilities,
+        verdict: Result<(), Unfit>,
+    ) -> bool {
+        if !self.admits_array(array, capabilities.stamp.source) {
             self.count_foreign_array();
             return false;
         }
-        if verdict.is_ok() {
-            self.limits.narrow(&capabilities.roll, &capabilities.yaw);
-            self.observer.set_settling(f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s)));
+        let is_fit = verdict.is_ok();
+        let output = &mut self.arrays[array];
+        output.guard.set_verdict(verdict);
+        if is_fit {
+            output.limits.narrow(&capabilities.roll, &capabilities.yaw);
+            output.settling_s = f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s));
+            // Users are predicted for the slowest array.
+            self.observer.set_settling(self.arrays.iter().map(|array| array.settling_s).fold(0.0, f64::max));
         }
-        self.guard.set_verdict(verdict);
         true
     }
 
     /// Applies the bounds and the stop that an array reports. False for an array that is not
     /// followed.
-    pub fn handle_safety(&mut self, report: &SafetyReport) -> bool {
-        if !self.admits_array(report.stamp.source) {
+    pub fn handle_safety(&mut self, array: usize, report: &SafetyReport) -> bool {
+        if !self.admits_array(array, report.stamp.source) {
             self.count_foreign_array();
             return false;
         }
-        self.guard.handle_safety(report);
-        self.command.validity_ms = self.guard.validity_ms();
+        self.arrays[array].guard.handle_safety(report);
+        let validities_ms = self.arrays.iter().map(|array| array.guard.validity_ms());
+        self.command.validity_ms = validities_ms.min().unwrap_or_default();
         true
     }
 
     /// Gives no commands while a node in this room does not fit, independently of its capabilities.
     pub fn handle_unfit_node(&mut self, unfit: Option<Unfit>) {
-        self.guard.set_unfit_node(unfit);
+        self.arrays.iter_mut().for_each(|array| array.guard.set_unfit_node(unfit.clone()));
     }
 
-    /// Applies an operator's stop or re-arm order that arrived at `now`.
+    /// Applies an operator's stop or re-arm order that arrived at `now`. It concerns all arrays.
     pub fn handle_stop_order(&mut self, now: Nanos, order: &EmergencyStop) {
-        self.guard.handle_stop_order(now, order);
+        self.arrays.iter_mut().for_each(|array| array.guard.handle_stop_order(now, order));
     }
 
     /// Applies an operator's re-arm that names its stop.
     pub fn handle_rearm(&mut self, rearm: &Rearm) {
-        self.guard.handle_rearm(rearm);
+        self.arrays.iter_mut().for_each(|array| array.guard.handle_rearm(rearm));
     }
 
-    /// The epoch of the commands; 0 before the first in a live room.
+    /// In a replay: the next decision gives no command to the arrays whose bits are set, whatever
+    /// their state.
+    pub fn repeat_withheld(&mut self, withheld: u64) {
+        self.repeated = Some(withheld);
+    }
+
+    /// The epoch of the commands to the first array; 0 before the first in a live room.
     pub fn epoch(&self) -> u64 {
-        self.guard.tenure.epoch()
+        self.tenure(0).epoch()
     }
 
-    /// Whether this controller commands or stands by.
-    pub fn tenure(&self) -> &Tenure {
-        &self.guard.tenure
+    /// Whether this controller commands an array or stands by.
+    pub fn tenure(&self, array: usize) -> &Tenure {
+        &self.arrays[array].guard.tenure
     }
 
-    /// Why the array receives no commands, if it does not fit the scenario.
+    /// Whether the last decision gave a command to an array, unless it gave none at all.
+    pub fn is_commanded(&self, array: usize) -> bool {
+        self.arrays[array].permit.is_ok()
+    }
+
+    /// Why an array receives no commands, if it does not fit the scenario.
     pub fn unfit(&self) -> Option<&Unfit> {
-        self.guard.unfit()
+        self.arrays.iter().find_map(|array| array.guard.unfit())
     }
 }

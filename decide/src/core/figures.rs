@@ -27,6 +27,11 @@ impl Controller {
         self.policy.policy().name()
     }
 
+    /// The name of the inference engine; `None` for a policy that is not learned.
+    pub fn engine_name(&self) -> Option<&'static str> {
+        self.policy.policy().engine()
+    }
+
     /// The figures of each policy since the start.
     pub fn tallies(&self) -> &[Tally] {
         self.policy.tallies.all()

@@ -23,7 +23,7 @@ impl Journal {
     }
 
     /// Records an accepted message.
-    pub fn record_message(&mut self, stream: Stream, stamp: &Stamp, now: Nanos) {
+    pub fn record_message(&mut self, (stream, array): (Stream, usize), stamp: &Stamp, now: Nanos) {
         let input = match stream {
             Stream::Users => InputKind::Users,
             Stream::Channel => InputKind::Channel,
@@ -31,7 +31,8 @@ impl Journal {
             Stream::Telemetry => InputKind::Telemetry,
             Stream::Orientation => InputKind::Orientation,
         };
-        let Stamp { source, sequence, .. } = *stamp;
+        let source = stamp.source;
+        let sequence = stamp.sequence.wrapping_add((array as u64) << ControllerInput::ARRAY_SHIFT);
         self.push(ControllerInput { input, source, sequence, time_ns: now, command: false });
     }
 
@@ -40,10 +41,10 @@ impl Journal {
         self.push(ControllerInput { input, source: 0, sequence: 0, time_ns: now, command: false });
     }
 
-    /// The last recorded decision gives a command.
-    pub fn record_command(&mut self) {
+    /// The last recorded decision gives a command, to all arrays but those whose bits are set.
+    pub fn record_command(&mut self, withheld: u64) {
         if let Some(decision) = self.inputs.last_mut() {
-            decision.command = true;
+            (decision.command, decision.sequence) = (true, withheld);
         }
     }
 

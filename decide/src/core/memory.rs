@@ -11,19 +11,27 @@ use heliostat_proto::{ControllerInput, MirrorCommand, StateError, decode, decode
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{Controller, degraded_actions::LastReport, journal::Journal};
+use super::{
+    Controller,
+    array_output::{ArrayOutput, ArrayOutputMemory},
+    degraded_actions::LastReport,
+    journal::Journal,
+};
 use crate::{
-    input::inbox::memory::{InboxMemory, OrientationMemory},
-    observe::observer::memory::ObserverMemory,
+    belief::memory::TiltMemory,
+    input::inbox::memory::{ArrayInboxMemory, InboxMemory, OrientationMemory},
+    observe::{evidence::EvidenceMemory, observer::memory::ObserverMemory},
     output::guard::GuardMemory,
     output::safety::check_finite,
     policy::FallbackMemory,
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
-const LAYOUT: u32 = 2;
+const LAYOUT: u32 = 3;
 /// The layout that ends before the orientations.
 const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
+/// The layout that ends before the arrays, the tilted receivers and the residuals.
+const LAYOUT_WITHOUT_ARRAYS: u32 = 2;
 
 /// The state of a controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -41,8 +49,22 @@ pub struct Memory {
     has_command: bool,
     /// Roll and yaw of the observation: those of the last command before they are rounded.
     angles_rad: [Vec<f64>; 2],
-    /// Last, since the layout before has all other fields.
+    /// After all fields of the first layout.
     orientation: OrientationMemory,
+    /// Each of several arrays; empty in a room with one, whose state is in the fields above. This and
+    /// the fields below are after all fields of the second layout.
+    arrays: Vec<ArrayMemory>,
+    /// What is believed about tilted receivers.
+    tilt: TiltMemory,
+    /// The history of the channel residuals.
+    evidence: EvidenceMemory,
+}
+
+/// The state of one of several arrays.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct ArrayMemory {
+    inbox: ArrayInboxMemory,
+    output: ArrayOutputMemory,
 }
 
 /// Why a state cannot be restored.
@@ -83,10 +105,15 @@ impl Memory {
         let found = bytes.first().map_or(0, |byte| u32::from(*byte));
         match found {
             LAYOUT => Ok(decode_state(bytes)?),
-            LAYOUT_WITHOUT_ORIENTATIONS => {
-                let none = encode_state(&OrientationMemory::default())?;
-                let memory = decode_state(&[bytes, &none].concat())?;
-                Ok(Self { layout: LAYOUT, ..memory })
+            LAYOUT_WITHOUT_ORIENTATIONS | LAYOUT_WITHOUT_ARRAYS => {
+                let mut complete = bytes.to_vec();
+                if found == LAYOUT_WITHOUT_ORIENTATIONS {
+                    complete.extend(encode_state(&OrientationMemory::default())?);
+                }
+                complete.extend(encode_state(&Vec::<ArrayMemory>::new())?);
+                complete.extend(encode_state(&TiltMemory::default())?);
+                complete.extend(encode_state(&EvidenceMemory::default())?);
+                Ok(Self { layout: LAYOUT, ..decode_state(&complete)? })
             }
             _ => Err(MemoryError::Layout { found }),
         }
@@ -111,17 +138,26 @@ impl Controller {
         let mut command = Vec::new();
         // A command of the core always encodes.
         let _ = encode(&MirrorCommand { sequence: 0, ..self.command.clone() }, &mut command);
+        let first = self.arrays[0].memory();
+        let array = |(index, array): (usize, &ArrayOutput)| ArrayMemory {
+            inbox: self.inbox.array_memory(index),
+            output: array.memory(),
+        };
+        let several = self.arrays.iter().enumerate().filter(|_| self.arrays.len() > 1);
         Memory {
             layout: LAYOUT,
             inbox: self.inbox.memory(),
             observer: self.observer.memory(),
             policy: self.policy.memory(),
-            axes_rad: self.limits.axes_rad(),
-            guard: self.guard.memory(),
+            axes_rad: first.axes_rad,
+            guard: first.guard,
             last_report: self.last_report,
             command,
-            has_command: self.has_command,
+            has_command: self.has_command(),
+            arrays: several.map(array).collect(),
             orientation: self.inbox.orientation_memory(),
+            tilt: self.observer.tilt_memory(),
+            evidence: self.observer.evidence_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
     }
@@ -142,21 +178,42 @@ impl Controller {
         }
         let angles = MirrorAngles { roll: roll.clone(), yaw: yaw.clone() };
         check_finite(&angles).map_err(|_| other("angles"))?;
-        if !self.limits.restore_axes(memory.axes_rad) {
+        if !self.arrays[0].limits.restore_axes(memory.axes_rad) {
             return Err(other("range of the mirrors"));
         }
         if !self.inbox.restore(&memory.inbox, &memory.orientation) {
             return Err(other("reports"));
         }
-        if !self.observer.restore(&memory.observer) {
+        if !self.observer.restore(&memory.observer, &memory.tilt) {
             return Err(other("belief"));
         }
+        if !self.observer.restore_evidence(&memory.evidence) {
+            return Err(other("history of the channel residuals"));
+        }
         self.policy.restore(&memory.policy);
-        self.guard.restore(&memory.guard);
+        self.arrays[0].guard.restore(&memory.guard);
+        self.arrays[0].commanded_ns = memory.has_command.then_some(command.time_ns);
+        self.restore_arrays(&memory.arrays)?;
         self.last_report = memory.last_report;
         self.command = command;
-        self.has_command = memory.has_command;
         self.observation.set_angles(&angles);
+        Ok(())
+    }
+    /// Replaces the states of several arrays.
+    fn restore_arrays(&mut self, memories: &[ArrayMemory]) -> Result<(), MemoryError> {
+        let other = |part| MemoryError::Scenario { part };
+        let expected = if self.arrays.len() > 1 { self.arrays.len() } else { 0 };
+        if memories.len() != expected {
+            return Err(other("number of arrays"));
+        }
+        for (index, ArrayMemory { inbox, output }) in memories.iter().enumerate() {
+            if !self.inbox.restore_array(index, inbox) {
+                return Err(other("telemetry"));
+            }
+            if !self.arrays[index].restore(output) {
+                return Err(other("range of the mirrors"));
+            }
+        }
         Ok(())
     }
 }

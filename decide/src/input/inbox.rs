@@ -7,7 +7,7 @@
 //! 2. **Source**: the first source whose report is accepted owns the room. Reports of another
 //!    source are refused until no report of the owner was accepted for `control.source_timeout_ms`.
 //!    When the owner changes, the former owner's reports are discarded, so two rooms are never
-//!    mixed. The array has an owner of its own, because another process may drive it.
+//!    mixed. Each array has an owner of its own, because another process may drive it.
 //! 3. **Sequence**: a number must be higher than the last of its stream, by a bounded step
 //!    ([`sequence`](crate::sequence)).
 //! 4. **Time**: a report must be neither older than `control.report_age_max_ms` nor from the
@@ -16,19 +16,22 @@
 //! Only an accepted report takes ownership or renews it. Each refusal is counted by stream and
 //! reason. No refusal stops the controller.
 
+mod array;
 pub mod memory;
+mod slot;
 
 use heliostat_proto::{
     CLOCK_LEAD_MAX_NS, ChannelReport, MirrorTelemetry, Nanos, NodeKind, ObstacleReport, OrientationReport, Stamp,
     UserReport,
 };
 use heliostat_scenario::Scenario;
-use serde::{Deserialize, Serialize};
 
 use crate::input::{
     refusal::{Refusal, Refused, Stream},
     sequence::SequenceTrack,
 };
+use array::ArrayInbox;
+use slot::{Owner, Slot};
 
 /// How far outside the room a reported position may lie, in m: a tracker's noise may exceed a wall.
 const OUTSIDE_MARGIN_M: f64 = 1.0;
@@ -43,8 +46,8 @@ pub enum Message<'a> {
     Channel(&'a mut ChannelReport),
     /// A survey of the obstacles.
     Obstacles(&'a mut ObstacleReport),
-    /// The state of the array.
-    Telemetry(&'a mut MirrorTelemetry),
+    /// The state of the array with this index.
+    Telemetry(usize, &'a mut MirrorTelemetry),
     /// How the users hold their receivers.
     Orientation(&'a mut OrientationReport),
 }
@@ -56,7 +59,7 @@ impl Message<'_> {
             Self::Users(_) => Stream::Users,
             Self::Channel(_) => Stream::Channel,
             Self::Obstacles(_) => Stream::Obstacles,
-            Self::Telemetry(_) => Stream::Telemetry,
+            Self::Telemetry(..) => Stream::Telemetry,
             Self::Orientation(_) => Stream::Orientation,
         }
     }
@@ -67,38 +70,14 @@ impl Message<'_> {
             Self::Users(report) => &report.stamp,
             Self::Channel(report) => &report.stamp,
             Self::Obstacles(report) => &report.stamp,
-            Self::Telemetry(report) => &report.stamp,
+            Self::Telemetry(_, report) => &report.stamp,
             Self::Orientation(report) => &report.stamp,
         }
     }
-}
 
-/// The source whose reports are accepted, and the arrival of its last accepted report.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-struct Owner {
-    source: u64,
-    last_report_ns: Nanos,
-}
-
-/// The latest report of a stream; the memory stays allocated when the report is discarded.
-#[derive(Debug, Default)]
-struct Slot<T> {
-    report: T,
-    filled: bool,
-}
-
-impl<T> Slot<T> {
-    fn get(&self) -> Option<&T> {
-        self.filled.then_some(&self.report)
-    }
-
-    fn keep(&mut self, report: &mut T) {
-        std::mem::swap(&mut self.report, report);
-        self.filled = true;
-    }
-
-    fn forget(&mut self) {
-        self.filled = false;
+    /// Index of the array whose state it is; 0 for reports about the room.
+    pub(crate) fn array(&self) -> usize {
+        if let Self::Telemetry(array, _) = self { *array } else { 0 }
     }
 }
 
@@ -106,18 +85,18 @@ impl<T> Slot<T> {
 pub struct Inbox {
     rules: Rules,
     room: Option<Owner>,
-    array: Option<Owner>,
     /// The source of reports that left last; its delayed reports are refused.
     lost_room: Option<u64>,
-    /// The source of telemetry that left last.
-    lost_array: Option<u64>,
     users: Slot<UserReport>,
     channel: Slot<ChannelReport>,
     obstacles: Slot<ObstacleReport>,
-    telemetry: Slot<MirrorTelemetry>,
     orientation: Slot<OrientationReport>,
-    /// The sequence numbers of each stream, in the order of [`Stream::ALL`].
+    /// The sequence numbers of each stream about the room, in the order of [`Stream::ALL`].
     tracks: [SequenceTrack; Stream::ALL.len()],
+    /// The telemetry of each array.
+    arrays: Vec<ArrayInbox>,
+    /// Mirrors of several arrays that do not follow, by their indices in the room.
+    unusable: Vec<u32>,
     refused: Refused,
     sources: u64,
 }
@@ -128,15 +107,14 @@ impl Inbox {
         Self {
             rules: Rules::new(scenario),
             room: None,
-            array: None,
             lost_room: None,
-            lost_array: None,
             users: Slot { report: UserReport::buffer(), filled: false },
             channel: Slot { report: ChannelReport::buffer(), filled: false },
             obstacles: Slot::default(),
-            telemetry: Slot::default(),
             orientation: Slot { report: OrientationReport::buffer(), filled: false },
             tracks: Default::default(),
+            arrays: arrays_of(scenario),
+            unusable: Vec::with_capacity(scenario.mirror_count()),
             refused: Refused::default(),
             sources: 0,
         }
@@ -147,25 +125,24 @@ impl Inbox {
     /// # Errors
     /// The [`Refusal`], already counted.
     pub fn accept(&mut self, now: Nanos, message: Message<'_>) -> Result<(), Refusal> {
-        let stream = message.stream();
+        let (stream, array) = (message.stream(), message.array());
         let stamp = *message.stamp();
-        let track = &self.tracks[stream as usize];
         let checked = self
-            .rules
             .check_content(&message)
-            .and_then(|()| self.check_source(now, stream, stamp.source))
-            .and_then(|()| track.check(now, &stamp, self.rules.source_timeout_ns))
+            .and_then(|()| self.check_source(now, (stream, array), stamp.source))
+            .and_then(|()| self.track(stream, array).check(now, &stamp, self.rules.source_timeout_ns))
             .and_then(|()| self.rules.check_time(now, &stamp));
-        let track = &mut self.tracks[stream as usize];
         match checked {
             Ok(()) => {
-                track.on_accepted(now, &stamp);
-                self.renew_owner(now, stream, stamp.source);
+                self.track_mut(stream, array).on_accepted(now, &stamp);
+                self.renew_owner(now, (stream, array), stamp.source);
                 self.keep(message);
             }
             Err(Refusal::ForeignSource) => self.refused.count_foreign(stream, stamp.source),
             Err(refusal) => {
-                track.on_refused(&stamp);
+                if array < self.arrays.len() {
+                    self.track_mut(stream, array).on_refused(&stamp);
+                }
                 self.refused.count(stream, refusal);
             }
         }
@@ -203,9 +180,17 @@ impl Inbox {
         self.orientation.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
     }
 
-    /// The latest telemetry of the array.
-    pub fn telemetry(&self) -> Option<&MirrorTelemetry> {
-        self.telemetry.get()
+    /// The latest telemetry of an array.
+    pub fn telemetry(&self, array: usize) -> Option<&MirrorTelemetry> {
+        self.arrays.get(array)?.telemetry.get()
+    }
+
+    /// The mirrors that do not follow, by their indices in the room.
+    pub fn unusable(&self) -> &[u32] {
+        match self.arrays.as_slice() {
+            [array] => array.telemetry.get().map_or(&[], |telemetry| &telemetry.unusable),
+            _ => &self.unusable,
+        }
     }
 
     /// Counters of refusals.
@@ -215,7 +200,10 @@ impl Inbox {
 
     /// How many reports of a stream did not arrive, by the gaps in its sequence numbers.
     pub fn missed(&self, stream: Stream) -> u64 {
-        self.tracks[stream as usize].missed()
+        match stream {
+            Stream::Telemetry => self.arrays.iter().map(|array| array.track.missed()).sum(),
+            _ => self.tracks[stream as usize].missed(),
+        }
     }
 
     /// The source that owns the room.
@@ -223,9 +211,9 @@ impl Inbox {
         self.room.map(|owner| owner.source)
     }
 
-    /// The source whose telemetry is followed.
-    pub fn array_source(&self) -> Option<u64> {
-        self.array.map(|owner| owner.source)
+    /// The source whose telemetry of an array is followed.
+    pub fn array_source(&self, array: usize) -> Option<u64> {
+        self.arrays.get(array)?.owner.map(|owner| owner.source)
     }
 
     /// How many sources have owned the room, in succession.
@@ -240,19 +228,16 @@ impl Inbox {
     /// another kind may name any source.
     pub fn handle_source_lost(&mut self, node: NodeKind, source: u64) {
         for stream in Stream::ALL.into_iter().filter(|stream| publishes(node, *stream)) {
-            self.tracks[stream as usize].forget(source);
             if stream == Stream::Telemetry {
-                self.lost_array = Some(source);
-                if self.array.is_some_and(|owner| owner.source == source) {
-                    self.array = None;
-                    self.telemetry.forget();
-                }
-            } else {
-                self.lost_room = Some(source);
-                if self.room.is_some_and(|owner| owner.source == source) {
-                    self.room = None;
-                    self.forget_room();
-                }
+                self.arrays.iter_mut().for_each(|array| array.handle_source_lost(source));
+                self.collect_unusable();
+                continue;
+            }
+            self.tracks[stream as usize].forget(source);
+            self.lost_room = Some(source);
+            if self.room.is_some_and(|owner| owner.source == source) {
+                self.room = None;
+                self.forget_room();
             }
         }
     }
@@ -261,40 +246,47 @@ impl Inbox {
     pub fn handle_source_found(&mut self, node: NodeKind, source: u64) {
         let is_other = |lost: &u64| *lost != source;
         if publishes(node, Stream::Telemetry) {
-            self.lost_array = self.lost_array.filter(is_other);
+            self.arrays.iter_mut().for_each(|array| array.lost = array.lost.filter(is_other));
         }
         if publishes(node, Stream::Users) {
             self.lost_room = self.lost_room.filter(is_other);
         }
     }
 
-    fn owner(&self, stream: Stream) -> Option<Owner> {
-        if stream == Stream::Telemetry { self.array } else { self.room }
+    fn track(&self, stream: Stream, array: usize) -> &SequenceTrack {
+        if stream == Stream::Telemetry { &self.arrays[array].track } else { &self.tracks[stream as usize] }
     }
 
-    fn check_source(&self, now: Nanos, stream: Stream, source: u64) -> Result<(), Refusal> {
-        let lost = if stream == Stream::Telemetry { self.lost_array } else { self.lost_room };
+    fn track_mut(&mut self, stream: Stream, array: usize) -> &mut SequenceTrack {
+        if stream == Stream::Telemetry { &mut self.arrays[array].track } else { &mut self.tracks[stream as usize] }
+    }
+
+    fn check_source(&self, now: Nanos, (stream, array): (Stream, usize), source: u64) -> Result<(), Refusal> {
+        let (owner, lost) = match stream {
+            Stream::Telemetry => (self.arrays[array].owner, self.arrays[array].lost),
+            _ => (self.room, self.lost_room),
+        };
         if lost == Some(source) {
             return Err(Refusal::SourceGone);
         }
         // A clock that steps back must not extend the ownership.
         let is_alive = |owner: &Owner| now.abs_diff(owner.last_report_ns) <= self.rules.source_timeout_ns;
-        match self.owner(stream).filter(is_alive) {
+        match owner.filter(is_alive) {
             Some(owner) if owner.source != source => Err(Refusal::ForeignSource),
             _ => Ok(()),
         }
     }
 
     /// Gives ownership to the source of an accepted report, or renews it.
-    fn renew_owner(&mut self, now: Nanos, stream: Stream, source: u64) {
+    fn renew_owner(&mut self, now: Nanos, (stream, array): (Stream, usize), source: u64) {
         let is_array = stream == Stream::Telemetry;
-        let slot = if is_array { &mut self.array } else { &mut self.room };
+        let slot = if is_array { &mut self.arrays[array].owner } else { &mut self.room };
         let former = slot.replace(Owner { source, last_report_ns: now });
         if former.is_some_and(|owner| owner.source == source) {
             return;
         }
         if is_array {
-            self.telemetry.forget();
+            self.arrays[array].telemetry.forget();
         } else {
             self.forget_room();
             self.sources += 1;
@@ -313,14 +305,48 @@ impl Inbox {
             Message::Users(report) => self.users.keep(report),
             Message::Channel(report) => self.channel.keep(report),
             Message::Obstacles(report) => self.obstacles.keep(report),
-            Message::Telemetry(report) => self.telemetry.keep(report),
+            Message::Telemetry(array, report) => {
+                self.arrays[array].telemetry.keep(report);
+                self.collect_unusable();
+            }
             Message::Orientation(report) => self.orientation.keep(report),
+        }
+    }
+
+    /// Joins the mirrors of several arrays that do not follow. Does not allocate.
+    fn collect_unusable(&mut self) {
+        if self.arrays.len() > 1 {
+            self.unusable.clear();
+            self.unusable.extend(self.arrays.iter().flat_map(ArrayInbox::unusable));
+        }
+    }
+
+    fn check_content(&self, message: &Message<'_>) -> Result<(), Refusal> {
+        match message {
+            Message::Users(report) => self.rules.check_users(report),
+            Message::Channel(report) => check_channel(report),
+            Message::Obstacles(report) => check_obstacles(report),
+            Message::Telemetry(array, report) => match self.arrays.get(*array) {
+                Some(array) => array.check(report),
+                None => Err(Refusal::WrongMirrorCount),
+            },
+            Message::Orientation(report) => check_orientation(report),
         }
     }
 }
 
+/// An empty inbox for each array of a scenario.
+fn arrays_of(scenario: &Scenario) -> Vec<ArrayInbox> {
+    let mut first = 0;
+    let array = |mirrors: usize| {
+        first += mirrors;
+        ArrayInbox::new(first - mirrors, mirrors)
+    };
+    scenario.mirrors.arrays().iter().map(|array| array.rows * array.columns).map(array).collect()
+}
+
 /// Whether a kind of process publishes a stream.
-fn publishes(node: NodeKind, stream: Stream) -> bool {
+pub(crate) fn publishes(node: NodeKind, stream: Stream) -> bool {
     match node {
         NodeKind::SimNode => true,
         NodeKind::Driver => stream == Stream::Telemetry,
@@ -332,7 +358,6 @@ fn publishes(node: NodeKind, stream: Stream) -> bool {
 /// What a scenario states about its reports.
 #[derive(Clone, Debug)]
 struct Rules {
-    mirrors: usize,
     half_x_m: f64,
     half_y_m: f64,
     height_m: f64,
@@ -344,7 +369,6 @@ impl Rules {
     fn new(scenario: &Scenario) -> Self {
         let nanoseconds = |milliseconds: f64| (milliseconds * 1e6) as Nanos;
         Self {
-            mirrors: scenario.mirror_count(),
             half_x_m: scenario.room.length_x_m / 2.0,
             half_y_m: scenario.room.length_y_m / 2.0,
             height_m: scenario.room.height_m,
@@ -363,16 +387,6 @@ impl Rules {
         Ok(())
     }
 
-    fn check_content(&self, message: &Message<'_>) -> Result<(), Refusal> {
-        match message {
-            Message::Users(report) => self.check_users(report),
-            Message::Channel(report) => check_channel(report),
-            Message::Obstacles(report) => check_obstacles(report),
-            Message::Telemetry(report) => self.check_telemetry(report),
-            Message::Orientation(report) => check_distinct(report.users.iter().map(|user| user.user)),
-        }
-    }
-
     fn check_users(&self, report: &UserReport) -> Result<(), Refusal> {
         check_distinct(report.users.iter().map(|user| user.user))?;
         let inside = |position: &[f32; 3]| {
@@ -386,17 +400,16 @@ impl Rules {
         }
         plausible(report.users.iter().all(|user| user.min_rate_bps >= 0.0))
     }
-
-    fn check_telemetry(&self, report: &MirrorTelemetry) -> Result<(), Refusal> {
-        let commanded = [report.roll_commanded.len(), report.yaw_commanded.len()];
-        if commanded == [self.mirrors; 2] { Ok(()) } else { Err(Refusal::WrongMirrorCount) }
-    }
 }
 
 /// Each user may appear once. The codec bounds the number of entries.
 fn check_distinct(ids: impl Iterator<Item = u32> + Clone) -> Result<(), Refusal> {
     let is_repeated = |(index, id): (usize, u32)| ids.clone().take(index).any(|earlier| earlier == id);
     if ids.clone().enumerate().any(is_repeated) { Err(Refusal::DuplicateUser) } else { Ok(()) }
+}
+
+fn check_orientation(report: &OrientationReport) -> Result<(), Refusal> {
+    check_distinct(report.users.iter().map(|user| user.user))
 }
 
 fn check_channel(report: &ChannelReport) -> Result<(), Refusal> {

@@ -34,6 +34,7 @@ use crate::{
     belief::{Belief, Estimate, body::Body, heading::HEADING_KNOWN, posture::Posture},
     input::inbox::Inbox,
     observe::{
+        evidence::{Believed, Evidence},
         observation::{Observation, RoomState},
         prediction::{Predicted, Prediction},
         slots::Slots,
@@ -73,7 +74,14 @@ pub struct Observer {
     unobstructed: Vec<f64>,
     /// All false: blockage of unknown cause shows in measured gains.
     forced: Vec<bool>,
+    /// Slot by slot.
+    estimates: Vec<Option<Estimate>>,
+    /// Absent where the policy corrects nothing.
+    evidence: Option<Evidence>,
 }
+
+/// Writes the corrections of a policy for the rows of an observation.
+pub type Correct<'a> = &'a mut dyn FnMut(&mut Evidence);
 
 /// Where the gains of the direct paths came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,7 +116,23 @@ impl Observer {
             blockers: Vec::with_capacity(MAX_OBSTACLES + MAX_USERS),
             unobstructed: vec![1.0; model.mirrors.columns()],
             forced: Vec::with_capacity(MAX_USERS),
+            estimates: Vec::with_capacity(MAX_USERS),
+            evidence: None,
         }
+    }
+
+    /// Keeps the evidence that a policy corrects the belief by, or does not. Allocates where it
+    /// begins; no effect where it continues.
+    pub fn keep_evidence(&mut self, keeps: bool) {
+        if keeps != self.evidence.is_some() {
+            self.evidence = keeps.then(Evidence::default);
+            self.prediction.keep_residuals(keeps);
+        }
+    }
+
+    /// The evidence of the last observation; absent where the policy corrects nothing.
+    pub fn evidence(&self) -> Option<&Evidence> {
+        self.evidence.as_ref()
     }
 
     /// Extends the prediction by the settling time of the mirrors, in s, where users are predicted.
@@ -125,9 +149,11 @@ impl Observer {
     pub fn handle_channel(&mut self, model: &ChannelModel, inbox: &Inbox) {
         let Some(report) = inbox.last_channel() else { return };
         self.place_obstacles(inbox);
-        let unusable = inbox.telemetry().map_or(&[][..], |telemetry| &telemetry.unusable);
         let held = inbox.orientation(report.stamp.time_ns);
-        self.prediction.handle_channel(model, (report, held), &self.blockers, unusable);
+        self.prediction.handle_channel(model, (report, held), &self.blockers, inbox.unusable());
+        if let (Some(evidence), Some(belief)) = (&mut self.evidence, self.prediction.belief()) {
+            evidence.handle_channel(report.stamp.time_ns, belief.residuals());
+        }
     }
 
     /// Notes a command that was given.
@@ -157,35 +183,39 @@ impl Observer {
         self.prediction.forget();
         self.slots.clear();
         self.headings.clear();
+        self.evidence.iter_mut().for_each(Evidence::forget);
     }
 
     /// Fills an observation from the latest reports at `now`; `None` without a position report.
+    /// `correct` may correct the belief about each user, where evidence is kept.
     ///
     /// Does not allocate.
     pub fn observe(
         &mut self,
         model: &ChannelModel,
         inbox: &Inbox,
-        now: Nanos,
+        (now, correct): (Nanos, Correct<'_>),
         into: &mut Observation,
     ) -> Option<LosSource> {
         let report = inbox.users()?;
         let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
         self.place_users(report, age_s);
-        self.place_blockers(inbox);
         let held = inbox.orientation(now);
         self.orientations.clear();
         let users = self.slots.ids().iter().zip(self.headings.iter().zip(&self.velocities));
-        let held_by = |(user, (heading, velocity)): (&u32, (&Vec3, &Vec3))| {
-            self.posture.of(held, *user, (heading, velocity.norm()))
-        };
+        let posture = self.prediction.belief().map_or(&self.posture, Belief::posture);
+        let held_by =
+            |(user, (heading, velocity)): (&u32, (&Vec3, &Vec3))| posture.of(held, *user, (heading, velocity.norm()));
         self.orientations.extend(users.map(held_by));
+        let is_believed_tilted = !posture.is_upright();
+        let is_tilted = self.correct(model, held.is_some(), correct) || is_believed_tilted || held.is_some();
+        self.place_blockers(inbox);
         into.set_state(
             model,
             &RoomState {
                 tick: report.tick,
                 positions: &self.positions,
-                orientations: (held.is_some() || !self.posture.is_upright()).then_some(&self.orientations[..]),
+                orientations: is_tilted.then_some(&self.orientations[..]),
                 velocities: &self.velocities,
                 min_rate_bps: &self.min_rate_bps,
                 blockers: &self.blockers,
@@ -216,12 +246,14 @@ impl Observer {
         self.direct_clear.clear();
         self.min_rate_bps.clear();
         self.forced.clear();
+        self.estimates.clear();
         for (slot, id) in slots.ids().iter().enumerate() {
             let same_place = report.users.get(slot).filter(|user| user.user == *id);
             let Some(user) = same_place.or_else(|| report.users.iter().find(|user| user.user == *id)) else { continue };
             let Predicted { position, velocity, estimate } = prediction.predict(user, age_s);
             self.positions.push(position);
             self.velocities.push(velocity);
+            self.estimates.push(estimate);
             self.direct_clear.push(estimate.map(|estimate| estimate.direct_clear));
             match estimate {
                 Some(estimate) => headings[slot] = direction(&estimate),
@@ -231,6 +263,28 @@ impl Observer {
             self.min_rate_bps.push(f64::from(user.min_rate_bps));
             self.forced.push(false);
         }
+    }
+
+    /// Lets the policy correct the orientations; whether it has tilted a receiver. Reported
+    /// orientations are not corrected.
+    fn correct(&mut self, model: &ChannelModel, reported: bool, correct: Correct<'_>) -> bool {
+        let Some(evidence) = &mut self.evidence else { return false };
+        evidence.begin();
+        for ((user, estimate), orientation) in self.slots.ids().iter().zip(&self.estimates).zip(&self.orientations) {
+            let Some(estimate) = *estimate else { return false };
+            evidence.add(model, &Believed { user: *user, estimate, orientation: *orientation });
+        }
+        correct(evidence);
+        if reported {
+            return false;
+        }
+        let mut is_tilted = false;
+        for (orientation, correction) in self.orientations.iter_mut().zip(evidence.corrections()) {
+            let corrected = correction.orientation(*orientation);
+            is_tilted |= corrected != *orientation;
+            *orientation = corrected;
+        }
+        is_tilted
     }
 
     /// Applies what the filter believes about unreported obstacles and covered detectors: a direct

@@ -5,7 +5,10 @@ use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, Orientatio
 use heliostat_scenario::{self as scenario, Scenario};
 use serde::{Deserialize, Serialize};
 
-use crate::belief::{Belief, Estimate, memory::BeliefMemory};
+use crate::belief::{
+    Belief, Estimate,
+    memory::{BeliefMemory, TiltMemory},
+};
 
 /// Weight of a new interval in the mean time between reports.
 const INTERVAL_WEIGHT: f64 = 0.1;
@@ -161,6 +164,13 @@ impl Prediction {
         }
     }
 
+    /// Keeps the residuals of each channel report from now on, or does not.
+    pub fn keep_residuals(&mut self, keeps: bool) {
+        if let Method::Filter(belief) = &mut self.method {
+            belief.keep_residuals(keeps);
+        }
+    }
+
     /// The present state.
     pub fn memory(&self) -> PredictionMemory {
         let Lead { settling_s, interval_s, last_ns, .. } = self.lead;
@@ -168,7 +178,7 @@ impl Prediction {
     }
 
     /// Replaces the state; false where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &PredictionMemory) -> bool {
+    pub fn restore(&mut self, memory: &PredictionMemory, tilt: &TiltMemory) -> bool {
         let PredictionMemory { settling_s, interval_s, last_ns, belief } = memory;
         if ![settling_s, interval_s].iter().all(|time_s| (0.0..=TIME_MAX_S).contains(*time_s)) {
             return false;
@@ -176,7 +186,7 @@ impl Prediction {
         self.set_settling(*settling_s);
         self.lead = Lead { interval_s: *interval_s, last_ns: *last_ns, ..self.lead };
         match (&mut self.method, belief) {
-            (Method::Filter(belief), Some(memory)) => belief.restore(memory),
+            (Method::Filter(belief), Some(memory)) => belief.restore(memory, tilt),
             (Method::AsReported | Method::ConstantVelocity, None) => true,
             _ => false,
         }

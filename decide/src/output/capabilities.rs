@@ -74,7 +74,7 @@ pub struct Examiner {
 }
 
 impl Examiner {
-    /// For the array of a scenario.
+    /// For the arrays of a scenario.
     pub fn new(scenario: &Scenario, model: &ChannelModel, force: Force) -> Self {
         Self {
             model: model.clone(),
@@ -85,13 +85,17 @@ impl Examiner {
         }
     }
 
-    /// Whether the array can be commanded in this scenario.
+    /// Whether this array can be commanded as array `index` of the scenario.
     ///
     /// # Errors
     /// [`Unfit`] where the shape differs or the range is too small.
-    pub fn examine(&self, capabilities: &Capabilities) -> Result<(), Unfit> {
+    ///
+    /// # Panics
+    /// When the scenario has no such array.
+    pub fn examine(&self, index: usize, capabilities: &Capabilities) -> Result<(), Unfit> {
         let hardware = capabilities.hardware.clone();
-        let (rows, columns) = self.model.mirrors.grid();
+        let array = &self.model.mirrors.arrays()[index];
+        let (rows, columns) = (array.rows(), array.columns());
         let (found_rows, found_columns) = (capabilities.rows, capabilities.columns);
         if (found_rows as usize, found_columns as usize) != (rows, columns) {
             return Err(Unfit::Shape { hardware, found_rows, found_columns, rows, columns });
@@ -99,7 +103,7 @@ impl Examiner {
         if self.paper || self.force.small_range {
             return Ok(());
         }
-        let (floor, pairs) = self.reach(&capabilities.roll, &capabilities.yaw);
+        let (floor, pairs) = self.reach(index, &capabilities.roll, &capabilities.yaw);
         if floor < 1.0 {
             let axes = [capabilities.roll, capabilities.yaw];
             let min_deg = f64::from(axes.iter().map(|axis| axis.min_rad).fold(f32::INFINITY, f32::min)).to_degrees();
@@ -122,26 +126,26 @@ impl Examiner {
         }
     }
 
-    /// Shares of the floor that at least one mirror can light, and of all pairs of a mirror and a
-    /// floor point.
+    /// Shares of the floor that at least one mirror of an array can light, and of all pairs of its
+    /// mirrors and a floor point.
     ///
     /// A mirror reaches a point if the bisector of the directions to the first LED and to the point
     /// is within its range.
-    pub fn reach(&self, roll: &AxisLimits, yaw: &AxisLimits) -> (f64, f64) {
+    pub fn reach(&self, index: usize, roll: &AxisLimits, yaw: &AxisLimits) -> (f64, f64) {
         let within = |angle: f64, axis: &AxisLimits| {
             (f64::from(axis.min_rad) - 1e-6..=f64::from(axis.max_rad) + 1e-6).contains(&angle)
         };
-        let mirrors = &self.model.mirrors;
+        let mirrors = &self.model.mirrors.arrays()[index];
         let led = self.model.leds[0].position;
         let (mut places, mut lit, mut pairs) = (0.0, 0.0, 0.0);
         for place in self.floor() {
-            let reaches = |(index, mirror): &(usize, &Vec3)| {
+            let reaches = |mirror: &&Vec3| {
                 bisector(mirror, &led, &place).is_some_and(|normal| {
-                    let angles = mirrors.angles_of(*index, &normal);
+                    let angles = mirrors.angles_of(&normal);
                     within(angles.0, roll) && within(angles.1, yaw)
                 })
             };
-            let reaching = mirrors.positions().iter().enumerate().filter(reaches).count() as f64;
+            let reaching = mirrors.positions().iter().filter(reaches).count() as f64;
             places += 1.0;
             lit += f64::from(u8::from(reaching > 0.0));
             pairs += reaching / mirrors.len() as f64;
@@ -179,20 +183,20 @@ mod tests {
     #[test]
     fn an_array_of_another_shape_is_refused_and_both_shapes_are_named() {
         let examiner = examiner("specular", Force::default());
-        assert_eq!(examiner.examine(&array(10, 10, 90.0)), Ok(()));
-        let problem = examiner.examine(&array(7, 10, 90.0)).unwrap_err().to_string();
+        assert_eq!(examiner.examine(0, &array(10, 10, 90.0)), Ok(()));
+        let problem = examiner.examine(0, &array(7, 10, 90.0)).unwrap_err().to_string();
         assert!(problem.contains("7 x 10") && problem.contains("10 x 10"), "{problem}");
     }
 
     #[test]
     fn a_small_range_is_refused_with_the_reachable_share() {
         let examiner_of = |force| examiner("specular", force);
-        let problem = examiner_of(Force::default()).examine(&array(10, 10, 5.0)).unwrap_err();
+        let problem = examiner_of(Force::default()).examine(0, &array(10, 10, 5.0)).unwrap_err();
         let Unfit::Range { floor, pairs, .. } = &problem else { panic!("{problem}") };
         assert!(*floor > 0.0 && *floor < 1.0 && pairs < floor, "{problem}");
         assert!(problem.to_string().contains("expected 100 % of the floor"));
         let forced = Force { small_range: true, ..Force::default() };
-        assert_eq!(examiner_of(forced).examine(&array(10, 10, 5.0)), Ok(()));
+        assert_eq!(examiner_of(forced).examine(0, &array(10, 10, 5.0)), Ok(()));
     }
 
     /// The shares of mirror-point pairs for a range are those of docs/physics.md.
@@ -201,7 +205,7 @@ mod tests {
         let examiner = examiner("specular", Force::default());
         for (range_deg, expected) in [(10.0, 0.23), (20.0, 0.53), (30.0, 0.76), (60.0, 1.0)] {
             let array = array(10, 10, range_deg);
-            let (_, pairs) = examiner.reach(&array.roll, &array.yaw);
+            let (_, pairs) = examiner.reach(0, &array.roll, &array.yaw);
             assert!((pairs - expected).abs() < 0.03, "{range_deg} degrees: {pairs}");
         }
     }

@@ -1,5 +1,8 @@
 //! Results of the core: what is due after an input, decisions, degraded modes, and counters.
 
+use std::ops::Range;
+
+use heliostat_channel::MirrorArrays;
 use heliostat_proto::{InputKind, MirrorCommand, Nanos};
 
 use crate::output::{safety::Clipped, tenure::TenureEvent};
@@ -75,14 +78,68 @@ impl Timing {
 pub enum Decision<'a> {
     /// The mirrors turn.
     Move {
-        /// What to send. Its sequence number is 0: the sender assigns it.
+        /// The angles of all mirrors. In a room with one array this is what to send. Its sequence
+        /// number is 0: the sender assigns it.
         command: &'a mut MirrorCommand,
+        /// In a room with several arrays, what to send to each; else empty.
+        parts: &'a mut [ArrayCommand],
         /// Age of the positions on which the decision is based, in ns.
         age_ns: Nanos,
     },
     /// No command. The array keeps its angles until the validity of the last command plus the
     /// driver's `park_after_ms` has passed, then moves to its park position.
     Hold(DegradedMode),
+}
+
+/// The command of a decision to one of several arrays.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ArrayCommand {
+    /// Index of the array.
+    pub array: usize,
+    /// Whether the array gets this command; else it gets none.
+    pub is_given: bool,
+    /// The command. Its sequence number is 0: the sender assigns it.
+    pub command: MirrorCommand,
+    /// Its mirrors among those of the room.
+    mirrors: Range<usize>,
+}
+
+impl ArrayCommand {
+    /// Flat mirrors for each of several arrays; nothing for one.
+    pub(crate) fn parts(arrays: &MirrorArrays) -> Vec<Self> {
+        let part = |(array, mirrors): (usize, Range<usize>)| {
+            let flat = vec![0.0; mirrors.len()];
+            let command = MirrorCommand { roll: flat.clone(), yaw: flat, ..MirrorCommand::default() };
+            Self { array, is_given: false, command, mirrors }
+        };
+        let ranges = arrays.ranges().map(|(_, mirrors)| mirrors).enumerate();
+        if arrays.arrays().len() > 1 { ranges.map(part).collect() } else { Vec::new() }
+    }
+
+    /// Takes the part of a command to all mirrors; without an epoch the array gets none. Does not
+    /// allocate.
+    pub(crate) fn set(&mut self, all: &MirrorCommand, epoch: Option<u64>, validity_ms: u32) {
+        self.is_given = epoch.is_some();
+        let MirrorCommand { roll, yaw, .. } = &mut self.command;
+        roll.copy_from_slice(&all.roll[self.mirrors.clone()]);
+        yaw.copy_from_slice(&all.yaw[self.mirrors.clone()]);
+        let (roll, yaw) = (std::mem::take(roll), std::mem::take(yaw));
+        let epoch = epoch.unwrap_or_default();
+        self.command = MirrorCommand { epoch, validity_ms, roll, yaw, ..*all };
+    }
+}
+
+impl<'a> Decision<'a> {
+    /// The commands to send, each with the index of its array.
+    pub fn commands(self) -> impl Iterator<Item = (usize, &'a mut MirrorCommand)> {
+        let (command, parts) = match self {
+            Self::Move { command, parts, .. } => (Some(command), parts),
+            Self::Hold(_) => (None, Default::default()),
+        };
+        let only = command.filter(|_| parts.is_empty()).map(|command| (0, command));
+        let given = parts.iter_mut().filter(|part| part.is_given).map(|part| (part.array, &mut part.command));
+        only.into_iter().chain(given)
+    }
 }
 
 /// A condition outside normal operation. The table at the head of [`crate::core`] lists the
@@ -101,7 +158,7 @@ pub enum DegradedMode {
     PolicyFailed,
     /// Neither policy nor fallback gave angles.
     Held,
-    /// The array is stopped, or does not fit the scenario.
+    /// An array is stopped, or does not fit the scenario; or one of several has left.
     Withheld,
     /// The array follows another controller.
     Standby,
@@ -140,7 +197,7 @@ impl DegradedMode {
 pub struct Counters {
     /// Decisions on position reports: commands, and decisions to send none.
     pub decisions: u64,
-    /// Commands given.
+    /// Commands given, one for each array.
     pub commands: u64,
     /// Axis values that the limits changed.
     pub clipped: Clipped,

@@ -4,7 +4,7 @@
 //! It does not judge whether angles are useful, and it does not replace the limits that a driver
 //! enforces.
 
-use std::ops::RangeInclusive;
+use std::ops::{AddAssign, Range, RangeInclusive};
 
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_proto::AxisLimits;
@@ -30,6 +30,13 @@ pub struct Clipped {
     pub range: u64,
     /// Values further from the last command than the slew limit lets a mirror turn.
     pub slew: u64,
+}
+
+impl AddAssign for Clipped {
+    fn add_assign(&mut self, other: Self) {
+        self.range += other.range;
+        self.slew += other.slew;
+    }
 }
 
 /// A proposed angle is not a finite number.
@@ -93,9 +100,27 @@ impl Limits {
     /// Limits proposed angles to the range, and to what the slew rate allows from `from` in
     /// `elapsed_s` seconds.
     pub fn bound(&self, from: &MirrorAngles, elapsed_s: f64, angles: &mut MirrorAngles) -> Clipped {
+        let all = 0..angles.roll.len();
+        self.bound_array(from, elapsed_s, angles, all)
+    }
+
+    /// The same for some of the mirrors, for example those of an array.
+    ///
+    /// # Panics
+    /// When there are no such mirrors.
+    pub fn bound_array(
+        &self,
+        from: &MirrorAngles,
+        elapsed_s: f64,
+        angles: &mut MirrorAngles,
+        mirrors: Range<usize>,
+    ) -> Clipped {
         let reach_rad = self.slew_rad_per_s.map_or(f64::INFINITY, |slew| slew * elapsed_s.max(0.0));
         let mut clipped = Clipped::default();
-        let axes = [(&from.roll, &mut angles.roll), (&from.yaw, &mut angles.yaw)];
+        let axes = [
+            (&from.roll[mirrors.clone()], &mut angles.roll[mirrors.clone()]),
+            (&from.yaw[mirrors.clone()], &mut angles.yaw[mirrors]),
+        ];
         for ((from, angles), [min, max]) in axes.into_iter().zip(self.axes_rad) {
             for (&from, angle) in from.iter().zip(angles) {
                 // clamp() checks its bounds for each angle, which prevents vectorisation.

@@ -4,6 +4,8 @@
 //! The inference engine is behind [`Engine`]. It may copy its input and allocate at each run. The
 //! actor writes into one input buffer that it keeps.
 
+mod agreement;
+mod samples;
 mod trial;
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
@@ -59,6 +61,11 @@ impl Actor {
         &self.info
     }
 
+    /// The name of the engine that evaluates the network.
+    pub fn engine_name(&self) -> &'static str {
+        self.network.engine()
+    }
+
     /// Runs the network on a ready-made vector: roll then yaw of each mirror in rad.
     ///
     /// # Errors
@@ -109,6 +116,10 @@ impl Policy for Actor {
         let chosen = self.selection.choose(observation).iter().copied();
         self.encoder.encode_users(model, observation, chosen, self.network.input_mut())?;
         self.run(out)
+    }
+
+    fn engine(&self) -> Option<&'static str> {
+        Some(self.network.engine())
     }
 
     fn users_max(&self) -> usize {

@@ -21,6 +21,11 @@ pub const INPUT_NAME: &str = "observation";
 /// Name of the network's only output.
 pub const OUTPUT_NAME: &str = "angles";
 
+/// Name of the only output of a network with the compact action.
+pub const CORRECTIONS_NAME: &str = "corrections";
+/// The action of a network that corrects the belief.
+pub const COMPACT: &str = "compact";
+
 /// The keys of the metadata that every actor carries.
 pub mod key {
     /// Beginning of all keys.
@@ -31,6 +36,8 @@ pub mod key {
     pub const USERS_MAX: &str = "heliostat.users_max";
     /// Number of mirrors.
     pub const MIRRORS: &str = "heliostat.mirrors";
+    /// What the output is: [`COMPACT`](super::COMPACT), or angles where the entry is missing.
+    pub const ACTION: &str = "heliostat.action";
     /// Channel mode that the actor was trained in.
     pub const MODE: &str = "heliostat.mode";
     /// Hash of the optical geometry.
@@ -119,6 +126,24 @@ pub enum ActorError {
     Disagrees {
         /// The file.
         origin: String,
+        /// Observations on which the angles differ.
+        differing: usize,
+        /// Observations compared.
+        compared: usize,
+        /// One of the differences.
+        example: String,
+    },
+    /// Two engines compute other angles.
+    #[error(
+        "{origin}: the engines {} and {} give other angles on {differing} of {compared} observations ({example}), \
+         expected equal ones; check the network for invalid operations such as 0/0, and export it again",
+        engines[0], engines[1]
+    )]
+    EnginesDisagree {
+        /// The file.
+        origin: String,
+        /// The names of the engines, or of the reference evaluation.
+        engines: [&'static str; 2],
         /// Observations on which the angles differ.
         differing: usize,
         /// Observations compared.
@@ -231,6 +256,11 @@ impl ActorInfo {
         Ok(info)
     }
 
+    /// Where the file came from, for messages.
+    pub fn origin(&self) -> &str {
+        &self.origin
+    }
+
     /// The encoder that fills this actor's input.
     pub fn encoder(&self) -> ObservationEncoder {
         ObservationEncoder::new(self.users_max, self.mirrors)
@@ -296,7 +326,7 @@ impl ActorInfo {
 }
 
 /// Element type and shape, as "f32 [1, 200]".
-fn describe(port: &ValueInfoProto) -> String {
+pub(super) fn describe(port: &ValueInfoProto) -> String {
     let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref().and_then(|kind| kind.value.as_ref()) else {
         return "of no known type".into();
     };

@@ -4,7 +4,8 @@ use super::proposal::PolicyError;
 
 /// Builds networks from ONNX files.
 pub trait Engine {
-    /// Builds the network of an ONNX model with one input of `input_length` values and one output.
+    /// Builds the network of an ONNX model with one input of rows of `input_length` values and one
+    /// output. It starts with one row, or with the number of rows that the model fixes.
     ///
     /// # Errors
     /// The engine's own message where it refuses the model.
@@ -12,11 +13,30 @@ pub trait Engine {
 }
 
 /// A network that is ready to run. It keeps its input between runs.
+///
+/// The caller sets the number of rows, writes the input, and runs:
+///
+/// 1. [`set_rows`](Self::set_rows), where the number changes;
+/// 2. [`input_mut`](Self::input_mut), to be overwritten;
+/// 3. [`run`](Self::run).
 pub trait Network: Send {
-    /// The input, to be overwritten before each run.
+    /// The name of the engine.
+    fn engine(&self) -> &'static str;
+
+    /// Sets the number of rows of later runs; the input is then unspecified.
+    ///
+    /// The network is applied to each row where the model fixes a first extent of one. It is applied
+    /// to all rows at once where the model leaves the first extent open. Memory grows where `rows`
+    /// exceeds every earlier number.
+    ///
+    /// # Errors
+    /// [`PolicyError::Inference`] for no row, or a number that the model excludes.
+    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError>;
+
+    /// The input, (rows, input length) in row-major order, to be overwritten before each run.
     fn input_mut(&mut self) -> &mut [f32];
 
-    /// Evaluates the network on its input, and returns the output.
+    /// Evaluates the network on its input, and returns the output, row after row.
     ///
     /// # Errors
     /// [`PolicyError::Inference`] where the engine fails.

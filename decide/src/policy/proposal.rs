@@ -10,7 +10,10 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::{
-    observe::observation::{EncodeError, Observation},
+    observe::{
+        evidence::Evidence,
+        observation::{EncodeError, Observation},
+    },
     output::safety::NotFinite,
 };
 
@@ -18,6 +21,11 @@ use crate::{
 pub trait Policy: Send {
     /// The name on the command line and in summaries.
     fn name(&self) -> &str;
+
+    /// The name of the inference engine; `None` for a policy that is not learned.
+    fn engine(&self) -> Option<&'static str> {
+        None
+    }
 
     /// Writes the angles for an observation of at least one user; `out` has the size of the model's
     /// array. The users may differ from those of the last call.
@@ -31,6 +39,15 @@ pub trait Policy: Send {
         observation: &Observation,
         out: &mut MirrorAngles,
     ) -> Result<(), PolicyError>;
+
+    /// Whether it corrects the belief by evidence from channel reports; the core then keeps it.
+    fn reads_evidence(&self) -> bool {
+        false
+    }
+
+    /// Corrects the belief about the users, before their observation is made for
+    /// [`act`](Self::act). A failure is returned by that call.
+    fn correct(&mut self, _: &mut Evidence) {}
 
     /// The largest number of users that it serves; it leaves out the others of an observation.
     fn users_max(&self) -> usize {

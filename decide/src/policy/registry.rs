@@ -7,8 +7,10 @@ use thiserror::Error;
 
 use super::actor::Actor;
 use super::actor_file::{ActorError, ActorFile};
+use super::compact_file::{CompactError, is_compact};
 use super::engine::Engine;
 use super::proposal::{Policy, TimeSource};
+use super::residual::Residual;
 use crate::output::safety::Limits;
 use Recipe::{Direct, Learned};
 
@@ -18,6 +20,9 @@ pub enum BuildError {
     /// The actor is missing or does not fit.
     #[error(transparent)]
     Actor(#[from] ActorError),
+    /// The compact actor is of another kind.
+    #[error(transparent)]
+    Compact(#[from] CompactError),
     /// The search space is too large, or continuous.
     #[error(
         "an exhaustive search cannot run here: {0}; use the policy oracle, which gives the same assignments in small rooms"
@@ -66,6 +71,8 @@ policies! {
     /// Learned: DDPG with one weight per user (ONNX, as all learned policies)
     #[value(alias = "actor")]
     Ddpg: Learned,
+    /// Learned: greedy on a belief that a network corrects by channel residuals; one file for any room
+    Residual: Learned,
     /// Learned: DDPG on the angles of all mirrors, as in the paper
     DdpgRaw: Learned,
     /// Learned: as ddpg-raw, with a critic that reads smooth patterns of the angles
@@ -161,6 +168,10 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     match kind.recipe() {
         Learned => {
             let actor = resources.actor.ok_or_else(|| BuildError::ActorExpected { policy: kind.name() })?;
+            if kind == PolicyKind::Residual || is_compact(actor) {
+                let size = (scenario.users.count, scenario.mirror_count());
+                return Residual::load(actor, size, resources.engine)?.named(kind.name()).boxed();
+            }
             Actor::load(actor, scenario, resources.engine)?.named(kind.name()).boxed()
         }
         Direct(build) => build(&RoomFacts {

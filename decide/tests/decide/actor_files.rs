@@ -147,7 +147,7 @@ fn an_output_that_is_not_finite_is_an_error() {
 fn a_file_with_weights_that_are_not_finite_is_refused_with_the_name_of_the_tensor() {
     let scenario = scenario(&[]);
     for bias in [f32::NAN, f32::INFINITY] {
-        let error = refusal(&ActorRecipe { bias, ..ActorRecipe::fitting(&scenario) }, &scenario);
+        let error = refusal(&ActorRecipe { bias: vec![bias; 18], ..ActorRecipe::fitting(&scenario) }, &scenario);
         assert_contains(&error, &["test.onnx", "tensor bias", "not finite"]);
     }
 }
@@ -179,6 +179,15 @@ impl Engine for CountingEngine {
 }
 
 impl Network for Counting {
+    fn engine(&self) -> &'static str {
+        "counting"
+    }
+
+    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+        assert_eq!(rows, 1, "an actor has one row");
+        Ok(())
+    }
+
     fn input_mut(&mut self) -> &mut [f32] {
         &mut self.0
     }

@@ -6,19 +6,15 @@ use heliostat_channel::MirrorAngles;
 use heliostat_decide::{
     core::{Controller, Decision},
     inbox::Message,
-    policy::{PolicyKind, actor_file::ActorFile},
+    policy::PolicyKind,
 };
 use heliostat_proto::{ChannelReport, Obstacle, ObstacleReport, OrientationReport, UserReport, decode_into, encode};
 use heliostat_scenario::Scenario;
 
-use crate::support::{ActorRecipe, Room, build, build_with, controller, scenario};
+use crate::support::{Room, build, controller, scenario};
 
 fn large() -> Scenario {
     scenario(&["mirrors.rows=10", "mirrors.columns=10", "control.slew_deg_per_s=6000"])
-}
-
-fn actor_of(scenario: &Scenario) -> ActorFile {
-    ActorRecipe::fitting(scenario).file()
 }
 
 /// Survey, orientations, gains and positions of a tick.
@@ -75,8 +71,7 @@ fn tick(controller: &mut Controller, scratch: &mut Scratch, tick: u64, [survey, 
 
 /// Allocations in each of the last ticks, after the first have sized all buffers.
 fn allocations(scenario: &Scenario, kind: PolicyKind) -> Vec<u64> {
-    let source = actor_of(scenario);
-    let mut controller = controller(scenario, build_with(kind, scenario, &source).unwrap());
+    let mut controller = controller(scenario, build(kind, scenario).unwrap());
     let mut scratch = Scratch::default();
     let payloads = payloads(scenario);
     let counts = payloads.iter().enumerate().map(|(index, payloads)| {
@@ -119,7 +114,7 @@ fn crowds() -> Vec<Payloads> {
 
 /// Lets a policy decide for the crowds; nothing may be allocated once the room was not empty.
 fn assert_no_allocation_for_crowds(scenario: &Scenario, kind: PolicyKind) {
-    let mut controller = controller(scenario, build_with(kind, scenario, &actor_of(scenario)).unwrap());
+    let mut controller = controller(scenario, build(kind, scenario).unwrap());
     controller.warm_up(0..2);
     let mut scratch = Scratch {
         users: UserReport::buffer(),
@@ -182,6 +177,8 @@ fn a_failing_policy_does_not_make_the_fallback_allocate() {
 
 #[test]
 fn an_actor_does_not_allocate_beside_its_engine() {
-    let counts = allocations(&large(), PolicyKind::Ddpg);
-    assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{counts:?}");
+    for kind in [PolicyKind::Ddpg, PolicyKind::Residual] {
+        let counts = allocations(&large(), kind);
+        assert!(counts.len() == 40 && counts.iter().all(|count| *count == 0), "{kind:?}: {counts:?}");
+    }
 }

@@ -127,7 +127,11 @@ fn no_mirror_is_offered_to_a_user_beyond_its_range() {
         if let Some(range_deg) = array {
             let end = range_deg.to_radians() as f32;
             let axis = AxisLimits { min_rad: -end, max_rad: end, ..AxisLimits::default() };
-            controller.handle_capabilities(&Capabilities { roll: axis, yaw: axis, ..Capabilities::default() }, Ok(()));
+            controller.handle_capabilities(
+                0,
+                &Capabilities { roll: axis, yaw: axis, ..Capabilities::default() },
+                Ok(()),
+            );
         }
         Room::new(&scenario).tick(&mut controller, 1).command();
         controller.observation().scene.steering_gain().iter().filter(|gain| **gain > 0.0).count()
@@ -149,7 +153,7 @@ fn a_new_controller_starts_from_where_the_array_is() {
         yaw_commanded: vec![0.0; 9],
         ..MirrorTelemetry::default()
     };
-    receive(&mut controller, Room::time(1), Message::Telemetry(&mut telemetry));
+    receive(&mut controller, Room::time(1), Message::Telemetry(0, &mut telemetry));
     let command = Room::new(&scenario).tick(&mut controller, 1).command();
     assert!((f64::from(command.roll[0]) - (0.4 - 1f64.to_radians())).abs() < 1e-6, "it turns from there");
     assert_eq!(command.epoch, 7);

@@ -2,13 +2,20 @@
 
 mod actor_files;
 mod allocations;
+mod arrays;
 mod beliefs;
 mod deadlines;
 mod decisions;
+mod dense;
+mod dense_graphs;
 mod epochs;
 mod memory;
+mod motion_beliefs;
 mod observations;
+mod obstacle_maps;
 mod policies;
 mod reports;
+mod residual;
 mod support;
+mod tilted_receivers;
 mod users;

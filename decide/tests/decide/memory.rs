@@ -13,8 +13,14 @@ use heliostat_scenario::Scenario;
 
 use crate::support::{Outcome, Room, build, controller, receive, scenario};
 
-const POLICIES: [PolicyKind; 5] =
-    [PolicyKind::FixedPoint, PolicyKind::Greedy, PolicyKind::Pso, PolicyKind::Ddpg, PolicyKind::Nearest];
+const POLICIES: [PolicyKind; 6] = [
+    PolicyKind::FixedPoint,
+    PolicyKind::Greedy,
+    PolicyKind::Pso,
+    PolicyKind::Ddpg,
+    PolicyKind::Residual,
+    PolicyKind::Nearest,
+];
 
 /// Obstacles that no survey reports, so that the filter has a map.
 const HIDDEN: [&str; 2] = ["blockage.obstacles_per_m2=0.05", "streams.obstacles.rate_hz=0"];
@@ -66,7 +72,7 @@ fn begin(room: &mut Room, controller: &mut Controller) {
         unusable: vec![4],
         ..MirrorTelemetry::default()
     };
-    receive(controller, Room::time(0), Message::Telemetry(&mut telemetry));
+    receive(controller, Room::time(0), Message::Telemetry(0, &mut telemetry));
 }
 
 fn running(scenario: &Scenario, kind: PolicyKind, ticks: u64) -> (Room, Controller) {
@@ -145,7 +151,7 @@ fn a_state_of_another_scenario_or_layout_is_refused() {
 }
 
 #[test]
-fn a_state_of_the_layout_without_orientations_is_restored() {
+fn states_of_earlier_layouts_are_restored() {
     let scenario = room_scenario("none");
     let mut first = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     let mut room = Room::new(&scenario);
@@ -153,12 +159,19 @@ fn a_state_of_the_layout_without_orientations_is_restored() {
         receive(controller, Room::time(number), Message::Users(&mut room_report(number, number)))
     };
     (1..=5).for_each(|number| drop(plain(&mut first, number)));
-    let mut bytes = first.memory().to_bytes().unwrap();
-    // No report and no sequence number: one byte each.
-    assert_eq!(bytes.split_off(bytes.len() - 2), [0, 0]);
-    bytes[0] = 1;
-    let memory = Memory::from_bytes(&bytes).unwrap();
-    assert_eq!(memory.to_bytes().unwrap(), first.memory().to_bytes().unwrap());
+    let latest = first.memory().to_bytes().unwrap();
+    // Behind the second layout: no array, no evidence of tilted receivers, and the residuals in 50
+    // bytes: no user, six sums and no time. Before them, one byte each: no orientation report, no
+    // sequence number of one.
+    assert_eq!(latest[latest.len() - 54..], [0; 54]);
+    let of_layout = |layout: u8, missing: usize| {
+        let mut bytes = latest[..latest.len() - missing].to_vec();
+        bytes[0] = layout;
+        Memory::from_bytes(&bytes).unwrap()
+    };
+    let memory = of_layout(1, 54);
+    assert_eq!(memory.to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(2, 52).to_bytes().unwrap(), latest);
     let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     second.restore(&memory).unwrap();
     assert_eq!(plain(&mut second, 6), plain(&mut first, 6));

@@ -8,7 +8,7 @@ use heliostat_decide::{
 };
 use heliostat_scenario::Scenario;
 
-use crate::support::{ActorRecipe, build, build_with, scenario};
+use crate::support::{build, scenario};
 
 /// Three users of whom the first two have no direct path.
 fn observe(scenario: &Scenario) -> (ChannelModel, Observation) {
@@ -50,10 +50,9 @@ fn every_policy_gives_finite_angles_in_every_mode() {
     for mode in ["specular", "paper", "paper-calibrated"] {
         let scenario = scenario(&[&format!("channel.mode={mode}")]);
         let (model, observation) = observe(&scenario);
-        let actor = ActorRecipe::fitting(&scenario).file();
         let runs = |kind: &&PolicyKind| mode == "specular" || **kind != PolicyKind::Exhaustive;
         for kind in PolicyKind::value_variants().iter().filter(runs) {
-            let mut policy = build_with(*kind, &scenario, &actor).unwrap();
+            let mut policy = build(*kind, &scenario).unwrap();
             let mut angles = MirrorAngles { roll: vec![f64::NAN; 9], yaw: vec![f64::NAN; 9] };
             policy.act(&model, &observation, &mut angles).unwrap();
             assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| angle.is_finite()), "{mode} {kind:?}");

@@ -194,7 +194,7 @@ fn physically_impossible_values_are_refused() {
         yaw_commanded: vec![0.0; 8],
         ..MirrorTelemetry::default()
     };
-    receive(&mut controller, now, Message::Telemetry(&mut telemetry));
+    receive(&mut controller, now, Message::Telemetry(0, &mut telemetry));
     assert_eq!(refused(&controller, Stream::Telemetry, Refusal::WrongMirrorCount), 1);
 }
 
@@ -264,9 +264,9 @@ fn telemetry_of_a_wild_sequence_number_hides_no_stop() {
         ..MirrorTelemetry::default()
     };
     let following = ArrayState::Following;
-    receive(&mut controller, Room::time(1), Message::Telemetry(&mut telemetry(1, 1, following)));
-    receive(&mut controller, Room::time(2), Message::Telemetry(&mut telemetry(u64::MAX, 2, following)));
-    receive(&mut controller, Room::time(3), Message::Telemetry(&mut telemetry(2, 3, ArrayState::Stopped)));
+    receive(&mut controller, Room::time(1), Message::Telemetry(0, &mut telemetry(1, 1, following)));
+    receive(&mut controller, Room::time(2), Message::Telemetry(0, &mut telemetry(u64::MAX, 2, following)));
+    receive(&mut controller, Room::time(3), Message::Telemetry(0, &mut telemetry(2, 3, ArrayState::Stopped)));
     assert_eq!(room.tick(&mut controller, 4), Outcome::Held(DegradedMode::Withheld));
 }
 

@@ -3,11 +3,13 @@
 use heliostat_channel::{ChannelModel, MirrorAngles, Orientation};
 use heliostat_decide::{
     core::{Controller, Decision, DegradedMode},
+    correction::Correction,
+    evidence::{EVIDENCE_VERSION, FEATURES},
     inbox::Message,
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
         self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
-        actor_file::{ActorError, ActorFile, INPUT_NAME, OUTPUT_NAME, key},
+        actor_file::{ActorError, ActorFile, COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key},
     },
 };
 use heliostat_onnx::{
@@ -15,7 +17,7 @@ use heliostat_onnx::{
     TypeProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto, type_proto,
 };
 use heliostat_proto::{
-    ChannelReport, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
+    ChannelReport, MAX_USERS, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
     UserOrientation, UserReport, UserState,
 };
 use heliostat_scenario::Scenario;
@@ -153,14 +155,16 @@ impl Policy for Scripted {
     }
 }
 
-/// An ONNX file to order: a network of one layer whose weights are zero, so that it answers its
-/// bias.
+/// An ONNX file to order: a network of one layer whose weights are equal, and usually zero, so that
+/// it answers its bias.
 pub struct ActorRecipe {
     pub input_name: &'static str,
     pub output_name: &'static str,
     pub input_length: usize,
     pub output_length: usize,
-    pub bias: f32,
+    pub bias: Vec<f32>,
+    /// All weights have this value.
+    pub weight: f32,
     pub metadata: Vec<(&'static str, String)>,
 }
 
@@ -173,7 +177,8 @@ impl ActorRecipe {
             output_name: OUTPUT_NAME,
             input_length: ObservationEncoder::new(users_max, mirrors).len(),
             output_length: 2 * mirrors,
-            bias: 0.25,
+            bias: vec![0.25; 2 * mirrors],
+            weight: 0.0,
             metadata: vec![
                 (key::OBSERVATION_VERSION, OBSERVATION_VERSION.to_string()),
                 (key::USERS_MAX, users_max.to_string()),
@@ -181,6 +186,19 @@ impl ActorRecipe {
                 (key::MODE, scenario.channel.mode.name().into()),
                 (key::GEOMETRY, scenario.geometry_hash()),
             ],
+        }
+    }
+
+    /// A compact actor that answers these corrections for every user.
+    pub fn compact(bias: [f32; Correction::VALUES]) -> Self {
+        Self {
+            input_name: INPUT_NAME,
+            output_name: CORRECTIONS_NAME,
+            input_length: FEATURES,
+            output_length: Correction::VALUES,
+            bias: bias.to_vec(),
+            weight: 0.0,
+            metadata: vec![(key::ACTION, COMPACT.into()), (key::OBSERVATION_VERSION, EVIDENCE_VERSION.to_string())],
         }
     }
 
@@ -211,8 +229,8 @@ impl ActorRecipe {
                 node("Add", ["product", "bias"], self.output_name),
             ],
             initializer: vec![
-                tensor("weights", &[inputs, outputs], vec![0.0; inputs * outputs]),
-                tensor("bias", &[1, outputs], vec![self.bias; outputs]),
+                tensor("weights", &[inputs, outputs], vec![self.weight; inputs * outputs]),
+                tensor("bias", &[1, outputs], self.bias.clone()),
             ],
             input: vec![port(self.input_name, inputs)],
             output: vec![port(self.output_name, outputs)],
@@ -259,30 +277,59 @@ fn port(name: &str, length: usize) -> ValueInfoProto {
     }
 }
 
-/// Evaluates the networks of [`ActorRecipe`]: whatever the input, they return their bias.
+/// Evaluates the networks of [`ActorRecipe`]: they return their bias, plus the weight times the sum
+/// of the inputs.
 pub struct BiasEngine;
 
 impl Engine for BiasEngine {
     fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
         let model = ModelProto::decode(model).map_err(|error| error.to_string())?;
         let weights = model.graph.map(|graph| graph.initializer).unwrap_or_default();
-        let bias = weights.into_iter().find(|tensor| tensor.name == "bias").ok_or("expected a tensor \"bias\"")?;
-        Ok(Box::new(BiasNetwork { input: vec![0.0; input_length], bias: bias.float_data }))
+        let find = |name: &str| weights.iter().find(|tensor| tensor.name == name).map(|tensor| &tensor.float_data);
+        let bias = find("bias").ok_or("expected a tensor \"bias\"")?.clone();
+        let weight = find("weights").and_then(|weights| weights.first()).copied().unwrap_or_default();
+        Ok(Box::new(BiasNetwork::new(input_length, bias, weight)))
     }
 }
 
 struct BiasNetwork {
+    input_length: usize,
+    rows: usize,
     input: Vec<f32>,
+    output: Vec<f32>,
     bias: Vec<f32>,
+    weight: f32,
+}
+
+impl BiasNetwork {
+    fn new(input_length: usize, bias: Vec<f32>, weight: f32) -> Self {
+        let (input, output) = (vec![0.0; MAX_USERS * input_length], Vec::with_capacity(MAX_USERS * bias.len()));
+        Self { input_length, rows: 1, input, output, bias, weight }
+    }
 }
 
 impl Network for BiasNetwork {
+    fn engine(&self) -> &'static str {
+        "bias"
+    }
+
+    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+        assert!((1..=MAX_USERS).contains(&rows), "{rows} rows");
+        self.rows = rows;
+        Ok(())
+    }
+
     fn input_mut(&mut self) -> &mut [f32] {
-        &mut self.input
+        &mut self.input[..self.rows * self.input_length]
     }
 
     fn run(&mut self) -> Result<&[f32], PolicyError> {
-        Ok(&self.bias)
+        self.output.clear();
+        for row in self.input.chunks_exact(self.input_length).take(self.rows) {
+            let added = self.weight * row.iter().sum::<f32>();
+            self.output.extend(self.bias.iter().map(|bias| bias + added));
+        }
+        Ok(&self.output)
     }
 }
 
@@ -291,13 +338,19 @@ pub struct FixedEngine(pub f32);
 
 impl Engine for FixedEngine {
     fn load(&self, _: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
-        Ok(Box::new(BiasNetwork { input: vec![0.0; input_length], bias: vec![self.0; 18] }))
+        let bias = vec![self.0; 18];
+        Ok(Box::new(BiasNetwork::new(input_length, bias, 0.0)))
     }
 }
 
-/// A policy by its name; learned ones with an actor that fits.
+/// A policy by its name; learned ones with an actor that fits. That of `residual` depends on its
+/// input.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
-    build_with(kind, scenario, &ActorRecipe::fitting(scenario).file())
+    let recipe = match kind {
+        PolicyKind::Residual => ActorRecipe { weight: 0.02, ..ActorRecipe::compact([-0.3, -0.2, -1.0]) },
+        _ => ActorRecipe::fitting(scenario),
+    };
+    build_with(kind, scenario, &recipe.file())
 }
 
 /// A policy by its name, learned ones with this actor.

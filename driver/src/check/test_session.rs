@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription};
 use heliostat_proto::{
-    ArrayState, Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand,
+    ArrayKeys, ArrayState, Calibration, Capabilities, CodecError, Counters, EmergencyStop, Message, MirrorCommand,
     MirrorTelemetry, Nanos, NodeKind, NodeStatus, Rearm, SafetyReport, Stamp, StopAction, decode, encode,
 };
 
@@ -41,6 +41,8 @@ pub struct Received {
 /// A session with one driver.
 pub struct TestSession {
     bus: Bus,
+    /// The keys of the array.
+    pub keys: ArrayKeys,
     commands: Publisher,
     stops: Publisher,
     rearms: Publisher,
@@ -78,9 +80,9 @@ fn fetch<T: Message>(bus: &Bus, key: &str) -> Result<Option<T>> {
 }
 
 impl TestSession {
-    pub fn start(bus: Bus, is_authenticated: bool) -> Result<Self> {
+    pub fn start(bus: Bus, array: usize, is_authenticated: bool) -> Result<Self> {
         let received = Arc::new((Mutex::new(Received::default()), Condvar::new()));
-        let keys = bus.room().clone();
+        let (room, keys) = (bus.room().clone(), bus.room().array(array));
         let shared = Arc::clone(&received);
         let telemetry = bus.subscribe(&keys.telemetry(), move |payload| {
             let mut received = lock(&shared);
@@ -107,7 +109,7 @@ impl TestSession {
         let mut subscriptions = vec![telemetry, announced, safety];
         for node in [NodeKind::Driver, NodeKind::SimNode] {
             let shared = Arc::clone(&received);
-            subscriptions.push(bus.subscribe(&keys.status(node), move |payload| {
+            subscriptions.push(bus.subscribe(&room.status(node), move |payload| {
                 lock(&shared).statuses.push((node, decode(payload)));
                 shared.1.notify_all();
             })?);
@@ -115,8 +117,8 @@ impl TestSession {
         let fetched = fetch(&bus, &keys.capabilities())?;
         let mut session = Self {
             commands: bus.publisher(&keys.command(), Class::RealTimeBlock)?,
-            stops: bus.publisher(&keys.stop(), Class::RealTimeBlock)?,
-            rearms: bus.publisher(&keys.rearm(), Class::RealTimeBlock)?,
+            stops: bus.publisher(&room.stop(), Class::RealTimeBlock)?,
+            rearms: bus.publisher(&room.rearm(), Class::RealTimeBlock)?,
             calibrations: bus.publisher(&keys.calibration(), Class::RealTimeBlock)?,
             received,
             _subscriptions: subscriptions,
@@ -128,6 +130,7 @@ impl TestSession {
             calibrations_sent: 0,
             stops_sent: Cell::new(0),
             safety: None,
+            keys,
             is_authenticated,
             bus,
         };
@@ -265,7 +268,7 @@ impl TestSession {
 
     /// The answer of the driver to a query of its safety report.
     pub fn fetch_safety(&self) -> Result<Option<SafetyReport>> {
-        fetch(&self.bus, &self.bus.room().safety())
+        fetch(&self.bus, &self.keys.safety())
     }
 
     /// Does the same as another process, whose liveliness token disappears once the driver shows

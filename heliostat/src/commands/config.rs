@@ -2,8 +2,10 @@
 
 use anyhow::{Context, Result};
 use heliostat_bus::{BusConfig, Reach, Role};
+use heliostat_decide::correction::Correction;
+use heliostat_decide::evidence::{EVIDENCE_VERSION, FEATURES};
 use heliostat_decide::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
-use heliostat_decide::policy::actor_file::{INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_decide::policy::actor_file::{COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::Pace;
@@ -72,7 +74,7 @@ pub fn run(args: Args) -> Result<()> {
         }
         Process::Demo(args) => {
             let process =
-                json!({ "name": "demo", "policy": args.policy.name(), "room": Room::new(&args.room)?.name() });
+                json!({ "name": "demo", "policy": args.policy().name(), "room": Room::new(&args.room)?.name() });
             // Its endpoints are free ports, chosen at the start.
             document(&args.scenario.load()?, None, process)?
         }
@@ -110,6 +112,12 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
             "steering_amplitude": part(encoder.steering_amplitude()),
             "angles": part(encoder.angles()),
             "summary": part(encoder.summary()),
+        },
+        // The other kind of actor: a row for each user, in any room.
+        "compact": {
+            "input": { "name": INPUT_NAME, "type": "f32", "shape": ["rows", FEATURES] },
+            "output": { "name": CORRECTIONS_NAME, "type": "f32", "shape": ["rows", Correction::VALUES] },
+            "metadata": { key::ACTION: COMPACT, key::OBSERVATION_VERSION: EVIDENCE_VERSION.to_string() },
         },
     });
     match document {

@@ -13,7 +13,7 @@ use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use heliostat_bus::{Bus, BusConfig, free_loopback_endpoint};
 use heliostat_decide::policy::PolicyKind;
-use heliostat_engine::ActorSource;
+use heliostat_engine::{ActorSource, EngineChoice};
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_service::counted::counted;
@@ -37,15 +37,20 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 /// full-screen mode (q quits), or as lines if output is not a terminal. Ctrl-C or --seconds ends
 /// the demo with a summary. Figures go to standard error, the summary to standard output.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("scenario", |argument| argument.default_value("hall")))]
 pub struct Args {
     #[command(flatten)]
     pub(super) scenario: ScenarioArgs,
-    /// Policy of the controller
-    #[arg(long, value_enum, default_value_t = PolicyKind::Ddpg)]
-    pub(super) policy: PolicyKind,
+    /// Policy of the controller [default: fixed-point, or ddpg with --model]
+    #[arg(long, value_enum)]
+    policy: Option<PolicyKind>,
     /// ONNX file of a learned policy, instead of the built-in one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
+    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
+    #[arg(long, default_value_t = EngineChoice::Auto)]
+    engine: EngineChoice,
     /// End after this many seconds, counted from the first answered report
     #[arg(long, value_name = "N", value_parser = duration::seconds, allow_negative_numbers = true)]
     seconds: Option<Duration>,
@@ -65,7 +70,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     let room = Room::new(&args.room)?;
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load_arrays()?;
     args.check_policy(&scenario)?;
     let stop = signals::stop_on_signals()?;
 
@@ -73,7 +78,7 @@ pub fn run(args: Args) -> Result<()> {
     let endpoints = (room_endpoint.as_str(), controller_endpoint.as_str());
     let mut processes = Processes::start(
         &args.process_arguments("sim-node", &[("--listen", endpoints.0)]),
-        &args.controller_arguments(endpoints, args.policy)?,
+        &args.controller_arguments(endpoints, args.policy())?,
     )?;
     let (room_id, controller_id) = processes.ids();
     output::note(format_args!(
@@ -133,7 +138,9 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
         processes.check_alive()?;
         for order in watched.process_orders.try_iter() {
             let policy = watched.view.policy().and_then(|name| PolicyKind::from_str(&name, true).ok());
-            processes.apply(order, || args.controller_arguments(watched.endpoints, policy.unwrap_or(args.policy)))?;
+            processes.apply(order, || {
+                args.controller_arguments(watched.endpoints, policy.unwrap_or_else(|| args.policy()))
+            })?;
         }
         match started {
             None if watched.view.is_complete() => started = Some(Instant::now()),
@@ -156,11 +163,19 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
 }
 
 impl Args {
+    /// The policy that the flags select: with a file of a learned policy that one, and otherwise the
+    /// best within the time budget in realistic rooms (docs/learning.md).
+    pub(super) fn policy(&self) -> PolicyKind {
+        let default = if self.model.is_some() { PolicyKind::Ddpg } else { PolicyKind::FixedPoint };
+        self.policy.unwrap_or(default)
+    }
+
     /// Builds the policy once here, so that an unsuitable actor is refused before any process
     /// starts.
     fn check_policy(&self, scenario: &Scenario) -> Result<()> {
         let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        heliostat_engine::build(self.policy, scenario, &source)
+        self.engine
+            .build(self.policy(), scenario, &source)
             .context("nothing was started: the controller would have no policy")?;
         Ok(())
     }
@@ -183,8 +198,8 @@ impl Args {
 
     fn controller_arguments(&self, (room, controller): (&str, &str), kind: PolicyKind) -> Result<Vec<String>> {
         let mut arguments = self.process_arguments("controller", &[("--connect", room), ("--listen", controller)]);
-        arguments.extend(["--policy".into(), kind.name()]);
-        if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy) {
+        arguments.extend(["--policy".into(), kind.name(), "--engine".into(), self.engine.to_string()]);
+        if let Some(model) = self.model.as_ref().filter(|_| kind == self.policy()) {
             arguments.extend(["--model".into(), model.display().to_string()]);
         }
         Ok(arguments)

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use heliostat_engine::ActorSource;
+use heliostat_engine::{ActorSource, EngineChoice};
 use heliostat_models::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
 use heliostat_scenario::{Belief, ScenarioArgs};
 use heliostat_service::duration::seconds;
@@ -41,6 +41,10 @@ pub struct Args {
     /// ONNX file of the policy ddpg, instead of the built-in ones
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    /// Engine of learned policies: `auto` (dense for graphs of dense layers, otherwise the embedded
+    /// one), `dense`, or the embedded one by its name (`tract`, or `ort` in builds with ONNX Runtime)
+    #[arg(long, default_value_t = EngineChoice::Auto)]
+    engine: EngineChoice,
     /// Use the built-in actor of this training seed only, instead of all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     training_seed: Option<u32>,
@@ -101,11 +105,11 @@ impl Args {
         let mut policies = Vec::new();
         for (index, name) in self.policies.iter().enumerate() {
             ensure!(!self.policies[..index].contains(name), "--policies names {name} twice");
-            policies.push(EvaluatedPolicy::parse(name, &actor)?);
+            policies.push(EvaluatedPolicy::parse(name, &actor)?.on(self.engine));
         }
         if self.policies.is_empty() {
             policies = DEFAULT_POLICIES
-                .map(|name| EvaluatedPolicy::parse(name, &actor))
+                .map(|name| EvaluatedPolicy::parse(name, &actor).map(|policy| policy.on(self.engine)))
                 .into_iter()
                 .collect::<Result<_, _>>()?;
             policies.retain(|evaluated| self.model.is_some() || evaluated.fits(&scenario));

@@ -63,7 +63,7 @@ impl Bench {
         let spots = spots(scenario);
         let mut scene = Scene::new(&model, spots.len());
         scene.update(&model, &spots, &[], &vec![false; spots.len()]);
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &model.mirrors, seed);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &model.mirrors.arrays()[0], seed, 0);
         let capabilities = mirrors.capabilities();
         let away = [f64::from(capabilities.roll.min_rad).max(-AWAY_RAD), 0.0];
         let count = model.mirrors.len();

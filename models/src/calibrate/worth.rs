@@ -31,8 +31,9 @@ impl Evaluation {
     /// # Errors
     /// The scenario describes no room, or the policy cannot be built for it.
     pub fn new(scenario: &Scenario, evaluated: &EvaluatedPolicy, set: u64, count: usize) -> anyhow::Result<Self> {
+        let trace = scenario.read_trace()?;
         let state = |index: usize| {
-            let world = held_out_world(scenario, set, index as u64)?;
+            let world = held_out_world(scenario, trace.as_deref(), set, index as u64)?;
             let angles = evaluated.angles(scenario, &world)?;
             anyhow::Ok((world, angles))
         };
@@ -51,7 +52,7 @@ impl Evaluation {
         seed: u64,
         corrections: Option<&CalibrationFile>,
     ) -> anyhow::Result<f64> {
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.evaluator.model().mirrors, seed);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.evaluator.model().mirrors.arrays()[0], seed, 0);
         let mut kit = Kit::new(mirrors);
         let mut now_ns = SETTLED_NS;
         kit.advance(Moment::simulated(now_ns));

@@ -5,7 +5,11 @@
 //! of the time in which its command is in force. What remains is the loss by the rate of the
 //! decisions and by the mirrors. The offsets of mounted mirrors stay unknown.
 
+use std::ops::Range;
+
 use anyhow::Context;
+use heliostat_array::moment::Moment;
+use heliostat_array::rules::Refusal;
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
 use heliostat_decide::observation::{Observation, RoomState};
 use heliostat_decide::policy::Policy;
@@ -51,10 +55,13 @@ impl Ceiling {
     /// A policy in the room of an episode.
     pub fn new(scenario: &Scenario, episode: Episode, policy: Box<dyn Policy>, known: Known) -> Self {
         let model = episode.room().world().model();
-        let capabilities = episode.capabilities();
         let mut limits = Limits::new(&scenario.control);
-        limits.narrow(&capabilities.roll, &capabilities.yaw);
-        let settling_s = f64::from(capabilities.roll.settling_s.max(capabilities.yaw.settling_s));
+        let mut settling_s = 0.0_f64;
+        // All arrays of a scenario have the same actuator.
+        for capabilities in episode.capabilities() {
+            limits.narrow(&capabilities.roll, &capabilities.yaw);
+            settling_s = settling_s.max(capabilities.roll.settling_s.max(capabilities.yaw.settling_s).into());
+        }
         let mirrors = model.mirrors.len();
         Self {
             ahead_s: match known {
@@ -83,11 +90,23 @@ impl Ceiling {
                 let Event::Users(report) = event else { continue };
                 if !report.users.is_empty() && self.decide(now.room_ns)? {
                     self.command.answers = report.tick;
-                    self.episode.handle_command(now, &self.command).context("the array refused a command")?;
+                    self.send(now).context("an array refused a command")?;
                 }
             }
             self.episode.advance(*at_ns);
             look(*at_ns, self.episode.room());
+        }
+        Ok(())
+    }
+
+    /// Gives each array its part of the command.
+    fn send(&mut self, now: Moment) -> Result<(), Refusal> {
+        let arrays = self.episode.room().world().model().mirrors.ranges();
+        let ranges: Vec<Range<usize>> = arrays.map(|(_, mirrors)| mirrors).collect();
+        for (array, mirrors) in ranges.into_iter().enumerate() {
+            let (roll, yaw) = (self.command.roll[mirrors.clone()].to_vec(), self.command.yaw[mirrors].to_vec());
+            let part = MirrorCommand { roll, yaw, ..self.command };
+            self.episode.handle_command(array, now, &part)?;
         }
         Ok(())
     }

@@ -16,11 +16,11 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use heliostat_array::moment::Moment;
 use heliostat_channel::solver::Solver;
-use heliostat_decide::core::{Controller, Decision, DegradedMode, Stage};
-use heliostat_decide::inbox::Message;
+use heliostat_decide::core::{Controller, DegradedMode, Stage};
+use heliostat_environment::ClosedLoop;
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
 use heliostat_sim::episode::{self, Event};
@@ -232,8 +232,8 @@ fn run(
                 continue;
             }
             let controller = Controller::new(&scenario, scenario.channel_model()?, policy, 1);
-            let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, controller)?;
-            lockstep.names_unusable = evaluated.is_aware();
+            let started = (controller, evaluated.is_aware());
+            let mut lockstep = Lockstep::new(&scenario, trace.as_deref(), episode, started)?;
             lockstep.run(&episode.looks_ns(), &mut look).with_context(failed)?;
             run.groups.push(samples);
             run.outages.push(outages);
@@ -248,14 +248,9 @@ fn run(
     Ok(Run::mean(runs.collect::<anyhow::Result<_>>()?))
 }
 
-/// A room and its controller in the same simulated time.
+/// A room and its controller in the same simulated time, with the times of the decisions.
 pub(super) struct Lockstep {
-    episode: episode::Episode,
-    /// Telemetry names the mirrors that do not follow.
-    names_unusable: bool,
-    controller: Controller,
-    /// Number of the last command.
-    command_sequence: u64,
+    inner: ClosedLoop,
     /// Time of each decision, including the reports since the one before, from which the belief
     /// learns too.
     decisions_us: Vec<f64>,
@@ -266,57 +261,37 @@ pub(super) struct Lockstep {
 
 impl Lockstep {
     /// The room of an episode, and its controller; `trace` is the text of the file `users.trace`.
+    /// Telemetry names the mirrors that do not follow, if `names_unusable`.
     pub fn new(
         scenario: &Scenario,
         trace: Option<&str>,
         episode: &Episode,
-        mut controller: Controller,
+        (controller, names_unusable): (Controller, bool),
     ) -> Result<Self, WorldError> {
-        controller.warm_up(0..2);
-        let episode = episode.begun(scenario, trace)?;
-        controller.handle_capabilities(&episode.capabilities(), Ok(()));
-        Ok(Self {
-            episode,
-            names_unusable: true,
-            controller,
-            command_sequence: 0,
-            decisions_us: Vec::new(),
-            reports_us: 0.0,
-            log: BeliefLog::default(),
-        })
+        let inner = ClosedLoop::new(episode.begun(scenario, trace)?, controller).naming_unusable(names_unusable);
+        Ok(Self { inner, decisions_us: Vec::new(), reports_us: 0.0, log: BeliefLog::default() })
     }
 
     /// Runs until the last of these times and calls `look` with each and with the room at it.
     pub fn run(&mut self, times_ns: &[u64], look: &mut dyn FnMut(u64, &SimulatedRoom)) -> anyhow::Result<()> {
         for instant_ns in times_ns {
-            while let Some((now, event)) = self.episode.poll_event(*instant_ns) {
+            while let Some((now, event)) = self.inner.poll_event(*instant_ns) {
                 self.deliver(now, event)?;
             }
-            self.episode.advance(*instant_ns);
-            look(*instant_ns, self.episode.room());
+            self.inner.advance(*instant_ns);
+            look(*instant_ns, self.inner.room());
         }
-        let failed = self.controller.counters().degraded(DegradedMode::PolicyFailed);
-        let held = self.controller.counters().degraded(DegradedMode::Held);
-        match self.controller.last_failure() {
+        let controller = self.inner.controller();
+        let failed = controller.counters().degraded(DegradedMode::PolicyFailed);
+        let held = controller.counters().degraded(DegradedMode::Held);
+        match controller.last_failure() {
             Some(failure) if failed + held > 0 => bail!("failed decisions: {failed}, the last because {failure}"),
             _ => Ok(()),
         }
     }
 
-    /// Gives a message to the controller, and its command to the array.
-    fn deliver(&mut self, now: Moment, mut event: Event) -> anyhow::Result<()> {
-        let message = match &mut event {
-            Event::Telemetry(telemetry) => {
-                if !self.names_unusable {
-                    telemetry.unusable.clear();
-                }
-                Message::Telemetry(telemetry)
-            }
-            Event::Obstacles(report) => Message::Obstacles(report),
-            Event::Orientation(report) => Message::Orientation(report),
-            Event::Channel(report) => Message::Channel(report),
-            Event::Users(report) => Message::Users(report),
-        };
+    /// Delivers a message and measures the time of its decision.
+    fn deliver(&mut self, now: Moment, event: Event) -> anyhow::Result<()> {
         let arrived = Instant::now();
         let elapsed_us = || arrived.elapsed().as_secs_f64() * 1e6;
         let (decisions_us, reports_us) = (&mut self.decisions_us, self.reports_us);
@@ -325,23 +300,12 @@ impl Lockstep {
                 decisions_us.push(reports_us + elapsed_us());
             }
         };
-        match self.controller.handle_and_poll(now.room_ns, message, &mut mark) {
-            Some(Decision::Move { command, .. }) => {
-                self.command_sequence += 1;
-                command.sequence = self.command_sequence;
-                self.episode.handle_command(now, command).context("the array refused a command")?;
-            }
-            Some(Decision::Hold(mode)) => {
-                let late = mode == DegradedMode::StaleReport;
-                ensure!(!late, "reports are older than control.report_age_max_ms when they arrive");
-            }
-            None => {
-                self.reports_us += elapsed_us();
-                return Ok(());
-            }
+        if self.inner.deliver(now, event, &mut mark)? {
+            self.reports_us = 0.0;
+            self.log.note(self.inner.controller(), now.room_ns);
+        } else {
+            self.reports_us += elapsed_us();
         }
-        self.reports_us = 0.0;
-        self.log.note(&self.controller, now.room_ns);
         Ok(())
     }
 }

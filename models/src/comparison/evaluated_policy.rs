@@ -8,7 +8,7 @@ use heliostat_channel::MirrorAngles;
 use heliostat_decide::observation::Observation;
 use heliostat_decide::policy::{Policy, PolicyKind};
 use heliostat_decide::safety::Limits;
-use heliostat_engine::{ActorSource, build, shipped};
+use heliostat_engine::{ActorSource, EngineChoice, shipped};
 use heliostat_scenario::{Belief, Scenario};
 use heliostat_sim::World;
 use thiserror::Error;
@@ -42,6 +42,8 @@ enum Origin {
 pub struct EvaluatedPolicy {
     name: String,
     origin: Origin,
+    /// Evaluates a learned policy.
+    engine: EngineChoice,
     /// Replaces the scenario's belief.
     belief: Option<Belief>,
     /// Replaces reports and belief by the true room.
@@ -65,7 +67,12 @@ impl EvaluatedPolicy {
             let kind = PolicyKind::from_str(name, false).map_err(|_| UnknownPolicy { name: name.into() })?;
             Origin::Kind(kind, if kind == PolicyKind::Ddpg { ddpg.clone() } else { ActorSource::Shipped })
         };
-        Ok(Self { name: name.into(), origin, belief: None, known: None, unaware: false })
+        Ok(Self { name: name.into(), origin, engine: EngineChoice::Auto, belief: None, known: None, unaware: false })
+    }
+
+    /// The same policy on this engine, if it is learned.
+    pub fn on(self, engine: EngineChoice) -> Self {
+        Self { engine, ..self }
     }
 
     /// The names of all policies.
@@ -180,7 +187,7 @@ impl EvaluatedPolicy {
     /// A new policy; its random choices come from `seed`.
     pub(super) fn build(&self, scenario: &Scenario, seed: u64) -> anyhow::Result<Box<dyn Policy>> {
         match &self.origin {
-            Origin::Kind(kind, actor) => Ok(build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
+            Origin::Kind(kind, actor) => Ok(self.engine.build(*kind, &Scenario { seed, ..scenario.clone() }, actor)?),
             Origin::Codebook => Ok(Box::new(BestCodeword::new(scenario)?)),
         }
     }

@@ -37,7 +37,7 @@ pub fn kept_sinr(scenario: &Scenario, evaluated: &EvaluatedPolicy, instants: usi
         let pairs = sinr.iter().zip(&perfect).filter(|(_, perfect)| **perfect > 0.0);
         kept.extend(pairs.map(|(sinr, perfect)| sinr / perfect));
     };
-    Lockstep::new(&scenario, scenario.read_trace()?.as_deref(), &episode, controller)?
+    Lockstep::new(&scenario, scenario.read_trace()?.as_deref(), &episode, (controller, true))?
         .run(&episode.instants_ns, &mut look)?;
     Ok(kept)
 }

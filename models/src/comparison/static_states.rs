@@ -46,7 +46,8 @@ fn states(settings: &Settings, bar: &ProgressBar, evaluator: &Evaluator) -> anyh
     let mut states = Vec::new();
     for set in 0..settings.seeds as u64 {
         for index in 0..settings.states as u64 {
-            let world = held_out_world(scenario, scenario.seed.wrapping_add(set), index)?;
+            let trace = scenario.read_trace()?;
+            let world = held_out_world(scenario, trace.as_deref(), scenario.seed.wrapping_add(set), index)?;
             let mut seen = Observation::new(evaluator.model(), scenario.users.count);
             seen.min_rate_bps.copy_from_slice(world.min_rate_bps());
             observe(&world, &mut seen);

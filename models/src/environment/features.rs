@@ -29,8 +29,8 @@
 //! All are zero in an empty slot.
 
 use heliostat_decide::observation::{ObservationEncoder, Summary, USERS_CAPACITY};
+pub use heliostat_environment::action::{BaselineWeight, Head};
 use heliostat_scenario::Scenario;
-use serde::{Deserialize, Serialize};
 
 /// Features of one user.
 pub const FEATURES: usize = 10;
@@ -49,26 +49,6 @@ pub const LOG_WEIGHT: usize = 9;
 
 /// Scales the logarithms of weights to the magnitude of the other features.
 pub const WEIGHT_SCALE: f32 = 0.25;
-
-/// The baseline weight b_k, which is the decoder weight for an action of zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum BaselineWeight {
-    /// b_k = 1.
-    Uniform,
-    /// b_k = q_k, the balanced weight of [`Summary::LogWeight`].
-    Balanced,
-}
-
-/// The map from actions u_k in [-1, 1] to decoder weights w_k = b_k exp(c u_k).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Head {
-    /// The baseline weight b_k.
-    #[serde(rename = "prior")]
-    pub baseline_weight: BaselineWeight,
-    /// The constant c.
-    pub range: f32,
-}
 
 /// The layout of the observation vector, and the size of the room.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -127,16 +107,7 @@ impl Layout {
 
     /// The decoder weights of all slots; zero in empty slots.
     pub fn weights(&self, observation: &[f32], actions: &[f32], head: Head) -> Vec<f32> {
-        let column = |column: Summary| &observation[self.encoder.column(column as usize)];
-        let (present, balanced) = (column(Summary::Present), column(Summary::LogWeight));
-        let weight = |(slot, action): (usize, &f32)| {
-            let log_baseline = match head.baseline_weight {
-                BaselineWeight::Uniform => 0.0,
-                BaselineWeight::Balanced => balanced[slot],
-            };
-            (head.range * action + log_baseline).exp() * present[slot]
-        };
-        actions.iter().enumerate().map(weight).collect()
+        head.weights(self.encoder, observation, actions).collect()
     }
 }
 

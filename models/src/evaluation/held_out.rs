@@ -4,54 +4,15 @@
 //! the true state ([`heliostat_channel::solver`]). It is not a proven optimum. The same true
 //! evaluation applies to its angles and to the policy's, so a ratio slightly above 1 is possible.
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use heliostat_channel::mirrors::MirrorAngles;
-use heliostat_channel::solver::{Method, MinimumRates, QOS_PENALTY, Solver};
-use heliostat_channel::{ChannelModel, Scene};
+use heliostat_channel::solver::Solver;
+pub(crate) use heliostat_environment::held_out::{SETTLE_S, best_angles, held_out_seed, held_out_world, met};
 use heliostat_scenario::Scenario;
-use heliostat_sim::World;
 use serde::Serialize;
 
 use super::statistics::Estimate;
-use crate::environment::room::{Environment, FIXED_USERS, KNOWN_ROOM};
-
-/// Seconds that users walk before a state is taken, so that positions and headings are those of a
-/// continuing walk.
-pub(crate) const SETTLE_S: f64 = 20.0;
-
-/// Separates held-out rooms from those of training, whose seeds come from the run's generator.
-const HELD_OUT_SEED: u64 = 0x4e1d_0000_0000;
-
-/// The seed of a held-out room: `set` separates rooms of different comparisons, `index` those of
-/// one. The scores during training use set 0.
-pub(crate) fn held_out_seed(set: u64, index: u64) -> u64 {
-    HELD_OUT_SEED.wrapping_add(set << 20).wrapping_add(index)
-}
-
-/// A held-out room at the time of its state.
-pub(crate) fn held_out_world(scenario: &Scenario, set: u64, index: u64) -> anyhow::Result<World> {
-    ensure!(scenario.users.arrivals.is_none(), FIXED_USERS);
-    ensure!(scenario.mismatch.is_none(), KNOWN_ROOM);
-    let mut world = World::new(scenario, scenario.read_trace()?.as_deref(), held_out_seed(set, index))?;
-    world.step(SETTLE_S);
-    Ok(world)
-}
-
-/// The angles of the oracle with minimum rates; flat mirrors without users.
-pub(crate) fn best_angles(
-    solver: &mut Solver,
-    model: &ChannelModel,
-    scene: &Scene,
-    min_rate_bps: &[f64],
-) -> MirrorAngles {
-    let mut angles = MirrorAngles::flat(model.mirrors.len());
-    if scene.users() == 0 {
-        return angles;
-    }
-    solver.set_users(scene.users());
-    solver.solve(model, scene, &MinimumRates { min_rate_bps, qos_penalty: QOS_PENALTY }, Method::Oracle, &mut angles);
-    angles
-}
+use crate::environment::room::Environment;
 
 /// A score on held-out states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -91,7 +52,8 @@ impl HeldOut {
     pub fn add(&mut self, scenario: &Scenario, count: usize) -> anyhow::Result<()> {
         let mut solver = Solver::new(scenario.users.count, scenario.mirror_count());
         for index in 0..count as u64 {
-            let mut environment = Environment::new(scenario, held_out_seed(0, index))?;
+            let trace = scenario.read_trace()?;
+            let mut environment = Environment::new(scenario, trace.as_deref(), held_out_seed(0, index))?;
             environment.step(SETTLE_S)?;
             self.states.push(Self::solve(environment, &mut solver));
         }
@@ -155,10 +117,4 @@ impl HeldOut {
         let pairs = rows.iter().zip(&self.states).filter(|(_, state)| state.oracle_bps > 0.0);
         Estimate::of(&pairs.map(|(row, state)| row.0 / state.oracle_bps).collect::<Vec<_>>())
     }
-}
-
-/// Share of users whose minimum rate is met; a shortfall by rounding counts as met.
-pub(crate) fn met(rates: &[f64], min_rates: &[f64]) -> f64 {
-    let count = rates.iter().zip(min_rates).filter(|(rate, min_rate)| **rate >= **min_rate * (1.0 - 1e-9)).count();
-    count as f64 / rates.len() as f64
 }

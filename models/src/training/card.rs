@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::time::Duration;
 
+use heliostat_decide::evidence::EVIDENCE_VERSION;
 use heliostat_decide::observation::OBSERVATION_VERSION;
 
 use super::algorithm::Algorithm;
@@ -51,8 +52,11 @@ impl Card<'_> {
     }
 
     fn write(&self, text: &mut String) -> std::fmt::Result {
-        let (run, scenario) = (self.training.run(), self.training.scenario());
+        let scenario = self.training.scenario();
         writeln!(text, "# {}\n", self.file)?;
+        if !self.training.learner().is_scored() {
+            return self.write_compact(text);
+        }
         writeln!(
             text,
             "Turns the {} mirrors ({}) of an array for 1 to 10 users, channel mode `{}`. Input: the observation vector, version {OBSERVATION_VERSION}. \
@@ -61,6 +65,33 @@ impl Card<'_> {
             scenario.mirrors,
             scenario.channel.mode.name()
         )?;
+        self.write_training(text)?;
+        self.write_scores(text)?;
+        writeln!(
+            text,
+            "\nLimits: one access point, the geometry named above, true positions and gains without delay. A controller refuses the \
+             actor for another geometry."
+        )
+    }
+
+    /// The card of a compact actor, which fits every room.
+    fn write_compact(&self, text: &mut String) -> std::fmt::Result {
+        writeln!(
+            text,
+            "Corrects the belief about each user by channel residuals; the model-based solver then acts. One file serves any room, array and \
+             number of users. Input: rows of version {EVIDENCE_VERSION}. Output: rows of corrections.\n"
+        )?;
+        self.write_training(text)?;
+        writeln!(
+            text,
+            "Limits: the mode `specular`, receivers that report their gains, and the belief `filter`. With another belief nothing is corrected. \
+             `heliostat eval --closed-loop --policies greedy,residual` compares it with the uncorrected belief."
+        )
+    }
+
+    /// The command, the settings and the notes of the run.
+    fn write_training(&self, text: &mut String) -> std::fmt::Result {
+        let (run, scenario) = (self.training.run(), self.training.scenario());
         writeln!(text, "Made by\n\n```sh\n{}\n```\n", self.command)?;
         writeln!(text, "| | |\n| --- | --- |")?;
         writeln!(text, "| algorithm | {} |", self.algorithm.summary)?;
@@ -81,12 +112,7 @@ impl Card<'_> {
         }
         writeln!(text, "| settings | `{}` |", self.training.settings())?;
         writeln!(text, "| licence | {} |\n", env!("CARGO_PKG_LICENSE"))?;
-        self.write_scores(text)?;
-        writeln!(
-            text,
-            "\nLimits: one access point, the geometry named above, true positions and gains without delay. A controller refuses the \
-             actor for another geometry."
-        )
+        Ok(())
     }
 
     fn write_scores(&self, text: &mut String) -> std::fmt::Result {

@@ -63,8 +63,9 @@ impl Training {
     /// Errors of the rooms and of the learner.
     pub fn run_episode(&mut self) -> anyhow::Result<EpisodeSummary> {
         let Self { learner, scenario, run, rng, .. } = self;
-        let draw = |_| Environment::new(&run.rooms.draw(scenario, rng), rng.random());
-        let rooms = (0..learner.rooms()).map(draw).collect::<anyhow::Result<Vec<_>>>()?;
+        let trace = scenario.read_trace()?;
+        let draw = |_| Environment::new(&run.rooms.draw(scenario, rng), trace.as_deref(), rng.random());
+        let rooms = (0..learner.rooms()).map(draw).collect::<Result<Vec<_>, _>>()?;
         let outcomes = (run.steps * rooms.len()) as f64;
         let mut summary = EpisodeSummary::default();
         let mut episode = Episode { index: self.episodes_done, count: run.episodes, step: 0, rooms, rng };

@@ -25,6 +25,14 @@ pub fn evaluate(call: &Call<'_>) -> Option<Tensor> {
             let slope = call.float("alpha", 0.01);
             unary(call, move |value| if value < 0.0 { slope * value } else { value })
         }
+        "Elu" => {
+            let factor = call.float("alpha", 1.0);
+            unary(call, move |value| if value < 0.0 { factor * value.exp_m1() } else { value })
+        }
+        "Softplus" => unary(call, |value| {
+            let above = if value < 0.0 { 0.0 } else { value };
+            above + (-value.abs()).exp().ln_1p()
+        }),
         "Clip" => clip(call),
         "Add" => binary(call, |a, b| a + b, |a, b| a.checked_add(b)),
         "Sub" => binary(call, |a, b| a - b, |a, b| a.checked_sub(b)),

@@ -1,13 +1,13 @@
 //! A controller of one epoch in a replay.
 
-use heliostat_decide::core::{Controller, Decision, Due, Timing};
+use heliostat_decide::core::{Controller, Due, Timing};
 use heliostat_decide::inbox::Message;
 use heliostat_proto::{
     ChannelReport, InputKind, MirrorCommand, MirrorTelemetry, Nanos, ObstacleReport, OrientationReport, UserReport,
     decode,
 };
 
-use super::inputs::handle;
+use super::inputs::{Input, cloned, handle};
 use super::plan::Clock;
 use super::scheduled::Progress;
 
@@ -39,9 +39,9 @@ impl EpochReplay {
     }
 
     /// Passes a message other than a position report to the controller, outside a schedule.
-    pub fn receive(&mut self, input: InputKind, data: &[u8], clock: Clock, arrived_ns: Nanos) {
+    pub fn receive(&mut self, input: Input, data: &[u8], clock: Clock, arrived_ns: Nanos) {
         let now = match clock {
-            Clock::Lockstep => match time_of(input, data) {
+            Clock::Lockstep => match time_of(input.0, data) {
                 Some(time_ns) => self.at(time_ns),
                 None => self.newest_ns,
             },
@@ -51,17 +51,14 @@ impl EpochReplay {
     }
 
     /// Passes a position report to the controller at `now`, outside a schedule, and returns its
-    /// command.
-    pub fn answer(&mut self, mut report: UserReport, now: Nanos, timing: Timing) -> Option<MirrorCommand> {
+    /// commands, each with the index of its array.
+    pub fn answer(&mut self, mut report: UserReport, now: Nanos, timing: Timing) -> Vec<(usize, MirrorCommand)> {
         let decided = match self.controller.handle_message(now, Message::Users(&mut report)) {
             Due::Command => self.controller.poll_command(now, timing, &mut |_| {}),
             Due::StaleCommand => self.controller.poll_stale_command(now),
-            Due::Nothing => return None,
+            Due::Nothing => return Vec::new(),
         };
-        match decided {
-            Decision::Move { command, .. } => Some(command.clone()),
-            Decision::Hold(_) => None,
-        }
+        cloned(decided)
     }
 }
 

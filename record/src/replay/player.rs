@@ -7,12 +7,15 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use heliostat_decide::capabilities::{Examiner, Force};
-use heliostat_decide::core::{Controller, Decision, Timing, WARM_UP_RUNS};
-use heliostat_engine::ActorSource;
-use heliostat_proto::{Capabilities, InputKind, MirrorCommand, NodeKind, SafetyReport, UserReport, decode};
+use heliostat_decide::core::{Controller, Timing, WARM_UP_RUNS};
+use heliostat_engine::{ActorSource, EngineChoice};
+use heliostat_proto::{
+    Capabilities, ControllerInput, InputKind, MirrorCommand, NodeKind, SafetyReport, UserReport, decode,
+};
 use heliostat_scenario::{Belief, DegradedAction};
 
 use super::epoch::EpochReplay;
+use super::inputs::{Input, cloned};
 use super::plan::{Clock, Plan, RecordedCommand};
 use super::schedule::EntryIndex;
 use super::scheduled::{Decided, Offered, Place, Progress, Tail};
@@ -30,10 +33,10 @@ pub(super) struct Player<'a> {
     settings: &'a Settings,
     plan: Plan,
     examiner: Examiner,
-    /// The latest capabilities of the array.
-    array: Option<Capabilities>,
-    /// The latest safety report of the array.
-    safety: Option<SafetyReport>,
+    /// The latest capabilities of each array.
+    arrays: BTreeMap<usize, Capabilities>,
+    /// The latest safety report of each array.
+    safety: BTreeMap<usize, SafetyReport>,
     current: Option<EpochReplay>,
     /// A controller that joined the room and has not published a command yet.
     next: Option<EpochReplay>,
@@ -58,8 +61,8 @@ impl<'a> Player<'a> {
         let mut player = Self {
             settings,
             examiner: Examiner::new(&plan.scenario, &plan.scenario.channel_model()?, force),
-            array: None,
-            safety: None,
+            arrays: BTreeMap::new(),
+            safety: BTreeMap::new(),
             plan,
             current: None,
             next: None,
@@ -82,14 +85,19 @@ impl<'a> Player<'a> {
         };
         let scenario = &self.plan.scenario;
         let source = self.settings.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-        let policy = heliostat_engine::build(kind, scenario, &source)?;
+        let engine = match self.settings.engine {
+            Some(engine) => engine,
+            None if kind.is_learned() => self.plan.engine_of(epoch).with_context(|| unusable(&self.settings.file))?,
+            None => EngineChoice::Auto,
+        };
+        let policy = engine.build(kind, scenario, &source)?;
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, epoch);
         controller.warm_up(0..WARM_UP_RUNS);
-        if let Some(array) = &self.array {
-            controller.handle_capabilities(array, self.examiner.examine(array));
+        for (array, capabilities) in &self.arrays {
+            controller.handle_capabilities(*array, capabilities, self.examiner.examine(*array, capabilities));
         }
-        if let Some(report) = &self.safety {
-            controller.handle_safety(report);
+        for (array, report) in &self.safety {
+            controller.handle_safety(*array, report);
         }
         self.policies.insert(epoch, controller.policy_name().to_owned());
         let recorded_from_start = first == 1 && self.plan.clock == Clock::Lockstep;
@@ -115,19 +123,24 @@ impl<'a> Player<'a> {
         if entry.topic == PRESENCE_TOPIC {
             return self.presence(&entry.data);
         }
-        let (room, topic, clock) = (&self.plan.room, &entry.topic, self.plan.clock);
+        let (room, clock) = (&self.plan.room, self.plan.clock);
+        let (array, topic) = &room.first_array_key(&entry.topic);
+        let array = *array;
+        if array >= self.plan.scenario.mirrors.arrays().len() {
+            return Ok(());
+        }
         if *topic == room.users() {
             return self.users(entry);
         }
         if *topic == room.command() {
             if let Ok(command) = decode(&entry.data) {
-                self.command(command);
+                self.command(array, command);
             }
             return Ok(());
         }
         if *topic == room.capabilities() {
-            if let Ok(array) = decode(&entry.data) {
-                self.meet_array(array);
+            if let Ok(capabilities) = decode(&entry.data) {
+                self.meet_array(array, capabilities);
             }
             return Ok(());
         }
@@ -151,9 +164,9 @@ impl<'a> Player<'a> {
         if *topic == room.safety() {
             if let Ok(report) = decode(&entry.data) {
                 self.epochs_running().for_each(|epoch_replay| {
-                    epoch_replay.controller.handle_safety(&report);
+                    epoch_replay.controller.handle_safety(array, &report);
                 });
-                self.safety = Some(report);
+                self.safety.insert(array, report);
             }
             return Ok(());
         }
@@ -168,7 +181,7 @@ impl<'a> Player<'a> {
             }
             _ => return Ok(()),
         };
-        self.offer(input, entry, None);
+        self.offer((input, array), entry, None);
         Ok(())
     }
 
@@ -181,15 +194,15 @@ impl<'a> Player<'a> {
     }
 
     /// Passes a report or telemetry to the controllers: by their schedules, or at once.
-    fn offer(&mut self, input: InputKind, entry: &Entry, answer: Option<RecordedCommand>) {
+    fn offer(&mut self, input: Input, entry: &Entry, answer: Option<RecordedCommand>) {
         let (read, clock) = (self.read, self.plan.clock);
         let origin = Received::read(&entry.data).map(|received| received.origin()).unwrap_or_default();
-        let offered =
-            Offered { entry: read, input, source: origin.source, sequence: origin.sequence, data: entry.data.clone() };
+        let sequence = origin.sequence.wrapping_add((input.1 as u64) << ControllerInput::ARRAY_SHIFT);
+        let offered = Offered { entry: read, input, source: origin.source, sequence, data: entry.data.clone() };
         if let Some(next) = &mut self.next {
             match &mut next.progress {
                 Some(progress) => drop(progress.place(&offered)),
-                None if input != InputKind::Users => next.receive(input, &entry.data, clock, entry.arrived_ns),
+                None if input.0 != InputKind::Users => next.receive(input, &entry.data, clock, entry.arrived_ns),
                 None => {}
             }
         }
@@ -211,12 +224,12 @@ impl<'a> Player<'a> {
         }
         let Some(current) = &mut self.current else { return };
         if let Some(progress) = &mut current.progress {
-            for Decided { command, counts } in progress.advance(&mut current.controller, read) {
+            for Decided { commands, counts } in progress.advance(&mut current.controller, read) {
                 let counts = counts && current.decided >= current.settle;
-                match command {
+                self.verdict.held += u64::from(counts && commands.is_empty());
+                for (array, command) in commands {
                     // The recording does not show which number the command had before the replay.
-                    Some(command) => self.verdict.add_ours(command, counts, Clock::Live),
-                    None => self.verdict.held += u64::from(counts),
+                    self.verdict.add_ours(array, command, counts, Clock::Live);
                 }
                 current.decided += 1;
             }
@@ -235,7 +248,7 @@ impl<'a> Player<'a> {
     fn take_tail(&mut self, Tail { input, data, arrived_ns, answer }: Tail) {
         let clock = self.plan.clock;
         let Some(current) = &mut self.current else { return };
-        if input != InputKind::Users {
+        if input.0 != InputKind::Users {
             current.receive(input, &data, clock, arrived_ns);
             return;
         }
@@ -248,16 +261,18 @@ impl<'a> Player<'a> {
         let repeats = self.plan.scenario.control.when_late == DegradedAction::LastGood;
         let late = answer.is_some_and(|answer| answer.is_repeat && self.plan.was_late(answer.epoch));
         let timing = if late && repeats { Timing::Late } else { Timing::InTime };
-        let Some(command) = current.answer(report, now, timing) else {
+        let commands = current.answer(report, now, timing);
+        if commands.is_empty() {
             self.verdict.held += u64::from(answer.is_some());
             return;
-        };
+        }
         current.sequence += 1;
-        let command = MirrorCommand { sequence: current.sequence, ..command };
-        let counts = current.counts();
+        let (sequence, counts) = (current.sequence, current.counts());
         current.decided += 1;
         let clock = if current.progress.is_some() { Clock::Live } else { clock };
-        self.verdict.add_ours(command, counts, clock);
+        for (array, command) in commands {
+            self.verdict.add_ours(array, MirrorCommand { sequence, ..command }, counts, clock);
+        }
     }
 
     /// The controllers that receive messages.
@@ -265,29 +280,29 @@ impl<'a> Player<'a> {
         self.current.iter_mut().chain(&mut self.next)
     }
 
-    /// Applies capabilities of the array; repetitions are ignored.
-    fn meet_array(&mut self, array: Capabilities) {
-        let known = self.array.as_ref();
-        if known.is_some_and(|known| *known == Capabilities { stamp: known.stamp, ..array.clone() }) {
+    /// Applies capabilities of an array; repetitions are ignored.
+    fn meet_array(&mut self, array: usize, capabilities: Capabilities) {
+        let known = self.arrays.get(&array);
+        if known.is_some_and(|known| *known == Capabilities { stamp: known.stamp, ..capabilities.clone() }) {
             return;
         }
-        let verdict = self.examiner.examine(&array);
+        let verdict = self.examiner.examine(array, &capabilities);
         let mut is_followed = self.current.is_none();
         for epoch_replay in self.epochs_running() {
-            is_followed |= epoch_replay.controller.handle_capabilities(&array, verdict.clone());
+            is_followed |= epoch_replay.controller.handle_capabilities(array, &capabilities, verdict.clone());
         }
         if is_followed {
-            self.array = Some(array);
+            self.arrays.insert(array, capabilities);
         }
     }
 
-    fn command(&mut self, theirs: MirrorCommand) {
+    fn command(&mut self, array: usize, theirs: MirrorCommand) {
         let progress = self.current.as_ref().and_then(|current| current.progress.as_ref());
         let clock = if progress.is_some() { Clock::Live } else { self.plan.clock };
-        if theirs.answers == 0 && progress.is_none_or(Progress::is_complete) {
+        if theirs.answers == 0 && array == 0 && progress.is_none_or(Progress::is_complete) {
             self.unprompted(&theirs);
         } else {
-            self.verdict.add_theirs(theirs, clock);
+            self.verdict.add_theirs(array, theirs, clock);
         }
     }
 
@@ -301,13 +316,18 @@ impl<'a> Player<'a> {
             Some(decision) => decision,
             None => current.controller.poll_stale_command(theirs.time_ns),
         };
-        match decision {
-            Decision::Move { command, .. } => {
-                current.sequence += 1;
-                let ours = MirrorCommand { sequence: current.sequence, ..command.clone() };
-                self.verdict.compare(&ours, theirs, counts, self.plan.clock);
+        let commands = cloned(decision);
+        if commands.is_empty() {
+            self.verdict.held += 1;
+            return;
+        }
+        current.sequence += 1;
+        for (array, command) in commands {
+            let ours = MirrorCommand { sequence: current.sequence, ..command };
+            match array {
+                0 => self.verdict.compare(&ours, theirs, counts, self.plan.clock),
+                _ => self.verdict.add_ours(array, ours, counts, self.plan.clock),
             }
-            Decision::Hold(_) => self.verdict.held += 1,
         }
     }
 
@@ -349,7 +369,7 @@ impl<'a> Player<'a> {
                 None => self.start_from(epoch + 1)?,
             };
         }
-        self.offer(InputKind::Users, entry, answer);
+        self.offer((InputKind::Users, 0), entry, answer);
         Ok(())
     }
 

@@ -20,7 +20,8 @@ pub(super) enum Step {
     /// It handled a message at this time; without an entry, the recording lacks the message.
     Handle { entry: Option<EntryIndex>, now: Nanos },
     /// It decided at this time.
-    Decide { input: InputKind, now: Nanos, gave_command: bool },
+    /// `withheld` has the bits of the arrays that got no command.
+    Decide { input: InputKind, now: Nanos, gave_command: bool, withheld: u64 },
     /// The steps before this one are not known.
     Gap,
     /// It had the state of this entry.
@@ -34,7 +35,7 @@ pub(super) struct Schedule {
     /// The entries that the steps name.
     named: HashSet<EntryIndex>,
     /// The last sequence number of each stream and source in the steps.
-    last: HashMap<(InputKind, u64), u64>,
+    last: HashMap<Sender, u64>,
 }
 
 impl Schedule {
@@ -46,8 +47,17 @@ impl Schedule {
     /// Whether a message is later than all messages of its source in the steps: the controller may
     /// have handled it after the last state.
     pub fn is_later(&self, input: InputKind, source: u64, sequence: u64) -> bool {
-        self.last.get(&(input, source)).is_none_or(|last| sequence > *last)
+        self.last.get(&sender(input, source, sequence)).is_none_or(|last| sequence > *last)
     }
+}
+
+/// A stream and its source, with the index of the array for telemetry.
+type Sender = (InputKind, u64, u64);
+
+/// The sender of a message with this sequence number, as a [`ControllerInput`] has it.
+fn sender(input: InputKind, source: u64, sequence: u64) -> Sender {
+    let array = if input == InputKind::Telemetry { sequence >> ControllerInput::ARRAY_SHIFT } else { 0 };
+    (input, source, array)
 }
 
 /// Collects messages and memories in a first pass over a recording.
@@ -58,7 +68,8 @@ pub(super) struct ScheduleBuilder {
 }
 
 impl ScheduleBuilder {
-    /// Notes a report or a telemetry message. Of messages with one number the first counts: a
+    /// Notes a report or a telemetry message, with its sequence number as a [`ControllerInput`] has
+    /// it. Of messages with one number the first counts: a
     /// controller refuses the others.
     pub fn add_message(&mut self, entry: EntryIndex, input: InputKind, source: u64, sequence: u64) {
         self.messages.entry((input, source, sequence)).or_insert(entry);
@@ -99,11 +110,11 @@ impl Schedule {
             | InputKind::Telemetry => {
                 let entry = messages.get(&(kind, source, sequence)).copied();
                 self.named.extend(entry);
-                self.last.insert((kind, source), sequence);
+                self.last.insert(sender(kind, source, sequence), sequence);
                 self.steps.push(Step::Handle { entry, now });
             }
             InputKind::Decision | InputKind::LateDecision | InputKind::StaleDecision | InputKind::SilenceDecision => {
-                self.steps.push(Step::Decide { input: kind, now, gave_command })
+                self.steps.push(Step::Decide { input: kind, now, gave_command, withheld: sequence })
             }
         }
     }

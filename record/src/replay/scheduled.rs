@@ -4,10 +4,10 @@ use std::collections::HashMap;
 use std::rc::Rc;
 
 use heliostat_decide::core::memory::Memory;
-use heliostat_decide::core::{Controller, Decision, Timing};
+use heliostat_decide::core::{Controller, Timing};
 use heliostat_proto::{ControllerMemory, InputKind, MirrorCommand, Nanos, decode};
 
-use super::inputs::handle;
+use super::inputs::{Input, cloned, handle};
 use super::plan::RecordedCommand;
 use super::schedule::{EntryIndex, Schedule, Step};
 
@@ -15,15 +15,16 @@ use super::schedule::{EntryIndex, Schedule, Step};
 #[derive(Clone, Debug)]
 pub(super) struct Offered {
     pub entry: EntryIndex,
-    pub input: InputKind,
+    pub input: Input,
     pub source: u64,
+    /// As a [`ControllerInput`](heliostat_proto::ControllerInput) has it.
     pub sequence: u64,
     pub data: Vec<u8>,
 }
 
 /// A message that the current controller may have handled after its last recorded state.
 pub(super) struct Tail {
-    pub input: InputKind,
+    pub input: Input,
     pub data: Vec<u8>,
     pub arrived_ns: Nanos,
     /// Of a position report.
@@ -43,8 +44,8 @@ pub(super) enum Place {
 
 /// A decision of a step.
 pub(super) struct Decided {
-    /// The command, unless the controller held.
-    pub command: Option<MirrorCommand>,
+    /// The command for each array, unless the controller held.
+    pub commands: Vec<(usize, MirrorCommand)>,
     /// Whether the state was known.
     pub counts: bool,
 }
@@ -53,7 +54,7 @@ pub(super) struct Decided {
 pub(super) struct Progress {
     schedule: Rc<Schedule>,
     next: usize,
-    waiting: HashMap<EntryIndex, (InputKind, Vec<u8>)>,
+    waiting: HashMap<EntryIndex, (Input, Vec<u8>)>,
     /// Whether the controller has the recorded state.
     pub is_known: bool,
     /// Why a state was not restored.
@@ -77,13 +78,13 @@ impl Progress {
             self.waiting.insert(*entry, (*input, data.clone()));
             return Place::Step;
         }
-        if self.schedule.is_later(*input, *source, *sequence) { Place::Tail } else { Place::Nowhere }
+        if self.schedule.is_later(input.0, *source, *sequence) { Place::Tail } else { Place::Nowhere }
     }
 
     /// Keeps a memory message for its step.
     pub fn keep_memory(&mut self, entry: EntryIndex, data: &[u8]) {
         if self.schedule.names(entry) {
-            self.waiting.insert(entry, (InputKind::default(), data.to_vec()));
+            self.waiting.insert(entry, (Input::default(), data.to_vec()));
         }
     }
 
@@ -100,13 +101,16 @@ impl Progress {
                     None if entry > read => return decisions,
                     None => self.is_known = false,
                 },
-                Step::Decide { input, now, gave_command } => {
-                    let command = decide(controller, input, now);
+                Step::Decide { input, now, gave_command, withheld } => {
+                    if gave_command && controller.arrays() > 1 {
+                        controller.repeat_withheld(withheld);
+                    }
+                    let commands = decide(controller, input, now);
                     if gave_command {
-                        decisions.push(Decided { command, counts: self.is_known });
+                        decisions.push(Decided { commands, counts: self.is_known });
                     } else {
                         // A replay does not know why the controller held, for example in standby.
-                        self.is_known &= command.is_none();
+                        self.is_known &= commands.is_empty();
                     }
                 }
                 Step::Load { entry } => match self.waiting.remove(&entry) {
@@ -131,15 +135,15 @@ impl Progress {
     }
 }
 
-fn decide(controller: &mut Controller, input: InputKind, now: Nanos) -> Option<MirrorCommand> {
+fn decide(controller: &mut Controller, input: InputKind, now: Nanos) -> Vec<(usize, MirrorCommand)> {
     let decision = match input {
         InputKind::LateDecision => controller.poll_command(now, Timing::Late, &mut |_| {}),
         InputKind::StaleDecision => controller.poll_stale_command(now),
-        InputKind::SilenceDecision => controller.poll_timeout_command(now)?,
+        InputKind::SilenceDecision => match controller.poll_timeout_command(now) {
+            Some(decision) => decision,
+            None => return Vec::new(),
+        },
         _ => controller.poll_command(now, Timing::InTime, &mut |_| {}),
     };
-    match decision {
-        Decision::Move { command, .. } => Some(command.clone()),
-        Decision::Hold(_) => None,
-    }
+    cloned(decision)
 }

@@ -24,27 +24,35 @@ pub(super) struct Tally {
     theirs: BTreeMap<Answer, MirrorCommand>,
 }
 
-/// The tick that a command answers; or the time of a command that answers none.
-type Answer = (u64, Nanos);
+/// The array, and the tick that a command answers; or the time of a command that answers none.
+type Answer = (usize, u64, Nanos);
 
-fn answer(command: &MirrorCommand) -> Answer {
-    if command.answers == 0 { (0, command.time_ns) } else { (command.answers, 0) }
+fn answer(array: usize, command: &MirrorCommand) -> Answer {
+    if command.answers == 0 { (array, 0, command.time_ns) } else { (array, command.answers, 0) }
+}
+
+/// A command as it is compared. A replay repeats the epochs of the first array; those of the others
+/// may differ, and with them the numbers.
+fn comparable(array: usize, command: MirrorCommand) -> MirrorCommand {
+    if array == 0 { command } else { MirrorCommand { epoch: 0, sequence: 0, ..command } }
 }
 
 impl Tally {
-    /// Takes a command of this process.
-    pub fn add_ours(&mut self, command: MirrorCommand, counts: bool, clock: Clock) {
-        match self.theirs.remove(&answer(&command)) {
+    /// Takes a command of this process to an array.
+    pub fn add_ours(&mut self, array: usize, command: MirrorCommand, counts: bool, clock: Clock) {
+        let command = comparable(array, command);
+        match self.theirs.remove(&answer(array, &command)) {
             Some(theirs) => self.compare(&command, &theirs, counts, clock),
-            None => drop(self.ours.insert(answer(&command), (command, counts))),
+            None => drop(self.ours.insert(answer(array, &command), (command, counts))),
         }
     }
 
-    /// Takes a recorded command.
-    pub fn add_theirs(&mut self, command: MirrorCommand, clock: Clock) {
-        match self.ours.remove(&answer(&command)) {
+    /// Takes a recorded command to an array.
+    pub fn add_theirs(&mut self, array: usize, command: MirrorCommand, clock: Clock) {
+        let command = comparable(array, command);
+        match self.ours.remove(&answer(array, &command)) {
             Some((ours, counts)) => self.compare(&ours, &command, counts, clock),
-            None => drop(self.theirs.insert(answer(&command), command)),
+            None => drop(self.theirs.insert(answer(array, &command), command)),
         }
     }
 

@@ -86,7 +86,7 @@ pub fn scenario(input: &[u8]) {
     let mut payload = Vec::new();
     while let Some((_, event)) = episode.poll_event(end_ns) {
         let encoded = match &event {
-            Event::Telemetry(report) => encode(report.as_ref(), &mut payload),
+            Event::Telemetry(_, report) => encode(report.as_ref(), &mut payload),
             Event::Users(report) => encode(report, &mut payload),
             Event::Channel(report) => encode(report, &mut payload),
             Event::Obstacles(report) => encode(report, &mut payload),
@@ -148,6 +148,7 @@ pub fn recording(input: &[u8]) {
         file: file.path().to_owned(),
         policy: Some(PolicyKind::Nearest),
         model: None,
+        engine: None,
         settle: Some(0),
     };
     if let Ok(verdict) = replay::run(&settings) {

@@ -169,7 +169,7 @@ impl Room {
              the controller's tenure {:?}, refusals {:?} and {:?}",
             self.kit.array().state(),
             self.kit.array().followed(),
-            self.controller.tenure(),
+            self.controller.tenure(0),
             self.refused.counts(),
             self.controller.inbox().refused(),
         );
@@ -210,7 +210,7 @@ impl Room {
     /// Sends the encoded command.
     fn send_command(&mut self) {
         let (epoch, sequence) = self.sent;
-        self.controller.handle_sent(epoch, sequence);
+        self.controller.handle_sent(0, epoch, sequence);
         let command = decode(&self.encoded);
         self.array(command, Content::Command);
     }
@@ -301,7 +301,7 @@ impl Room {
                 self.report::<OrientationReport>(Stream::Orientation, &payload, |report| Report::Orientation(report))
             }
             Kind::MirrorTelemetry => {
-                self.report::<MirrorTelemetry>(Stream::Telemetry, &payload, |report| Report::Telemetry(report))
+                self.report::<MirrorTelemetry>(Stream::Telemetry, &payload, |report| Report::Telemetry(0, report))
             }
             Kind::MirrorCommand => self.array(decode(&payload), Content::Command),
             Kind::EmergencyStop => {
@@ -313,8 +313,8 @@ impl Room {
             }
             Kind::Calibration => self.array(decode(&payload), Content::Calibration),
             Kind::Capabilities => consume(&payload, |capabilities: Capabilities| {
-                let verdict = setup().examiner.examine(&capabilities);
-                _ = self.controller.handle_capabilities(&capabilities, verdict);
+                let verdict = setup().examiner.examine(0, &capabilities);
+                _ = self.controller.handle_capabilities(0, &capabilities, verdict);
             }),
             Kind::SimulatorControl => consume(&payload, |order: SimulatorControl| {
                 drop(control::apply(&mut self.simulated, &order));
@@ -337,7 +337,7 @@ impl Room {
                 self.array(order, Content::Rearm)
             }
             Kind::SafetyReport => consume(&payload, |report: SafetyReport| {
-                self.controller.handle_safety(&report);
+                self.controller.handle_safety(0, &report);
             }),
         };
         self.tally.count(kind, is_decoded);
@@ -379,7 +379,7 @@ impl Room {
         let content = wrap(message);
         let now = self.now();
         let simulated = Moment { local_ns: self.simulated_ns(), ..now };
-        drop(self.simulated.handle(simulated, content.clone(), &mut RefusalCounts::default()));
+        drop(self.simulated.handle(0, simulated, content.clone(), &mut RefusalCounts::default()));
         self.checked(|room| drop(room.kit.handle(now, content, &mut room.refused)));
         is_decoded
     }
@@ -406,7 +406,7 @@ impl Room {
         encode(&telemetry, &mut self.encoded).expect("the kit's telemetry is valid");
         encode(&self.kit.capabilities(stamp), &mut self.encoded).expect("the kit's capabilities are valid");
         encode(&self.kit.safety(stamp), &mut self.encoded).expect("the kit's safety report is valid");
-        encode(&self.simulated.telemetry(stamp), &mut self.encoded).expect("the simulated telemetry is valid");
+        encode(&self.simulated.telemetry(0, stamp), &mut self.encoded).expect("the simulated telemetry is valid");
     }
 }
 

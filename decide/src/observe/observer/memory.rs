@@ -5,6 +5,8 @@ use heliostat_proto::MAX_USERS;
 use serde::{Deserialize, Serialize};
 
 use super::Observer;
+use crate::belief::{Belief, memory::TiltMemory};
+use crate::observe::evidence::{Evidence, EvidenceMemory};
 use crate::observe::prediction::PredictionMemory;
 
 /// Everything that an observer keeps from one report to the next.
@@ -18,6 +20,16 @@ pub struct ObserverMemory {
 }
 
 impl Observer {
+    /// The state of the evidence; empty where none is kept.
+    pub fn evidence_memory(&self) -> EvidenceMemory {
+        self.evidence.as_ref().map(Evidence::memory).unwrap_or_default()
+    }
+
+    /// Replaces the state of the evidence, where it is kept; false where it is none.
+    pub fn restore_evidence(&mut self, memory: &EvidenceMemory) -> bool {
+        self.evidence.as_mut().is_none_or(|evidence| evidence.restore(memory))
+    }
+
     /// The present state.
     pub fn memory(&self) -> ObserverMemory {
         ObserverMemory {
@@ -27,12 +39,17 @@ impl Observer {
         }
     }
 
+    /// Whether users tilt their receivers.
+    pub fn tilt_memory(&self) -> TiltMemory {
+        self.prediction.belief().map_or_else(TiltMemory::default, Belief::tilt_memory)
+    }
+
     /// Replaces the state; false where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &ObserverMemory) -> bool {
+    pub fn restore(&mut self, memory: &ObserverMemory, tilt: &TiltMemory) -> bool {
         let ObserverMemory { prediction, slots, headings } = memory;
         let is_heading = |heading: &[f64; 3]| heading.iter().all(|part| part.abs() <= 1.0 + 1e-9);
         let is_sound = slots.len() <= MAX_USERS && headings.len() == slots.len() && headings.iter().all(is_heading);
-        if !is_sound || !self.prediction.restore(prediction) {
+        if !is_sound || !self.prediction.restore(prediction, tilt) {
             return false;
         }
         self.slots.follow(slots);

@@ -1,17 +1,20 @@
 //! The trial of an actor when it is loaded: does the engine evaluate the network correctly, and is
 //! the actor better than flat mirrors?
 //!
-//! Users stand at points spread evenly over the floor, and every second direct path is blocked. The
-//! trial ends after [`TIME_MAX_NS`], so that a slow network does not delay the start.
+//! The trial ends after [`TIME_MAX_NS`], so that a slow network does not delay the start.
 
-use heliostat_channel::{ChannelModel, Vec3, mirrors::MirrorAngles};
+use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};
 use heliostat_onnx::{ModelProto, reference::Reference};
 use heliostat_scenario::Scenario;
 use prost::Message;
 
-use super::{Actor, widen};
+use super::{
+    Actor,
+    samples::{self, TIME_MAX_NS},
+    widen,
+};
 use crate::{
-    observe::observation::{Observation, RoomState},
+    observe::observation::Observation,
     output::safety::{Limits, check_finite},
     policy::{
         actor_file::{ActorError, ActorFile, INPUT_NAME},
@@ -23,8 +26,6 @@ use crate::{
 const OBSERVATIONS: usize = 32;
 /// The observations on which engine and reference are compared.
 const COMPARED: usize = 8;
-/// No further observation after this time.
-const TIME_MAX_NS: u64 = 250_000_000;
 /// Fewer observations are too few to judge the sum rate.
 const JUDGED_MIN: usize = 4;
 /// Angles that differ by less, in rad, count as equal: both evaluations round to f32.
@@ -59,7 +60,7 @@ impl Actor {
         let mut trial = Trial::new(file, scenario, &model);
         let started_ns = monotonic_ns();
         for index in 0..OBSERVATIONS {
-            trial.observe(scenario, &model, index);
+            samples::observe(scenario, &model, index, &mut trial.observation);
             trial.run(self, &model);
             if monotonic_ns().saturating_sub(started_ns) > TIME_MAX_NS {
                 break;
@@ -111,28 +112,6 @@ impl Trial {
             sum_rate_bps: 0.0,
             flat_bps: 0.0,
         }
-    }
-
-    /// Fills the observation with the sample of an index.
-    fn observe(&mut self, scenario: &Scenario, model: &ChannelModel, index: usize) {
-        let users = scenario.users.count;
-        let (x_m, y_m) = (scenario.room.length_x_m, scenario.room.length_y_m);
-        let point = |user: usize| {
-            let at = index * users + user + 1;
-            let share = [2, 3].map(|base| spread(at, base) - 0.5);
-            Vec3::new(share[0] * x_m, share[1] * y_m, scenario.receiver.height_m)
-        };
-        let state = RoomState {
-            tick: 0,
-            positions: &(0..users).map(point).collect::<Vec<_>>(),
-            velocities: &vec![Vec3::zeros(); users],
-            min_rate_bps: &scenario.min_rate_bps(),
-            blockers: &[],
-            forced: &(0..users).map(|user| (index + user).is_multiple_of(2)).collect::<Vec<_>>(),
-            orientations: None,
-            measured_los_gain: None,
-        };
-        self.observation.set_state(model, &state);
     }
 
     /// Runs the network on the observation, compares it with the reference, and evaluates the
@@ -238,16 +217,4 @@ impl Trial {
         }
         Ok(findings)
     }
-}
-
-/// The radical inverse of an index: points in (0, 1) that fill the interval evenly (van der Corput;
-/// with two bases, Halton).
-fn spread(mut index: usize, base: usize) -> f64 {
-    let (mut value, mut share) = (0.0, 1.0 / base as f64);
-    while index > 0 {
-        value += share * (index % base) as f64;
-        index /= base;
-        share /= base as f64;
-    }
-    value
 }

@@ -6,15 +6,16 @@
 //! its due time if the previous decision was still running.
 
 use std::io::Write;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::ValueEnum;
 use heliostat_controller::report::stage_times::{StageStamps, StageTimes};
 use heliostat_decide::core::{Controller, Decision, Stage};
 use heliostat_decide::inbox::Message;
-use heliostat_decide::policy::{Actor, PolicyKind};
-use heliostat_engine::{ActorSource, build, load_actor};
+use heliostat_decide::policy::{Actor, Policy, PolicyKind};
+use heliostat_engine::{ActorSource, EngineChoice};
 use heliostat_proto::{UserReport, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
@@ -40,6 +41,13 @@ pub struct Args {
     /// policies]
     #[arg(long, value_enum)]
     policy: Option<PolicyKind>,
+    /// ONNX file of a learned policy, instead of the built-in one
+    #[arg(long, value_name = "FILE", requires = "policy")]
+    model: Option<PathBuf>,
+    /// Engine of learned policies: auto, dense, or the embedded one by its name (tract, or ort in
+    /// builds with ONNX Runtime) [default: auto; decide measures every engine that runs the actor]
+    #[arg(long)]
+    engine: Option<EngineChoice>,
     /// Whether caches are warmed shortly before each report, as the controller does
     #[arg(long, value_enum, value_name = "WHEN", default_value_t = KeepWarm::Off)]
     keep_warm: KeepWarm,
@@ -57,15 +65,35 @@ enum KeepWarm {
     Expected,
 }
 
+/// What is measured: a policy in a room.
+#[derive(Clone, Copy)]
+struct Subject<'a> {
+    scenario: &'a Scenario,
+    kind: PolicyKind,
+    source: &'a ActorSource,
+    engine: EngineChoice,
+}
+
+impl Subject<'_> {
+    fn build(&self) -> Result<Box<dyn Policy>> {
+        Ok(self.engine.build(self.kind, self.scenario, self.source)?)
+    }
+}
+
 /// `decide`: one policy at several rates, beside the inference engine alone.
 pub fn decide(args: &Args) -> Result<()> {
-    let scenario = args.scenario.load()?;
+    let (scenario, source) = (args.scenario.load()?, args.source()?);
     let kind = args.policy.unwrap_or(PolicyKind::Ddpg);
+    let subject = Subject { scenario: &scenario, kind, source: &source, engine: EngineChoice::Auto };
+    let engines = args.engines(&subject);
     let mut table =
         Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
     for plan in args.pace.plans(&[10.0, 100.0, 1000.0, 0.0])? {
-        let mut reference = Engine::new(&scenario)?;
-        table.add(args.measure(&plan, (&scenario, kind), &mut reference)?)?;
+        for engine in &engines {
+            let subject = Subject { engine: *engine, ..subject };
+            let mut reference = EngineAlone::new(&subject)?;
+            table.add(args.measure(&plan, subject, &mut reference)?)?;
+        }
     }
     Ok(table.finish()?)
 }
@@ -73,16 +101,19 @@ pub fn decide(args: &Args) -> Result<()> {
 /// `policies`: every policy that can decide here, beside the inference engine alone.
 pub fn policies(args: &Args) -> Result<()> {
     let scenario = args.scenario.load()?;
+    anyhow::ensure!(args.model.is_none(), "--model: bench policies measures the built-in actors; use bench decide");
+    let engine = args.engine.unwrap_or_default();
     let mut table =
         Table::new(args.json, "decision without transport; reference: the inference engine alone at the same rate")?;
     for plan in args.pace.plans(&[100.0])? {
         for kind in PolicyKind::value_variants() {
-            if let Err(error) = build(*kind, &scenario, &ActorSource::Shipped) {
+            let subject = Subject { scenario: &scenario, kind: *kind, source: &ActorSource::Shipped, engine };
+            if let Err(error) = subject.build() {
                 drop(writeln!(std::io::stderr(), "left out: {error}"));
                 continue;
             }
-            let mut reference = Engine::new(&scenario)?;
-            table.add(args.measure(&plan, (&scenario, *kind), &mut reference)?)?;
+            let mut reference = EngineAlone::new(&Subject { engine: EngineChoice::Auto, ..subject })?;
+            table.add(args.measure(&plan, subject, &mut reference)?)?;
         }
     }
     Ok(table.finish()?)
@@ -116,19 +147,45 @@ impl Args {
     /// Rooms of growing size; the first is the reference.
     fn growth(&self, of: &str, sizes: &[usize], sized: &dyn Fn(usize) -> Result<Scenario>) -> Result<()> {
         let kind = self.policy.unwrap_or(PolicyKind::FixedPoint);
+        let (source, engine) = (self.source()?, self.engine.unwrap_or_default());
         let mut table = Table::new(self.json, &format!("decision without transport with a growing number of {of}"))?;
         for plan in self.pace.plans(&[100.0])? {
             for size in sizes {
-                let mut smallest = Decider::new(&sized(sizes[0])?, kind, KeepWarm::Off)?;
-                table.add(self.measure(&plan, (&sized(*size)?, kind), &mut smallest)?)?;
+                let [first, scenario] = [sized(sizes[0])?, sized(*size)?];
+                let subject = Subject { scenario: &scenario, kind, source: &source, engine };
+                let mut smallest = Decider::new(&Subject { scenario: &first, ..subject }, KeepWarm::Off)?;
+                table.add(self.measure(&plan, subject, &mut smallest)?)?;
             }
         }
         Ok(table.finish()?)
     }
 
-    fn measure(&self, plan: &Plan, of: (&Scenario, PolicyKind), reference: &mut dyn Side) -> Result<Row> {
-        let (scenario, kind) = of;
-        let mut decider = Decider::new(scenario, kind, self.keep_warm)?;
+    /// The actor of the flags.
+    fn source(&self) -> Result<ActorSource> {
+        let source = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let kind = self.policy.unwrap_or(PolicyKind::Ddpg);
+        source.check_used_by(kind).context("--model names the file of a learned policy")?;
+        Ok(source)
+    }
+
+    /// The engines to measure: the one of the flag, or all that run the actor.
+    fn engines(&self, subject: &Subject<'_>) -> Vec<EngineChoice> {
+        let all = [EngineChoice::Embedded, EngineChoice::Dense];
+        match self.engine {
+            Some(engine) => vec![engine],
+            None if subject.kind.is_learned() => {
+                let runs = |engine: &EngineChoice| Subject { engine: *engine, ..*subject }.build().is_ok();
+                let able: Vec<_> = all.into_iter().filter(runs).collect();
+                // Where none does, the error follows from a build.
+                if able.is_empty() { vec![EngineChoice::Auto] } else { able }
+            }
+            None => vec![EngineChoice::Auto],
+        }
+    }
+
+    fn measure(&self, plan: &Plan, subject: Subject<'_>, reference: &mut dyn Side) -> Result<Row> {
+        let mut decider = Decider::new(&subject, self.keep_warm)?;
+        let scenario = subject.scenario;
         let mut compared = Times::new();
         plan.take_turns(|turn, block| match turn {
             Turn::Measured => go_through(&mut decider, block, &mut |_| {}),
@@ -142,6 +199,7 @@ impl Args {
             users: scenario.users.count,
             rooms: 1,
             policy: decider.controller.policy_name().into(),
+            engine: decider.controller.engine_name().map(str::to_owned),
         };
         let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
         let row = Row::new(varied, (decision.into(), times.over_budget(), decision.count), &compared);
@@ -208,8 +266,8 @@ struct Decider {
 }
 
 impl Decider {
-    fn new(scenario: &Scenario, kind: PolicyKind, keep_warm: KeepWarm) -> Result<Self> {
-        let policy = build(kind, scenario, &ActorSource::Shipped)?;
+    fn new(subject: &Subject<'_>, keep_warm: KeepWarm) -> Result<Self> {
+        let (scenario, policy) = (subject.scenario, subject.build()?);
         let mut controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
         controller.warm_up(0..WARM_UP);
         let mut decider = Self {
@@ -270,7 +328,7 @@ impl Side for Decider {
         let now = self.tick * 10_000_000;
         let message = Message::Users(&mut self.report);
         let decision = self.controller.handle_and_poll(now, message, &mut |stage| stamps.mark(stage));
-        let Some(Decision::Move { command, age_ns }) = decision else {
+        let Some(Decision::Move { command, age_ns, .. }) = decision else {
             anyhow::bail!("the controller gave no command for tick {}", self.tick);
         };
         command.sequence = self.tick;
@@ -281,21 +339,22 @@ impl Side for Decider {
     }
 }
 
-/// The inference engine alone, on the actor for the room, or on that of the default room if there
-/// is none.
-struct Engine {
+/// The inference engine alone: on the file of the subject, else on the built-in actor of ddpg for the
+/// room, or on that of the default room if there is none.
+struct EngineAlone {
     actor: Actor,
 }
 
-impl Engine {
-    fn new(scenario: &Scenario) -> Result<Self> {
+impl EngineAlone {
+    fn new(subject: &Subject<'_>) -> Result<Self> {
         let fetch = |room: &Scenario| ActorSource::Shipped.fetch(PolicyKind::Ddpg, room);
-        let default = Scenario::default();
-        let (file, room) = match fetch(scenario) {
-            Ok(file) => (file, scenario),
-            Err(_) => (fetch(&default)?, &default),
+        let (default, own) = (Scenario::default(), subject.source);
+        let (file, room, engine) = match (own, fetch(subject.scenario)) {
+            (ActorSource::Shipped, Ok(file)) => (file, subject.scenario, EngineChoice::Auto),
+            (ActorSource::Shipped, Err(_)) => (fetch(&default)?, &default, EngineChoice::Auto),
+            _ => (own.fetch(subject.kind, subject.scenario)?, subject.scenario, subject.engine),
         };
-        let mut actor = load_actor(&file, room)?;
+        let mut actor = engine.load_actor(&file, room)?;
         for _ in 0..WARM_UP {
             actor.run_engine_alone()?;
         }
@@ -303,7 +362,7 @@ impl Engine {
     }
 }
 
-impl Side for Engine {
+impl Side for EngineAlone {
     fn prepare(&mut self) -> Result<()> {
         Ok(())
     }

@@ -75,6 +75,9 @@ pub struct Varied {
     pub rooms: usize,
     /// The policy.
     pub policy: String,
+    /// The inference engine of a learned policy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub engine: Option<String>,
 }
 
 /// One line of a benchmark.
@@ -150,12 +153,13 @@ impl Table {
         if !json {
             outln!("{title}; times in us")?;
             outln!(
-                "{:>7}{:>8}{:>6}{:>6}  {:<13}{:>9}{:>9}{:>9}{:>9}{:>9} |{:>9}{:>9} |{:>6}{:>6} |{:>8}{:>8}",
+                "{:>7}{:>8}{:>6}{:>6}  {:<13}{:<7}{:>9}{:>9}{:>9}{:>9}{:>9} |{:>9}{:>9} |{:>6}{:>6} |{:>8}{:>8}",
                 "hz",
                 "mirrors",
                 "users",
                 "rooms",
                 "policy",
+                "engine",
                 "p50",
                 "p90",
                 "p99",
@@ -175,7 +179,8 @@ impl Table {
     /// Adds a row.
     pub fn add(&mut self, row: Row) -> io::Result<()> {
         if !self.json {
-            let Varied { hz, mirrors, users, rooms, policy } = &row.varied;
+            let Varied { hz, mirrors, users, rooms, policy, engine } = &row.varied;
+            let engine = engine.as_deref().unwrap_or("-");
             let hz = hz.map_or("unpaced".to_string(), |hz| hz.to_string());
             let (took, reference) = (&row.measured_us, &row.reference_us);
             let by_stage: String =
@@ -186,7 +191,7 @@ impl Table {
                 format!("  (decision p50 {:.0} p99 {:.0})", decision.p50, decision.p99)
             });
             outln!(
-                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{by_stage}{lost}{decision}  [{}]",
+                "{hz:>7}{mirrors:>8}{users:>6}{rooms:>6}  {policy:<13}{engine:<7}{:>9.1}{:>9.1}{:>9.1}{:>9.1}{:>9.1} |{:>9.1}{:>9.1} |{:>6.2}{:>6.2} |{:>8}{:>8}{by_stage}{lost}{decision}  [{}]",
                 took.p50,
                 took.p90,
                 took.p99,
@@ -231,7 +236,7 @@ mod tests {
     fn a_row_has_the_documented_json_names() {
         let mut times = Times::new();
         times.record(Duration::from_micros(50));
-        let varied = Varied { hz: None, mirrors: 100, users: 5, rooms: 1, policy: "flat".into() };
+        let varied = Varied { hz: None, mirrors: 100, users: 5, rooms: 1, policy: "flat".into(), engine: None };
         let row = Row::new(varied, (times.distribution(), 0, 1), &times);
         let json = serde_json::to_value(&row).unwrap();
         for name in ["hz", "mirrors", "users", "rooms", "policy", "over_budget", "count", "ratio_p50", "ratio_p99"] {

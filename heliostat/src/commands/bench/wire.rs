@@ -119,6 +119,7 @@ impl Args {
             users: scenario.users.count,
             rooms,
             policy: summary.policy,
+            engine: summary.engine,
         };
         let (took, lost) = measured.board.take(LOST_AFTER);
         let (compared, _) = reference.board.take(LOST_AFTER);

@@ -7,6 +7,7 @@ use heliostat_bus::{AccessRole, Bus, BusArgs, Reach};
 use heliostat_decide::capabilities::{Examiner, Force};
 use heliostat_decide::policy::Finding;
 use heliostat_engine::ActorSource;
+use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{Capabilities, ValidityClock, decode};
 use heliostat_scenario::Scenario;
 use heliostat_service::counted::counted;
@@ -23,7 +24,7 @@ const SAME_ANGLE_RAD: f64 = 1e-4;
 
 /// All checks of the planned run.
 pub(super) fn checks(args: &Args) -> Vec<Check> {
-    let scenario = match args.scenario.load().map_err(anyhow::Error::from).and_then(|scenario| {
+    let scenario = match args.scenario.load_arrays().map_err(anyhow::Error::from).and_then(|scenario| {
         World::new(&scenario, scenario.read_trace()?.as_deref(), scenario.seed)?;
         Ok(scenario)
     }) {
@@ -43,7 +44,8 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
         scenario.mirrors,
         scenario.hash()
     );
-    let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario), check_driver(args, &scenario)];
+    let mut checks = vec![Check::ok("scenario", found), check_policy(args, &scenario)];
+    checks.extend(check_drivers(args, &scenario));
     // A driver that is checked listens on its own port.
     let in_use = |port: &&u16| args.connect.iter().any(|endpoint| endpoint.ends_with(&format!(":{port}")));
     checks.extend(args.port.iter().filter(|port| !in_use(port)).map(|port| check_port(*port)));
@@ -52,7 +54,7 @@ pub(super) fn checks(args: &Args) -> Vec<Check> {
 
 fn check_policy(args: &Args, scenario: &Scenario) -> Check {
     let source = args.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
-    let (policy, findings) = match heliostat_engine::build_tried(args.policy, scenario, &source) {
+    let (policy, findings) = match args.engine.build_tried(args.policy, scenario, &source) {
         Ok(tried) => tried,
         Err(error) => {
             let advice = "choose a policy that needs no file (--policy fixed-point), or train an actor for this scenario: heliostat train ddpg";
@@ -60,7 +62,8 @@ fn check_policy(args: &Args, scenario: &Scenario) -> Check {
         }
     };
     let name = args.model.as_ref().map_or(policy.name().to_owned(), |path| path.display().to_string());
-    let mut found = format!("{name} fits the scenario");
+    let engine = policy.engine().map_or(String::new(), |engine| format!(", engine {engine}"));
+    let mut found = format!("{name} fits the scenario{engine}");
     let mut warnings = Vec::new();
     for finding in findings {
         match finding {
@@ -85,12 +88,22 @@ fn check_port(port: u16) -> Check {
     }
 }
 
-fn check_driver(args: &Args, scenario: &Scenario) -> Check {
+/// One check for each array of the scenario.
+fn check_drivers(args: &Args, scenario: &Scenario) -> Vec<Check> {
+    let arrays = scenario.mirrors.arrays().len();
+    let named = |array: usize| {
+        let check = check_driver(args, scenario, array);
+        if arrays == 1 { check } else { Check { found: format!("{}: {}", array_name(array), check.found), ..check } }
+    };
+    (0..arrays).map(named).collect()
+}
+
+fn check_driver(args: &Args, scenario: &Scenario, array: usize) -> Check {
     if args.connect.is_empty() {
         return Check::ok("driver", "not checked: no --connect");
     }
-    match fetch_capabilities(args) {
-        Ok(capabilities) => compare(&capabilities, scenario),
+    match fetch_capabilities(args, array) {
+        Ok(capabilities) => compare(array, &capabilities, scenario),
         Err(error) => Check::fail(
             "driver",
             format!("{error:#}"),
@@ -99,14 +112,14 @@ fn check_driver(args: &Args, scenario: &Scenario) -> Check {
     }
 }
 
-fn fetch_capabilities(args: &Args) -> anyhow::Result<Capabilities> {
+fn fetch_capabilities(args: &Args, array: usize) -> anyhow::Result<Capabilities> {
     let flags =
         BusArgs { room: args.room.clone(), connect: args.connect.clone(), tls: args.tls.clone(), ..BusArgs::default() };
     // A query of the capabilities needs no rights of a role.
     let config = flags.config(&AccessRole::ALL)?;
     let room = config.room.clone();
     let bus = Bus::open(&config.reaching(Reach::Within(DRIVER_WAIT)))?;
-    let payloads = bus.fetch(&room.capabilities(), DRIVER_WAIT)?;
+    let payloads = bus.fetch(&room.array(array).capabilities(), DRIVER_WAIT)?;
     bus.close()?;
     match payloads.as_slice() {
         [] => anyhow::bail!("no driver in room \"{room}\" publishes the capabilities of an array"),
@@ -116,13 +129,13 @@ fn fetch_capabilities(args: &Args) -> anyhow::Result<Capabilities> {
 }
 
 /// Whether the array fits the scenario.
-fn compare(array: &Capabilities, scenario: &Scenario) -> Check {
+fn compare(index: usize, array: &Capabilities, scenario: &Scenario) -> Check {
     let found = format!("{} ({}), {} x {} mirrors", array.hardware, array.driver, array.rows, array.columns);
     // The controller examines the capabilities in the same way.
     let examined = scenario
         .channel_model()
         .map_err(anyhow::Error::from)
-        .and_then(|model| Ok(Examiner::new(scenario, &model, Force::default()).examine(array)?));
+        .and_then(|model| Ok(Examiner::new(scenario, &model, Force::default()).examine(index, array)?));
     if let Err(unfit) = examined {
         return Check::fail("driver", found, format!("{unfit:#}"));
     }

@@ -3,6 +3,7 @@
 mod actuators;
 mod evaluation;
 mod latency;
+mod learning;
 mod page;
 mod rooms;
 
@@ -15,6 +16,8 @@ pub enum PageName {
     Evaluation,
     /// Rooms that differ from the plain hall: mobility, orientation, mismatch
     Rooms,
+    /// A learned correction of the belief, beside the best model-based policy
+    Learning,
     /// What each property of the mirrors' drives costs, and calibration
     Actuators,
     /// Decision, loop, mirrors, users, rooms and policies, each beside a reference of the same run
@@ -27,6 +30,7 @@ impl PageName {
         match self {
             Self::Evaluation => &evaluation::PAGE,
             Self::Rooms => &rooms::PAGE,
+            Self::Learning => &learning::PAGE,
             Self::Actuators => &actuators::PAGE,
             Self::Latency => &latency::PAGE,
         }

@@ -164,7 +164,7 @@ pub fn run(args: &ImportArgs) -> Result<()> {
 
 fn scenario(args: &ImportArgs) -> Result<Scenario> {
     let (scenario, overrides) = (args.scenario.clone(), args.overrides.clone());
-    Ok(ScenarioArgs { scenario, overrides, seed: None }.load()?)
+    Ok(ScenarioArgs { scenario, overrides, seed: None }.load_arrays()?)
 }
 
 fn collect(args: &ImportArgs) -> Result<Collected> {

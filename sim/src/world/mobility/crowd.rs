@@ -4,9 +4,9 @@
 //! straight line. A walk therefore does not depend on the time steps of the caller, also where
 //! users act on each other. Users enter between two instants and begin to walk at the next one.
 //!
-//! With a mixture, user n has the model at the fractional part of u + n g on the scale of the
-//! shares, where u is uniform and g the golden ratio: every group of successive users has the
-//! shares up to about one user.
+//! In a mixture, each model has an interval of [0, 1) as long as its share. User n has the model
+//! whose interval contains the fractional part of u + n g; u is uniform, and g is the golden ratio.
+//! Every group of successive users then has the shares up to about one user.
 
 use heliostat_channel::Cylinder;
 use heliostat_scenario::{MobilityModel, Scenario, Users};
@@ -20,7 +20,7 @@ use crate::world::mobility::random_direction::RandomDirection;
 use crate::world::mobility::random_waypoint::{RandomWaypoint, Waypoints};
 use crate::world::mobility::seated::Seated;
 use crate::world::mobility::separation::separate;
-use crate::world::mobility::smooth_turn::SmoothTurn;
+use crate::world::mobility::smooth_random::SmoothRandom;
 use crate::world::mobility::social_force::{Pedestrian, SocialForce};
 use crate::world::mobility::speeds::Speeds;
 use crate::world::walker::Walker;
@@ -176,7 +176,7 @@ impl Crowd {
                 Alone::RandomDirection(RandomDirection::new(&users.random_direction, waypoints, rng))
             }
             MobilityModel::GaussMarkov => Alone::GaussMarkov(GaussMarkov::new(&users.gauss_markov, waypoints, rng)),
-            MobilityModel::SmoothTurn => Alone::SmoothTurn(SmoothTurn::new(&users.smooth_turn, waypoints, rng)),
+            MobilityModel::SmoothRandom => Alone::SmoothRandom(SmoothRandom::new(&users.smooth_random, waypoints, rng)),
             MobilityModel::Seated => {
                 let at = self.seat(&mut rng);
                 Alone::Seated(Seated::new(&users.seated, at, rng))

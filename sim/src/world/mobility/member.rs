@@ -5,7 +5,7 @@ use crate::world::mobility::motion::{GRID_S, Motion};
 use crate::world::mobility::random_direction::RandomDirection;
 use crate::world::mobility::random_waypoint::RandomWaypoint;
 use crate::world::mobility::seated::Seated;
-use crate::world::mobility::smooth_turn::SmoothTurn;
+use crate::world::mobility::smooth_random::SmoothRandom;
 use crate::world::mobility::social_force::Pedestrian;
 use crate::world::mobility::speeds::Speeds;
 
@@ -19,7 +19,7 @@ pub enum Alone {
     /// Gauss-Markov.
     GaussMarkov(GaussMarkov),
     /// Smooth changes of speed and direction.
-    SmoothTurn(SmoothTurn),
+    SmoothRandom(SmoothRandom),
     /// At a fixed place.
     Seated(Seated),
 }
@@ -31,7 +31,7 @@ impl Alone {
             Self::RandomWaypoint(walk) => walk.step(GRID_S),
             Self::RandomDirection(walk) => walk.step(GRID_S),
             Self::GaussMarkov(walk) => walk.step(GRID_S),
-            Self::SmoothTurn(walk) => walk.step(),
+            Self::SmoothRandom(walk) => walk.step(),
             Self::Seated(walk) => walk.step(GRID_S),
         }
     }
@@ -42,7 +42,7 @@ impl Alone {
             Self::RandomWaypoint(walk) => walk.motion(),
             Self::RandomDirection(walk) => walk.motion(),
             Self::GaussMarkov(walk) => walk.motion(),
-            Self::SmoothTurn(walk) => walk.motion(),
+            Self::SmoothRandom(walk) => walk.motion(),
             Self::Seated(walk) => walk.motion(),
         }
     }
@@ -52,7 +52,7 @@ impl Alone {
             Self::RandomWaypoint(walk) => walk.set_speeds(speeds),
             Self::RandomDirection(walk) => walk.set_speeds(speeds),
             Self::GaussMarkov(walk) => walk.set_speeds(speeds),
-            Self::SmoothTurn(walk) => walk.set_speeds(speeds),
+            Self::SmoothRandom(walk) => walk.set_speeds(speeds),
             Self::Seated(_) => {}
         }
     }

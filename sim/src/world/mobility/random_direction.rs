@@ -2,7 +2,7 @@
 //!
 //! A user walks in a direction drawn uniformly, at a speed drawn uniformly, for an exponential
 //! time, and then draws again. A wall mirrors the direction. With pauses the user stands after each
-//! leg for an exponential time, turned to a direction drawn uniformly.
+//! movement for an exponential time. The direction of a standing user is drawn uniformly.
 //!
 //! Places and directions that are uniform at the start are uniform at all times, as the source
 //! proves, so the walk starts in its stationary regime.
@@ -30,7 +30,7 @@ enum Phase {
 pub struct RandomDirection {
     floor: Floor,
     speeds: Speeds,
-    leg_mean_s: f64,
+    travel_time_mean_s: f64,
     pause_mean_s: f64,
     at: [f64; 2],
     direction: [f64; 2],
@@ -45,11 +45,11 @@ impl RandomDirection {
     /// A walk in its stationary regime; the generator belongs to this user.
     pub fn new(settings: &Settings, waypoints: &Waypoints, rng: RoomRng) -> Self {
         let Waypoints { floor, speeds, pause_mean_s } = *waypoints;
-        let leg_mean_s = settings.leg_mean_s;
+        let travel_time_mean_s = settings.travel_time_mean_s;
         let mut walk = Self {
             floor,
             speeds,
-            leg_mean_s,
+            travel_time_mean_s,
             pause_mean_s,
             at: [0.0; 2],
             direction: [1.0, 0.0],
@@ -60,12 +60,12 @@ impl RandomDirection {
         };
         walk.at = draw_point(&floor, &mut walk.rng);
         // The rest of an exponential time has the same distribution as the time.
-        let is_standing = random::uniform(&mut walk.rng) * (pause_mean_s + leg_mean_s) < pause_mean_s;
+        let is_standing = random::uniform(&mut walk.rng) * (pause_mean_s + travel_time_mean_s) < pause_mean_s;
         walk.begin(if is_standing { Phase::Standing } else { Phase::Walking });
         walk
     }
 
-    /// Walks on for `dt_s` seconds, over as many legs as that takes.
+    /// Walks on for `dt_s` seconds, over as many movements as that takes.
     pub fn step(&mut self, dt_s: f64) {
         if self.speeds.are_zero() {
             return;
@@ -90,7 +90,7 @@ impl RandomDirection {
         Motion { at: self.at, velocity, facing: self.direction }
     }
 
-    /// New speeds from now on; the leg under way gets a new one too.
+    /// New speeds from now on; the movement under way gets a new one too.
     pub fn set_speeds(&mut self, speeds: Speeds) {
         self.speeds = speeds;
         self.speed_m_s = speeds.draw(&mut self.rng);
@@ -102,7 +102,7 @@ impl RandomDirection {
         let mean_s = match phase {
             Phase::Walking => {
                 self.speed_m_s = self.speeds.draw(&mut self.rng);
-                self.leg_mean_s
+                self.travel_time_mean_s
             }
             Phase::Standing => self.pause_mean_s,
         };
@@ -128,7 +128,7 @@ mod tests {
 
     fn walks(users: u32, pause_mean_s: f64, after_s: f64) -> Vec<Motion> {
         let waypoints = Waypoints { floor: FLOOR, speeds: Speeds::new(0.5, 1.5).unwrap(), pause_mean_s };
-        let settings = Settings { leg_mean_s: 2.0 };
+        let settings = Settings { travel_time_mean_s: 2.0 };
         let walk = |user| {
             let mut walk = RandomDirection::new(&settings, &waypoints, stream(1, Purpose::Walk, user));
             walk.step(after_s);
@@ -173,7 +173,8 @@ mod tests {
     #[test]
     fn a_user_keeps_its_speed_through_a_reflection() {
         let waypoints = Waypoints { floor: FLOOR, speeds: Speeds::new(1.0, 1.0).unwrap(), pause_mean_s: 0.0 };
-        let mut walk = RandomDirection::new(&Settings { leg_mean_s: 1e6 }, &waypoints, stream(3, Purpose::Walk, 0));
+        let mut walk =
+            RandomDirection::new(&Settings { travel_time_mean_s: 1e6 }, &waypoints, stream(3, Purpose::Walk, 0));
         let start = walk.motion();
         let mut mirrored = 0;
         for _ in 0..1000 {

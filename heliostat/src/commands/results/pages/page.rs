@@ -40,6 +40,22 @@ pub struct Section {
 }
 
 impl Section {
+    /// A section that compares policies, 200 states in each of 10 rooms: its name, its heading, what it
+    /// measures, and its command.
+    pub const fn of_policies([name, title, about, command]: [&'static str; 4], columns: &'static [Column]) -> Self {
+        Self {
+            name,
+            title,
+            about,
+            command,
+            full: "--states 200 --seeds 10",
+            quick: "--states 2 --seeds 1",
+            layout: Layout::Policies,
+            columns,
+            bounds: &[],
+        }
+    }
+
     /// The arguments of `heliostat`, as the page prints them.
     pub fn arguments(&self, quick: bool) -> Vec<String> {
         let further = if quick { self.quick } else { self.full };

@@ -1,6 +1,6 @@
 //! The page `rooms`: policies in rooms that differ from the plain hall.
 
-use super::super::table::{Column, Form, Layout};
+use super::super::table::{Column, Form};
 use super::page::{Page, Section};
 
 const COLUMNS: [Column; 9] = [
@@ -29,17 +29,7 @@ macro_rules! in_hall {
 
 /// A section about one room.
 const fn room(name: &'static str, title: &'static str, about: &'static str, command: &'static str) -> Section {
-    Section {
-        name,
-        title,
-        about,
-        command,
-        full: "--states 200 --seeds 10",
-        quick: "--states 2 --seeds 1",
-        layout: Layout::Policies,
-        columns: &COLUMNS,
-        bounds: &[],
-    }
+    Section::of_policies([name, title, about, command], &COLUMNS)
 }
 
 /// The page.
@@ -75,10 +65,10 @@ pub static PAGE: Page = Page {
             in_hall!(" --set users.mobility=gauss-markov"),
         ),
         room(
-            "smooth-turn",
-            "Mobility: smooth turns",
+            "smooth-random",
+            "Mobility: smooth random",
             "Acceleration and turn rate are bounded.",
-            in_hall!(" --set users.mobility=smooth-turn"),
+            in_hall!(" --set users.mobility=smooth-random"),
         ),
         room(
             "social-force",

@@ -1,4 +1,4 @@
-//! Smooth changes of speed and direction.
+//! The smooth random mobility model: speed and direction change smoothly.
 //!
 //! At exponential times a user draws a target speed, uniform between the walking speeds, and an
 //! acceleration, uniform up to the largest one. The speed changes at this acceleration until it has
@@ -6,8 +6,8 @@
 //! uniform, and turns at this rate.
 //!
 //! In the source, users leave the area or bounce. Here a user turns towards a point drawn uniformly
-//! when a wall is nearer than its way to brake plus its turning radius, and brakes where it must:
-//! the point at which it would stop is always on the floor. Near a wall its speed can therefore be
+//! when a wall is near: nearer than the distance to brake plus the turning radius. The user brakes
+//! early enough that the point at which it would stop is always on the floor. Near a wall its speed can therefore be
 //! below the smallest walking speed. Obstacles have no effect.
 //!
 //! The walk starts at rest at a place drawn uniformly and is then run for 30 s.
@@ -16,7 +16,7 @@
 //! wireless networks, ACM MSWiM 2001. Its values are for vehicles; the defaults are chosen for
 //! users who walk. The model uses the platform's sine, cosine, arctangent and logarithm.
 
-use heliostat_scenario::SmoothTurn as Settings;
+use heliostat_scenario::SmoothRandom as Settings;
 
 use crate::random::{self, RoomRng};
 use crate::world::mobility::motion::{GRID_S, Motion, draw_direction, turned};
@@ -53,7 +53,7 @@ struct Course {
 
 /// The smooth walk of one user.
 #[derive(Clone, Debug)]
-pub struct SmoothTurn {
+pub struct SmoothRandom {
     floor: Floor,
     speeds: Speeds,
     settings: Settings,
@@ -68,7 +68,7 @@ pub struct SmoothTurn {
     rng: RoomRng,
 }
 
-impl SmoothTurn {
+impl SmoothRandom {
     /// A walk after its run-in; the generator belongs to this user.
     pub fn new(settings: &Settings, waypoints: &Waypoints, mut rng: RoomRng) -> Self {
         let Waypoints { floor, speeds, .. } = *waypoints;
@@ -194,9 +194,9 @@ mod tests {
 
     const FLOOR: Floor = Floor { length_x_m: 6.0, length_y_m: 4.0 };
 
-    fn walk(user: u32) -> SmoothTurn {
+    fn walk(user: u32) -> SmoothRandom {
         let waypoints = Waypoints { floor: FLOOR, speeds: Speeds::new(0.3, 1.8).unwrap(), pause_mean_s: 0.0 };
-        SmoothTurn::new(&Settings::default(), &waypoints, stream(4, Purpose::Walk, user))
+        SmoothRandom::new(&Settings::default(), &waypoints, stream(4, Purpose::Walk, user))
     }
 
     fn speed_m_s(motion: &Motion) -> f64 {

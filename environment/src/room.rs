@@ -5,7 +5,6 @@
 //! the spill of each spot onto other users and the average over the LED's panel, which the steering
 //! table of the decoder ignores.
 
-use anyhow::ensure;
 use heliostat_channel::mirrors::MirrorAngles;
 use heliostat_channel::{ChannelModel, Vec3};
 use heliostat_decide::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
@@ -13,6 +12,8 @@ use heliostat_scenario::{ChannelMode, MinRate, Scenario};
 use heliostat_sim::world::World;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
+
+use crate::error::EnvironmentError;
 
 /// The penalty for minimum rates in the reward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,6 +49,19 @@ impl Reward {
         };
         rate_bps - self.lambda * penalty
     }
+
+    /// The outcome of rates in bit/s under minimum rates in bit/s; `each` receives each user's part
+    /// R_k - penalty in bit/s.
+    pub fn outcome(&self, rates_bps: &[f64], min_rate_bps: &[f64], mut each: impl FnMut(f64)) -> Outcome {
+        let mut outcome = Outcome::default();
+        for (rate, min_rate) in rates_bps.iter().zip(min_rate_bps) {
+            let part = self.of(*rate, *min_rate);
+            each(part);
+            outcome.reward_mbps += 1e-6 * part;
+            outcome.sum_rate_mbps += 1e-6 * rate;
+        }
+        outcome
+    }
 }
 
 /// The result of an action.
@@ -59,12 +73,6 @@ pub struct Outcome {
     pub sum_rate_mbps: f64,
 }
 
-/// Why arrivals are refused.
-pub(crate) const FIXED_USERS: &str = "users.arrivals: training and held-out states need a fixed number of users; remove the arrivals, or measure them with `heliostat eval --closed-loop`";
-
-/// Why a difference between the true room and the assumed one is refused.
-pub(crate) const KNOWN_ROOM: &str = "mismatch.level: training and held-out states show the true room to the policy; expected \"none\", or measure the mismatch with `heliostat eval --closed-loop`";
-
 /// A simulated room with the learner's buffers.
 pub struct Environment {
     world: World,
@@ -75,14 +83,14 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// A new room with its first observation.
+    /// A new room with its first observation; `trace` is the text of the file `users.trace`.
     ///
     /// # Errors
-    /// The scenario describes no room, or it has more than [`USERS_CAPACITY`] users.
-    pub fn new(scenario: &Scenario, seed: u64) -> anyhow::Result<Self> {
-        ensure!(scenario.users.arrivals.is_none(), FIXED_USERS);
-        ensure!(scenario.mismatch.is_none(), KNOWN_ROOM);
-        let world = World::new(scenario, scenario.read_trace()?.as_deref(), seed)?;
+    /// The scenario describes no room, it has more than [`USERS_CAPACITY`] users, or its users or
+    /// its equipment are not those that a learner may know ([`check_known`]).
+    pub fn new(scenario: &Scenario, trace: Option<&str>, seed: u64) -> Result<Self, EnvironmentError> {
+        check_known(scenario)?;
+        let world = World::new(scenario, trace, seed)?;
         let users = scenario.users.count;
         let mut observation = Observation::new(world.model(), users);
         observation.min_rate_bps.copy_from_slice(world.min_rate_bps());
@@ -91,6 +99,23 @@ impl Environment {
             Self { encoder, observation, vector: vec![0.0; encoder.len()], rates_bps: vec![0.0; users], world };
         environment.observe()?;
         Ok(environment)
+    }
+
+    /// Restarts with another seed and the mirrors flat: new walks and obstacles in the same room. A
+    /// recorded walk continues.
+    ///
+    /// # Errors
+    /// As [`Environment::new`].
+    pub fn restart(&mut self, seed: u64) -> Result<(), EnvironmentError> {
+        self.world.restart(seed);
+        self.observation.angles.roll.fill(0.0);
+        self.observation.angles.yaw.fill(0.0);
+        self.observe()
+    }
+
+    /// The world of the room.
+    pub fn world(&self) -> &World {
+        &self.world
     }
 
     /// Users in the room.
@@ -117,7 +142,7 @@ impl Environment {
     ///
     /// # Errors
     /// As [`Environment::new`].
-    pub fn step(&mut self, dt_s: f64) -> anyhow::Result<()> {
+    pub fn step(&mut self, dt_s: f64) -> Result<(), EnvironmentError> {
         self.world.step(dt_s);
         self.observe()
     }
@@ -135,24 +160,37 @@ impl Environment {
         self.rates_bps(angles);
         rewards.fill(0.0);
         let scale = self.rates_bps.len() as f64 / self.world.model().budget.bandwidth_hz;
-        let mut outcome = Outcome::default();
-        for ((slot, rate), min_rate) in rewards.iter_mut().zip(&self.rates_bps).zip(&self.observation.min_rate_bps) {
-            let part = reward.of(*rate, *min_rate);
-            *slot = (scale * part) as f32;
-            outcome.reward_mbps += 1e-6 * part;
-            outcome.sum_rate_mbps += 1e-6 * rate;
-        }
-        outcome
+        let mut slots = rewards.iter_mut();
+        reward.outcome(&self.rates_bps, &self.observation.min_rate_bps, |part| {
+            slots.next().into_iter().for_each(|slot| *slot = (scale * part) as f32);
+        })
     }
 
-    fn observe(&mut self) -> anyhow::Result<()> {
+    /// The rates of the last action in bit/s.
+    pub fn last_rates_bps(&self) -> &[f64] {
+        &self.rates_bps
+    }
+
+    fn observe(&mut self) -> Result<(), EnvironmentError> {
         observe(&self.world, &mut self.observation);
         Ok(self.encoder.encode(self.world.model(), &self.observation, &mut self.vector)?)
     }
 }
 
+/// Checks that the number of users is fixed and that the true equipment is the assumed one, as
+/// training and held-out states need.
+///
+/// # Errors
+/// [`EnvironmentError::Arrivals`] or [`EnvironmentError::Mismatch`].
+pub fn check_known(scenario: &Scenario) -> Result<(), EnvironmentError> {
+    if scenario.users.arrivals.is_some() {
+        return Err(EnvironmentError::Arrivals);
+    }
+    if scenario.mismatch.is_none() { Ok(()) } else { Err(EnvironmentError::Mismatch) }
+}
+
 /// Copies the true state of a world into an observation of the same size.
-pub(crate) fn observe(world: &World, seen: &mut Observation) {
+pub fn observe(world: &World, seen: &mut Observation) {
     for (user, walker) in world.users().iter().enumerate() {
         seen.positions[user] = walker.position;
         seen.velocities[user] = Vec3::new(walker.velocity[0], walker.velocity[1], 0.0);

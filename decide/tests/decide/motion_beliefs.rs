@@ -1,0 +1,98 @@
+//! The belief about the motion of users, from position reports.
+
+use heliostat_channel::Vec3;
+use heliostat_decide::belief::{Belief, innovations::Innovations};
+use heliostat_proto::{Stamp, UserReport, UserState};
+use heliostat_scenario::Scenario;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+fn report(tick: u64, users: &[(u32, [f32; 3], [f32; 2])]) -> UserReport {
+    let stamp = Stamp { source: 1, sequence: tick, time_ns: tick * 100_000_000 };
+    let state = |&(user, position_m, velocity_m_s): &(u32, [f32; 3], [f32; 2])| UserState {
+        user,
+        position_m,
+        velocity_m_s,
+        min_rate_bps: 1e6,
+    };
+    UserReport { stamp, tick, users: users.iter().map(state).collect() }
+}
+
+fn belief() -> Belief {
+    let scenario = Scenario::builtin("hall").expect("a built-in scenario");
+    let model = scenario.channel_model().expect("a valid channel");
+    Belief::new(&scenario, &model, 64)
+}
+
+/// The position after user 7 walked along x at 1 m/s for ten reports, beside these others.
+fn after_walk(others: impl Fn(u64) -> Vec<(u32, [f32; 3], [f32; 2])>, first: bool) -> Vec3 {
+    let mut belief = belief();
+    for tick in 1..=10 {
+        let mut users = others(tick);
+        let slot = if first { 0 } else { users.len() };
+        users.insert(slot, (7, [0.1 * tick as f32, 0.5, 0.9], [1.0, 0.0]));
+        belief.handle_users(&report(tick, &users));
+    }
+    belief.estimate(7, 0.5).expect("a user").position
+}
+
+#[test]
+fn a_user_is_found_by_number_whatever_the_order_of_the_report() {
+    let alone = after_walk(|_| Vec::new(), true);
+    assert!((alone - Vec3::new(1.5, 0.5, 0.9)).norm() < 0.05, "{alone:?}");
+    let other = |user| (user, [-2.0, 1.0, 1.2], [0.0, 0.4]);
+    let come_and_go = |tick| if tick % 3 == 0 { vec![other(3)] } else { vec![other(9), other(3)] };
+    // The noise of the reports is learned from all users, so the weights differ a little.
+    for first in [true, false] {
+        assert!((after_walk(come_and_go, first) - alone).norm() < 1e-3);
+    }
+}
+
+#[test]
+fn a_user_who_returns_starts_again() {
+    let mut belief = belief();
+    for tick in 1..=10 {
+        belief.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
+    }
+    belief.handle_users(&report(11, &[]));
+    assert_eq!(belief.estimate(7, 0.0), None);
+    belief.handle_users(&report(12, &[(7, [-3.0, 2.0, 0.9], [0.0, 0.5])]));
+    let back = belief.estimate(7, 0.0).expect("a user").position;
+    assert!((back - Vec3::new(-3.0, 2.0, 0.9)).norm() < 0.01, "{back:?}");
+}
+
+#[test]
+fn a_tracker_without_velocities_still_shows_the_direction() {
+    let mut belief = belief();
+    for tick in 1..=20 {
+        belief.handle_users(&report(tick, &[(7, [0.08 * tick as f32, 0.0, 0.9], [0.0, 0.0])]));
+    }
+    let estimate = belief.estimate(7, 0.0).expect("a user");
+    assert!((estimate.velocity.x - 0.8).abs() < 0.1, "{estimate:?}");
+}
+
+#[test]
+fn the_innovations_of_a_straight_walk_have_the_mean_of_two_degrees_of_freedom() {
+    let (mut belief, mut rng) = (belief(), rand_chacha::ChaCha8Rng::seed_from_u64(1));
+    for tick in 1..=2000_u64 {
+        // A circular normal error of 0.05 m.
+        let [quantile, turn] = [0; 2].map(|_| (rng.next_u64() >> 40) as f32 / (1_u64 << 24) as f32);
+        let (radius, angle) = (0.05 * (-2.0 * (1.0 - quantile).ln()).sqrt(), turn * std::f32::consts::TAU);
+        let position = [0.5 + radius * angle.cos(), radius * angle.sin(), 0.9];
+        belief.handle_users(&report(tick, &[(7, position, [0.0, 0.0])]));
+    }
+    let Innovations { count, sum } = belief.innovations();
+    assert_eq!(count, 1999, "the first report of a user has no prediction");
+    assert!((sum / count as f64 - 2.0).abs() < 0.4, "{}", sum / count as f64);
+}
+
+#[test]
+fn the_noise_of_the_reports_is_learned() {
+    let mut belief = belief();
+    for tick in 1..=400_u64 {
+        let angle = tick as f32 * 2.399_963;
+        let (dx, dy) = (0.2 * angle.cos(), 0.2 * angle.sin());
+        belief.handle_users(&report(tick, &[(7, [dx, dy, 0.9], [dy, dx])]));
+    }
+    let [position_m, _] = belief.noise();
+    assert!(position_m > 0.1, "{position_m}");
+}

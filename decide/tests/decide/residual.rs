@@ -1,0 +1,195 @@
+//! The policy that corrects the belief by channel residuals.
+
+use heliostat_channel::{Orientation, Vec3};
+use heliostat_decide::{
+    belief::{Estimate, residual::Residual},
+    core::DegradedMode,
+    evidence::{Believed, Evidence, FEATURES, MIRRORED},
+    inbox::Message,
+    policy::{Engine, Network, PolicyError, PolicyKind, Residual as ResidualPolicy, actor_file::key},
+};
+use heliostat_proto::MirrorCommand;
+use heliostat_scenario::Scenario;
+
+use crate::support::{ActorRecipe, Room, build_with, controller, model, receive, scenario};
+
+/// A room whose obstacles no survey reports, so that the belief has its complete state.
+fn hidden() -> Scenario {
+    scenario(&["control.belief=\"filter\"", "blockage.obstacles_per_m2=0.05", "streams.obstacles.rate_hz=0"])
+}
+
+fn commands(scenario: &Scenario, kind: PolicyKind, recipe: &ActorRecipe) -> Vec<MirrorCommand> {
+    let mut controller = controller(scenario, build_with(kind, scenario, &recipe.file()).unwrap());
+    let mut room = Room::new(scenario);
+    let all = (1..=40).map(|tick| room.tick(&mut controller, tick).command()).collect();
+    assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 0);
+    all
+}
+
+#[test]
+fn corrections_of_zero_give_the_commands_of_greedy_bit_for_bit() {
+    for scenario in [hidden(), scenario(&["control.belief=\"filter\"", "control.tilt={}"]), scenario(&[])] {
+        let none = ActorRecipe::compact([0.0; 3]);
+        let expected = commands(&scenario, PolicyKind::Greedy, &none);
+        assert_eq!(commands(&scenario, PolicyKind::Residual, &none), expected);
+        // A compact file is read as such under the name of any learned policy.
+        assert_eq!(commands(&scenario, PolicyKind::Ddpg, &none), expected);
+    }
+}
+
+#[test]
+fn tilts_change_the_commands_where_users_are_believed() {
+    let tilted = ActorRecipe::compact([-0.5, 0.0, -1.0]);
+    let uncertain = ActorRecipe::compact([-0.5, 0.0, 0.5]);
+    let of = |recipe| commands(&hidden(), PolicyKind::Residual, recipe);
+    let greedy = commands(&hidden(), PolicyKind::Greedy, &tilted);
+    assert_ne!(of(&tilted), greedy);
+    assert_eq!(of(&uncertain), greedy, "a change that is less than its deviation");
+    let unfiltered = scenario(&["control.belief=\"constant-velocity\""]);
+    assert_eq!(
+        commands(&unfiltered, PolicyKind::Residual, &tilted),
+        commands(&unfiltered, PolicyKind::Greedy, &tilted)
+    );
+}
+
+#[test]
+fn reported_orientations_are_not_corrected() {
+    let scenario = hidden();
+    let command = |kind| {
+        let recipe = ActorRecipe::compact([-0.5, 0.0, -1.0]);
+        let mut controller = controller(&scenario, build_with(kind, &scenario, &recipe.file()).unwrap());
+        let mut room = Room::new(&scenario);
+        let mut held = room.orientations_of(1, 0.3, &[0, 1, 2]);
+        receive(&mut controller, Room::time(1), Message::Orientation(&mut held));
+        room.tick(&mut controller, 1).command()
+    };
+    assert_eq!(command(PolicyKind::Residual), command(PolicyKind::Greedy));
+}
+
+/// A network that gives zeros while it is loaded, and a value that is not finite later.
+struct Diverging(usize);
+
+impl Engine for Diverging {
+    fn load(&self, _: &[u8], _: usize) -> Result<Box<dyn Network>, String> {
+        Ok(Box::new(DivergingNetwork { runs_left: self.0, input: vec![0.0; FEATURES], output: vec![0.0; 3] }))
+    }
+}
+
+struct DivergingNetwork {
+    runs_left: usize,
+    input: Vec<f32>,
+    output: Vec<f32>,
+}
+
+impl Network for DivergingNetwork {
+    fn engine(&self) -> &'static str {
+        "diverging"
+    }
+
+    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
+        self.input.resize(rows * FEATURES, 0.0);
+        self.output.resize(rows * 3, 0.0);
+        Ok(())
+    }
+
+    fn input_mut(&mut self) -> &mut [f32] {
+        &mut self.input
+    }
+
+    fn run(&mut self) -> Result<&[f32], PolicyError> {
+        self.output[1] = if self.runs_left == 0 { f32::NAN } else { 0.0 };
+        self.runs_left = self.runs_left.saturating_sub(1);
+        Ok(&self.output)
+    }
+}
+
+#[test]
+fn the_fallback_decides_where_a_correction_is_not_finite() {
+    let scenario = hidden();
+    let file = ActorRecipe::compact([0.0; 3]).file();
+    let policy = ResidualPolicy::load(&file, (3, 9), &Diverging(1 + 10)).unwrap();
+    let mut controller = controller(&scenario, Box::new(policy));
+    let mut room = Room::new(&scenario);
+    for tick in 1..=14 {
+        room.tick(&mut controller, tick).command();
+    }
+    assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 4, "one run at the load and ten decisions");
+    assert!(controller.last_failure().is_some_and(|failure| failure.to_string().contains("not finite")));
+    // At the load such a network is refused.
+    let refusal = ResidualPolicy::load(&file, (3, 9), &Diverging(0)).err().expect("a refusal").to_string();
+    assert!(refusal.contains("not finite"), "{refusal}");
+}
+
+#[test]
+fn files_that_do_not_fit_are_refused_with_advice() {
+    let scenario = scenario(&[]);
+    let fitting = || ActorRecipe::compact([0.0; 3]);
+    let refusal = |recipe: ActorRecipe| {
+        build_with(PolicyKind::Residual, &scenario, &recipe.file()).err().expect("a refusal").to_string()
+    };
+    let cases = [
+        (fitting().with_metadata(key::OBSERVATION_VERSION, "3"), "observation version 3, expected 4"),
+        (fitting().without_metadata(key::ACTION), "the action \"angles\", expected \"compact\""),
+        (ActorRecipe { input_length: 7, ..fitting() }, "\"observation\" with rows of Some(7)"),
+        (ActorRecipe { output_name: "angles", ..fitting() }, "expected \"corrections\" of f32 [rows, 3]"),
+        (ActorRecipe::compact([f32::NAN; 3]), "not finite"),
+        (ActorRecipe::fitting(&scenario), "heliostat train residual"),
+    ];
+    for (recipe, words) in cases {
+        let text = refusal(recipe);
+        assert!(text.contains("test.onnx") && text.contains(words), "{text}");
+    }
+}
+
+/// The row of a user with a measured history, in a room whose array is on a wall.
+fn row(wall: &str, turn: fn([f64; 2]) -> [f64; 2]) -> [f32; FEATURES] {
+    let scenario = scenario(&[&format!("mirrors.wall=\"{wall}\"")]);
+    let turned = |[x, y]: [f64; 2], z: f64| {
+        let [x, y] = turn([x, y]);
+        Vec3::new(x, y, z)
+    };
+    let mut evidence = Evidence::default();
+    for tick in 1..=5 {
+        let los = [(0.5 + 0.1 * tick as f64) * 1e-6, 1e-6];
+        let residual = Residual { user: 4, los, los_shown: true, irs: [3e-7, 4e-7], steering: 2e-6 };
+        evidence.handle_channel(Room::time(10 * tick), &[residual]);
+    }
+    let estimate = Estimate {
+        position: turned([0.7, -0.4], 0.9),
+        velocity: turned([0.6, 0.3], 0.0),
+        position_cov_m2: [0.01, 0.0, 0.02],
+        velocity_var_m2_s2: 0.04,
+        heading: turned([0.5, 0.6], 0.0),
+        direct_clear: 0.8,
+    };
+    let tilt = turned([0.3, 0.1], 0.0);
+    let orientation = Orientation::from_polar_azimuth(tilt.norm().asin(), tilt.y.atan2(tilt.x));
+    evidence.begin();
+    evidence.add(&model(&scenario), &Believed { user: 4, estimate, orientation });
+    evidence.rows()[0]
+}
+
+fn near(one: &[f32], other: &[f32]) -> bool {
+    one.iter().zip(other).all(|(one, other)| (one - other).abs() < 1e-6)
+}
+
+#[test]
+fn rows_do_not_depend_on_the_wall_and_a_mirrored_room_changes_signs_only() {
+    let plain = row("+y", |at| at);
+    assert!(near(&row("+x", |[x, y]| [y, -x]), &plain));
+    let mut mirrored = row("+y", |[x, y]| [-x, y]);
+    assert!(!near(&mirrored, &plain));
+    MIRRORED.iter().for_each(|index| mirrored[*index] = -mirrored[*index]);
+    assert!(near(&mirrored, &plain), "{mirrored:?} {plain:?}");
+}
+
+#[test]
+fn a_row_holds_the_residuals_and_their_means() {
+    let row = row("+y", |at| at);
+    let (last, ratio) = (&row[14..18], (0.75_f32).ln());
+    assert!(near(last, &[1.0, 0.0, 1.0, ratio]), "{last:?}");
+    // The longest mean hardly differs from the plain one of the reports after the first.
+    let mean = [0.7, 0.8, 0.9, 1.0].map(f32::ln).iter().sum::<f32>() / 4.0;
+    assert!((row[30] - mean).abs() < 0.03, "{} for {mean}", row[30]);
+    assert!((row[33] - 0.1).abs() < 1e-3, "five direct measurements: {}", row[33]);
+}

@@ -1,0 +1,26 @@
+//! Environments for learning: a simulated room with a controller's observation, actions and reward.
+//!
+//! A learner in this workspace and a learner in Python act in the same environments, through the
+//! observation encoder and the angle decoder of the controller. This crate does no I/O, reads no
+//! clock and starts no thread.
+//!
+//! - [`room`]: the true state of a room, whose mirrors turn at once; the reward; the rooms of a
+//!   training run.
+//! - [`closed_loop`]: a room whose reports are late and noisy, with the decision core.
+//! - [`held_out`]: rooms that training never uses, and the oracle on them.
+//! - [`action`], [`angle_state`], [`believed`]: what an action means, and what a learner observes.
+//! - [`task`]: one of these rooms, with a form of action and observation, as steps of a learner.
+
+pub mod action;
+pub mod angle_state;
+pub mod believed;
+pub mod closed_loop;
+pub mod error;
+pub mod held_out;
+pub mod room;
+pub mod task;
+
+pub use closed_loop::ClosedLoop;
+pub use error::EnvironmentError;
+pub use room::{Environment, Outcome, Reward, RewardForm, Rooms};
+pub use task::{Task, TaskSettings};

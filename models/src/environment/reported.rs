@@ -1,0 +1,179 @@
+//! Rooms that a controller knows by reports only, in closed loop: the examples from which a network
+//! learns to correct the belief.
+//!
+//! Each decision of the controller gives an example for each user: the row that the actor reads, and
+//! the truth in the middle of the command's time in force. The actor of the run decides, so that its
+//! own commands shape what it observes.
+
+use anyhow::Context;
+use heliostat_decide::core::Controller;
+use heliostat_decide::evidence::{FEATURES, NORMAL};
+use heliostat_decide::policy::Policy;
+use heliostat_environment::closed_loop::ClosedLoop;
+use heliostat_scenario::{MismatchKind, Scenario};
+use heliostat_sim::episode::Episode;
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+
+/// Users have walked for this time when the reports begin, in ns.
+const START_NS: u64 = 5_000_000_000;
+
+/// The first decisions give no examples, since the belief has just begun; in ns.
+const FIRST_NS: u64 = 500_000_000;
+
+/// A row with the truth about its user, in the frame of the row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Example {
+    /// The row that the actor reads.
+    pub row: [f32; FEATURES],
+    /// Horizontal components of the true normal of the receiver less those of the believed one.
+    pub tilt: [f32; 2],
+}
+
+/// The ways of walking from which rooms are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Walks {
+    /// Random waypoint.
+    RandomWaypoint,
+    /// Random waypoint with pauses.
+    Pauses,
+    /// Random direction.
+    RandomDirection,
+    /// Gauss-Markov.
+    GaussMarkov,
+    /// Smooth random mobility.
+    SmoothRandom,
+    /// Social force.
+    SocialForce,
+    /// Seated users.
+    Seated,
+}
+
+impl Walks {
+    /// All ways of walking.
+    pub const ALL: [Self; 7] = [
+        Self::RandomWaypoint,
+        Self::Pauses,
+        Self::RandomDirection,
+        Self::GaussMarkov,
+        Self::SmoothRandom,
+        Self::SocialForce,
+        Self::Seated,
+    ];
+
+    fn overrides(self) -> &'static [&'static str] {
+        match self {
+            Self::RandomWaypoint => &[],
+            Self::Pauses => &["users.pause_mean_s=3"],
+            Self::RandomDirection => &["users.mobility=random-direction"],
+            Self::GaussMarkov => &["users.mobility=gauss-markov"],
+            Self::SmoothRandom => &["users.mobility=smooth-random"],
+            Self::SocialForce => &["users.mobility=social-force", "users.pause_mean_s=2"],
+            Self::Seated => &["users.mobility=seated"],
+        }
+    }
+}
+
+/// The rooms of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RoomChoice {
+    /// The ways of walking.
+    pub walks: Vec<Walks>,
+    /// The parts of the room that may differ from the known one.
+    pub mismatch: Vec<MismatchKind>,
+}
+
+impl RoomChoice {
+    /// Draws a room around a scenario: walks, how receivers are held, the difference from the known
+    /// room, number of users, rates, latencies and noises of the reports, size of the room.
+    ///
+    /// # Errors
+    /// A scenario in which no such room is valid.
+    pub fn draw(&self, scenario: &Scenario, rng: &mut impl Rng) -> anyhow::Result<Scenario> {
+        let mut last = None;
+        for _ in 0..20 {
+            match scenario.with_overrides(&self.overrides(rng)) {
+                Ok(room) => return Ok(room),
+                Err(error) => last = Some(error),
+            }
+        }
+        Err(anyhow::anyhow!(last.map_or("no room was drawn".into(), |error| error.to_string())))
+            .context("no room around the scenario is valid: choose the scenario hall, or other walks")
+    }
+
+    fn overrides(&self, rng: &mut impl Rng) -> Vec<String> {
+        let walks = self.walks[rng.random_range(0..self.walks.len())];
+        let mut all: Vec<String> = walks.overrides().iter().map(|text| (*text).to_owned()).collect();
+        let mut set = |key: &str, value: f64| all.push(format!("{key}={value}"));
+        set("users.count", f64::from(rng.random_range(2..=7_u32)));
+        let factor = |rng: &mut dyn FnMut() -> f64, low: f64, high: f64| low * (high / low).powf(rng());
+        let mut uniform = || rng.random::<f64>();
+        set("streams.positions.rate_hz", factor(&mut uniform, 7.0, 25.0).round());
+        set("streams.positions.latency_ms", factor(&mut uniform, 30.0, 150.0).round());
+        set("streams.positions.noise_m", factor(&mut uniform, 0.02, 0.1));
+        set("streams.positions.velocity_noise_m_s", factor(&mut uniform, 0.05, 0.2));
+        set("streams.channel.noise_relative", factor(&mut uniform, 0.02, 0.1));
+        set("blockage.obstacles_per_m2", 0.1 * uniform());
+        let (length_x_m, length_y_m, height_m) = (4.5 + 2.5 * uniform(), 4.5 + uniform(), 2.8 + 0.4 * uniform());
+        set("room.length_x_m", length_x_m);
+        set("room.length_y_m", length_y_m);
+        set("room.height_m", height_m);
+        let led_m = [0.4 * length_x_m * (uniform() - 0.5), 0.4 * length_y_m * (uniform() - 0.5), height_m];
+        // One LED, or two that are opposite to each other.
+        let two = uniform() < 0.3;
+        let opposite_m = [-led_m[0], -led_m[1], height_m];
+        all.push(if two {
+            format!("led.positions_m=[{led_m:?}, {opposite_m:?}]")
+        } else {
+            format!("led.positions_m=[{led_m:?}]")
+        });
+        if rng.random_bool(0.6) {
+            all.push("users.orientation={}".into());
+        }
+        if rng.random_bool(0.25) {
+            all.push("control.tilt={}".into());
+        }
+        let level = ["none", "typical", "rough"][rng.random_range(0..3)];
+        if level != "none" && !self.mismatch.is_empty() {
+            all.push(format!("mismatch.level={level}"));
+            let kinds = serde_json::to_string(&self.mismatch).unwrap_or_default();
+            all.push(format!("mismatch.kinds={kinds}"));
+        }
+        all
+    }
+}
+
+/// The examples of a room in which a policy decides for `seconds`.
+///
+/// # Errors
+/// The scenario describes no room, or the array refuses a command.
+pub fn examples(scenario: &Scenario, seed: u64, policy: Box<dyn Policy>, seconds: f64) -> anyhow::Result<Vec<Example>> {
+    let episode = Episode::new(scenario, None, seed, START_NS)?;
+    let controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
+    let mut room = ClosedLoop::new(episode, controller);
+    let end_ns = START_NS + (seconds * 1e9) as u64;
+    let mut all = Vec::new();
+    while let Some((now, event)) = room.poll_event(end_ns) {
+        if room.deliver(now, event, &mut |_| {})? && now.room_ns > START_NS + FIRST_NS {
+            add_examples(&room, &mut all);
+        }
+    }
+    Ok(all)
+}
+
+/// Adds the examples of the last decision.
+fn add_examples(room: &ClosedLoop, all: &mut Vec<Example>) {
+    let observer = room.controller().observer();
+    let Some(evidence) = observer.evidence() else { return };
+    let mut world = room.room().world().clone();
+    world.step(observer.lead_s());
+    let narrow = |values: [f64; 2]| values.map(|value| value as f32);
+    let rows = evidence.rows().iter().zip(evidence.frames());
+    for ((row, frame), user) in rows.zip(room.observation().ids.iter()) {
+        let Some(index) = world.ids().iter().position(|id| id == user) else { continue };
+        let normal = frame.of_room(&world.orientations()[index].normal());
+        let believed = [row[NORMAL], row[NORMAL + 1]].map(f64::from);
+        all.push(Example { row: *row, tilt: narrow([normal[0] - believed[0], normal[1] - believed[1]]) });
+    }
+}

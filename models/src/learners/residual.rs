@@ -1,0 +1,272 @@
+//! Learning to correct the belief from channel residuals, with the truth of simulated rooms.
+//!
+//! The paper has no such algorithm. A network reads the row of a user
+//! ([`heliostat_decide::evidence`]) and corrects how the receiver is held
+//! ([`heliostat_decide::correction`]); the model-based solver then acts. Each episode draws
+//! new rooms ([`crate::environment::reported`]), in which the network of the moment decides in closed
+//! loop, and learns from their examples once.
+//!
+//! # The loss
+//! The negative logarithm of the likelihood of the true change t of the receiver's normal, by a normal
+//! distribution with the variance v of the same output: |t - t0|^2 / v + ln v, up to constants.
+//!
+//! A room and its mirror image are equally likely, so a random half of the examples is mirrored. The
+//! output layer starts at zero: an untrained network changes nothing.
+
+use candle_core::{Device, Result, Tensor};
+use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_decide::correction::{Correction, LOG_VARIANCE, LOG_VARIANCE_OFFSET, LOG_VARIANCE_SCALE};
+use heliostat_decide::evidence::{EVIDENCE_VERSION, FEATURES, MIRRORED};
+use heliostat_decide::policy::PolicyKind;
+use heliostat_decide::policy::actor_file::{ActorFile, COMPACT, CORRECTIONS_NAME, INPUT_NAME, key};
+use heliostat_engine::{ActorSource, build};
+use heliostat_onnx::graph::Ends;
+use heliostat_scenario::{MismatchKind, Scenario};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::environment::reported::{Example, RoomChoice, Walks, examples};
+use crate::environment::room::{Environment, Outcome};
+use crate::evaluation::held_out::best_angles;
+use crate::export::rows::export;
+use crate::networks::adam::Adam;
+use crate::networks::layers::{Encoder, Network, Shape, assign};
+use crate::training::algorithm::{Algorithm, start};
+use crate::training::learner::{Episode, Learner, Part, part};
+use crate::training::settings::RunSettings;
+
+/// The row in the table of algorithms.
+pub const ALGORITHM: Algorithm = Algorithm {
+    name: "residual",
+    policy: PolicyKind::Residual,
+    help: "A network that corrects the belief by channel residuals; one actor for every room",
+    summary: "a network that corrects the belief by channel residuals; see the head of `models/src/learners/residual.rs`",
+    has_paper_preset: false,
+    start: |scenario, _, options| {
+        let settings = Settings::new(scenario.seed);
+        start(scenario, settings, options, Residual::new)
+    },
+};
+
+/// Features that the network does not read, for comparisons.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Without {
+    /// It reads all.
+    Nothing,
+    /// Neither the last residuals nor their history, of the user and of all users.
+    Residuals,
+    /// The means over time.
+    History,
+    /// The residuals of all users.
+    Neighbours,
+}
+
+impl Without {
+    fn features(self) -> std::ops::Range<usize> {
+        match self {
+            Self::Nothing => 0..0,
+            Self::Residuals => 14..FEATURES,
+            Self::History => 18..33,
+            Self::Neighbours => 33..FEATURES,
+        }
+    }
+}
+
+/// The hyperparameters.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Learning rate at the start.
+    pub rate: f64,
+    /// Factor on the learning rate at the end.
+    pub rate_end: f64,
+    /// Examples of a step of the optimiser.
+    pub batch: usize,
+    /// Rooms of an episode.
+    pub room_count: usize,
+    /// Time in each room in s.
+    pub room_s: f64,
+    /// The rooms.
+    #[serde(flatten)]
+    pub choice: RoomChoice,
+    /// Features that are left out.
+    pub without: Without,
+    /// The hyperparameters that every run has; those of the reward and of static rooms are not used.
+    #[serde(flatten)]
+    pub run: RunSettings,
+}
+
+impl Settings {
+    /// The hyperparameters of the built-in actors.
+    pub fn new(seed: u64) -> Self {
+        use MismatchKind::{Bodies, Floor, Led, Mirrors, Receiver, Tilt, Tracker};
+        let mismatch = vec![Bodies, Tilt, Mirrors, Led, Receiver, Floor, Tracker];
+        Self {
+            rate: 3e-3,
+            rate_end: 0.03,
+            batch: 256,
+            room_count: 24,
+            room_s: 10.0,
+            choice: RoomChoice { walks: Walks::ALL.to_vec(), mismatch },
+            without: Without::Nothing,
+            run: RunSettings { episodes: 100, steps: 1, ..RunSettings::paper(seed) },
+        }
+    }
+}
+
+impl AsRef<RunSettings> for Settings {
+    fn as_ref(&self) -> &RunSettings {
+        &self.run
+    }
+}
+
+/// Widths of the two hidden layers.
+const HIDDEN: [usize; 2] = [64, 64];
+
+/// The learner with its state between two episodes.
+pub struct Residual {
+    settings: Settings,
+    scenario: Scenario,
+    network: Network,
+    adam: Adam,
+    /// Mean loss of the last episode.
+    loss: f64,
+}
+
+impl Residual {
+    /// The learner before its first episode.
+    ///
+    /// # Errors
+    /// Errors of candle, when memory runs out.
+    pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
+        anyhow::ensure!(
+            !settings.choice.walks.is_empty(),
+            "walks = []: expected at least one way of walking, for example [\"seated\"]"
+        );
+        let outputs = Correction::VALUES;
+        let shape = Shape { encoder: Encoder::Mlp, slots: 1, inputs: FEATURES, hidden: HIDDEN, outputs };
+        let network = Network::new(shape, rng)?;
+        let head = network.layer("head");
+        assign(&head.weight, &head.weight.zeros_like()?)?;
+        assign(&head.bias, &head.bias.zeros_like()?)?;
+        // The gradient of a weight is zero where its feature is always zero.
+        let mut first = network.layer("first").weight.to_vec2::<f32>()?;
+        first[settings.without.features()].iter_mut().for_each(|row| row.fill(0.0));
+        let shape = network.layer("first").weight.shape().clone();
+        assign(&network.layer("first").weight, &Tensor::from_vec(first.concat(), shape, &Device::Cpu)?)?;
+        Ok(Self { adam: Adam::new(&network).clipped(1.0), network, scenario: scenario.clone(), settings, loss: 0.0 })
+    }
+
+    /// The examples of newly drawn rooms, in which the present network decides.
+    fn examples(&self, rng: &mut ChaCha8Rng) -> anyhow::Result<Vec<Example>> {
+        let draw = |_| Ok((self.settings.choice.draw(&self.scenario, rng)?, rng.random()));
+        let rooms: Vec<(Scenario, u64)> = (0..self.settings.room_count).map(draw).collect::<anyhow::Result<_>>()?;
+        let bytes = self.file(&metadata())?;
+        let file = ActorFile { origin: "the network in training".into(), bytes: bytes.into() };
+        let run = |(room, seed): &(Scenario, u64)| {
+            let policy = build(PolicyKind::Residual, room, &ActorSource::Bytes(file.clone()))?;
+            examples(room, *seed, policy, self.settings.room_s)
+        };
+        // The order of the rooms stays, whatever the number of threads.
+        let pool = rayon::ThreadPoolBuilder::new().build()?;
+        let all: anyhow::Result<Vec<_>> = pool.install(|| rooms.par_iter().map(run).collect());
+        Ok(all?.concat())
+    }
+
+    /// One pass over shuffled examples; returns the mean loss.
+    fn learn(&mut self, mut all: Vec<Example>, rate: f64, rng: &mut ChaCha8Rng) -> anyhow::Result<f64> {
+        for example in &mut all {
+            example.row[self.settings.without.features()].fill(0.0);
+            if rng.random_bool(0.5) {
+                mirror(example);
+            }
+        }
+        shuffle(&mut all, rng);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for batch in all.chunks_exact(self.settings.batch.min(all.len().max(1))) {
+            let loss = loss(&self.network, batch)?;
+            self.adam.step(&self.network, &loss.backward()?, rate)?;
+            sum += f64::from(loss.to_scalar::<f32>()?);
+            count += 1.0;
+        }
+        Ok(sum / f64::max(count, 1.0))
+    }
+
+    fn file(&self, metadata: &[(String, String)]) -> Result<Vec<u8>> {
+        let output = (CORRECTIONS_NAME, Correction::VALUES);
+        let ends = Ends { name: "heliostat-residual", input: (INPUT_NAME, FEATURES), output };
+        export(&self.network, &ends, metadata)
+    }
+}
+
+/// The entries without which no policy reads the file.
+fn metadata() -> [(String, String); 2] {
+    let version = EVIDENCE_VERSION.to_string();
+    [(key::ACTION, COMPACT.into()), (key::OBSERVATION_VERSION, version)].map(|(key, value)| (key.to_owned(), value))
+}
+
+/// The mirror image of an example.
+fn mirror(example: &mut Example) {
+    MIRRORED.iter().for_each(|index| example.row[*index] = -example.row[*index]);
+    example.tilt[1] = -example.tilt[1];
+}
+
+/// A random order (Fisher and Yates).
+fn shuffle(all: &mut [Example], rng: &mut ChaCha8Rng) {
+    for last in (1..all.len()).rev() {
+        all.swap(last, rng.random_range(0..=last));
+    }
+}
+
+/// The mean loss of a network; the [module](self) has the equations.
+fn loss(network: &Network, batch: &[Example]) -> Result<Tensor> {
+    let table = |values: Vec<f32>, width: usize| Tensor::from_vec(values, (batch.len(), width), &Device::Cpu);
+    let rows = table(batch.iter().flat_map(|example| example.row).collect(), FEATURES)?;
+    let tilt = table(batch.iter().flat_map(|example| example.tilt).collect(), 2)?;
+    let output = network.forward_rows(&rows)?;
+    let [least, most] = LOG_VARIANCE;
+    let log_variance = ((output.narrow(1, 2, 1)? * LOG_VARIANCE_SCALE)? + LOG_VARIANCE_OFFSET)?.clamp(least, most)?;
+    let squared = (output.narrow(1, 0, 2)? - tilt)?.sqr()?.sum_keepdim(1)?;
+    ((squared * log_variance.neg()?.exp()?)? + log_variance)?.mean_all()
+}
+
+impl Learner for Residual {
+    fn rooms(&self) -> usize {
+        0
+    }
+
+    fn is_scored(&self) -> bool {
+        false
+    }
+
+    fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
+        let Settings { rate, rate_end, .. } = self.settings;
+        let rate = rate * rate_end.powf(episode.progress());
+        let all = self.examples(episode.rng)?;
+        self.loss = self.learn(all, rate, episode.rng)?;
+        Ok(Vec::new())
+    }
+
+    /// A true state needs no correction, so these are the angles of the solver.
+    fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
+        let seen = room.observation();
+        let mut solver = heliostat_channel::solver::Solver::new(seen.users(), seen.mirrors());
+        Ok(best_angles(&mut solver, room.model(), &seen.scene, &seen.min_rate_bps))
+    }
+
+    fn notes(&self) -> Vec<(&'static str, String)> {
+        vec![("loss of the last episode", format!("{:.3}", self.loss))]
+    }
+
+    fn state(&mut self) -> Vec<Part<'_>> {
+        vec![part("corrections", &mut self.network), part("corrections", &mut self.adam)]
+    }
+
+    fn export(&self, _: &ChannelModel, entries: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
+        let replaced = [key::OBSERVATION_VERSION, key::USERS_MAX, key::MIRRORS, key::MODE, key::GEOMETRY];
+        let own = entries.iter().filter(|(key, _)| !replaced.contains(&key.as_str())).cloned();
+        Ok(self.file(&metadata().into_iter().chain(own).collect::<Vec<_>>())?)
+    }
+}

@@ -1,0 +1,46 @@
+"""Environments, physics and policies of a MEMS mirror array for indoor optical wireless links.
+
+>>> import gymnasium, heliostat
+>>> env = gymnasium.make("heliostat/Static-v0")
+>>> observation, info = env.reset(seed=1)
+>>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+>>> env.close()
+
+- `heliostat.envs`: the four environments, registered with Gymnasium by the import of the package.
+- `heliostat.vector`: the same in a batch that steps on all cores.
+- `heliostat.physics`: gains, rates, maps, the decoder, the oracle and policies as functions.
+- `heliostat.evaluation`: scores on held-out states, as `heliostat eval` computes them.
+- `heliostat.export`: from a PyTorch module to a file that the controller runs.
+- `heliostat.sb3`: the batch as a vector environment of Stable-Baselines3.
+
+Angles are mechanical angles in rad, positions are in m with the origin at the centre of the floor, z up,
+and rates are in Mbit/s.
+"""
+
+from . import envs as envs
+from ._core import BELIEF_COLUMNS, BUILTIN_SCENARIOS, __version__, held_out_seed, policy_names
+from .envs import HeliostatEnv
+from .evaluation import Score, evaluate
+from .export import export_onnx
+from .physics import Policy, Room, decode, rate_map
+from .scenario import Scenario, load_scenario
+from .vector import HeliostatVectorEnv
+
+__all__ = [
+    "BELIEF_COLUMNS",
+    "BUILTIN_SCENARIOS",
+    "HeliostatEnv",
+    "HeliostatVectorEnv",
+    "Policy",
+    "Room",
+    "Scenario",
+    "Score",
+    "__version__",
+    "decode",
+    "evaluate",
+    "export_onnx",
+    "held_out_seed",
+    "load_scenario",
+    "policy_names",
+    "rate_map",
+]

@@ -1,0 +1,269 @@
+"""The environments of Gymnasium.
+
+| id | state | mirrors | reward |
+| --- | --- | --- | --- |
+| `heliostat/Static-v0` | true | turn at once | shortfall of minimum rates |
+| `heliostat/Hall-v0` | late and noisy reports, hidden obstacles | MEMS dynamics | shortfall of minimum rates |
+| `heliostat/Office-v0` | as Hall, in the realistic room | MEMS dynamics | shortfall of minimum rates |
+| `heliostat/Paper-v0` | the paper's equations and states | turn at once | as printed in the paper |
+
+Each takes the keywords of `HeliostatEnv`. The reward of a step is sum_k [R_k - penalty_k] over the bandwidth, in
+bit/s/Hz. An episode never terminates; Gymnasium truncates it after `max_episode_steps`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, TypeAlias
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from ._core import Batch, Settings, held_out_seed
+from .rendering import Window, draw
+from .scenario import Scenario, Value, load_scenario
+
+Observation: TypeAlias = "NDArray[np.float32] | dict[str, NDArray[np.float32] | NDArray[np.int8]]"
+"""A flat array, or the parts of it by name."""
+
+SETTLE_S = 20.0
+"""Seconds that users walk before the first observation, as in held-out states."""
+
+BOUND = 1e6
+"""Bound of the components of an observation, beyond any value of a room: learners expect finite bounds."""
+
+_UNLIMITED = 2**63
+
+
+def make_settings(
+    scenario: Scenario,
+    *,
+    dynamics: str = "static",
+    action: str = "angles",
+    observation: str = "flat",
+    reward: str = "shortfall",
+    penalty: float = 1.0,
+    margin: float = 1.0,
+    step_s: float = 1.0,
+    settle_s: float = SETTLE_S,
+    oracle: bool = False,
+) -> Settings:
+    """The settings of an environment; `HeliostatEnv` has their meaning."""
+    return Settings(
+        scenario,
+        dynamics=dynamics,
+        action=action,
+        observation=observation,
+        reward=reward,
+        penalty=penalty,
+        margin=margin,
+        step_s=step_s,
+        settle_s=settle_s,
+        oracle=oracle,
+    )
+
+
+def _seed_of(seed: int) -> int:
+    """A seed of the room; Gymnasium accepts integers from 0."""
+    if not 0 <= seed < 2**64:
+        raise ValueError(f"seed = {seed}: expected an integer from 0 to 2**64 - 1")
+    return seed
+
+
+class Layout:
+    """The spaces of a batch, and the parts of a flat observation."""
+
+    def __init__(self, batch: Batch, observation: str) -> None:
+        self.parts = [(name, start, tuple(shape)) for name, start, shape in batch.layout()]
+        self.is_dict = observation == "dict"
+        self.action_space = spaces.Box(-1.0, 1.0, (batch.action_len,), np.float32)
+        self.observation_space: spaces.Space[Any]
+        if self.is_dict:
+            self.observation_space = spaces.Dict(
+                {
+                    name: spaces.MultiBinary(shape)
+                    if name == "mask"
+                    else spaces.Box(-BOUND, BOUND, shape, np.float32)
+                    for name, _, shape in self.parts
+                }
+            )
+        else:
+            self.observation_space = spaces.Box(-BOUND, BOUND, (batch.observation_len,), np.float32)
+
+    def shown(self, flat: NDArray[np.float32]) -> Observation:
+        """The observation of a flat array of shape (..., n); the parts are views, the mask excepted."""
+        if not self.is_dict:
+            return flat
+        lead = flat.shape[:-1]
+        parts: dict[str, NDArray[np.float32] | NDArray[np.int8]] = {}
+        for name, start, shape in self.parts:
+            part = flat[..., start : start + int(np.prod(shape))].reshape(lead + shape)
+            parts[name] = part.astype(np.int8) if name == "mask" else part
+        return parts
+
+
+class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
+    """A room with a mirror array, in steps of a learner.
+
+    Args:
+        scenario: a built-in name, the path of a TOML file, or a `Scenario`.
+        overrides: keys of the scenario as "users.count", with their values.
+        dynamics: "static" (true state, instant mirrors) or "closed-loop" (reports, belief, mirror dynamics). A step
+            of a closed loop is the time between two position reports.
+        action: "angles" (roll of each mirror, then yaw of each, over the range of an axis) or "weights" (one for each
+            slot; the decoder computes the angles). All components are in [-1, 1].
+        observation: "flat" (the vector that the controller gives to an actor), "dict" (its parts by name, with the
+            mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot) or "paper".
+        reward: "shortfall" (a missing minimum rate is penalised) or "printed" (as in the paper).
+        penalty: weight of the penalty.
+        margin: factor on the minimum rates in the penalty.
+        step_s: seconds between two actions of a static room.
+        settle_s: seconds that users walk before the first observation.
+        oracle: whether `info` has the oracle's rate, which takes far longer than the step.
+        render_mode: "rgb_array" or "human"; the latter needs pygame.
+
+    `info` has `sum_rate_mbps`, `rates_mbps` (one for each user present), `qos_met` (share of users whose minimum rate
+    is met), and `oracle_mbps` with `oracle=True`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str] | Scenario = "specular",
+        *,
+        overrides: Mapping[str, Value] | None = None,
+        render_mode: str | None = None,
+        observation: str = "flat",
+        action: str = "angles",
+        **settings: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array" or "human"')
+        self.scenario = load_scenario(scenario, overrides)
+        self.action_form, self.observation_form = action, observation
+        checked = make_settings(self.scenario, action=action, observation=observation, **settings)
+        self._settings = {"action": action, "observation": observation, **settings}
+        self._oracle = bool(settings.get("oracle", False))
+        self._batch = Batch(checked, [self.scenario.seed], "disabled", _UNLIMITED)
+        self._layout = Layout(self._batch, observation)
+        self.action_space = self._layout.action_space
+        self.observation_space = self._layout.observation_space
+        self.render_mode = render_mode
+        self._window: Window | None = None
+        self._is_reset = False
+        self._actions_shape = self._layout.action_space.shape
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode in the room of this seed, or of the next one.
+
+        `options={"held_out": index}` starts in a held-out room, which training never uses; "held_out_set" is the
+        seed of the comparison, that of the scenario if absent.
+        """
+        if seed is not None:
+            _seed_of(seed)
+        super().reset(seed=seed)
+        room_seed = seed
+        unknown = set(options or ()) - {"held_out", "held_out_set"}
+        if unknown:
+            raise ValueError(f"unknown reset options {sorted(unknown)}: expected held_out, held_out_set")
+        if options and "held_out" in options:
+            room_seed = held_out_seed(int(options.get("held_out_set", self.scenario.seed)), int(options["held_out"]))
+        elif seed is None and not self._is_reset:
+            room_seed = int(self.np_random.integers(2**63))
+        seen = np.empty((1, self._batch.observation_len), np.float32)
+        self._batch.reset([room_seed], seen)
+        self._is_reset = True
+        if self.render_mode == "human":
+            self.render()
+        return self._layout.shown(seen[0]), {}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Performs an action; raises `ValueError` for another shape or a component that is not finite."""
+        if not self._is_reset:
+            raise gymnasium.error.ResetNeeded("call reset before the first step")
+        checked = np.ascontiguousarray(action, np.float32)
+        if checked.shape != self._actions_shape:
+            raise ValueError(f"an action of shape {checked.shape}, expected {self._actions_shape}")
+        seen, reward, _, (sum_rate, met, oracle), rates = self._batch.step_one(checked)
+        info = {"sum_rate_mbps": sum_rate, "qos_met": met, "rates_mbps": rates}
+        if self._oracle:
+            info["oracle_mbps"] = oracle
+        if self.render_mode == "human":
+            self.render()
+        return self._layout.shown(seen), reward, False, False, info
+
+    def render(self) -> Any:
+        """The floor from above, (400, n, 3) in uint8; with "human" it is also shown in a window."""
+        if self.render_mode is None:
+            gymnasium.logger.warn('render has no effect: make the environment with render_mode="rgb_array"')
+            return None
+        picture = draw(self.scenario, self._batch.state(0))
+        if self.render_mode == "rgb_array":
+            return picture
+        if self._window is None:
+            self._window = Window(picture.shape, int(self.metadata["render_fps"]))
+        self._window.show(picture)
+        return None
+
+    def state(self) -> dict[str, Any]:
+        """The true state of the room: positions, blockers, headings, rates, angles. No part of the observation."""
+        return dict(self._batch.state(0))
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the learner observes the true state, and the mirrors turn at once."""
+        return bool(self._settings.get("dynamics", "static") == "static")
+
+    @contextmanager
+    def with_oracle(self) -> Iterator[None]:
+        """Within the context, steps evaluate the oracle in other rooms, whose users have walked for `SETTLE_S`."""
+        batch, oracle = self._batch, self._oracle
+        settings = {**self._settings, "oracle": True, "settle_s": SETTLE_S}
+        self._batch = Batch(make_settings(self.scenario, **settings), [self.scenario.seed], "disabled", _UNLIMITED)
+        self._oracle = True
+        try:
+            yield
+        finally:
+            self._batch.close()
+            self._batch, self._oracle = batch, oracle
+
+    @property
+    def slots(self) -> int:
+        """Slots for users in an observation."""
+        return self._batch.slots_max
+
+    def close(self) -> None:
+        """Frees the room; later steps raise `RuntimeError`."""
+        self._batch.close()
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+
+_STATIC = {"scenario": "specular", "dynamics": "static"}
+_HALL = {"scenario": "hall", "dynamics": "closed-loop"}
+_OFFICE = {"scenario": "office", "dynamics": "closed-loop"}
+_PAPER = {"scenario": "paper", "dynamics": "static", "observation": "paper", "reward": "printed"}
+
+IDS: dict[str, tuple[dict[str, str], int]] = {
+    "heliostat/Static-v0": (_STATIC, 40),
+    "heliostat/Hall-v0": (_HALL, 600),
+    "heliostat/Office-v0": (_OFFICE, 600),
+    "heliostat/Paper-v0": (_PAPER, 40),
+}
+"""The ids with their keywords and the number of steps of an episode."""
+
+for _id, (_keywords, _steps) in IDS.items():
+    if _id not in gymnasium.registry:
+        gymnasium.register(
+            _id,
+            entry_point="heliostat.envs:HeliostatEnv",
+            vector_entry_point="heliostat.vector:HeliostatVectorEnv",
+            max_episode_steps=_steps,
+            kwargs=dict(_keywords),
+        )

@@ -1,0 +1,170 @@
+"""The physics of a room, its policies and its oracle as functions on arrays.
+
+>>> import numpy as np
+>>> room = Room("specular")
+>>> users = np.array([[1.0, 0.5, 0.85], [-1.5, 1.0, 0.85]])
+>>> roll, yaw = room.oracle(users)
+>>> room.link(users, roll, yaw)["rate_mbps"].shape
+(2,)
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._core import Channel, Scenario
+from ._core import Policy as _Policy
+from .scenario import Value, load_scenario
+
+if TYPE_CHECKING:
+    from ._core import LinkResult
+
+Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Roll and yaw of each mirror in rad, each of shape (M,)."""
+
+
+def _array(values: ArrayLike, name: str, dimensions: int) -> NDArray[np.float64]:
+    array = np.ascontiguousarray(values, np.float64)
+    if array.ndim != dimensions:
+        raise ValueError(f"{name} has the shape {array.shape}, expected {dimensions} dimensions")
+    return array
+
+
+def _optional(values: ArrayLike | None, name: str, dimensions: int) -> NDArray[np.float64] | None:
+    return None if values is None else _array(values, name, dimensions)
+
+
+class Room:
+    """The channel of a scenario's room.
+
+    `positions` have the shape (K, 3) in m; `blockers` (N, 4): x, y, radius and height of cylinders in m.
+    """
+
+    def __init__(
+        self, scenario: str | os.PathLike[str] | Scenario = "specular", overrides: Mapping[str, Value] | None = None
+    ) -> None:
+        self.scenario = load_scenario(scenario, overrides)
+        self._channel = Channel(self.scenario)
+
+    @property
+    def mirrors(self) -> int:
+        """Number of mirrors M."""
+        return self._channel.mirrors
+
+    @property
+    def mirror_positions(self) -> NDArray[np.float64]:
+        """Centres of the mirrors in m, (M, 3)."""
+        return self._channel.mirror_positions
+
+    def link(
+        self,
+        positions: ArrayLike,
+        roll: ArrayLike,
+        yaw: ArrayLike,
+        blockers: ArrayLike | None = None,
+        sharing: int | None = None,
+    ) -> LinkResult:
+        """Direct gain, gain over the mirrors, SINR (linear), rate, bit error rate and blockage of each user.
+
+        `sharing`: the number of users that share the bandwidth; K if absent.
+        """
+        return self._channel.link(
+            _array(positions, "positions", 2),
+            _array(roll, "roll", 1),
+            _array(yaw, "yaw", 1),
+            _optional(blockers, "blockers", 2),
+            sharing,
+        )
+
+    def steering_gain(self, positions: ArrayLike, blockers: ArrayLike | None = None) -> NDArray[np.float64]:
+        """The gain of each mirror for each user if it were aimed at that user, (K, M)."""
+        return self._channel.steering_gain(_array(positions, "positions", 2), _optional(blockers, "blockers", 2))
+
+    def decode(self, positions: ArrayLike, weights: ArrayLike, blockers: ArrayLike | None = None) -> Angles:
+        """The angles that the decoder computes from one weight per user, (K,)."""
+        return self._channel.decode(
+            _array(positions, "positions", 2), _array(weights, "weights", 1), _optional(blockers, "blockers", 2)
+        )
+
+    def oracle(
+        self, positions: ArrayLike, blockers: ArrayLike | None = None, min_rate_mbps: ArrayLike | None = None
+    ) -> Angles:
+        """The angles of the oracle with minimum rates; those of the scenario if `min_rate_mbps` is absent."""
+        return self._channel.oracle(
+            _array(positions, "positions", 2),
+            _optional(blockers, "blockers", 2),
+            _optional(min_rate_mbps, "min_rate_mbps", 1),
+        )
+
+
+class Policy:
+    """A policy of the controller by its name, or an actor from the path of its ONNX file.
+
+    A graph of dense layers runs on the controller's dense engine. Another file runs on a reference evaluation,
+    which is slow and meant for checks.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        scenario: str | os.PathLike[str] | Scenario = "specular",
+        overrides: Mapping[str, Value] | None = None,
+    ) -> None:
+        self.name = name
+        self.scenario = load_scenario(scenario, overrides)
+        self._policy = _Policy(self.scenario, name)
+
+    def act(
+        self, positions: ArrayLike, blockers: ArrayLike | None = None, min_rate_mbps: ArrayLike | None = None
+    ) -> Angles:
+        """The angles for users at these positions, within the controller's range."""
+        return self._policy.act(
+            _array(positions, "positions", 2),
+            _optional(blockers, "blockers", 2),
+            _optional(min_rate_mbps, "min_rate_mbps", 1),
+        )
+
+    def answer(self, observation: ArrayLike) -> Angles:
+        """The angles that an actor from a file gives for a flat observation."""
+        return self._policy.answer(np.ascontiguousarray(observation, np.float32))
+
+
+def decode(
+    positions: ArrayLike,
+    weights: ArrayLike,
+    scenario: str | os.PathLike[str] | Scenario = "specular",
+    blockers: ArrayLike | None = None,
+) -> Angles:
+    """The angles that the decoder computes from one weight per user; `Room.decode` for many calls."""
+    return Room(scenario).decode(positions, weights, blockers)
+
+
+def rate_map(
+    room: Room,
+    roll: ArrayLike,
+    yaw: ArrayLike,
+    *,
+    step_m: float = 0.1,
+    height_m: float = 0.85,
+    blockers: ArrayLike | None = None,
+    sharing: int = 1,
+    quantity: str = "rate_mbps",
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[Any]]:
+    """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns)."""
+    if not step_m > 0.0:
+        raise ValueError(f"step_m = {step_m}: expected a positive number of metres")
+    length_x, length_y, _ = room.scenario.room_m
+    x = np.arange(-length_x / 2 + step_m / 2, length_x / 2, step_m)
+    y = np.arange(-length_y / 2 + step_m / 2, length_y / 2, step_m)
+    grid_x, grid_y = np.meshgrid(x, y)
+    places = np.stack([grid_x.ravel(), grid_y.ravel(), np.full(grid_x.size, height_m)], axis=1)
+    result = room.link(places, roll, yaw, blockers, sharing)
+    if quantity not in result:
+        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(result)}")
+    values: NDArray[Any] = dict(result)[quantity]  # type: ignore[assignment]
+    return x, y, values.reshape(grid_x.shape)

@@ -1,0 +1,161 @@
+"""A batch of environments that steps on all cores, in buffers that are allocated once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from ._core import Batch
+from .envs import _UNLIMITED, Layout, _seed_of, make_settings
+from .rendering import draw
+from .scenario import Scenario, Value, load_scenario
+
+_MODES = {
+    AutoresetMode.NEXT_STEP: "next-step",
+    AutoresetMode.SAME_STEP: "same-step",
+    AutoresetMode.DISABLED: "disabled",
+}
+
+
+class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
+    """Environments of the same settings, as `gymnasium.vector.VectorEnv`.
+
+    Environment i after `reset(seed=s)` equals a `HeliostatEnv` after `reset(seed=s + i)`.
+
+    Args:
+        scenario: as for `HeliostatEnv`, as are `overrides` and the other settings.
+        num_envs: number of environments.
+        max_episode_steps: steps of an episode; absent: an episode does not end.
+        autoreset_mode: when an environment restarts after the end of its episode. `NEXT_STEP`: the next step ignores
+            its action. `SAME_STEP`: the step that ends the episode; `info["final_obs"]` has its last observation.
+            `DISABLED`: by `reset(options={"reset_mask": mask})`.
+        copy: whether a step returns arrays of its own. Without copies the next step overwrites them.
+    """
+
+    metadata: dict[str, Any] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str] | Scenario = "specular",
+        *,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+        overrides: Mapping[str, Value] | None = None,
+        render_mode: str | None = None,
+        observation: str = "flat",
+        **settings: Any,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs}: expected an integer from 1")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps = {max_episode_steps}: expected an integer from 1")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array"')
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.scenario = load_scenario(scenario, overrides)
+        checked = make_settings(self.scenario, observation=observation, **settings)
+        seeds = [self.scenario.seed + index for index in range(num_envs)]
+        steps_max = _UNLIMITED if max_episode_steps is None else max_episode_steps
+        self._batch = Batch(checked, seeds, _MODES[self.autoreset_mode], steps_max)
+        self._layout = Layout(self._batch, observation)
+        self._oracle = bool(settings.get("oracle", False))
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.single_action_space = self._layout.action_space
+        self.single_observation_space = self._layout.observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._copy = copy
+        self._is_reset = False
+        self._seen = np.zeros((num_envs, self._batch.observation_len), np.float32)
+        self._last = np.zeros_like(self._seen)
+        self._rewards = np.zeros(num_envs)
+        self._terminated = np.zeros(num_envs, np.bool_)
+        self._truncated = np.zeros(num_envs, np.bool_)
+        self._figures = np.zeros((num_envs, 3))
+        self._rates = np.zeros((num_envs, self._batch.users_max))
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Restarts all environments, or those of `options["reset_mask"]`."""
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise ValueError(f"unknown reset options {sorted(options)}: expected reset_mask")
+        seeds: list[int | None]
+        if seed is None or isinstance(seed, (int, np.integer)):
+            super().reset(seed=None if seed is None else int(seed))
+            first = seed
+            if first is None and not self._is_reset:
+                first = int(self.np_random.integers(2**62))
+            seeds = [None if first is None else _seed_of(int(first) + index) for index in range(self.num_envs)]
+        else:
+            seeds = [None if one is None else _seed_of(int(one)) for one in seed]
+        if mask is not None:
+            mask = np.ascontiguousarray(mask)
+            if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+                raise ValueError(f"reset_mask: expected booleans of shape ({self.num_envs},)")
+        self._batch.reset(seeds, self._seen, mask)
+        self._is_reset = True
+        return self._shown(self._seen), {}
+
+    def step(self, actions: Any) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Steps all environments; raises `ValueError`, without a step, if any action is not valid."""
+        if not self._is_reset:
+            raise gymnasium.error.ResetNeeded("call reset before the first step")
+        checked = np.ascontiguousarray(actions, np.float32)
+        if checked.shape != self.action_space.shape:
+            raise ValueError(f"actions of shape {checked.shape}, expected {self.action_space.shape}")
+        self._batch.step(
+            checked, self._seen, self._last, self._rewards, self._truncated, self._figures, self._rates
+        )
+        info: dict[str, Any] = {
+            "sum_rate_mbps": self._own(self._figures[:, 0]),
+            "qos_met": self._own(self._figures[:, 1]),
+            "rates_mbps": self._own(self._rates),
+        }
+        if self._oracle:
+            info["oracle_mbps"] = self._own(self._figures[:, 2])
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._truncated.any():
+            final = np.full(self.num_envs, None, object)
+            for index in np.flatnonzero(self._truncated):
+                final[index] = self._layout.shown(self._last[index].copy())
+            info["final_obs"], info["_final_obs"] = final, self._truncated.copy()
+        return (
+            self._shown(self._seen),
+            self._own(self._rewards),
+            self._own(self._terminated),
+            self._own(self._truncated),
+            info,
+        )
+
+    def render(self) -> Any:
+        """The pictures of all environments."""
+        if self.render_mode is None:
+            return None
+        return tuple(draw(self.scenario, self._batch.state(index)) for index in range(self.num_envs))
+
+    def close_extras(self, **_: Any) -> None:
+        """Frees the rooms; later steps raise `RuntimeError`."""
+        self._batch.close()
+
+    def _own(self, array: NDArray[Any]) -> NDArray[Any]:
+        return array.copy() if self._copy else array
+
+    def _shown(self, flat: NDArray[np.float32]) -> Any:
+        return self._layout.shown(self._own(flat))

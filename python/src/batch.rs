@@ -1,0 +1,368 @@
+//! A batch of environments: one for `gymnasium.Env`, several for `gymnasium.vector.VectorEnv`.
+//!
+//! The buffers belong to the caller: NumPy arrays into which a step writes without a copy in
+//! between. The interpreter lock is released while environments step, and several environments step
+//! on all cores.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use heliostat_environment::task::{Step, Task, TaskSettings};
+use numpy::{
+    PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2,
+    PyUntypedArrayMethods,
+};
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use rayon::prelude::*;
+
+use crate::error::{guarded, refused};
+use crate::settings::Settings;
+
+/// Figures of a step besides the reward: sum rate in Mbit/s, share of minimum rates met, sum rate of
+/// the oracle in Mbit/s or NaN.
+const FIGURES: usize = 3;
+
+/// Difference of the seeds of two successive episodes: 2^64 over the golden ratio, so that the seeds
+/// of neighbouring environments do not meet.
+const SEED_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// When an environment restarts after the end of an episode.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Autoreset {
+    NextStep,
+    SameStep,
+    Disabled,
+}
+
+/// One environment.
+struct Slot {
+    task: Task,
+    first_seed: u64,
+    episode: u64,
+    steps: u64,
+    ended: bool,
+    last: Step,
+}
+
+impl Slot {
+    fn new(settings: Arc<TaskSettings>, seed: u64) -> PyResult<Self> {
+        let task = Task::new(settings, seed).map_err(refused)?;
+        Ok(Self { task, first_seed: seed, episode: 0, steps: 0, ended: false, last: unknown() })
+    }
+
+    /// Starts an episode: of this seed, or of the next one.
+    fn restart(&mut self, seed: Option<u64>) -> PyResult<()> {
+        match seed {
+            Some(seed) => (self.first_seed, self.episode) = (seed, 0),
+            None => self.episode += 1,
+        }
+        (self.steps, self.ended, self.last) = (0, false, unknown());
+        let seed = self.first_seed.wrapping_add(self.episode.wrapping_mul(SEED_STEP));
+        self.task.reset(seed).map_err(refused)
+    }
+
+    fn step(&mut self, action: &[f32], (autoreset, steps_max): (Autoreset, u64), out: Row<'_>) -> PyResult<()> {
+        (*out.reward, *out.truncated) = (0.0, false);
+        if self.ended && autoreset == Autoreset::NextStep {
+            self.restart(None)?;
+        } else {
+            self.last = self.task.step(action).map_err(refused)?;
+            self.steps += 1;
+            *out.reward = self.last.reward;
+            self.ended = self.steps >= steps_max;
+            *out.truncated = self.ended;
+        }
+        let Step { sum_rate_mbps, met, oracle_mbps, .. } = self.last;
+        out.figures.copy_from_slice(&[sum_rate_mbps, met, oracle_mbps.unwrap_or(f64::NAN)]);
+        out.rates.fill(f64::NAN);
+        let rates = self.task.rates_bps();
+        out.rates.iter_mut().zip(rates).for_each(|(entry, rate)| *entry = 1e-6 * rate);
+        if self.ended && autoreset == Autoreset::SameStep {
+            self.task.write_observation(out.last_observation);
+            self.restart(None)?;
+        }
+        self.task.write_observation(out.observation);
+        Ok(())
+    }
+}
+
+/// The figures before the first step of an episode.
+fn unknown() -> Step {
+    Step { reward: 0.0, sum_rate_mbps: f64::NAN, met: f64::NAN, oracle_mbps: None }
+}
+
+/// Where one environment writes.
+struct Row<'a> {
+    observation: &'a mut [f32],
+    last_observation: &'a mut [f32],
+    reward: &'a mut f64,
+    truncated: &'a mut bool,
+    figures: &'a mut [f64],
+    rates: &'a mut [f64],
+}
+
+/// The result of a step of one environment: observation, reward, truncated, figures, rates.
+type One<'py> = (Bound<'py, PyArray1<f32>>, f64, bool, (f64, f64, f64), Bound<'py, PyArray1<f64>>);
+
+/// Environments of the same settings, each with its own seed.
+#[pyclass(frozen, module = "heliostat._core")]
+pub struct Batch {
+    /// Empty after `close`.
+    slots: Mutex<Vec<Slot>>,
+    settings: Arc<TaskSettings>,
+    autoreset: Autoreset,
+    steps_max: u64,
+    #[pyo3(get)]
+    num_envs: usize,
+    #[pyo3(get)]
+    action_len: usize,
+    #[pyo3(get)]
+    observation_len: usize,
+    /// Largest number of users.
+    #[pyo3(get)]
+    users_max: usize,
+    /// Slots of an observation.
+    #[pyo3(get)]
+    slots_max: usize,
+}
+
+impl Batch {
+    fn open(&self) -> PyResult<MutexGuard<'_, Vec<Slot>>> {
+        let slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
+        if slots.is_empty() {
+            return Err(PyRuntimeError::new_err("the environment is closed: make a new one"));
+        }
+        Ok(slots)
+    }
+
+    /// Checks an action for each environment before any of them steps.
+    fn check(&self, slots: &[Slot], actions: &[f32]) -> PyResult<()> {
+        for (index, (slot, action)) in slots.iter().zip(actions.chunks_exact(self.action_len)).enumerate() {
+            if slot.ended && self.autoreset != Autoreset::NextStep {
+                return Err(PyRuntimeError::new_err(format!(
+                    "the episode of environment {index} has ended: reset it before the next step"
+                )));
+            }
+            slot.task.check_action(action).map_err(|reason| refused(format!("environment {index}: {reason}")))?;
+        }
+        Ok(())
+    }
+}
+
+#[pymethods]
+impl Batch {
+    #[new]
+    fn new(py: Python<'_>, settings: &Settings, seeds: Vec<u64>, autoreset: &str, steps_max: u64) -> PyResult<Self> {
+        let autoreset = match autoreset {
+            "next-step" => Autoreset::NextStep,
+            "same-step" => Autoreset::SameStep,
+            "disabled" => Autoreset::Disabled,
+            other => {
+                return Err(refused(format!("autoreset = {other:?}: expected next-step, same-step or disabled")));
+            }
+        };
+        if seeds.is_empty() || steps_max == 0 {
+            return Err(refused("a batch needs at least one environment and one step"));
+        }
+        let settings = Arc::clone(&settings.inner);
+        let made = py.detach(|| {
+            guarded(|| {
+                seeds.par_iter().map(|seed| Slot::new(Arc::clone(&settings), *seed)).collect::<PyResult<Vec<_>>>()
+            })
+        })?;
+        let users = &settings.scenario.users;
+        let task = &made[0].task;
+        Ok(Self {
+            autoreset,
+            steps_max,
+            num_envs: made.len(),
+            action_len: task.action_len(),
+            observation_len: task.observation_len(),
+            slots_max: task.encoder().users_max(),
+            users_max: users.arrivals.as_ref().map_or(users.count, |arrivals| arrivals.max_users),
+            slots: Mutex::new(made),
+            settings,
+        })
+    }
+
+    /// Restarts the environments for which `mask` is true, or all; `None` as a seed is the next one.
+    #[pyo3(signature = (seeds, observations, mask = None))]
+    fn reset(
+        &self,
+        py: Python<'_>,
+        seeds: Vec<Option<u64>>,
+        mut observations: PyReadwriteArray2<'_, f32>,
+        mask: Option<PyReadonlyArray1<'_, bool>>,
+    ) -> PyResult<()> {
+        let mask: Option<Vec<bool>> = mask.map(|mask| mask.as_array().iter().copied().collect());
+        if seeds.len() != self.num_envs || mask.as_ref().is_some_and(|mask| mask.len() != self.num_envs) {
+            let (num, found) = (self.num_envs, mask.as_ref().map_or(seeds.len(), Vec::len));
+            return Err(refused(format!("expected {num} seeds, and a mask of the same length; found {found}")));
+        }
+        check_shape(observations.shape(), [self.num_envs, self.observation_len], "observations")?;
+        let rows = observations.as_slice_mut()?;
+        py.detach(|| {
+            let mut slots = self.open()?;
+            let rows = rows.par_chunks_exact_mut(self.observation_len);
+            guarded(|| {
+                slots.par_iter_mut().zip(rows).enumerate().try_for_each(|(index, (slot, row))| {
+                    if mask.as_ref().is_none_or(|mask| mask[index]) {
+                        slot.restart(seeds[index])?;
+                        slot.task.write_observation(row);
+                    }
+                    Ok(())
+                })
+            })
+        })
+    }
+
+    /// Steps all environments, and writes into the arrays.
+    #[expect(clippy::too_many_arguments, reason = "one array for each quantity of a step")]
+    fn step(
+        &self,
+        py: Python<'_>,
+        actions: PyReadonlyArray2<'_, f32>,
+        mut observations: PyReadwriteArray2<'_, f32>,
+        mut last_observations: PyReadwriteArray2<'_, f32>,
+        mut rewards: PyReadwriteArray1<'_, f64>,
+        mut truncated: PyReadwriteArray1<'_, bool>,
+        mut figures: PyReadwriteArray2<'_, f64>,
+        mut rates: PyReadwriteArray2<'_, f64>,
+    ) -> PyResult<()> {
+        let count = self.num_envs;
+        check_shape(actions.shape(), [count, self.action_len], "actions")?;
+        check_shape(observations.shape(), [count, self.observation_len], "observations")?;
+        check_shape(last_observations.shape(), [count, self.observation_len], "last_observations")?;
+        check_shape(figures.shape(), [count, FIGURES], "figures")?;
+        check_shape(rates.shape(), [count, self.users_max], "rates")?;
+        if rewards.len() != count || truncated.len() != count {
+            return Err(refused(format!("rewards and truncated: expected the length {count}")));
+        }
+        let actions = actions.as_slice()?;
+        let (observations, last_observations) = (observations.as_slice_mut()?, last_observations.as_slice_mut()?);
+        let (rewards, truncated) = (rewards.as_slice_mut()?, truncated.as_slice_mut()?);
+        let (figures, rates) = (figures.as_slice_mut()?, rates.as_slice_mut()?);
+        let rules = (self.autoreset, self.steps_max);
+        py.detach(|| {
+            let mut slots = self.open()?;
+            self.check(&slots, actions)?;
+            let environments = slots.par_iter_mut().zip(actions.par_chunks_exact(self.action_len));
+            let seen = observations.par_chunks_exact_mut(self.observation_len);
+            let last = last_observations.par_chunks_exact_mut(self.observation_len);
+            let results = rewards.par_iter_mut().zip(truncated.par_iter_mut());
+            let shown = figures.par_chunks_exact_mut(FIGURES).zip(rates.par_chunks_exact_mut(self.users_max));
+            guarded(|| {
+                environments.zip(seen.zip(last)).zip(results.zip(shown)).try_for_each(
+                    |(((slot, action), (observation, last_observation)), ((reward, truncated), (figures, rates)))| {
+                        slot.step(
+                            action,
+                            rules,
+                            Row { observation, last_observation, reward, truncated, figures, rates },
+                        )
+                    },
+                )
+            })
+        })
+    }
+
+    /// Steps the only environment of a batch of one.
+    fn step_one<'py>(&self, py: Python<'py>, action: PyReadonlyArray1<'py, f32>) -> PyResult<One<'py>> {
+        if self.num_envs != 1 {
+            return Err(refused("step_one is for a batch of one environment"));
+        }
+        if action.len() != self.action_len {
+            return Err(refused(format!("an action of shape ({},), expected ({},)", action.len(), self.action_len)));
+        }
+        let action = action.as_slice()?;
+        // The caller receives the observation and may keep it, so each step has a new one.
+        let observation = PyArray1::<f32>::zeros(py, self.observation_len, false);
+        let rates = PyArray1::<f64>::zeros(py, self.users_max, false);
+        let (mut reward, mut truncated, mut figures) = (0.0, false, [0.0; FIGURES]);
+        {
+            let (mut seen, mut shown) = (observation.readwrite(), rates.readwrite());
+            let row = Row {
+                observation: seen.as_slice_mut()?,
+                last_observation: &mut [],
+                reward: &mut reward,
+                truncated: &mut truncated,
+                figures: &mut figures,
+                rates: shown.as_slice_mut()?,
+            };
+            py.detach(|| {
+                let mut slots = self.open()?;
+                self.check(&slots, action)?;
+                guarded(|| slots[0].step(action, (self.autoreset, self.steps_max), row))
+            })?;
+        }
+        let [sum_rate, met, oracle] = figures;
+        Ok((observation, reward, truncated, (sum_rate, met, oracle), rates))
+    }
+
+    /// The true state of one environment, for pictures and analysis: arrays by name.
+    fn state<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+        let slots = self.open()?;
+        let slot = slots.get(index).ok_or_else(|| refused(format!("no environment {index}")))?;
+        let (world, angles) = (slot.task.world(), slot.task.angles());
+        let state = PyDict::new(py);
+        let positions: Vec<f64> = world.positions().iter().flat_map(|place| place.iter().copied()).collect();
+        state.set_item("positions", PyArray1::from_vec(py, positions).reshape([world.positions().len(), 3])?)?;
+        let blockers: Vec<f64> = world
+            .blockers()
+            .iter()
+            .flat_map(|cylinder| [cylinder.x_m, cylinder.y_m, cylinder.radius_m, cylinder.height_m])
+            .collect();
+        state.set_item("blockers", PyArray1::from_vec(py, blockers).reshape([world.blockers().len(), 4])?)?;
+        let headings = world.users().iter().map(|user| user.heading()).collect();
+        state.set_item("headings", PyArray1::from_vec(py, headings))?;
+        state
+            .set_item("min_rates_mbps", PyArray1::from_iter(py, world.min_rate_bps().iter().map(|rate| 1e-6 * rate)))?;
+        state.set_item("rates_mbps", PyArray1::from_iter(py, slot.task.rates_bps().iter().map(|rate| 1e-6 * rate)))?;
+        state.set_item("blocked", PyArray1::from_slice(py, world.scene().los_blocked()))?;
+        state.set_item("roll", PyArray1::from_slice(py, &angles.roll))?;
+        state.set_item("yaw", PyArray1::from_slice(py, &angles.yaw))?;
+        state.set_item("time_s", world.time_s())?;
+        Ok(state)
+    }
+
+    /// The ranges of the parts of a flat observation: name, first index, shape.
+    fn layout(&self) -> PyResult<Vec<(&'static str, usize, Vec<usize>)>> {
+        let slots = self.open()?;
+        let encoder = slots[0].task.encoder();
+        let (users, mirrors) = (encoder.users_max(), encoder.mirrors());
+        let columns = heliostat_decide::observation::Summary::COLUMNS;
+        Ok(vec![
+            ("mask", encoder.present().start, vec![users]),
+            ("positions", encoder.positions().start, vec![users, 3]),
+            ("los_amplitude", encoder.los_amplitude().start, vec![users]),
+            ("min_rate", encoder.min_rate().start, vec![users]),
+            ("steering_amplitude", encoder.steering_amplitude().start, vec![users, mirrors]),
+            ("angles", encoder.angles().start, vec![2, mirrors]),
+            ("summary", encoder.summary().start, vec![columns, users]),
+        ])
+    }
+
+    /// Whether `close` was called.
+    #[getter]
+    fn closed(&self) -> bool {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner).is_empty()
+    }
+
+    /// The hash of the scenario's optical geometry.
+    #[getter]
+    fn geometry(&self) -> String {
+        self.settings.scenario.geometry_hash()
+    }
+
+    /// Frees the environments; later calls are refused.
+    fn close(&self) {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+}
+
+fn check_shape(found: &[usize], expected: [usize; 2], name: &str) -> PyResult<()> {
+    if found == expected {
+        return Ok(());
+    }
+    Err(refused(format!("{name} has the shape {found:?}, expected {expected:?}")))
+}

@@ -1,0 +1,32 @@
+//! `heliostat._core`: the compiled part of the Python package.
+//!
+//! It holds no logic of its own. Environments are tasks of `heliostat-environment`, physics is
+//! `heliostat-channel`, and policies are those of `heliostat-decide`. Panics and refusals become
+//! Python exceptions with their reason.
+
+mod actor;
+mod arrays;
+mod batch;
+mod channel;
+mod error;
+mod policy;
+mod scenario;
+mod settings;
+
+use pyo3::prelude::*;
+
+/// The compiled part of the package heliostat.
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<scenario::Scenario>()?;
+    module.add_class::<settings::Settings>()?;
+    module.add_class::<batch::Batch>()?;
+    module.add_class::<channel::Channel>()?;
+    module.add_class::<policy::Policy>()?;
+    module.add_function(wrap_pyfunction!(actor::finish_actor, module)?)?;
+    module.add_function(wrap_pyfunction!(settings::held_out_seed, module)?)?;
+    module.add_function(wrap_pyfunction!(policy::policy_names, module)?)?;
+    module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;
+    module.add("BUILTIN_SCENARIOS", heliostat_scenario::BUILTIN_NAMES.to_vec())?;
+    module.add("__version__", env!("CARGO_PKG_VERSION"))
+}

@@ -1,0 +1,105 @@
+//! Scenarios: built-in ones by name, files by path, with overrides.
+
+use std::path::Path;
+
+use heliostat_scenario::{BUILTIN_NAMES, Scenario as Checked};
+use pyo3::prelude::*;
+
+use crate::error::refused;
+
+/// The description of a room, checked: a built-in name or the path of a TOML file, with overrides
+/// of the form "table.key=value".
+#[pyclass(frozen, module = "heliostat._core")]
+pub struct Scenario {
+    pub inner: Checked,
+}
+
+impl Scenario {
+    /// Largest angle of an axis in rad, plus and minus.
+    pub fn range(&self) -> f64 {
+        heliostat_decide::safety::Limits::new(&self.inner.control).range_rad()
+    }
+}
+
+#[pymethods]
+impl Scenario {
+    #[new]
+    #[pyo3(signature = (source, overrides = Vec::new()))]
+    fn new(source: &str, overrides: Vec<String>) -> PyResult<Self> {
+        let text = if BUILTIN_NAMES.contains(&source) {
+            Checked::builtin_text(source).map_err(refused)?.to_owned()
+        } else if Path::new(source).extension().is_some_and(|extension| extension == "toml") {
+            std::fs::read_to_string(source).map_err(|error| refused(format!("{source}: {error}")))?
+        } else {
+            let known = BUILTIN_NAMES.join(", ");
+            return Err(refused(format!(
+                "unknown scenario {source:?}: expected {known}, or the path of a file FILE.toml"
+            )));
+        };
+        Ok(Self { inner: Checked::from_toml_with(&text, &overrides).map_err(refused)? })
+    }
+
+    /// The name of the scenario.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.inner.name
+    }
+
+    /// The seed of the scenario.
+    #[getter]
+    fn seed(&self) -> u64 {
+        self.inner.seed
+    }
+
+    /// Number of mirrors of all arrays.
+    #[getter]
+    fn mirrors(&self) -> usize {
+        self.inner.mirror_count()
+    }
+
+    /// Number of users at the start.
+    #[getter]
+    fn users(&self) -> usize {
+        self.inner.users.count
+    }
+
+    /// Length of the room along x, length along y, and height, in m.
+    #[getter]
+    fn room_m(&self) -> (f64, f64, f64) {
+        let room = &self.inner.room;
+        (room.length_x_m, room.length_y_m, room.height_m)
+    }
+
+    /// Positions of the access points in m.
+    #[getter]
+    fn leds_m(&self) -> Vec<[f64; 3]> {
+        self.inner.led.positions_m.clone()
+    }
+
+    /// Largest angle of an axis in rad, plus and minus.
+    #[getter]
+    fn range_rad(&self) -> f64 {
+        self.range()
+    }
+
+    /// The hash of the effective configuration.
+    #[getter]
+    fn hash(&self) -> String {
+        self.inner.hash()
+    }
+
+    /// The effective configuration as TOML.
+    fn to_toml(&self) -> String {
+        self.inner.to_toml()
+    }
+
+    /// The effective configuration as nested dictionaries.
+    fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let text = serde_json::to_string(&self.inner).map_err(refused)?;
+        py.import("json")?.call_method1("loads", (text,))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Scenario(name={:?}, users={}, mirrors={})", self.inner.name, self.users(), self.mirrors())
+    }
+}

@@ -1,0 +1,217 @@
+"""The environments of Gymnasium: spaces, seeds, observations, refusals and pictures."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import gymnasium
+import heliostat
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+IDS = list(heliostat.envs.IDS)
+FORMS = [(action, observation) for action in ("angles", "weights") for observation in ("flat", "dict", "belief")]
+
+
+def make(name: str = "heliostat/Static-v0", **keywords: Any) -> heliostat.HeliostatEnv:
+    env = gymnasium.make(name, **keywords).unwrapped
+    assert isinstance(env, heliostat.HeliostatEnv)
+    return env
+
+
+def run(env: Any, steps: int, seed: int = 3) -> list[tuple[Any, float, Any]]:
+    observation, _ = env.reset(seed=seed)
+    rows = [(observation, 0.0, None)]
+    generator = np.random.default_rng(5)
+    for _ in range(steps):
+        action = generator.uniform(-1, 1, env.action_space.shape).astype(np.float32)
+        observation, reward, _, _, info = env.step(action)
+        rows.append((observation, reward, info["rates_mbps"]))
+    return rows
+
+
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize(("action", "observation"), FORMS)
+def test_the_checker_of_gymnasium_accepts_each_form(name: str, action: str, observation: str) -> None:
+    env = gymnasium.make(name, action=action, observation=observation)
+    is_first = (action, observation) == FORMS[0]
+    with warnings.catch_warnings():
+        # pygame's own.
+        warnings.filterwarnings("ignore", message="pkg_resources is deprecated")
+        warnings.filterwarnings("ignore", message="avx2 capable", category=RuntimeWarning)
+        check_env(env.unwrapped, skip_render_check=not is_first)
+    env.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_the_same_seed_gives_the_same_run_and_another_seed_another(name: str) -> None:
+    first, again, other = run(make(name), 12), run(make(name), 12), run(make(name), 12, seed=4)
+    for (one, reward, rates), (two, same_reward, same_rates) in zip(first, again, strict=True):
+        assert np.array_equal(one, two) and reward == same_reward
+        assert rates is None or np.array_equal(rates, same_rates)
+    assert any(reward != other_reward for (_, reward, _), (_, other_reward, _) in zip(first[1:], other[1:], strict=True))
+
+
+def test_resets_without_a_seed_continue_with_new_rooms_that_depend_on_the_first_seed() -> None:
+    def episodes() -> list[Any]:
+        env = make()
+        return [env.reset(seed=9)[0], env.reset()[0], env.reset()[0]]
+
+    first, again = episodes(), episodes()
+    assert all(np.array_equal(one, two) for one, two in zip(first, again, strict=True))
+    assert not np.array_equal(first[0], first[1]) and not np.array_equal(first[1], first[2])
+
+
+def test_the_parts_of_a_dict_are_those_of_the_flat_observation() -> None:
+    flat, _ = make().reset(seed=1)
+    parts, _ = make(observation="dict").reset(seed=1)
+    assert parts["mask"].tolist() == [1] * 5 + [0] * 5
+    joined = np.concatenate([parts[name].ravel() for name in parts])
+    assert np.array_equal(joined.astype(np.float32), flat)
+    assert parts["steering_amplitude"].base is not None, "the parts are views"
+    assert np.allclose(parts["positions"][:5], make_state(1)["positions"], atol=1e-6)
+
+
+def make_state(seed: int) -> dict[str, Any]:
+    env = make()
+    env.reset(seed=seed)
+    return env.state()
+
+
+def test_a_belief_in_closed_loop_is_uncertain_and_near_the_true_users() -> None:
+    env = make("heliostat/Hall-v0", observation="belief")
+    env.reset(seed=2)
+    for _ in range(30):
+        observation, *_ = env.step(np.zeros(200, np.float32))
+    rows = observation.reshape(-1, len(heliostat.BELIEF_COLUMNS))
+    column = {name: index for index, name in enumerate(heliostat.BELIEF_COLUMNS)}
+    present = rows[rows[:, column["present"]] == 1.0]
+    assert len(present) == 5
+    assert (present[:, column["covariance_xx_m2"]] > 0.0).all()
+    errors = np.linalg.norm(present[:, 1:3] - env.state()["positions"][:, :2], axis=1)
+    assert 0.0 < np.median(errors) < 0.5
+
+
+def test_better_angles_give_a_better_reward_and_info_agrees_with_the_physics() -> None:
+    env = make(oracle=True)
+    env.reset(seed=6)
+    state = env.state()
+    room = heliostat.Room()
+    roll, yaw = room.oracle(state["positions"], state["blockers"], state["min_rates_mbps"])
+    best = np.concatenate([roll, yaw]).astype(np.float32) / np.float32(env.scenario.range_rad)
+    _, reward, _, _, info = env.step(best)
+    assert info["sum_rate_mbps"] == pytest.approx(info["oracle_mbps"], rel=1e-3)
+    env.reset(seed=6)
+    _, flat_reward, _, _, flat_info = env.step(np.zeros_like(best))
+    assert reward > flat_reward
+    direct = room.link(state["positions"], np.zeros(100), np.zeros(100), state["blockers"])
+    assert flat_info["rates_mbps"] == pytest.approx(direct["rate_mbps"], rel=1e-9)
+    assert flat_info["qos_met"] == np.mean(direct["rate_mbps"] >= state["min_rates_mbps"])
+
+
+def test_scenario_and_overrides_are_keywords() -> None:
+    env = make(overrides={"users.count": 3, "mirrors.rows": 4, "link.bandwidth_mhz": 10.0})
+    assert env.action_space.shape == (80,)
+    assert len(env.reset(seed=1)[0]) == 10 * (17 + 40) + 80
+    assert len(env.state()["positions"]) == 3
+
+
+def test_users_may_come_and_go_in_closed_loop() -> None:
+    keys: dict[str, Any] = {
+        "users.arrivals.rate_per_min": 60.0,
+        "users.arrivals.mean_stay_s": 5.0,
+        "users.arrivals.max_users": 8,
+    }
+    env = make("heliostat/Hall-v0", overrides=keys)
+    env.reset(seed=1)
+    counts = set()
+    for _ in range(200):
+        _, reward, _, _, info = env.step(np.zeros(200, np.float32))
+        counts.add(int(np.isfinite(info["rates_mbps"]).sum()))
+        assert np.isfinite(reward)
+    assert len(counts) > 2
+
+
+@pytest.mark.parametrize(
+    ("keywords", "reason"),
+    [
+        ({"scenario": "hal"}, 'unknown scenario "hal": expected specular'),
+        ({"overrides": {"users.cout": 3}}, "cout"),
+        ({"overrides": {"users.count": 0}}, "users.count = 0"),
+        ({"overrides": {"users.count": 20}}, "20 users, expected at most 10"),
+        ({"action": "angle"}, 'action = "angle": expected "angles", "weights"'),
+        ({"observation": "all"}, "observation = "),
+        ({"reward": "none"}, "reward = "),
+        ({"dynamics": "slow"}, "dynamics = "),
+        ({"step_s": 0.0}, "step_s = 0"),
+        ({"penalty": float("nan")}, "penalty = NaN"),
+        ({"scenario": "missing.toml"}, "missing.toml"),
+        ({"overrides": {"mismatch.level": "rough"}}, "mismatch.level"),
+        ({"render_mode": "ansi"}, "render_mode"),
+    ],
+)
+def test_settings_outside_their_domain_are_refused_with_the_reason(keywords: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        heliostat.HeliostatEnv(**keywords)
+
+
+def test_an_unknown_keyword_is_a_type_error() -> None:
+    with pytest.raises(TypeError, match="penality"):
+        heliostat.HeliostatEnv(penality=1.0)
+
+
+def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:
+    env = make()
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(200, np.float32))
+    env.reset(seed=1)
+    bad = np.zeros(200, np.float32)
+    bad[7] = np.nan
+    for action, reason in [
+        (np.zeros(7, np.float32), r"shape \(7,\), expected \(200,\)"),
+        (np.zeros((1, 200), np.float32), "shape"),
+        (bad, "NaN at index 7"),
+    ]:
+        with pytest.raises(ValueError, match=reason):
+            env.step(action)
+    with pytest.raises((TypeError, ValueError)):
+        env.step("up")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="seed"):
+        env.reset(seed=-1)
+    with pytest.raises(ValueError, match="held_in"):
+        env.reset(options={"held_in": 1})
+    env.reset(seed=1)
+    fresh = make()
+    fresh.reset(seed=1)
+    flat = np.zeros(200)  # float64 is converted
+    assert np.array_equal(env.step(flat)[0], fresh.step(flat)[0])  # type: ignore[arg-type]
+
+
+def test_a_closed_environment_refuses_steps() -> None:
+    env = make()
+    env.reset(seed=1)
+    env.close()
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.step(np.zeros(200, np.float32))
+    with pytest.raises(RuntimeError, match="closed"):
+        env.reset()
+
+
+def test_a_picture_shows_users_where_they_are_and_whether_they_are_served() -> None:
+    env = make(render_mode="rgb_array")
+    env.reset(seed=1)
+    for _ in range(5):
+        _, _, _, _, info = env.step(np.zeros(200, np.float32))
+    picture, state = env.render(), env.state()
+    assert picture.dtype == np.uint8 and picture.shape == (400, 400, 3)
+    scale = (400 - 32) / env.scenario.room_m[1]
+    met = info["rates_mbps"] >= state["min_rates_mbps"]
+    for place, is_met in zip(state["positions"], met, strict=True):
+        column = round(16 + (place[0] + env.scenario.room_m[0] / 2) * scale)
+        row = round(16 + (env.scenario.room_m[1] / 2 - place[1]) * scale)
+        red, green, _ = picture[row, column].astype(int)
+        assert (green > red) == is_met, (place, picture[row, column])
+    assert met.any() and not met.all()

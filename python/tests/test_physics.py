@@ -1,0 +1,94 @@
+"""Physics and policies as functions."""
+
+from __future__ import annotations
+
+import heliostat
+import numpy as np
+import pytest
+
+USERS = np.array([[1.0, 0.5, 0.85], [-1.5, 1.0, 0.85], [0.2, -1.9, 0.85]])
+FLAT = np.zeros(100)
+
+
+def test_the_direct_gain_follows_the_equation_of_the_paper() -> None:
+    room = heliostat.Room("paper", {"led.side_m": 0.0})
+    place = np.array([[0.6, -0.8, 0.85]])
+    gain = room.link(place, FLAT, FLAT)["los_gain"][0]
+    text = room.scenario.to_toml()
+    value = {line.split(" = ")[0]: line.split(" = ")[1] for line in text.splitlines() if " = " in line}
+    offset = place[0] - np.array(room.scenario.leds_m[0])
+    distance = np.linalg.norm(offset)
+    cosine = -offset[2] / distance
+    order = -np.log(2) / np.log(np.cos(np.radians(float(value["half_power_semi_angle_deg"]))))
+    area = float(value["area_mm2"]) * 1e-6
+    plain = (order + 1) * area * cosine**order * cosine / (2 * np.pi * distance**2)
+    ratio = gain / plain
+    further = np.array([[1.2, -1.0, 0.85]])
+    offset = further[0] - np.array(room.scenario.leds_m[0])
+    distance, cosine = np.linalg.norm(offset), -offset[2] / np.linalg.norm(offset)
+    expected = ratio * (order + 1) * area * cosine ** (order + 1) / (2 * np.pi * distance**2)
+    assert room.link(further, FLAT, FLAT)["los_gain"][0] == pytest.approx(expected, rel=1e-9)
+    concentrator = float(value["concentrator_index"]) ** 2 if value["concentrator"] == "true" else 1.0
+    sine = 1.0 if concentrator == 1.0 else np.sin(np.radians(float(value["fov_deg"])))
+    assert ratio == pytest.approx(float(value["filter_gain"]) * concentrator / sine**2, rel=1e-9)
+
+
+def test_a_cylinder_blocks_the_direct_path_of_the_user_behind_it() -> None:
+    room = heliostat.Room()
+    clear = room.link(USERS, FLAT, FLAT)
+    blocked = room.link(USERS, FLAT, FLAT, np.array([[0.95, 0.47, 0.1, 2.5]]))
+    assert clear["los_gain"].min() > 0.0
+    assert blocked["blocked"].tolist() == [True, False, False] and blocked["los_gain"][0] == 0.0
+    assert np.array_equal(blocked["los_gain"][1:], clear["los_gain"][1:])
+
+
+def test_all_weight_on_one_user_gives_that_user_the_mirrors() -> None:
+    room = heliostat.Room()
+    angles = room.decode(USERS, [0.0, 1.0, 0.0])
+    gains = room.link(USERS, *angles)["irs_gain"]
+    assert gains[1] > 10.0 * max(gains[0], gains[2], 1e-12)
+    module_angles = heliostat.decode(USERS, [0.0, 1.0, 0.0])
+    assert all(np.array_equal(one, two) for one, two in zip(angles, module_angles, strict=True))
+    reachable = room.steering_gain(USERS)
+    assert reachable.shape == (3, 100)
+    assert gains[1] == pytest.approx(reachable[1].sum(), rel=0.1)
+
+
+def test_the_oracle_is_at_least_as_good_as_every_policy() -> None:
+    room = heliostat.Room()
+    oracle = room.link(USERS, *room.oracle(USERS, min_rate_mbps=[0.0] * 3))["rate_mbps"].sum()
+    for name in ("fixed-point", "greedy", "nearest", "flat", "no-irs"):
+        rate = room.link(USERS, *heliostat.Policy(name).act(USERS, min_rate_mbps=[0.0] * 3))["rate_mbps"].sum()
+        assert rate <= oracle * (1.0 + 1e-9), name
+    assert room.link(USERS, FLAT, FLAT)["rate_mbps"].sum() < 0.9 * oracle
+
+
+def test_a_map_has_the_rates_of_its_points() -> None:
+    room = heliostat.Room()
+    angles = room.decode(USERS, [0.0, 1.0, 0.0])
+    x, y, rates = heliostat.rate_map(room, *angles, step_m=0.5)
+    assert rates.shape == (len(y), len(x)) == (10, 10)
+    one = room.link([[x[3], y[7], 0.85]], *angles, sharing=1)
+    assert rates[7, 3] == pytest.approx(one["rate_mbps"][0], rel=1e-12)
+    with pytest.raises(ValueError, match="quantity"):
+        heliostat.rate_map(room, *angles, quantity="speed")
+
+
+def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
+    room = heliostat.Room()
+    nan = USERS.copy()
+    nan[1, 2] = np.nan
+    for call, reason in [
+        (lambda: room.link(USERS[:, :2], FLAT, FLAT), "positions has the shape"),
+        (lambda: room.link(USERS[0], FLAT, FLAT), "expected 2 dimensions"),
+        (lambda: room.link(np.zeros((0, 3)), FLAT, FLAT), "holds no user"),
+        (lambda: room.link(nan, FLAT, FLAT), "positions holds NaN"),
+        (lambda: room.link(USERS, FLAT[:9], FLAT), "roll has the length 9, expected 100"),
+        (lambda: room.link(USERS, FLAT, FLAT, np.zeros((1, 3))), "blockers has the shape"),
+        (lambda: room.link(USERS, FLAT, FLAT, sharing=0), "sharing = 0"),
+        (lambda: room.decode(USERS, [1.0, -1.0, 0.0]), "weights holds -1"),
+        (lambda: heliostat.Policy("gready"), 'unknown policy "gready"'),
+        (lambda: heliostat.Policy("none.onnx"), "none.onnx"),
+    ]:
+        with pytest.raises(ValueError, match=reason):
+            call()  # type: ignore[no-untyped-call]

@@ -1,0 +1,136 @@
+"""The batch: equal to single environments, autoreset, buffers and refusals."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import gymnasium
+import heliostat
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+
+def batch(mode: AutoresetMode = AutoresetMode.NEXT_STEP, **keywords: Any) -> heliostat.HeliostatVectorEnv:
+    return heliostat.HeliostatVectorEnv(num_envs=3, max_episode_steps=4, autoreset_mode=mode, **keywords)
+
+
+def actions(step: int, count: int = 3) -> Any:
+    return np.random.default_rng(step).uniform(-1, 1, (count, 200)).astype(np.float32)
+
+
+def test_each_environment_of_a_batch_equals_a_single_one() -> None:
+    for keywords in ({}, {"scenario": "hall", "dynamics": "closed-loop"}):
+        many = heliostat.HeliostatVectorEnv(num_envs=3, **keywords)  # type: ignore[arg-type]
+        single = [heliostat.HeliostatEnv(**keywords) for _ in range(3)]  # type: ignore[arg-type]
+        seen, _ = many.reset(seed=5)
+        for index, env in enumerate(single):
+            assert np.array_equal(env.reset(seed=5 + index)[0], seen[index])
+        for step in range(10):
+            seen, rewards, _, _, info = many.step(actions(step))
+            for index, env in enumerate(single):
+                observation, reward, _, _, one = env.step(actions(step)[index])
+                assert np.array_equal(observation, seen[index]) and reward == rewards[index]
+                assert np.array_equal(one["rates_mbps"], info["rates_mbps"][index])
+
+
+def test_next_step_ignores_the_action_that_restarts() -> None:
+    env = batch()
+    env.reset(seed=1)
+    for step in range(4):
+        seen, rewards, terminated, truncated, _ = env.step(actions(step))
+        assert not terminated.any() and truncated.all() == (step == 3)
+    restarted, rewards, _, truncated, info = env.step(actions(9))
+    assert (rewards == 0.0).all() and not truncated.any() and np.isnan(info["rates_mbps"]).all()
+    assert not np.array_equal(restarted, seen)
+    single = heliostat.HeliostatEnv()
+    single.reset(seed=1)
+    assert np.array_equal(single.reset()[0], restarted[0]), "the next room of the same seed"
+
+
+def test_same_step_returns_the_last_observation_apart() -> None:
+    env, reference = batch(AutoresetMode.SAME_STEP), batch()
+    env.reset(seed=1)
+    reference.reset(seed=1)
+    for step in range(4):
+        seen, rewards, _, truncated, info = env.step(actions(step))
+        expected, expected_rewards, *_ = reference.step(actions(step))
+    assert truncated.all() and np.array_equal(rewards, expected_rewards)
+    assert all(np.array_equal(info["final_obs"][index], expected[index]) for index in range(3))
+    restarted, *_ = reference.step(actions(9))
+    assert np.array_equal(seen, restarted)
+
+
+def test_disabled_needs_a_reset_of_the_environments_that_ended() -> None:
+    env = batch(AutoresetMode.DISABLED)
+    env.reset(seed=1)
+    env.step(actions(0))
+    before, _ = env.reset(options={"reset_mask": np.array([True, False, False])})
+    for step in range(3):
+        seen, _, _, truncated, _ = env.step(actions(step))
+    assert truncated.tolist() == [False, True, True]
+    with pytest.raises(RuntimeError, match="environment 1 has ended"):
+        env.step(actions(5))
+    restarted, _ = env.reset(options={"reset_mask": truncated})
+    assert np.array_equal(restarted[0], seen[0]) and not np.array_equal(restarted[1], seen[1])
+    env.step(actions(5))
+
+
+def test_gymnasium_makes_the_batch_by_its_id() -> None:
+    env = gymnasium.make_vec("heliostat/Hall-v0", num_envs=2, vectorization_mode="vector_entry_point")
+    seen, _ = env.reset(seed=1)
+    assert isinstance(env.unwrapped, heliostat.HeliostatVectorEnv) and seen in env.observation_space
+    env.close()
+
+
+def test_buffers_are_allocated_once_without_copies() -> None:
+    env = batch(copy=False)
+    first, _ = env.reset(seed=1)
+    second, rewards, *_ = env.step(actions(0))
+    third, more_rewards, *_ = env.step(actions(1))
+    assert np.shares_memory(first, second) and np.shares_memory(second, third)
+    assert np.shares_memory(rewards, more_rewards)
+    own = batch()
+    first, _ = own.reset(seed=1)
+    assert not np.shares_memory(first, own.step(actions(0))[0])
+
+
+def test_an_action_that_is_not_valid_stops_all_environments_before_the_step() -> None:
+    env, reference = batch(), batch()
+    env.reset(seed=1)
+    reference.reset(seed=1)
+    bad = actions(0)
+    bad[2, 5] = np.inf
+    with pytest.raises(ValueError, match="environment 2: the action holds inf at index 5"):
+        env.step(bad)
+    with pytest.raises(ValueError, match="shape"):
+        env.step(actions(0)[:2])
+    assert np.array_equal(env.step(actions(0))[0], reference.step(actions(0))[0])
+    with pytest.raises(ValueError, match="reset_mask"):
+        env.reset(options={"reset_mask": np.array([1, 0, 0])})
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.step(actions(0))
+
+
+def test_other_threads_run_while_a_batch_steps() -> None:
+    env = heliostat.HeliostatVectorEnv("hall", num_envs=16, dynamics="closed-loop", oracle=True)
+    env.reset(seed=1)
+    ticks, stop = [], threading.Event()
+
+    def tick() -> None:
+        while not stop.is_set():
+            ticks.append(time.perf_counter())
+            time.sleep(0.0005)
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    begun = time.perf_counter()
+    env.step(np.zeros((16, 200), np.float32))
+    ended = time.perf_counter()
+    stop.set()
+    thread.join()
+    within = sum(begun < at < ended for at in ticks)
+    assert within >= 2, f"{within} turns of the other thread in {ended - begun:.4f} s"

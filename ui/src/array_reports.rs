@@ -1,0 +1,124 @@
+//! The latest telemetry of each array of a room, and of all arrays together.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use heliostat_channel::MirrorArrays;
+use heliostat_proto::{ArrayState, Counters, MirrorTelemetry};
+
+use crate::expiry::EXPIRY;
+
+/// The latest telemetry of each array, by its index, with the arrival times.
+#[derive(Debug, Default)]
+pub(crate) struct ArrayReports(BTreeMap<usize, (Instant, MirrorTelemetry)>);
+
+impl ArrayReports {
+    /// Keeps telemetry that arrives now.
+    pub fn note(&mut self, array: usize, telemetry: MirrorTelemetry) {
+        self.0.insert(array, (Instant::now(), telemetry));
+    }
+
+    /// State and arrival of the telemetry of each array that is not old.
+    pub fn states(&self) -> Vec<(Instant, ArrayState)> {
+        self.fresh().map(|(_, (at, telemetry))| (*at, telemetry.state)).collect()
+    }
+
+    /// Arrival of the oldest telemetry that is not old, else of the newest.
+    pub fn at(&self) -> Option<Instant> {
+        self.fresh().map(|(_, (at, _))| *at).min().or_else(|| self.0.values().map(|(at, _)| *at).max())
+    }
+
+    /// Telemetry of a room with these arrays, with the mirrors of all in index order; `None` where
+    /// all telemetry is old.
+    ///
+    /// Mirrors of an array without telemetry are flat. The state is the first in the order fault,
+    /// stopped, parked, holding, following that any array has. Counters are sums.
+    pub fn joint(&self, arrays: &MirrorArrays) -> Option<MirrorTelemetry> {
+        if arrays.arrays().len() > 1 {
+            return self.join(arrays);
+        }
+        // Telemetry of another shape is shown too, for its state and its faults.
+        let mut first = self.fresh().filter(|(array, _)| **array == 0);
+        first.next().map(|(_, (_, telemetry))| telemetry.clone())
+    }
+
+    fn join(&self, arrays: &MirrorArrays) -> Option<MirrorTelemetry> {
+        let fresh: BTreeMap<usize, &MirrorTelemetry> =
+            self.fresh().map(|(array, (_, telemetry))| (*array, telemetry)).collect();
+        let mut joint =
+            fresh.values().next().map(|first| MirrorTelemetry { stamp: first.stamp, ..Default::default() })?;
+        joint.state = fresh.values().map(|telemetry| telemetry.state).max_by_key(|state| severity(*state))?;
+        for (index, (array, mirrors)) in arrays.ranges().enumerate() {
+            let telemetry = fresh.get(&index).filter(|telemetry| telemetry.check_mirrors(array.len()).is_ok());
+            let axes = |commanded: fn(&MirrorTelemetry) -> [&Vec<f32>; 2]| {
+                let given =
+                    telemetry.and_then(|telemetry| commanded(telemetry).into_iter().find(|axis| !axis.is_empty()));
+                given.cloned().unwrap_or_else(|| vec![0.0; mirrors.len()])
+            };
+            joint.roll_commanded.extend(axes(|telemetry| [&telemetry.roll_commanded, &telemetry.roll_commanded]));
+            joint.yaw_commanded.extend(axes(|telemetry| [&telemetry.yaw_commanded, &telemetry.yaw_commanded]));
+            joint.roll_measured.extend(axes(|telemetry| [&telemetry.roll_measured, &telemetry.roll_commanded]));
+            joint.yaw_measured.extend(axes(|telemetry| [&telemetry.yaw_measured, &telemetry.yaw_commanded]));
+            let Some(telemetry) = telemetry else { continue };
+            joint.faults |= telemetry.faults;
+            joint.counters = sum(&joint.counters, &telemetry.counters);
+            joint.unusable.extend(telemetry.unusable.iter().map(|mirror| mirrors.start as u32 + mirror));
+        }
+        Some(joint)
+    }
+
+    fn fresh(&self) -> impl Iterator<Item = (&usize, &(Instant, MirrorTelemetry))> {
+        self.0.iter().filter(|(_, (at, _))| at.elapsed() < EXPIRY)
+    }
+}
+
+fn severity(state: ArrayState) -> u8 {
+    match state {
+        ArrayState::Following => 0,
+        ArrayState::Holding => 1,
+        ArrayState::Parked => 2,
+        ArrayState::Stopped => 3,
+        ArrayState::Fault => 4,
+    }
+}
+
+fn sum(one: &Counters, other: &Counters) -> Counters {
+    Counters {
+        accepted: one.accepted + other.accepted,
+        clipped: one.clipped + other.clipped,
+        late: one.late + other.late,
+        rejected: one.rejected + other.rejected,
+        old_epoch: one.old_epoch + other.old_epoch,
+        old_sequence: one.old_sequence + other.old_sequence,
+        expired: one.expired + other.expired,
+        stopped: one.stopped + other.stopped,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_scenario::Scenario;
+
+    use super::*;
+
+    fn telemetry(state: ArrayState, mirrors: usize, roll: f32) -> MirrorTelemetry {
+        let (roll_commanded, yaw_commanded) = (vec![roll; mirrors], vec![0.0; mirrors]);
+        let counters = Counters { accepted: 5, ..Counters::default() };
+        MirrorTelemetry { state, roll_commanded, yaw_commanded, counters, unusable: vec![1], ..Default::default() }
+    }
+
+    #[test]
+    fn the_mirrors_of_all_arrays_have_the_index_of_the_room() {
+        let text = "[[mirrors]]\nrows = 1\ncolumns = 2\n[[mirrors]]\nrows = 1\ncolumns = 3\nwall = \"-x\"\n";
+        let model = Scenario::from_toml(text).expect("valid").channel_model().expect("a model");
+        let mut reports = ArrayReports::default();
+        assert_eq!(reports.joint(&model.mirrors), None);
+        reports.note(1, telemetry(ArrayState::Stopped, 3, 0.5));
+        let joint = reports.joint(&model.mirrors).expect("telemetry of the second array");
+        assert_eq!((joint.roll_commanded, joint.unusable), (vec![0.0, 0.0, 0.5, 0.5, 0.5], vec![3]));
+        reports.note(0, telemetry(ArrayState::Following, 2, 0.25));
+        let joint = reports.joint(&model.mirrors).expect("telemetry of both");
+        assert_eq!((joint.roll_measured, joint.unusable), (vec![0.25, 0.25, 0.5, 0.5, 0.5], vec![1, 3]));
+        assert_eq!((joint.state, joint.counters.accepted), (ArrayState::Stopped, 10));
+    }
+}

@@ -1,8 +1,8 @@
 //! Endpoints of a session, and the settings of Zenoh for short delays.
 
-use std::hash::{BuildHasher, RandomState};
 use std::net::TcpListener;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use heliostat_proto::Room;
@@ -354,17 +354,22 @@ const RELIABILITY: &str = "rel";
 /// no listener at port 0 gets one.
 const PORTS_BELOW_EPHEMERAL: std::ops::Range<u16> = 20_000..32_768;
 
-/// A random TCP port on 127.0.0.1 that is free at the time of the call. It is below the ephemeral
-/// range, so that no outgoing connection takes it in the meantime.
+/// Number of ports that one process takes before those of the next process id.
+const PORTS_A_PROCESS: u32 = 8;
+
+/// A TCP port on 127.0.0.1 that is free at the time of the call, and another one at each call. It is
+/// below the ephemeral range, so that no outgoing connection takes it in the meantime. Processes that
+/// start at the same time begin at different ports, because their process ids differ.
 ///
 /// # Errors
 /// [`BusError::NoFreePort`].
 pub fn free_loopback_port() -> Result<u16, BusError> {
+    static CALLS: AtomicU32 = AtomicU32::new(0);
+    let span = u32::from(PORTS_BELOW_EPHEMERAL.end - PORTS_BELOW_EPHEMERAL.start);
+    let first = std::process::id().wrapping_mul(PORTS_A_PROCESS);
     let mut last = None;
     for _ in 0..100 {
-        let span = u64::from(PORTS_BELOW_EPHEMERAL.end - PORTS_BELOW_EPHEMERAL.start);
-        // Each `RandomState` has its own random keys, in every process.
-        let offset = RandomState::new().hash_one(()) % span;
+        let offset = first.wrapping_add(CALLS.fetch_add(1, Ordering::Relaxed)) % span;
         let port = PORTS_BELOW_EPHEMERAL.start + u16::try_from(offset).expect("below the span of a u16 range");
         match TcpListener::bind(("127.0.0.1", port)) {
             Ok(_) => return Ok(port),

@@ -123,6 +123,9 @@ impl AccessRole {
         // Every process that belongs to the room may stop the array.
         keys.push(room.stop());
         keys.extend(self.nodes().iter().map(|node| room.status(*node)));
+        if self.nodes().contains(&NodeKind::Driver) {
+            keys.push(room.later_arrays().driver_status());
+        }
         keys
     }
 

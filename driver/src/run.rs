@@ -98,7 +98,7 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
         kit,
         record,
         session: ArraySession::open(&bus, array, clock, Class::HighDrop)?,
-        status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::LowDrop)?,
+        status: MessagePublisher::new(&bus, &bus.room().array(array).driver_status(), Class::LowDrop)?,
         refused: RefusalCounts::default(),
         room: bus.room().to_string(),
         name: if array == 0 { "array".to_owned() } else { array_name(array) },

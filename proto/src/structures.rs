@@ -13,7 +13,8 @@ use crate::error::CodecError;
 use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered, same_length};
 use crate::limits::{MAX_BRANCHES, MAX_MIRRORS, Nanos};
 
-/// Defines structures with public fields, and reads, writes and checks them.
+/// Defines structures with public fields, and reads, writes and checks them. Serde gives their fields by name, for
+/// other notations than the bytes.
 macro_rules! structures {
     ($(
         $(#[$meta:meta])*
@@ -23,7 +24,8 @@ macro_rules! structures {
         $(requires { $($relation:ident($($of:ident),+)),+ $(,)? })?
     )*) => { $(
         $(#[$meta])*
-        #[derive(Clone, Debug, Default, PartialEq)]
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
         pub struct $structure {
             $( $(#[$field_meta])* pub $field: $type, )*
         }
@@ -133,7 +135,7 @@ structures! {
     }
 
     /// Distribution of durations in us.
-    #[derive(Copy, Serialize, Deserialize)]
+    #[derive(Copy)]
     structure Quantiles {
         /// Number of measurements.
         count: u64,

@@ -362,6 +362,9 @@ impl Learner for Ddpg {
 }
 
 /// The mean over the present users, (batch).
-fn mean_present(values: &Tensor, present: &Tensor) -> candle_core::Result<Tensor> {
+///
+/// # Errors
+/// Errors of candle, when shapes differ.
+pub fn mean_present(values: &Tensor, present: &Tensor) -> candle_core::Result<Tensor> {
     values.mul(present)?.sum(1)?.div(&present.sum(1)?)
 }

@@ -15,7 +15,8 @@
 //!    actor's loss; option `gamma` has the soft Bellman target.
 //! 3. **Temperature.** Its logarithm follows the gradient of eq. (18) without Adam.
 //! 4. **Two networks** of 128/64 give mean and standard deviation, in place of one with two heads.
-//! 5. **tau = 0.01, batches of 32 and learning rates** as in `ddpg`, in place of 0.005, 256 and 3e-4.
+//! 5. **tau = 0.01, batches of 32 and learning rates** as in `ddpg`, in place of 0.005, 256 and 3e-4; 120
+//!    episodes.
 
 use candle_core::Result;
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -100,7 +101,7 @@ impl Settings {
             batch,
             replay,
             warm_up,
-            run,
+            run: RunSettings { episodes: 120, ..run },
         }
     }
 }

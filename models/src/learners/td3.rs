@@ -17,7 +17,8 @@
 //!    adds noise. `models/experiments.md` compares values of gamma.
 //! 3. **Exploration** decays from 0.4 to 0.05, and the first 500 transitions have the actor's actions
 //!    with noise in place of random ones.
-//! 4. **tau = 0.01, batches of 32**, as in `ddpg`, in place of 0.005 and 100.
+//! 4. **tau = 0.01, batches of 32**, as in `ddpg`, in place of 0.005 and 100; 120 episodes, because two
+//!    critics take twice the time of one.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -115,6 +116,7 @@ impl Settings {
             run,
             ..
         } = ddpg::Settings::tuned(seed, mode);
+        let run = RunSettings { episodes: 120, ..run };
         Self { head, gamma: 0.5, tau, actor_rate, critic_rate, rate_end, batch, replay, warm_up, exploration, run }
     }
 }

@@ -16,6 +16,28 @@ use serde_json::{Map, Number, Value};
 
 create_exception!(heliostat, Refused, PyValueError, "A payload or a message that the contract does not allow.");
 
+/// Kinds by the last part of their key, with that of a control named after its receiver.
+pub const KINDS: [(&str, Kind); 18] = [
+    ("users", Kind::UserReport),
+    ("channel", Kind::ChannelReport),
+    ("obstacles", Kind::ObstacleReport),
+    ("command", Kind::MirrorCommand),
+    ("telemetry", Kind::MirrorTelemetry),
+    ("status", Kind::NodeStatus),
+    ("truth", Kind::RoomTruth),
+    ("capabilities", Kind::Capabilities),
+    ("stop", Kind::EmergencyStop),
+    ("calibration", Kind::Calibration),
+    ("simulator_control", Kind::SimulatorControl),
+    ("controller_control", Kind::ControllerControl),
+    ("rearm", Kind::Rearm),
+    ("safety", Kind::SafetyReport),
+    ("geometry", Kind::RoomGeometry),
+    ("belief", Kind::BeliefReport),
+    ("memory", Kind::ControllerMemory),
+    ("orientation", Kind::OrientationReport),
+];
+
 /// Refuses a payload or a message.
 pub fn refuse(error: &CodecError) -> PyErr {
     Refused::new_err(error.to_string())

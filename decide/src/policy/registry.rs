@@ -77,6 +77,12 @@ policies! {
     DdpgRaw: Learned,
     /// Learned: as ddpg-raw, with a critic that reads smooth patterns of the angles
     DdpgBasis: Learned,
+    /// Learned: TD3 with one weight per user
+    Td3: Learned,
+    /// Learned: SAC with one weight per user
+    Sac: Learned,
+    /// Learned: PPO with one weight per user
+    Ppo: Learned,
     /// Learned: by the gradient through the channel model
     Analytic: Learned,
     /// Learned: deep Q-learning on a codebook of angles

@@ -133,8 +133,8 @@ fn steps_of(args: &SuiteArgs, policies: &[(String, EvaluatedPolicy)]) -> Result<
     for (name, _) in policies {
         ensure!(
             fitting.contains(&name.as_str()),
-            "policy {name} fits none of the rooms of suite {VERSION}; heliostat eval --policies {name}, with the \
-             --scenario and the --set of a task, states why"
+            "policy {name} fits none of the chosen rooms; heliostat eval --policies {name}, with the --scenario and the \
+             --set of a task, states why"
         );
     }
     Ok(steps)

@@ -83,7 +83,9 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 }
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load().context(
+        "an actor is trained in a room with one array; an actor of residual from such a room runs with several",
+    )?;
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");

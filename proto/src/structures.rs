@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 use crate::codec::{BufferFull, Reader, Writer};
 use crate::enumerations::{FaultKind, InputKind};
 use crate::error::CodecError;
-use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered, same_length};
+use crate::fields::{
+    Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered, same_length,
+};
 use crate::limits::{MAX_BRANCHES, MAX_MIRRORS, Nanos};
 
 /// Defines structures with public fields, and reads, writes and checks them.

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::{
-    BranchReport, Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport,
-    OrientationReport, Room, Stamp, UserReport, decode, encode,
+    BranchReport, Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
+    ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_service::{Stop, output};

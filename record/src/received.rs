@@ -1,9 +1,10 @@
 //! A received payload, decoded: its message, its source and its sequence number.
 
 use heliostat_proto::{
-    BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, ControllerMemory,
-    EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, OrientationReport,
-    Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
+    BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl,
+    ControllerMemory, EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport,
+    OrientationReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport,
+    codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.

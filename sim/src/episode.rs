@@ -47,8 +47,8 @@
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::Refusal;
 use heliostat_proto::{
-    BranchReport, Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, ObstacleReport, OrientationReport, Stamp,
-    UserReport,
+    BranchReport, Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, ObstacleReport, OrientationReport,
+    Stamp, UserReport,
 };
 use heliostat_scenario::Scenario;
 

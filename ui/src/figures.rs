@@ -7,8 +7,8 @@
 use std::time::Instant;
 
 use heliostat_channel::ChannelModel;
-use heliostat_proto::messages::fault;
 use heliostat_proto::array_keys::array_name;
+use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
 use heliostat_service::printable::printable;
 use serde::Serialize;
@@ -189,7 +189,11 @@ impl View {
             controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
             sum_mbps: sum(&received, &users),
             users,
-            array: array((model.mirrors.len(), &silent), telemetry.as_ref(), gauge("faulty_mirrors").unwrap_or(0.0) as usize),
+            array: array(
+                (model.mirrors.len(), &silent),
+                telemetry.as_ref(),
+                gauge("faulty_mirrors").unwrap_or(0.0) as usize,
+            ),
             nodes: received.statuses.iter().map(|(name, (at, status))| node(&received, name, *at, status)).collect(),
             ages_s: ages(&received),
             times: vec![time("decision", controller), time("loop", room), time("age", controller)],
@@ -242,17 +246,17 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
 }
 
 /// The figures of all arrays: their number of mirrors, and the names of those without telemetry.
-fn array(
-    (mirrors, silent): (usize, &[String]),
-    telemetry: Option<&MirrorTelemetry>,
-    faulty: usize,
-) -> ArrayFigures {
+fn array((mirrors, silent): (usize, &[String]), telemetry: Option<&MirrorTelemetry>, faulty: usize) -> ArrayFigures {
     let Some(telemetry) = telemetry else {
         return ArrayFigures { state: "no telemetry".into(), mirrors, ..ArrayFigures::default() };
     };
     let state = state_name(telemetry.state);
     ArrayFigures {
-        state: if silent.is_empty() { state.into() } else { format!("{state}, no telemetry of {}", silent.join(" and ")) },
+        state: if silent.is_empty() {
+            state.into()
+        } else {
+            format!("{state}, no telemetry of {}", silent.join(" and "))
+        },
         mirrors,
         unusable: telemetry.unusable.len().max(faulty),
         faults: fault_names(telemetry.faults),

@@ -241,12 +241,14 @@ fn absent_drivers(status: &NodeStatus, arrays: usize) -> Option<String> {
 /// Keeps the status of each process.
 fn statuses(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
     let (room, received) = (bus.room().clone(), Arc::clone(received));
-    Ok(bus.subscribe_keyed(&bus.room().all_status(), move |key, payload| match codec::decode::<NodeStatus>(payload) {
-        Ok(status) => {
-            let driven = room.driver_array(key).filter(|_| status.node == NodeKind::Driver);
-            lock(&received).take_status(driven.unwrap_or(0), status);
+    Ok(bus.subscribe_keyed(&bus.room().all_status(), move |key, payload| {
+        match codec::decode::<NodeStatus>(payload) {
+            Ok(status) => {
+                let driven = room.driver_array(key).filter(|_| status.node == NodeKind::Driver);
+                lock(&received).take_status(driven.unwrap_or(0), status);
+            }
+            Err(_) => lock(&received).unreadable += 1,
         }
-        Err(_) => lock(&received).unreadable += 1,
     })?)
 }
 

@@ -40,7 +40,9 @@ impl Scene {
     /// When `angles` does not have one entry per mirror, or `out` one per branch of each user.
     pub fn irs_branch_gain(&self, model: &ChannelModel, angles: &MirrorAngles, out: &mut [f64]) {
         assert_eq!(out.len(), self.users * self.branches, "one value per branch of each user");
-        self.each_user(model, angles, |user, gains| out[user * self.branches..][..self.branches].copy_from_slice(gains));
+        self.each_user(model, angles, |user, gains| {
+            out[user * self.branches..][..self.branches].copy_from_slice(gains)
+        });
     }
 
     /// SINR of each user at these angles, from H_LoS + H_IRS of each branch; see

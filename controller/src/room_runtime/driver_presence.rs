@@ -10,7 +10,10 @@ use std::{
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_decide::core::Controller;
-use heliostat_proto::{NodeKind, Stamp, keys::{parse_alive, parse_driver_alive}};
+use heliostat_proto::{
+    NodeKind, Stamp,
+    keys::{parse_alive, parse_driver_alive},
+};
 
 use super::locks::lock;
 

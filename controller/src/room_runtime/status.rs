@@ -205,7 +205,9 @@ impl Reporter {
             _ if summary.standby => "standby",
             _ if summary.decisions == 0 => "waiting for position reports",
             _ if summary.decisions == self.decisions => "position reports stopped",
-            _ if summary.driver_absent => return describe_absence(&self.conditions.without_driver, summary.arrays.len().max(1)),
+            _ if summary.driver_absent => {
+                return describe_absence(&self.conditions.without_driver, summary.arrays.len().max(1));
+            }
             _ => "running",
         };
         state.into()

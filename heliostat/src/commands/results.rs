@@ -10,6 +10,7 @@ mod bound;
 mod document;
 mod pages;
 mod table;
+mod training;
 
 use std::fs;
 use std::io::Write;
@@ -22,7 +23,7 @@ use heliostat_reproduce::machine;
 
 use crate::output::outln;
 use archive::{Archive, Finished};
-use pages::{PageName, Section};
+use pages::{PageName, Section, Training, trainings};
 
 /// Run the commands behind a results page, and write the page as Markdown.
 ///
@@ -45,6 +46,10 @@ pub struct Args {
     /// Keep the sections that the same command finished at the same commit
     #[arg(long)]
     resume: bool,
+    /// Train the actors that the page evaluates and that the folder `training` lacks; a run that was
+    /// interrupted continues. Without it, sections about missing actors are left out
+    #[arg(long)]
+    train: bool,
     /// Print each section's name and command, and run nothing
     #[arg(long)]
     list: bool,
@@ -90,6 +95,17 @@ pub fn run(args: Args) -> Result<()> {
         if archive.holds(section.name, &arguments, machine::COMMIT) {
             report(&format!("{step}: finished before"));
             continue;
+        }
+        let missing: Vec<&Training> =
+            trainings(page, &arguments).into_iter().filter(|training| !training::is_finished(training)).collect();
+        if !missing.is_empty() && !args.train {
+            let names: Vec<&str> = missing.iter().map(|training| training.name).collect();
+            report(&format!("{step}: left out without --train, because of {}", names.join(", ")));
+            continue;
+        }
+        for training in missing {
+            report(&format!("{step}: heliostat {}", training.arguments().join(" ")));
+            training::run(training, args.quick)?;
         }
         report(&format!("{step}: heliostat {}", arguments.join(" ")));
         let finished = measure(section, &arguments).with_context(|| {

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use serde_json::Value;
 
 use super::archive::{Archive, Finished};
-use super::pages::{Page, Section};
+use super::pages::{Page, Section, Training, trainings};
 use super::table::grid;
 
 /// The page; it lists unfinished sections at the end.
@@ -25,7 +25,7 @@ pub fn markdown(page: &Page, archive: &Archive) -> Result<String> {
     for (section, finished) in sections {
         match finished {
             Some(finished) => {
-                write_section(section, finished, &mut body, &mut bounds)
+                write_section((page, section), finished, &mut body, &mut bounds)
                     .with_context(|| format!("in section {}", section.name))?;
             }
             None => missing.push(section.name),
@@ -44,14 +44,17 @@ pub fn markdown(page: &Page, archive: &Archive) -> Result<String> {
 }
 
 fn write_section(
-    section: &Section,
+    (page, section): (&Page, &Section),
     finished: &Finished,
     text: &mut String,
     bounds: &mut Vec<Vec<String>>,
 ) -> Result<()> {
     let Finished { arguments, made, commit, machine, seconds, output, .. } = finished;
     writeln!(text, "## {}\n\n{}\n", section.title, section.about)?;
-    writeln!(text, "```\nheliostat {}\n```\n", arguments.join(" "))?;
+    let before = trainings(page, arguments).into_iter().map(Training::arguments);
+    let commands: Vec<String> =
+        before.chain([arguments.clone()]).map(|arguments| format!("heliostat {}\n", arguments.join(" "))).collect();
+    writeln!(text, "```\n{}```\n", commands.concat())?;
     writeln!(text, "{}{made}, commit {commit}, {machine}, {seconds:.0} s.\n", states(output))?;
     writeln!(text, "{}", section.layout.markdown(output, arguments, section.columns)?)?;
     let rows = section.layout.rows(output, arguments)?;

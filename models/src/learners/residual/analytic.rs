@@ -3,7 +3,7 @@
 //! The paper has no such algorithm. Each episode draws new rooms, in which the network of the moment
 //! decides. For some of its decisions [`Outlook`] holds what the command would give in the true room,
 //! in the middle of its time in force, if the receivers were believed to be held otherwise. The
-//! method `reward` of [`Analytic`] follows these steps:
+//! method [`Batch::reward`] follows these steps:
 //!
 //! 1. A changed normal n changes the believed amplitude of a path from direction d by (n . d) / (n_0 . d),
 //!    with the normal n_0 that the command has assumed.
@@ -41,7 +41,7 @@ use crate::training::settings::RunSettings;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The fine-tuning, which a checkpoint names.
-    fine_tune: String,
+    pub fine_tune: String,
     /// The file of the first network; empty for the built-in actor of the seed.
     pub from: String,
     /// Learning rate at the start.
@@ -139,44 +139,8 @@ impl Analytic {
     }
 }
 
-/// The mean reward of decisions in bit/s/Hz with the corrections of a network, as a function of its
-/// weights: (1). The module has the steps.
-///
-/// # Errors
-/// Errors of candle.
-pub fn reward(network: &Network, batch: &[Outlook], exponent: f64, reward: Reward) -> Result<Tensor> {
-    let table = Batch::new(batch)?;
-    let rows = &table.rows;
-    let values = Tensor::from_vec(rows.concat(), (rows.len(), FEATURES), &Device::Cpu)?;
-    let change = actor::smooth_change(&network.forward_rows(&values)?, rows)?;
-    let believed = values.narrow(1, NORMAL, 2)?;
-    let normal = table.users(&upward(&(believed + change)?)?)?;
-
-    // Step 1.
-    let to_led = cosine(&normal, &table.to_led)?;
-    let direct = (&table.direct * to_led.div(&cosine(&table.assumed, &table.to_led)?)?)?;
-    let each: [Tensor; 3] = [0, 1, 2].map(|axis: usize| table.to_mirrors[axis].clone());
-    let ratio = cosine(&spread(&normal)?, &each)?.div(&cosine(&spread(&table.assumed)?, &each)?)?;
-    let steering = (&table.steering * &ratio)?;
-
-    // Step 2.
-    let weighted = table.steering.broadcast_mul(&table.weight.unsqueeze(2)?)?;
-    let log_weighted = (weighted + f64::from(POWER_FLOOR))?.log()?;
-    let shared = shares(&log_weighted, exponent)?;
-    let before = (&table.direct + shared.mul(&table.steering)?.sum(2)?)?;
-    let after = (direct + shared.mul(&steering)?.sum(2)?)?;
-    let response = (log_slope(&after)? - log_slope(&before)?)?.mul(&table.responds)?;
-
-    // Steps 3 and 4.
-    let log_weighted = (log_weighted + ratio.log()?)?.broadcast_add(&response.unsqueeze(2)?)?;
-    let assignment = shares(&log_weighted, exponent)?;
-    let given = table.crossed.matmul(&assignment.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?;
-    let amplitude = (&table.true_direct + given)?;
-    mean_reward(&amplitude, (&table.present, &table.min_rate), reward)?.mean_all()
-}
-
 /// Decisions as tensors, with empty slots after the users of each.
-struct Batch {
+pub struct Batch {
     slots: usize,
     /// Rows of all slots, zero in empty ones.
     rows: Vec<[f32; FEATURES]>,
@@ -198,7 +162,48 @@ struct Batch {
 }
 
 impl Batch {
-    fn new(all: &[Outlook]) -> Result<Self> {
+    /// The mean reward in bit/s/Hz with these changes of the normals that were believed, as a function
+    /// of the changes; the module has the steps. `change` is (batch * slots, 2).
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn reward(&self, change: &Tensor, exponent: f64, reward: Reward) -> Result<Tensor> {
+        let believed = self.values()?.narrow(1, NORMAL, 2)?;
+        let normal = self.users(&upward(&(believed + change)?)?)?;
+
+        // Step 1.
+        let to_led = cosine(&normal, &self.to_led)?;
+        let direct = (&self.direct * to_led.div(&cosine(&self.assumed, &self.to_led)?)?)?;
+        let each = &self.to_mirrors;
+        let ratio = cosine(&spread(&normal)?, each)?.div(&cosine(&spread(&self.assumed)?, each)?)?;
+        let steering = (&self.steering * &ratio)?;
+
+        // Step 2.
+        let weighted = self.steering.broadcast_mul(&self.weight.unsqueeze(2)?)?;
+        let log_weighted = (weighted + f64::from(POWER_FLOOR))?.log()?;
+        let shared = shares(&log_weighted, exponent)?;
+        let before = (&self.direct + shared.mul(&self.steering)?.sum(2)?)?;
+        let after = (direct + shared.mul(&steering)?.sum(2)?)?;
+        let response = (log_slope(&after)? - log_slope(&before)?)?.mul(&self.responds)?;
+
+        // Steps 3 and 4.
+        let log_weighted = (log_weighted + ratio.log()?)?.broadcast_add(&response.unsqueeze(2)?)?;
+        let assignment = shares(&log_weighted, exponent)?;
+        let given = self.crossed.matmul(&assignment.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?;
+        let amplitude = (&self.true_direct + given)?;
+        mean_reward(&amplitude, (&self.present, &self.min_rate), reward)?.mean_all()
+    }
+
+    /// The rows of all slots, (batch * slots, [`FEATURES`]).
+    fn values(&self) -> Result<Tensor> {
+        Tensor::from_vec(self.rows.concat(), (self.rows.len(), FEATURES), &Device::Cpu)
+    }
+
+    /// Decisions in rooms with the same number of mirrors.
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn new(all: &[Outlook]) -> Result<Self> {
         let slots = all.iter().map(Outlook::users).max().unwrap_or(0);
         let mirrors = all.first().map_or(0, Outlook::mirrors);
         // Values of each user of each decision, and zeros for the empty slots.
@@ -299,7 +304,9 @@ impl Learner for Analytic {
         let exponent = first * (last / first).powf(episode.progress());
         let (mut sum, mut count) = (0.0, 0.0);
         for batch in all.chunks_exact(batch.min(all.len()).max(1)) {
-            let reward = reward(&self.network, batch, exponent, self.settings.run.reward)?;
+            let batch = Batch::new(batch)?;
+            let change = actor::smooth_change(&self.network.forward_rows(&batch.values()?)?, &batch.rows)?;
+            let reward = batch.reward(&change, exponent, self.settings.run.reward)?;
             self.adam.step(&self.network, &reward.neg()?.backward()?, rate)?;
             sum += f64::from(reward.to_scalar::<f32>()?);
             count += 1.0;

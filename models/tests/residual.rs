@@ -199,7 +199,7 @@ fn a_fine_tuning_starts_from_a_file_changes_it_and_resumes() {
     let first = file(&supervised);
     std::fs::write(&start, &first.bytes).unwrap();
     for (index, mut whole) in fine_tunings(&start, 2).into_iter().enumerate() {
-        assert_eq!(file(&whole).bytes, first.bytes, "method {index}");
+        assert!(file(&whole).bytes == first.bytes, "method {index}");
         whole.run_episode().unwrap();
         let path = folder.path().join("checkpoint.safetensors");
         checkpoint::save(&mut whole, &path).unwrap();
@@ -208,8 +208,8 @@ fn a_fine_tuning_starts_from_a_file_changes_it_and_resumes() {
         let mut resumed = if index == 0 { by_gradient } else { by_critic };
         checkpoint::load(&mut resumed, &path).unwrap();
         resumed.run_episode().unwrap();
-        assert_eq!(file(&resumed).bytes, file(&whole).bytes, "method {index}");
-        assert_ne!(file(&whole).bytes, first.bytes, "method {index}");
+        assert!(file(&resumed).bytes == file(&whole).bytes, "method {index}");
+        assert!(file(&whole).bytes != first.bytes, "method {index}");
     }
 }
 
@@ -217,13 +217,15 @@ fn a_fine_tuning_starts_from_a_file_changes_it_and_resumes() {
 fn the_actor_of_ddpg_waits_until_the_critic_has_learned() {
     let folder = tempfile::tempdir().unwrap();
     let start = folder.path().join("start.onnx");
-    let first = file(&training(short(1)));
+    let mut supervised = training(short(1));
+    supervised.run_episode().unwrap();
+    let first = file(&supervised);
     std::fs::write(&start, &first.bytes).unwrap();
     let [_, mut by_critic] = fine_tunings(&start, 3);
     // One episode has fewer decisions than the 80 of the first update, three have more.
     by_critic.run_episode().unwrap();
-    assert_eq!(file(&by_critic).bytes, first.bytes);
+    assert!(file(&by_critic).bytes == first.bytes);
     by_critic.run_episode().unwrap();
     by_critic.run_episode().unwrap();
-    assert_ne!(file(&by_critic).bytes, first.bytes);
+    assert!(file(&by_critic).bytes != first.bytes);
 }

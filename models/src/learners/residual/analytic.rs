@@ -7,8 +7,8 @@
 //!
 //! 1. A changed normal n changes the believed amplitude of a path from direction d by (n . d) / (n_0 . d),
 //!    with the normal n_0 that the command has assumed.
-//! 2. The weight of a user changes by the ratio of the slopes 2 x / (1 + x^2) of its rate at its
-//!    amplitude x after and before. Users below their minimum rate keep their weight.
+//! 2. The weights of the users are balanced for these amplitudes, in the steps of
+//!    [`heliostat_channel::sharing::balance`], which stands for the solver.
 //! 3. The assignment of the mirrors by weighted amplitudes is soft ([`crate::learners::analytic`]), with
 //!    an exponent that rises over the run.
 //! 4. The true amplitude of user k is the true direct one plus the amplitudes that each mirror gives
@@ -18,7 +18,7 @@
 //! when a correction is worth its risk. Rewards later than that of the command have no gradient here.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::{ChannelModel, MirrorAngles, sharing};
 use heliostat_decide::correction::{COSINE_MIN, TILT_MAX};
 use heliostat_decide::evidence::{FEATURES, NORMAL};
 use heliostat_scenario::Scenario;
@@ -36,6 +36,12 @@ use crate::networks::adam::Adam;
 use crate::networks::layers::Network;
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
+
+/// Added to the sum of a user's steering amplitudes, for users whom no mirror reaches.
+const TOTAL_MIN: f64 = 1e-3;
+
+/// Smallest amplitude below that of the minimum rate that counts.
+const SHORT_MIN: f64 = 1e-4;
 
 /// The hyperparameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -147,9 +153,6 @@ pub struct Batch {
     /// 1 for a present user; (batch, slots), as the next ones.
     present: Tensor,
     direct: Tensor,
-    weight: Tensor,
-    /// 1 for a user whose weight responds to its amplitude.
-    responds: Tensor,
     min_rate: Tensor,
     true_direct: Tensor,
     assumed: [Tensor; 3],
@@ -179,16 +182,19 @@ impl Batch {
         let steering = (&self.steering * &ratio)?;
 
         // Step 2.
-        let weighted = self.steering.broadcast_mul(&self.weight.unsqueeze(2)?)?;
-        let log_weighted = (weighted + f64::from(POWER_FLOOR))?.log()?;
-        let shared = shares(&log_weighted, exponent)?;
-        let before = (&self.direct + shared.mul(&self.steering)?.sum(2)?)?;
-        let after = (direct + shared.mul(&steering)?.sum(2)?)?;
-        let response = (log_slope(&after)? - log_slope(&before)?)?.mul(&self.responds)?;
+        let total = (steering.sum(2)? + TOTAL_MIN)?;
+        let log_steering = (&steering + f64::from(POWER_FLOOR))?.log()?;
+        let mut log_weight = total.log()?.neg()?;
+        for step in sharing::STEPS {
+            let weighted = log_steering.broadcast_add(&log_weight.unsqueeze(2)?)?;
+            let shared = shares(&weighted, f64::from(sharing::EXPONENT))?;
+            let amplitude = (&direct + shared.mul(&steering)?.sum(2)?)?;
+            let step = f64::from(step);
+            log_weight = ((log_weight * (1.0 - step))? + (log_slope(&amplitude, &self.min_rate)? * step)?)?;
+        }
 
         // Steps 3 and 4.
-        let log_weighted = (log_weighted + ratio.log()?)?.broadcast_add(&response.unsqueeze(2)?)?;
-        let assignment = shares(&log_weighted, exponent)?;
+        let assignment = shares(&log_steering.broadcast_add(&log_weight.unsqueeze(2)?)?, exponent)?;
         let given = self.crossed.matmul(&assignment.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?;
         let amplitude = (&self.true_direct + given)?;
         mean_reward(&amplitude, (&self.present, &self.min_rate), reward)?.mean_all()
@@ -224,9 +230,6 @@ impl Batch {
             Ok([axis(0)?, axis(1)?, axis(2)?])
         };
         let towards = |axis: usize| of_mirrors(&|one, pair| one.to_mirrors[pair][axis] as f32);
-        let short = |one: &Outlook, slot: usize| {
-            (one.balanced[1][slot].powi(2)).ln_1p() < one.min_rate[slot] * std::f32::consts::LN_2
-        };
         let mut crossed = vec![0.0; all.len() * slots * slots * mirrors];
         for (one, table) in all.iter().zip(crossed.chunks_exact_mut((slots * slots * mirrors).max(1))) {
             let width = one.users() * mirrors;
@@ -240,8 +243,6 @@ impl Batch {
             rows: rows.map(|row| row.unwrap_or([0.0; FEATURES])).collect(),
             present: padded(&|_, _| 1.0)?,
             direct: padded(&|one, slot| one.direct[slot])?,
-            weight: padded(&|one, slot| one.balanced[0][slot])?,
-            responds: padded(&|one, slot| f32::from(u8::from(!short(one, slot))))?,
             min_rate: padded(&|one, slot| one.min_rate[slot])?,
             true_direct: padded(&|one, slot| one.true_direct[slot])?,
             assumed: axes(&|one| &one.assumed)?,
@@ -281,11 +282,20 @@ fn cosine(normal: &[Tensor; 3], direction: &[Tensor; 3]) -> Result<Tensor> {
     ((part(0)? + part(1)?)? + part(2)?)?.maximum(COSINE_MIN)
 }
 
-/// Logarithm of the slope of the rate at an amplitude, ln(x / (1 + x^2)) up to a constant.
-fn log_slope(amplitude: &Tensor) -> Result<Tensor> {
-    // Far below an amplitude that gives a rate.
-    let amplitude = (amplitude + 1e-6)?;
-    amplitude.log()? - (amplitude.sqr()? + 1.0)?.log()?
+/// Logarithm of the derivative of the utility of [`heliostat_channel::solver`] by the amplitude, with
+/// lambda of [`sharing::QOS_PENALTY`]: 2 x / (1 + x^2), and below the minimum rate the slope of the line
+/// to the utility at it. Both arguments are (batch, slots).
+fn log_slope(amplitude: &Tensor, min_rate: &Tensor) -> Result<Tensor> {
+    let amplitude = amplitude.maximum(f64::from(sharing::AMPLITUDE_MIN))?;
+    let nats = (amplitude.sqr()? + 1.0)?.log()?;
+    let met = ((&amplitude * 2.0)?.log()? - &nats)?;
+    let min_nats = (min_rate * std::f64::consts::LN_2)?;
+    let threshold = (min_nats.exp()? - 1.0)?.maximum(0.0)?.sqrt()?;
+    let missing = (&threshold - &amplitude)?;
+    let short = missing.gt(SHORT_MIN)?;
+    let rise = (min_nats - nats)?.maximum(SHORT_MIN)?.log()?;
+    let line = (rise - missing.maximum(SHORT_MIN)?.log()?)?.affine(1.0, sharing::QOS_PENALTY.ln_1p())?;
+    short.where_cond(&line, &met)
 }
 
 impl Learner for Analytic {

@@ -224,7 +224,8 @@ pub static PAGE: Page = Page {
             "The file is that of 10 x 10 mirrors.",
             of_actors!(
                 "greedy,residual",
-                " --training-seed 1 --set users.orientation={} --set mirrors.rows=20 --set mirrors.columns=20"
+                " --training-seed 1 --set users.orientation={} --set mirrors.rows=20 --set mirrors.columns=20 --set mirrors.width_m=0.2 \
+                 --set mirrors.height_m=0.05"
             ),
         ),
         room("two-arrays", "Two arrays on two walls, unreported orientation", "Training has one array.", TWO_ARRAYS),

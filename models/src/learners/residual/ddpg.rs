@@ -116,7 +116,7 @@ impl Settings {
             room_count: 24,
             room_s: 10.0,
             choice,
-            run: RunSettings { reward, episodes: 60, steps: 1, ..RunSettings::paper(seed) },
+            run: RunSettings { reward, episodes: 25, steps: 1, ..RunSettings::paper(seed) },
         }
     }
 }

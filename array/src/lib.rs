@@ -12,9 +12,13 @@
 //! - [`calibration`]: the correction of each mirror's mounting; [`calibration_file`]: its file
 //!   format.
 //! - [`kit`]: device, rules and correction together, with telemetry and reconnection.
-//! - [`content`]: the messages that arrive; [`refusal_counts`]: counts of refusals.
+//! - [`station`]: kit, record of the stop and reports of a driver process, without its transport;
+//!   [`stop_record`]: the record of the emergency stop.
+//! - [`content`]: the messages that arrive; [`arrivals`]: their queue; [`refusal_counts`]: counts of
+//!   refusals.
 //! - [`moment`]: the two times of a room.
 
+pub mod arrivals;
 pub mod bounds;
 pub mod calibration;
 pub mod calibration_file;
@@ -27,6 +31,8 @@ pub mod moment;
 pub mod refusal;
 pub mod refusal_counts;
 pub mod rules;
+pub mod station;
+pub mod stop_record;
 
 pub use device::{Device, DeviceError, Health};
 pub use kit::Kit;

@@ -1,20 +1,18 @@
 //! The emergency stop on disk, so that a stop outlives the process that obeyed it.
 //!
-//! Each array has one file, written to a new file and renamed, so that it is complete at any time. A
-//! missing, unreadable or damaged file means that the last state is unknown; the array then starts
-//! stopped. If a state cannot be written, the file is emptied, which has the same meaning.
+//! Each array has one file, written to a new file and renamed, so that it is complete at any time.
+//! `heliostat_array::stop_record` has the rules; this file has the disk.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use heliostat_array::latch::{Latch, LatchedStop};
-use heliostat_proto::array_keys::array_name;
+use heliostat_array::stop_record::{self, RECORD_MAX, StopStore};
 use heliostat_proto::{Nanos, Room};
-use thiserror::Error;
 
-/// Longest record in bytes: two texts at their limit, each character escaped.
-const RECORD_MAX: u64 = 64 * 1024;
+/// The record of one array in a file.
+pub type StopRecord = stop_record::StopRecord<StopFile>;
 
 /// Where the stop is kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -23,25 +21,6 @@ pub struct StopRecordSettings {
     pub directory: Option<PathBuf>,
     /// Whether an array without a file starts parked: its first start is declared safe.
     pub start_armed: bool,
-}
-
-/// A state that could not be written.
-#[derive(Debug, Error)]
-#[error("cannot record the emergency stop in {}: {problem}; {consequence}", file.display())]
-pub struct RecordError {
-    file: PathBuf,
-    problem: io::Error,
-    consequence: &'static str,
-}
-
-/// The file of one array.
-#[derive(Debug)]
-pub struct StopRecord {
-    file: Option<PathBuf>,
-    /// The state that was written last, or for which this was tried.
-    tried: Latch,
-    /// Why the present state is not in the file.
-    problem: Option<String>,
 }
 
 impl StopRecordSettings {
@@ -57,80 +36,45 @@ impl StopRecordSettings {
         };
         Self { directory: given.or_else(of_unit).or_else(of_user), start_armed }
     }
+
+    /// Opens the record of the array of a room with this index; returns the stop with which the array
+    /// starts, if it starts stopped.
+    pub fn open(&self, room: &Room, array: usize, now_ns: Nanos) -> (StopRecord, Option<LatchedStop>) {
+        let Some(directory) = &self.directory else {
+            let (record, stop) = StopRecord::without_store("no folder for it is given (--state DIR)", now_ns);
+            return (record, Some(stop));
+        };
+        let file = StopFile { path: directory.join(stop_record::file_name(room, array)) };
+        StopRecord::open(file, self.start_armed, now_ns)
+    }
 }
 
-impl StopRecord {
-    /// Opens the record of a room with one array; returns the stop with which the array starts, if it starts
-    /// stopped.
-    ///
-    /// An array whose state cannot be recorded starts stopped too: otherwise a later stop would be
-    /// lost at the next start.
-    pub fn open(settings: &StopRecordSettings, room: &Room, now_ns: Nanos) -> (Self, Option<LatchedStop>) {
-        Self::open_array(settings, (room, 0), now_ns)
+/// The file of one array.
+#[derive(Debug)]
+pub struct StopFile {
+    path: PathBuf,
+}
+
+impl StopStore for StopFile {
+    fn name(&self) -> String {
+        self.path.display().to_string()
     }
 
-    /// The same for the array of a room with this index; [`open`](Self::open) is for the first.
-    pub fn open_array(
-        settings: &StopRecordSettings,
-        (room, array): (&Room, usize),
-        now_ns: Nanos,
-    ) -> (Self, Option<LatchedStop>) {
-        let stopped = |reason: String| Latch::stopped(LatchedStop::without_sender(&reason, now_ns));
-        let Some(directory) = &settings.directory else {
-            let latch = stopped("the last state is unknown: no folder for it is given (--state DIR)".into());
-            let stop = latch.stop().cloned();
-            return (Self { file: None, tried: latch, problem: None }, stop);
-        };
-        // The name of a room contains no full stop.
-        let of_array = if array == 0 { String::new() } else { format!(".{}", array_name(array)) };
-        let file = directory.join(format!("{room}{of_array}.stop.toml"));
-        let mut latch = match read(&file) {
-            Ok(text) => match Latch::parse(&text) {
-                Ok(latch) => latch,
-                Err(error) => stopped(format!("the last state is unknown: {}: {error}", file.display())),
-            },
-            Err(error) if error.kind() == ErrorKind::NotFound && settings.start_armed => Latch::default(),
-            Err(error) => stopped(format!("the last state is unknown: cannot read {}: {error}", file.display())),
-        };
-        if let Some(stop) = latch.stop() {
-            latch = Latch::stopped(stop.clone().restored(now_ns));
+    fn read(&mut self) -> Result<Option<String>, String> {
+        match read(&self.path) {
+            Ok(text) => Ok(Some(text)),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error.to_string()),
         }
-        let mut record = Self { file: Some(file), tried: latch.clone(), problem: None };
-        if let Err(error) = record.write(&latch)
-            && latch.stop().is_none()
-        {
-            latch = stopped(error.to_string());
-        }
-        (record, latch.stop().cloned())
     }
 
-    /// Writes the state if it differs from the one written last; `again` repeats a write that
-    /// failed.
-    ///
-    /// # Errors
-    /// [`RecordError`]: the present state is not in the file.
-    pub fn keep(&mut self, latch: &Latch, again: bool) -> Result<(), RecordError> {
-        let is_due = *latch != self.tried || (again && self.problem.is_some());
-        if is_due { self.write(latch) } else { Ok(()) }
+    fn replace(&mut self, text: &str) -> Result<(), String> {
+        replace(&self.path, text).map_err(|error| error.to_string())
     }
 
-    /// Why the present state is not in the file.
-    pub fn problem(&self) -> Option<&str> {
-        self.problem.as_deref()
-    }
-
-    fn write(&mut self, latch: &Latch) -> Result<(), RecordError> {
-        self.tried = latch.clone();
-        self.problem = None;
-        let Some(file) = &self.file else { return Ok(()) };
-        let Err(problem) = replace(file, &latch.to_toml()) else { return Ok(()) };
-        let consequence = match empty(file) {
-            Ok(()) => "the next start is stopped; free the disk, or make the folder writable",
-            Err(_) => "the next start may not know of this state: repair the disk before a restart",
-        };
-        let error = RecordError { file: file.clone(), problem, consequence };
-        self.problem = Some(error.to_string());
-        Err(error)
+    fn empty(&mut self) -> Result<(), String> {
+        let file = OpenOptions::new().write(true).create(true).truncate(true).open(&self.path);
+        file.and_then(|file| file.sync_all()).map_err(|error| error.to_string())
     }
 }
 
@@ -156,11 +100,6 @@ fn replace(file: &Path, text: &str) -> io::Result<()> {
     File::open(folder)?.sync_all()
 }
 
-/// Empties a file, which needs no space.
-fn empty(file: &Path) -> io::Result<()> {
-    OpenOptions::new().write(true).create(true).truncate(true).open(file)?.sync_all()
-}
-
 /// Logs a new stop, or the release of the last one.
 pub fn log_change(room: &str, latch: &Latch) {
     match latch.stop() {
@@ -169,15 +108,4 @@ pub fn log_change(room: &str, latch: &Latch) {
             tracing::warn!(room, "the array is stopped by {source:016x}/{sequence}, operator {operator:?}: {reason:?}")
         }
     }
-}
-
-/// Why an array starts stopped, and how it is released.
-pub fn advice(room: &Room, stop: &LatchedStop) -> String {
-    // Escaped: both texts can come from any process of the room.
-    let [operator, reason] = [&stop.operator, &stop.reason].map(|text| text.escape_debug().to_string());
-    let by = if operator.is_empty() { operator } else { format!(" by {operator}") };
-    format!(
-        "the array starts stopped{by}: {reason}. When its mirrors may move, re-arm it: \
-         heliostat rearm --room {room}, with an endpoint of this driver"
-    )
 }

@@ -14,7 +14,7 @@ fn settings(folder: &Path, start_armed: bool) -> StopRecordSettings {
 }
 
 fn open(settings: &StopRecordSettings) -> (StopRecord, Option<LatchedStop>) {
-    StopRecord::open(settings, &Room::new("lab").unwrap(), NOW_NS)
+    settings.open(&Room::new("lab").unwrap(), 0, NOW_NS)
 }
 
 fn stop() -> Latch {
@@ -56,7 +56,7 @@ fn a_stop_and_its_rearm_are_in_force_at_the_next_start() {
     assert_eq!(next_start(folder.path()).as_ref(), stop().stop());
     record.keep(&Latch::default(), false).unwrap();
     assert_eq!(next_start(folder.path()), None);
-    let other = StopRecord::open(&settings(folder.path(), false), &Room::new("hall").unwrap(), NOW_NS).1;
+    let other = settings(folder.path(), false).open(&Room::new("hall").unwrap(), 0, NOW_NS).1;
     assert!(other.is_some(), "another room has its own record");
 }
 

@@ -90,7 +90,9 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 }
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load().context(
+        "an actor is trained in a room with one array; an actor of residual from such a room runs with several",
+    )?;
     anyhow::ensure!(
         args.fine_tune.is_none() || args.algorithm.policy == PolicyKind::Residual,
         "--fine-tune with the algorithm {}: expected residual",

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 
 use crate::codec::{BufferFull, Reader, Unreadable, Writer};
 use crate::error::CodecError;
@@ -37,16 +37,32 @@ macro_rules! enumerations {
             pub fn from_name(name: &str) -> Option<Self> {
                 Self::ALL.into_iter().find(|value| value.name() == name)
             }
+
+            fn from_number(number: u32) -> Option<Self> {
+                Self::ALL.into_iter().find(|value| *value as u32 == number)
+            }
+        }
+
+        /// As its number on the wire.
+        impl Serialize for $enumeration {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_u32(*self as u32)
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $enumeration {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let number = u32::deserialize(deserializer)?;
+                Self::from_number(number).ok_or_else(|| D::Error::custom(unknown(number)))
+            }
         }
 
         impl Value for $enumeration {
             fn read(&mut self, reader: &mut Reader<'_>, place: Place, _: Bounds) -> Result<(), CodecError> {
                 let mut number = 0u32;
                 number.read(reader, place, Bounds::NONE)?;
-                *self = Self::ALL
-                    .into_iter()
-                    .find(|value| *value as u32 == number)
-                    .ok_or_else(|| place.unreadable(Unreadable::Invalid(format!("no value has the number {number}"))))?;
+                *self =
+                    Self::from_number(number).ok_or_else(|| place.unreadable(Unreadable::Invalid(unknown(number))))?;
                 Ok(())
             }
 
@@ -59,6 +75,11 @@ macro_rules! enumerations {
             }
         }
     )* };
+}
+
+/// The problem of a number that no value has.
+fn unknown(number: u32) -> String {
+    format!("no value has the number {number}")
 }
 
 enumerations! {
@@ -154,7 +175,6 @@ enumerations! {
     }
 
     /// Kind of process that takes part in a room.
-    #[derive(Serialize, Deserialize)]
     enumeration NodeKind {
         /// Decides the mirror angles.
         #[default]

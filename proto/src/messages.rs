@@ -3,6 +3,8 @@
 //! Positions are in m in the room's frame: origin at the centre of the floor, z up. Angles are in
 //! rad and mechanical.
 
+use serde::{Deserialize, Serialize};
+
 use crate::codec::{BufferFull, Message, Reader, Writer};
 use crate::enumerations::{ArrayState, Feedback, NodeKind, StopAction, ValidityClock};
 use crate::error::CodecError;
@@ -15,11 +17,12 @@ use crate::limits::{
 };
 use crate::structures::{
     AxisLimits, ControllerInput, Counters, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser, UserBelief,
-    UserChannel, UserOrientation, UserState,
+    UserBranches, UserChannel, UserOrientation, UserState,
 };
 use crate::table::message_table;
 
-/// Expands the message table to structs, and to their readers, writers and checks.
+/// Expands the message table to structs, and to their readers, writers and checks. Serde gives their fields by name,
+/// for other notations than the bytes.
 macro_rules! define_messages {
     ($(
         $(#[$meta:meta])*
@@ -29,7 +32,8 @@ macro_rules! define_messages {
         $(requires { $($relation:ident($($of:ident),+)),+ $(,)? })?
     )*) => { $(
         $(#[$meta])*
-        #[derive(Clone, Debug, Default, PartialEq)]
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
         pub struct $message {
             $( $(#[$field_meta])* pub $field: $type, )*
         }

@@ -10,10 +10,13 @@ use serde::{Deserialize, Serialize};
 use crate::codec::{BufferFull, Reader, Writer};
 use crate::enumerations::{FaultKind, InputKind};
 use crate::error::CodecError;
-use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered};
-use crate::limits::{MAX_MIRRORS, Nanos};
+use crate::fields::{
+    Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered, same_length,
+};
+use crate::limits::{MAX_BRANCHES, MAX_MIRRORS, Nanos};
 
-/// Defines structures with public fields, and reads, writes and checks them.
+/// Defines structures with public fields, and reads, writes and checks them. Serde gives their fields by name, for
+/// other notations than the bytes.
 macro_rules! structures {
     ($(
         $(#[$meta:meta])*
@@ -23,7 +26,8 @@ macro_rules! structures {
         $(requires { $($relation:ident($($of:ident),+)),+ $(,)? })?
     )*) => { $(
         $(#[$meta])*
-        #[derive(Clone, Debug, Default, PartialEq)]
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
         pub struct $structure {
             $( $(#[$field_meta])* pub $field: $type, )*
         }
@@ -74,6 +78,16 @@ structures! {
         sinr: f32,
     }
 
+    /// Measured channel gains of the branches of one user's receiver.
+    structure UserBranches in users {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Channel gain of the direct path at each branch, dimensionless; 0 when blocked.
+        los_gain: Vec<f32> where at_most(MAX_BRANCHES) and not_negative,
+        /// Channel gain over all mirrors at each branch, dimensionless.
+        irs_gain: Vec<f32> where at_most(MAX_BRANCHES) and not_negative,
+    } requires { same_length(irs_gain, los_gain) }
+
     /// How one user holds the receiver.
     #[derive(Copy)]
     structure UserOrientation in users {
@@ -123,7 +137,7 @@ structures! {
     }
 
     /// Distribution of durations in us.
-    #[derive(Copy, Serialize, Deserialize)]
+    #[derive(Copy)]
     structure Quantiles {
         /// Number of measurements.
         count: u64,

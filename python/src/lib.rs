@@ -1,8 +1,9 @@
 //! `heliostat._core`: the compiled part of the Python package.
 //!
 //! It holds no logic of its own. Environments are tasks of `heliostat-environment`, physics is
-//! `heliostat-channel`, and policies are those of `heliostat-decide`. Panics and refusals become
-//! Python exceptions with their reason.
+//! `heliostat-channel`, and policies are those of `heliostat-decide`. Messages are those of
+//! `heliostat-proto`, and the rules of a driver are those of `heliostat-array`. Panics and refusals
+//! become Python exceptions with their reason.
 
 mod actor;
 mod arrays;
@@ -12,6 +13,10 @@ mod error;
 mod policy;
 mod scenario;
 mod settings;
+mod station;
+mod wire;
+
+use std::collections::BTreeMap;
 
 use pyo3::prelude::*;
 
@@ -23,9 +28,17 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<batch::Batch>()?;
     module.add_class::<channel::Channel>()?;
     module.add_class::<policy::Policy>()?;
+    module.add_class::<station::Station>()?;
     module.add_function(wrap_pyfunction!(actor::finish_actor, module)?)?;
     module.add_function(wrap_pyfunction!(settings::held_out_seed, module)?)?;
     module.add_function(wrap_pyfunction!(policy::policy_names, module)?)?;
+    module.add_function(wrap_pyfunction!(wire::decode, module)?)?;
+    module.add_function(wrap_pyfunction!(wire::encode_message, module)?)?;
+    module.add_function(wrap_pyfunction!(wire::keys, module)?)?;
+    module.add_function(wrap_pyfunction!(wire::kind_of, module)?)?;
+    module.add("KINDS", wire::KINDS.map(|(name, kind)| (name, kind.number())).into_iter().collect::<BTreeMap<_, _>>())?;
+    module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
+    module.add("Refused", module.py().get_type::<wire::Refused>())?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;
     module.add("BUILTIN_SCENARIOS", heliostat_scenario::BUILTIN_NAMES.to_vec())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))

@@ -92,12 +92,29 @@ pub struct Header {
 /// A process joined the room, or left it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Presence {
-    /// The kind of process.
+    /// The kind of process, by the name of its variant.
+    #[serde(with = "node_by_name")]
     pub node: NodeKind,
     /// The source id in its stamps.
     pub source: u64,
     /// Whether it is in the room.
     pub alive: bool,
+}
+
+/// A kind of process as the name of its variant, such as `SimNode`.
+mod node_by_name {
+    use heliostat_proto::NodeKind;
+    use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
+
+    pub fn serialize<S: Serializer>(node: &NodeKind, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&format_args!("{node:?}"))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<NodeKind, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        let node = NodeKind::ALL.into_iter().find(|node| format!("{node:?}") == name);
+        node.ok_or_else(|| D::Error::custom(format!("unknown process {name:?}")))
+    }
 }
 
 /// A channel for derived data.
@@ -124,5 +141,21 @@ impl Header {
     fn from_map(map: &BTreeMap<String, String>) -> Result<Self, RecordingError> {
         let value = serde_json::to_value(map).expect("a map of text serialises to JSON");
         serde_json::from_value(value).map_err(|error| RecordingError::Read(format!("its metadata: {error}")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presence_names_each_kind_of_process() {
+        for (node, name) in NodeKind::ALL.into_iter().zip(["Controller", "SimNode", "Driver", "Tracker", "Viewer"]) {
+            let presence = Presence { node, source: 7, alive: true };
+            let text = format!(r#"{{"node":"{name}","source":7,"alive":true}}"#);
+            assert_eq!(serde_json::to_string(&presence).unwrap(), text);
+            assert_eq!(serde_json::from_str::<Presence>(&text).unwrap(), presence);
+        }
+        assert!(serde_json::from_str::<Presence>(r#"{"node":"Lamp","source":7,"alive":true}"#).is_err());
     }
 }

@@ -1,12 +1,11 @@
 //! The simulated room with its session, clock and counters: what live operation and lockstep share.
 
+use heliostat_array::arrivals::Arrival;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
+use heliostat_array::stop_record;
 use heliostat_bus::Class;
 use heliostat_driver::clock::Clock;
-use heliostat_driver::receive_queue::Arrival;
-use heliostat_driver::stop_record;
-use heliostat_driver::stop_record::StopRecord;
 use heliostat_proto::array_keys::array_name;
 use heliostat_proto::{ArrayState, Counters, MirrorCommand, NodeKind, NodeStatus, Quantiles, Stamp};
 use heliostat_scenario::Scenario;
@@ -84,7 +83,7 @@ impl Node {
         let arrays = (0..room.arrays()).map(|array| {
             let record = settings.record.as_ref().map(|record| {
                 let now = clock.now();
-                let (record, stop) = StopRecord::open_array(record, (&settings.bus.room, array), now.room_ns);
+                let (record, stop) = record.open(&settings.bus.room, array, now.room_ns);
                 if let Some(stop) = stop {
                     tracing::warn!("{}", stop_record::advice(&settings.bus.room, &stop));
                     room.stop(array, now, stop);

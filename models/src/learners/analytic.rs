@@ -38,9 +38,8 @@ use super::ddpg;
 use crate::environment::features::{BaselineWeight, Head, Layout};
 use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
 use crate::export::actor::export;
-use crate::networks::actor::{ACTOR_INPUTS, Actor, POWER_FLOOR, States};
+use crate::networks::actor::{Actor, POWER_FLOOR, States};
 use crate::networks::adam::Adam;
-use crate::networks::layers::{Network, Shape};
 use crate::training::algorithm::{Algorithm, start};
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
@@ -116,11 +115,8 @@ impl Analytic {
             "channel.literal = true has no gradient in analytic: expected channel.literal = false"
         );
         let layout = Layout::of(scenario);
-        let slots = layout.slots();
         let tuned = ddpg::Settings::tuned(settings.run.seed, scenario.channel.mode);
-        let shape = Shape { encoder: tuned.encoder, slots, inputs: ACTOR_INPUTS, hidden: [128, 64], outputs: slots };
-        let network = Network::new(shape, rng)?;
-        let actor = Actor { network, layout, head: settings.head, rounds: settings.rounds };
+        let actor = Actor::new(layout, tuned.encoder, (settings.head, settings.rounds), rng)?;
         Ok(Self { adam: Adam::new(&actor.network), actor, settings })
     }
 
@@ -161,8 +157,7 @@ impl Learner for Analytic {
     }
 
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
-        let actions = self.actor.actions(&States::row(self.actor.layout, room.vector()))?;
-        Ok(self.actor.decode(room, &actions))
+        self.actor.act(room)
     }
 
     fn state(&mut self) -> Vec<Part<'_>> {

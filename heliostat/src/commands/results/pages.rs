@@ -37,10 +37,9 @@ impl PageName {
     }
 }
 
-/// The training runs whose actors a command of a page evaluates, in the order in which they are run.
-pub fn trainings(page: &Page, arguments: &[String]) -> Vec<&'static Training> {
-    let all: &[Training] = if page.name == learning::PAGE.name { &learning::TRAININGS } else { &[] };
-    all.iter().filter(|training| training.is_evaluated_by(arguments)).collect()
+/// The training runs whose actors a command evaluates, in the order in which they are run.
+pub fn trainings(arguments: &[String]) -> Vec<&'static Training> {
+    learning::TRAININGS.iter().filter(|training| training.is_evaluated_by(arguments)).collect()
 }
 
 #[cfg(test)]
@@ -66,7 +65,7 @@ mod tests {
                     let parsed = Cli::try_parse_from(words);
                     assert!(parsed.is_ok(), "{}, {}: {}", page.name, section.name, parsed.unwrap_err());
                 }
-                for training in trainings(page, &section.arguments(false)) {
+                for training in trainings(&section.arguments(false)) {
                     let words = ["heliostat".to_owned()].into_iter().chain(training.arguments());
                     let parsed = Cli::try_parse_from(words);
                     assert!(parsed.is_ok(), "{}, {}: {}", page.name, training.name, parsed.unwrap_err());
@@ -84,7 +83,7 @@ mod tests {
         }
         for arguments in &commands {
             let files = arguments.iter().flat_map(|word| word.split(',')).filter(|word| word.ends_with(".onnx"));
-            assert_eq!(files.count(), trainings(&learning::PAGE, arguments).len(), "{arguments:?}");
+            assert_eq!(files.count(), trainings(arguments).len(), "{arguments:?}");
         }
     }
 

@@ -6,10 +6,32 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 
-use super::pages::Training;
+use super::document::command;
+use super::pages::{Training, trainings};
+use super::steps::report;
+
+/// Whether all actors that the command of a section evaluates exist; those that do not are trained
+/// first, if `train`.
+///
+/// # Errors
+/// A training fails.
+pub fn provide(section: &str, arguments: &[String], (train, quick): (bool, bool)) -> Result<bool> {
+    for training in trainings(arguments) {
+        if is_finished(training) {
+            continue;
+        }
+        if !train {
+            report(&format!("{section}: left out, because {} does not exist; --train makes it", training.folder()));
+            return Ok(false);
+        }
+        report(&format!("{section}: {}", command(&training.arguments())));
+        run(training, quick)?;
+    }
+    Ok(true)
+}
 
 /// Whether the folder of a run holds an actor, which a run writes at its end.
-pub fn is_finished(training: &Training) -> bool {
+fn is_finished(training: &Training) -> bool {
     let files = fs::read_dir(training.folder()).into_iter().flatten().flatten();
     files.map(|file| file.path()).any(|path| path.extension().is_some_and(|extension| extension == "onnx"))
 }
@@ -18,17 +40,17 @@ pub fn is_finished(training: &Training) -> bool {
 ///
 /// # Errors
 /// The training fails.
-pub fn run(training: &Training, quick: bool) -> Result<()> {
+fn run(training: &Training, quick: bool) -> Result<()> {
     let program = std::env::current_exe().context("cannot find this program's own file")?;
-    let mut command = Command::new(program);
-    command.args(training.arguments()).arg("--json").stdin(Stdio::null()).stdout(Stdio::null());
+    let mut process = Command::new(program);
+    process.args(training.arguments()).arg("--json").stdin(Stdio::null()).stdout(Stdio::null());
     if quick {
-        command.args(["--option", "episodes=1", "--option", "room_count=2", "--option", "room_s=3"]);
+        process.args(["--option", "episodes=1", "--option", "room_count=2", "--option", "room_s=3"]);
     }
     if Path::new(&training.folder()).join("checkpoint.safetensors").exists() {
-        command.arg("--resume");
+        process.arg("--resume");
     }
-    let status = command.status().context("cannot start the training")?;
-    ensure!(status.success(), "heliostat {}: {status}", training.arguments().join(" "));
+    let status = process.status().context("cannot start the training")?;
+    ensure!(status.success(), "{}: {status}", command(&training.arguments()));
     Ok(())
 }

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 use super::actor::{self, CERTAIN};
 use crate::environment::reported::{Future, RoomChoice, decisions};
 use crate::environment::room::{Environment, Outcome, Reward, RewardForm};
-use crate::learners::ddpg::mean_present;
+use crate::networks::actor::mean_present;
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Encoder, Network, Shape, soft_update};
 use crate::training::exploration::normal;

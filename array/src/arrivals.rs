@@ -1,0 +1,103 @@
+//! The bounded queue of messages for an array.
+
+use std::collections::VecDeque;
+
+use heliostat_proto::StopAction;
+
+use crate::content::Content;
+use crate::moment::Moment;
+
+/// Capacity for stops, and for all other messages; beyond it the oldest is dropped.
+const CAPACITY: usize = 256;
+
+/// A received message.
+#[derive(Clone, Debug)]
+pub struct Arrival {
+    /// When it arrived, before it was decoded.
+    pub at: Moment,
+    /// Its content.
+    pub content: Content,
+}
+
+/// A bounded queue in which emergency stops have priority, and commands cannot displace them.
+#[derive(Debug, Default)]
+pub struct Arrivals {
+    stops: VecDeque<Arrival>,
+    others: VecDeque<Arrival>,
+    dropped: u64,
+}
+
+impl Arrivals {
+    /// Adds a message.
+    pub fn push(&mut self, at: Moment, content: Content) {
+        let target = if matches!(content, Content::Stop(_)) { &mut self.stops } else { &mut self.others };
+        let arrival = Arrival { at, content };
+        if target.len() == CAPACITY {
+            self.dropped += 1;
+            // Undecodable payloads and re-arms on the key of the stop must not displace a stop.
+            let least = target.iter().position(|queued| !is_stop(queued));
+            match least {
+                Some(index) => drop(target.remove(index)),
+                None if matches!(arrival.content, Content::Stop(_)) && !is_stop(&arrival) => return,
+                None => drop(target.pop_front()),
+            }
+        }
+        target.push_back(arrival);
+    }
+
+    /// The next message, if any.
+    pub fn pop(&mut self) -> Option<Arrival> {
+        self.stops.pop_front().or_else(|| self.others.pop_front())
+    }
+
+    /// Messages that were dropped because the queue was full.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+}
+
+/// Whether the message stops the array.
+fn is_stop(arrival: &Arrival) -> bool {
+    matches!(&arrival.content, Content::Stop(Ok(order)) if order.action == StopAction::Stop)
+}
+
+#[cfg(test)]
+mod tests {
+    use heliostat_proto::{EmergencyStop, MirrorCommand};
+
+    use super::*;
+
+    fn command() -> Content {
+        Content::Command(Ok(MirrorCommand::default()))
+    }
+
+    #[test]
+    fn keeps_order_drops_the_oldest_and_gives_stops_priority() {
+        let mut queue = Arrivals::default();
+        queue.push(Moment::simulated(0), command());
+        queue.push(Moment::simulated(0), Content::Stop(Ok(EmergencyStop::default())));
+        for i in 1..CAPACITY as u64 + 3 {
+            queue.push(Moment::simulated(i), command());
+        }
+        assert_eq!(queue.dropped(), 3);
+        assert!(matches!(queue.pop().unwrap().content, Content::Stop(_)));
+        assert_eq!(queue.pop().unwrap().at, Moment::simulated(3));
+    }
+
+    #[test]
+    fn nothing_else_on_the_key_of_the_stop_displaces_a_stop() {
+        let mut queue = Arrivals::default();
+        queue.push(Moment::simulated(0), Content::Stop(Ok(EmergencyStop::default())));
+        let rearm = EmergencyStop { action: StopAction::Rearm, ..EmergencyStop::default() };
+        for i in 1..2 * CAPACITY as u64 {
+            queue.push(Moment::simulated(i), Content::Stop(Ok(rearm.clone())));
+        }
+        assert_eq!(queue.pop().expect("a message").at, Moment::simulated(0), "the stop is first in the queue");
+        for i in 0..=CAPACITY as u64 {
+            queue.push(Moment::simulated(i), Content::Stop(Ok(EmergencyStop::default())));
+        }
+        queue.push(Moment::simulated(9), Content::Stop(Ok(rearm)));
+        let all: Vec<Arrival> = std::iter::from_fn(|| queue.pop()).collect();
+        assert!(all.len() == CAPACITY && all.iter().all(is_stop), "a queue of stops admits no re-arm");
+    }
+}

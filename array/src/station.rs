@@ -1,0 +1,220 @@
+//! An array as a node of a room: what its driver handles, records and publishes, and when.
+//!
+//! # Theory of Operation
+//!
+//! [`Station`] is a driver process without transport, clock and thread. It holds a [`Kit`] with the
+//! record of its emergency stop, and gives the reports that the contract requires of a driver. The
+//! calling order is:
+//!
+//! 1. [`Station::handle`] for each message, until the telemetry is due ([`Station::telemetry_ns`]):
+//!    neither a flood nor a slow device delays it.
+//! 2. [`Station::advance`]: it holds, parks, reconnects and records the stop, before telemetry reports
+//!    the stop and after the device has stopped.
+//! 3. [`Station::poll_report`], and publish what it returns, until it returns `None`.
+//! 4. Wait for a message until [`Station::next_ns`] at the latest, and continue with step 1.
+
+use heliostat_proto::array_keys::array_name;
+use heliostat_proto::{ArrayState, Capabilities, MirrorTelemetry, NodeKind, NodeStatus, SafetyReport, Stamp};
+
+use crate::arrivals::Arrival;
+use crate::device::Device;
+use crate::kit::Kit;
+use crate::latch::{Latch, LatchedStop};
+use crate::moment::Moment;
+use crate::refusal_counts::RefusalCounts;
+use crate::stop_record::{RecordError, StopRecord, StopStore};
+
+/// Time between two telemetry messages in ns; the contract requires ten per second.
+const TELEMETRY_NS: u64 = 50_000_000;
+
+/// Time between two publications of the capabilities, of the safety report and of the status, in ns.
+const ANNOUNCEMENT_NS: u64 = 1_000_000_000;
+
+/// What a driver is called in its messages.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// The source id in its stamps.
+    pub source: u64,
+    /// Index of the array among those of the room.
+    pub array: usize,
+    /// Name and version of the software in the status.
+    pub software: String,
+}
+
+/// A message to publish.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Report {
+    /// Under the key of the array's telemetry.
+    Telemetry(MirrorTelemetry),
+    /// Under the key of the array's safety report, and as the answer to queries of it.
+    Safety(SafetyReport),
+    /// Under the key of the array's capabilities, and as the answer to queries of it.
+    Capabilities(Capabilities),
+    /// Under the key of the driver's status.
+    Status(NodeStatus),
+}
+
+/// Sequence number and next time of one kind of report.
+#[derive(Clone, Copy, Debug, Default)]
+struct Timer {
+    sequence: u64,
+    due_ns: u64,
+}
+
+impl Timer {
+    /// The stamp of the report that is published now; the next one is due after `interval_ns`.
+    fn publish(&mut self, source: u64, now: Moment, interval_ns: u64) -> Stamp {
+        self.sequence += 1;
+        self.due_ns = now.local_ns.saturating_add(interval_ns);
+        Stamp { source, sequence: self.sequence, time_ns: now.room_ns }
+    }
+}
+
+/// A kit with the record of its stop, and the reports of a driver.
+#[derive(Debug)]
+pub struct Station<D, S> {
+    kit: Kit<D>,
+    record: StopRecord<S>,
+    identity: Identity,
+    started_ns: u64,
+    refused: RefusalCounts,
+    telemetry: Timer,
+    safety: Timer,
+    capabilities: Timer,
+    status: Timer,
+    /// The state in the last telemetry.
+    published_state: ArrayState,
+    /// The latch in the last safety report.
+    published_latch: Latch,
+}
+
+impl<D: Device, S: StopStore> Station<D, S> {
+    /// A station that starts now, stopped if there is a stop at the start. All reports are due.
+    pub fn new(
+        mut kit: Kit<D>,
+        (record, stop_at_start): (StopRecord<S>, Option<LatchedStop>),
+        identity: Identity,
+        now: Moment,
+    ) -> Self {
+        if let Some(stop) = stop_at_start {
+            kit.stop(now, stop);
+        }
+        Self {
+            kit,
+            record,
+            identity,
+            started_ns: now.room_ns,
+            refused: RefusalCounts::default(),
+            telemetry: Timer::default(),
+            safety: Timer::default(),
+            capabilities: Timer::default(),
+            status: Timer::default(),
+            published_state: ArrayState::Parked,
+            published_latch: Latch::default(),
+        }
+    }
+
+    /// Handles a message.
+    pub fn handle(&mut self, arrival: Arrival) {
+        self.kit.handle(arrival.at, arrival.content, &mut self.refused);
+    }
+
+    /// Sets the number of messages that were dropped before they were handled.
+    pub fn set_dropped(&mut self, dropped: u64) {
+        self.refused.set("dropped", dropped);
+    }
+
+    /// Advances to a time, and records the emergency stop; a write that failed is repeated when the
+    /// safety report is due.
+    ///
+    /// # Errors
+    /// [`RecordError`] for each attempt that failed; the stop is in force all the same.
+    pub fn advance(&mut self, now: Moment) -> Result<(), RecordError> {
+        self.kit.advance(now);
+        let again = now.local_ns >= self.safety.due_ns;
+        self.record.keep(self.kit.array().latch(), again)
+    }
+
+    /// The next report that is due, if any.
+    pub fn poll_report(&mut self, now: Moment) -> Option<Report> {
+        let source = self.identity.source;
+        let is_due = |timer: &Timer| now.local_ns >= timer.due_ns;
+        // Before the telemetry, so that a process that learns of a new state from it finds the stop.
+        if is_due(&self.safety) || self.published_latch != *self.kit.array().latch() {
+            let stamp = self.safety.publish(source, now, ANNOUNCEMENT_NS);
+            self.published_latch.clone_from(self.kit.array().latch());
+            return Some(Report::Safety(self.kit.safety(stamp)));
+        }
+        if is_due(&self.telemetry) || self.published_state != self.kit.array().state() {
+            let stamp = self.telemetry.publish(source, now, TELEMETRY_NS);
+            let telemetry = self.kit.telemetry(now, stamp);
+            self.published_state = self.kit.array().state();
+            return Some(Report::Telemetry(telemetry));
+        }
+        if is_due(&self.capabilities) {
+            let stamp = self.capabilities.publish(source, now, ANNOUNCEMENT_NS);
+            return Some(Report::Capabilities(self.kit.capabilities(stamp)));
+        }
+        if is_due(&self.status) {
+            let stamp = self.status.publish(source, now, ANNOUNCEMENT_NS);
+            return Some(Report::Status(self.status(stamp)));
+        }
+        None
+    }
+
+    /// When the next telemetry is due, in local time.
+    pub fn telemetry_ns(&self) -> u64 {
+        self.telemetry.due_ns
+    }
+
+    /// When [`Station::advance`] must be called if no message arrives, in local time.
+    pub fn next_ns(&self) -> u64 {
+        let reports = [self.telemetry, self.safety, self.capabilities, self.status].map(|timer| timer.due_ns);
+        reports.into_iter().chain(self.kit.next_ns()).min().unwrap_or_default()
+    }
+
+    /// The device with the rules.
+    pub fn kit(&self) -> &Kit<D> {
+        &self.kit
+    }
+
+    /// Counts of refused messages.
+    pub fn refused(&self) -> &RefusalCounts {
+        &self.refused
+    }
+
+    /// Whether the present stop is in the record.
+    pub fn is_recorded(&self) -> bool {
+        self.record.problem().is_none()
+    }
+
+    /// The last problem: of the record, of the device, or of a refused message; empty if there was
+    /// none.
+    pub fn last_problem(&self) -> String {
+        let record = self.record.problem().map(str::to_owned);
+        let problem = record.or_else(|| self.kit.last_problem().map(ToString::to_string));
+        problem.unwrap_or_else(|| self.refused.last_problem().to_owned())
+    }
+
+    fn status(&self, stamp: Stamp) -> NodeStatus {
+        let commands = self.kit.array().counters().accepted;
+        let refused = self.refused.counts().iter().map(|(name, count)| (format!("refused:{name}"), *count));
+        let array = if self.identity.array == 0 { "array".to_owned() } else { array_name(self.identity.array) };
+        let mut status = NodeStatus {
+            stamp,
+            node: NodeKind::Driver,
+            name: format!("{:016x}", self.identity.source),
+            software: self.identity.software.clone(),
+            state: format!("{array} {}", self.kit.array().state().name()),
+            started_ns: self.started_ns,
+            counters: [("commands", commands), ("connections", self.kit.connections())]
+                .map(|(name, count)| (name.to_owned(), count))
+                .into_iter()
+                .chain(refused)
+                .collect(),
+            ..NodeStatus::default()
+        };
+        status.set_problem(&self.last_problem());
+        status
+    }
+}

@@ -1,0 +1,327 @@
+//! The rules of a driver for a device in Python: `heliostat_array::station` around it.
+//!
+//! The caller has the session, the clock and the thread. Messages may be received on any thread; all
+//! other methods belong to one thread, and none may be called from a method of the device.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use heliostat_array::arrivals::Arrivals;
+use heliostat_array::content::Content;
+use heliostat_array::moment::Moment;
+use heliostat_array::station::{Identity, Report, Station as Rules};
+use heliostat_array::stop_record::{self, StopRecord, StopStore};
+use heliostat_array::{Device, DeviceError, Health, Kit};
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::messages::fault;
+use heliostat_proto::{Capabilities, Kind, Message, decode, encode};
+use numpy::{AllowTypeChange, PyArray1, PyArrayLike1};
+use pyo3::exceptions::{PyException, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use crate::error::guarded;
+use crate::wire;
+
+/// An exception that is no failure of the device, such as `KeyboardInterrupt`.
+type Raised = Arc<Mutex<Option<PyErr>>>;
+
+/// A device in Python.
+struct PyDevice {
+    object: Py<PyAny>,
+    capabilities: Capabilities,
+    travel_rad: Option<[[f64; 2]; 2]>,
+    raised: Raised,
+}
+
+impl PyDevice {
+    /// Calls a method of the object; an exception is a failure of the device.
+    fn call<T>(
+        &self,
+        method: &str,
+        work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>,
+    ) -> Result<T, DeviceError> {
+        Python::attach(|py| {
+            work(py, self.object.bind(py)).map_err(|error| {
+                let problem = format!("{method}: {error}");
+                if !error.is_instance_of::<PyException>(py) {
+                    *self.raised.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                }
+                DeviceError::new(&self.capabilities.hardware, problem)
+            })
+        })
+    }
+}
+
+impl Device for PyDevice {
+    fn capabilities(&self) -> Capabilities {
+        self.capabilities.clone()
+    }
+
+    fn travel_rad(&self) -> [[f64; 2]; 2] {
+        let Capabilities { roll, yaw, .. } = self.capabilities;
+        let limits = [roll, yaw].map(|axis| [f64::from(axis.min_rad), f64::from(axis.max_rad)]);
+        self.travel_rad.unwrap_or(limits)
+    }
+
+    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        self.call("connect", |_, object| object.call_method0("connect").map(drop))
+    }
+
+    fn apply(&mut self, _now: Moment, angles: &MirrorAngles) -> Result<(), DeviceError> {
+        self.call("turn", |py, object| {
+            let angles = (PyArray1::from_slice(py, &angles.roll), PyArray1::from_slice(py, &angles.yaw));
+            object.call_method1("turn", angles).map(drop)
+        })
+    }
+
+    fn measure(&mut self, _now: Moment, into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        self.call("measure", |_, object| {
+            let answer = object.call_method0("measure")?;
+            if answer.is_none() {
+                return Ok(false);
+            }
+            type List<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
+            let (roll, yaw): (List<'_>, List<'_>) = answer
+                .extract()
+                .map_err(|_| PyValueError::new_err("expected None, or a pair of lists of angles in rad"))?;
+            for (axis, list, target) in [("roll", roll, &mut into.roll), ("yaw", yaw, &mut into.yaw)] {
+                let list = list.as_array();
+                if list.len() != target.len() {
+                    let (found, expected) = (list.len(), target.len());
+                    return Err(PyValueError::new_err(format!("{axis} of {found} mirrors: expected {expected}")));
+                }
+                if let Some(mirror) = list.iter().position(|angle| !angle.is_finite()) {
+                    return Err(PyValueError::new_err(format!("{axis} of mirror {mirror} is not finite")));
+                }
+                target.iter_mut().zip(list).for_each(|(target, angle)| *target = *angle);
+            }
+            Ok(true)
+        })
+    }
+
+    fn health(&mut self, _now: Moment) -> Result<Health, DeviceError> {
+        let mirrors = self.capabilities.mirrors();
+        self.call("health", |_, object| {
+            let answer = object.call_method0("health")?;
+            let temperature_c: Option<f32> = answer.getattr("temperature_c")?.extract()?;
+            let mut broken: Vec<u32> = answer.getattr("broken")?.extract()?;
+            broken.sort_unstable();
+            broken.dedup();
+            if temperature_c.is_some_and(|temperature_c| !temperature_c.is_finite()) {
+                return Err(PyValueError::new_err("temperature_c is not finite"));
+            }
+            if let Some(mirror) = broken.last().filter(|mirror| **mirror as usize >= mirrors) {
+                return Err(PyValueError::new_err(format!("broken has mirror {mirror}: expected 0 to {}", mirrors - 1)));
+            }
+            let bit = |name: &str, bit: u32| answer.getattr(name)?.is_truthy().map(|set| if set { bit } else { 0 });
+            let faults = bit("temperature_fault", fault::TEMPERATURE)? | bit("supply_fault", fault::SUPPLY)?;
+            Ok(Health { temperature_c, faults, broken })
+        })
+    }
+
+    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        self.call("stop", |_, object| object.call_method0("stop").map(drop))
+    }
+}
+
+/// A store of the emergency stop in Python.
+struct PyStore {
+    object: Py<PyAny>,
+    name: String,
+}
+
+impl StopStore for PyStore {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn read(&mut self) -> Result<Option<String>, String> {
+        let record: PyResult<_> = Python::attach(|py| self.object.call_method0(py, "read")?.extract(py));
+        record.map_err(|error| error.to_string())
+    }
+
+    fn replace(&mut self, text: &str) -> Result<(), String> {
+        let replaced = Python::attach(|py| self.object.call_method1(py, "replace", (text,)).map(drop));
+        replaced.map_err(|error| error.to_string())
+    }
+
+    fn empty(&mut self) -> Result<(), String> {
+        Python::attach(|py| self.object.call_method0(py, "empty").map(drop)).map_err(|error| error.to_string())
+    }
+}
+
+/// An array with its device, the rules of the contract, and the reports of a driver.
+#[pyclass(frozen, module = "heliostat._core")]
+pub struct Station {
+    received: Mutex<Arrivals>,
+    rules: Mutex<Rules<PyDevice, PyStore>>,
+    raised: Raised,
+    /// Why the array starts stopped, if it does.
+    advice: Option<String>,
+}
+
+impl Station {
+    /// The rules, for the one thread that uses them.
+    fn rules(&self) -> PyResult<MutexGuard<'_, Rules<PyDevice, PyStore>>> {
+        self.rules.try_lock().map_err(|_| {
+            PyRuntimeError::new_err("the station is in use: call it from one thread, and not from a method of the device")
+        })
+    }
+
+    /// Runs a step, and then raises what a method of the device raised.
+    fn step<T>(&self, work: impl FnOnce(&mut Rules<PyDevice, PyStore>) -> PyResult<T>) -> PyResult<T> {
+        let mut rules = self.rules()?;
+        let done = guarded(|| work(&mut rules));
+        match self.raised.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(raised) => Err(raised),
+            None => done,
+        }
+    }
+
+    fn received(&self) -> MutexGuard<'_, Arrivals> {
+        self.received.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Station {
+    #[new]
+    #[pyo3(signature = (
+        device, capabilities, travel_rad, store, *, room, array, source, software, start_armed, authenticated, now
+    ))]
+    #[expect(clippy::too_many_arguments, reason = "the keywords of a Python constructor")]
+    fn new(
+        device: Py<PyAny>,
+        capabilities: &Bound<'_, PyAny>,
+        travel_rad: Option<[[f64; 2]; 2]>,
+        store: Bound<'_, PyAny>,
+        room: &str,
+        array: usize,
+        source: u64,
+        software: String,
+        start_armed: bool,
+        authenticated: bool,
+        now: (u64, u64),
+    ) -> PyResult<Self> {
+        let room = wire::room(room)?;
+        let capabilities: Capabilities = wire::from_dictionary(capabilities, Kind::Capabilities)?;
+        payload(&capabilities)?;
+        if capabilities.mirrors() == 0 {
+            return Err(wire::Refused::new_err("an array without mirrors: expected rows and columns from 1"));
+        }
+        let name = stop_record::file_name(&room, array);
+        let store = PyStore { name: store.call_method1("open", (name,))?.extract()?, object: store.unbind() };
+        let now = moment(now);
+        let (record, stop_at_start) = StopRecord::open(store, start_armed, now.room_ns);
+        let raised = Raised::default();
+        let mut kit = Kit::new(PyDevice { object: device, capabilities, travel_rad, raised: Arc::clone(&raised) });
+        // Every role may publish under the key of the stop, only operators under that of the re-arm.
+        kit.refuse_unnamed_rearm(authenticated);
+        let advice = stop_at_start.as_ref().map(|stop| stop_record::advice(&room, stop));
+        let rules = Rules::new(kit, (record, stop_at_start), Identity { source, array, software }, now);
+        Ok(Self { received: Mutex::default(), rules: Mutex::new(rules), raised, advice })
+    }
+
+    /// Adds a message to the queue; `of` is command, stop, rearm or calibration. Any thread may call it.
+    fn receive(&self, of: &str, payload: &[u8], now: (u64, u64)) -> PyResult<()> {
+        let content = match of {
+            "command" => Content::Command(decode(payload)),
+            "stop" => Content::Stop(decode(payload)),
+            "rearm" => Content::Rearm(decode(payload)),
+            "calibration" => Content::Calibration(decode(payload)),
+            _ => return Err(PyValueError::new_err(format!("unknown message {of:?}"))),
+        };
+        self.received().push(moment(now), content);
+        Ok(())
+    }
+
+    /// Handles the next message of the queue; false if there was none.
+    fn handle_received(&self) -> PyResult<bool> {
+        let next = self.received().pop();
+        let Some(arrival) = next else { return Ok(false) };
+        self.step(|rules| {
+            rules.handle(arrival);
+            Ok(true)
+        })
+    }
+
+    /// Advances to a time; returns the problem if the emergency stop could not be recorded.
+    fn advance(&self, now: (u64, u64)) -> PyResult<Option<String>> {
+        let dropped = self.received().dropped();
+        self.step(|rules| {
+            rules.set_dropped(dropped);
+            Ok(rules.advance(moment(now)).err().map(|error| error.to_string()))
+        })
+    }
+
+    /// The payloads that are due, each with the name of its key.
+    fn reports<'py>(&self, py: Python<'py>, now: (u64, u64)) -> PyResult<Vec<(&'static str, Bound<'py, PyBytes>)>> {
+        self.step(|rules| {
+            let mut due = Vec::new();
+            while let Some(report) = rules.poll_report(moment(now)) {
+                let (name, payload) = match report {
+                    Report::Telemetry(telemetry) => ("telemetry", payload(&telemetry)?),
+                    Report::Safety(safety) => ("safety", payload(&safety)?),
+                    Report::Capabilities(capabilities) => ("capabilities", payload(&capabilities)?),
+                    Report::Status(status) => ("status", payload(&status)?),
+                };
+                due.push((name, PyBytes::new(py, &payload)));
+            }
+            Ok(due)
+        })
+    }
+
+    /// When the next telemetry is due, in local time.
+    #[getter]
+    fn telemetry_ns(&self) -> PyResult<u64> {
+        Ok(self.rules()?.telemetry_ns())
+    }
+
+    /// When `advance` must be called if no message arrives, in local time.
+    #[getter]
+    fn next_ns(&self) -> PyResult<u64> {
+        Ok(self.rules()?.next_ns())
+    }
+
+    /// Why the array starts stopped; `None` if it does not.
+    #[getter]
+    fn advice(&self) -> Option<&str> {
+        self.advice.as_deref()
+    }
+
+    /// The stop in force, or an empty text.
+    #[getter]
+    fn stop(&self) -> PyResult<String> {
+        let rules = self.rules()?;
+        Ok(rules.kit().array().latch().stop().map_or_else(String::new, |stop| {
+            format!("{:016x}/{}, operator {:?}: {:?}", stop.source, stop.sequence, stop.operator, stop.reason)
+        }))
+    }
+
+    /// The state of the array: parked, following, holding or stopped.
+    #[getter]
+    fn state(&self) -> PyResult<&'static str> {
+        Ok(self.rules()?.kit().array().state().name())
+    }
+
+    /// The counters of the telemetry.
+    fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        wire::to_dictionary(py, self.rules()?.kit().array().counters())
+    }
+
+    /// The last problem; empty if there was none.
+    #[getter]
+    fn last_problem(&self) -> PyResult<String> {
+        Ok(self.rules()?.last_problem())
+    }
+}
+
+fn payload<T: Message>(message: &T) -> PyResult<Vec<u8>> {
+    let mut payload = Vec::new();
+    encode(message, &mut payload).map_err(|error| wire::refuse(&error))?;
+    Ok(payload)
+}
+
+fn moment((local_ns, room_ns): (u64, u64)) -> Moment {
+    Moment { local_ns, room_ns }
+}

@@ -15,6 +15,8 @@
 //! - [`covered`]: whether the direct path is off for another reason than bodies and obstacles.
 //! - `posture`: how users hold their receivers, as stated or by measured gains.
 //! - `expected`, `tilt`: the gains that the model expects, also of tilted receivers.
+//! - `elementary`: exponential function and logarithm of the likelihoods.
+//! - `lit_mirrors`: what is left of the light of the mirrors past a body.
 //! - `independence`: how much a measurement of a user who stays at a place counts.
 //! - [`residual`]: measured gains beside the expected ones, where a policy reads them.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
@@ -24,12 +26,14 @@ pub mod angle_history;
 pub(crate) mod body;
 mod channel_evidence;
 pub mod covered;
+mod elementary;
 mod expected;
 pub mod heading;
 pub mod height;
 mod hypothesis;
 mod independence;
 pub mod innovations;
+mod lit_mirrors;
 pub mod memory;
 pub mod motion;
 pub mod noise;

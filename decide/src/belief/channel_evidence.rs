@@ -7,20 +7,18 @@
 //! measurement, is compared with the measured one; for a tilted receiver the direct gain is
 //! compared as well. What bodies do not explain, obstacles do.
 
-use heliostat_channel::{
-    ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles, simd::with_widest_simd,
-};
-
-use heliostat_scenario::ChannelStream;
+use heliostat_channel::{ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
 
 use crate::belief::{
     body::Body,
     covered::Covered,
+    densities::{Densities, density},
     elementary::{exp, ln},
     expected::{ExpectedGains, HeldPlace},
     heading::{HEADINGS, Heading},
     lit_mirrors::LitMirrors,
     occupancy::Occupancy,
+    readings::{MeasuredGains, Readings},
     residual::Residual,
     tilt::{self, Tilt},
 };
@@ -36,14 +34,8 @@ const SPREAD_OF_DIRECT: f64 = 0.08;
 /// of detectors in their devices adds to it.
 const SPREAD_OF_DEVICES: f64 = 0.2;
 
-/// The same relative to the gain without any body: mirrors at the edge of a body.
-const SPREAD_OF_CLEAR: f64 = 0.05;
-
 /// Variance of a share of which the map is half certain: all of it arrives, or nothing.
 const SPREAD_OF_MAP: f64 = 0.25;
-
-/// Probability that something else explains a measured gain.
-const UNEXPLAINED: f64 = 0.1;
 
 /// Probability that the model of the user's own body is wrong about the direct path.
 const BODY_WRONG: f64 = 0.02;
@@ -51,39 +43,6 @@ const BODY_WRONG: f64 = 0.02;
 /// Expected gains below this share of the gain of all mirrors aimed at the user say nothing: the
 /// light of mirrors that are aimed at others.
 const SERVED: f64 = 0.02;
-
-/// The measured gains of one user.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct MeasuredGains {
-    pub los: f64,
-    pub irs: f64,
-}
-
-/// What the receivers can tell apart.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Readings {
-    /// The largest reading of a blocked path; see `ChannelStream::detectable_gain`.
-    pub detectable_gain: f64,
-    /// Variance of a reading that does not depend on the gain.
-    pub gain_variance: f64,
-    /// Time between two reports in s.
-    pub interval_s: f64,
-}
-
-impl Readings {
-    pub fn new(settings: &ChannelStream) -> Self {
-        Self {
-            detectable_gain: settings.detectable_gain(),
-            gain_variance: settings.gain_variance(),
-            interval_s: 1.0 / settings.rate_hz,
-        }
-    }
-
-    /// Whether a direct gain shows a path that is not blocked.
-    pub fn shows(&self, los_gain: f64) -> bool {
-        los_gain > self.detectable_gain
-    }
-}
 
 /// What is believed about one user besides the motion.
 pub(super) struct Beliefs<'a> {
@@ -405,44 +364,6 @@ impl ChannelEvidence {
     }
 }
 
-/// What is expected of one measurement at each heading, in arrays that vectorise.
-struct Densities {
-    expected: [f64; HEADINGS],
-    variance: [f64; HEADINGS],
-    /// Whether anything is expected at the heading.
-    is_expected: [bool; HEADINGS],
-}
-
-impl Default for Densities {
-    fn default() -> Self {
-        Self { expected: [1.0; HEADINGS], variance: [1.0; HEADINGS], is_expected: [false; HEADINGS] }
-    }
-}
-
-impl Densities {
-    fn expect(&mut self, heading: usize, expected: f64, variance: f64) {
-        self.expected[heading] = expected;
-        self.variance[heading] = variance;
-        self.is_expected[heading] = true;
-    }
-
-    /// Multiplies by the density of the measured value at each heading where one is expected.
-    fn apply(&self, measured: f64, relative: f64, likelihood: &mut [f64; HEADINGS]) {
-        if !self.is_expected.contains(&true) {
-            return;
-        }
-        with_widest_simd(
-            #[inline(always)]
-            || {
-                for (index, likelihood) in likelihood.iter_mut().enumerate() {
-                    let density = density(measured, (self.expected[index], relative), self.variance[index]);
-                    *likelihood *= if self.is_expected[index] { density } else { 1.0 };
-                }
-            },
-        );
-    }
-}
-
 /// A point in the middle of each column of mirrors, array after array.
 pub(super) fn columns(model: &ChannelModel) -> Vec<Vec3> {
     let middle_row = |array: &MirrorArray| {
@@ -460,15 +381,4 @@ pub(super) fn single_led(model: &ChannelModel) -> Option<Vec3> {
 /// Whether a body blocks the paths from all LEDs to a point.
 fn is_blocked(model: &ChannelModel, body: &Cylinder, position: &Vec3) -> bool {
     model.leds.iter().all(|led| blockage::blocks(body, &led.position, position))
-}
-
-/// Density of a measured gain at an expected one, which has this relative standard deviation; all are
-/// shares of the same gain.
-#[inline(always)]
-fn density(measured: f64, (expected, relative): (f64, f64), variance: f64) -> f64 {
-    let scaled = relative * expected;
-    let variance = scaled * scaled + SPREAD_OF_CLEAR * SPREAD_OF_CLEAR + variance;
-    let deviation = measured - expected;
-    let normal = exp(-0.5 * deviation * deviation / variance) / (variance * std::f64::consts::TAU).sqrt();
-    (1.0 - UNEXPLAINED) * normal + UNEXPLAINED
 }

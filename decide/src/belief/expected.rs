@@ -9,6 +9,7 @@ use heliostat_channel::{
 };
 
 use crate::belief::{
+    device::Lean,
     posture::Held,
     tilt::{self, Tilt},
 };
@@ -48,9 +49,8 @@ pub(super) struct ExpectedGains {
     scene: Scene,
     positions: Vec<Vec3>,
     orientations: Vec<Orientation>,
-    /// Sine and cosine of the polar angle of each receiver that is upright in `scene` and tilted towards
-    /// the face. Shape: K.
-    polar: Vec<Option<(f64, f64)>>,
+    /// How each receiver leans that is upright in `scene` and depends on the heading. Shape: K.
+    leans: Vec<Option<Lean>>,
     /// Whether the gains of a tilted receiver follow from those of an upright one.
     is_tiltable: bool,
     forced: Vec<bool>,
@@ -73,7 +73,7 @@ impl ExpectedGains {
             scene: Scene::new(model, capacity),
             positions: Vec::with_capacity(capacity),
             orientations: Vec::with_capacity(capacity),
-            polar: Vec::with_capacity(capacity),
+            leans: Vec::with_capacity(capacity),
             is_tiltable: tilt::is_single_open_detector(model),
             forced: Vec::with_capacity(capacity),
             lit: vec![Lit::new(capacity, mirrors); model.leds.len()],
@@ -96,18 +96,18 @@ impl ExpectedGains {
     ) {
         self.positions.clear();
         self.orientations.clear();
-        self.polar.clear();
+        self.leans.clear();
         for HeldPlace { position, held, heading } in places {
-            let polar_rad = held.polar_rad().filter(|_| self.is_tiltable);
+            let lean = held.lean().filter(|_| self.is_tiltable);
             self.positions.push(position);
-            self.orientations.push(polar_rad.map_or_else(|| held.facing(&heading), |_| Orientation::UPRIGHT));
-            self.polar.push(polar_rad.map(f64::sin_cos));
+            self.orientations.push(lean.map_or_else(|| held.facing(&heading), |_| Orientation::UPRIGHT));
+            self.leans.push(lean);
         }
         let users = self.positions.len();
         self.forced.clear();
         self.forced.resize(users, false);
         self.scene.resize(users);
-        self.leds = if self.polar.iter().any(Option::is_some) { model.leds.len() } else { 1 };
+        self.leds = if self.leans.iter().any(Option::is_some) { model.leds.len() } else { 1 };
         if self.leds > 1 {
             self.scene.update_turned_by(model, &self.positions, &self.orientations, obstacles, 0);
         } else {
@@ -141,7 +141,7 @@ impl ExpectedGains {
         self.led_open.extend(model.leds.iter().map(|led| !is_blocked(&led.position)));
         self.led_slopes.clear();
         self.mirror_slopes.clear();
-        if self.polar[user].is_some() {
+        if self.leans[user].is_some() {
             self.led_slopes.extend(model.leds.iter().map(|led| tilt::slopes(&position, &led.position)));
             let mirrors = model.mirrors.arrays().iter().flat_map(MirrorArray::positions);
             self.mirror_slopes.extend(mirrors.map(|mirror| tilt::slopes(&position, mirror)));
@@ -150,7 +150,7 @@ impl ExpectedGains {
 
     /// The receiver of the selected user at a heading; `None` where it does not depend on it.
     pub fn tilt(&self, user: usize, heading: &Vec3) -> Option<Tilt> {
-        self.polar[user].map(|polar| Tilt::towards_face(polar, heading))
+        self.leans[user].map(|lean| Tilt::of(&lean, heading))
     }
 
     /// The largest direct gain of a user, of the receiver as evaluated.

@@ -14,7 +14,7 @@
 //!    prediction counts user by user.
 //! 2. **gamma = 0.5** in place of 0.99. The first and the third change act on discounted values only,
 //!    so gamma is not 0 as in `ddpg`; an action does not influence later states here, so a larger one
-//!    adds noise. `models/experiments.md` compares values of gamma.
+//!    adds noise.
 //! 3. **Exploration** decays from 0.4 to 0.05, and the first 500 transitions have the actor's actions
 //!    with noise in place of random ones.
 //! 4. **tau = 0.01, batches of 32**, as in `ddpg`, in place of 0.005 and 100; 120 episodes, because two

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,8 @@ class Mirrors(Device):
     """Two mirrors that record what they were told, and fail as they are told."""
 
     def __init__(self, **capabilities: Any) -> None:
-        limits = {"roll_rad": (-0.25, 0.5), "yaw_rad": (-0.25, 0.5), "park_after_ms": 300} | capabilities
-        self.capabilities = Capabilities("two mirrors", 1, 2, **limits)
+        limits = (-0.25, 0.5)
+        self.capabilities = replace(Capabilities("two mirrors", 1, 2, limits, limits, park_after_ms=300), **capabilities)
         self.turns: list[tuple[list[float], list[float]]] = []
         self.stops = 0
         self.connections = 0
@@ -315,12 +316,13 @@ def test_an_interrupt_within_a_device_ends_the_driver(driven: Driven) -> None:
         driven.step()
 
 
-def test_a_device_that_calls_the_station_gets_an_error_and_no_deadlock(driven: Driven) -> None:
-    class Calling(Mirrors):
-        def turn(self, roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
-            assert driven.station.state
+def test_a_device_that_calls_the_station_gets_an_error_and_no_deadlock(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def turn(roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
+        assert driven.station.state
 
-    driven.mirrors.turn = Calling.turn.__get__(driven.mirrors)  # type: ignore[method-assign]
+    monkeypatch.setattr(driven.mirrors, "turn", turn)
     driven.command()
     driven.step()
     assert "the station is in use" in driven.station.last_problem

@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 /// What the holder of a certificate may do in its room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum AccessRole {
-    /// Reports positions, channel gains, obstacles and orientations.
+    /// Reports positions, channel gains, also of branches, obstacles and orientations.
     Tracker,
     /// Commands the mirrors.
     Controller,
@@ -98,7 +98,7 @@ impl AccessRole {
 
     /// Keys on which it may publish.
     pub fn publishes(self, room: &Room) -> Vec<String> {
-        let reports = || [room.users(), room.channel(), room.obstacles(), room.orientation()];
+        let reports = || [room.users(), room.channel(), room.obstacles(), room.orientation(), room.branches()];
         let arrays = || [room.array(0), room.later_arrays()];
         let reported = || arrays().into_iter().flat_map(|keys| [keys.telemetry(), keys.capabilities(), keys.safety()]);
         let commands = || arrays().map(|keys| keys.command());
@@ -123,6 +123,9 @@ impl AccessRole {
         // Every process that belongs to the room may stop the array.
         keys.push(room.stop());
         keys.extend(self.nodes().iter().map(|node| room.status(*node)));
+        if self.nodes().contains(&NodeKind::Driver) {
+            keys.push(room.later_arrays().driver_status());
+        }
         keys
     }
 

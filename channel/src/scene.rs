@@ -157,6 +157,11 @@ impl Scene {
         &self.los_gain
     }
 
+    /// The same gain at each branch, before the branches are combined. Shape: K * B.
+    pub fn los_branch_gain(&self) -> &[f64] {
+        &self.los_branch
+    }
+
     /// Whether the line-of-sight path from the serving LED to each user is blocked, by a cylinder
     /// or by force. Shape: K.
     pub fn los_blocked(&self) -> &[bool] {

@@ -144,7 +144,7 @@ impl RoomRuntime {
         subscriptions.push(orders);
         policy_swap.report(findings);
         let (mut geometry, announced) = GeometryExchange::open(bus, scenario, source)?;
-        let (driver, tokens) = DriverPresence::open(bus)?;
+        let (driver, tokens) = DriverPresence::open(bus, scenario.mirrors.arrays().len())?;
         subscriptions.extend([announced, tokens]);
         geometry.announce_if_due(started_ns);
         let token = bus.announce(&room.alive(NodeKind::Controller, source))?;
@@ -210,7 +210,7 @@ impl RoomRuntime {
         };
         std::mem::swap(&mut decision_loop.times, &mut self.spare_times);
         let conditions = Conditions {
-            driver_absent: self.driver.is_absent(Instant::now(), &decision_loop.controller),
+            without_driver: self.driver.absent(Instant::now(), &decision_loop.controller),
             geometry: self.geometry.problem().map(str::to_owned),
         };
         let former = std::mem::take(&mut decision_loop.former_times);

@@ -10,12 +10,14 @@
 
 mod actor;
 pub mod actor_file;
+pub mod codewords;
 pub mod compact_file;
 mod dense;
 mod engine;
 mod exhaustive;
 mod fixed;
 mod metaheuristic;
+mod mirror_codebook;
 mod model_based;
 mod nearest;
 mod proposal;
@@ -31,6 +33,7 @@ pub use actor::{Actor, Finding};
 pub use dense::{DENSE, DenseEngine, DenseError, DenseNetwork};
 pub use engine::{Engine, Network};
 pub use fixed::Fixed;
+pub use mirror_codebook::MirrorCodebook;
 pub use proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
 pub use registry::{BuildError, PolicyKind, Resources, build, build_fallback};
 pub use residual::Residual;

@@ -91,7 +91,7 @@ pub fn run<D: Device>(mut kit: Kit<D>, settings: &Settings, stop: &Stop) -> Resu
     let mut driver = Driver {
         station: Station::new(kit, (record, stop_at_start), identity, clock.now()),
         session: ArraySession::open(&bus, array, clock, Class::HighDrop)?,
-        status: MessagePublisher::new(&bus, &bus.room().status(NodeKind::Driver), Class::LowDrop)?,
+        status: MessagePublisher::new(&bus, &bus.room().array(array).driver_status(), Class::LowDrop)?,
         room: bus.room().to_string(),
         exporter,
         logged_latch: Latch::default(),

@@ -77,7 +77,7 @@ impl ClosedLoop {
         mut event: Event,
         mark: &mut dyn FnMut(Stage),
     ) -> Result<bool, EnvironmentError> {
-        let message = message(&mut event, self.names_unusable);
+        let Some(message) = message(&mut event, self.names_unusable) else { return Ok(false) };
         let Some(decision) = self.controller.handle_and_poll(now.room_ns, message, mark) else { return Ok(false) };
         command(decision, now, (&mut self.episode, &mut self.command_sequence))?;
         Ok(true)
@@ -90,7 +90,7 @@ impl ClosedLoop {
     /// [`EnvironmentError::Stale`] and [`EnvironmentError::Silence`].
     pub fn next_decision(&mut self, from_ns: u64) -> Result<Moment, EnvironmentError> {
         while let Some((now, mut event)) = self.episode.poll_event(from_ns.saturating_add(SILENCE_NS)) {
-            let message = message(&mut event, self.names_unusable);
+            let Some(message) = message(&mut event, self.names_unusable) else { continue };
             match self.controller.handle_message(now.room_ns, message) {
                 Due::Command => {
                     self.due = Some((now, self.controller.poll_observation(now.room_ns)));
@@ -119,8 +119,9 @@ impl ClosedLoop {
     }
 }
 
-fn message(event: &mut Event, names_unusable: bool) -> Message<'_> {
-    match event {
+/// The message of an event; `None` for one that no controller reads.
+fn message(event: &mut Event, names_unusable: bool) -> Option<Message<'_>> {
+    let message = match event {
         Event::Telemetry(array, telemetry) => {
             if !names_unusable {
                 telemetry.unusable.clear();
@@ -130,8 +131,10 @@ fn message(event: &mut Event, names_unusable: bool) -> Message<'_> {
         Event::Obstacles(report) => Message::Obstacles(report),
         Event::Orientation(report) => Message::Orientation(report),
         Event::Channel(report) => Message::Channel(report),
+        Event::Branches(_) => return None,
         Event::Users(report) => Message::Users(report),
-    }
+    };
+    Some(message)
 }
 
 /// Numbers the commands of a decision and gives each to its array.

@@ -1,8 +1,10 @@
-//! The networks that learners train: layers, initialisation, optimiser, and the actor of `ddpg` and
-//! `analytic`.
+//! The networks that learners train: layers, initialisation, optimiser, and the actors and critics of
+//! learners with one weight per user.
 
 pub mod actor;
 pub mod adam;
+pub mod critic;
+pub mod gaussian;
 pub mod layers;
 pub mod patterns;
 

@@ -4,7 +4,7 @@
 //! - [`run`]: the loop over episodes and steps, with the rooms and the random generator of the run.
 //! - [`settings`]: the hyperparameters of a run, and changes to them from the command line.
 //! - [`algorithm`]: one row of the table of algorithms.
-//! - [`replay`], [`exploration`]: parts that several learners use.
+//! - [`replay`], [`transitions`], [`exploration`]: parts that several learners use.
 //! - [`store`], [`checkpoint`]: the state of a run on disk.
 //! - [`curve`], [`card`]: the learning curve and the model card.
 
@@ -19,6 +19,7 @@ pub mod replay;
 pub mod run;
 pub mod settings;
 pub mod store;
+pub mod transitions;
 
 pub use algorithm::{Algorithm, Preset};
 pub use learner::{Episode, Learner};

@@ -33,6 +33,9 @@ fn short(algorithm: Algorithm) -> &'static [&'static str] {
     match algorithm.name {
         "ddpg" | "ddpg-raw" => &["warm_up=10", "batch=8", "replay=20"],
         "ddpg-basis" => &["warm_up=10", "batch=8", "replay=20", "td3=true", "gamma=0.5"],
+        "td3" => &["warm_up=10", "batch=8", "replay=20"],
+        "sac" => &["warm_up=10", "batch=8", "replay=20", "gamma=0.5"],
+        "ppo" => &["room_count=2", "batch=8", "epochs=2", "gamma=0.5"],
         "analytic" => &["batch=3"],
         "dql" => &["warm_up=10", "batch=8", "replay=20", "steps_per_update=2"],
         "residual" => &["room_count=1", "room_s=2", "batch=32"],

@@ -5,7 +5,7 @@
 //! of a room, so they have one key.
 
 use crate::enumerations::NodeKind;
-use crate::keys::{Room, later_index};
+use crate::keys::{Room, driver_index, later_index};
 
 /// First part of the keys of an array, after that of the room.
 const ARRAY: &str = "mirrors";
@@ -52,6 +52,12 @@ impl Room {
         }
     }
 
+    /// Index of the array whose driver publishes its status under this key; `None` for other keys.
+    pub fn driver_array(&self, key: &str) -> Option<usize> {
+        let node = key.strip_prefix(self.all_status().strip_suffix('*')?)?;
+        driver_index(node)
+    }
+
     fn arrays_named(&self, suffix: &str) -> ArrayKeys {
         ArrayKeys {
             own: format!("{}{suffix}", self.first_part()),
@@ -93,6 +99,12 @@ impl ArrayKeys {
         self.own(self.room.safety())
     }
 
+    /// Key of the [`NodeStatus`](crate::NodeStatus) of a driver of this array.
+    pub fn driver_status(&self) -> String {
+        let start = self.room.all_status();
+        format!("{}{}", start.strip_suffix('*').unwrap_or_default(), self.driver)
+    }
+
     /// Key of the liveliness token of a driver of this array; `source` is the id in its stamps.
     pub fn driver_alive(&self, source: u64) -> String {
         self.driver_token(&format!("{source:016x}"))
@@ -123,6 +135,7 @@ pub fn array_name(index: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::keys::parse_driver_alive;
 
     #[test]
     fn the_first_array_has_the_keys_of_the_message_table() {
@@ -134,6 +147,7 @@ mod tests {
         assert_eq!(keys, table);
         assert_eq!(first.drivers_alive(), room.alive_of(NodeKind::Driver));
         assert_eq!(first.driver_alive(10), room.alive(NodeKind::Driver, 10));
+        assert_eq!(first.driver_status(), room.status(NodeKind::Driver));
     }
 
     #[test]
@@ -142,6 +156,11 @@ mod tests {
         let third = room.array(2);
         assert_eq!(third.safety(), "heliostat/v1/mirrors/mirrors-2/safety");
         assert_eq!(third.drivers_alive(), "heliostat/v1/mirrors/alive/driver-2/*");
+        assert_eq!(third.driver_status(), "heliostat/v1/mirrors/status/driver-2");
+        assert_eq!(room.driver_array(&third.driver_status()), Some(2));
+        assert_eq!(room.driver_array(&room.status(NodeKind::Driver)), Some(0));
+        assert_eq!(parse_driver_alive(&third.driver_alive(10)), Some((2, 10)));
+        assert_eq!(parse_driver_alive(&room.alive(NodeKind::Driver, 10)), Some((0, 10)));
         assert_eq!(room.first_array_key(&third.telemetry()), (2, room.telemetry()));
         assert_eq!(room.later_arrays().command(), "heliostat/v1/mirrors/mirrors-$*/command");
     }
@@ -149,6 +168,11 @@ mod tests {
     #[test]
     fn other_keys_belong_to_no_later_array() {
         let room = Room::new("lab").unwrap();
+        for key in [room.status(NodeKind::Controller), room.array(20).driver_status(), room.array(1).telemetry()] {
+            assert_eq!(room.driver_array(&key), None, "{key}");
+        }
+        assert_eq!(parse_driver_alive(&room.alive(NodeKind::SimNode, 10)), None);
+        assert_eq!(parse_driver_alive(&room.array(20).driver_alive(10)), None);
         for key in
             ["mirrors/stop", "users", "mirrors-0/command", "mirrors-16/command", "mirrors-01/command", "mirrors-+1/x"]
         {

@@ -144,16 +144,32 @@ impl FromStr for Room {
 /// Node and source id in the key of a liveliness token; `None` for any other key. The token of a
 /// driver may name its array, as `driver-1`.
 pub fn parse_alive(key: &str) -> Option<(NodeKind, u64)> {
+    let (node, source) = split_alive(key)?;
+    let node = NodeKind::from_name(node).or_else(|| driver_index(node).map(|_| NodeKind::Driver))?;
+    Some((node, source))
+}
+
+/// Index of the array and source id in the key of a liveliness token of a driver; `None` for any
+/// other key.
+pub fn parse_driver_alive(key: &str) -> Option<(usize, u64)> {
+    let (node, source) = split_alive(key)?;
+    Some((driver_index(node)?, source))
+}
+
+/// The part that names the process, and the source id, in the key of a liveliness token.
+fn split_alive(key: &str) -> Option<(&str, u64)> {
     let mut parts = key.strip_prefix(PREFIX)?.strip_prefix('/')?.split('/');
     let (_room, alive, node, source) = (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
     if alive != "alive" || parts.next().is_some() {
         return None;
     }
-    let node = NodeKind::from_name(node).or_else(|| {
-        let array = node.strip_prefix(NodeKind::Driver.name())?.strip_prefix('-')?;
-        later_index(array).map(|_| NodeKind::Driver)
-    })?;
     Some((node, u64::from_str_radix(source, 16).ok()?))
+}
+
+/// Index of the array that the name of a driver in a key states: `driver`, or `driver-n` from 1.
+pub(crate) fn driver_index(name: &str) -> Option<usize> {
+    let array = name.strip_prefix(NodeKind::Driver.name())?;
+    if array.is_empty() { Some(0) } else { later_index(array.strip_prefix('-')?) }
 }
 
 /// The index of an array after the first, as keys have it.

@@ -9,6 +9,9 @@ pub const MAX_PAYLOAD: usize = 1 << 20;
 /// Largest number of users in one report.
 pub const MAX_USERS: usize = 64;
 
+/// Largest number of branches of one receiver.
+pub const MAX_BRANCHES: usize = 16;
+
 /// Largest number of mirror arrays in one room.
 pub const MAX_ARRAYS: usize = 16;
 

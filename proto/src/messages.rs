@@ -17,7 +17,7 @@ use crate::limits::{
 };
 use crate::structures::{
     AxisLimits, ControllerInput, Counters, MirrorFault, Obstacle, Quantiles, Stamp, SumRates, TruthUser, UserBelief,
-    UserChannel, UserOrientation, UserState,
+    UserBranches, UserChannel, UserOrientation, UserState,
 };
 use crate::table::message_table;
 

@@ -10,8 +10,10 @@ use serde::{Deserialize, Serialize};
 use crate::codec::{BufferFull, Reader, Writer};
 use crate::enumerations::{FaultKind, InputKind};
 use crate::error::CodecError;
-use crate::fields::{Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered};
-use crate::limits::{MAX_MIRRORS, Nanos};
+use crate::fields::{
+    Bounds, Place, Value, field_name, implement_value, is_covariance, is_rotation, ordered, same_length,
+};
+use crate::limits::{MAX_BRANCHES, MAX_MIRRORS, Nanos};
 
 /// Defines structures with public fields, and reads, writes and checks them. Serde gives their fields by name, for
 /// other notations than the bytes.
@@ -75,6 +77,16 @@ structures! {
         /// Signal to interference and noise ratio, linear.
         sinr: f32,
     }
+
+    /// Measured channel gains of the branches of one user's receiver.
+    structure UserBranches in users {
+        /// Number of the user, as in [`UserState::user`].
+        user: u32,
+        /// Channel gain of the direct path at each branch, dimensionless; 0 when blocked.
+        los_gain: Vec<f32> where at_most(MAX_BRANCHES) and not_negative,
+        /// Channel gain over all mirrors at each branch, dimensionless.
+        irs_gain: Vec<f32> where at_most(MAX_BRANCHES) and not_negative,
+    } requires { same_length(irs_gain, los_gain) }
 
     /// How one user holds the receiver.
     #[derive(Copy)]

@@ -345,6 +345,16 @@ macro_rules! message_table {
                 /// One entry for each user whose orientation is known; the controller assumes the others.
                 users: Vec<UserOrientation> where at_most(MAX_USERS),
             }
+
+            /// Measured channel gains of each branch of the users' receivers.
+            message BranchReport(kind: 19, name: "branch report", key: branches = "branches") {
+                /// Source, sequence, time of the measurement.
+                stamp: Stamp,
+                /// Number of the tick of the measurement.
+                tick: u64,
+                /// One entry for each user whose receiver reports its branches.
+                users: Vec<UserBranches> where at_most(MAX_USERS),
+            }
         }
     };
 }

@@ -20,6 +20,7 @@ fn decodes_or_refuses(payload: &[u8]) -> Result<(), TestCaseError> {
     one::<ChannelReport>(payload)?;
     one::<ObstacleReport>(payload)?;
     one::<OrientationReport>(payload)?;
+    one::<BranchReport>(payload)?;
     one::<MirrorCommand>(payload)?;
     one::<MirrorTelemetry>(payload)?;
     one::<NodeStatus>(payload)?;

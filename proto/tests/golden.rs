@@ -58,7 +58,10 @@ const CONTROLLER_MEMORY: &str = "\
 const ORIENTATION_REPORT: &str = "\
     0112f0bdf3d589cf959a12ac0280cffea7a4deb2c31801030000003f000000bf0000003f0000003f";
 
-const ALL: [&str; 18] = [
+const BRANCH_REPORT: &str = "\
+    0113f0bdf3d589cf959a12ac0280cffea7a4deb2c318e807010302000000000000803e020000003f0000003e";
+
+const ALL: [&str; 19] = [
     USER_REPORT,
     CHANNEL_REPORT,
     OBSTACLE_REPORT,
@@ -77,6 +80,7 @@ const ALL: [&str; 18] = [
     BELIEF_REPORT,
     CONTROLLER_MEMORY,
     ORIENTATION_REPORT,
+    BRANCH_REPORT,
 ];
 
 fn check_bytes<T: Message + PartialEq + std::fmt::Debug>(message: &T, bytes: &str) {
@@ -104,6 +108,7 @@ fn each_message_has_the_bytes_of_version_1() {
     check_bytes(&belief_report(), BELIEF_REPORT);
     check_bytes(&controller_memory(), CONTROLLER_MEMORY);
     check_bytes(&orientation_report(), ORIENTATION_REPORT);
+    check_bytes(&branch_report(), BRANCH_REPORT);
 }
 
 /// The numbers of each enumeration are those in CONTRACT.md.
@@ -144,6 +149,7 @@ fn enumerations_keep_their_numbers() {
 fn the_contract_document_shows_the_same_bytes() {
     let document = include_str!("../../CONTRACT.md");
     let shown: Vec<String> = document.split("```").map(|part| part.split_whitespace().skip(1).collect()).collect();
+    assert_eq!(ALL.len(), payloads().len());
     for (bytes, (name, _)) in ALL.into_iter().zip(payloads()) {
         assert!(shown.iter().any(|part| part == bytes), "CONTRACT.md lacks the bytes of the {name}: {bytes}");
     }

@@ -25,7 +25,7 @@ for kind, text in SAMPLES.items():
         assert refused(payload[:length], kind), (kind, length)
     assert refused(payload + b"\0", kind), kind
     assert refused(b"\2" + payload[1:], kind), kind
-    assert refused(payload, kind % 18 + 1), kind
+    assert refused(payload, kind % 19 + 1), kind
 
 command = decode(bytes.fromhex(SAMPLES[4]), 4)
 assert command == {"epoch": 7, "sequence": 300, "answers": 1000, "time_ns": 1767323045678000000, "validity_ms": 200,
@@ -56,6 +56,14 @@ assert orientation["users"] == [{"user": 3, "quaternion": [0.5, -0.5, 0.5, 0.5]}
 for wrong in [[1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]]:
     try:
         encode(dict(orientation, users=[{"user": 3, "quaternion": wrong}]), 18)
+        raise AssertionError(wrong)
+    except Refused:
+        pass
+branches = decode(bytes.fromhex(SAMPLES[19]), 19)
+assert branches["users"] == [{"user": 3, "los_gain": [0.0, 0.25], "irs_gain": [0.5, 0.125]}], branches
+for wrong in [{"los_gain": [0.5]}, {"irs_gain": [0.5, -0.125]}, {"los_gain": [0.5] * 17, "irs_gain": [0.5] * 17}]:
+    try:
+        encode(dict(branches, users=[dict(branches["users"][0], **wrong)]), 19)
         raise AssertionError(wrong)
     except Refused:
         pass

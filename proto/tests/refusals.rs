@@ -25,6 +25,7 @@ fn any_refusal(kind: Kind, payload: &[u8]) -> Option<CodecError> {
         Kind::BeliefReport => decode::<BeliefReport>(payload).err(),
         Kind::ControllerMemory => decode::<ControllerMemory>(payload).err(),
         Kind::OrientationReport => decode::<OrientationReport>(payload).err(),
+        Kind::BranchReport => decode::<BranchReport>(payload).err(),
     }
 }
 
@@ -51,7 +52,7 @@ fn a_wrong_kind_is_refused_with_both_names() {
     let error = refusal::<MirrorCommand>(&encoded(&user_report()));
     assert_eq!(error, CodecError::WrongKind { found: Kind::UserReport, expected: Kind::MirrorCommand });
     assert_eq!(error.to_string(), "payload of the kind \"user report\": expected \"mirror command\"");
-    for number in [0, 19, 255] {
+    for number in [0, 20, 255] {
         assert_eq!(refusal::<UserReport>(&[VERSION, number]), CodecError::UnknownKind { found: number });
     }
 }
@@ -467,4 +468,25 @@ fn an_orientation_is_a_rotation_of_each_user() {
     let report = OrientationReport { users: many, ..orientation_report() };
     assert_eq!(encode(&report, &mut Vec::new()).map_err(|error| error.name()), Err("bad-length"));
     assert_eq!(Room::new("demo").expect("a valid name").orientation(), "heliostat/v1/demo/orientation");
+}
+
+#[test]
+fn a_branch_has_one_gain_of_each_path() {
+    let with = |los_gain: &[f32], irs_gain: &[f32]| {
+        let users = vec![UserBranches { user: 3, los_gain: los_gain.to_vec(), irs_gain: irs_gain.to_vec() }];
+        encode(&BranchReport { users, ..branch_report() }, &mut Vec::new()).map_err(|error| error.name())
+    };
+    assert_eq!(with(&[], &[]), Ok(()));
+    assert_eq!(with(&[1e-6; MAX_BRANCHES], &[0.0; MAX_BRANCHES]), Ok(()));
+    assert_eq!(with(&[0.0; MAX_BRANCHES + 1], &[0.0; MAX_BRANCHES + 1]), Err("bad-length"));
+    assert_eq!(with(&[1e-6, 0.0], &[1e-6]), Err("bad-length"));
+    assert_eq!(with(&[-1e-6], &[0.0]), Err("implausible"));
+    assert_eq!(with(&[0.0], &[f32::NAN]), Err("not-finite"));
+    let payload = encoded(&branch_report());
+    let last = payload.len() - 4;
+    assert_eq!(refusal::<BranchReport>(&with_f32(payload.clone(), last, -0.5)).name(), "implausible");
+    let mut fewer = payload[..last].to_vec();
+    fewer[last - 5] = 1;
+    assert_eq!(refusal::<BranchReport>(&fewer).name(), "bad-length");
+    assert_eq!(Room::new("demo").expect("a valid name").branches(), "heliostat/v1/demo/branches");
 }

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use heliostat_bus::{AccessRole, Bus, BusArgs, Class, Publisher, Token};
 use heliostat_proto::{
-    Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind, ObstacleReport,
-    OrientationReport, Room, Stamp, UserReport, decode, encode,
+    BranchReport, Capabilities, ChannelReport, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeKind,
+    ObstacleReport, OrientationReport, Room, Stamp, UserReport, decode, encode,
 };
 use heliostat_service::clock::utc_ns;
 use heliostat_service::{Stop, output};
@@ -154,6 +154,7 @@ fn outlets(bus: &Bus, recorded: &Room, arrays: usize, clock: Clock) -> Result<Ha
         (recorded.channel(), room.channel(), Outlet::Channel),
         (recorded.obstacles(), room.obstacles(), Outlet::Obstacles),
         (recorded.orientation(), room.orientation(), Outlet::Orientation),
+        (recorded.branches(), room.branches(), Outlet::Branches),
     ];
     let of_arrays = (0..arrays).flat_map(|array| {
         let (from, to) = (recorded.array(array), room.array(array));
@@ -172,6 +173,7 @@ enum Outlet {
     Channel,
     Obstacles,
     Orientation,
+    Branches,
     Telemetry,
     Capabilities,
 }
@@ -337,6 +339,7 @@ impl Outlet {
             Self::Channel => moved(payload, start, |report: &mut ChannelReport| &mut report.stamp),
             Self::Obstacles => moved(payload, start, |report: &mut ObstacleReport| &mut report.stamp),
             Self::Orientation => moved(payload, start, |report: &mut OrientationReport| &mut report.stamp),
+            Self::Branches => moved(payload, start, |report: &mut BranchReport| &mut report.stamp),
             Self::Telemetry => moved(payload, start, |telemetry: &mut MirrorTelemetry| &mut telemetry.stamp),
             Self::Capabilities => moved(payload, start, |array: &mut Capabilities| &mut array.stamp),
         }

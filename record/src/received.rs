@@ -1,9 +1,10 @@
 //! A received payload, decoded: its message, its source and its sequence number.
 
 use heliostat_proto::{
-    BeliefReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl, ControllerMemory,
-    EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport, OrientationReport,
-    Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport, codec::kind_of, decode,
+    BeliefReport, BranchReport, Calibration, Capabilities, ChannelReport, CodecError, ControllerControl,
+    ControllerMemory, EmergencyStop, Kind, Message, MirrorCommand, MirrorTelemetry, Nanos, NodeStatus, ObstacleReport,
+    OrientationReport, Rearm, RoomGeometry, RoomTruth, SafetyReport, SimulatorControl, Stamp, UserReport,
+    codec::kind_of, decode,
 };
 
 /// A decoded payload; kinds that are only recorded keep their stamp alone.
@@ -45,6 +46,7 @@ impl Received {
             Kind::ChannelReport => decode(payload).map(Self::Channel),
             Kind::ObstacleReport => decode(payload).map(Self::Obstacles),
             Kind::OrientationReport => decode(payload).map(Self::Orientation),
+            Kind::BranchReport => stamped::<BranchReport>(payload, |message| message.stamp),
             Kind::MirrorCommand => decode(payload).map(Self::Command),
             Kind::MirrorTelemetry => decode(payload).map(Self::Telemetry),
             Kind::NodeStatus => decode(payload).map(Self::Status),

@@ -13,10 +13,14 @@ pub(crate) fn begun(what: &str) -> String {
     format!("heliostat reproduce {what} --out DIR")
 }
 
-/// A word quoted for a shell.
+/// A word quoted for a shell. A pair of braces without content is literal in every shell.
 pub fn quoted(word: &str) -> String {
     let plain = |letter: char| letter.is_alphanumeric() || "-_./,=:+".contains(letter);
-    if !word.is_empty() && word.chars().all(plain) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
+    if !word.is_empty() && word.replace("{}", "").chars().all(plain) {
+        word.into()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
 }
 
 #[cfg(test)]
@@ -25,6 +29,8 @@ mod tests {
 
     #[test]
     fn words_are_quoted_for_a_shell() {
-        assert_eq!(["users.count=3", "a b=[1]", "it's"].map(quoted), ["users.count=3", "'a b=[1]'", r"'it'\''s'"]);
+        let words = ["users.count=3", "a b=[1]", "it's", "users.orientation={}", "{a,b}"];
+        let expected = ["users.count=3", "'a b=[1]'", r"'it'\''s'", "users.orientation={}", "'{a,b}'"];
+        assert_eq!(words.map(quoted), expected);
     }
 }

@@ -89,13 +89,16 @@ impl ScenarioArgs {
         }
     }
 
-    /// The text of the file or of the built-in scenario.
+    /// The text of the file or of the built-in scenario. The names of built-in scenarios are theirs: a
+    /// file or folder `hall` in the working directory does not change what `hall` means, and
+    /// `./hall` names it.
     ///
     /// # Errors
     /// [`ScenarioError::Read`] or [`ScenarioError::UnknownBuiltin`].
     pub fn text(&self) -> Result<String, ScenarioError> {
         let path = Path::new(&self.scenario);
-        if !path.exists() && path.extension().is_none() && path.components().count() == 1 {
+        let is_bare_name = path.extension().is_none() && path.components().count() == 1;
+        if BUILTIN_NAMES.contains(&self.scenario.as_str()) || (is_bare_name && !path.exists()) {
             return Scenario::builtin_text(&self.scenario).map(String::from);
         }
         read_text(path).map_err(|error| ScenarioError::Read { path: self.scenario.clone(), message: error.to_string() })

@@ -6,7 +6,7 @@ use crate::error::ScenarioError;
 use crate::runtime::DegradedAction;
 use crate::scenario::Scenario;
 use crate::streams::Streams;
-use crate::tables::{ChannelMode, MinRate};
+use crate::tables::{ChannelMode, MinRate, ReceiverPreset};
 use crate::user_orientation::UserOrientation;
 
 /// Largest number of users of a room: the limit of the contract.
@@ -102,6 +102,15 @@ impl Scenario {
             within("receiver.branches.tilt_deg", branch.tilt_deg, 0.0..=180.0)?;
             within("receiver.branches.azimuth_deg", branch.azimuth_deg, -360.0..=360.0)?;
             within("receiver.branches.fov_deg", branch.fov_deg, 1.0..=90.0)?;
+        }
+        let is_single = match receiver.branches.len() {
+            0 => receiver.preset == ReceiverPreset::Single,
+            branches => branches == 1,
+        };
+        if self.streams.channel.branches && is_single {
+            let expected = "expected a receiver of several branches, for example receiver.preset = \"angle-diversity\"; \
+                            channel reports have the gains of a single detector";
+            return invalid("streams.channel.branches", true, expected);
         }
         let noise = &self.noise;
         within("noise.background_shot_a2_per_hz", noise.background_shot_a2_per_hz, 0.0..=1.0)?;

@@ -53,6 +53,9 @@ pub struct ChannelStream {
     pub loss: f64,
     /// Mean number of reports lost in a row; 0: losses are independent.
     pub loss_burst_reports: f64,
+    /// Whether the gains of each branch of the receivers are reported as well.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub branches: bool,
 }
 
 /// A direct gain within this many standard deviations of the noise counts as none.
@@ -69,6 +72,7 @@ impl Default for ChannelStream {
             full_scale_gain: 0.0,
             loss: 0.0,
             loss_burst_reports: 0.0,
+            branches: false,
         }
     }
 }

@@ -51,6 +51,7 @@ fn each_refusal_names_its_line() {
             "line 2",
             "tilt_deg",
         ),
+        ("[streams.channel]\nrate_hz = 50.0\nbranches = true\n", "line 3", "angle-diversity"),
         ("[actuator]\nscale_error_relative = 0.5\n", "line 2", "actuator.scale_error_relative"),
         ("[actuator]\nhysteresis_deg = -0.1\n", "line 2", "actuator.hysteresis_deg"),
         ("[actuator]\nstuck_share = 1.5\n", "line 2", "actuator.stuck_share"),

@@ -41,6 +41,7 @@ pub(crate) struct RoomSession {
     channel: MessagePublisher,
     obstacles: MessagePublisher,
     orientation: MessagePublisher,
+    branches: MessagePublisher,
     _declared: (Token, [Subscription; 3]),
 }
 
@@ -93,6 +94,7 @@ impl RoomSession {
             channel: MessagePublisher::new(&bus, &keys.channel(), reports)?,
             obstacles: MessagePublisher::new(&bus, &keys.obstacles(), reports)?,
             orientation: MessagePublisher::new(&bus, &keys.orientation(), reports)?,
+            branches: MessagePublisher::new(&bus, &keys.branches(), reports)?,
             arrays: (0..arrays)
                 .map(|array| ArraySession::open(&bus, array, clock, telemetry))
                 .collect::<Result<_, _>>()?,
@@ -152,6 +154,10 @@ impl RoomSession {
             Report::Orientation(report) => {
                 self.orientation.encode(report)?;
                 &self.orientation
+            }
+            Report::Branches(report) => {
+                self.branches.encode(report)?;
+                &self.branches
             }
             Report::Channel(report) => {
                 self.channel.encode(report)?;

@@ -47,7 +47,8 @@
 use heliostat_array::moment::Moment;
 use heliostat_array::rules::Refusal;
 use heliostat_proto::{
-    Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, ObstacleReport, OrientationReport, Stamp, UserReport,
+    BranchReport, Capabilities, ChannelReport, MirrorCommand, MirrorTelemetry, ObstacleReport, OrientationReport,
+    Stamp, UserReport,
 };
 use heliostat_scenario::Scenario;
 
@@ -73,6 +74,8 @@ pub enum Event {
     Obstacles(ObstacleReport),
     /// How the users hold their receivers.
     Orientation(OrientationReport),
+    /// The channel gains of each branch of the users' receivers.
+    Branches(BranchReport),
 }
 
 impl From<Report> for Event {
@@ -82,6 +85,7 @@ impl From<Report> for Event {
             Report::Channel(report) => Self::Channel(report),
             Report::Obstacles(report) => Self::Obstacles(report),
             Report::Orientation(report) => Self::Orientation(report),
+            Report::Branches(report) => Self::Branches(report),
         }
     }
 }
@@ -213,6 +217,7 @@ mod tests {
                     Event::Telemetry(..) => 't',
                     Event::Obstacles(_) => 'o',
                     Event::Orientation(_) => 'h',
+                    Event::Branches(_) => 'b',
                     Event::Channel(_) => 'c',
                     Event::Users(_) => 'u',
                 };

@@ -47,6 +47,10 @@ pub enum Purpose {
     PositionLoss,
     /// Which channel reports are lost.
     ChannelLoss,
+    /// Measurement noise of the gains of each branch.
+    BranchNoise,
+    /// Measurement noise of the branches that does not depend on the gain.
+    BranchReceiverNoise,
 }
 
 impl Purpose {
@@ -70,6 +74,8 @@ impl Purpose {
             Self::ReceiverNoise => 15,
             Self::PositionLoss => 16,
             Self::ChannelLoss => 17,
+            Self::BranchNoise => 18,
+            Self::BranchReceiverNoise => 19,
         }
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! A sample is taken when it is due and released one latency later; its stamp has the time of the
 //! sample. Reports that are released at the same instant are ordered: obstacles, orientations,
-//! channel, positions, because the positions complete a tick.
+//! branches, channel, positions, because the positions complete a tick.
 //!
 //! - [`schedule`]: when the samples of a stream are due.
 //! - [`receiver`]: how a receiver measures a gain.
@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 use heliostat_array::moment::Moment;
 use heliostat_channel::{Cylinder, MirrorAngles, Orientation};
 use heliostat_proto::{
-    ChannelReport, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel, UserOrientation, UserReport,
-    UserState,
+    BranchReport, ChannelReport, Obstacle, ObstacleReport, OrientationReport, Stamp, UserBranches, UserChannel,
+    UserOrientation, UserReport, UserState,
 };
 use heliostat_scenario::Streams;
 
@@ -41,6 +41,8 @@ pub enum Report {
     Obstacles(ObstacleReport),
     /// How the users hold their receivers.
     Orientation(OrientationReport),
+    /// The channel gains of each branch of the users' receivers.
+    Branches(BranchReport),
     /// The users' channel gains and SINR.
     Channel(ChannelReport),
     /// The users' positions and velocities; completes a tick.
@@ -66,6 +68,7 @@ pub struct Reports {
     orientation: Schedule,
     position_noise: RoomRng,
     receivers: Receivers,
+    branch_receivers: Receivers,
     position_losses: Losses,
     channel_losses: Losses,
     orientation_noise: RoomRng,
@@ -76,6 +79,7 @@ pub struct Reports {
     late_ticks: u64,
     waiting: BTreeMap<ReleaseOrder, Report>,
     irs_gain: Vec<f64>,
+    irs_branch_gain: Vec<f64>,
     sinr: Vec<f64>,
 }
 
@@ -91,7 +95,8 @@ impl Reports {
             orientation: Schedule::new(settings.orientation.as_ref().map_or(0.0, |stream| stream.rate_hz), 0),
             settings: settings.clone(),
             position_noise: random::stream(seed, Purpose::PositionNoise, 0),
-            receivers: Receivers::new(channel, seed),
+            receivers: Receivers::new(channel, seed, [Purpose::ChannelNoise, Purpose::ReceiverNoise]),
+            branch_receivers: Receivers::new(channel, seed, [Purpose::BranchNoise, Purpose::BranchReceiverNoise]),
             position_losses: Losses::new(positions.loss, positions.loss_burst_reports, seed, Purpose::PositionLoss),
             channel_losses: Losses::new(channel.loss, channel.loss_burst_reports, seed, Purpose::ChannelLoss),
             orientation_noise: random::stream(seed, Purpose::OrientationNoise, 0),
@@ -102,6 +107,7 @@ impl Reports {
             late_ticks: 0,
             waiting: BTreeMap::new(),
             irs_gain: Vec::new(),
+            irs_branch_gain: Vec::new(),
             sinr: Vec::new(),
         }
     }
@@ -144,8 +150,10 @@ impl Reports {
         }
         if self.channel.take(now.local_ns).is_some() {
             let report = self.channel_report(now, world, angles);
+            let branches = self.settings.channel.branches.then(|| self.branch_report(report.stamp, world, angles));
             let release_ns = now.local_ns + latency_ns(self.settings.channel.latency_ms);
             if !self.channel_losses.next_is_lost() {
+                branches.into_iter().for_each(|branches| self.queue(release_ns, Report::Branches(branches)));
                 self.queue(release_ns, Report::Channel(report));
             }
         }
@@ -230,6 +238,25 @@ impl Reports {
         ChannelReport { stamp, tick: self.tick, users }
     }
 
+    /// The gains of a channel report with this stamp, branch by branch. Each branch has a converter
+    /// and noise of its own.
+    fn branch_report(&mut self, stamp: Stamp, world: &World, angles: &MirrorAngles) -> BranchReport {
+        let los_gain = world.scene().los_branch_gain();
+        self.irs_branch_gain.resize(los_gain.len(), 0.0);
+        world.scene().irs_branch_gain(world.model(), angles, &mut self.irs_branch_gain);
+        let branches = world.model().receiver.branches.len();
+        let receivers = &mut self.branch_receivers;
+        let mut measured =
+            |gains: &[f64]| gains.iter().map(|gain| receivers.measure(*gain) as f32).collect::<Vec<f32>>();
+        let gains = los_gain.chunks_exact(branches).zip(self.irs_branch_gain.chunks_exact(branches));
+        let users = world.ids().iter().zip(gains).map(|(user, (los_gain, irs_gain))| UserBranches {
+            user: *user,
+            los_gain: measured(los_gain),
+            irs_gain: measured(irs_gain),
+        });
+        BranchReport { stamp, tick: self.tick, users: users.collect() }
+    }
+
     fn stamp(&self, sequence: u64, now: Moment) -> Stamp {
         Stamp { source: self.source, sequence, time_ns: now.room_ns }
     }
@@ -238,8 +265,9 @@ impl Reports {
         let (rank, sequence) = match &report {
             Report::Obstacles(report) => (0, report.stamp.sequence),
             Report::Orientation(report) => (1, report.stamp.sequence),
-            Report::Channel(report) => (2, report.stamp.sequence),
-            Report::Users(report) => (3, report.stamp.sequence),
+            Report::Branches(report) => (2, report.stamp.sequence),
+            Report::Channel(report) => (3, report.stamp.sequence),
+            Report::Users(report) => (4, report.stamp.sequence),
         };
         self.waiting.insert(ReleaseOrder { release_ns, rank, sequence }, report);
     }

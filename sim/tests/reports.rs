@@ -1,8 +1,8 @@
 //! The report streams: rates, latencies, order, noise.
 
 use heliostat_array::moment::Moment;
-use heliostat_channel::Orientation;
-use heliostat_proto::{ChannelReport, OrientationReport, UserReport};
+use heliostat_channel::{Combining, Orientation};
+use heliostat_proto::{BranchReport, ChannelReport, OrientationReport, UserReport};
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
 use heliostat_sim::reports::{Report, Reports};
@@ -44,6 +44,16 @@ fn channels(reports: &[(u64, Report)]) -> Vec<(u64, &ChannelReport)> {
         .collect()
 }
 
+fn branches(reports: &[(u64, Report)]) -> Vec<(u64, &BranchReport)> {
+    reports
+        .iter()
+        .filter_map(|(at, report)| if let Report::Branches(r) = report { Some((*at, r)) } else { None })
+        .collect()
+}
+
+/// Receivers of seven branches, which are reported.
+const BRANCHES: [&str; 2] = ["receiver.preset=angle-diversity", "streams.channel.branches=true"];
+
 #[test]
 fn each_stream_has_its_own_rate_and_latency_and_stamps_have_the_sample_time() {
     let settings = [
@@ -72,17 +82,19 @@ fn each_stream_has_its_own_rate_and_latency_and_stamps_have_the_sample_time() {
 
 #[test]
 fn positions_are_the_last_report_of_an_instant() {
-    let reports = run(&["streams.obstacles.rate_hz=50", "streams.orientation.rate_hz=50"], 100);
+    let settings = ["streams.obstacles.rate_hz=50", "streams.orientation.rate_hz=50"];
+    let reports = run(&[&settings[..], &BRANCHES].concat(), 100);
     let rank = |report: &Report| match report {
         Report::Obstacles(_) => 0,
         Report::Orientation(_) => 1,
-        Report::Channel(_) => 2,
-        Report::Users(_) => 3,
+        Report::Branches(_) => 2,
+        Report::Channel(_) => 3,
+        Report::Users(_) => 4,
     };
     let order: Vec<(u64, i32)> = reports.iter().map(|(at, report)| (*at, rank(report))).collect();
     assert!(order.is_sorted(), "{order:?}");
-    assert_eq!(order[..4], [(0, 0), (0, 1), (0, 2), (0, 3)]);
-    assert_eq!(order[4..6], [(10 * MS, 2), (10 * MS, 3)]);
+    assert_eq!(order[..5], [(0, 0), (0, 1), (0, 2), (0, 3), (0, 4)]);
+    assert_eq!(order[5..8], [(10 * MS, 2), (10 * MS, 3), (10 * MS, 4)]);
 }
 
 #[test]
@@ -259,4 +271,75 @@ fn reports_have_the_users_of_their_moment_and_channel_entries_match_them() {
     sizes.sort_unstable();
     sizes.dedup();
     assert!(sizes.len() > 4, "{sizes:?}");
+}
+
+#[test]
+fn combined_branches_are_the_gains_of_the_channel_report_with_the_same_stamp() {
+    for (rule, combining) in [("best", Combining::Best), ("equal-gain", Combining::EqualGain)] {
+        let rule = format!("receiver.combining={rule}");
+        let tilted = "users.orientation.model=measured";
+        let reports = run(&[&BRANCHES[..], &[&rule, tilted, "streams.channel.latency_ms=5"]].concat(), 1000);
+        let (branches, channels) = (branches(&reports), channels(&reports));
+        assert_eq!((branches.len(), channels.len()), (100, 100));
+        let mut lit = 0;
+        for ((at, branch), (channel_at, channel)) in branches.into_iter().zip(channels) {
+            assert_eq!((at, branch.stamp, branch.tick), (channel_at, channel.stamp, channel.tick));
+            for (gains, combined) in branch.users.iter().zip(&channel.users) {
+                assert_eq!((gains.user, gains.los_gain.len(), gains.irs_gain.len()), (combined.user, 7, 7));
+                for (gains, combined) in [(&gains.los_gain, combined.los_gain), (&gains.irs_gain, combined.irs_gain)] {
+                    let gains: Vec<f64> = gains.iter().map(|gain| f64::from(*gain)).collect();
+                    let (found, expected) = (combining.combine(&gains), f64::from(combined));
+                    assert!((found - expected).abs() <= 1e-6 * expected, "{found} instead of {expected}");
+                    let different = gains.iter().any(|gain| *gain > 0.0 && *gain != gains[0]);
+                    lit += u32::from(different);
+                }
+            }
+        }
+        assert!(lit > 300, "{lit}");
+    }
+    assert!(branches(&run(&["receiver.preset=angle-diversity"], 1000)).is_empty(), "only where the scenario asks");
+}
+
+#[test]
+fn branches_are_measured_one_by_one_and_lost_with_the_channel_report() {
+    let noise = ["streams.channel.noise_relative=0.1", "streams.channel.loss=0.3"];
+    let (quiet, noisy) = (run(&BRANCHES, 20_000), run(&[&BRANCHES[..], &noise].concat(), 20_000));
+    let (quiet, arrived) = (branches(&quiet), branches(&noisy));
+    let of_channel: Vec<u64> = channels(&noisy).iter().map(|(_, report)| report.stamp.sequence).collect();
+    assert_eq!(arrived.iter().map(|(_, report)| report.stamp.sequence).collect::<Vec<_>>(), of_channel);
+    let mut errors = Vec::new();
+    for (_, report) in arrived {
+        let (_, exact) = quiet[report.stamp.sequence as usize - 1];
+        for (exact, read) in exact.users.iter().zip(&report.users) {
+            let pairs = exact.los_gain.iter().zip(&read.los_gain).filter(|(exact, _)| **exact > 0.0);
+            let pairs: Vec<f64> = pairs.map(|(exact, read)| f64::from(read / exact) - 1.0).collect();
+            errors.extend(pairs.windows(2).map(|pair| [pair[0], pair[1]]));
+        }
+    }
+    let mean = |of: &dyn Fn(&[f64; 2]) -> f64| errors.iter().map(of).sum::<f64>() / errors.len() as f64;
+    let deviation = mean(&|[one, _]| one * one).sqrt();
+    assert!((deviation / 0.1 - 1.0).abs() < 0.05, "{deviation}");
+    let correlation = mean(&|[one, other]| one * other) / deviation.powi(2);
+    assert!(correlation.abs() < 0.05, "each branch has noise of its own: {correlation}");
+
+    let quantised = run(&[&BRANCHES[..], &CONVERTER].concat(), 500);
+    let steps = |gain: &f32| f64::from(*gain) / 2e-8;
+    let mut readings = 0;
+    for (_, report) in branches(&quantised) {
+        for gain in report.users.iter().flat_map(|user| user.los_gain.iter().chain(&user.irs_gain)) {
+            assert!((steps(gain) - steps(gain).round()).abs() < 1e-4 && steps(gain) < 63.01, "{gain}");
+            readings += u32::from(*gain > 0.0);
+        }
+    }
+    assert!(readings > 100, "{readings}");
+}
+
+#[test]
+fn branch_reports_do_not_change_the_other_reports() {
+    let noise = ["streams.channel.noise_relative=0.1", "streams.channel.noise_gain=1e-8", "streams.channel.loss=0.1"];
+    let without = run(&[&["receiver.preset=angle-diversity"], &noise[..]].concat(), 2000);
+    let with = run(&[&BRANCHES[..], &noise].concat(), 2000);
+    assert_eq!(channels(&without), channels(&with));
+    assert_eq!(users(&without), users(&with));
+    assert_eq!(with.len(), without.len() + channels(&with).len());
 }

@@ -42,7 +42,7 @@ fn heliostat(engine: &Engine, arguments: &[&str]) -> Process {
 
 /// Runs an operator's command through the router of the containers.
 fn order(engine: &Engine, command: &str, router: &str) -> String {
-    let words = [command, "--room", "lab", "--client", "--connect", router, "--timeout", "20"];
+    let words = [command, "--room", "studio", "--client", "--connect", router, "--timeout", "20"];
     let ended = heliostat(engine, &words).wait();
     assert!(ended.status.success(), "{command}: {}", ended.errors);
     ended.output + &ended.errors
@@ -86,8 +86,8 @@ fn the_images_run_a_room_that_answers_and_stop_in_an_orderly_way() {
     let page = engine.get(&of_controller, "/metrics").expect("the controller serves its metrics");
     assert!(metric(&page, "heliostat_decisions_total") > 10.0, "{page}");
 
-    let scenario = root().join("deploy/rooms/lab.toml");
-    let flags = ["ui", "--room", "lab", "--plain", "--client", "--connect", &router, "--ui-port", "0", "--scenario"];
+    let scenario = root().join("deploy/rooms/studio.toml");
+    let flags = ["ui", "--room", "studio", "--plain", "--client", "--connect", &router, "--ui-port", "0", "--scenario"];
     let ui = heliostat(&engine, &[&flags[..], &[scenario.to_str().expect("a plain path")]].concat());
     let before = "the page is at http://127.0.0.1:";
     wait_until("the address of the page", || (ui.errors() + "\n").contains(before));
@@ -176,10 +176,10 @@ fn the_units_start_restart_after_a_kill_and_stop_in_an_orderly_way() {
     let host = Host::start(&engine, context.path());
     let units = [
         "heliostat-router",
-        "heliostat-sim-node@lab",
-        "heliostat-controller@lab",
-        "heliostat-sim-node@atrium",
-        "heliostat-controller@atrium",
+        "heliostat-sim-node@studio",
+        "heliostat-controller@studio",
+        "heliostat-sim-node@foyer",
+        "heliostat-controller@foyer",
     ];
     let complaints = host.shell(&format!(
         "cd /etc/systemd/system && systemd-analyze verify {} 2>&1",
@@ -187,7 +187,7 @@ fn the_units_start_restart_after_a_kill_and_stop_in_an_orderly_way() {
     ));
     assert_eq!(complaints, "", "systemd-analyze verify");
     host.shell(&format!("systemctl enable --now {}", units.join(" ")));
-    // The metrics of rooms/lab.env and rooms/atrium.env: one room without a router, one with it.
+    // The metrics of rooms/studio.env and rooms/foyer.env: one room without a router, one with it.
     let rooms = [9465, 9467];
     for port in rooms {
         wait_until("commands that the array accepts", || host.commands(port) > 10.0);
@@ -209,6 +209,6 @@ fn the_units_start_restart_after_a_kill_and_stop_in_an_orderly_way() {
         // `timeout` where systemd had to kill the process.
         assert_eq!(host.property(unit, "Result"), "success", "{unit}");
     }
-    let journal = host.shell("journalctl --no-pager --unit=heliostat-sim-node@lab");
+    let journal = host.shell("journalctl --no-pager --unit=heliostat-sim-node@studio");
     assert!(journal.contains("ratio to oracle"), "the room ends with its summary: {journal}");
 }

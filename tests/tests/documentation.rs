@@ -276,9 +276,26 @@ fn the_readme_is_short() {
 }
 
 #[test]
+fn no_room_or_tutorial_has_the_name_of_a_built_in_scenario() {
+    let builtin = |text: &str| {
+        let name = text.lines().find_map(|line| line.strip_prefix("name = \""))?.trim_end_matches('"').to_owned();
+        heliostat_scenario::BUILTIN_NAMES.contains(&name.as_str()).then_some(name)
+    };
+    let mut checked = 0;
+    for folder in ["deploy/rooms", "docs/tutorials"] {
+        for entry in fs::read_dir(root().join(folder)).expect("a folder").flatten() {
+            let text = fs::read_to_string(entry.path()).expect("a text");
+            assert_eq!(builtin(&text), None, "{}", entry.path().display());
+            checked += 1;
+        }
+    }
+    assert!(checked >= 8, "only {checked} files were checked");
+}
+
+#[test]
 fn units_and_rooms_of_the_deployment_agree_with_the_programs() {
     let deploy = root().join("deploy");
-    for room in ["lab", "atrium"] {
+    for room in ["studio", "foyer"] {
         let toml = fs::read_to_string(deploy.join(format!("rooms/{room}.toml"))).expect("a room has a scenario");
         heliostat_scenario::Scenario::from_toml(&toml).unwrap_or_else(|error| panic!("{room}: {error}"));
         let environment =

@@ -28,6 +28,12 @@ impl ArrayReports {
         self.fresh().map(|(_, (at, _))| *at).min().or_else(|| self.0.values().map(|(at, _)| *at).max())
     }
 
+    /// The arrays without telemetry that is not old, in a room of so many arrays.
+    pub fn silent(&self, arrays: usize) -> Vec<usize> {
+        let fresh: Vec<usize> = self.fresh().map(|(array, _)| *array).collect();
+        (0..arrays).filter(|array| !fresh.contains(array)).collect()
+    }
+
     /// Telemetry of a room with these arrays, with the mirrors of all in index order; `None` where
     /// all telemetry is old.
     ///
@@ -113,12 +119,15 @@ mod tests {
         let model = Scenario::from_toml(text).expect("valid").channel_model().expect("a model");
         let mut reports = ArrayReports::default();
         assert_eq!(reports.joint(&model.mirrors), None);
+        assert_eq!(reports.silent(2), [0, 1]);
         reports.note(1, telemetry(ArrayState::Stopped, 3, 0.5));
         let joint = reports.joint(&model.mirrors).expect("telemetry of the second array");
         assert_eq!((joint.roll_commanded, joint.unusable), (vec![0.0, 0.0, 0.5, 0.5, 0.5], vec![3]));
+        assert_eq!(reports.silent(2), [0], "a viewer says so");
         reports.note(0, telemetry(ArrayState::Following, 2, 0.25));
         let joint = reports.joint(&model.mirrors).expect("telemetry of both");
         assert_eq!((joint.roll_measured, joint.unusable), (vec![0.25, 0.25, 0.5, 0.5, 0.5], vec![1, 3]));
+        assert!(reports.silent(2).is_empty());
         assert_eq!((joint.state, joint.counters.accepted), (ArrayState::Stopped, 10));
     }
 }

@@ -7,6 +7,7 @@
 use std::time::Instant;
 
 use heliostat_channel::ChannelModel;
+use heliostat_proto::array_keys::array_name;
 use heliostat_proto::messages::fault;
 use heliostat_proto::{ArrayState, MirrorTelemetry, NodeKind, NodeStatus, Quantiles};
 use heliostat_service::printable::printable;
@@ -72,8 +73,9 @@ pub struct SumFigures {
 /// The mirror array.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ArrayFigures {
-    /// Its state; "no telemetry" if none arrived recently.
-    pub state: &'static str,
+    /// Its state; "no telemetry" if none arrived recently. Of several arrays, the most serious state,
+    /// then the arrays without recent telemetry.
+    pub state: String,
     /// Number of mirrors.
     pub mirrors: usize,
     /// Mirrors that do not follow commands, as reported by the driver or by the simulator.
@@ -85,8 +87,8 @@ pub struct ArrayFigures {
 /// One process.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct NodeFigures {
-    /// The kind of process.
-    pub node: &'static str,
+    /// The kind of process; the driver of a later array has its index, as `driver-1`.
+    pub node: String,
     /// Its state; "gone" if its last status is old.
     pub state: String,
     /// Its last problem; empty if its cause is gone.
@@ -170,6 +172,8 @@ impl View {
         let (geometry, model) = (room.id.clone(), &room.model);
         let received = self.received();
         let telemetry = received.arrays.joint(&model.mirrors);
+        let silent: Vec<String> =
+            received.arrays.silent(model.mirrors.arrays().len()).into_iter().map(array_name).collect();
         let (origin, tick, users) = users(model, &received);
         let controller = received.fresh_status(NodeKind::Controller.name());
         let room = received.fresh_status(NodeKind::SimNode.name());
@@ -185,8 +189,12 @@ impl View {
             controller_alive: received.alive.iter().any(|(node, _)| *node == NodeKind::Controller.name()),
             sum_mbps: sum(&received, &users),
             users,
-            array: array(model.mirrors.len(), telemetry.as_ref(), gauge("faulty_mirrors").unwrap_or(0.0) as usize),
-            nodes: received.statuses.values().map(|(at, status)| node(&received, *at, status)).collect(),
+            array: array(
+                (model.mirrors.len(), &silent),
+                telemetry.as_ref(),
+                gauge("faulty_mirrors").unwrap_or(0.0) as usize,
+            ),
+            nodes: received.statuses.iter().map(|(name, (at, status))| node(&received, name, *at, status)).collect(),
             ages_s: ages(&received),
             times: vec![time("decision", controller), time("loop", room), time("age", controller)],
             latency: received.latency.histogram(),
@@ -237,12 +245,18 @@ fn users(model: &ChannelModel, received: &Received) -> (Origin, u64, Vec<UserFig
     (Origin::Measured, report.tick, report.users.iter().map(user).collect())
 }
 
-fn array(mirrors: usize, telemetry: Option<&MirrorTelemetry>, faulty: usize) -> ArrayFigures {
+/// The figures of all arrays: their number of mirrors, and the names of those without telemetry.
+fn array((mirrors, silent): (usize, &[String]), telemetry: Option<&MirrorTelemetry>, faulty: usize) -> ArrayFigures {
     let Some(telemetry) = telemetry else {
-        return ArrayFigures { state: "no telemetry", mirrors, ..ArrayFigures::default() };
+        return ArrayFigures { state: "no telemetry".into(), mirrors, ..ArrayFigures::default() };
     };
+    let state = state_name(telemetry.state);
     ArrayFigures {
-        state: state_name(telemetry.state),
+        state: if silent.is_empty() {
+            state.into()
+        } else {
+            format!("{state}, no telemetry of {}", silent.join(" and "))
+        },
         mirrors,
         unusable: telemetry.unusable.len().max(faulty),
         faults: fault_names(telemetry.faults),
@@ -264,9 +278,9 @@ fn sum_of(sum: &heliostat_proto::SumRates) -> SumFigures {
     SumFigures { policy: sum.policy * 1e-6, no_irs: mbps(sum.no_irs), flat: mbps(sum.flat), oracle: mbps(sum.oracle) }
 }
 
-fn node(received: &Received, at: Instant, status: &NodeStatus) -> NodeFigures {
+fn node(received: &Received, name: &str, at: Instant, status: &NodeStatus) -> NodeFigures {
     let state = if at.elapsed() < EXPIRY { shown(&status.state) } else { "gone".into() };
-    NodeFigures { node: status.node.name(), state, problem: shown(received.problems.current(status.node.name())) }
+    NodeFigures { node: name.to_owned(), state, problem: shown(received.problems.current(name)) }
 }
 
 fn ages(received: &Received) -> Ages {

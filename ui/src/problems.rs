@@ -13,12 +13,12 @@ const CURRENT: Duration = Duration::from_secs(5);
 /// Beginnings of the names of counters that rise with problems.
 const COUNTED: [&str; 6] = ["refused:", "fallback:", "missed:", "policies_refused", "unsent", "unanswered"];
 /// Counters that are above 0 as long as a problem lasts.
-const LASTING: [&str; 2] = ["array_unfit", "standby"];
+const LASTING: [&str; 3] = ["array_unfit", "standby", "driver_absent"];
 
-/// The last problem of each process, by the name of its kind.
+/// The last problem of each process, by its name in [`Received::statuses`](crate::view::Received).
 #[derive(Debug, Default)]
 pub(crate) struct Problems {
-    last: BTreeMap<&'static str, Occurrence>,
+    last: BTreeMap<String, Occurrence>,
 }
 
 #[derive(Debug)]
@@ -30,15 +30,15 @@ struct Occurrence {
 
 impl Problems {
     /// Notes the problem of a status that arrived now.
-    pub fn take(&mut self, status: &NodeStatus) {
+    pub fn take(&mut self, name: &str, status: &NodeStatus) {
         let counted = status.counters.iter().filter(|(name, _)| COUNTED.iter().any(|start| name.starts_with(start)));
         let count = counted.map(|(_, count)| count).sum();
         let lasts = status.counters.iter().any(|(name, count)| *count > 0 && LASTING.contains(&name.as_str()));
-        let last = self.last.get(status.node.name());
+        let last = self.last.get(name);
         let is_same = last.is_some_and(|last| last.text == status.last_problem && last.count == count);
         if lasts || !is_same {
             let occurrence = Occurrence { text: status.last_problem.clone(), count, at: Instant::now() };
-            self.last.insert(status.node.name(), occurrence);
+            self.last.insert(name.to_owned(), occurrence);
         }
     }
 
@@ -65,15 +65,15 @@ mod tests {
     fn a_problem_ends_some_seconds_after_its_cause() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
         let stopped = |count| status("the array is stopped", &[("refused:command:stopped", count)]);
-        problems.take(&stopped(1));
+        problems.take(node, &stopped(1));
         assert_eq!(problems.current(node), "the array is stopped");
         age(&mut problems, CURRENT);
         assert_eq!(problems.current(node), "");
         // The cause is counted again.
-        problems.take(&stopped(2));
+        problems.take(node, &stopped(2));
         assert_eq!(problems.current(node), "the array is stopped");
         age(&mut problems, CURRENT);
-        problems.take(&stopped(2));
+        problems.take(node, &stopped(2));
         assert_eq!(problems.current(node), "", "the text alone is no new problem");
     }
 
@@ -81,9 +81,9 @@ mod tests {
     fn a_lasting_problem_is_current_without_new_counts() {
         let (mut problems, node) = (Problems::default(), NodeStatus::default().node.name());
         let unfit = status("the array receives no commands", &[("array_unfit", 1)]);
-        problems.take(&unfit);
+        problems.take(node, &unfit);
         age(&mut problems, CURRENT);
-        problems.take(&unfit);
+        problems.take(node, &unfit);
         assert_eq!(problems.current(node), "the array receives no commands");
     }
 }

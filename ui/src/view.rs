@@ -14,6 +14,7 @@ use heliostat_proto::{
     SumRates, UserReport, codec,
 };
 use heliostat_scenario::Scenario;
+use heliostat_service::printable::printable;
 
 use crate::UiError;
 use crate::array_reports::ArrayReports;
@@ -54,8 +55,9 @@ pub(crate) struct Received {
     pub room_geometry: Dated<Arc<str>>,
     /// The geometry that the controller announces, as TOML.
     pub controller_geometry: Dated<Arc<str>>,
-    /// By the name of the kind of process.
-    pub statuses: BTreeMap<&'static str, (Instant, NodeStatus)>,
+    /// By the name of the kind of process; that of a later array's driver has the array's index, as
+    /// `driver-1`.
+    pub statuses: BTreeMap<String, (Instant, NodeStatus)>,
     /// Kind and source of the processes in the room.
     pub alive: BTreeSet<(&'static str, u64)>,
     pub history: VecDeque<Sample>,
@@ -109,10 +111,8 @@ impl View {
             ));
         }
         let controller = NodeKind::Controller.name();
-        let is_absent =
-            |status: &NodeStatus| status.counters.iter().any(|(name, count)| name == "driver_absent" && *count > 0);
-        if self.received().fresh_status(controller).is_some_and(is_absent) {
-            notes.push("no driver receives the commands: start a driver or a simulator".into());
+        if let Some(status) = self.received().fresh_status(controller) {
+            notes.extend(absent_drivers(status, room.model.mirrors.arrays().len()));
         }
         notes
     }
@@ -150,8 +150,8 @@ impl Received {
     /// Whether a status replaces that of its kind of process. One process of a kind is displayed at
     /// a time, so that no figures of two processes mix: the one that is displayed already, while it
     /// is in the room and not in standby.
-    fn is_displayed(&self, status: &NodeStatus) -> bool {
-        let Some((at, known)) = self.statuses.get(status.node.name()) else { return true };
+    fn is_displayed(&self, name: &str, status: &NodeStatus) -> bool {
+        let Some((at, known)) = self.statuses.get(name) else { return true };
         let is_present = self.alive.contains(&(status.node.name(), known.stamp.source)) && at.elapsed() < EXPIRY;
         let is_standby = |of: &NodeStatus| of.counters.iter().any(|(name, count)| name == "standby" && *count > 0);
         known.stamp.source == status.stamp.source || !is_present || (is_standby(known) && !is_standby(status))
@@ -175,15 +175,17 @@ impl Received {
         }
     }
 
-    fn take_status(&mut self, status: NodeStatus) {
-        if !self.is_displayed(&status) {
+    fn take_status(&mut self, array: usize, status: NodeStatus) {
+        let node = status.node.name();
+        let name = if array == 0 { node.to_owned() } else { format!("{node}-{array}") };
+        if !self.is_displayed(&name, &status) {
             return;
         }
         if status.node == NodeKind::Controller {
             self.latency.take(&status);
         }
-        self.problems.take(&status);
-        self.statuses.insert(status.node.name(), (Instant::now(), status));
+        self.problems.take(&name, &status);
+        self.statuses.insert(name, (Instant::now(), status));
     }
 }
 
@@ -213,7 +215,7 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         store(bus, &room.telemetry(), received, |received, telemetry| received.arrays.note(0, telemetry))?,
         later_arrays(bus, received)?,
         store(bus, &room.belief(), received, Received::take_belief)?,
-        store(bus, &room.all_status(), received, Received::take_status)?,
+        statuses(bus, received)?,
         store(bus, &room.geometry(NodeKind::SimNode), received, |received, geometry: RoomGeometry| {
             keep_text(&mut received.room_geometry, geometry.scenario)
         })?,
@@ -222,6 +224,32 @@ fn subscribe(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Vec<Subscript
         })?,
         alive,
     ])
+}
+
+/// Which commands reach no driver, by the status of a controller of so many arrays.
+fn absent_drivers(status: &NodeStatus, arrays: usize) -> Option<String> {
+    let count = |(name, count): &(String, u64)| (name == "driver_absent").then_some(*count);
+    let absent = status.counters.iter().find_map(count).filter(|count| *count > 0)?;
+    let name = |(name, _): &(String, u64)| Some(name.strip_prefix("driver_absent:")?.to_owned());
+    let names: Vec<String> = status.counters.iter().filter_map(name).collect();
+    if names.is_empty() || absent == arrays as u64 {
+        return Some("no driver receives the commands: start a driver or a simulator".into());
+    }
+    Some(format!("no driver receives the commands to {}: start its driver", printable(&names.join(" and "))))
+}
+
+/// Keeps the status of each process.
+fn statuses(bus: &Bus, received: &Arc<Mutex<Received>>) -> Result<Subscription, UiError> {
+    let (room, received) = (bus.room().clone(), Arc::clone(received));
+    Ok(bus.subscribe_keyed(&bus.room().all_status(), move |key, payload| {
+        match codec::decode::<NodeStatus>(payload) {
+            Ok(status) => {
+                let driven = room.driver_array(key).filter(|_| status.node == NodeKind::Driver);
+                lock(&received).take_status(driven.unwrap_or(0), status);
+            }
+            Err(_) => lock(&received).unreadable += 1,
+        }
+    })?)
 }
 
 /// Keeps the telemetry of the arrays after the first.
@@ -283,13 +311,13 @@ mod tests {
         let mut received = Received::default();
         let name = NodeKind::Controller.name();
         received.alive.extend([(name, 1), (name, 2)]);
-        received.take_status(status(1, 500, 0));
-        received.take_status(status(2, 3, 0));
+        received.take_status(0, status(1, 500, 0));
+        received.take_status(0, status(2, 3, 0));
         assert_eq!(shown(&received), (1, 500), "the one that is displayed stays");
-        received.take_status(status(1, 501, 1));
-        received.take_status(status(2, 4, 0));
+        received.take_status(0, status(1, 501, 1));
+        received.take_status(0, status(2, 4, 0));
         assert_eq!(shown(&received), (2, 4), "the first is in standby");
-        received.take_status(status(1, 502, 1));
+        received.take_status(0, status(1, 502, 1));
         assert_eq!(shown(&received), (2, 4), "a controller in standby replaces none");
         for (source, is_taken) in [(1, false), (2, true)] {
             let stamp = Stamp { source, ..Stamp::default() };
@@ -297,7 +325,7 @@ mod tests {
             assert_eq!(received.belief.is_some(), is_taken, "the belief of the displayed controller");
         }
         received.alive.remove(&(name, 2));
-        received.take_status(status(1, 503, 0));
+        received.take_status(0, status(1, 503, 0));
         assert_eq!(shown(&received), (1, 503), "the second has left");
     }
 }

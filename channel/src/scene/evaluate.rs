@@ -32,6 +32,19 @@ impl Scene {
         self.evaluate(model, angles, out, |_, reflected| self.combining.combine(reflected));
     }
 
+    /// The same gain at each branch of each receiver, before the branches are combined.
+    ///
+    /// `out`: dimensionless. Shape: K * B.
+    ///
+    /// # Panics
+    /// When `angles` does not have one entry per mirror, or `out` one per branch of each user.
+    pub fn irs_branch_gain(&self, model: &ChannelModel, angles: &MirrorAngles, out: &mut [f64]) {
+        assert_eq!(out.len(), self.users * self.branches, "one value per branch of each user");
+        self.each_user(model, angles, |user, gains| {
+            out[user * self.branches..][..self.branches].copy_from_slice(gains)
+        });
+    }
+
     /// SINR of each user at these angles, from H_LoS + H_IRS of each branch; see
     /// [`LinkBudget::sinr`](crate::LinkBudget::sinr).
     ///
@@ -92,16 +105,21 @@ impl Scene {
         finish: impl Fn(usize, &mut [f64]) -> f64,
     ) {
         assert_eq!(out.len(), self.users, "one value per user");
-        for (index, out) in out.chunks_mut(GROUP).enumerate() {
-            let first_user = index * GROUP;
+        self.each_user(model, angles, |user, gains| out[user] = finish(user, gains));
+    }
+
+    /// Calls `finish` with each user and the reflected gains of this user's branches.
+    #[inline(always)]
+    fn each_user(&self, model: &ChannelModel, angles: &MirrorAngles, mut finish: impl FnMut(usize, &mut [f64])) {
+        for first_user in (0..self.users).step_by(GROUP) {
             let mut gains: Gains = [[0.0; BRANCHES_MAX]; GROUP];
-            let users = first_user..first_user + out.len();
+            let users = first_user..self.users.min(first_user + GROUP);
             with_widest_simd(
                 #[inline(always)]
-                || self.gather(model, angles, users, &mut gains),
+                || self.gather(model, angles, users.clone(), &mut gains),
             );
-            for (offset, (out, gains)) in out.iter_mut().zip(&mut gains).enumerate() {
-                *out = finish(first_user + offset, &mut gains[..self.branches]);
+            for (user, gains) in users.zip(&mut gains) {
+                finish(user, &mut gains[..self.branches]);
             }
         }
     }

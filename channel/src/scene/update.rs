@@ -120,25 +120,51 @@ impl Scene {
 
     /// The LED with the largest unblocked line-of-sight gain, or else with the largest sum of
     /// steering gains.
+    #[inline(always)]
     fn choose_led(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) -> usize {
         if model.leds.len() == 1 {
             return 0;
         }
-        let branches = user * self.branches..(user + 1) * self.branches;
-        let mut best = (0, 0.0, 0.0);
+        let (mut largest, mut first, mut equals) = (0.0, 0, 0);
         for led in 0..model.leds.len() {
-            self.direct(model, user, led);
-            let clear = !forced && !is_blocked(model, blockers, led, &self.positions[user]);
-            let direct = if clear { self.combining.combine(&self.los_clear[branches.clone()]) } else { 0.0 };
-            self.steer(model, user, led);
-            let led_path = &self.led_path_clear[led * self.mirrors..(led + 1) * self.mirrors];
-            let row = &self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
-            let steered: f64 = row.iter().zip(led_path).filter(|(_, clear)| **clear).map(|(gain, _)| gain).sum();
-            if (direct, steered) > (best.1, best.2) {
-                best = (led, direct, steered);
+            let direct = self.unblocked_direct(model, blockers, (user, led), forced);
+            if direct > largest {
+                (largest, first, equals) = (direct, led, 0);
+            }
+            equals += usize::from(direct == largest);
+        }
+        if equals == 1 {
+            return first;
+        }
+        let mut best = (first, 0.0);
+        for led in 0..model.leds.len() {
+            if self.unblocked_direct(model, blockers, (user, led), forced) == largest {
+                self.steer(model, user, led);
+                let led_path = &self.led_path_clear[led * self.mirrors..(led + 1) * self.mirrors];
+                let row = &self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
+                let steered: f64 = row.iter().zip(led_path).filter(|(_, clear)| **clear).map(|(gain, _)| gain).sum();
+                if steered > best.1 {
+                    best = (led, steered);
+                }
             }
         }
         best.0
+    }
+
+    /// The combined line-of-sight gain of a user by an LED; 0 where the path is blocked.
+    #[inline(always)]
+    fn unblocked_direct(
+        &mut self,
+        model: &ChannelModel,
+        blockers: &[Cylinder],
+        (user, led): (usize, usize),
+        forced: bool,
+    ) -> f64 {
+        if forced || is_blocked(model, blockers, led, &self.positions[user]) {
+            return 0.0;
+        }
+        self.direct(model, user, led);
+        self.combining.combine(&self.los_clear[user * self.branches..(user + 1) * self.branches])
     }
 
     /// Writes the line-of-sight gain of each branch without blockage.

@@ -67,7 +67,7 @@ fn add_room(page: &mut Page, report: &RoomReport<'_>) {
     let unfit = f64::from(u8::from(summary.unfit.is_some()));
     page.gauge("heliostat_array_unfit", "1 while the array does not fit the scenario", &[room], unfit);
     let absent = f64::from(u8::from(summary.driver_absent));
-    page.gauge("heliostat_driver_absent", "1 while no driver receives the commands", &[room], absent);
+    page.gauge("heliostat_driver_absent", "1 while no driver receives the commands to an array", &[room], absent);
     let differs = f64::from(u8::from(summary.geometry_differs));
     page.gauge("heliostat_geometry_differs", "1 while the room announces another geometry", &[room], differs);
     for (event, count) in &summary.epoch_events {

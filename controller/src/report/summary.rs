@@ -59,7 +59,7 @@ pub struct Summary {
     /// Why the array receives no commands, if it does not fit the scenario.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub unfit: Option<String>,
-    /// Commands are sent, and no driver or simulator receives them.
+    /// Commands are sent, and no driver or simulator receives those to an array.
     #[serde(default)]
     pub driver_absent: bool,
     /// The room announces another geometry than that of this controller.
@@ -154,12 +154,15 @@ pub struct ArrayStanding {
     pub commanded: bool,
     /// The epoch of the commands to it.
     pub epoch: u64,
+    /// Commands are sent, and no driver or simulator receives those to this array.
+    #[serde(default)]
+    pub driver_absent: bool,
 }
 
 impl ArrayStanding {
     fn of(controller: &Controller, array: usize) -> Self {
         let (name, epoch) = (array_name(array), controller.tenure(array).epoch());
-        Self { name, commanded: controller.is_commanded(array), epoch }
+        Self { name, commanded: controller.is_commanded(array), epoch, driver_absent: false }
     }
 }
 
@@ -323,6 +326,14 @@ impl Summary {
         }
     }
 
+    /// Sets which arrays have no driver, by index.
+    pub fn set_without_driver(&mut self, without_driver: &[usize]) {
+        self.driver_absent = !without_driver.is_empty();
+        for (index, array) in self.arrays.iter_mut().enumerate() {
+            array.driver_absent = without_driver.contains(&index);
+        }
+    }
+
     /// Adds the times.
     pub fn add_times(&mut self, times: &StageTimes, policy_times: &PolicyTimes) {
         for (name, policy) in &mut self.policies {
@@ -378,7 +389,10 @@ impl fmt::Display for Summary {
             write!(formatter, "\nstandby: the array follows another controller")?;
         }
         if self.driver_absent {
-            write!(formatter, "\nno driver received the commands")?;
+            let arrays = self.arrays.iter().filter(|array| array.driver_absent);
+            let names: Vec<&str> = arrays.map(|array| array.name.as_str()).collect();
+            let to = if names.is_empty() { String::new() } else { format!(" to {}", names.join(" and ")) };
+            write!(formatter, "\nno driver received the commands{to}")?;
         }
         if self.geometry_differs {
             write!(formatter, "\nroom and controller have different geometries")?;

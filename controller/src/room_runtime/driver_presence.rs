@@ -1,4 +1,4 @@
-//! Whether a driver or a simulator is there to receive the commands.
+//! Whether each array has a driver or a simulator that receives the commands.
 //!
 //! None of this is in the decision path.
 
@@ -10,7 +10,10 @@ use std::{
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_decide::core::Controller;
-use heliostat_proto::{NodeKind, Stamp, keys::parse_alive};
+use heliostat_proto::{
+    NodeKind, Stamp,
+    keys::{parse_alive, parse_driver_alive},
+};
 
 use super::locks::lock;
 
@@ -20,12 +23,16 @@ const ABSENT_AFTER: Duration = Duration::from_secs(2);
 
 /// Watches the liveliness tokens of drivers and simulators, and the telemetry.
 pub struct DriverPresence {
-    tokens: Arc<Mutex<BTreeSet<u64>>>,
-    detector: AbsenceDetector,
+    tokens: Arc<Mutex<BTreeSet<Token>>>,
+    /// One for each array.
+    detectors: Vec<AbsenceDetector>,
 }
 
+/// The array of a driver, and its source; a simulator drives every array of its room.
+type Token = (Option<usize>, u64);
+
 /// Finds out that commands are sent for a while without any sign of a driver.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct AbsenceDetector {
     telemetry: Option<Stamp>,
     /// Since when there is no sign of a driver although commands were sent.
@@ -33,31 +40,44 @@ struct AbsenceDetector {
 }
 
 impl DriverPresence {
-    /// Subscribes to the tokens.
+    /// Subscribes to the tokens of a room with this number of arrays.
     ///
     /// # Errors
     /// If the session is closed.
-    pub fn open(bus: &Bus) -> anyhow::Result<(Self, Subscription)> {
-        let tokens: Arc<Mutex<BTreeSet<u64>>> = Arc::default();
+    pub fn open(bus: &Bus, arrays: usize) -> anyhow::Result<(Self, Subscription)> {
+        let tokens: Arc<Mutex<BTreeSet<Token>>> = Arc::default();
         let present = Arc::clone(&tokens);
         let subscription = bus.watch(&bus.room().all_alive(), move |key, presence| {
-            let Some((NodeKind::Driver | NodeKind::SimNode, source)) = parse_alive(key) else { return };
+            let Some(token) = token(key) else { return };
             match presence {
-                Presence::Alive => lock(&present).insert(source),
-                Presence::Gone => lock(&present).remove(&source),
+                Presence::Alive => lock(&present).insert(token),
+                Presence::Gone => lock(&present).remove(&token),
             };
         })?;
-        Ok((Self { tokens, detector: AbsenceDetector::default() }, subscription))
+        Ok((Self { tokens, detectors: vec![AbsenceDetector::default(); arrays] }, subscription))
     }
 
-    /// Whether the commands of a controller reach no driver.
-    pub fn is_absent(&mut self, now: Instant, controller: &Controller) -> bool {
-        let has_token = !lock(&self.tokens).is_empty();
-        let arrays = 0..controller.arrays();
-        let telemetry = arrays.map(|array| controller.inbox().telemetry(array).map(|telemetry| telemetry.stamp));
-        let telemetry = telemetry.max_by_key(|stamp| stamp.map(|stamp| stamp.time_ns)).flatten();
-        self.detector.is_absent(now, has_token, telemetry, controller.counters().commands)
+    /// The arrays without a driver that receives the commands of a controller, by index.
+    pub fn absent(&mut self, now: Instant, controller: &Controller) -> Vec<usize> {
+        let tokens = lock(&self.tokens).clone();
+        let commands = controller.counters().commands;
+        let is_absent = |(array, detector): (usize, &mut AbsenceDetector)| {
+            let telemetry = controller.inbox().telemetry(array).map(|telemetry| telemetry.stamp);
+            detector.is_absent(now, drives(&tokens, array), telemetry, commands).then_some(array)
+        };
+        self.detectors.iter_mut().enumerate().filter_map(is_absent).collect()
     }
+}
+
+/// The token of a driver or a simulator; `None` for other processes.
+fn token(key: &str) -> Option<Token> {
+    let driver = parse_driver_alive(key).map(|(array, source)| (Some(array), source));
+    driver.or_else(|| parse_alive(key).filter(|(node, _)| *node == NodeKind::SimNode).map(|(_, source)| (None, source)))
+}
+
+/// Whether a process with one of these tokens drives an array.
+fn drives(tokens: &BTreeSet<Token>, array: usize) -> bool {
+    tokens.iter().any(|(driven, _)| driven.is_none_or(|driven| driven == array))
 }
 
 impl AbsenceDetector {
@@ -74,10 +94,23 @@ impl AbsenceDetector {
 
 #[cfg(test)]
 mod tests {
+    use heliostat_proto::Room;
+
     use super::*;
 
     fn stamp(sequence: u64) -> Option<Stamp> {
         Some(Stamp { sequence, ..Stamp::default() })
+    }
+
+    #[test]
+    fn a_driver_drives_its_array_and_a_simulator_every_one() {
+        let room = Room::new("lab").expect("a valid name");
+        let of = |key: String| token(&key).into_iter().collect::<BTreeSet<Token>>();
+        let driven = |tokens: &BTreeSet<Token>| [0, 1, 2].map(|array| drives(tokens, array));
+        assert_eq!(driven(&of(room.alive(NodeKind::Driver, 7))), [true, false, false]);
+        assert_eq!(driven(&of(room.array(1).driver_alive(7))), [false, true, false]);
+        assert_eq!(driven(&of(room.alive(NodeKind::SimNode, 7))), [true; 3]);
+        assert_eq!(driven(&of(room.alive(NodeKind::Viewer, 7))), [false; 3]);
     }
 
     #[test]

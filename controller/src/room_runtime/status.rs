@@ -5,14 +5,14 @@ use heliostat_decide::{
     refusal::Refusal,
     tenure::{Standing, Tenure, TenureEvent},
 };
-use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp};
+use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name};
 use heliostat_service::clock::utc_ns;
 
 use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
 use crate::report::{stage_times::StageTimes, summary::Summary};
 
-/// The problem of commands without a receiver.
-const DRIVER_ABSENT: &str = "no driver receives the commands: there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
+/// What to do about commands without a receiver.
+const DRIVER_ABSENT: &str = "there is no telemetry, and no liveliness token of a driver or simulator; start one, with an endpoint in common with this controller";
 
 /// The reporting node.
 #[derive(Clone, Debug)]
@@ -45,8 +45,8 @@ pub struct Reporter {
 /// What is wrong in the room outside the decision loop.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Conditions {
-    /// Commands are sent, and there is no sign of a driver.
-    pub driver_absent: bool,
+    /// Indices of the arrays of which there is no sign of a driver, although commands are sent.
+    pub without_driver: Vec<usize>,
     /// Why the room's geometry is not that of this controller.
     pub geometry: Option<String>,
 }
@@ -107,15 +107,15 @@ impl Reporter {
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
-            .or_else(|| self.new_condition(conditions))
+            .or_else(|| self.new_condition(conditions, controller.arrays()))
             .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning));
         if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
             self.last_problem.clone_from(problem);
         }
         summary.last_problem.clone_from(&self.last_problem);
-        summary.driver_absent = self.conditions.driver_absent;
+        summary.set_without_driver(&self.conditions.without_driver);
         summary.geometry_differs = self.conditions.geometry.is_some();
-        let state = self.state(&summary).to_string();
+        let state = self.state(&summary);
         self.decisions = summary.decisions;
         Snapshot { summary, problem, now: decision_loop.room_time_ns(), state, swaps }
     }
@@ -137,7 +137,7 @@ impl Reporter {
             ("epoch", summary.epoch),
             ("standby", u64::from(summary.standby)),
             ("array_unfit", u64::from(summary.unfit.is_some())),
-            ("driver_absent", u64::from(summary.driver_absent)),
+            ("driver_absent", self.conditions.without_driver.len() as u64),
             ("geometry_differs", u64::from(summary.geometry_differs)),
             ("policies_switched", snapshot.swaps.replaced),
             ("policies_refused", snapshot.swaps.refused),
@@ -150,6 +150,8 @@ impl Reporter {
         let epochs = summary.epoch_events.iter().map(named("epoch:"));
         let missed = summary.missed.iter().map(named("missed:"));
         let users = summary.users.iter().map(named("users:"));
+        let absent = summary.arrays.iter().filter(|array| array.driver_absent);
+        let absent = absent.map(|array| (format!("driver_absent:{}", array.name), 1));
         // A replay evaluates the network by the same engine.
         let engine = summary.engine.iter().map(|name| (format!("engine:{name}"), 1));
         let stages = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage)));
@@ -166,6 +168,7 @@ impl Reporter {
                 .chain(missed)
                 .chain(users)
                 .chain(engine)
+                .chain(absent)
                 .collect(),
             timings: totals.into_iter().chain(stages).collect(),
             last_problem: summary.last_problem.clone(),
@@ -196,15 +199,18 @@ impl Reporter {
         }
     }
 
-    fn state(&self, summary: &Summary) -> &'static str {
-        match summary {
+    fn state(&self, summary: &Summary) -> String {
+        let state = match summary {
             _ if summary.unfit.is_some() => "no commands: the array does not fit",
             _ if summary.standby => "standby",
             _ if summary.decisions == 0 => "waiting for position reports",
             _ if summary.decisions == self.decisions => "position reports stopped",
-            _ if summary.driver_absent => "no driver receives the commands",
+            _ if summary.driver_absent => {
+                return describe_absence(&self.conditions.without_driver, summary.arrays.len().max(1));
+            }
             _ => "running",
-        }
+        };
+        state.into()
     }
 
     /// A new reason for which the array receives no commands, or a sign of another sender.
@@ -233,12 +239,15 @@ impl Reporter {
     }
 
     /// A condition that began or ended; a second one is reported at the next snapshot.
-    fn new_condition(&mut self, now: Conditions) -> Option<Problem> {
-        let was_absent = std::mem::replace(&mut self.conditions.driver_absent, now.driver_absent);
-        if was_absent != now.driver_absent {
-            let text =
-                if now.driver_absent { DRIVER_ABSENT } else { "a driver is in the room and receives the commands" };
-            return Some(Problem::Warning(text.into()));
+    fn new_condition(&mut self, now: Conditions, arrays: usize) -> Option<Problem> {
+        let before = std::mem::replace(&mut self.conditions.without_driver, now.without_driver);
+        let without_driver = &self.conditions.without_driver;
+        if before != *without_driver {
+            return Some(Problem::Warning(if without_driver.is_empty() {
+                "a driver is in the room and receives the commands".into()
+            } else {
+                format!("{}: {DRIVER_ABSENT}", describe_absence(without_driver, arrays))
+            }));
         }
         let before = std::mem::replace(&mut self.conditions.geometry, now.geometry);
         if before == self.conditions.geometry {
@@ -273,6 +282,16 @@ impl Reporter {
         }
         refused_rose.then(|| describe_refusal(decision_loop)).flatten()
     }
+}
+
+/// Which commands reach no driver, in a room with this number of arrays.
+fn describe_absence(without_driver: &[usize], arrays: usize) -> String {
+    let all = "no driver receives the commands";
+    if without_driver.len() == arrays {
+        return all.into();
+    }
+    let names: Vec<String> = without_driver.iter().map(|array| array_name(*array)).collect();
+    format!("{all} to {}", names.join(" and "))
 }
 
 fn is_alarm(event: TenureEvent) -> bool {

@@ -1,7 +1,7 @@
 //! The table of policies: names, help texts, and how each policy is built for a room.
 
 use clap::ValueEnum;
-use heliostat_channel::solver::SolverError;
+use heliostat_channel::{ChannelError, solver::SolverError};
 use heliostat_scenario::{Fallback, Scenario};
 use thiserror::Error;
 
@@ -28,6 +28,9 @@ pub enum BuildError {
         "an exhaustive search cannot run here: {0}; use the policy oracle, which gives the same assignments in small rooms"
     )]
     Search(SolverError),
+    /// The scenario describes no channel.
+    #[error(transparent)]
+    Channel(#[from] ChannelError),
     /// A learned policy was to be built without its file.
     #[error("policy {policy} is learned: expected the file of its actor, found none")]
     ActorExpected {
@@ -77,6 +80,12 @@ policies! {
     DdpgRaw: Learned,
     /// Learned: as ddpg-raw, with a critic that reads smooth patterns of the angles
     DdpgBasis: Learned,
+    /// Learned: TD3 with one weight per user
+    Td3: Learned,
+    /// Learned: SAC with one weight per user
+    Sac: Learned,
+    /// Learned: PPO with one weight per user
+    Ppo: Learned,
     /// Learned: by the gradient through the channel model
     Analytic: Learned,
     /// Learned: deep Q-learning on a codebook of angles
@@ -98,6 +107,8 @@ policies! {
     SineCosine: Direct(|room| super::sine_cosine::SineCosine::new(room.scenario, room.monotonic_ns).boxed()),
     /// Metaheuristic: particle swarm optimisation on the angles of all mirrors
     Pso: Direct(|room| super::pso::Pso::new(room.scenario, room.monotonic_ns).boxed()),
+    /// Model-based: each mirror takes the entry of its codebook that serves the user assigned to it
+    MirrorCodebook: Direct(|room| super::mirror_codebook::MirrorCodebook::new(room.scenario)?.boxed()),
     /// Each mirror serves the user with the largest steering gain
     Nearest: Direct(|_| super::nearest::Nearest::new().boxed()),
     /// One random draw per mirror, the same for the complete run

@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3};
 use heliostat_decide::{
     observation::{Observation, RoomState},
-    policy::PolicyKind,
+    policy::{MirrorCodebook, Policy, PolicyKind},
 };
 use heliostat_scenario::Scenario;
 
@@ -179,4 +179,22 @@ fn a_time_budget_ends_the_search() {
     for kind in [PolicyKind::SineCosine, PolicyKind::Pso] {
         searched(kind, &["control.search_evaluations=100000000", "control.search_time_us=500"]);
     }
+}
+
+#[test]
+fn each_mirror_takes_an_entry_of_its_codebook_and_the_rate_is_near_that_of_free_angles() {
+    for mode in ["specular", "paper-calibrated"] {
+        let scenario = large(&[&format!("channel.mode={mode}")]);
+        let (model, observation) = observe(&scenario);
+        let mut policy = MirrorCodebook::new(&scenario).unwrap();
+        let mut angles = MirrorAngles::flat(scenario.mirror_count());
+        policy.act(&model, &observation, &mut angles).unwrap();
+        for mirror in 0..scenario.mirror_count() {
+            let taken = [angles.roll[mirror], angles.yaw[mirror]];
+            assert!(policy.entries(mirror).any(|entry| entry == taken), "{mode}, mirror {mirror}: {taken:?}");
+        }
+    }
+    let scenario = large(&[]);
+    let [codebook, greedy] = [PolicyKind::MirrorCodebook, PolicyKind::Greedy].map(|kind| sum_rate(kind, &scenario));
+    assert!((0.9..1.02).contains(&(codebook / greedy)), "{codebook} {greedy}");
 }

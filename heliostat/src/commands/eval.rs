@@ -2,6 +2,7 @@
 
 mod html;
 mod output;
+mod suite;
 mod sweep;
 
 use std::path::PathBuf;
@@ -10,7 +11,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use heliostat_engine::{ActorSource, EngineChoice};
 use heliostat_models::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
-use heliostat_scenario::{Belief, ScenarioArgs};
+use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
 use heliostat_service::duration::seconds;
 
 use super::whole_file;
@@ -29,13 +30,14 @@ const DEFAULT_POLICIES: [&str; 7] = ["ddpg", "greedy", "fixed-point", "nearest",
 /// default each policy observes exact held-out states, and its mirrors move instantly. With
 /// --closed-loop, reports and mirrors have the rate, delay, noise and dynamics of the scenario. The
 /// oracle still knows the true state and moves its mirrors instantly. The decision time is that of
-/// the policy; in closed loop it includes belief and observation.
+/// the policy; in closed loop it includes belief and observation. With --suite, policies are compared
+/// on a fixed list of tasks.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
     /// Policies by name, or paths of ONNX actors (FILE.onnx), separated by commas [default: ddpg if
-    /// an actor fits, greedy, fixed-point, nearest, random, flat, no-irs]
+    /// an actor fits, greedy, fixed-point, nearest, random, flat, no-irs; with --suite all]
     #[arg(long, value_name = "A,B,C", value_delimiter = ',')]
     policies: Vec<String>,
     /// ONNX file of the policy ddpg, instead of the built-in ones
@@ -86,15 +88,22 @@ pub struct Args {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    suite: suite::SuiteArgs,
 }
 
 impl Args {
-    /// The settings of a comparison, with one more override of the scenario if given.
-    fn settings(&self, change: Option<String>) -> Result<Settings> {
+    /// The room, with one more override if given.
+    fn scenario(&self, change: Option<String>) -> Result<Scenario> {
         let mut scenario = self.scenario.clone();
         scenario.overrides.extend(self.blocked.map(|blocked| format!("blockage.forced_users={blocked}")));
         scenario.overrides.extend(change);
-        let scenario = scenario.load_arrays()?;
+        Ok(scenario.load_arrays()?)
+    }
+
+    /// The settings of a comparison, with one more override of the scenario if given.
+    fn settings(&self, change: Option<String>) -> Result<Settings> {
+        let scenario = self.scenario(change)?;
         let actor = self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
         ensure!(
             self.model.is_none()
@@ -140,6 +149,9 @@ impl Args {
 
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
+    if args.suite.is_chosen() {
+        return suite::run(&args.suite, &args.policies, args.json);
+    }
     let sweep = args.sweep.as_ref();
     let settings: Vec<Settings> = match sweep {
         None => vec![args.settings(None)?],

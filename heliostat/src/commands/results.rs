@@ -2,26 +2,24 @@
 //!
 //! A page is data ([`pages`]): sections, each with one command, the columns of its table and the
 //! bounds it is held to. Each command runs in a process of its own, exactly as the page prints it,
-//! so that a reader who repeats it gets the same measurement. Finished sections are kept as JSON
-//! beside the page ([`archive`]); [`document`] renders the page from that file alone.
+//! so that a reader who repeats it gets the same measurement ([`steps`]). Finished sections are kept as
+//! JSON beside the page ([`archive`]); [`document`] renders the page from that file alone. The suite of
+//! `heliostat eval` uses the same parts.
 
-mod archive;
+pub(super) mod archive;
 mod bound;
-mod document;
-mod pages;
-mod table;
+pub(super) mod document;
+pub(super) mod pages;
+pub(super) mod steps;
+pub(super) mod table;
 
 use std::fs;
-use std::io::Write;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
-use std::time::Instant;
 
-use anyhow::{Context, Result, bail, ensure};
-use heliostat_reproduce::machine;
+use anyhow::{Context, Result, ensure};
 
 use crate::output::outln;
-use archive::{Archive, Finished};
+use archive::Archive;
 use pages::{PageName, Section};
 
 /// Run the commands behind a results page, and write the page as Markdown.
@@ -64,71 +62,23 @@ pub fn run(args: Args) -> Result<()> {
     let sections: Vec<&Section> = page.sections.iter().filter(chosen).collect();
     if args.list {
         for section in sections {
-            outln!("{:<18} heliostat {}", section.name, section.arguments(args.quick).join(" "))?;
+            outln!("{:<18} {}", section.name, document::command(&section.arguments(args.quick)))?;
         }
         return Ok(());
     }
 
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(page.name).with_extension("md"));
     let kept = out.with_extension("json");
-    let mut archive = Archive::new(page.name, args.quick);
-    if args.resume && kept.exists() {
-        archive = Archive::read(&kept)?;
-        ensure!(
-            archive.page == page.name && archive.quick == args.quick,
-            "{}: holds page {}{}; expected {}{}. Choose another --out, or leave out --resume",
-            kept.display(),
-            archive.page,
-            if archive.quick { " --quick" } else { "" },
-            page.name,
-            if args.quick { " --quick" } else { "" },
-        );
-    }
-    for (index, section) in sections.iter().enumerate() {
-        let step = format!("{} of {}: {}", index + 1, sections.len(), section.name);
-        let arguments = section.arguments(args.quick);
-        if archive.holds(section.name, &arguments, machine::COMMIT) {
-            report(&format!("{step}: finished before"));
-            continue;
-        }
-        report(&format!("{step}: heliostat {}", arguments.join(" ")));
-        let finished = measure(section, &arguments).with_context(|| {
-            format!("section {} did not finish; --resume continues with it, after the finished ones", section.name)
-        })?;
-        archive.put(finished);
+    let mut archive = match args.resume {
+        true => steps::resumed(&kept, page.name, args.quick)?,
+        false => Archive::new(page.name, args.quick),
+    };
+    let steps: Vec<_> = sections.into_iter().map(|section| (section, section.arguments(args.quick))).collect();
+    steps::run(&steps, &mut archive, |archive| {
         archive.write(&kept)?;
-        fs::write(&out, document::markdown(page, &archive)?)
-            .with_context(|| format!("cannot write {}: expected a file in a folder that exists", out.display()))?;
-    }
+        fs::write(&out, document::markdown(page, archive)?)
+            .with_context(|| format!("cannot write {}: expected a file in a folder that exists", out.display()))
+    })?;
     outln!("written: {} and {}", out.display(), kept.display())?;
     Ok(())
-}
-
-/// Progress goes to standard error.
-fn report(text: &str) {
-    drop(writeln!(std::io::stderr(), "{text}"));
-}
-
-/// Runs one section's command and keeps its JSON object.
-fn measure(section: &Section, arguments: &[String]) -> Result<Finished> {
-    let program = std::env::current_exe().context("cannot find this program's own file")?;
-    let (made, start) = (machine::now(), Instant::now());
-    let output = Command::new(program)
-        .args(section.with_json(arguments))
-        .stdin(Stdio::null())
-        .stderr(Stdio::inherit())
-        .output()
-        .context("cannot start the command")?;
-    if !output.status.success() {
-        bail!("heliostat {}: {}", arguments.join(" "), output.status);
-    }
-    Ok(Finished {
-        section: section.name.into(),
-        arguments: arguments.to_vec(),
-        made,
-        commit: machine::COMMIT.into(),
-        machine: machine::hardware(),
-        seconds: start.elapsed().as_secs_f64(),
-        output: serde_json::from_slice(&output.stdout).context("the command printed no JSON object")?,
-    })
 }

@@ -5,21 +5,19 @@
 //! Here the action is one codeword, which sets the angles of all mirrors. A table or the output
 //! layer of a network can then hold a value for each codeword:
 //!
-//! - **paper modes**: 5 x 5 angles that all mirrors share, roll from 0 to 60 and yaw from -60 to 60
-//!   degrees ([`ROLLS_DEG`], [`YAWS_DEG`]).
-//! - **`specular`**: if all mirrors have equal angles, each illuminates a different point, so no
-//!   user receives enough power. Each codeword therefore aims all mirrors at one of 144 grid
-//!   points, 12 x 12 over the floor ([`GRID`]), at the height of the receivers.
+//! [`codewords`](mod@heliostat_decide::policy::codewords) defines them: 5 x 5 angles that all mirrors
+//! share in the paper's modes, and in `specular` all mirrors aimed at one of 144 grid points, 12 x 12
+//! over the floor ([`GRID`]).
 //!
 //! The codebook upper bound is the score of the best codeword in each state. The policy
 //! [`BestCodeword`] finds it by evaluating every codeword; in comparisons it is `codebook`.
 //! `models/experiments.md` compares several codebooks.
 
 use heliostat_channel::solver::QOS_PENALTY;
-use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode};
+use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::observation::Observation;
+use heliostat_decide::policy::codewords::{YAWS_DEG, codewords};
 use heliostat_decide::policy::{Policy, PolicyError};
-use heliostat_decide::safety::Limits;
 use heliostat_onnx::graph::{Graph, Value};
 use heliostat_scenario::{ChannelMode, Scenario};
 
@@ -28,12 +26,6 @@ use super::room::{Environment, Outcome, Reward};
 /// Points of the grid along each side of the room, in `specular`; `models/experiments.md` has other
 /// numbers.
 pub const GRID: usize = 12;
-
-/// Rolls common to all mirrors in degrees, in the paper's modes.
-pub const ROLLS_DEG: [f64; 5] = [0.0, 15.0, 30.0, 45.0, 60.0];
-
-/// Yaws common to all mirrors in degrees, in the paper's modes.
-pub const YAWS_DEG: [f64; 5] = [-60.0, -30.0, 0.0, 30.0, 60.0];
 
 /// The actions of a learner; each codeword has the angles of all mirrors.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,21 +43,16 @@ impl Codebook {
     /// The scenario describes no channel.
     pub fn of(scenario: &Scenario) -> anyhow::Result<Self> {
         let model = scenario.channel_model()?;
-        let range_rad = Limits::new(&scenario.control).range_rad();
-        let (columns, mut codewords, kind) = match scenario.channel.mode {
-            ChannelMode::Specular => (GRID, focuses(&model, scenario), "the array aimed at a point of a 12 x 12 grid"),
-            ChannelMode::Paper | ChannelMode::PaperCalibrated => {
-                (YAWS_DEG.len(), common(model.mirrors.len()), "5 x 5 angles common to all mirrors")
-            }
+        let (columns, kind) = match scenario.channel.mode {
+            ChannelMode::Specular => (GRID, "the array aimed at a point of a 12 x 12 grid"),
+            ChannelMode::Paper | ChannelMode::PaperCalibrated => (YAWS_DEG.len(), "5 x 5 angles common to all mirrors"),
         };
+        let codewords = codewords(scenario, &model, GRID);
         let rows = codewords.len() / columns;
         let middle = |index: usize, count: usize| index as f32 - 0.5 * (count - 1) as f32;
         let coordinates = (0..codewords.len())
             .map(|codeword| [middle(codeword % columns, columns), middle(codeword / columns, rows)])
             .collect();
-        for angle in codewords.iter_mut().flat_map(|codeword| codeword.roll.iter_mut().chain(&mut codeword.yaw)) {
-            *angle = angle.clamp(-range_rad, range_rad);
-        }
         Ok(Self { codewords, coordinates, kind })
     }
 
@@ -124,26 +111,6 @@ impl Codebook {
         let best = graph.argmax(values, 1);
         graph.gather(&book, &best, 0)
     }
-}
-
-fn common(mirrors: usize) -> Vec<MirrorAngles> {
-    let codeword = |roll: f64, yaw: f64| MirrorAngles {
-        roll: vec![roll.to_radians(); mirrors],
-        yaw: vec![yaw.to_radians(); mirrors],
-    };
-    ROLLS_DEG.iter().flat_map(|roll| YAWS_DEG.iter().map(move |yaw| codeword(*roll, *yaw))).collect()
-}
-
-fn focuses(model: &ChannelModel, scenario: &Scenario) -> Vec<MirrorAngles> {
-    let coordinate = |index: usize, extent_m: f64| extent_m * ((index as f64 + 0.5) / GRID as f64 - 0.5);
-    let focus = |index: usize| {
-        let (x, y) =
-            (coordinate(index % GRID, scenario.room.length_x_m), coordinate(index / GRID, scenario.room.length_y_m));
-        let mut angles = MirrorAngles::flat(model.mirrors.len());
-        decode::aim_at_point(model, &Vec3::new(x, y, scenario.receiver.height_m), &mut angles);
-        angles
-    };
-    (0..GRID * GRID).map(focus).collect()
 }
 
 /// The policy that gives the codebook upper bound: it evaluates every codeword in each state.

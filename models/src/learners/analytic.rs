@@ -38,9 +38,8 @@ use super::ddpg;
 use crate::environment::features::{BaselineWeight, Head, Layout};
 use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
 use crate::export::actor::export;
-use crate::networks::actor::{ACTOR_INPUTS, Actor, POWER_FLOOR, States};
+use crate::networks::actor::{Actor, POWER_FLOOR, States};
 use crate::networks::adam::Adam;
-use crate::networks::layers::{Network, Shape};
 use crate::training::algorithm::{Algorithm, start};
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
@@ -116,11 +115,8 @@ impl Analytic {
             "channel.literal = true has no gradient in analytic: expected channel.literal = false"
         );
         let layout = Layout::of(scenario);
-        let slots = layout.slots();
         let tuned = ddpg::Settings::tuned(settings.run.seed, scenario.channel.mode);
-        let shape = Shape { encoder: tuned.encoder, slots, inputs: ACTOR_INPUTS, hidden: [128, 64], outputs: slots };
-        let network = Network::new(shape, rng)?;
-        let actor = Actor { network, layout, head: settings.head, rounds: settings.rounds };
+        let actor = Actor::new(layout, tuned.encoder, (settings.head, settings.rounds), rng)?;
         Ok(Self { adam: Adam::new(&actor.network), actor, settings })
     }
 
@@ -161,8 +157,7 @@ impl Learner for Analytic {
     }
 
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
-        let actions = self.actor.actions(&States::row(self.actor.layout, room.vector()))?;
-        Ok(self.actor.decode(room, &actions))
+        self.actor.act(room)
     }
 
     fn state(&mut self) -> Vec<Part<'_>> {
@@ -266,10 +261,7 @@ impl Channel {
     /// # Errors
     /// Errors of candle.
     pub fn reward(&self, amplitude: &Tensor, reward: Reward) -> Result<Tensor> {
-        let rate = ((amplitude.sqr()? + 1.0)?.log()? * std::f64::consts::LOG2_E)?;
-        let shortfall = ((&self.min_rate * reward.margin)? - &rate)?.relu()?;
-        let part = (rate - (shortfall * reward.lambda)?)?.mul(&self.present)?;
-        part.sum(1)?.div(&self.present.sum(1)?)
+        mean_reward(amplitude, (&self.present, &self.min_rate), reward)
     }
 
     /// Soft assignment of each mirror to each user, (batch, slots, mirrors).
@@ -279,9 +271,7 @@ impl Channel {
         let weighted = self.steering.broadcast_mul(&baseline.unsqueeze(2)?)?;
         let log_weighted = ((weighted + f64::from(POWER_FLOOR))?.log()?)
             .broadcast_add(&(actions * f64::from(head.range))?.unsqueeze(2)?)?;
-        let log_weighted = (log_weighted * exponent)?;
-        let power = log_weighted.broadcast_sub(&log_weighted.max_keepdim(1)?.detach())?.exp()?;
-        power.broadcast_div(&power.sum_keepdim(1)?)
+        shares(&log_weighted, exponent)
     }
 
     /// Values times the baseline weights of the head, (batch, slots).
@@ -291,6 +281,29 @@ impl Channel {
             BaselineWeight::Balanced => weight.mul(&self.balanced),
         }
     }
+}
+
+/// The mean reward of the present users with these amplitudes in bit/s/Hz: (batch). `present` and
+/// the minimum rates are (batch, slots).
+///
+/// # Errors
+/// Errors of candle.
+pub fn mean_reward(amplitude: &Tensor, (present, min_rate): (&Tensor, &Tensor), reward: Reward) -> Result<Tensor> {
+    let rate = ((amplitude.sqr()? + 1.0)?.log()? * std::f64::consts::LOG2_E)?;
+    let shortfall = ((min_rate * reward.margin)? - &rate)?.relu()?;
+    let part = (rate - (shortfall * reward.lambda)?)?.mul(present)?;
+    part.sum(1)?.div(&present.sum(1)?)
+}
+
+/// The soft assignment of each mirror by logarithms of weighted gains, (batch, slots, mirrors): their
+/// powers with this exponent over the sum of the powers of all users.
+///
+/// # Errors
+/// Errors of candle.
+pub fn shares(log_weighted: &Tensor, exponent: f64) -> Result<Tensor> {
+    let log_weighted = (log_weighted * exponent)?;
+    let power = log_weighted.broadcast_sub(&log_weighted.max_keepdim(1)?.detach())?.exp()?;
+    power.broadcast_div(&power.sum_keepdim(1)?)
 }
 
 /// Amplitude of user k from each mirror when it is aimed at user j, by the channel: (k, j,

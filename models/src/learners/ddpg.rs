@@ -54,7 +54,6 @@
 //! 15. **Learning rates.** 5e-4 (actor) and 1e-3 (critic), decaying to 5e-5 and 1e-4 over the run
 //!     of 300 episodes.
 
-use candle_core::{Device, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::{ChannelMode, Scenario};
@@ -64,14 +63,15 @@ use serde::{Deserialize, Serialize};
 use crate::environment::features::{BaselineWeight, Head, Layout};
 use crate::environment::room::{Environment, Outcome, Reward, RewardForm, Rooms};
 use crate::export::actor::export;
-use crate::networks::actor::{ACTOR_INPUTS, Actor, States};
+use crate::networks::actor::{Actor, States};
 use crate::networks::adam::Adam;
-use crate::networks::layers::{Encoder, Network, Shape, soft_update};
+use crate::networks::critic::{Critic, Sight, Value};
+use crate::networks::layers::{Encoder, soft_update};
 use crate::training::algorithm::{Algorithm, Preset, start};
 use crate::training::exploration::{Exploration, Kind};
 use crate::training::learner::{Episode, Learner, Part, part};
-use crate::training::replay::Replay;
 use crate::training::settings::RunSettings;
+use crate::training::transitions::{Transition, Transitions};
 
 /// The row in the table of algorithms.
 pub const ALGORITHM: Algorithm = Algorithm {
@@ -88,27 +88,6 @@ pub const ALGORITHM: Algorithm = Algorithm {
         start(scenario, settings, options, Ddpg::new)
     },
 };
-
-/// The quantity that the critic predicts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Value {
-    /// The total reward, as in the paper.
-    Total,
-    /// Each user's part of the reward; for [`Encoder::PerUser`].
-    EachUser,
-}
-
-/// The critic's inputs that depend on the action, in addition to the action itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Sight {
-    /// None.
-    #[serde(rename = "logits")]
-    Actions,
-    /// The amplitude that each user gets under the actions, by the smooth decoder.
-    Decoded,
-}
 
 /// The hyperparameters of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -206,12 +185,12 @@ impl AsRef<RunSettings> for Settings {
 pub struct Ddpg {
     settings: Settings,
     actor: Actor,
-    critic: Network,
+    critic: Critic,
     actor_target: Actor,
-    critic_target: Network,
+    critic_target: Critic,
     actor_adam: Adam,
     critic_adam: Adam,
-    replay: Replay,
+    transitions: Transitions,
 }
 
 impl Ddpg {
@@ -221,29 +200,23 @@ impl Ddpg {
     /// Two settings contradict each other.
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
         anyhow::ensure!(
-            settings.value == Value::Total || settings.encoder == Encoder::PerUser,
-            "value = \"each-user\" needs encoder = \"per-user\": expected that, or value = \"total\""
-        );
-        anyhow::ensure!(
             settings.exploration.kind != Kind::Patterns,
             "exploration.kind = \"patterns\" applies to actions that are angles: expected additive or epsilon-greedy"
         );
+        let Settings { encoder, head, rounds, value, sight, .. } = settings;
         let layout = Layout::of(scenario);
-        let (encoder, slots) = (settings.encoder, layout.slots());
-        let actor = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: [128, 64], outputs: slots };
-        let critic = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: [256, 128], outputs: 1 };
-        let network = Network::new(actor, rng)?;
-        let actor = Actor { network, layout, head: settings.head, rounds: settings.rounds };
-        let critic = Network::new(critic, rng)?;
-        let width = States::width(layout);
-        let next = if settings.gamma > 0.0 { width } else { 0 };
-        let needed = settings.warm_up.max(settings.batch);
+        let actor = Actor::new(layout, encoder, (head, rounds), rng)?;
+        let critic = Critic::new(layout, encoder, (value, sight, head.range), rng)?;
         Ok(Self {
             actor_target: actor.copy()?,
             critic_target: critic.copy()?,
             actor_adam: Adam::new(&actor.network),
-            critic_adam: Adam::new(&critic),
-            replay: Replay::new(settings.replay, needed, [width, slots, slots, next]),
+            critic_adam: Adam::new(&critic.network),
+            transitions: Transitions::new(
+                (layout, head.baseline_weight),
+                (settings.replay, settings.warm_up.max(settings.batch)),
+                settings.gamma > 0.0,
+            ),
             actor,
             critic,
             settings,
@@ -258,110 +231,67 @@ impl Ddpg {
     /// One update of critic, actor and targets from a minibatch.
     fn update(&mut self, episode: &mut Episode<'_>) -> candle_core::Result<()> {
         let Settings { batch, gamma, tau, actor_rate, critic_rate, rate_end, .. } = self.settings;
-        let (layout, baseline_weight) = (self.actor.layout, self.settings.head.baseline_weight);
         // Both learning rates decay geometrically over the run.
         let decay = rate_end.powf(episode.progress());
 
         // Critic: minimise the mean of [Q(s, a) - r - gamma Q'(s', mu'(s'))]^2.
-        let [states, action, rewards, next] = self.replay.sample(batch, episode.rng);
-        let states = States::new(states, batch, layout, baseline_weight)?;
-        let action = Tensor::from_vec(action, (batch, layout.slots()), &Device::Cpu)?;
-        let rewards = Tensor::from_vec(rewards, (batch, layout.slots()), &Device::Cpu)?;
-        let mut target = self.reduce(&rewards, &states.present)?;
-        if gamma > 0.0 {
-            let next = States::new(next, batch, layout, baseline_weight)?;
-            let next_value = self.value(&self.critic_target, &next, &self.actor_target.forward(&next)?)?;
+        let Transition { states, actions, rewards, next } = self.transitions.sample(batch, episode.rng)?;
+        let mut target = self.critic.reduce(&states, &rewards)?;
+        if let Some(next) = next {
+            let next_value = self.critic_target.value(&next, &self.actor_target.forward(&next)?)?;
             target = (target + (next_value.detach() * gamma)?)?;
         }
-        let error = (self.value(&self.critic, &states, &action)? - target)?;
+        let error = (self.critic.value(&states, &actions)? - target)?;
         let gradients = error.sqr()?.mean_all()?.backward()?;
-        self.critic_adam.step(&self.critic, &gradients, critic_rate * decay)?;
+        self.critic_adam.step(&self.critic.network, &gradients, critic_rate * decay)?;
 
         // Actor: maximise the mean of Q(s, mu(s)).
-        let value = self.value(&self.critic.frozen(), &states, &self.actor.forward(&states)?)?;
-        let value = if value.rank() == 2 { mean_present(&value, &states.present)? } else { value };
+        let value = self.critic.frozen().mean_value(&states, &self.actor.forward(&states)?)?;
         let gradients = value.mean_all()?.neg()?.backward()?;
         self.actor_adam.step(&self.actor.network, &gradients, actor_rate * decay)?;
 
         // Targets: without a discounted value they are not used.
         if gamma > 0.0 {
             soft_update(&self.actor_target.network, &self.actor.network, tau)?;
-            soft_update(&self.critic_target, &self.critic, tau)?;
+            soft_update(&self.critic_target.network, &self.critic.network, tau)?;
         }
         Ok(())
-    }
-
-    /// Rewards in the form that the critic predicts: (batch, slots) or (batch).
-    fn reduce(&self, parts: &Tensor, present: &Tensor) -> candle_core::Result<Tensor> {
-        match self.settings.value {
-            Value::EachUser => parts.mul(present),
-            Value::Total => mean_present(parts, present),
-        }
-    }
-
-    /// The prediction of a critic: (batch, slots), zero in empty slots, or (batch).
-    fn value(&self, critic: &Network, states: &States, action: &Tensor) -> candle_core::Result<Tensor> {
-        let present = &states.present;
-        let amplitude = match self.settings.sight {
-            Sight::Actions => states.balanced()?,
-            Sight::Decoded => states.amplitude(action, self.settings.head.range)?,
-        };
-        let action = match self.settings.encoder {
-            Encoder::PerUser => action.broadcast_sub(&mean_present(action, present)?.unsqueeze(1)?)?.mul(present)?,
-            Encoder::Mlp => action.clone(),
-        };
-        let columns = [action, amplitude.mul(present)?].map(|column| column.unsqueeze(2));
-        let [action, amplitude] = columns;
-        let output = critic.forward(&Tensor::cat(&[&states.features, &action?, &amplitude?], 2)?)?;
-        match self.settings.encoder {
-            Encoder::PerUser => self.reduce(&output, present),
-            Encoder::Mlp => output.squeeze(1),
-        }
     }
 }
 
 impl Learner for Ddpg {
     fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
         let Settings { exploration, run, .. } = &self.settings;
-        let (layout, room) = (self.actor.layout, &mut episode.rooms[0]);
-        let state = States::row(layout, room.vector());
+        let room = &mut episode.rooms[0];
+        let state = States::row(self.actor.layout, room.vector());
         let mut action = self.actor.actions(&state)?;
         let magnitude = exploration.magnitude(episode.index, episode.count);
         exploration.apply(magnitude, &mut action[..room.users()], episode.rng);
-        let mut rewards = vec![0.0; layout.slots()];
-        let outcome = room.act(&self.actor.decode(room, &action), run.reward, &mut rewards);
-        room.step(run.step_s)?;
-        let next = if self.settings.gamma > 0.0 { States::row(layout, room.vector()) } else { Vec::new() };
-        self.replay.push([&state, &action, &rewards, &next]);
-        if self.replay.is_ready() {
+        let angles = self.actor.decode(room, &action);
+        let outcome = self.transitions.act(room, (&state, &action, &angles), run)?;
+        if self.transitions.is_ready() {
             self.update(episode)?;
         }
         Ok(vec![outcome])
     }
 
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
-        let actions = self.actor.actions(&States::row(self.actor.layout, room.vector()))?;
-        Ok(self.actor.decode(room, &actions))
+        self.actor.act(room)
     }
 
     fn state(&mut self) -> Vec<Part<'_>> {
         vec![
             part("actor", &mut self.actor.network),
-            part("critic", &mut self.critic),
+            part("critic", &mut self.critic.network),
             part("actor_target", &mut self.actor_target.network),
-            part("critic_target", &mut self.critic_target),
+            part("critic_target", &mut self.critic_target.network),
             part("actor", &mut self.actor_adam),
             part("critic", &mut self.critic_adam),
-            part("replay", &mut self.replay),
+            part("replay", &mut self.transitions),
         ]
     }
 
     fn export(&self, model: &ChannelModel, metadata: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
         Ok(export(&self.actor, model, metadata)?)
     }
-}
-
-/// The mean over the present users, (batch).
-fn mean_present(values: &Tensor, present: &Tensor) -> candle_core::Result<Tensor> {
-    values.mul(present)?.sum(1)?.div(&present.sum(1)?)
 }

@@ -34,6 +34,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::td3::{ACTOR_DELAY, smoothed};
 use crate::environment::angle_state::AngleState;
 use crate::environment::room::{Environment, Outcome, Rooms};
 use crate::export::network::{Column, NetworkNodes};
@@ -58,12 +59,6 @@ pub const ALGORITHM: Algorithm = Algorithm {
         start(scenario, settings, options, DdpgRaw::new)
     },
 };
-
-/// TD3: standard deviation and bound of the noise on the target's action.
-const TARGET_NOISE: (f64, f64) = (0.2, 0.5);
-
-/// TD3: updates of the critics for one update of the actor.
-const ACTOR_DELAY: usize = 2;
 
 /// The critic's view of an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -280,10 +275,7 @@ impl DdpgRaw {
     fn next_value(&self, next: &Tensor, rng: &mut impl Rng) -> candle_core::Result<Tensor> {
         let mut actions = Self::actions(&self.actor_target, next)?.0;
         if self.settings.td3 {
-            let (deviation, bound) = TARGET_NOISE;
-            let mut draw = || (deviation * normal(rng)).clamp(-bound, bound) as f32;
-            let noise: Vec<f32> = (0..actions.elem_count()).map(|_| draw()).collect();
-            actions = (&actions + Tensor::from_vec(noise, actions.shape(), &Device::Cpu)?)?.clamp(-1.0, 1.0)?;
+            actions = smoothed(&actions, rng)?;
         }
         let mut values = self.critics.iter().map(|critic| self.value(&critic.target, next, &actions));
         let first = values.next().expect("there is a critic")?;

@@ -1,4 +1,4 @@
-//! The actor of `ddpg` and `analytic`: from the state of a room to one action u_k in [-1, 1] per
+//! The actor of the learners with one weight per user: from the state of a room to one action u_k in [-1, 1] per
 //! user, in one or several rounds.
 //!
 //! In each round the network reads three inputs per user: the features, the action of the round
@@ -13,8 +13,9 @@
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{MirrorAngles, decode, sharing};
+use rand::Rng;
 
-use super::layers::Network;
+use super::layers::{Encoder, Network, Shape};
 use crate::environment::features::{
     BaselineWeight, FEATURES, Head, LOG_BALANCED, LOG_DIRECT, LOG_WEIGHT, Layout, WEIGHT_SCALE,
 };
@@ -23,6 +24,9 @@ use crate::environment::room::Environment;
 /// Inputs of the actor's network per user: the features, the action of the round before, and ln(1 +
 /// amplitude).
 pub const ACTOR_INPUTS: usize = FEATURES + 2;
+
+/// Widths of the hidden layers, as in the paper.
+pub const HIDDEN: [usize; 2] = [128, 64];
 
 /// Number of squarings that raise b_k a_km to the power [`EXPONENT`].
 pub const SQUARINGS: u32 = sharing::EXPONENT.ilog2();
@@ -102,6 +106,35 @@ impl States {
         self.features.narrow(2, LOG_BALANCED, 1)?.squeeze(2)
     }
 
+    /// The features with further columns of (batch, slots) each: a network's input of (batch, slots,
+    /// [`FEATURES`] + columns).
+    ///
+    /// # Errors
+    /// Errors of candle, when shapes differ.
+    pub fn with_columns(&self, columns: &[&Tensor]) -> Result<Tensor> {
+        let mut parts = vec![self.features.clone()];
+        for column in columns {
+            parts.push(column.unsqueeze(2)?);
+        }
+        Tensor::cat(&parts, 2)
+    }
+
+    /// The input of the first round, [`ACTOR_INPUTS`] values per user.
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn first_round(&self) -> Result<Tensor> {
+        self.with_columns(&[&self.present.zeros_like()?, &self.balanced()?])
+    }
+
+    /// The mean of values over the present users: (batch, slots) to (batch).
+    ///
+    /// # Errors
+    /// Errors of candle, when shapes differ.
+    pub fn mean_present(&self, values: &Tensor) -> Result<Tensor> {
+        mean_present(values, &self.present)
+    }
+
     /// ln(1 + amplitude) of each user under these actions by the smooth decoder, (batch, slots).
     ///
     /// # Errors
@@ -133,20 +166,36 @@ pub struct Actor {
 }
 
 impl Actor {
+    /// An actor with newly drawn parameters, of the paper's hidden widths.
+    ///
+    /// # Errors
+    /// Errors of candle, when memory runs out.
+    pub fn new(layout: Layout, encoder: Encoder, (head, rounds): (Head, usize), rng: &mut impl Rng) -> Result<Self> {
+        let slots = layout.slots();
+        let shape = Shape { encoder, slots, inputs: ACTOR_INPUTS, hidden: HIDDEN, outputs: slots };
+        Ok(Self { network: Network::new(shape, rng)?, layout, head, rounds })
+    }
+
     /// Actions in [-1, 1], (batch, slots); zero in empty slots.
     ///
     /// # Errors
     /// Errors of candle, when shapes differ.
     pub fn forward(&self, states: &States) -> Result<Tensor> {
-        let (mut actions, mut amplitude) = (states.present.zeros_like()?, states.balanced()?);
-        for round in 0..self.rounds {
-            if round > 0 {
-                amplitude = states.amplitude(&actions, self.head.range)?.mul(&states.present)?;
-            }
-            let input = Tensor::cat(&[&states.features, &actions.unsqueeze(2)?, &amplitude.unsqueeze(2)?], 2)?;
-            actions = self.network.forward(&input)?.tanh()?.mul(&states.present)?;
+        self.raw(states)?.tanh()?.mul(&states.present)
+    }
+
+    /// Outputs of the last round before tanh, (batch, slots), without meaning in empty slots.
+    ///
+    /// # Errors
+    /// Errors of candle, when shapes differ.
+    pub fn raw(&self, states: &States) -> Result<Tensor> {
+        let mut raw = self.network.forward(&states.first_round()?)?;
+        for _ in 1..self.rounds {
+            let actions = raw.tanh()?.mul(&states.present)?;
+            let amplitude = states.amplitude(&actions, self.head.range)?.mul(&states.present)?;
+            raw = self.network.forward(&states.with_columns(&[&actions, &amplitude])?)?;
         }
-        Ok(actions)
+        Ok(raw)
     }
 
     /// One action per slot, from the row of one state.
@@ -156,6 +205,15 @@ impl Actor {
     pub fn actions(&self, state: &[f32]) -> Result<Vec<f32>> {
         let states = States::new(state.to_vec(), 1, self.layout, self.head.baseline_weight)?;
         self.forward(&states)?.squeeze(0)?.to_vec1()
+    }
+
+    /// The mirror angles for the present observation of a room.
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn act(&self, environment: &Environment) -> anyhow::Result<MirrorAngles> {
+        let actions = self.actions(&States::row(self.layout, environment.vector()))?;
+        Ok(self.decode(environment, &actions))
     }
 
     /// The mirror angles that the decoder gives for these actions in a room.
@@ -175,6 +233,15 @@ impl Actor {
     pub fn copy(&self) -> Result<Self> {
         Ok(Self { network: self.network.copy()?, ..self.clone() })
     }
+}
+
+/// The mean of values over the present users: (batch, slots) to (batch). `present` is 1 for a present
+/// user, and else 0.
+///
+/// # Errors
+/// Errors of candle, when shapes differ.
+pub fn mean_present(values: &Tensor, present: &Tensor) -> Result<Tensor> {
+    values.mul(present)?.sum(1)?.div(&present.sum(1)?)
 }
 
 #[cfg(test)]

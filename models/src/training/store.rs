@@ -112,13 +112,20 @@ impl Store {
     }
 }
 
-impl Persistent for usize {
-    fn save(&self, name: &str, store: &mut Store) -> anyhow::Result<()> {
-        store.put(name, self)
-    }
+/// A number is kept as JSON.
+macro_rules! persistent_numbers {
+    ($($number:ty),*) => {
+        $(impl Persistent for $number {
+            fn save(&self, name: &str, store: &mut Store) -> anyhow::Result<()> {
+                store.put(name, self)
+            }
 
-    fn restore(&mut self, name: &str, store: &Store) -> anyhow::Result<()> {
-        *self = store.get(name)?;
-        Ok(())
-    }
+            fn restore(&mut self, name: &str, store: &Store) -> anyhow::Result<()> {
+                *self = store.get(name)?;
+                Ok(())
+            }
+        })*
+    };
 }
+
+persistent_numbers!(usize, f64);

@@ -230,6 +230,11 @@ pub fn orientation_report() -> OrientationReport {
     OrientationReport { stamp: stamp(), users: vec![user] }
 }
 
+pub fn branch_report() -> BranchReport {
+    let user = UserBranches { user: 3, los_gain: vec![0.0, 0.25], irs_gain: vec![0.5, 0.125] };
+    BranchReport { stamp: stamp(), tick: 1000, users: vec![user] }
+}
+
 pub fn encoded<T: Message>(message: &T) -> Vec<u8> {
     let mut payload = Vec::new();
     encode(message, &mut payload).expect("the sample is valid");
@@ -257,6 +262,7 @@ pub fn payloads() -> Vec<(&'static str, Vec<u8>)> {
         ("belief report", encoded(&belief_report())),
         ("controller memory", encoded(&controller_memory())),
         ("orientation report", encoded(&orientation_report())),
+        ("branch report", encoded(&branch_report())),
     ]
 }
 

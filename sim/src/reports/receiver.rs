@@ -17,15 +17,16 @@ pub struct Receivers {
 }
 
 impl Receivers {
-    /// The receivers of a scenario.
-    pub fn new(settings: &ChannelStream, seed: u64) -> Self {
+    /// The receivers of a scenario, with generators of these purposes for the relative noise and for
+    /// that of the receiver.
+    pub fn new(settings: &ChannelStream, seed: u64, [relative, receiver]: [Purpose; 2]) -> Self {
         Self {
             noise_relative: settings.noise_relative,
             noise_gain: settings.noise_gain,
             step_gain: settings.step_gain(),
             full_scale_gain: settings.full_scale_gain,
-            relative_noise: random::stream(seed, Purpose::ChannelNoise, 0),
-            receiver_noise: random::stream(seed, Purpose::ReceiverNoise, 0),
+            relative_noise: random::stream(seed, relative, 0),
+            receiver_noise: random::stream(seed, receiver, 0),
         }
     }
 

@@ -91,6 +91,7 @@ pub fn scenario(input: &[u8]) {
             Event::Channel(report) => encode(report, &mut payload),
             Event::Obstacles(report) => encode(report, &mut payload),
             Event::Orientation(report) => encode(report, &mut payload),
+            Event::Branches(report) => encode(report, &mut payload),
         };
         encoded.unwrap_or_else(|error| panic!("{error}: {event:?}"));
     }
@@ -182,6 +183,7 @@ fn write_recording(script: &mut Script<'_>, file: &tempfile::NamedTempFile) {
             Kind::ChannelReport => room.channel(),
             Kind::ObstacleReport => room.obstacles(),
             Kind::OrientationReport => room.orientation(),
+            Kind::BranchReport => room.branches(),
             Kind::MirrorCommand => room.command(),
             Kind::MirrorTelemetry => room.telemetry(),
             Kind::Capabilities => room.capabilities(),

@@ -323,6 +323,7 @@ impl Room {
             Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
             Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
             Kind::BeliefReport => consume(&payload, |_: BeliefReport| {}),
+            Kind::BranchReport => consume(&payload, |_: BranchReport| {}),
             Kind::ControllerMemory => consume(&payload, |memory: ControllerMemory| {
                 drop(Memory::from_bytes(&memory.state));
             }),

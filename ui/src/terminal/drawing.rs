@@ -70,7 +70,7 @@ fn legend(is_wide: bool) -> Line<'static> {
 }
 
 fn heading(title: &str, figures: &Figures) -> Paragraph<'static> {
-    let state = figures.array.state;
+    let state = figures.array.state.as_str();
     let is_normal = matches!(state, "following" | "holding");
     let unusable = match figures.array.unusable {
         0 => String::new(),

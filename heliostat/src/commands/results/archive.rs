@@ -33,6 +33,10 @@ pub struct Finished {
     pub commit: String,
     /// Processors of the machine.
     pub machine: String,
+    /// The load average of the machine over the last minute when the command ended, if the system
+    /// reports it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub load: Option<f64>,
     /// How long the command took, in s.
     pub seconds: f64,
     /// Its JSON object.
@@ -92,6 +96,7 @@ mod tests {
             made: "2026-11-22T12:00:00Z".into(),
             commit: commit.into(),
             machine: "2 cores".into(),
+            load: Some(1.25),
             seconds: 1.5,
             output: serde_json::json!({ "rows": [] }),
         }

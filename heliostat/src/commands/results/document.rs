@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use anyhow::{Context, Result};
+use heliostat_reproduce::command::quoted;
 use serde_json::Value;
 
 use super::archive::{Archive, Finished};
@@ -18,30 +19,51 @@ pub fn markdown(page: &Page, archive: &Archive) -> Result<String> {
     let quick = if archive.quick { " --quick" } else { "" };
     writeln!(text, "Written by `heliostat results {}{quick}`; do not edit. {}\n", page.name, page.about)?;
     if archive.quick {
-        writeln!(text, "**A quick run: it shows that every command works. Its figures mean little.**\n")?;
+        text.push_str(QUICK);
     }
-    let sections = page.sections.iter().map(|section| (section, archive.find(section.name)));
-    let (mut body, mut bounds, mut missing) = (String::new(), Vec::new(), Vec::new());
-    for (section, finished) in sections {
-        match finished {
+    let Body { sections, bounds } = body(page.sections, archive)?;
+    if !bounds.is_empty() {
+        text.push_str("## Bounds\n\n\"Found\" is the figure nearest to the limit, or farthest beyond it.\n\n");
+        writeln!(text, "{bounds}")?;
+    }
+    text.push_str(&sections);
+    Ok(text.trim_end().to_owned() + "\n")
+}
+
+/// The parts of a page that its sections write.
+pub struct Body {
+    /// The finished sections, and the names of the unfinished ones.
+    pub sections: String,
+    /// The table of bounds; empty without one.
+    pub bounds: String,
+}
+
+/// The sections of a page.
+///
+/// # Errors
+/// As [`markdown`].
+pub fn body(sections: &[Section], archive: &Archive) -> Result<Body> {
+    let (mut text, mut bounds, mut missing) = (String::new(), Vec::new(), Vec::new());
+    for section in sections {
+        match archive.find(section.name) {
             Some(finished) => {
-                write_section(section, finished, &mut body, &mut bounds)
+                write_section(section, finished, &mut text, &mut bounds)
                     .with_context(|| format!("in section {}", section.name))?;
             }
             None => missing.push(section.name),
         }
     }
-    if !bounds.is_empty() {
-        text.push_str("## Bounds\n\n\"Found\" is the figure nearest to the limit, or farthest beyond it.\n\n");
-        bounds.insert(0, ["section", "bound", "found", "verdict"].map(String::from).to_vec());
-        writeln!(text, "{}", grid(&bounds))?;
-    }
-    text.push_str(&body);
     if !missing.is_empty() {
         writeln!(text, "## Not finished\n\n{}", missing.join(", "))?;
     }
-    Ok(text.trim_end().to_owned() + "\n")
+    if !bounds.is_empty() {
+        bounds.insert(0, ["section", "bound", "found", "verdict"].map(String::from).to_vec());
+    }
+    Ok(Body { sections: text, bounds: if bounds.is_empty() { String::new() } else { grid(&bounds) } })
 }
+
+/// The note at the head of a page of a quick run.
+pub const QUICK: &str = "**A quick run: it shows that every command works. Its figures mean little.**\n\n";
 
 fn write_section(
     section: &Section,
@@ -49,10 +71,11 @@ fn write_section(
     text: &mut String,
     bounds: &mut Vec<Vec<String>>,
 ) -> Result<()> {
-    let Finished { arguments, made, commit, machine, seconds, output, .. } = finished;
+    let Finished { arguments, made, commit, machine, load, seconds, output, .. } = finished;
+    let load = load.map_or(String::new(), |load| format!(", load {load:.1}"));
     writeln!(text, "## {}\n\n{}\n", section.title, section.about)?;
-    writeln!(text, "```\nheliostat {}\n```\n", arguments.join(" "))?;
-    writeln!(text, "{}{made}, commit {commit}, {machine}, {seconds:.0} s.\n", states(output))?;
+    writeln!(text, "```\n{}\n```\n", command(arguments))?;
+    writeln!(text, "{}{made}, commit {commit}, {machine}{load}, {seconds:.0} s.\n", states(output))?;
     writeln!(text, "{}", section.layout.markdown(output, arguments, section.columns)?)?;
     let rows = section.layout.rows(output, arguments)?;
     for bound in section.bounds {
@@ -61,6 +84,12 @@ fn write_section(
         bounds.push(vec![section.title.into(), bound.what.into(), significant(verdict.worst), met.into()]);
     }
     Ok(())
+}
+
+/// The command line of a section, for a shell.
+pub fn command(arguments: &[String]) -> String {
+    let words = arguments.iter().map(|word| quoted(word));
+    ["heliostat".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
 }
 
 /// The states and seeds behind the figures of `eval` and `calibrate`.
@@ -121,6 +150,7 @@ mod tests {
             made: "2026-11-22T12:00:00Z".into(),
             commit: "abc".into(),
             machine: "2 cores".into(),
+            load: Some(1.25),
             seconds: 3.2,
             output: json!({ "rows": [{ "p50": 2.31 }] }),
         });
@@ -129,7 +159,7 @@ mod tests {
             "Written by `heliostat results example --quick`",
             "| The loop | p50 at most 2 | 2.31 | not met |",
             "heliostat bench loop --seconds 1\n",
-            "2026-11-22T12:00:00Z, commit abc, 2 cores, 3 s.",
+            "2026-11-22T12:00:00Z, commit abc, 2 cores, load 1.2, 3 s.",
             "| p50 |\n| --- |\n| 2.3 |\n",
             "## Not finished\n\nsecond\n",
         ] {

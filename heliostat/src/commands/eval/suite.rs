@@ -1,0 +1,177 @@
+//! `heliostat eval --suite`: policies on a fixed list of tasks.
+//!
+//! A task is one `heliostat eval` command ([`tasks`]), which runs in a process of its own with the
+//! policies that fit its room. [`standing`] sums up the tasks, and [`page`] writes the leaderboard.
+
+mod page;
+mod standing;
+mod tasks;
+
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, ensure};
+use clap::Parser;
+use heliostat_engine::ActorSource;
+use heliostat_models::comparison::EvaluatedPolicy;
+
+use super::Args;
+use crate::commands::results::archive::Archive;
+use crate::commands::results::pages::Section;
+use crate::commands::results::steps::{self, Step};
+use crate::commands::whole_file;
+use crate::output::outln;
+use tasks::{POLICIES, REFERENCE, TASKS, VERSION};
+
+/// Stands for every policy of the suite in `--policies`.
+const ALL: &str = "all";
+
+/// The flags of the suite.
+#[derive(Debug, clap::Args)]
+pub struct SuiteArgs {
+    /// Compare policies on the fixed tasks of the suite, each with its own room, seeds and states. A
+    /// policy takes part in the tasks whose rooms it fits. `all` in --policies stands for all policies
+    /// of the suite, for example --policies all,own.onnx
+    #[arg(long, conflicts_with_all = [
+        "scenario", "overrides", "seed", "model", "engine", "training_seed", "states", "seeds", "blocked",
+        "closed_loop", "beliefs", "warm", "ceilings", "unaware", "sweep", "csv", "html",
+    ])]
+    suite: bool,
+    /// Fewer states and seeds: checks that every task works; the figures mean little
+    #[arg(long, requires = "suite")]
+    quick: bool,
+    /// Run only these tasks of the suite, by their names
+    #[arg(long, requires = "suite", value_name = "TASK,..", value_delimiter = ',')]
+    tasks: Vec<String>,
+    /// Write the leaderboard to this Markdown file, with a JSON file of the same name beside it, again
+    /// after each finished task [default: print it]
+    #[arg(long, requires = "suite", value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Keep the tasks of --out that the same command finished at the same commit
+    #[arg(long, requires = "out")]
+    resume: bool,
+}
+
+impl SuiteArgs {
+    /// Whether the suite is to run.
+    pub fn is_chosen(&self) -> bool {
+        self.suite
+    }
+}
+
+/// The command of a task, without the program's name.
+#[derive(Debug, Parser)]
+struct TaskCommand {
+    #[command(flatten)]
+    args: Args,
+}
+
+/// Runs the suite.
+///
+/// # Errors
+/// An unknown task or policy, a policy that fits no task, a file that cannot be written, or a task that
+/// fails.
+pub fn run(args: &SuiteArgs, policies: &[String], json: bool) -> Result<()> {
+    let policies = compared(policies)?;
+    let steps = steps_of(args, &policies)?;
+    let mut archive = Archive::new(&page::archive_name(), args.quick);
+    let kept = args.out.as_ref().map(|out| (out, out.with_extension("json")));
+    if let Some((out, kept)) = &kept {
+        whole_file::check_writable(out)?;
+        if args.resume {
+            archive = steps::resumed(kept, &page::archive_name(), args.quick)?;
+        }
+    }
+    steps::run(&steps, &mut archive, |archive| {
+        let Some((out, kept)) = &kept else { return Ok(()) };
+        archive.write(kept)?;
+        fs::write(out, page::markdown(archive)?).with_context(|| format!("cannot write {}", out.display()))
+    })?;
+    match &kept {
+        _ if json => outln!("{}", page::json(&archive)?)?,
+        Some((out, kept)) => outln!("written: {} and {}", out.display(), kept.display())?,
+        None => outln!("{}", page::markdown(&archive)?.trim_end())?,
+    }
+    Ok(())
+}
+
+/// The policies to compare, the reference first.
+fn compared(named: &[String]) -> Result<Vec<(String, EvaluatedPolicy)>> {
+    let all = [ALL.to_owned()];
+    let named = if named.is_empty() { &all } else { named };
+    let expanded = named.iter().flat_map(|name| if name == ALL { POLICIES.to_vec() } else { vec![name.as_str()] });
+    let mut names = vec![REFERENCE];
+    let mut named_reference = false;
+    for name in expanded {
+        let is_first_reference = name == REFERENCE && !std::mem::replace(&mut named_reference, true);
+        ensure!(is_first_reference || !names.contains(&name), "--policies names {name} twice");
+        if !is_first_reference {
+            names.push(name);
+        }
+    }
+    let parse = |name: &str| Ok((name.to_owned(), EvaluatedPolicy::parse(name, &ActorSource::Shipped)?));
+    names.into_iter().map(parse).collect()
+}
+
+/// The tasks to run, each with the policies that fit its room.
+fn steps_of(args: &SuiteArgs, policies: &[(String, EvaluatedPolicy)]) -> Result<Vec<Step<'static>>> {
+    let names: Vec<&str> = TASKS.iter().map(|task| task.name).collect();
+    for name in &args.tasks {
+        ensure!(names.contains(&name.as_str()), "--tasks {name}: expected one of {}", names.join(", "));
+    }
+    let chosen = TASKS.iter().filter(|task| args.tasks.is_empty() || args.tasks.iter().any(|name| name == task.name));
+    let (mut steps, mut fitting) = (Vec::new(), Vec::new());
+    for task in chosen {
+        let mut arguments = task.arguments(args.quick);
+        let scenario = TaskCommand::try_parse_from(&arguments)?.args.scenario(None)?;
+        let fit: Vec<&str> =
+            policies.iter().filter(|(_, policy)| policy.fits(&scenario)).map(|(name, _)| name.as_str()).collect();
+        arguments.extend(["--policies".into(), fit.join(",")]);
+        fitting.extend(fit);
+        steps.push((task as &Section, arguments));
+    }
+    for (name, _) in policies {
+        ensure!(
+            fitting.contains(&name.as_str()),
+            "policy {name} fits none of the chosen rooms; heliostat eval --policies {name}, with the --scenario and the \
+             --set of a task, states why"
+        );
+    }
+    Ok(steps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(named: &[&str]) -> Result<Vec<String>> {
+        let named: Vec<String> = named.iter().map(|name| (*name).to_owned()).collect();
+        Ok(compared(&named)?.into_iter().map(|(name, _)| name).collect())
+    }
+
+    #[test]
+    fn the_reference_comes_first_and_all_stands_for_the_suite() {
+        assert_eq!(names(&["flat", "greedy"]).unwrap(), ["greedy", "flat"]);
+        assert_eq!(names(&["flat"]).unwrap(), ["greedy", "flat"]);
+        assert_eq!(names(&[]).unwrap(), POLICIES);
+        assert_eq!(names(&["all", "own.onnx"]).unwrap()[POLICIES.len()..], ["own.onnx"]);
+        for twice in [&["flat", "flat"][..], &["all", "flat"], &["greedy", "greedy"]] {
+            assert!(names(twice).unwrap_err().to_string().contains("twice"), "{twice:?}");
+        }
+        assert!(names(&["gredy"]).unwrap_err().to_string().contains("unknown policy"));
+    }
+
+    #[test]
+    fn policies_take_part_in_the_tasks_whose_rooms_they_fit() {
+        let args = SuiteArgs { suite: true, quick: true, tasks: Vec::new(), out: None, resume: false };
+        let policies = compared(&["ddpg".into(), "flat".into()]).unwrap();
+        for (task, arguments) in steps_of(&args, &policies).unwrap() {
+            let learned = !["two-arrays", "office", "atrium", "corridor", "lab"].contains(&task.name);
+            let expected = if learned { "greedy,ddpg,flat" } else { "greedy,flat" };
+            assert_eq!(arguments.last().map(String::as_str), Some(expected), "{}", task.name);
+        }
+        let only = SuiteArgs { tasks: vec!["office".into()], ..args };
+        let refusal = steps_of(&only, &policies).unwrap_err().to_string();
+        assert!(refusal.contains("policy ddpg fits none"), "{refusal}");
+    }
+}

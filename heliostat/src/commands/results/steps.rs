@@ -1,0 +1,88 @@
+//! Runs the commands of sections, one after the other, and keeps what they print.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail, ensure};
+use heliostat_reproduce::machine;
+
+use super::archive::{Archive, Finished};
+use super::document::command;
+use super::pages::Section;
+
+/// A section, and the arguments of its command.
+pub type Step<'a> = (&'a Section, Vec<String>);
+
+/// The finished sections from which a run continues; none if the file does not exist.
+///
+/// # Errors
+/// A file of another page, or of a quick run where a full one continues.
+pub fn resumed(kept: &Path, page: &str, quick: bool) -> Result<Archive> {
+    if !kept.exists() {
+        return Ok(Archive::new(page, quick));
+    }
+    let archive = Archive::read(kept)?;
+    let flag = |quick: bool| if quick { " --quick" } else { "" };
+    ensure!(
+        archive.page == page && archive.quick == quick,
+        "{}: holds page {}{}; expected {page}{}. Choose another --out, or leave out --resume",
+        kept.display(),
+        archive.page,
+        flag(archive.quick),
+        flag(quick),
+    );
+    Ok(archive)
+}
+
+/// Runs each command that has not finished at this commit, and calls `keep` after each.
+///
+/// # Errors
+/// A command that fails, or an error of `keep`.
+pub fn run(steps: &[Step], archive: &mut Archive, keep: impl Fn(&Archive) -> Result<()>) -> Result<()> {
+    for (index, (section, arguments)) in steps.iter().enumerate() {
+        let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
+        if archive.holds(section.name, arguments, machine::COMMIT) {
+            report(&format!("{step}: finished before"));
+            continue;
+        }
+        report(&format!("{step}: {}", command(arguments)));
+        let finished = measure(section, arguments).with_context(|| {
+            format!("section {} did not finish; --resume continues with it, after the finished ones", section.name)
+        })?;
+        archive.put(finished);
+        keep(archive)?;
+    }
+    Ok(())
+}
+
+/// Progress goes to standard error.
+fn report(text: &str) {
+    drop(writeln!(std::io::stderr(), "{text}"));
+}
+
+/// Runs one section's command and keeps its JSON object.
+fn measure(section: &Section, arguments: &[String]) -> Result<Finished> {
+    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    let (made, start) = (machine::now(), Instant::now());
+    let output = Command::new(program)
+        .args(section.with_json(arguments))
+        .stdin(Stdio::null())
+        .stderr(Stdio::inherit())
+        .output()
+        .context("cannot start the command")?;
+    if !output.status.success() {
+        bail!("{}: {}", command(arguments), output.status);
+    }
+    Ok(Finished {
+        section: section.name.into(),
+        arguments: arguments.to_vec(),
+        made,
+        commit: machine::COMMIT.into(),
+        machine: machine::hardware(),
+        load: machine::load(),
+        seconds: start.elapsed().as_secs_f64(),
+        output: serde_json::from_slice(&output.stdout).context("the command printed no JSON object")?,
+    })
+}

@@ -89,7 +89,10 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: us
         return Err(PyValueError::new_err(format!("array = {array}: expected 0 to {}", MAX_ARRAYS - 1)));
     }
     let own = room.array(array);
-    let alive = if node == NodeKind::Driver { own.driver_alive(source) } else { room.alive(node, source) };
+    let (alive, status) = match node {
+        NodeKind::Driver => (own.driver_alive(source), own.driver_status()),
+        _ => (room.alive(node, source), room.status(node)),
+    };
     let keys = PyDict::new(py);
     for (name, key) in [
         ("users", room.users()),
@@ -103,7 +106,7 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: us
         ("capabilities", own.capabilities()),
         ("calibration", own.calibration()),
         ("safety", own.safety()),
-        ("status", room.status(node)),
+        ("status", status),
         ("alive", alive),
         ("drivers", own.drivers_alive()),
         ("simulators", room.alive_of(NodeKind::SimNode)),

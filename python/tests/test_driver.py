@@ -139,3 +139,16 @@ def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:
         with python(EXAMPLES / "driver.py", *wrong, folder=tmp_path) as driver:
             _, errors = driver.communicate()
             assert driver.returncode == status and ("usage:" in errors or "no endpoint" in errors), errors
+
+
+@needs_program
+def test_the_driver_of_the_tutorial_keeps_every_rule(tmp_path: Path) -> None:
+    tutorial = (EXAMPLES.parent / "docs/tutorials/own-driver.md").read_text(encoding="utf-8")
+    own = tmp_path / "own_driver.py"
+    own.write_text(tutorial.split("```python\n")[1].split("```")[0], encoding="utf-8")
+    endpoint = free_endpoint()
+    with python(own, "--connect", endpoint, folder=tmp_path) as driver:
+        found = verdicts("--listen", endpoint)
+        assert len(found) > 20 and set(found.values()) == {"kept"}, found
+        output, _ = end_by(signal.SIGTERM, driver)
+    assert "turn [" in output and "stop" in output

@@ -88,6 +88,7 @@ def test_keys_are_those_of_the_room_and_the_array() -> None:
     assert second["telemetry"] == "heliostat/v1/lab/mirrors-1/telemetry"
     assert second["stop"] == first["stop"] == "heliostat/v1/lab/mirrors/stop"
     assert second["alive"] == "heliostat/v1/lab/alive/driver-1/00000000000000ff"
+    assert second["status"] == "heliostat/v1/lab/status/driver-1"
     for room, node, array in [("l/b", "driver", 0), ("lab", "lamp", 0), ("lab", "driver", 16)]:
         with pytest.raises(ValueError, match="expected|unknown"):
             wire.keys(room, node, 1, array)

@@ -21,7 +21,9 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 # Generous, for a busy machine.
 LIMIT_S = 60.0
 
-needs_program = pytest.mark.skipif("HELIOSTAT_PROGRAM" not in os.environ, reason="HELIOSTAT_PROGRAM names no heliostat")
+needs_program = pytest.mark.skipif(
+    "HELIOSTAT_PROGRAM" not in os.environ, reason="HELIOSTAT_PROGRAM names no heliostat"
+)
 
 
 def free_endpoint(protocol: str = "tcp") -> str:

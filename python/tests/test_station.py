@@ -26,7 +26,8 @@ class Mirrors(Device):
 
     def __init__(self, **capabilities: Any) -> None:
         limits = (-0.25, 0.5)
-        self.capabilities = replace(Capabilities("two mirrors", 1, 2, limits, limits, park_after_ms=300), **capabilities)
+        standard = Capabilities("two mirrors", 1, 2, limits, limits, park_after_ms=300)
+        self.capabilities = replace(standard, **capabilities)
         self.turns: list[tuple[list[float], list[float]]] = []
         self.stops = 0
         self.connections = 0
@@ -88,7 +89,8 @@ class Driven:
             pass
         self.local_ns += int(ms * MS)
         self.problem = self.station.advance(self.now)
-        self.reports = {name: wire.decode(payload, wire.KINDS[name]) for name, payload in self.station.reports(self.now)}
+        due = self.station.reports(self.now)
+        self.reports = {name: wire.decode(payload, wire.KINDS[name]) for name, payload in due}
 
     def telemetry(self, ms: float = 60) -> dict[str, Any]:
         self.step(ms)
@@ -141,7 +143,9 @@ def test_a_command_turns_the_mirrors_within_their_limits_and_ends_in_the_park_po
         ({"sequence": 1}, "old_sequence"),
     ],
 )
-def test_commands_are_refused_by_the_rules_of_the_contract(driven: Driven, change: dict[str, Any], counter: str) -> None:
+def test_commands_are_refused_by_the_rules_of_the_contract(
+    driven: Driven, change: dict[str, Any], counter: str
+) -> None:
     driven.command()
     driven.step()
     turns = list(driven.mirrors.turns)

@@ -20,11 +20,12 @@ def test_the_example_reports_users_who_enter_and_leave_until_ctrl_c(tmp_path: Pa
     with observer(endpoint, "tracked") as room:
         example = (EXAMPLES / "tracker.py", "--room", "tracked", "--connect", endpoint)
         with python(*example, folder=tmp_path) as tracker:
-            for present in ([0, 1, 2], [0, 2]):
-                wait_until(
-                    f"report of the users {present}",
-                    lambda present=present: [one["user"] for one in room.latest.get("users", {}).get("users", [])] == present,  # type: ignore[misc]
-                )
+
+            def present() -> list[int]:
+                return [one["user"] for one in room.latest.get("users", {}).get("users", [])]
+
+            wait_until("report of three users", lambda: present() == [0, 1, 2])
+            wait_until("report of two users", lambda: present() == [0, 2])
             assert len(room.alive("heliostat/v1/tracked/alive/tracker/*")) == 1
             assert room.latest["status"]["node"] == 3 and room.latest["status"]["state"] == "tracking"
             output, _ = end_by(signal.SIGINT, tracker)
@@ -70,7 +71,9 @@ def test_reports_have_a_tick_a_stamp_and_the_time_of_the_measurement() -> None:
         ([User(number, (0.0, 0.0, 0.85)) for number in range(65)], "64"),
     ],
 )
-def test_users_that_the_contract_does_not_allow_are_refused_and_reporting_goes_on(users: list[User], reason: str) -> None:
+def test_users_that_the_contract_does_not_allow_are_refused_and_reporting_goes_on(
+    users: list[User], reason: str
+) -> None:
     with Tracker(Settings(connect=(free_endpoint(),))) as tracker:
         with pytest.raises(wire.Refused, match=reason):
             tracker.report(users)

@@ -148,5 +148,7 @@ fn a_stop_that_cannot_be_recorded_is_tried_again_with_the_next_safety_report() {
     station.advance(Moment::simulated(6 * MS)).expect("no attempt until it is due");
     *memory.is_full.borrow_mut() = false;
     station.advance(Moment::simulated(1006 * MS)).unwrap();
-    assert!(station.is_recorded() && memory.text.borrow().as_ref().is_some_and(|text| text.contains("sequence = \"1\"")));
+    assert!(
+        station.is_recorded() && memory.text.borrow().as_ref().is_some_and(|text| text.contains("sequence = \"1\""))
+    );
 }

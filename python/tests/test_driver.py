@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 pytest.importorskip("zenoh")
-from heliostat.driver import Capabilities, Device, run
+from heliostat.driver import Capabilities, Device, _log, run
 from heliostat.peer import PeerError, Settings
 from room import EXAMPLES, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
 
@@ -132,6 +132,11 @@ def test_a_second_driver_of_the_same_array_is_refused(tmp_path: Path) -> None:
 def test_settings_that_do_not_fit_are_refused_with_the_reason(settings: Settings, reason: str) -> None:
     with pytest.raises(PeerError, match=reason):
         run(Mirrors(), settings, seconds=0)
+
+
+def test_a_text_from_the_room_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    _log("é\x1b[2Jcleared\n")
+    assert capsys.readouterr().err == "é\\x1b[2Jcleared\\x0a\n"
 
 
 def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:

@@ -14,7 +14,9 @@
 //! - [`heading`]: the direction in which the user faces, by the velocity and by measured gains.
 //! - [`covered`]: whether the direct path is off for another reason than bodies and obstacles.
 //! - `posture`: how users hold their receivers, as stated or by measured gains.
-//! - `expected`, `tilt`: the gains that the model expects, also of tilted receivers.
+//! - `expected`, `tilt`, `lit_mirrors`: the gains that the model expects, also of tilted receivers and
+//!   past bodies.
+//! - `readings`, `densities`, `elementary`: measured gains, and how probable they are.
 //! - `independence`: how much a measurement of a user who stays at a place counts.
 //! - [`residual`]: measured gains beside the expected ones, where a policy reads them.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
@@ -24,28 +26,32 @@ pub mod angle_history;
 pub(crate) mod body;
 mod channel_evidence;
 pub mod covered;
+mod densities;
+mod elementary;
 mod expected;
 pub mod heading;
 pub mod height;
 mod hypothesis;
 mod independence;
 pub mod innovations;
+mod lit_mirrors;
 pub mod memory;
 pub mod motion;
 pub mod noise;
 pub mod occupancy;
 pub(crate) mod posture;
+mod readings;
 pub mod residual;
 mod tilt;
 mod track;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
 use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, OrientationReport, UserReport, UserState};
-use heliostat_scenario::{Scenario, Walk};
+use heliostat_scenario::Scenario;
 
 use angle_history::AngleHistory;
 use body::Body;
-use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains, Readings};
+use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use heading::{HEADING_KNOWN, HEADINGS, Heading};
 use independence::independent_share;
 use innovations::Innovations;
@@ -53,6 +59,7 @@ use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
+use readings::{MeasuredGains, Readings};
 use residual::Residual;
 use track::{Track, reported_velocity};
 
@@ -131,7 +138,7 @@ impl Belief {
         let position_noise = NoiseLevel::new(streams.noise_m, POSITION_NOISE_M);
         let velocity_noise = NoiseLevel::new(streams.velocity_noise_m_s, VELOCITY_NOISE_M_S);
         Self {
-            priors: priors(&scenario.control.walk),
+            priors: WalkPriors::new(&scenario.control.walk),
             position_noise,
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
@@ -380,16 +387,6 @@ impl Belief {
             let (du, dv) = (u - former_u, v - former_v);
             self.velocity_noise.handle(du * du + dv * dv, 2.0);
         }
-    }
-}
-
-fn priors(settings: &Walk) -> WalkPriors {
-    WalkPriors {
-        changes_per_s: settings.changes_per_s,
-        speed_m_s: settings.speed_m_s,
-        standing: settings.standing,
-        curving: settings.curving,
-        turn_rate_rad_s: settings.turn_rate_deg_per_s.to_radians(),
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a command would give in the true room if the receivers were believed to be held otherwise:
 //! the numbers from which the true future rate follows as a function of the corrections.
 
-use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode, sharing};
+use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode};
 use heliostat_decide::correction::Frame;
 use heliostat_decide::evidence::{FEATURES, LED, NORMAL};
 use heliostat_sim::SimulatedRoom;
@@ -24,8 +24,6 @@ pub struct Outlook {
     pub direct: Vec<f32>,
     /// Believed amplitude of each mirror that is aimed at the user. Shape: K * M.
     pub steering: Vec<f32>,
-    /// Balanced weights of these amplitudes, and the amplitude of each user with them. Shape: K.
-    pub balanced: [Vec<f32>; 2],
     /// Minimum rates in bit/s/Hz of a user's band. Shape: K.
     pub min_rate: Vec<f32>,
     /// True future amplitude of the direct path. Shape: K.
@@ -60,7 +58,6 @@ impl Outlook {
             assumed: assumed.collect(),
             to_led: rows.iter().map(|row| std::array::from_fn(|axis| f64::from(row[LED + axis]))).collect(),
             to_mirrors: to_mirrors.collect(),
-            balanced: balanced(&steering, &direct, &min_rate),
             true_direct: future.indices.iter().map(|index| true_direct[*index]).collect(),
             crossed: crossed(future, model),
             rows,
@@ -89,18 +86,6 @@ fn upward([x, y]: [f64; 2]) -> [f64; 3] {
 fn in_frame(frame: &Frame, vector: &Vec3) -> [f64; 3] {
     let [along, left] = frame.of_room(vector);
     [along, left, vector.z]
-}
-
-/// Balanced weights, and the amplitudes with them.
-fn balanced(steering: &[f32], direct: &[f32], min_rate: &[f32]) -> [Vec<f32>; 2] {
-    let mirrors = steering.len() / direct.len().max(1);
-    // Shares of equal size; the constant stands for a user whom no mirror reaches.
-    let total = |row: &[f32]| row.iter().sum::<f32>() + 1e-3;
-    let mut weights: Vec<f32> = steering.chunks_exact(mirrors.max(1)).map(|row| 1.0 / total(row)).collect();
-    let mut amplitudes = vec![0.0; direct.len()];
-    sharing::amplitudes(steering, direct, &weights, &mut amplitudes);
-    sharing::balance(steering, direct, min_rate, &mut weights, &mut amplitudes);
-    [weights, amplitudes]
 }
 
 fn crossed(future: &Future<'_>, model: &ChannelModel) -> Vec<f32> {

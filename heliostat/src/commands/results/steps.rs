@@ -58,7 +58,7 @@ pub fn run(steps: &[Step], archive: &mut Archive, keep: impl Fn(&Archive) -> Res
 }
 
 /// Progress goes to standard error.
-fn report(text: &str) {
+pub(super) fn report(text: &str) {
     drop(writeln!(std::io::stderr(), "{text}"));
 }
 

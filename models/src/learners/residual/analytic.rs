@@ -3,12 +3,12 @@
 //! The paper has no such algorithm. Each episode draws new rooms, in which the network of the moment
 //! decides. For some of its decisions [`Outlook`] holds what the command would give in the true room,
 //! in the middle of its time in force, if the receivers were believed to be held otherwise. The
-//! method `reward` of [`Analytic`] follows these steps:
+//! method [`Batch::reward`] follows these steps:
 //!
 //! 1. A changed normal n changes the believed amplitude of a path from direction d by (n . d) / (n_0 . d),
 //!    with the normal n_0 that the command has assumed.
-//! 2. The weight of a user changes by the ratio of the slopes 2 x / (1 + x^2) of its rate at its
-//!    amplitude x after and before. Users below their minimum rate keep their weight.
+//! 2. The weights of the users are balanced for these amplitudes, in the steps of
+//!    [`heliostat_channel::sharing::balance`], which stands for the solver.
 //! 3. The assignment of the mirrors by weighted amplitudes is soft ([`crate::learners::analytic`]), with
 //!    an exponent that rises over the run.
 //! 4. The true amplitude of user k is the true direct one plus the amplitudes that each mirror gives
@@ -18,7 +18,7 @@
 //! when a correction is worth its risk. Rewards later than that of the command have no gradient here.
 
 use candle_core::{Device, Result, Tensor};
-use heliostat_channel::{ChannelModel, MirrorAngles};
+use heliostat_channel::{ChannelModel, MirrorAngles, sharing};
 use heliostat_decide::correction::{COSINE_MIN, TILT_MAX};
 use heliostat_decide::evidence::{FEATURES, NORMAL};
 use heliostat_scenario::Scenario;
@@ -37,11 +37,17 @@ use crate::networks::layers::Network;
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
 
+/// Added to the sum of a user's steering amplitudes, for users whom no mirror reaches.
+const TOTAL_MIN: f64 = 1e-3;
+
+/// Smallest amplitude below that of the minimum rate that counts.
+const SHORT_MIN: f64 = 1e-4;
+
 /// The hyperparameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The fine-tuning, which a checkpoint names.
-    fine_tune: String,
+    pub fine_tune: String,
     /// The file of the first network; empty for the built-in actor of the seed.
     pub from: String,
     /// Learning rate at the start.
@@ -139,53 +145,14 @@ impl Analytic {
     }
 }
 
-/// The mean reward of decisions in bit/s/Hz with the corrections of a network, as a function of its
-/// weights: (1). The module has the steps.
-///
-/// # Errors
-/// Errors of candle.
-pub fn reward(network: &Network, batch: &[Outlook], exponent: f64, reward: Reward) -> Result<Tensor> {
-    let table = Batch::new(batch)?;
-    let rows = &table.rows;
-    let values = Tensor::from_vec(rows.concat(), (rows.len(), FEATURES), &Device::Cpu)?;
-    let change = actor::smooth_change(&network.forward_rows(&values)?, rows)?;
-    let believed = values.narrow(1, NORMAL, 2)?;
-    let normal = table.users(&upward(&(believed + change)?)?)?;
-
-    // Step 1.
-    let to_led = cosine(&normal, &table.to_led)?;
-    let direct = (&table.direct * to_led.div(&cosine(&table.assumed, &table.to_led)?)?)?;
-    let each: [Tensor; 3] = [0, 1, 2].map(|axis: usize| table.to_mirrors[axis].clone());
-    let ratio = cosine(&spread(&normal)?, &each)?.div(&cosine(&spread(&table.assumed)?, &each)?)?;
-    let steering = (&table.steering * &ratio)?;
-
-    // Step 2.
-    let weighted = table.steering.broadcast_mul(&table.weight.unsqueeze(2)?)?;
-    let log_weighted = (weighted + f64::from(POWER_FLOOR))?.log()?;
-    let shared = shares(&log_weighted, exponent)?;
-    let before = (&table.direct + shared.mul(&table.steering)?.sum(2)?)?;
-    let after = (direct + shared.mul(&steering)?.sum(2)?)?;
-    let response = (log_slope(&after)? - log_slope(&before)?)?.mul(&table.responds)?;
-
-    // Steps 3 and 4.
-    let log_weighted = (log_weighted + ratio.log()?)?.broadcast_add(&response.unsqueeze(2)?)?;
-    let assignment = shares(&log_weighted, exponent)?;
-    let given = table.crossed.matmul(&assignment.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?;
-    let amplitude = (&table.true_direct + given)?;
-    mean_reward(&amplitude, (&table.present, &table.min_rate), reward)?.mean_all()
-}
-
 /// Decisions as tensors, with empty slots after the users of each.
-struct Batch {
+pub struct Batch {
     slots: usize,
     /// Rows of all slots, zero in empty ones.
     rows: Vec<[f32; FEATURES]>,
     /// 1 for a present user; (batch, slots), as the next ones.
     present: Tensor,
     direct: Tensor,
-    weight: Tensor,
-    /// 1 for a user whose weight responds to its amplitude.
-    responds: Tensor,
     min_rate: Tensor,
     true_direct: Tensor,
     assumed: [Tensor; 3],
@@ -198,7 +165,51 @@ struct Batch {
 }
 
 impl Batch {
-    fn new(all: &[Outlook]) -> Result<Self> {
+    /// The mean reward in bit/s/Hz with these changes of the normals that were believed, as a function
+    /// of the changes; the module has the steps. `change` is (batch * slots, 2).
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn reward(&self, change: &Tensor, exponent: f64, reward: Reward) -> Result<Tensor> {
+        let believed = self.values()?.narrow(1, NORMAL, 2)?;
+        let normal = self.users(&upward(&(believed + change)?)?)?;
+
+        // Step 1.
+        let to_led = cosine(&normal, &self.to_led)?;
+        let direct = (&self.direct * to_led.div(&cosine(&self.assumed, &self.to_led)?)?)?;
+        let each = &self.to_mirrors;
+        let ratio = cosine(&spread(&normal)?, each)?.div(&cosine(&spread(&self.assumed)?, each)?)?;
+        let steering = (&self.steering * &ratio)?;
+
+        // Step 2.
+        let total = (steering.sum(2)? + TOTAL_MIN)?;
+        let log_steering = (&steering + f64::from(POWER_FLOOR))?.log()?;
+        let mut log_weight = total.log()?.neg()?;
+        for step in sharing::STEPS {
+            let weighted = log_steering.broadcast_add(&log_weight.unsqueeze(2)?)?;
+            let shared = shares(&weighted, f64::from(sharing::EXPONENT))?;
+            let amplitude = (&direct + shared.mul(&steering)?.sum(2)?)?;
+            let step = f64::from(step);
+            log_weight = ((log_weight * (1.0 - step))? + (log_slope(&amplitude, &self.min_rate)? * step)?)?;
+        }
+
+        // Steps 3 and 4.
+        let assignment = shares(&log_steering.broadcast_add(&log_weight.unsqueeze(2)?)?, exponent)?;
+        let given = self.crossed.matmul(&assignment.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?;
+        let amplitude = (&self.true_direct + given)?;
+        mean_reward(&amplitude, (&self.present, &self.min_rate), reward)?.mean_all()
+    }
+
+    /// The rows of all slots, (batch * slots, [`FEATURES`]).
+    fn values(&self) -> Result<Tensor> {
+        Tensor::from_vec(self.rows.concat(), (self.rows.len(), FEATURES), &Device::Cpu)
+    }
+
+    /// Decisions in rooms with the same number of mirrors.
+    ///
+    /// # Errors
+    /// Errors of candle.
+    pub fn new(all: &[Outlook]) -> Result<Self> {
         let slots = all.iter().map(Outlook::users).max().unwrap_or(0);
         let mirrors = all.first().map_or(0, Outlook::mirrors);
         // Values of each user of each decision, and zeros for the empty slots.
@@ -219,9 +230,6 @@ impl Batch {
             Ok([axis(0)?, axis(1)?, axis(2)?])
         };
         let towards = |axis: usize| of_mirrors(&|one, pair| one.to_mirrors[pair][axis] as f32);
-        let short = |one: &Outlook, slot: usize| {
-            (one.balanced[1][slot].powi(2)).ln_1p() < one.min_rate[slot] * std::f32::consts::LN_2
-        };
         let mut crossed = vec![0.0; all.len() * slots * slots * mirrors];
         for (one, table) in all.iter().zip(crossed.chunks_exact_mut((slots * slots * mirrors).max(1))) {
             let width = one.users() * mirrors;
@@ -235,8 +243,6 @@ impl Batch {
             rows: rows.map(|row| row.unwrap_or([0.0; FEATURES])).collect(),
             present: padded(&|_, _| 1.0)?,
             direct: padded(&|one, slot| one.direct[slot])?,
-            weight: padded(&|one, slot| one.balanced[0][slot])?,
-            responds: padded(&|one, slot| f32::from(u8::from(!short(one, slot))))?,
             min_rate: padded(&|one, slot| one.min_rate[slot])?,
             true_direct: padded(&|one, slot| one.true_direct[slot])?,
             assumed: axes(&|one| &one.assumed)?,
@@ -276,11 +282,20 @@ fn cosine(normal: &[Tensor; 3], direction: &[Tensor; 3]) -> Result<Tensor> {
     ((part(0)? + part(1)?)? + part(2)?)?.maximum(COSINE_MIN)
 }
 
-/// Logarithm of the slope of the rate at an amplitude, ln(x / (1 + x^2)) up to a constant.
-fn log_slope(amplitude: &Tensor) -> Result<Tensor> {
-    // Far below an amplitude that gives a rate.
-    let amplitude = (amplitude + 1e-6)?;
-    amplitude.log()? - (amplitude.sqr()? + 1.0)?.log()?
+/// Logarithm of the derivative of the utility of [`heliostat_channel::solver`] by the amplitude, with
+/// lambda of [`sharing::QOS_PENALTY`]: 2 x / (1 + x^2), and below the minimum rate the slope of the line
+/// to the utility at it. Both arguments are (batch, slots).
+fn log_slope(amplitude: &Tensor, min_rate: &Tensor) -> Result<Tensor> {
+    let amplitude = amplitude.maximum(f64::from(sharing::AMPLITUDE_MIN))?;
+    let nats = (amplitude.sqr()? + 1.0)?.log()?;
+    let met = ((&amplitude * 2.0)?.log()? - &nats)?;
+    let min_nats = (min_rate * std::f64::consts::LN_2)?;
+    let threshold = (min_nats.exp()? - 1.0)?.maximum(0.0)?.sqrt()?;
+    let missing = (&threshold - &amplitude)?;
+    let short = missing.gt(SHORT_MIN)?;
+    let rise = (min_nats - nats)?.maximum(SHORT_MIN)?.log()?;
+    let line = (rise - missing.maximum(SHORT_MIN)?.log()?)?.affine(1.0, sharing::QOS_PENALTY.ln_1p())?;
+    short.where_cond(&line, &met)
 }
 
 impl Learner for Analytic {
@@ -299,7 +314,9 @@ impl Learner for Analytic {
         let exponent = first * (last / first).powf(episode.progress());
         let (mut sum, mut count) = (0.0, 0.0);
         for batch in all.chunks_exact(batch.min(all.len()).max(1)) {
-            let reward = reward(&self.network, batch, exponent, self.settings.run.reward)?;
+            let batch = Batch::new(batch)?;
+            let change = actor::smooth_change(&self.network.forward_rows(&batch.values()?)?, &batch.rows)?;
+            let reward = batch.reward(&change, exponent, self.settings.run.reward)?;
             self.adam.step(&self.network, &reward.neg()?.backward()?, rate)?;
             sum += f64::from(reward.to_scalar::<f32>()?);
             count += 1.0;

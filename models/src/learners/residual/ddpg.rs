@@ -60,7 +60,7 @@ const NOISE_KEPT: f64 = 0.9;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// The fine-tuning, which a checkpoint names.
-    fine_tune: String,
+    pub fine_tune: String,
     /// The file of the first network; empty for the built-in actor of the seed.
     pub from: String,
     /// Discount factor gamma of the time between two decisions.
@@ -116,7 +116,7 @@ impl Settings {
             room_count: 24,
             room_s: 10.0,
             choice,
-            run: RunSettings { reward, episodes: 60, steps: 1, ..RunSettings::paper(seed) },
+            run: RunSettings { reward, episodes: 25, steps: 1, ..RunSettings::paper(seed) },
         }
     }
 }

@@ -36,7 +36,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(wire::encode_message, module)?)?;
     module.add_function(wrap_pyfunction!(wire::keys, module)?)?;
     module.add_function(wrap_pyfunction!(wire::kind_of, module)?)?;
-    module.add("KINDS", wire::KINDS.map(|(name, kind)| (name, kind.number())).into_iter().collect::<BTreeMap<_, _>>())?;
+    let kinds = wire::KINDS.map(|(name, kind)| (name, kind.number()));
+    module.add("KINDS", BTreeMap::from(kinds))?;
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,9 @@ class Mirrors(Device):
     """Two mirrors that record what they were told, and fail as they are told."""
 
     def __init__(self, **capabilities: Any) -> None:
-        limits = {"roll_rad": (-0.25, 0.5), "yaw_rad": (-0.25, 0.5), "park_after_ms": 300} | capabilities
-        self.capabilities = Capabilities("two mirrors", 1, 2, **limits)
+        limits = (-0.25, 0.5)
+        standard = Capabilities("two mirrors", 1, 2, limits, limits, park_after_ms=300)
+        self.capabilities = replace(standard, **capabilities)
         self.turns: list[tuple[list[float], list[float]]] = []
         self.stops = 0
         self.connections = 0
@@ -87,7 +89,8 @@ class Driven:
             pass
         self.local_ns += int(ms * MS)
         self.problem = self.station.advance(self.now)
-        self.reports = {name: wire.decode(payload, wire.KINDS[name]) for name, payload in self.station.reports(self.now)}
+        due = self.station.reports(self.now)
+        self.reports = {name: wire.decode(payload, wire.KINDS[name]) for name, payload in due}
 
     def telemetry(self, ms: float = 60) -> dict[str, Any]:
         self.step(ms)
@@ -140,7 +143,9 @@ def test_a_command_turns_the_mirrors_within_their_limits_and_ends_in_the_park_po
         ({"sequence": 1}, "old_sequence"),
     ],
 )
-def test_commands_are_refused_by_the_rules_of_the_contract(driven: Driven, change: dict[str, Any], counter: str) -> None:
+def test_commands_are_refused_by_the_rules_of_the_contract(
+    driven: Driven, change: dict[str, Any], counter: str
+) -> None:
     driven.command()
     driven.step()
     turns = list(driven.mirrors.turns)
@@ -194,11 +199,13 @@ def test_a_first_start_a_damaged_record_and_one_that_cannot_be_written_start_sto
     record = tmp_path / "lab.stop.toml"
     record.write_text("version = 1")
     assert str(record) in (Driven(tmp_path, Mirrors()).station.advice or "")
-    for name, make in (("folder", record.mkdir), ("link", lambda: record.symlink_to(tmp_path / "absent"))):
-        record.unlink() if record.is_file() else None
-        make()
-        assert "expected a regular file" in (Driven(tmp_path, Mirrors()).station.advice or ""), name
-        record.rmdir() if name == "folder" else record.unlink()
+    record.unlink()
+    record.mkdir()
+    assert "expected a regular file" in (Driven(tmp_path, Mirrors()).station.advice or "")
+    record.rmdir()
+    record.symlink_to(tmp_path / "absent")
+    assert "expected a regular file" in (Driven(tmp_path, Mirrors()).station.advice or "")
+    record.unlink()
     (tmp_path / "lab.stop.new").mkdir()
     assert "cannot record the emergency stop" in (Driven(tmp_path, Mirrors()).station.advice or "")
 
@@ -315,12 +322,13 @@ def test_an_interrupt_within_a_device_ends_the_driver(driven: Driven) -> None:
         driven.step()
 
 
-def test_a_device_that_calls_the_station_gets_an_error_and_no_deadlock(driven: Driven) -> None:
-    class Calling(Mirrors):
-        def turn(self, roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
-            assert driven.station.state
+def test_a_device_that_calls_the_station_gets_an_error_and_no_deadlock(
+    driven: Driven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def turn(roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
+        assert driven.station.state
 
-    driven.mirrors.turn = Calling.turn.__get__(driven.mirrors)  # type: ignore[method-assign]
+    monkeypatch.setattr(driven.mirrors, "turn", turn)
     driven.command()
     driven.step()
     assert "the station is in use" in driven.station.last_problem

@@ -22,7 +22,7 @@ COMMAND: dict[str, Any] = wire.decode(SAMPLES[4], 4)
 
 
 def test_every_kind_has_a_sample() -> None:
-    assert sorted(SAMPLES) == sorted(wire.KINDS.values()) == list(range(1, 19))
+    assert sorted(SAMPLES) == sorted(wire.KINDS.values()) == list(range(1, 20))
 
 
 @pytest.mark.parametrize("kind", SAMPLES)
@@ -36,7 +36,7 @@ def test_samples_are_decoded_encoded_and_refused_when_damaged(kind: int) -> None
         with pytest.raises(wire.Refused):
             wire.decode(one, kind)
     with pytest.raises(wire.Refused, match="expected"):
-        wire.decode(payload, kind % 18 + 1)
+        wire.decode(payload, kind % 19 + 1)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in SAMPLES if kind not in NAMED_INSTEAD_OF_LISTED])
@@ -88,6 +88,7 @@ def test_keys_are_those_of_the_room_and_the_array() -> None:
     assert second["telemetry"] == "heliostat/v1/lab/mirrors-1/telemetry"
     assert second["stop"] == first["stop"] == "heliostat/v1/lab/mirrors/stop"
     assert second["alive"] == "heliostat/v1/lab/alive/driver-1/00000000000000ff"
+    assert second["status"] == "heliostat/v1/lab/status/driver-1"
     for room, node, array in [("l/b", "driver", 0), ("lab", "lamp", 0), ("lab", "driver", 16)]:
         with pytest.raises(ValueError, match="expected|unknown"):
             wire.keys(room, node, 1, array)

@@ -281,33 +281,39 @@ def run(
             while more and now()[0] < station.telemetry_ns:
                 more = station.handle_received()
             instant = now()
-            problem = station.advance(instant)
+            station.advance(instant)
             for name, payload in station.reports(instant):
                 # A query that follows a publication finds it.
                 latest[name] = payload
                 peer.put(name, payload)
-            shown.update(station.stop, problem or station.last_problem)
+                if name == "safety":
+                    shown.note_stop(station.stop)
+                if name == "status":
+                    shown.note_problem(station.last_problem)
         return station.counters()
 
 
 class _Shown:
-    """What the log has shown: each change of the stop, and each new problem."""
+    """What the log has shown: each change of the stop, and once a second a new problem."""
 
     def __init__(self, stop: str) -> None:
         self._stop, self._problem = stop, ""
 
-    def update(self, stop: str, problem: str) -> None:
+    def note_stop(self, stop: str) -> None:
         if stop != self._stop:
             _log(f"the array is stopped by {stop}" if stop else "the array is released")
             self._stop = stop
-        if problem != self._problem:
-            if problem:
-                _log(problem)
-            self._problem = problem
+
+    def note_problem(self, problem: str) -> None:
+        if problem not in ("", self._problem):
+            _log(problem)
+        self._problem = problem
 
 
 def _log(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    # Texts can come from any process of the room.
+    safe = "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
+    print(safe, file=sys.stderr, flush=True)
 
 
 def _state_folder() -> Path:

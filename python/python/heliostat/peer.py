@@ -149,9 +149,8 @@ class Peer:
             for reply in self.session.liveliness().get(self.keys[name], timeout=_ALIVE_LIMIT_S):
                 if reply.ok is not None:
                     token = reply.ok.key_expr
-                    raise PeerError(
-                        f'another {process} is in room "{self.room}" ({token}): stop it, or choose another room with --room'
-                    )
+                    advice = "stop it, or choose another room with --room"
+                    raise PeerError(f'another {process} is in room "{self.room}" ({token}): {advice}')
 
     def announce(self) -> None:
         """Declares the liveliness token of the process."""
@@ -159,8 +158,11 @@ class Peer:
 
     def subscribe(self, name: str, handle: Callable[[bytes], None]) -> None:
         """Calls `handle` on a thread of Zenoh with each payload of this message."""
-        callback = lambda sample: handle(bytes(sample.payload))  # noqa: E731
-        self._declared.append(self.session.declare_subscriber(self.keys[name], callback))
+
+        def deliver(sample: Any) -> None:
+            handle(bytes(sample.payload))
+
+        self._declared.append(self.session.declare_subscriber(self.keys[name], deliver))
 
     def answer(self, name: str, latest: Mapping[str, bytes]) -> None:
         """Answers queries of this message with the latest payload, if there is one."""
@@ -275,7 +277,7 @@ def _secured(folder: Path, role: str) -> tuple[zenoh.Config, str]:
 def _check(settings: Settings) -> None:
     """Refuses endpoints that do not suit each other or the keys."""
     if settings.client and (settings.listen or not settings.connect):
-        raise PeerError("wrong endpoints for a client: expected no --listen, and --connect with the endpoint of a router")
+        raise PeerError("wrong endpoints for a client: expected no --listen, and the router in --connect")
     if not (settings.listen or settings.connect):
         raise PeerError("no endpoint: expected --listen or --connect, for example --connect tcp/127.0.0.1:7447")
     for endpoint in (*settings.listen, *settings.connect):

@@ -5,6 +5,7 @@ mod board;
 mod decide;
 mod echo;
 mod env;
+mod moving;
 mod oracle;
 mod pace;
 mod room;

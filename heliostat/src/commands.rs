@@ -12,6 +12,7 @@ pub mod completions;
 pub mod config;
 pub mod demo;
 pub mod doctor;
+mod drawn_room;
 pub mod eval;
 pub mod keys;
 pub mod link;

@@ -340,3 +340,21 @@ fn a_comparison_that_fails_leaves_no_file() {
     refusal(&["--policies", "own.onnx", "--states", "1", "--seeds", "1", "--csv", csv]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
 }
+
+#[test]
+fn paths_draw_users_as_they_are_and_as_a_filter_predicts_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("users.svg");
+    let paths = ["--paths", file.to_str().expect("text")];
+    let flags = ["--scenario", "hall", "--closed-loop", "--policies", "greedy", "--states", "20", "--seeds", "1"];
+    let refused = refusal(&[&flags[..], &["--beliefs", "constant-velocity"], &paths].concat());
+    assert!(refused.contains("no policy predicts users") && !file.exists(), "{refused}");
+    let drawn = |users: &str| {
+        report(&[&flags[..], &["--set", users], &paths].concat());
+        let svg = std::fs::read_to_string(&file).expect("the picture");
+        let points = |line: &str| line.split("points=").nth(1).map_or(0, |points| points.split(' ').count());
+        // A path has a point for each of at least 50 decisions, an ellipse 33, an arrow 5.
+        svg.lines().filter(|line| line.contains("<polyline") && points(line) > 50).count()
+    };
+    assert_eq!([drawn("users.count=1"), drawn("users.count=3")], [2, 6], "a true and a predicted path of each user");
+}

@@ -29,6 +29,7 @@ mod row;
 mod settings;
 mod stale_aim;
 mod static_states;
+mod tracked_user;
 
 use std::time::Duration;
 
@@ -45,6 +46,7 @@ pub use outage::{OUTAGE_LENGTHS_S, Outages};
 pub use row::{Row, Spread, Times};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;
+pub use tracked_user::TrackedUser;
 
 /// The result of a comparison.
 #[derive(Clone, Debug, Serialize)]
@@ -76,6 +78,10 @@ pub struct Report {
     /// that has it.
     #[serde(serialize_with = "as_map", skip_serializing_if = "Vec::is_empty")]
     pub beliefs: Vec<(String, BeliefQuality)>,
+    /// Closed loop: the users of the first episode, by the first policy with the belief `filter`, from
+    /// the controller's start on.
+    #[serde(skip)]
+    pub tracked: Vec<TrackedUser>,
 }
 
 /// Compares with a progress bar on standard error.
@@ -116,8 +122,8 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
             training.build(scenario, scenario.seed)?;
         }
     }
-    let ((oracle, policies), beliefs) = match settings.mode {
-        Loop::Static => (static_states::compare(settings, bar)?, Vec::new()),
+    let ((oracle, policies), beliefs, tracked) = match settings.mode {
+        Loop::Static => (static_states::compare(settings, bar)?, Vec::new(), Vec::new()),
         Loop::ClosedLoop => closed_loop::compare(settings, bar)?,
     };
     bar.finish_and_clear();
@@ -135,6 +141,7 @@ pub fn compare_under(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<R
         oracle,
         policies: names.zip(policies).collect(),
         beliefs,
+        tracked,
     })
 }
 

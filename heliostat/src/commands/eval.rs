@@ -2,6 +2,7 @@
 
 mod html;
 mod output;
+mod paths;
 mod suite;
 mod sweep;
 
@@ -85,6 +86,10 @@ pub struct Args {
     /// Also write a report with tables and plots to one HTML file that needs no other file
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
+    /// Also draw the users of the first episode, true and as the first policy's filter predicts them, as
+    /// an SVG file
+    #[arg(long, requires = "closed_loop", conflicts_with = "sweep", value_name = "FILE")]
+    paths: Option<PathBuf>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -161,8 +166,14 @@ pub fn run(args: Args) -> Result<()> {
     if let Some(file) = &args.csv {
         whole_file::check_writable(file)?;
     }
+    if let Some(file) = &args.paths {
+        whole_file::check_writable(file)?;
+    }
     let html = args.html.as_deref().map(Destination::new).transpose()?;
     let reports = settings.iter().map(compare).collect::<Result<Vec<_>>>()?;
+    if let Some(file) = &args.paths {
+        whole_file::write(file, paths::draw(&settings[0].scenario, &reports[0].tracked)?.as_bytes())?;
+    }
     if let Some(file) = &args.csv {
         whole_file::write(file, &output::csv(sweep, &reports)?)?;
     }

@@ -3,13 +3,15 @@
 //! After each decision the log keeps what the controller believes about each user at the instant
 //! for which it predicts, the middle of the command's time in force. The truth comes from a second
 //! world of the same seed after the run, so that the measurement neither changes the run nor takes
-//! part in its decision times.
+//! part in its decision times. The same pairs of truth and belief make a picture of an episode.
 
 use heliostat_channel::Vec3;
 use heliostat_decide::belief::Estimate;
 use heliostat_decide::core::Controller;
 use heliostat_sim::world::World;
 use heliostat_sim::world::walker::Walker;
+
+use super::tracked_user::TrackedUser;
 
 /// Below this true speed in m/s a user stands.
 const STANDING_M_S: f64 = 0.05;
@@ -68,8 +70,26 @@ impl BeliefLog {
     }
 
     /// The errors of the predictions for instants from `from_ns` on, against a world at time 0.
-    pub fn errors(&self, mut world: World, from_ns: u64) -> Errors {
-        let (mut errors, mut now_ns) = (Errors::default(), 0);
+    pub fn errors(&self, world: World, from_ns: u64) -> Errors {
+        let mut errors = Errors::default();
+        self.compare(world, from_ns, |_, believed, truth| errors.add(believed, truth));
+        errors
+    }
+
+    /// The users that the filter predicted from `from_ns` on, beside a world at time 0.
+    pub fn tracked(&self, world: World, from_ns: u64) -> Vec<TrackedUser> {
+        let mut tracked = Vec::new();
+        self.compare(world, from_ns, |at_ns, believed, truth| {
+            let after_s = (at_ns - from_ns) as f64 * 1e-9;
+            let Believed { user, heading, estimate: Some(estimate), .. } = believed else { return };
+            tracked.push(TrackedUser::new((*user, after_s), (truth, estimate), heading));
+        });
+        tracked
+    }
+
+    /// Calls with each prediction from `from_ns` on: its instant, the belief and the truth.
+    fn compare(&self, mut world: World, from_ns: u64, mut with: impl FnMut(u64, &Believed, &Walker)) {
+        let mut now_ns = 0;
         for (at_ns, users) in self.entries.iter().filter(|(at_ns, _)| *at_ns >= from_ns) {
             world.step(at_ns.saturating_sub(now_ns) as f64 * 1e-9);
             now_ns = now_ns.max(*at_ns);
@@ -77,11 +97,10 @@ impl BeliefLog {
                 // A user who has left meanwhile has no true place.
                 let index = world.ids().iter().position(|id| *id == believed.user);
                 if let Some(truth) = index.map(|index| &world.users()[index]) {
-                    errors.add(believed, truth);
+                    with(*at_ns, believed, truth);
                 }
             }
         }
-        errors
     }
 }
 

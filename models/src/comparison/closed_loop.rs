@@ -37,6 +37,7 @@ use super::evaluator::{Evaluator, Run, Sample};
 use super::outage::{OutageLog, STEP_NS};
 use super::row::{Rows, rows};
 use super::settings::{RANDOM_DRAWS, Settings};
+use super::tracked_user::TrackedUser;
 use crate::evaluation::held_out::{SETTLE_S, best_angles, held_out_seed};
 
 /// Sampling times of an episode.
@@ -115,7 +116,7 @@ fn start_ns() -> u64 {
 }
 
 /// Compares at `states` sampling times of each seed.
-pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<(Rows, Beliefs)> {
+pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<(Rows, Beliefs, Vec<TrackedUser>)> {
     let scenario = &settings.scenario;
     let trace = scenario.read_trace()?;
     let trace = trace.as_deref();
@@ -139,7 +140,9 @@ pub(super) fn compare(settings: &Settings, bar: &ProgressBar) -> anyhow::Result<
         runs.push(of_policy);
         bar.inc(1);
     }
-    Ok((rows(settings, &runs, &oracle), beliefs(settings, &runs)))
+    let all = runs.iter().flatten();
+    let tracked = all.map(|run| &run.tracked).find(|tracked| !tracked.is_empty()).cloned().unwrap_or_default();
+    Ok((rows(settings, &runs, &oracle), beliefs(settings, &runs), tracked))
 }
 
 /// The quality of each belief, by its name.
@@ -239,6 +242,9 @@ fn run(
             run.outages.push(outages);
             run.decisions_us.append(&mut lockstep.decisions_us);
             if evaluated.belief(&scenario).is_some() {
+                if run.belief.is_empty() {
+                    run.tracked = lockstep.log.tracked(episode.world(&scenario, trace.as_deref())?, start_ns());
+                }
                 let measured_ns = start_ns() + settings.warm.as_nanos() as u64;
                 run.belief.push(lockstep.log.errors(episode.world(&scenario, trace.as_deref())?, measured_ns));
             }

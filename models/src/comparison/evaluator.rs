@@ -6,6 +6,7 @@ use heliostat_sim::World;
 
 use super::belief_log::Errors;
 use super::outage::OutageLog;
+use super::tracked_user::TrackedUser;
 use crate::evaluation::held_out::met;
 
 /// The evaluation of angles in one state.
@@ -46,6 +47,8 @@ pub(super) struct Run {
     pub outages: Vec<OutageLog>,
     /// In closed loop, the errors of the belief in each episode.
     pub belief: Vec<Errors>,
+    /// In closed loop, the users of the first episode as a filter believes them to be.
+    pub tracked: Vec<TrackedUser>,
 }
 
 impl Run {
@@ -54,6 +57,7 @@ impl Run {
         let decisions_us = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.decisions_us)).collect();
         let outages = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.outages)).collect();
         let belief = runs.iter_mut().flat_map(|run| std::mem::take(&mut run.belief)).collect();
+        let tracked = runs.first_mut().map(|run| std::mem::take(&mut run.tracked)).unwrap_or_default();
         let same = |group: usize, state: usize| {
             Sample::mean(&runs.iter().map(|run| run.groups[group][state]).collect::<Vec<_>>())
         };
@@ -64,6 +68,7 @@ impl Run {
             decisions_us,
             outages,
             belief,
+            tracked,
         }
     }
 }

@@ -11,6 +11,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::quantity::Quantity;
+use crate::commands::drawn_room::draw_equipment;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
@@ -124,14 +125,7 @@ fn draw_floor(area: &Area, picture: &Picture, scale: &Scale) -> Result<()> {
     chart.draw_series(
         world.users().iter().map(|user| Cross::new((user.position.x, user.position.y), 5, RED.stroke_width(2))),
     )?;
-    chart.draw_series(world.model().leds.iter().map(|led| {
-        TriangleMarker::new((led.position.x, led.position.y), 6, ShapeStyle::from(&WHITE).stroke_width(2))
-    }))?;
-    chart.draw_series(world.model().mirrors.arrays().iter().map(|array| {
-        let ends = [0, array.columns() - 1].map(|column| array.positions()[column]);
-        PathElement::new(ends.map(|at| (at.x, at.y)), BLUE.stroke_width(8))
-    }))?;
-    Ok(())
+    draw_equipment(&mut chart, world.model(), &WHITE)
 }
 
 fn outline(cylinder: &Cylinder) -> Vec<(f64, f64)> {

@@ -115,6 +115,14 @@ pub static PAGE: Page = Page {
             ),
         ),
         room(
+            "orientation-seated-reported",
+            "Orientation of the receivers, seated users, reported",
+            "The same for users who sit; reports are 100 ms old like those of positions.",
+            in_hall!(
+                " --set users.orientation={} --set users.mobility=seated --set streams.orientation.rate_hz=10 --set streams.orientation.latency_ms=100 --set streams.orientation.noise_deg=2"
+            ),
+        ),
+        room(
             "typical",
             "Mismatch: typical",
             "The true room differs from the room that the controller knows, as after a careful installation.",
@@ -179,6 +187,12 @@ pub static PAGE: Page = Page {
             "The scenario office",
             "Seated users and users who walk between them.",
             "eval --scenario office --closed-loop --ceilings --beliefs filter,constant-velocity --policies greedy,fixed-point",
+        ),
+        room(
+            "office-reported",
+            "The scenario office, with reported orientations",
+            "Its devices report their angles ten times a second, 100 ms late and with an error of 2 degrees.",
+            "eval --scenario office --closed-loop --ceilings --beliefs filter,constant-velocity --policies greedy,fixed-point --set streams.orientation.rate_hz=10 --set streams.orientation.latency_ms=100 --set streams.orientation.noise_deg=2",
         ),
         room(
             "corridor",

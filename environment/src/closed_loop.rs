@@ -119,8 +119,9 @@ impl ClosedLoop {
     }
 }
 
-/// The message of an event; `None` for one that no controller reads.
-fn message(event: &mut Event, names_unusable: bool) -> Option<Message<'_>> {
+/// The message of an event; `None` for one that no controller reads. Without `names_unusable` telemetry
+/// names no unusable mirrors.
+pub fn message(event: &mut Event, names_unusable: bool) -> Option<Message<'_>> {
     let message = match event {
         Event::Telemetry(array, telemetry) => {
             if !names_unusable {

@@ -19,6 +19,7 @@ use heliostat_decide::{
     policy::PolicyKind,
 };
 use heliostat_engine::{ActorSource, EngineChoice};
+use heliostat_environment::closed_loop::message;
 use heliostat_proto::{Nanos, UserReport};
 use heliostat_scenario::Scenario;
 use heliostat_service::duration;
@@ -175,9 +176,8 @@ fn simulate(scenario: &Scenario) -> Result<Kept> {
     let (mut events, mut sequence) = (Vec::new(), 0);
     while let Some((now, mut event)) = episode.poll_event(START_NS + KEPT_NS) {
         events.push((now.room_ns, event.clone()));
-        let Some(decision) = controller.handle_and_poll(now.room_ns, message(&mut event), &mut |_| {}) else {
-            continue;
-        };
+        let Some(message) = message(&mut event, true) else { continue };
+        let Some(decision) = controller.handle_and_poll(now.room_ns, message, &mut |_| {}) else { continue };
         sequence += 1;
         for (array, command) in decision.commands() {
             command.sequence = sequence;
@@ -218,8 +218,9 @@ impl Measured {
                 self.places.extend(report.users.iter().map(|user| Vec3::from_iterator(user.position_m.map(f64::from))));
             }
             let is_channel = matches!(event, Event::Channel(_));
+            let Some(message) = message(&mut event, true) else { continue };
             let started = Instant::now();
-            let due = controller.handle_message(*now, message(&mut event));
+            let due = controller.handle_message(*now, message);
             let handled = started.elapsed();
             if is_channel {
                 self.channel.record(handled);
@@ -259,15 +260,5 @@ fn users(event: &Event) -> Option<&UserReport> {
     match event {
         Event::Users(report) => Some(report),
         _ => None,
-    }
-}
-
-fn message(event: &mut Event) -> Message<'_> {
-    match event {
-        Event::Telemetry(array, telemetry) => Message::Telemetry(*array, telemetry),
-        Event::Obstacles(report) => Message::Obstacles(report),
-        Event::Orientation(report) => Message::Orientation(report),
-        Event::Channel(report) => Message::Channel(report),
-        Event::Users(report) => Message::Users(report),
     }
 }

@@ -54,3 +54,16 @@ fn run(training: &Training, quick: bool) -> Result<()> {
     ensure!(status.success(), "{}: {status}", command(&training.arguments()));
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_section_about_an_actor_that_does_not_exist_is_left_out() {
+        let arguments = |policies: &str| ["eval", "--policies", policies].map(String::from);
+        let missing = arguments("greedy,training/analytic/residual.onnx");
+        assert!(!provide("section", &missing, (false, true)).unwrap());
+        assert!(provide("section", &arguments("greedy,residual"), (false, true)).unwrap());
+    }
+}

@@ -139,16 +139,17 @@ impl<D: Device, S: StopStore> Station<D, S> {
     pub fn poll_report(&mut self, now: Moment) -> Option<Report> {
         let source = self.identity.source;
         let is_due = |timer: &Timer| now.local_ns >= timer.due_ns;
+        // Before the telemetry, so that a process that learns of a new state from it finds the stop.
+        if is_due(&self.safety) || self.published_latch != *self.kit.array().latch() {
+            let stamp = self.safety.publish(source, now, ANNOUNCEMENT_NS);
+            self.published_latch.clone_from(self.kit.array().latch());
+            return Some(Report::Safety(self.kit.safety(stamp)));
+        }
         if is_due(&self.telemetry) || self.published_state != self.kit.array().state() {
             let stamp = self.telemetry.publish(source, now, TELEMETRY_NS);
             let telemetry = self.kit.telemetry(now, stamp);
             self.published_state = self.kit.array().state();
             return Some(Report::Telemetry(telemetry));
-        }
-        if is_due(&self.safety) || self.published_latch != *self.kit.array().latch() {
-            let stamp = self.safety.publish(source, now, ANNOUNCEMENT_NS);
-            self.published_latch.clone_from(self.kit.array().latch());
-            return Some(Report::Safety(self.kit.safety(stamp)));
         }
         if is_due(&self.capabilities) {
             let stamp = self.capabilities.publish(source, now, ANNOUNCEMENT_NS);

@@ -23,14 +23,14 @@ use crate::trig::BLOCK;
 pub const EXPONENT: u32 = 8;
 
 /// Step sizes c of [`balance`].
-const STEPS: [f32; 4] = [0.4, 0.4 / 1.5, 0.2, 0.16];
+pub const STEPS: [f32; 4] = [0.4, 0.4 / 1.5, 0.2, 0.16];
 
 /// Lambda of the utility whose derivatives are the target weights.
-const QOS_PENALTY: f64 = 10.0;
+pub const QOS_PENALTY: f64 = 10.0;
 
 /// Lower bound of an amplitude in the derivative, since at amplitude 0 the derivative of the rate
 /// is 0.
-const AMPLITUDE_MIN: f32 = 1e-3;
+pub const AMPLITUDE_MIN: f32 = 1e-3;
 
 /// Amplitude of each user: the line-of-sight amplitude plus the softly assigned amplitudes of all
 /// mirrors.

@@ -5,7 +5,8 @@
 //! any time ahead. A user is found by number, in any order of the reports. A user who is absent
 //! from a report is forgotten, so a returning user starts again.
 //!
-//! [`Belief::handle_channel`] takes each accepted channel report, and [`Belief::handle_command`]
+//! [`Belief::handle_orientation`] and [`Belief::handle_channel`] take each accepted report of these
+//! kinds, and [`Belief::handle_command`]
 //! each command, because the gains depend on the angles of the mirrors.
 //!
 //! - [`motion`]: place and velocity, by a bank of hypotheses about the walk.
@@ -14,7 +15,10 @@
 //! - [`heading`]: the direction in which the user faces, by the velocity and by measured gains.
 //! - [`covered`]: whether the direct path is off for another reason than bodies and obstacles.
 //! - `posture`: how users hold their receivers, as stated or by measured gains.
-//! - `expected`, `tilt`: the gains that the model expects, also of tilted receivers.
+//! - `device`: the same by orientation reports, which also show headings; `holding`: all of these.
+//! - `expected`, `tilt`, `lit_mirrors`: the gains that the model expects, also of tilted receivers and
+//!   past bodies.
+//! - `readings`, `densities`, `elementary`: measured gains, and how probable they are.
 //! - `independence`: how much a measurement of a user who stays at a place counts.
 //! - [`residual`]: measured gains beside the expected ones, where a policy reads them.
 //! - [`occupancy`]: where unreported obstacles stand, by measured gains.
@@ -24,35 +28,43 @@ pub mod angle_history;
 pub(crate) mod body;
 mod channel_evidence;
 pub mod covered;
+mod densities;
+mod device;
+mod elementary;
 mod expected;
 pub mod heading;
 pub mod height;
+mod holding;
 mod hypothesis;
 mod independence;
 pub mod innovations;
+mod lit_mirrors;
 pub mod memory;
 pub mod motion;
 pub mod noise;
 pub mod occupancy;
 pub(crate) mod posture;
+mod readings;
 pub mod residual;
 mod tilt;
 mod track;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
-use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, OrientationReport, UserReport, UserState};
-use heliostat_scenario::{Scenario, Walk};
+use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, UserReport, UserState};
+use heliostat_scenario::Scenario;
 
 use angle_history::AngleHistory;
 use body::Body;
-use channel_evidence::{Beliefs, Bodies, ChannelEvidence, MeasuredGains, Readings};
-use heading::{HEADING_KNOWN, HEADINGS, Heading};
+use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
+use device::DeviceSettings;
+use heading::{HEADING_KNOWN, HEADINGS};
 use independence::independent_share;
 use innovations::Innovations;
 use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
+use readings::{MeasuredGains, Readings};
 use residual::Residual;
 use track::{Track, reported_velocity};
 
@@ -61,9 +73,6 @@ const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
 
 /// Bounds of the estimated noise of a velocity component in m/s.
 const VELOCITY_NOISE_M_S: [f64; 2] = [1e-3, 2.0];
-
-/// Up to this speed in m/s the velocity shows little of the heading.
-const SLOW_M_S: f64 = 0.25;
 
 /// Two intervals between reports count as equal if they differ by less than this share.
 const EQUAL_INTERVALS: f64 = 0.02;
@@ -103,6 +112,7 @@ pub struct Belief {
     last_ns: Nanos,
     body: Option<Body>,
     posture: Posture,
+    devices: DeviceSettings,
     /// The polar angle in rad of each receiver of which measurements show whether it is tilted.
     undecided: Vec<Option<f64>>,
     directions: [Vec3; HEADINGS],
@@ -131,7 +141,7 @@ impl Belief {
         let position_noise = NoiseLevel::new(streams.noise_m, POSITION_NOISE_M);
         let velocity_noise = NoiseLevel::new(streams.velocity_noise_m_s, VELOCITY_NOISE_M_S);
         Self {
-            priors: priors(&scenario.control.walk),
+            priors: WalkPriors::new(&scenario.control.walk),
             position_noise,
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
@@ -140,6 +150,7 @@ impl Belief {
             last_ns: 0,
             body: Body::new(&scenario.blockage),
             posture: Posture::new(scenario.control.tilt),
+            devices: DeviceSettings::new(scenario),
             undecided: Vec::with_capacity(capacity),
             directions: heading::directions(),
             history: AngleHistory::new(model.mirrors.len()),
@@ -165,13 +176,12 @@ impl Belief {
         self.history.handle_command(command);
     }
 
-    /// Takes an accepted channel report, with the orientations of the receivers where they are
-    /// reported. `obstacles` are those of the latest survey, and `unusable` the mirrors that do not
-    /// follow. Does not allocate.
+    /// Takes an accepted channel report. `obstacles` are those of the latest survey, and `unusable`
+    /// the mirrors that do not follow. Does not allocate.
     pub fn handle_channel(
         &mut self,
         model: &ChannelModel,
-        (report, held): (&ChannelReport, Option<&OrientationReport>),
+        report: &ChannelReport,
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
@@ -189,12 +199,12 @@ impl Belief {
                 return;
             }
         }
-        let ahead_s = signed_s(report.stamp.time_ns, self.last_ns);
+        let at = (report.stamp.time_ns, signed_s(report.stamp.time_ns, self.last_ns));
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
-        let Self { tracks, evidence, bodies, directions, map, body, posture, undecided, .. } = self;
+        let Self { tracks, evidence, bodies, directions, map, body, posture, devices, undecided, .. } = self;
         undecided.clear();
         let places = tracks.iter().map(|track| {
-            let place = track.held_place(ahead_s, (posture, held), directions);
+            let place = track.held_place(at, (posture, devices), directions);
             undecided.push(posture.undecided(place.held));
             place
         });
@@ -234,16 +244,6 @@ impl Belief {
         self.decide_posture();
     }
 
-    /// Decides how users hold their receivers, by the evidence of those present.
-    fn decide_posture(&mut self) {
-        let was_upright = self.posture.is_upright();
-        self.posture.decide(self.tracks.iter().map(|track| track.tilt));
-        if self.posture.is_upright() != was_upright {
-            // The headings so far are those by gains of other receivers.
-            self.tracks.iter_mut().for_each(|track| track.heading = Heading::default());
-        }
-    }
-
     fn is_heading_certain(&self, track: &Track) -> bool {
         self.body.is_none() || track.heading.mean(&self.directions).norm() > HEADING_CERTAIN
     }
@@ -271,11 +271,6 @@ impl Belief {
     /// Whether all obstacles are reported, so that no map of others is kept.
     pub fn knows_obstacles(&self) -> bool {
         self.map.is_none()
-    }
-
-    /// How receivers without a report are held.
-    pub(crate) fn posture(&self) -> &Posture {
-        &self.posture
     }
 
     /// How well the predictions agreed with the reports.
@@ -332,17 +327,6 @@ impl Belief {
         Some(Estimate { position, velocity, position_cov_m2, velocity_var_m2_s2, heading, direct_clear })
     }
 
-    /// The heading of a user with this speed. That of a slow user who tilts the receiver is the most
-    /// probable one: measured gains are often as probable at a second heading, and between the two
-    /// the receiver would face elsewhere.
-    fn heading(&self, track: &Track, speed: f64) -> Vec3 {
-        let mean = track.heading.mean(&self.directions);
-        if self.posture.is_upright() || speed > SLOW_M_S {
-            return mean;
-        }
-        mean.norm() * track.heading.mode(&self.directions)
-    }
-
     /// Estimated standard deviations of a reported coordinate in m and of a reported velocity
     /// component in m/s.
     pub fn noise(&self) -> [f64; 2] {
@@ -380,16 +364,6 @@ impl Belief {
             let (du, dv) = (u - former_u, v - former_v);
             self.velocity_noise.handle(du * du + dv * dv, 2.0);
         }
-    }
-}
-
-fn priors(settings: &Walk) -> WalkPriors {
-    WalkPriors {
-        changes_per_s: settings.changes_per_s,
-        speed_m_s: settings.speed_m_s,
-        standing: settings.standing,
-        curving: settings.curving,
-        turn_rate_rad_s: settings.turn_rate_deg_per_s.to_radians(),
     }
 }
 

@@ -220,6 +220,12 @@ impl Controller {
                 self.observer.handle_channel(&self.model, &self.inbox);
                 Due::Nothing
             }
+            Ok(()) if stream == Stream::Orientation => {
+                if let Some(report) = self.inbox.last_orientation() {
+                    self.observer.handle_orientation(report);
+                }
+                Due::Nothing
+            }
             Ok(()) if stream == Stream::Telemetry => {
                 if let Some(telemetry) = self.inbox.telemetry(array) {
                     self.arrays[array].handle_telemetry(now, telemetry, &mut self.counters);

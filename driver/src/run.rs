@@ -8,7 +8,6 @@ use heliostat_array::latch::Latch;
 use heliostat_array::station::{Identity, Report, Station};
 use heliostat_array::stop_record::advice;
 use heliostat_bus::{Bus, BusConfig, BusError, Class};
-use heliostat_proto::NodeKind;
 use heliostat_service::{Exporter, MetricsArgs, MetricsError, Stop, source_id};
 use thiserror::Error;
 

@@ -59,3 +59,39 @@ fn rooms_are_served_by_one_process_beside_an_echo() {
         assert!(number(row, "/decision_us/p50") < number(row, "/measured_us/p50") * 1.5, "{row}");
     }
 }
+
+#[test]
+fn decisions_for_several_arrays_are_measured_and_a_wall_is_divided_for_one_only() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("two.toml");
+    let arrays = "[[mirrors]]\nrows = 2\ncolumns = 3\n[[mirrors]]\nrows = 2\ncolumns = 4\nwall = \"-x\"\n";
+    std::fs::write(&file, arrays).expect("written");
+    let scenario = ["--scenario", file.to_str().expect("a plain path")];
+    let quick = ["--policy", "nearest", "--hz", "0", "--decisions", "100"];
+    for what in ["decide", "users"] {
+        let rows = rows(&[&[what], &scenario[..], &quick].concat());
+        assert!(!rows.is_empty() && rows.iter().all(|row| number(row, "/mirrors") == 14.0), "{rows:?}");
+        rows.iter().for_each(assert_complete);
+    }
+    let refused = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(arguments).args(scenario).output();
+        let output = output.expect("the program starts");
+        assert!(!output.status.success(), "{arguments:?}");
+        String::from_utf8(output.stderr).expect("text")
+    };
+    for (arguments, advice) in [
+        (&["bench", "mirrors"][..], "divides the wall of one array"),
+        (&["bench", "loop", "--policy", "nearest"], "bench decide takes several"),
+    ] {
+        let message = refused(arguments);
+        assert!(message.contains("2 mirror arrays") && message.contains(advice), "{message}");
+    }
+    let absent = refused(&["calibrate", "--array", "2", "--seeds", "1", "--states", "1"]);
+    assert!(absent.contains("there is no mirror array 2: expected an index from 0 to 1"), "{absent}");
+
+    // The requirements of an actor, for all mirrors of the room.
+    let mut command = Command::new(env!("CARGO_BIN_EXE_heliostat"));
+    let ports = command.args(["config", "--as-json", "actor"]).args(scenario).output().expect("the program starts");
+    let ports: Value = serde_json::from_slice(&ports.stdout).expect("one JSON object");
+    assert_eq!(ports.pointer("/output/shape"), Some(&serde_json::json!([1, 28])), "{ports}");
+}

@@ -216,7 +216,7 @@ fn several_arrays_are_evaluated_static_and_in_closed_loop() {
     assert!(message.contains("5x5-5x5"), "{message}");
     let trained = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(["train", "ddpg"]).args(scenario).output();
     let message = String::from_utf8(trained.expect("it runs").stderr).expect("text");
-    assert!(message.contains("2 mirror arrays") && message.contains("model-based"), "{message}");
+    assert!(message.contains("2 mirror arrays") && message.contains("trained in a room with one array"), "{message}");
 }
 
 #[test]

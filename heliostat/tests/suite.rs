@@ -18,22 +18,22 @@ fn errors(output: &Output) -> String {
 #[test]
 fn a_leaderboard_is_written_task_by_task_and_a_second_run_continues() {
     let folder = tempfile::tempdir().expect("a folder");
-    let suite = |tasks: &str, more: &[&str]| {
-        let flags = ["eval", "--suite", "--quick", "--policies", "flat,ddpg", "--tasks", tasks, "--out", "board.md"];
+    let suite = |policies: &str, tasks: &str, more: &[&str]| {
+        let flags = ["eval", "--suite", "--quick", "--policies", policies, "--tasks", tasks, "--out", "board.md"];
         let output = heliostat(folder.path(), &[&flags[..], more].concat());
         assert!(output.status.success(), "{}", errors(&output));
         output
     };
     let page = || fs::read_to_string(folder.path().join("board.md")).expect("the page is there");
 
-    suite("lab", &[]);
+    suite("flat", "lab", &[]);
     let first = page();
     assert!(first.contains("## Not finished") && first.contains("hall-later"), "{first}");
     // The built-in actors are for other arrays than that of the lab.
     let command = "heliostat eval --scenario lab --closed-loop --states 2 --seeds 2 --policies greedy,flat\n";
     assert!(first.contains(command), "{first}");
 
-    let second = suite("lab,hall", &["--resume", "--json"]);
+    let second = suite("flat,ddpg", "lab,hall", &["--resume", "--json"]);
     assert!(errors(&second).contains("lab: finished before"), "{}", errors(&second));
     let board: Value = serde_json::from_slice(&second.stdout).expect("one JSON object");
     let standings = board["standings"].as_array().expect("an array");

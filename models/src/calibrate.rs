@@ -62,18 +62,25 @@ pub struct Outcome {
     pub limited: Vec<usize>,
 }
 
-/// Calibrates the array of a scenario and a seed.
+/// Calibrates the array of a scenario with one array, as a seed mounts it.
+///
+/// `index` is that of the array in its room, which determines its mounting too.
 ///
 /// # Errors
 /// The scenario describes no room, its channel mode has no spot of light, or the drives do not
 /// answer.
-pub fn calibrate(scenario: &Scenario, seed: u64, method: &Method, bar: &ProgressBar) -> anyhow::Result<Outcome> {
+pub fn calibrate(
+    scenario: &Scenario,
+    (index, seed): (usize, u64),
+    method: &Method,
+    bar: &ProgressBar,
+) -> anyhow::Result<Outcome> {
     ensure!(
         scenario.channel.mode == ChannelMode::Specular,
         "channel.mode = \"{}\" has no spot of light: expected \"specular\"",
         scenario.channel.mode.name()
     );
-    let mut bench = Bench::new(scenario, seed, method.dwell_s)?;
+    let mut bench = Bench::new(scenario, (index, seed), method.dwell_s)?;
     let mirrors = scenario.mirror_count();
     let mut axes = [AxisCorrections::none(mirrors), AxisCorrections::none(mirrors)];
     let (mut unfound, mut limited) = (Vec::new(), Vec::new());
@@ -152,6 +159,8 @@ fn within((gain, offset): (f64, f64), range: &AxisLimits, [least, most]: [f64; 2
 pub struct Settings {
     /// The room; its seed is the first one.
     pub scenario: Scenario,
+    /// Index of the array that is calibrated; the room has no other one meanwhile.
+    pub array: usize,
     /// Standard deviations of each axis' mounting error in degrees.
     pub mounting_deg: Vec<f64>,
     /// Number of consecutive seeds; each is a separate array.
@@ -171,6 +180,8 @@ pub struct Study {
     pub scenario: String,
     /// Hash of the effective scenario.
     pub configuration: String,
+    /// Index of the calibrated array; the sum rates are those of this array alone.
+    pub array: usize,
     /// Name of the policy.
     pub policy: String,
     /// The first seed.
@@ -218,7 +229,7 @@ type OneArray = ([f64; 3], Outcome);
 /// As [`calibrate`]; the policy cannot be built for the room.
 pub fn study(settings: &Settings) -> anyhow::Result<(Study, CalibrationFile)> {
     ensure!(settings.seeds > 0 && settings.states > 0, "a study needs at least one seed and one state");
-    let scenario = &settings.scenario;
+    let scenario = &settings.scenario.with_array_alone(settings.array)?;
     let bar = progress_bar()?;
     bar.set_length((settings.mounting_deg.len() * settings.seeds * scenario.mirror_count()) as u64);
     let mut rows = Vec::new();
@@ -226,7 +237,7 @@ pub fn study(settings: &Settings) -> anyhow::Result<(Study, CalibrationFile)> {
     for mounting_deg in &settings.mounting_deg {
         bar.set_message(format!("mirrors, mounted to {mounting_deg} degrees"));
         let mounted = mounted(scenario, *mounting_deg, scenario.actuator.scale_error_relative)?;
-        let arrays = (0..settings.seeds as u64).map(|set| one(settings, &mounted, set, &bar));
+        let arrays = (0..settings.seeds as u64).map(|set| one(settings, (scenario, &mounted), set, &bar));
         let arrays: Vec<OneArray> = arrays.collect::<anyhow::Result<_>>()?;
         first = first.or_else(|| arrays.first().map(|(_, outcome)| outcome.file.clone()));
         rows.push(Row::of(*mounting_deg, &arrays));
@@ -234,7 +245,8 @@ pub fn study(settings: &Settings) -> anyhow::Result<(Study, CalibrationFile)> {
     bar.finish_and_clear();
     let study = Study {
         scenario: scenario.name.clone(),
-        configuration: scenario.hash(),
+        configuration: settings.scenario.hash(),
+        array: settings.array,
         policy: settings.policy.name().to_owned(),
         seed: scenario.seed,
         seeds: settings.seeds,
@@ -250,15 +262,21 @@ fn mounted(scenario: &Scenario, offset_deg: f64, scale_error: Option<f64>) -> an
     Ok(scenario.with_overrides(&keys.map(|(key, value)| format!("actuator.{key}={value:?}")))?)
 }
 
-fn one(settings: &Settings, mounted: &Scenario, set: u64, bar: &ProgressBar) -> anyhow::Result<OneArray> {
-    let seed = settings.scenario.seed.wrapping_add(set);
-    let exact = self::mounted(&settings.scenario, 0.0, None)?;
+fn one(
+    settings: &Settings,
+    (scenario, mounted): (&Scenario, &Scenario),
+    set: u64,
+    bar: &ProgressBar,
+) -> anyhow::Result<OneArray> {
+    let seed = scenario.seed.wrapping_add(set);
+    let drawn = (settings.array, seed);
+    let exact = self::mounted(scenario, 0.0, None)?;
     let mut evaluation = Evaluation::new(&exact, &settings.policy, seed, settings.states)?;
-    let outcome = calibrate(mounted, seed, &settings.method, bar)?;
+    let outcome = calibrate(mounted, drawn, &settings.method, bar)?;
     let rates = [
-        evaluation.sum_rate_mbps(&exact, seed, None)?,
-        evaluation.sum_rate_mbps(mounted, seed, None)?,
-        evaluation.sum_rate_mbps(mounted, seed, Some(&outcome.file))?,
+        evaluation.sum_rate_mbps(&exact, drawn, None)?,
+        evaluation.sum_rate_mbps(mounted, drawn, None)?,
+        evaluation.sum_rate_mbps(mounted, drawn, Some(&outcome.file))?,
     ];
     Ok((rates, outcome))
 }

@@ -41,7 +41,7 @@ use heliostat_environment::EnvironmentError;
 pub use belief_quality::BeliefQuality;
 pub use ceiling::Known;
 pub use evaluated_policy::{EvaluatedPolicy, UnknownPolicy};
-pub use outage::Outages;
+pub use outage::{OUTAGE_LENGTHS_S, Outages};
 pub use row::{Row, Spread, Times};
 pub use settings::{Loop, Settings};
 pub use stale_aim::kept_sinr;

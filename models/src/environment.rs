@@ -5,11 +5,13 @@
 //! - [`features`], [`angle_state`]: the observation vector as inputs of a network.
 //! - [`target_user`]: the user whom the mirrors can help most, as the state of the codebook
 //!   learners.
-//! - [`reported`]: rooms that a controller knows by reports only, for `residual`.
+//! - [`reported`]: rooms that a controller knows by reports only, for `residual`; [`outlook`]: what other
+//!   corrections would give in them.
 //! - [`codebook`]: the codewords, which are the actions of the codebook learners.
 
 pub mod codebook;
 pub mod features;
+pub mod outlook;
 pub mod reported;
 pub mod target_user;
 

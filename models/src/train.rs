@@ -4,13 +4,16 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use clap::ValueEnum;
 use heliostat_decide::observation::{OBSERVATION_VERSION, USERS_CAPACITY};
+use heliostat_decide::policy::PolicyKind;
 use heliostat_decide::policy::actor_file::key;
 use heliostat_engine::shipped;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::evaluation::{HeldOut, Score};
+use crate::learners::residual::FineTuning;
 use crate::networks::on_one_thread;
 use crate::training::card::{Card, ScoreRow, hardware};
 use crate::training::checkpoint;
@@ -38,6 +41,10 @@ pub struct TrainArgs {
     /// Steps in an episode, which overrides the preset
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     steps: Option<u32>,
+    /// Fine-tune a trained network of `residual` on the true future rate; --option from=FILE.onnx gives
+    /// the network, otherwise the built-in one of the seed
+    #[arg(long, value_enum, value_name = "METHOD")]
+    fine_tune: Option<FineTuning>,
     /// Override one hyperparameter, for example exploration.start=0.2 (repeatable); an unknown key
     /// lists all keys
     #[arg(long = "option", value_name = "KEY=VALUE")]
@@ -83,7 +90,14 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 }
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load_arrays()?.require_one_array().context(
+        "an actor is trained in a room with one array; an actor of residual from such a room runs with several",
+    )?;
+    anyhow::ensure!(
+        args.fine_tune.is_none() || args.algorithm.policy == PolicyKind::Residual,
+        "--fine-tune with the algorithm {}: expected residual",
+        args.algorithm.name
+    );
     let mut training = args.algorithm.begin(scenario, args.preset, &args.changes())?;
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let checkpoint = args.out.join("checkpoint.safetensors");
@@ -127,7 +141,8 @@ fn interrupted(training: &mut Training, args: &TrainArgs, checkpoint: &Path) -> 
 impl TrainArgs {
     /// All overrides of the preset.
     fn changes(&self) -> Vec<String> {
-        let mut changes = self.options.clone();
+        let mut changes: Vec<String> = self.fine_tune.map(FineTuning::option).into_iter().collect();
+        changes.extend(self.options.iter().cloned());
         changes.extend(self.episodes.map(|count| format!("episodes={count}")));
         changes.extend(self.steps.map(|count| format!("steps={count}")));
         changes
@@ -141,6 +156,8 @@ impl TrainArgs {
         let mut command = format!("heliostat train {algorithm} --scenario {scenario} --seed {seed}{preset}");
         let mut add = |flag: &str, value: &str| command.extend([" ", flag, " ", &quoted(value)]);
         self.scenario.overrides.iter().for_each(|text| add("--set", text));
+        let method = self.fine_tune.and_then(|method| method.to_possible_value());
+        method.iter().for_each(|method| add("--fine-tune", method.get_name()));
         self.options.iter().for_each(|text| add("--option", text));
         self.episodes.iter().for_each(|count| add("--episodes", &count.to_string()));
         self.steps.iter().for_each(|count| add("--steps", &count.to_string()));

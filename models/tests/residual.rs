@@ -1,10 +1,16 @@
 //! The learner that corrects the belief: its rooms, its loss, its file, and a resumed run.
 
+use candle_core::{Device, Tensor, Var};
 use heliostat_decide::correction::Correction;
 use heliostat_decide::evidence::FEATURES;
+use heliostat_decide::evidence::NORMAL;
 use heliostat_decide::policy::{PolicyKind, actor_file::ActorFile};
 use heliostat_engine::{ActorSource, build};
-use heliostat_models::environment::reported::{Example, Walks, examples};
+use heliostat_models::environment::outlook::Outlook;
+use heliostat_models::environment::reported::{Example, Future, RoomChoice, Walks, decisions, examples};
+use heliostat_models::environment::{Reward, RewardForm};
+use heliostat_models::learners::residual::analytic::{self, Analytic, Batch};
+use heliostat_models::learners::residual::ddpg::{self, Ddpg};
 use heliostat_models::learners::residual::{Residual, Settings};
 use heliostat_models::training::{RunSettings, Training, checkpoint};
 use heliostat_onnx::{ModelProto, reference::Reference};
@@ -106,13 +112,120 @@ fn rooms_differ_in_everything_that_a_run_may_draw() {
     assert_eq!(differ(&|room| format!("{:?}", room.mismatch.level)), 3);
     assert_eq!(differ(&|room| room.users.orientation.is_some().to_string()), 2);
     assert!(differ(&|room| format!("{}", room.streams.positions.latency_ms)) > 20);
-    let one = Settings {
-        choice: heliostat_models::environment::reported::RoomChoice {
-            walks: vec![Walks::Seated],
-            mismatch: Vec::new(),
-        },
-        ..settings
-    };
+    let one = Settings { choice: RoomChoice { walks: vec![Walks::Seated], mismatch: Vec::new() }, ..settings };
     let seated = one.choice.draw(&hall(&[]), &mut rng).unwrap();
     assert!(seated.mismatch.is_none() && format!("{:?}", seated.users.mobility).contains("Seated"));
+}
+
+const REWARD: Reward = Reward { form: RewardForm::Shortfall, lambda: 10.0, margin: 1.0 };
+
+/// Decisions about seated users with tilted receivers that are believed to be upright, with the changes
+/// to the true normals.
+fn outlooks(seed: u64) -> (Vec<Outlook>, Vec<f32>) {
+    let room = hall(&["users.mobility=seated", "users.orientation={}", "mirrors.rows=6", "mirrors.columns=6", UPRIGHT]);
+    let policy = build(PolicyKind::Residual, &room, &ActorSource::Bytes(file(&training(short(1))))).unwrap();
+    let (mut all, mut changes, model) = (Vec::new(), Vec::new(), room.channel_model().unwrap());
+    decisions(&room, seed, (policy, 5.0), &mut |decided| {
+        let future = Future::of(decided).unwrap();
+        changes.extend(future.users().flat_map(|(_, tilt)| tilt));
+        all.push(Outlook::of(&future, &model));
+    })
+    .unwrap();
+    (all, changes)
+}
+
+fn reward(batch: &Batch, changes: &[f32], exponent: f64) -> f32 {
+    let changes = Tensor::from_slice(changes, (changes.len() / 2, 2), &Device::Cpu).unwrap();
+    batch.reward(&changes, exponent, REWARD).unwrap().to_scalar().unwrap()
+}
+
+#[test]
+fn the_true_normals_promise_a_higher_future_rate_than_upright_ones() {
+    let (mut true_normals, mut upright) = (0.0, 0.0);
+    for seed in 1..5 {
+        let (all, changes) = outlooks(seed);
+        assert!(all.iter().all(|one| one.rows.iter().all(|row| row[NORMAL] == 0.0)));
+        let batch = Batch::new(&all).unwrap();
+        true_normals += reward(&batch, &changes, 64.0);
+        upright += reward(&batch, &vec![0.0; changes.len()], 64.0);
+    }
+    assert!(true_normals > 1.01 * upright, "{true_normals} with the true normals, {upright} with upright ones");
+}
+
+#[test]
+fn the_gradient_of_the_future_rate_is_that_of_finite_differences() {
+    let (all, changes) = outlooks(3);
+    let (all, changes) = (&all[..4], &changes[..2 * all[..4].iter().map(Outlook::users).sum::<usize>()]);
+    let half: Vec<f32> = changes.iter().map(|value| 0.5 * value).collect();
+    let batch = Batch::new(all).unwrap();
+    let variable = Var::from_slice(&half, (half.len() / 2, 2), &Device::Cpu).unwrap();
+    let gradients = batch.reward(&variable, 4.0, REWARD).unwrap().backward().unwrap();
+    let gradient = gradients.get(&variable).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    let largest = gradient.iter().fold(0.0_f32, |largest, value| largest.max(value.abs()));
+    for (index, found) in gradient.iter().enumerate() {
+        let moved = |by: f32| {
+            let mut changes = half.clone();
+            changes[index] += by;
+            f64::from(reward(&batch, &changes, 4.0))
+        };
+        let expected = (moved(0.01) - moved(-0.01)) / 0.02;
+        let error = (f64::from(*found) - expected).abs();
+        assert!(error < 0.1 * f64::from(largest), "entry {index}: {found}, by differences {expected}");
+    }
+    assert!(largest > 1e-3, "{gradient:?}");
+}
+
+/// Short fine-tunings of a network by both methods.
+fn fine_tunings(from: &std::path::Path, episodes: usize) -> [Training; 2] {
+    let choice = || RoomChoice { walks: vec![Walks::Seated], mismatch: Vec::new() };
+    let from = || from.to_string_lossy().into_owned();
+    let room = || hall(&["mirrors.rows=4", "mirrors.columns=4", UPRIGHT]);
+    let settings = analytic::Settings::new(1, choice());
+    let run = RunSettings { episodes, ..settings.run.clone() };
+    let by_gradient = analytic::Settings { from: from(), batch: 8, room_count: 3, room_s: 3.0, run, ..settings };
+    let settings = ddpg::Settings::new(1, choice());
+    let run = RunSettings { episodes, ..settings.run.clone() };
+    let by_critic =
+        ddpg::Settings { from: from(), batch: 8, room_count: 3, room_s: 3.0, updates: 4, warm_up: 80, run, ..settings };
+    [Training::new(room(), by_gradient, Analytic::new).unwrap(), Training::new(room(), by_critic, Ddpg::new).unwrap()]
+}
+
+#[test]
+fn a_fine_tuning_starts_from_a_file_changes_it_and_resumes() {
+    let folder = tempfile::tempdir().unwrap();
+    let start = folder.path().join("start.onnx");
+    let mut supervised = training(short(1));
+    supervised.run_episode().unwrap();
+    let first = file(&supervised);
+    std::fs::write(&start, &first.bytes).unwrap();
+    for (index, mut whole) in fine_tunings(&start, 2).into_iter().enumerate() {
+        assert!(file(&whole).bytes == first.bytes, "method {index}");
+        whole.run_episode().unwrap();
+        let path = folder.path().join("checkpoint.safetensors");
+        checkpoint::save(&mut whole, &path).unwrap();
+        whole.run_episode().unwrap();
+        let [by_gradient, by_critic] = fine_tunings(&start, 2);
+        let mut resumed = if index == 0 { by_gradient } else { by_critic };
+        checkpoint::load(&mut resumed, &path).unwrap();
+        resumed.run_episode().unwrap();
+        assert!(file(&resumed).bytes == file(&whole).bytes, "method {index}");
+        assert!(file(&whole).bytes != first.bytes, "method {index}");
+    }
+}
+
+#[test]
+fn the_actor_of_ddpg_waits_until_the_critic_has_learned() {
+    let folder = tempfile::tempdir().unwrap();
+    let start = folder.path().join("start.onnx");
+    let mut supervised = training(short(1));
+    supervised.run_episode().unwrap();
+    let first = file(&supervised);
+    std::fs::write(&start, &first.bytes).unwrap();
+    let [_, mut by_critic] = fine_tunings(&start, 3);
+    // One episode has fewer decisions than the 80 of the first update, three have more.
+    by_critic.run_episode().unwrap();
+    assert!(file(&by_critic).bytes == first.bytes);
+    by_critic.run_episode().unwrap();
+    by_critic.run_episode().unwrap();
+    assert!(file(&by_critic).bytes != first.bytes);
 }

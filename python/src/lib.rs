@@ -16,6 +16,8 @@ mod settings;
 mod station;
 mod wire;
 
+use std::collections::BTreeMap;
+
 use pyo3::prelude::*;
 
 /// The compiled part of the package heliostat.
@@ -34,6 +36,9 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(wire::encode_message, module)?)?;
     module.add_function(wrap_pyfunction!(wire::keys, module)?)?;
     module.add_function(wrap_pyfunction!(wire::kind_of, module)?)?;
+    let kinds = wire::KINDS.map(|(name, kind)| (name, kind.number()));
+    module.add("KINDS", BTreeMap::from(kinds))?;
+    module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;
     module.add("BUILTIN_SCENARIOS", heliostat_scenario::BUILTIN_NAMES.to_vec())?;

@@ -111,7 +111,10 @@ impl Device for PyDevice {
                 return Err(PyValueError::new_err("temperature_c is not finite"));
             }
             if let Some(mirror) = broken.last().filter(|mirror| **mirror as usize >= mirrors) {
-                return Err(PyValueError::new_err(format!("broken has mirror {mirror}: expected 0 to {}", mirrors - 1)));
+                return Err(PyValueError::new_err(format!(
+                    "broken has mirror {mirror}: expected 0 to {}",
+                    mirrors - 1
+                )));
             }
             let bit = |name: &str, bit: u32| answer.getattr(name)?.is_truthy().map(|set| if set { bit } else { 0 });
             let faults = bit("temperature_fault", fault::TEMPERATURE)? | bit("supply_fault", fault::SUPPLY)?;
@@ -164,7 +167,9 @@ impl Station {
     /// The rules, for the one thread that uses them.
     fn rules(&self) -> PyResult<MutexGuard<'_, Rules<PyDevice, PyStore>>> {
         self.rules.try_lock().map_err(|_| {
-            PyRuntimeError::new_err("the station is in use: call it from one thread, and not from a method of the device")
+            PyRuntimeError::new_err(
+                "the station is in use: call it from one thread, and not from a method of the device",
+            )
         })
     }
 

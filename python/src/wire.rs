@@ -16,6 +16,29 @@ use serde_json::{Map, Number, Value};
 
 create_exception!(heliostat, Refused, PyValueError, "A payload or a message that the contract does not allow.");
 
+/// Kinds by the last part of their key, with that of a control named after its receiver.
+pub const KINDS: [(&str, Kind); 19] = [
+    ("users", Kind::UserReport),
+    ("channel", Kind::ChannelReport),
+    ("obstacles", Kind::ObstacleReport),
+    ("command", Kind::MirrorCommand),
+    ("telemetry", Kind::MirrorTelemetry),
+    ("status", Kind::NodeStatus),
+    ("truth", Kind::RoomTruth),
+    ("capabilities", Kind::Capabilities),
+    ("stop", Kind::EmergencyStop),
+    ("calibration", Kind::Calibration),
+    ("simulator_control", Kind::SimulatorControl),
+    ("controller_control", Kind::ControllerControl),
+    ("rearm", Kind::Rearm),
+    ("safety", Kind::SafetyReport),
+    ("geometry", Kind::RoomGeometry),
+    ("belief", Kind::BeliefReport),
+    ("memory", Kind::ControllerMemory),
+    ("orientation", Kind::OrientationReport),
+    ("branches", Kind::BranchReport),
+];
+
 /// Refuses a payload or a message.
 pub fn refuse(error: &CodecError) -> PyErr {
     Refused::new_err(error.to_string())
@@ -32,7 +55,7 @@ macro_rules! for_kind {
         for_kind!($kind, $function $arguments, [
             UserReport ChannelReport ObstacleReport MirrorCommand MirrorTelemetry NodeStatus RoomTruth Capabilities
             EmergencyStop Calibration SimulatorControl ControllerControl Rearm SafetyReport RoomGeometry BeliefReport
-            ControllerMemory OrientationReport
+            ControllerMemory OrientationReport BranchReport
         ])
     };
 }
@@ -67,13 +90,17 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: us
         return Err(PyValueError::new_err(format!("array = {array}: expected 0 to {}", MAX_ARRAYS - 1)));
     }
     let own = room.array(array);
-    let alive = if node == NodeKind::Driver { own.driver_alive(source) } else { room.alive(node, source) };
+    let (alive, status) = match node {
+        NodeKind::Driver => (own.driver_alive(source), own.driver_status()),
+        _ => (room.alive(node, source), room.status(node)),
+    };
     let keys = PyDict::new(py);
     for (name, key) in [
         ("users", room.users()),
         ("channel", room.channel()),
         ("obstacles", room.obstacles()),
         ("orientation", room.orientation()),
+        ("branches", room.branches()),
         ("stop", room.stop()),
         ("rearm", room.rearm()),
         ("command", own.command()),
@@ -81,7 +108,7 @@ pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: us
         ("capabilities", own.capabilities()),
         ("calibration", own.calibration()),
         ("safety", own.safety()),
-        ("status", room.status(node)),
+        ("status", status),
         ("alive", alive),
         ("drivers", own.drivers_alive()),
         ("simulators", room.alive_of(NodeKind::SimNode)),

@@ -50,7 +50,7 @@ pub struct ReproduceArgs {
     /// The first seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Numbers of blocked users in sum-rate-power
+    /// Numbers of blocked users in sum-rate-power and outage
     #[arg(long, value_name = "B,..", value_delimiter = ',', default_values_t = BLOCKED)]
     pub blocked: Vec<usize>,
     /// Train the policy ddpg for rooms without a built-in actor
@@ -78,9 +78,11 @@ pub enum What {
     BerSnr,
     /// Decision time, compared with methods that search
     Inference,
+    /// Time below the minimum rate, long outages and fairness, by number of blocked users
+    Outage,
     /// Rate over the floor without and with the array
     Map,
-    /// The statements of the paper with verdicts: computes all figures except the map
+    /// The statements of the paper with verdicts: computes the figures that have one
     Table,
     /// All figures
     All,
@@ -94,8 +96,9 @@ impl What {
             Self::SumRatePower => vec![Kind::SumRatePower],
             Self::BerSnr => vec![Kind::BerSnr],
             Self::Inference => vec![Kind::Inference],
+            Self::Outage => vec![Kind::Outage],
             Self::Map => vec![Kind::Map],
-            Self::Table => Kind::ALL.into_iter().filter(|kind| *kind != Kind::Map).collect(),
+            Self::Table => Kind::ALL.into_iter().filter(|kind| kind.is_in_the_paper()).collect(),
             Self::All => Kind::ALL.to_vec(),
         }
     }

@@ -19,6 +19,8 @@ pub struct Effort {
     pub powers_w: Vec<f64>,
     /// Instants for each seed, delay and speed.
     pub instants: usize,
+    /// Instants in closed loop for each seed and number of blocked users.
+    pub loop_instants: usize,
     /// Timed decisions for each seed and each fast policy: enough for a 99th percentile.
     pub timed: usize,
     /// Timed decisions for each seed and each slow policy.
@@ -41,6 +43,7 @@ impl Effort {
             states: 20,
             powers_w: vec![1.0, 1.5, 2.0, 2.5, 3.0],
             instants: 200,
+            loop_instants: 200,
             timed: 500,
             timed_slow: 50,
             trials: 2000,
@@ -59,6 +62,7 @@ impl Effort {
             states: 8,
             powers_w: vec![1.0, 2.0, 3.0],
             instants: 60,
+            loop_instants: 40,
             timed: 100,
             timed_slow: 12,
             trials: 500,

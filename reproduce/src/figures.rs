@@ -7,6 +7,7 @@ pub mod ber_snr;
 pub mod finished_parts;
 pub mod inference;
 pub mod map;
+pub mod outage;
 pub mod sum_rate_iterations;
 pub mod sum_rate_power;
 
@@ -32,12 +33,15 @@ pub enum Kind {
     /// Section V.B of the paper.
     Inference,
     /// Not in the paper.
+    Outage,
+    /// Not in the paper.
     Map,
 }
 
 impl Kind {
     /// All figures, in the order of the report.
-    pub const ALL: [Self; 5] = [Self::SumRateIterations, Self::SumRatePower, Self::BerSnr, Self::Inference, Self::Map];
+    pub const ALL: [Self; 6] =
+        [Self::SumRateIterations, Self::SumRatePower, Self::BerSnr, Self::Inference, Self::Outage, Self::Map];
 
     /// The id on the command line.
     pub fn id(self) -> &'static str {
@@ -46,6 +50,7 @@ impl Kind {
             Self::SumRatePower => sum_rate_power::ID,
             Self::BerSnr => ber_snr::ID,
             Self::Inference => inference::ID,
+            Self::Outage => outage::ID,
             Self::Map => map::ID,
         }
     }
@@ -60,8 +65,14 @@ impl Kind {
             Self::SumRatePower => sum_rate_power::parts(room, plan),
             Self::BerSnr => Ok(ber_snr::parts(room, plan)),
             Self::Inference => inference::parts(room, plan),
+            Self::Outage => outage::parts(room, plan),
             Self::Map => map::parts(room, plan),
         }
+    }
+
+    /// Whether the paper has a statement about it.
+    pub fn is_in_the_paper(self) -> bool {
+        !matches!(self, Self::Outage | Self::Map)
     }
 
     /// The reason why the figure does not apply to a room, if so.
@@ -79,6 +90,7 @@ impl Kind {
             Self::SumRatePower => sum_rate_power::figure(room, done),
             Self::BerSnr => ber_snr::figure(room, done),
             Self::Inference => inference::figure(room, done),
+            Self::Outage => outage::figure(room, done),
             Self::Map => map::figure(room, done),
         };
         let overloaded = done.iter().any(|(_, finished)| finished.origin.overload().is_some());
@@ -98,6 +110,7 @@ pub fn compute(part: &Part) -> Result<Measured> {
         Job::Power(job) => job.run(&scenario, &part.actor),
         Job::Aim(job) => job.run(&scenario, &part.actor),
         Job::Timing(job) => job.run(&scenario, &part.actor),
+        Job::Outage(job) => job.run(&scenario, &part.actor),
         Job::Map(job) => job.run(&scenario, &part.actor),
     };
     measured.with_context(|| part.label())

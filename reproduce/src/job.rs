@@ -18,6 +18,8 @@ pub enum Job {
     Aim(Aim),
     /// Decision times.
     Timing(Timing),
+    /// Outages in closed loop.
+    Outage(Outage),
     /// Rates over the floor.
     Map(Map),
 }
@@ -95,6 +97,15 @@ pub struct Timing {
     pub slow_decisions: usize,
     /// Evaluations of the metaheuristics for one decision, without a time limit.
     pub trials: u32,
+}
+
+/// One seed, for all numbers of blocked users.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Outage {
+    /// Numbers of users whose direct path is blocked.
+    pub blocked: Vec<usize>,
+    /// Instants for each of them.
+    pub instants: usize,
 }
 
 /// One room at one instant.

@@ -15,6 +15,7 @@ fn heading(id: &str) -> &'static str {
         Some(Kind::SumRatePower) => "Sum rate against optical power (Fig. 5 of the paper)",
         Some(Kind::BerSnr) => "Bit error rate against SNR (Fig. 6 of the paper)",
         Some(Kind::Inference) => "Decision time",
+        Some(Kind::Outage) => "Outages and fairness in closed loop",
         Some(Kind::Map) => "Rate over the floor",
         None => "",
     }

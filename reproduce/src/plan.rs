@@ -1,5 +1,6 @@
 //! The parameters of figures: rooms, seeds and sizes.
 
+use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_scenario::Scenario;
 
@@ -33,6 +34,21 @@ impl Plan {
     /// The seeds of everything but training and timing.
     pub fn seeds(&self) -> std::ops::Range<u64> {
         self.first_seed..self.first_seed + self.effort.seeds
+    }
+
+    /// Refuses numbers of blocked users that a room of a figure does not have.
+    ///
+    /// # Errors
+    /// A number above the number of users.
+    pub fn check_blocked(&self, id: &str, room: &Room) -> Result<()> {
+        let users = room.scenario.users.count;
+        let most = self.blocked.iter().copied().max().unwrap_or(0);
+        ensure!(
+            most <= users,
+            "{id} blocks up to {most} users, but room {} has {users} (users.count): give --blocked numbers up to {users}",
+            room.name
+        );
+        Ok(())
     }
 
     /// The seeds of training and of timing.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use clap::Parser;
 use heliostat_reproduce::ReproduceArgs;
-use heliostat_reproduce::figures::{self, Kind};
+use heliostat_reproduce::figures::{self, Kind, outage};
 use heliostat_reproduce::report::Report;
 use heliostat_reproduce::run::reproduce;
 use heliostat_reproduce::store::Store;
@@ -97,6 +97,29 @@ fn a_map_is_drawn_without_and_with_the_array() {
 }
 
 #[test]
+fn outages_grow_with_the_blocked_users_and_the_mirrors_shorten_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let more = ["--mode", "specular", "--blocked", "0,5", "--seeds", "2"];
+    let report = reproduce(&args("outage", folder.path(), &more)).unwrap();
+    let figure = &report.figures[0];
+    let at = |panel: &str, name: &str, blocked: f64| figure.series(panel, name).unwrap().at(blocked).unwrap().y;
+    let below = |name: &str, blocked: f64| at(outage::TIME_BELOW, name, blocked);
+    // Without mirrors a blocked user has no rate at all.
+    assert_eq!(below("no-irs", 5.0), 1.0);
+    assert!(below("no-irs", 0.0) < 0.9 && below("greedy", 5.0) < 0.5, "{:?}", figure.panels);
+    // Every outage without mirrors lasts as long as its episode.
+    assert_eq!(at(&outage::longer_than(2.0), "no-irs", 5.0), 1.0);
+    let [short, medium, long] = [0.1, 0.5, 2.0].map(|length_s| at(&outage::longer_than(length_s), "greedy", 5.0));
+    assert!(short >= medium && medium >= long && long < 1.0, "{short} {medium} {long}");
+    assert!(at(outage::FAIRNESS, "greedy", 5.0) > 0.5 && figure.series(&outage::longer_than(0.1), "oracle").is_none());
+    assert!(fs::read_to_string(folder.path().join("outage-specular.svg")).unwrap().contains("longer than 2 s"));
+    // The table of statements does not need it.
+    assert!(!args("table", folder.path(), &[]).what.kinds().contains(&Kind::Outage));
+    let blocked = refusal("outage", folder.path(), &["--set", "users.count=2", "--blocked", "0,3"]);
+    assert!(blocked.contains("outage blocks up to 3 users"), "{blocked}");
+}
+
+#[test]
 fn invalid_arguments_are_refused_before_the_start() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path();
@@ -125,7 +148,7 @@ fn a_figure_that_does_not_apply_to_a_room_is_omitted_and_reported() {
     let all = args("all", folder.path(), &[]);
     let rooms = all.rooms().unwrap();
     let (chosen, left_out) = all.choose(&rooms).unwrap();
-    assert_eq!(chosen.len(), 13);
+    assert_eq!(chosen.len(), 3 * Kind::ALL.len() - 2);
     assert_eq!(
         left_out.iter().map(|left_out| left_out.room.as_str()).collect::<Vec<_>>(),
         ["paper", "paper-calibrated"]

@@ -20,6 +20,16 @@ impl Scenario {
         }
     }
 
+    /// The same room with one of its mirror arrays alone, by index from 0.
+    ///
+    /// # Errors
+    /// [`ScenarioError::NoSuchArray`].
+    pub fn with_array_alone(&self, index: usize) -> Result<Self, ScenarioError> {
+        let count = self.mirrors.arrays().len();
+        let mirrors = self.mirrors.alone(index).ok_or(ScenarioError::NoSuchArray { index, count })?;
+        Ok(Self { mirrors, ..self.clone() })
+    }
+
     pub(crate) fn check_arrays(&self) -> Result<(), ScenarioError> {
         let arrays = self.mirrors.arrays();
         count("mirrors (arrays)", arrays.len(), 1..=ARRAYS_MAX)?;

@@ -47,11 +47,17 @@ pub enum ScenarioError {
         line: Option<usize>,
     },
     /// More than one mirror array, where only one can be used.
-    #[error(
-        "the scenario has {count} mirror arrays ([[mirrors]]): expected one ([mirrors]), because actors, training and calibration have a single array; model-based policies can be evaluated and run with several"
-    )]
+    #[error("the scenario has {count} mirror arrays ([[mirrors]]): expected one ([mirrors])")]
     SeveralArrays {
         /// Number of arrays.
+        count: usize,
+    },
+    /// An index of a mirror array that the scenario does not have.
+    #[error("there is no mirror array {index}: expected an index from 0 to {}, since the scenario has {count}", count - 1)]
+    NoSuchArray {
+        /// The index.
+        index: usize,
+        /// Number of arrays, at least 1.
         count: usize,
     },
     /// An override is not of the form `table.key=value`.

@@ -33,6 +33,11 @@ impl MirrorTables {
         &mut self.0[0]
     }
 
+    /// The array with this index alone.
+    pub fn alone(&self, index: usize) -> Option<Self> {
+        self.0.get(index).map(|array| Self(vec![array.clone()]))
+    }
+
     /// Number of mirrors of all arrays.
     pub fn count(&self) -> usize {
         self.0.iter().map(|array| array.rows * array.columns).sum()

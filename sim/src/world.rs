@@ -218,7 +218,7 @@ impl World {
             let until_s = (node_s - self.time_s).max(0.0);
             self.walk(until_s);
             left_s -= until_s;
-            self.mobility.write(&mut self.walkers);
+            self.mobility.write_velocities(&mut self.walkers);
             self.orientations.pass_node(&self.walkers);
         }
         self.walk(left_s);

@@ -10,8 +10,10 @@ use heliostat_tests::{Process, PythonExample, RoomObserver, python, wait_until};
 use serde_json::Value;
 
 /// The example driver of 2 x 3 mirrors.
-fn python_driver(python: &str, room: &str, endpoints: &str) -> PythonExample {
-    PythonExample::start(python, "driver.py", &[room, endpoints, "2", "3", "60"])
+fn python_driver(python: &str, room: &str, endpoints: &[&str]) -> PythonExample {
+    let own = ["--room", room, "--rows", "2", "--columns", "3", "--seconds", "60"];
+    let connect = endpoints.iter().flat_map(|endpoint| ["--connect", endpoint]);
+    PythonExample::start(python, "driver.py", &own.into_iter().chain(connect).collect::<Vec<_>>())
 }
 
 /// Verdicts by rule.
@@ -44,7 +46,7 @@ fn a_check_of_an_empty_room_is_refused() {
 fn a_driver_in_python_keeps_every_rule() {
     let Some(python) = python() else { return };
     let endpoint = free_loopback_endpoint().unwrap();
-    let _driver = python_driver(&python, "python", &endpoint);
+    let _driver = python_driver(&python, "python", &[&endpoint]);
     let verdicts = check(&["--listen", &endpoint, "--room", "python"]);
     assert!(verdicts.iter().all(|(_, verdict)| verdict == "kept"), "{verdicts:?}");
 }
@@ -82,7 +84,7 @@ fn a_driver_in_python_follows_the_controller() {
     let _controller = Process::heliostat(&[&flags[..], &set, &["--exit-with-parent"]].concat());
     let room = BusConfig::new(Room::new("driven").unwrap());
     let tracker = RoomObserver::join(&room.listen_at(&of_tracker).connect_to(&of_controller));
-    let _driver = python_driver(&python, "driven", &format!("{of_controller},{of_tracker}"));
+    let _driver = python_driver(&python, "driven", &[&of_controller, &of_tracker]);
     // Its first start is stopped, by a stop without sender.
     let mut rearm = Vec::new();
     encode(&Rearm::default(), &mut rearm).expect("a sound re-arm");

@@ -241,7 +241,8 @@ fn gains_of_branches_are_recorded_and_played_back() {
     let _subscription =
         bus.subscribe(&bus.room().branches(), move |payload| kept.lock().unwrap().push(payload.to_vec())).unwrap();
     let arguments = ["controller", "--lockstep", "--policy", "fixed-point", "--connect", &endpoint, "--listen"];
-    let _controller = Process::heliostat(&[&arguments[..], &[&of_controller, "--exit-with-parent"]].concat());
+    let ends = [of_controller.as_str(), "--exit-with-parent"];
+    let _controller = Process::heliostat(&[&arguments[..], &ends, &branches].concat());
     let playback = player.wait().json();
     assert_eq!(playback["same"].as_u64(), Some(60), "{playback}");
     let mut recorded = Vec::new();

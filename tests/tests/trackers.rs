@@ -21,28 +21,6 @@ fn end(example: &mut PythonExample) -> ExitStatus {
 }
 
 #[test]
-fn the_examples_in_python_answer_a_wrong_command_line_with_their_usage() {
-    let Some(python) = python() else { return };
-    let endpoint = "tcp/127.0.0.1:1";
-    let wrong: [(&str, &[&str]); 6] = [
-        ("driver.py", &[]),
-        ("driver.py", &["room", endpoint]),
-        ("driver.py", &["room", endpoint, "two", "3"]),
-        ("driver.py", &["room", endpoint, "0", "3"]),
-        ("tracker.py", &["room"]),
-        ("tracker.py", &["room", endpoint, "long"]),
-    ];
-    for (file, arguments) in wrong {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples").join(file);
-        let ended = Command::new(&python).arg(path).args(arguments).output().expect("python starts");
-        let errors = String::from_utf8_lossy(&ended.stderr);
-        assert_eq!(ended.status.code(), Some(2), "{file} {arguments:?}: {errors}");
-        assert!(errors.starts_with(&format!("usage: python3 examples/{file} ROOM")), "{file} {arguments:?}: {errors}");
-        assert_eq!(errors.lines().count(), 1, "{errors}");
-    }
-}
-
-#[test]
 fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
     let Some(python) = python() else { return };
     let (of_controller, of_viewer) = (free_loopback_endpoint().unwrap(), free_loopback_endpoint().unwrap());
@@ -50,8 +28,8 @@ fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
     let _controller = Process::heliostat(&[&flags[..], &["--set", "users.count=3", "--exit-with-parent"]].concat());
     let room = BusConfig::new(Room::new("tracked").unwrap());
     let viewer = RoomObserver::join(&room.listen_at(&of_viewer).connect_to(&of_controller));
-    let endpoints = format!("{of_controller},{of_viewer}");
-    let mut tracker = PythonExample::start(&python, "tracker.py", &["tracked", &endpoints, "60"]);
+    let flags = ["--room", "tracked", "--connect", &of_controller, "--connect", &of_viewer, "--seconds", "60"];
+    let mut tracker = PythonExample::start(&python, "tracker.py", &flags);
     let (mut answered, mut counts) = (Vec::new(), Vec::new());
     wait_until("reports of two and of three users, and answers to twenty reports", || {
         let (users, command) = (viewer.users(), viewer.command().1);
@@ -79,14 +57,6 @@ fn a_controller_answers_a_tracker_in_python_whose_users_enter_and_leave() {
         tracker.process().try_wait().expect("the process can be waited for").is_some()
     });
     assert!(end(&mut tracker).success(), "Ctrl-C is an orderly end");
-}
-
-#[test]
-fn a_tracker_in_python_ends_by_itself_without_a_controller() {
-    let Some(python) = python() else { return };
-    let nowhere = free_loopback_endpoint().unwrap();
-    let mut tracker = PythonExample::start(&python, "tracker.py", &["alone", &nowhere, "0.5"]);
-    assert!(end(&mut tracker).success());
 }
 
 /// The tutorial with free ports, and with the path of a scenario file.

@@ -79,7 +79,8 @@ pub struct Frame {
     pub mirrors_m: Vec<[f64; 12]>,
     /// For each mirror the index in `users` of the user that it serves; -1 for none.
     pub serves: Vec<i32>,
-    /// Indices of the mirrors that do not follow commands.
+    /// Indices of the mirrors that do not follow commands, and of those of an array that sends no
+    /// telemetry while another one does.
     pub unusable: Vec<u32>,
     /// The users.
     pub users: Vec<SceneUser>,
@@ -161,7 +162,9 @@ impl FrameBuilder {
         let bodies: Vec<Option<Cylinder>> = users.iter().map(|user| body(&room.scenario, user)).collect();
         let blockers: Vec<Cylinder> = obstacles.iter().chain(bodies.iter().flatten()).copied().collect();
         let angles = angles(room.model.mirrors.len(), telemetry.as_ref());
-        let serves = state.serve(&users, &blockers, &angles);
+        let mut serves = state.serve(&users, &blockers, &angles);
+        let unknown = if telemetry.is_some() { self.unknown_mirrors(&room) } else { Vec::new() };
+        unknown.iter().for_each(|mirror| serves[*mirror as usize] = -1);
         let serving = state.scene.serving();
         let budget = self.view.budget(&room.model);
         let without_mirrors = |index: usize| {
@@ -172,7 +175,7 @@ impl FrameBuilder {
             geometry: room.id.clone(),
             mirrors_m: (0..angles.len()).map(|index| corners(&room.model.mirrors, index, &angles)).collect(),
             serves,
-            unusable: telemetry.map(unusable).unwrap_or_default(),
+            unusable: telemetry.map(unusable).unwrap_or_default().into_iter().chain(unknown).collect(),
             users: (users.iter().zip(&bodies).enumerate())
                 .map(|(index, (user, body))| SceneUser {
                     user: user.user,
@@ -202,6 +205,14 @@ impl FrameBuilder {
             angles: angles(room.model.mirrors.len(), telemetry.as_ref()),
             room,
         }
+    }
+
+    /// The mirrors of the arrays without recent telemetry: nothing is known about their angles.
+    fn unknown_mirrors(&self, room: &ShownRoom) -> Vec<u32> {
+        let arrays = &room.model.mirrors;
+        let silent = self.view.received().arrays.silent(arrays.arrays().len());
+        let ranges = arrays.ranges().enumerate().filter(|(index, _)| silent.contains(index));
+        ranges.flat_map(|(_, (_, mirrors))| mirrors.map(|mirror| mirror as u32)).collect()
     }
 
     /// The latest users, obstacles and telemetry.

@@ -85,7 +85,7 @@ impl Scene {
             #[inline(always)]
             || {
                 for first in (0..self.mirrors).step_by(BLOCK) {
-                    let block = self.turn(model, angles, first);
+                    let block = self.turn(model, angles, first, 0);
                     for user in 0..self.users {
                         let row = &mut out[user * self.mirrors + first..][..block.lanes];
                         self.each_of_block(model, &block, user, row);
@@ -128,20 +128,21 @@ impl Scene {
     #[inline(always)]
     fn gather(&self, model: &ChannelModel, angles: &MirrorAngles, users: Range<usize>, gains: &mut Gains) {
         for first in (0..self.mirrors).step_by(BLOCK) {
-            let block = self.turn(model, angles, first);
+            let block = self.turn(model, angles, first, users.start);
             for (user, gains) in users.clone().zip(gains.iter_mut()) {
                 let gains = &mut gains[..self.branches];
                 match model.mode.reading() {
-                    None => self.each_hit(model, &block, user, |lane, plate| {
-                        let panel = &model.panels[self.serving[user]];
-                        add_reflected(
-                            model.mirrors.reflectivity(block.first + lane),
-                            panel,
-                            plate,
-                            self.held(user),
-                            gains,
-                        );
-                    }),
+                    None => self.each_hit(
+                        model,
+                        &block,
+                        user,
+                        #[inline(always)]
+                        |lane, plate| {
+                            let panel = &model.panels[self.serving[user]];
+                            let reflectivity = model.mirrors.reflectivity(block.first + lane);
+                            add_reflected(reflectivity, panel, plate, self.held(user), gains);
+                        },
+                    ),
                     Some(reading) => {
                         for (branch, gain) in gains.iter_mut().enumerate() {
                             let diffused = self.diffused(model, &block, (user, branch), reading);
@@ -157,13 +158,19 @@ impl Scene {
     #[inline(always)]
     fn each_of_block(&self, model: &ChannelModel, block: &Block, user: usize, row: &mut [f64]) {
         let Some(reading) = model.mode.reading() else {
-            return self.each_hit(model, block, user, |lane, plate| {
-                let mut gains = [0.0; BRANCHES_MAX];
-                let gains = &mut gains[..self.branches];
-                let reflectivity = model.mirrors.reflectivity(block.first + lane);
-                add_reflected(reflectivity, &model.panels[self.serving[user]], plate, self.held(user), gains);
-                row[lane] = self.combining.combine(gains);
-            });
+            return self.each_hit(
+                model,
+                block,
+                user,
+                #[inline(always)]
+                |lane, plate| {
+                    let mut gains = [0.0; BRANCHES_MAX];
+                    let gains = &mut gains[..self.branches];
+                    let reflectivity = model.mirrors.reflectivity(block.first + lane);
+                    add_reflected(reflectivity, &model.panels[self.serving[user]], plate, self.held(user), gains);
+                    row[lane] = self.combining.combine(gains);
+                },
+            );
         };
         for branch in 0..self.branches {
             let diffused = self.diffused(model, block, (user, branch), reading);
@@ -177,7 +184,7 @@ impl Scene {
     fn each_hit(&self, model: &ChannelModel, block: &Block, user: usize, mut hit: impl FnMut(usize, &Plate)) {
         let led = self.serving[user];
         let other;
-        let source = if led == 0 {
+        let source = if led == block.led {
             &block.source
         } else {
             other = block.turned.source(&model.panels[led]);
@@ -214,14 +221,16 @@ impl Scene {
         gains
     }
 
-    /// Computes normals and axes of the block of mirrors that starts at index `first`.
+    /// Computes normals and axes of the block of mirrors that starts at index `first`, and the LED of
+    /// a user relative to them.
     #[inline(always)]
-    fn turn<'a>(&self, model: &'a ChannelModel, angles: &MirrorAngles, first: usize) -> Block<'a> {
+    fn turn<'a>(&self, model: &'a ChannelModel, angles: &MirrorAngles, first: usize, user: usize) -> Block<'a> {
         assert_eq!(angles.roll.len(), self.mirrors, "one roll per mirror");
         assert_eq!(angles.yaw.len(), self.mirrors, "one yaw per mirror");
         let turned = Turned::new(&model.mirrors, angles, first);
-        let source = turned.source(&model.panels[0]);
-        Block { first, lanes: BLOCK.min(self.mirrors - first), turned, source }
+        let led = self.serving.get(user).copied().unwrap_or(0);
+        let source = turned.source(&model.panels[led]);
+        Block { first, lanes: BLOCK.min(self.mirrors - first), turned, led, source }
     }
 }
 
@@ -232,6 +241,7 @@ struct Block<'a> {
     /// Number of lanes that are mirrors; the other lanes repeat the last mirror.
     lanes: usize,
     turned: Turned<'a>,
-    /// The first LED, which serves all users in most rooms.
+    /// The LED of the first user of a pass, which serves the others in many rooms.
+    led: usize,
     source: Source,
 }

@@ -104,6 +104,7 @@ impl Scene {
     }
 
     /// Combined gain of one mirror that is aimed at a user, by the exact evaluation.
+    #[inline(always)]
     fn aimed_exactly(&self, model: &ChannelModel, panel: &Panel, mirror: usize, user: usize) -> f64 {
         let mut gains = [0.0; BRANCHES_MAX];
         let gains = &mut gains[..self.branches];

@@ -26,7 +26,7 @@ impl Scene {
         for held in self.detectors.chunks_exact_mut(self.branches) {
             held.copy_from_slice(&model.detectors);
         }
-        self.update_paths(model, users, blockers, forced);
+        self.update_paths(model, (users, forced), blockers, None);
     }
 
     /// The same for receivers that the users hold in these orientations. Shape of `orientations`: K.
@@ -45,17 +45,46 @@ impl Scene {
         blockers: &[Cylinder],
         forced: &[bool],
     ) {
+        self.hold(model, orientations);
+        self.update_paths(model, (users, forced), blockers, None);
+    }
+
+    /// The same, where one LED serves all users, whichever is the strongest: for receivers of unknown
+    /// orientation. [`Scene::serve_by`] then changes the LED.
+    ///
+    /// # Panics
+    /// As [`Scene::update_turned`], and when there is no such LED.
+    pub fn update_turned_by(
+        &mut self,
+        model: &ChannelModel,
+        users: &[Vec3],
+        orientations: &[Orientation],
+        blockers: &[Cylinder],
+        led: usize,
+    ) {
+        self.hold(model, orientations);
+        self.update_paths(model, (users, &[]), blockers, Some(led));
+    }
+
+    /// Turns the detectors of each user.
+    fn hold(&mut self, model: &ChannelModel, orientations: &[Orientation]) {
         assert_eq!(orientations.len(), self.users, "one orientation per user");
         assert_eq!(model.detectors.len(), self.branches, "the scene was made for another receiver");
         for (held, orientation) in self.detectors.chunks_exact_mut(self.branches).zip(orientations) {
             model.turn_detectors(orientation, held);
         }
-        self.update_paths(model, users, blockers, forced);
     }
 
-    /// Computes all tables for the detectors as they are.
-    fn update_paths(&mut self, model: &ChannelModel, users: &[Vec3], blockers: &[Cylinder], forced: &[bool]) {
-        assert_eq!(forced.len(), self.users, "one flag per user");
+    /// Computes all tables for the detectors as they are, for the strongest LED of each user or for
+    /// this one, which no force blocks.
+    fn update_paths(
+        &mut self,
+        model: &ChannelModel,
+        (users, forced): (&[Vec3], &[bool]),
+        blockers: &[Cylinder],
+        led: Option<usize>,
+    ) {
+        assert!(led.is_some() || forced.len() == self.users, "one flag per user");
         assert_eq!(model.mirrors.len(), self.mirrors, "the scene was made for another array");
         assert_eq!(model.leds.len() * self.mirrors, self.led_path_clear.len(), "the scene was made for other LEDs");
         self.positions.copy_from_slice(users);
@@ -65,19 +94,15 @@ impl Scene {
                 for (led, clear) in self.led_path_clear.chunks_exact_mut(self.mirrors).enumerate() {
                     mark_visible(clear, &model.mirrors, &model.leds[led].position, blockers);
                 }
-                for (user, forced) in forced.iter().enumerate() {
-                    self.update_user(model, blockers, user, *forced);
+                for user in 0..self.users {
+                    let pairs = user * self.mirrors..(user + 1) * self.mirrors;
+                    mark_visible(&mut self.irs_path_clear[pairs], &model.mirrors, &self.positions[user], blockers);
+                    let forced = led.is_none() && forced[user];
+                    let led = led.unwrap_or_else(|| self.choose_led(model, blockers, user, forced));
+                    self.set_led(model, blockers, (user, led), forced);
                 }
             },
         );
-    }
-
-    #[inline(always)]
-    fn update_user(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) {
-        let pairs = user * self.mirrors..(user + 1) * self.mirrors;
-        mark_visible(&mut self.irs_path_clear[pairs], &model.mirrors, &self.positions[user], blockers);
-        let led = self.choose_led(model, blockers, user, forced);
-        self.set_led(model, blockers, (user, led), forced);
     }
 
     /// Serves one user by this LED until the next update, whichever LED is the strongest: for a
@@ -120,25 +145,51 @@ impl Scene {
 
     /// The LED with the largest unblocked line-of-sight gain, or else with the largest sum of
     /// steering gains.
+    #[inline(always)]
     fn choose_led(&mut self, model: &ChannelModel, blockers: &[Cylinder], user: usize, forced: bool) -> usize {
         if model.leds.len() == 1 {
             return 0;
         }
-        let branches = user * self.branches..(user + 1) * self.branches;
-        let mut best = (0, 0.0, 0.0);
+        let (mut largest, mut first, mut equals) = (0.0, 0, 0);
         for led in 0..model.leds.len() {
-            self.direct(model, user, led);
-            let clear = !forced && !is_blocked(model, blockers, led, &self.positions[user]);
-            let direct = if clear { self.combining.combine(&self.los_clear[branches.clone()]) } else { 0.0 };
-            self.steer(model, user, led);
-            let led_path = &self.led_path_clear[led * self.mirrors..(led + 1) * self.mirrors];
-            let row = &self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
-            let steered: f64 = row.iter().zip(led_path).filter(|(_, clear)| **clear).map(|(gain, _)| gain).sum();
-            if (direct, steered) > (best.1, best.2) {
-                best = (led, direct, steered);
+            let direct = self.unblocked_direct(model, blockers, (user, led), forced);
+            if direct > largest {
+                (largest, first, equals) = (direct, led, 0);
+            }
+            equals += usize::from(direct == largest);
+        }
+        if equals == 1 {
+            return first;
+        }
+        let mut best = (first, 0.0);
+        for led in 0..model.leds.len() {
+            if self.unblocked_direct(model, blockers, (user, led), forced) == largest {
+                self.steer(model, user, led);
+                let led_path = &self.led_path_clear[led * self.mirrors..(led + 1) * self.mirrors];
+                let row = &self.steering_gain[user * self.mirrors..(user + 1) * self.mirrors];
+                let steered: f64 = row.iter().zip(led_path).filter(|(_, clear)| **clear).map(|(gain, _)| gain).sum();
+                if steered > best.1 {
+                    best = (led, steered);
+                }
             }
         }
         best.0
+    }
+
+    /// The combined line-of-sight gain of a user by an LED; 0 where the path is blocked.
+    #[inline(always)]
+    fn unblocked_direct(
+        &mut self,
+        model: &ChannelModel,
+        blockers: &[Cylinder],
+        (user, led): (usize, usize),
+        forced: bool,
+    ) -> f64 {
+        if forced || is_blocked(model, blockers, led, &self.positions[user]) {
+            return 0.0;
+        }
+        self.direct(model, user, led);
+        self.combining.combine(&self.los_clear[user * self.branches..(user + 1) * self.branches])
     }
 
     /// Writes the line-of-sight gain of each branch without blockage.

@@ -9,14 +9,16 @@
 
 use heliostat_channel::{ChannelModel, MirrorArray, Vec3, blockage, blockage::Cylinder, mirrors::MirrorAngles};
 
-use heliostat_scenario::ChannelStream;
-
 use crate::belief::{
     body::Body,
     covered::Covered,
+    densities::{Densities, density},
+    elementary::{exp, ln},
     expected::{ExpectedGains, HeldPlace},
     heading::{HEADINGS, Heading},
+    lit_mirrors::LitMirrors,
     occupancy::Occupancy,
+    readings::{MeasuredGains, Readings},
     residual::Residual,
     tilt::{self, Tilt},
 };
@@ -32,14 +34,8 @@ const SPREAD_OF_DIRECT: f64 = 0.08;
 /// of detectors in their devices adds to it.
 const SPREAD_OF_DEVICES: f64 = 0.2;
 
-/// The same relative to the gain without any body: mirrors at the edge of a body.
-const SPREAD_OF_CLEAR: f64 = 0.05;
-
 /// Variance of a share of which the map is half certain: all of it arrives, or nothing.
 const SPREAD_OF_MAP: f64 = 0.25;
-
-/// Probability that something else explains a measured gain.
-const UNEXPLAINED: f64 = 0.1;
 
 /// Probability that the model of the user's own body is wrong about the direct path.
 const BODY_WRONG: f64 = 0.02;
@@ -47,39 +43,6 @@ const BODY_WRONG: f64 = 0.02;
 /// Expected gains below this share of the gain of all mirrors aimed at the user say nothing: the
 /// light of mirrors that are aimed at others.
 const SERVED: f64 = 0.02;
-
-/// The measured gains of one user.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct MeasuredGains {
-    pub los: f64,
-    pub irs: f64,
-}
-
-/// What the receivers can tell apart.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Readings {
-    /// The largest reading of a blocked path; see `ChannelStream::detectable_gain`.
-    pub detectable_gain: f64,
-    /// Variance of a reading that does not depend on the gain.
-    pub gain_variance: f64,
-    /// Time between two reports in s.
-    pub interval_s: f64,
-}
-
-impl Readings {
-    pub fn new(settings: &ChannelStream) -> Self {
-        Self {
-            detectable_gain: settings.detectable_gain(),
-            gain_variance: settings.gain_variance(),
-            interval_s: 1.0 / settings.rate_hz,
-        }
-    }
-
-    /// Whether a direct gain shows a path that is not blocked.
-    pub fn shows(&self, los_gain: f64) -> bool {
-        los_gain > self.detectable_gain
-    }
-}
 
 /// What is believed about one user besides the motion.
 pub(super) struct Beliefs<'a> {
@@ -104,8 +67,9 @@ pub(super) struct Bodies<'a> {
 #[derive(Clone, Debug)]
 pub(super) struct ChannelEvidence {
     expected: ExpectedGains,
-    /// Gains of one user over each mirror at a heading. Shape: M.
-    gains: Vec<f64>,
+    /// The mirrors with light for one user.
+    lit: LitMirrors,
+    /// Whether the bodies of other users leave the path to each mirror clear. Shape: M.
     clear: Vec<bool>,
     others: Vec<Cylinder>,
     /// A point in the middle of each column of mirrors.
@@ -118,6 +82,8 @@ pub(super) struct ChannelEvidence {
     shares: Vec<f64>,
     /// Variance of the gain for each heading, by the spread of the angles of held devices.
     held_variance: [f64; HEADINGS],
+    /// Whether a user has no direct path at each heading; false for a heading that was not possible.
+    dark: [bool; HEADINGS],
     /// Whether the angles of the mirrors were known.
     angles_known: bool,
     readings: Readings,
@@ -130,13 +96,14 @@ impl ChannelEvidence {
         let columns = columns(model);
         Self {
             expected: ExpectedGains::new(model, capacity),
-            gains: vec![0.0; mirrors],
+            lit: LitMirrors::new(model),
             clear: vec![false; mirrors],
             others: Vec::with_capacity(capacity),
             unobstructed: vec![1.0; columns.len()],
             by_heading: vec![0.0; HEADINGS * columns.len()],
             shares: vec![0.0; columns.len()],
             held_variance: [0.0; HEADINGS],
+            dark: [false; HEADINGS],
             columns,
             angles_known: false,
             readings,
@@ -187,7 +154,8 @@ impl ChannelEvidence {
         let slopes = tilt::slopes(position, &led.position);
         let ratio = measured.los / upright;
         let variance = self.readings.gain_variance / upright.powi(2) + SPREAD_OF_DEVICES.powi(2);
-        let (mut tilted, mut possible, polar) = (0.0, 0.0, polar_rad.sin_cos());
+        let (mut possible, polar) = (0.0, polar_rad.sin_cos());
+        let (mut weights, mut densities) = ([0.0; HEADINGS], Densities::default());
         for (index, probability) in heading.possible() {
             let direction = &bodies.directions[index];
             if blockage::blocks(&bodies.shape.behind(position, direction), &led.position, position) {
@@ -196,8 +164,11 @@ impl ChannelEvidence {
             let tilt = Tilt::towards_face(polar, direction);
             let variance = variance + tilt.factor_variance(slopes);
             possible += probability;
-            tilted += probability * density(ratio, (tilt.factor(slopes), 0.0), variance);
+            weights[index] = probability;
+            densities.expect(index, tilt.factor(slopes), variance);
         }
+        densities.apply(ratio, 0.0, &mut weights);
+        let tilted: f64 = weights.iter().sum();
         if possible > BODY_WRONG { (tilted / possible / density(ratio, (1.0, 0.0), variance)).ln() } else { 0.0 }
     }
 
@@ -229,16 +200,12 @@ impl ChannelEvidence {
         self.mask_others(model, user, bodies);
         let position = self.expected.positions()[user];
         let led = single_led(model);
-        // The path to the LED, if there is one, and then those to the columns.
-        let first_column = usize::from(led.is_some());
         let mut unobstructed = 1.0;
         if let Some(map) = &mut map {
-            map.trace(&position, led.iter().chain(&self.columns).copied());
-            for (column, unobstructed) in self.unobstructed.iter_mut().enumerate() {
-                *unobstructed = map.clear_probability(first_column + column);
-            }
+            map.trace(&position, led.as_ref(), &self.columns);
+            map.clear_columns(&mut self.unobstructed);
             if led.is_some() {
-                unobstructed = map.clear_probability(0);
+                unobstructed = map.clear_direct();
             }
         }
         covered.predict();
@@ -250,21 +217,14 @@ impl ChannelEvidence {
             let clear = unobstructed * is_open;
             let likelihood = self.likelihood(model, user, (bodies, heading), clear, measured);
             heading.handle_likelihood(&likelihood);
-            let is_dark = |index: usize| {
-                let direction = &bodies.directions[index];
-                let own = bodies.shape.behind(&position, direction);
-                let tilt = self.expected.tilt(user, direction);
-                self.expected.served(model, user, (&own, &self.others), tilt.as_ref()).direct <= 0.0
-            };
-            let dark = heading.possible().filter(|(index, _)| is_dark(*index));
+            let dark = heading.possible().filter(|(index, _)| self.dark[*index]);
             past_bodies -= dark.map(|(_, probability)| probability).sum::<f64>();
             if self.others.iter().any(|body| is_blocked(model, body, &position)) {
                 past_bodies *= BODY_WRONG;
             }
             past_bodies = past_bodies.clamp(BODY_WRONG, 1.0 - BODY_WRONG);
         } else {
-            self.expected.turn(user, 0, None, &mut self.gains);
-            self.sum_columns(model, 0);
+            self.sum_columns((0, 0), None, None);
         }
         let is_modelled = self.readings.shows(self.expected.direct(user));
         if is_modelled {
@@ -272,7 +232,7 @@ impl ChannelEvidence {
         }
         let Some(map) = map else { return };
         if led.is_some() && is_modelled {
-            map.handle_direct(0, is_clear, past_bodies * is_open);
+            map.handle_direct(is_clear, past_bodies * is_open);
         }
         if !self.angles_known {
             return;
@@ -290,13 +250,17 @@ impl ChannelEvidence {
         }
         let expected: f64 = self.shares.iter().sum();
         if expected > SERVED * self.expected.steering(user, 0) {
-            let shares = self.shares.iter().enumerate().map(|(column, gain)| (first_column + column, gain / expected));
+            let shares = self.shares.iter().map(|gain| gain / expected);
             let (ratio, noise) = (measured.irs / expected, self.readings.gain_variance / expected.powi(2));
             let by_heading = if bodies.is_some() { self.variance_by_heading(heading, expected) } else { 0.0 };
-            map.handle_reflected(shares, |share| {
-                let variance = SPREAD_OF_MAP * (share * (1.0 - share)).max(0.0) + by_heading * share.powi(2);
-                density(ratio, (share, SPREAD), noise + variance).powf(independent)
-            });
+            map.handle_reflected(
+                shares,
+                #[inline(always)]
+                |share| {
+                    let variance = SPREAD_OF_MAP * (share * (1.0 - share)) + by_heading * (share * share);
+                    exp(independent * ln(density(ratio, (share, SPREAD), noise + variance)))
+                },
+            );
         }
     }
 
@@ -306,23 +270,14 @@ impl ChannelEvidence {
         let known = bodies.map_or(&[][..], |bodies| bodies.known);
         self.others.extend(known.iter().enumerate().filter(|(other, _)| *other != user).filter_map(|(_, body)| *body));
         model.mirrors.visible_from(&self.expected.positions()[user], &self.others, &mut self.clear);
-        self.expected.select(model, user, &self.clear);
-        self.clear.fill(true);
+        self.expected.select(model, user, &self.clear, &self.others);
+        self.lit.select(model, &self.expected, user);
     }
 
-    /// Sums `gains` over each column, past the body of a heading, whose visible mirrors are `clear`.
-    fn sum_columns(&mut self, model: &ChannelModel, heading: usize) {
+    /// Sums the gains of the selected user by an LED over each column, past the body of a heading.
+    fn sum_columns(&mut self, (heading, led): (usize, usize), body: Option<&Cylinder>, tilt: Option<&Tilt>) {
         let columns = self.columns.len();
-        let sums = &mut self.by_heading[heading * columns..][..columns];
-        sums.fill(0.0);
-        for ((_, mirrors), (_, columns)) in model.mirrors.ranges().zip(model.mirrors.column_ranges()) {
-            let rows = self.gains[mirrors.clone()].chunks_exact(columns.len());
-            for (gains, clear) in rows.zip(self.clear[mirrors].chunks_exact(columns.len())) {
-                for ((sum, gain), clear) in sums[columns.clone()].iter_mut().zip(gains).zip(clear) {
-                    *sum += gain * f64::from(u8::from(*clear));
-                }
-            }
-        }
+        self.lit.sum_columns(led, body, tilt, &mut self.by_heading[heading * columns..][..columns]);
     }
 
     /// Variance of the gain over the mirrors relative to the `expected` one, by what is unknown of the
@@ -344,11 +299,10 @@ impl ChannelEvidence {
 
     /// The LED with the most light for a user over the mirrors, of the receiver as evaluated and
     /// without a body, and that gain.
-    fn brightest(&mut self, model: &ChannelModel, user: usize) -> (usize, f64) {
+    fn brightest(&mut self) -> (usize, f64) {
         let mut brightest = (0, 0.0);
         for led in self.expected.leds() {
-            self.expected.turn(user, led, None, &mut self.gains);
-            self.sum_columns(model, 0);
+            self.sum_columns((0, led), None, None);
             let gain = self.past_obstacles(0);
             if gain > brightest.1 {
                 brightest = (led, gain);
@@ -370,40 +324,42 @@ impl ChannelEvidence {
         // A heading that becomes possible by this measurement must not have the gains of another user.
         self.by_heading.fill(0.0);
         self.held_variance.fill(0.0);
-        let (brightest, without_body) = self.brightest(model, user);
+        let (brightest, without_body) = self.brightest();
         let is_served = self.angles_known && without_body > SERVED * self.expected.steering(user, brightest);
         let reference = self.expected.direct(user);
         let slopes = self.expected.mean_slopes(user, brightest);
         let is_clear = self.readings.shows(measured.los);
+        self.dark.fill(false);
         let mut likelihood = [1.0; HEADINGS];
+        let (mut direct, mut reflected) = (Densities::default(), Densities::default());
         for (index, _) in heading.possible() {
             let direction = &bodies.directions[index];
             let own = bodies.shape.behind(&position, direction);
             let tilt = self.expected.tilt(user, direction);
-            let served = self.expected.served(model, user, (&own, &self.others), tilt.as_ref());
+            let served = self.expected.served(model, user, &own, tilt.as_ref());
+            self.dark[index] = served.direct <= 0.0;
             if self.readings.shows(reference) {
                 let shows = self.readings.shows(served.direct);
                 let clear = if shows { direct_clear.clamp(BODY_WRONG, 1.0 - BODY_WRONG) } else { BODY_WRONG };
                 likelihood[index] *= if is_clear { clear } else { 1.0 - clear };
                 if is_clear && tilt.is_some() {
                     let variance = (served.variance + self.readings.gain_variance) / reference.powi(2);
-                    let expected = (served.direct / reference, SPREAD_OF_DIRECT);
-                    likelihood[index] *= density(measured.los / reference, expected, variance);
+                    direct.expect(index, served.direct / reference, variance);
                 }
             }
             if self.angles_known {
-                self.expected.turn(user, served.led, tilt.as_ref(), &mut self.gains);
-                model.mirrors.visible_from(&position, std::slice::from_ref(&own), &mut self.clear);
-                self.sum_columns(model, index);
+                let own = bodies.shape.behind(&Vec3::zeros(), direction);
+                self.sum_columns((index, served.led), Some(&own), tilt.as_ref());
             }
             if is_served {
-                let expected = (self.past_obstacles(index) / without_body, SPREAD);
                 let held = tilt.map_or(0.0, |tilt| tilt.factor_variance(slopes));
                 self.held_variance[index] = without_body.powi(2) * held;
                 let variance = self.readings.gain_variance / without_body.powi(2) + held;
-                likelihood[index] *= density(measured.irs / without_body, expected, variance);
+                reflected.expect(index, self.past_obstacles(index) / without_body, variance);
             }
         }
+        direct.apply(measured.los / reference, SPREAD_OF_DIRECT, &mut likelihood);
+        reflected.apply(measured.irs / without_body, SPREAD, &mut likelihood);
         likelihood
     }
 }
@@ -425,13 +381,4 @@ pub(super) fn single_led(model: &ChannelModel) -> Option<Vec3> {
 /// Whether a body blocks the paths from all LEDs to a point.
 fn is_blocked(model: &ChannelModel, body: &Cylinder, position: &Vec3) -> bool {
     model.leds.iter().all(|led| blockage::blocks(body, &led.position, position))
-}
-
-/// Density of a measured gain at an expected one, which has this relative standard deviation; all are
-/// shares of the same gain.
-fn density(measured: f64, (expected, relative): (f64, f64), variance: f64) -> f64 {
-    let spread = ((relative * expected).powi(2) + SPREAD_OF_CLEAR * SPREAD_OF_CLEAR + variance).sqrt();
-    let deviation = (measured - expected) / spread;
-    let normal = (-0.5 * deviation * deviation).exp() / (spread * std::f64::consts::TAU.sqrt());
-    (1.0 - UNEXPLAINED) * normal + UNEXPLAINED
 }

@@ -9,6 +9,7 @@ use heliostat_channel::{
 };
 
 use crate::belief::{
+    device::Lean,
     posture::Held,
     tilt::{self, Tilt},
 };
@@ -48,9 +49,8 @@ pub(super) struct ExpectedGains {
     scene: Scene,
     positions: Vec<Vec3>,
     orientations: Vec<Orientation>,
-    /// Sine and cosine of the polar angle of each receiver that is upright in `scene` and tilted towards
-    /// the face. Shape: K.
-    polar: Vec<Option<(f64, f64)>>,
+    /// How each receiver leans that is upright in `scene` and depends on the heading. Shape: K.
+    leans: Vec<Option<Lean>>,
     /// Whether the gains of a tilted receiver follow from those of an upright one.
     is_tiltable: bool,
     forced: Vec<bool>,
@@ -61,6 +61,8 @@ pub(super) struct ExpectedGains {
     /// Slopes of the directions from the user of `select` to the mirrors and to the LEDs.
     mirror_slopes: Vec<[f64; 2]>,
     led_slopes: Vec<[f64; 2]>,
+    /// Whether the bodies of others leave the path from each LED to that user clear.
+    led_open: Vec<bool>,
 }
 
 impl ExpectedGains {
@@ -71,13 +73,14 @@ impl ExpectedGains {
             scene: Scene::new(model, capacity),
             positions: Vec::with_capacity(capacity),
             orientations: Vec::with_capacity(capacity),
-            polar: Vec::with_capacity(capacity),
+            leans: Vec::with_capacity(capacity),
             is_tiltable: tilt::is_single_open_detector(model),
             forced: Vec::with_capacity(capacity),
             lit: vec![Lit::new(capacity, mirrors); model.leds.len()],
             leds: 1,
             mirror_slopes: Vec::with_capacity(mirrors),
             led_slopes: Vec::with_capacity(model.leds.len()),
+            led_open: Vec::with_capacity(model.leds.len()),
         }
     }
 
@@ -93,21 +96,25 @@ impl ExpectedGains {
     ) {
         self.positions.clear();
         self.orientations.clear();
-        self.polar.clear();
+        self.leans.clear();
         for HeldPlace { position, held, heading } in places {
-            let polar_rad = held.polar_rad().filter(|_| self.is_tiltable);
+            let lean = held.lean().filter(|_| self.is_tiltable);
             self.positions.push(position);
-            self.orientations.push(polar_rad.map_or_else(|| held.facing(&heading), |_| Orientation::UPRIGHT));
-            self.polar.push(polar_rad.map(f64::sin_cos));
+            self.orientations.push(lean.map_or_else(|| held.facing(&heading), |_| Orientation::UPRIGHT));
+            self.leans.push(lean);
         }
         let users = self.positions.len();
         self.forced.clear();
         self.forced.resize(users, false);
         self.scene.resize(users);
-        self.scene.update_turned(model, &self.positions, &self.orientations, obstacles, &self.forced);
-        self.leds = if self.polar.iter().any(Option::is_some) { model.leds.len() } else { 1 };
+        self.leds = if self.leans.iter().any(Option::is_some) { model.leds.len() } else { 1 };
+        if self.leds > 1 {
+            self.scene.update_turned_by(model, &self.positions, &self.orientations, obstacles, 0);
+        } else {
+            self.scene.update_turned(model, &self.positions, &self.orientations, obstacles, &self.forced);
+        }
         for (led, lit) in self.lit[..self.leds].iter_mut().enumerate() {
-            if self.leds > 1 {
+            if led > 0 {
                 (0..users).for_each(|user| self.scene.serve_by(model, obstacles, user, led));
             }
             self.scene.exclude_mirrors(unusable);
@@ -120,17 +127,21 @@ impl ExpectedGains {
         &self.positions
     }
 
-    /// Prepares a user: the gains over mirrors that `clear` does not mark become 0.
-    pub fn select(&mut self, model: &ChannelModel, user: usize, clear: &[bool]) {
+    /// Prepares a user: the gains over mirrors that `clear` does not mark become 0. `others` are the
+    /// known bodies of other users.
+    pub fn select(&mut self, model: &ChannelModel, user: usize, clear: &[bool], others: &[Cylinder]) {
         for lit in &mut self.lit[..self.leds] {
             let mirrors = clear.len();
             let gains = lit.gains[user * mirrors..][..mirrors].iter_mut().zip(clear);
             gains.for_each(|(gain, clear)| *gain *= f64::from(u8::from(*clear)));
         }
         let position = self.positions[user];
+        let is_blocked = |led: &Vec3| others.iter().any(|body| blockage::blocks(body, led, &position));
+        self.led_open.clear();
+        self.led_open.extend(model.leds.iter().map(|led| !is_blocked(&led.position)));
         self.led_slopes.clear();
         self.mirror_slopes.clear();
-        if self.polar[user].is_some() {
+        if self.leans[user].is_some() {
             self.led_slopes.extend(model.leds.iter().map(|led| tilt::slopes(&position, &led.position)));
             let mirrors = model.mirrors.arrays().iter().flat_map(MirrorArray::positions);
             self.mirror_slopes.extend(mirrors.map(|mirror| tilt::slopes(&position, mirror)));
@@ -139,7 +150,7 @@ impl ExpectedGains {
 
     /// The receiver of the selected user at a heading; `None` where it does not depend on it.
     pub fn tilt(&self, user: usize, heading: &Vec3) -> Option<Tilt> {
-        self.polar[user].map(|polar| Tilt::towards_face(polar, heading))
+        self.leans[user].map(|lean| Tilt::of(&lean, heading))
     }
 
     /// The largest direct gain of a user, of the receiver as evaluated.
@@ -163,17 +174,9 @@ impl ExpectedGains {
         self.lit[led].steering[user]
     }
 
-    /// The LED that serves the selected user, whose receiver and body are these; `others` are the
-    /// known bodies of other users. Without a direct path it is the LED with the largest steering
-    /// gain.
-    pub fn served(
-        &self,
-        model: &ChannelModel,
-        user: usize,
-        bodies: (&Cylinder, &[Cylinder]),
-        tilt: Option<&Tilt>,
-    ) -> Served {
-        let (own, others) = bodies;
+    /// The LED that serves the selected user, whose body and receiver are these. Without a direct path
+    /// it is the LED with the largest steering gain.
+    pub fn served(&self, model: &ChannelModel, user: usize, own: &Cylinder, tilt: Option<&Tilt>) -> Served {
         let position = &self.positions[user];
         let Some(tilt) = tilt else {
             let blocked = model.leds.iter().all(|led| blockage::blocks(own, &led.position, position));
@@ -182,8 +185,8 @@ impl ExpectedGains {
         let mut best = Served { led: 0, direct: 0.0, variance: 0.0 };
         for (led, lit) in self.lit[..self.leds].iter().enumerate() {
             let direct = lit.direct[user] * tilt.factor(self.led_slopes[led]);
-            let is_blocked = |body: &Cylinder| blockage::blocks(body, &model.leds[led].position, position);
-            if direct > best.direct && !is_blocked(own) && !others.iter().any(is_blocked) {
+            let is_open = self.led_open[led] && !blockage::blocks(own, &model.leds[led].position, position);
+            if direct > best.direct && is_open {
                 let variance = lit.direct[user].powi(2) * tilt.factor_variance(self.led_slopes[led]);
                 best = Served { led, direct, variance };
             }
@@ -194,19 +197,6 @@ impl ExpectedGains {
             best.led = self.leds().max_by(by_steering).unwrap_or(0);
         }
         best
-    }
-
-    /// Writes the gains of the selected user over each mirror for this receiver. Shape of `out`: M.
-    pub fn turn(&self, user: usize, led: usize, tilt: Option<&Tilt>, out: &mut [f64]) {
-        let gains = self.gains(user, led);
-        match tilt {
-            None => out.copy_from_slice(gains),
-            Some(tilt) => {
-                for ((out, gain), slopes) in out.iter_mut().zip(gains).zip(&self.mirror_slopes) {
-                    *out = gain * tilt.factor(*slopes);
-                }
-            }
-        }
     }
 
     /// The mean slopes of the directions from the selected user to the mirrors, weighted by their

@@ -3,8 +3,10 @@
 //! A walking user faces the direction of the walk. A standing user may face any way, which no
 //! position report shows; the user's own body is then found by the light that it blocks.
 
-use heliostat_channel::Vec3;
+use heliostat_channel::{Vec3, simd::with_widest_simd};
 use serde::{Deserialize, Serialize};
+
+use crate::belief::elementary::exp;
 
 /// Headings of the distribution: every 10 degrees.
 pub const HEADINGS: usize = 36;
@@ -72,10 +74,15 @@ impl Heading {
         let speed = x.hypot(y);
         let concentration = (speed / SPEED_M_S).powi(2).min(CONCENTRATION_MAX);
         let factor = if speed > 0.0 { concentration / speed } else { 0.0 };
-        for (probability, direction) in self.probability.iter_mut().zip(directions) {
-            let alignment = factor * (x * direction.x + y * direction.y) - concentration;
-            *probability = (*probability * kept + turned) * alignment.exp();
-        }
+        with_widest_simd(
+            #[inline(always)]
+            || {
+                for (probability, direction) in self.probability.iter_mut().zip(directions) {
+                    let alignment = factor * (x * direction.x + y * direction.y) - concentration;
+                    *probability = (*probability * kept + turned) * exp(alignment);
+                }
+            },
+        );
         self.normalise();
     }
 

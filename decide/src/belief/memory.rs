@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::belief::{
     Belief, angle_history,
+    device::Device,
     noise::NoiseLevel,
     occupancy::{Occupancy, OccupancyMemory},
     posture::TiltEvidence,
@@ -33,6 +34,38 @@ pub struct TiltMemory {
     log_ratios: Vec<f64>,
 }
 
+/// What orientation reports have shown of devices, which older recordings lack.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct DeviceMemory {
+    /// In the order of the tracks; empty: without reports.
+    devices: Vec<Device>,
+}
+
+impl DeviceMemory {
+    /// Gives each track its part; false where this is no memory of these tracks.
+    fn restore(&self, tracks: &mut [Track]) -> bool {
+        if self.devices.is_empty() {
+            tracks.iter_mut().for_each(|track| track.device = Device::default());
+            return true;
+        }
+        let fits = self.devices.len() == tracks.len() && self.devices.iter().all(Device::is_sound);
+        if fits {
+            tracks.iter_mut().zip(&self.devices).for_each(|(track, device)| track.device = *device);
+        }
+        fits
+    }
+}
+
+/// What a belief has learned beyond [`BeliefMemory`]; both parts follow all earlier fields of a
+/// recorded state.
+#[derive(Clone, Copy, Debug)]
+pub struct LaterMemories<'a> {
+    /// How users hold their receivers, by gains.
+    pub tilt: &'a TiltMemory,
+    /// The same by orientation reports.
+    pub devices: &'a DeviceMemory,
+}
+
 impl TiltMemory {
     /// Gives each track its part; false where this is no memory of these tracks.
     fn restore(&self, tracks: &mut [Track]) -> bool {
@@ -55,6 +88,11 @@ impl Belief {
         TiltMemory { log_ratios: self.tracks.iter().map(|track| track.tilt.log_ratio()).collect() }
     }
 
+    /// The present state of the belief about reported devices.
+    pub fn device_memory(&self) -> DeviceMemory {
+        DeviceMemory { devices: self.tracks.iter().map(|track| track.device).collect() }
+    }
+
     /// The present state.
     pub fn memory(&self) -> BeliefMemory {
         BeliefMemory {
@@ -68,7 +106,7 @@ impl Belief {
     }
 
     /// Replaces the state; false, with parts of it replaced, where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &BeliefMemory, tilt: &TiltMemory) -> bool {
+    pub fn restore(&mut self, memory: &BeliefMemory, later: LaterMemories<'_>) -> bool {
         let BeliefMemory { position_noise, velocity_noise, tracks, last_ns, commands, map } = memory;
         let [position_first, velocity_first] = &self.first_noise;
         let is_sound = |track: &Track| track.motion.is_sound() && track.height.is_sound() && track.covered.is_sound();
@@ -86,7 +124,7 @@ impl Belief {
             (self.position_noise, self.velocity_noise, self.last_ns) = (*position_noise, *velocity_noise, *last_ns);
             self.tracks.clone_from(tracks);
         }
-        let fits = fits && tilt.restore(&mut self.tracks);
+        let fits = fits && later.tilt.restore(&mut self.tracks) && later.devices.restore(&mut self.tracks);
         self.posture.decide(self.tracks.iter().map(|track| track.tilt));
         fits
     }

@@ -5,6 +5,7 @@
 //! likelihood of the reported position and velocity updates all weights. The heaviest
 //! eight are kept. The estimate is the mean of the bank.
 
+use heliostat_scenario::Walk;
 use serde::{Deserialize, Serialize};
 
 use super::hypothesis::{Hypothesis, Plane, State};
@@ -43,6 +44,19 @@ pub struct WalkPriors {
     pub curving: f64,
     /// Turn rate on a curve in rad/s.
     pub turn_rate_rad_s: f64,
+}
+
+impl WalkPriors {
+    /// Those of a scenario.
+    pub fn new(settings: &Walk) -> Self {
+        Self {
+            changes_per_s: settings.changes_per_s,
+            speed_m_s: settings.speed_m_s,
+            standing: settings.standing,
+            curving: settings.curving,
+            turn_rate_rad_s: settings.turn_rate_deg_per_s.to_radians(),
+        }
+    }
 }
 
 /// Position and velocity of a report, and the standard deviations of one axis.

@@ -7,12 +7,14 @@
 //! independent, as in occupancy grids (Elfes, 1989). With each report one row of cells relaxes
 //! towards the mean density, so that an obstacle that has moved is forgotten.
 
+mod fan;
 mod grid;
 
 use heliostat_channel::{Vec3, simd::with_widest_simd};
 use heliostat_scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
+use fan::{Fan, LANES, Lanes};
 use grid::{Grid, LowPart, Sector};
 
 /// Bounds of a cell's probability, so that it can still change.
@@ -38,8 +40,13 @@ const KNOTS: usize = 65;
 struct Tabulated([f64; KNOTS]);
 
 impl Tabulated {
+    #[inline(always)]
     fn new(function: impl Fn(f64) -> f64) -> Self {
-        Self(std::array::from_fn(|knot| function(knot as f64 / (KNOTS - 1) as f64)))
+        let mut values = [0.0; KNOTS];
+        for (knot, value) in values.iter_mut().enumerate() {
+            *value = function(knot as f64 / (KNOTS - 1) as f64);
+        }
+        Self(values)
     }
 
     fn at(&self, share: f64) -> f64 {
@@ -47,42 +54,6 @@ impl Tabulated {
         let knot = (place as usize).min(KNOTS - 2);
         self.0[knot] + (place - knot as f64) * (self.0[knot + 1] - self.0[knot])
     }
-}
-
-/// A cell near a path.
-#[derive(Clone, Copy, Debug)]
-struct Crossing {
-    cell: usize,
-    /// How surely an obstacle there blocks the path, above 0 and at most 1.
-    blocks: f64,
-}
-
-/// The cells near each of several paths.
-#[derive(Clone, Debug, Default)]
-struct Paths {
-    crossings: Vec<Crossing>,
-    /// Index in `crossings` behind the last cell of each path.
-    ends: Vec<usize>,
-}
-
-impl Paths {
-    fn with_capacity(paths: usize, cells: usize) -> Self {
-        Self { crossings: Vec::with_capacity(paths * cells), ends: Vec::with_capacity(paths) }
-    }
-
-    fn of(&self, path: usize) -> &[Crossing] {
-        let start = path.checked_sub(1).map_or(0, |before| self.ends[before]);
-        &self.crossings[start..self.ends[path]]
-    }
-}
-
-/// How the expected share of the light changes if it is certain that a cell holds no obstacle, or
-/// that it holds one.
-#[derive(Clone, Copy, Debug, Default)]
-struct Change {
-    is_touched: bool,
-    without: f64,
-    with: f64,
 }
 
 /// The map.
@@ -93,11 +64,14 @@ pub struct Occupancy {
     mean: f64,
     /// The next row to relax.
     row: usize,
-    /// The paths of the present measurement.
-    paths: Paths,
-    changes: Vec<Change>,
-    /// The cells with an entry in `changes`.
-    touched: Vec<usize>,
+    /// The path of the present measurement to the LED.
+    direct: Fan,
+    /// Those to the columns of mirrors, [`LANES`] in each fan.
+    reflected: Vec<Fan>,
+    /// How much each cell influences the expected share of the light; see [`Fan::influence`].
+    influence: Vec<f64>,
+    /// The cells with an influence.
+    influential: Vec<usize>,
     /// The cells that probably hold an obstacle.
     suspects: Vec<Suspect>,
 }
@@ -131,9 +105,10 @@ impl Occupancy {
             probability: vec![mean; cells],
             mean,
             row: 0,
-            paths: Paths::with_capacity(scenario.mirrors.columns() + 1, cells),
-            changes: vec![Change::default(); cells],
-            touched: Vec::with_capacity(cells),
+            direct: Fan::with_capacity(cells),
+            reflected: vec![Fan::with_capacity(cells); scenario.mirrors.columns().div_ceil(LANES)],
+            influence: vec![0.0; cells],
+            influential: Vec::with_capacity(cells),
             suspects: Vec::with_capacity(cells),
         })
     }
@@ -163,27 +138,37 @@ impl Occupancy {
         self.suspects.clear();
     }
 
-    /// Lists the cells near the paths from a user to points, for the methods that take the index of
-    /// a path. Allocates only for more paths than to an LED and to all columns of mirrors.
-    pub fn trace(&mut self, from: &Vec3, to: impl Iterator<Item = Vec3>) {
-        let Self { grid, paths: Paths { crossings, ends }, .. } = self;
-        crossings.clear();
-        ends.clear();
+    /// Lists the cells near the paths from a user to the LED, if there is one, and to the columns of
+    /// mirrors, for the methods about a measurement.
+    pub fn trace(&mut self, from: &Vec3, led: Option<&Vec3>, columns: &[Vec3]) {
+        let Self { grid, direct, reflected, .. } = self;
         with_widest_simd(
             #[inline(always)]
             || {
-                for to in to {
-                    grid.near(from, &to, |cell, blocks| crossings.push(Crossing { cell, blocks }));
-                    ends.push(crossings.len());
+                direct.trace(grid, from, led.map_or(&[], std::slice::from_ref));
+                for (fan, columns) in reflected.iter_mut().zip(columns.chunks(LANES)) {
+                    fan.trace(grid, from, columns);
                 }
             },
         );
     }
 
-    /// Probability that no unreported obstacle blocks a path.
-    pub fn clear_probability(&self, path: usize) -> f64 {
-        let clear = |clear, crossing: &Crossing| clear * (1.0 - self.probability[crossing.cell] * crossing.blocks);
-        self.paths.of(path).iter().fold(1.0, clear)
+    /// Probability that no unreported obstacle blocks the path to the LED.
+    pub fn clear_direct(&self) -> f64 {
+        f64::from(self.direct.clear(&self.probability)[0])
+    }
+
+    /// Writes the probability that no unreported obstacle blocks the path to each column.
+    pub fn clear_columns(&self, out: &mut [f64]) {
+        with_widest_simd(
+            #[inline(always)]
+            || {
+                for (fan, out) in self.reflected.iter().zip(out.chunks_mut(LANES)) {
+                    let clear = fan.clear(&self.probability);
+                    out.iter_mut().zip(clear).for_each(|(out, clear)| *out = f64::from(clear));
+                }
+            },
+        );
     }
 
     /// Multiplies each entry of `clear` by the probability that no suspected obstacle blocks the path
@@ -208,22 +193,39 @@ impl Occupancy {
         }
     }
 
-    /// Takes whether a path to an LED was clear; `otherwise` is the probability that bodies leave it
-    /// clear.
-    pub fn handle_direct(&mut self, path: usize, is_clear: bool, otherwise: f64) {
-        let expected = self.expect([(path, otherwise)].into_iter());
-        self.update(expected, |expected| {
+    /// Takes whether the path to the LED was clear; `otherwise` is the probability that bodies leave
+    /// it clear.
+    pub fn handle_direct(&mut self, is_clear: bool, otherwise: f64) {
+        let Self { direct, probability, influence, influential, .. } = self;
+        let mut clear: Lanes = [0.0; LANES];
+        clear[0] = otherwise as f32 * direct.clear(probability)[0];
+        direct.influence(probability, &clear, |cell, of_cell| add(influence, influential, (cell, of_cell)));
+        self.update(f64::from(clear[0]), |expected| {
             let clear = expected.clamp(0.0, 1.0);
             UNEXPLAINED + (1.0 - 2.0 * UNEXPLAINED) * if is_clear { clear } else { 1.0 - clear }
         });
     }
 
     /// Takes a measured gain over the mirrors. `shares` are the parts of the gain without obstacles
-    /// that come by way of each path; `density` is that of the measured gain for an expected one.
-    pub fn handle_reflected(&mut self, shares: impl Iterator<Item = (usize, f64)>, density: impl Fn(f64) -> f64) {
-        let expected = self.expect(shares);
-        let density = Tabulated::new(density);
-        self.update(expected, |expected| density.at(expected));
+    /// that come by way of each column; `density` is that of the measured gain for an expected one.
+    pub fn handle_reflected(&mut self, shares: impl Iterator<Item = f64>, density: impl Fn(f64) -> f64) {
+        let Self { reflected, probability, influence, influential, .. } = self;
+        let (mut shares, mut expected) = (shares, 0.0);
+        let table = with_widest_simd(
+            #[inline(always)]
+            || {
+                for fan in reflected {
+                    let mut clear = fan.clear(probability);
+                    for clear in &mut clear {
+                        *clear *= shares.next().unwrap_or(0.0) as f32;
+                        expected += f64::from(*clear);
+                    }
+                    fan.influence(probability, &clear, |cell, of_cell| add(influence, influential, (cell, of_cell)));
+                }
+                Tabulated::new(density)
+            },
+        );
+        self.update(expected, |expected| table.at(expected));
     }
 
     /// Relaxes the next row and lists the suspects; to be called once for each report.
@@ -245,36 +247,29 @@ impl Occupancy {
             .extend(listed.map(|(cell, probability)| Suspect { at_m: grid.centre(cell), probability: *probability }));
     }
 
-    /// The expected sum of the shares of these paths, by the map; fills `changes`.
-    fn expect(&mut self, shares: impl Iterator<Item = (usize, f64)>) -> f64 {
-        let mut sum = 0.0;
-        for (path, share) in shares.filter(|(_, share)| *share > 0.0) {
-            let clear = share * self.clear_probability(path);
-            sum += clear;
-            let Self { probability, changes, touched, paths, .. } = self;
-            for &Crossing { cell, blocks } in paths.of(path) {
-                let change = &mut changes[cell];
-                if !change.is_touched {
-                    touched.push(cell);
-                    change.is_touched = true;
-                }
-                let without = clear / (1.0 - probability[cell] * blocks);
-                change.without += without - clear;
-                change.with += without * (1.0 - blocks) - clear;
-            }
-        }
-        sum
-    }
-
-    /// Updates the cells with an entry in `changes`, and removes the entries.
+    /// Updates the influential cells, and removes their entries. If it is certain that a cell holds
+    /// no obstacle, or that it holds one, the expected share grows by p w, or falls by (1 - p) w, for
+    /// the probability p and the influence w of the cell.
     fn update(&mut self, expected: f64, likelihood: impl Fn(f64) -> f64) {
-        for cell in self.touched.drain(..) {
-            let Change { without, with, .. } = std::mem::take(&mut self.changes[cell]);
-            let (without, with) = (likelihood(expected + without), likelihood(expected + with));
+        for cell in self.influential.drain(..) {
+            let influence = std::mem::take(&mut self.influence[cell]);
             let probability = &mut self.probability[cell];
-            let occupied = *probability * with;
-            *probability = (occupied / (occupied + (1.0 - *probability) * without)).clamp(BOUNDS[0], BOUNDS[1]);
+            let free = 1.0 - *probability;
+            let without = likelihood(expected + *probability * influence);
+            let occupied = *probability * likelihood(expected - free * influence);
+            *probability = (occupied / (occupied + free * without)).clamp(BOUNDS[0], BOUNDS[1]);
         }
+    }
+}
+
+/// Adds to the influence of a cell, and lists the cell where it had none.
+#[inline(always)]
+fn add(influence: &mut [f64], influential: &mut Vec<usize>, (cell, of_cell): (usize, f64)) {
+    if of_cell > 0.0 {
+        if influence[cell] == 0.0 {
+            influential.push(cell);
+        }
+        influence[cell] += of_cell;
     }
 }
 
@@ -293,13 +288,13 @@ mod tests {
     }
 
     fn handle_direct(map: &mut Occupancy, from: &Vec3, is_clear: bool, otherwise: f64) {
-        map.trace(from, std::iter::once(LED));
-        map.handle_direct(0, is_clear, otherwise);
+        map.trace(from, Some(&LED), &[]);
+        map.handle_direct(is_clear, otherwise);
     }
 
     fn clear_probability(map: &mut Occupancy, from: &Vec3, to: Vec3) -> f64 {
-        map.trace(from, std::iter::once(to));
-        map.clear_probability(0)
+        map.trace(from, Some(&to), &[]);
+        map.clear_direct()
     }
 
     fn probability(map: &Occupancy, x: f64, y: f64) -> f64 {
@@ -351,11 +346,11 @@ mod tests {
         let (mut map, at) = (map(), device(0.0, -1.0));
         let columns = [Vec3::new(-1.0, 2.5, 1.5), Vec3::new(1.0, 2.5, 1.5)];
         // All of the light of the left column arrives, and none of the right one.
-        map.trace(&at, columns.into_iter());
+        map.trace(&at, None, &columns);
         for (shares, measured) in [([1.0, 0.0], 1.0), ([0.5, 0.5], 0.5)] {
             for _ in 0..5 {
                 let density = |expected: f64| (-0.5 * ((measured - expected) / 0.1_f64).powi(2)).exp() + 0.05;
-                map.handle_reflected(shares.into_iter().enumerate(), density);
+                map.handle_reflected(shares.into_iter(), density);
             }
         }
         map.finish_report();

@@ -9,6 +9,8 @@ use heliostat_channel::{Orientation, Vec3};
 use heliostat_proto::OrientationReport;
 use heliostat_scenario::AssumedTilt;
 
+use crate::belief::device::Lean;
+
 /// Logarithm of the prior odds that users tilt their receivers.
 const PRIOR: f64 = -3.0;
 
@@ -17,6 +19,9 @@ const LARGEST: f64 = 4.0;
 
 /// Bound of the change by one measurement: the angles of a device persist from one to the next.
 const LARGEST_CHANGE: f64 = 1.0;
+
+/// A receiver with a larger correlation with the reported one is as reported.
+const KNOWN: f64 = 0.95;
 
 /// What the measurements of one user say about tilted receivers: the logarithm of a likelihood ratio.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -51,8 +56,8 @@ pub(crate) struct Posture {
 /// What is known of the orientation of a receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Held {
-    /// The orientation.
-    Known(Orientation),
+    /// As a report has shown.
+    Reported(Lean),
     /// With this polar angle in rad, towards the face of a user of any heading.
     TowardsFace(f64),
     /// Upright; if users tilted their receivers, the polar angle in rad would be this.
@@ -84,13 +89,11 @@ impl Posture {
         }
     }
 
-    /// What is known of a user's receiver: its report, or else how a user with this speed in m/s
-    /// holds it.
-    pub fn held(&self, report: Option<&OrientationReport>, user: u32, speed: f64) -> Held {
-        let entry = report.and_then(|report| report.users.iter().find(|entry| entry.user == user));
-        let reported = entry.and_then(|entry| Orientation::from_quaternion(entry.quaternion.map(f64::from)).ok());
-        if let Some(orientation) = reported {
-            return Held::Known(orientation);
+    /// What is known of a user's receiver: what reports have shown, or else how a user with this speed
+    /// in m/s holds it.
+    pub fn held(&self, reported: Option<Lean>, speed: f64) -> Held {
+        if let Some(lean) = reported {
+            return Held::Reported(lean);
         }
         let tilt = self.stated.unwrap_or_default();
         let is_walking = speed >= tilt.walking_from_m_s;
@@ -101,29 +104,41 @@ impl Posture {
     /// The orientation of a user's receiver: the reported one, if there is one, or else that of a
     /// user with this heading (a unit vector, or zero while unknown) and speed in m/s.
     pub fn of(&self, report: Option<&OrientationReport>, user: u32, (heading, speed): (&Vec3, f64)) -> Orientation {
-        self.held(report, user, speed).facing(heading)
+        reported(report, user).unwrap_or_else(|| self.held(None, speed).facing(heading))
     }
 }
 
+/// The orientation of a user's receiver in a report.
+pub(crate) fn reported(report: Option<&OrientationReport>, user: u32) -> Option<Orientation> {
+    let entry = report?.users.iter().find(|entry| entry.user == user)?;
+    Orientation::from_quaternion(entry.quaternion.map(f64::from)).ok()
+}
+
 impl Held {
-    /// The polar angle in rad of a receiver that is tilted towards the face.
-    pub fn polar_rad(self) -> Option<f64> {
+    /// How a receiver leans that depends on the heading of its user.
+    pub fn lean(self) -> Option<Lean> {
         match self {
-            Self::TowardsFace(polar_rad) => Some(polar_rad),
-            Self::Known(_) | Self::Upright(_) => None,
+            Self::TowardsFace(polar_rad) => Some(Lean { polar_rad, reported: [0.0; 2], correlation: 0.0 }),
+            Self::Reported(lean) if lean.correlation < KNOWN => Some(lean),
+            Self::Reported(_) | Self::Upright(_) => None,
         }
     }
 
     /// The orientation for a heading: a unit vector, or zero while unknown.
     pub fn facing(self, heading: &Vec3) -> Orientation {
         match self {
-            Self::Known(orientation) => orientation,
+            Self::Reported(lean) => of_normal(&lean.normal(heading)),
             Self::TowardsFace(polar_rad) if *heading != Vec3::zeros() => {
                 Orientation::from_polar_azimuth(polar_rad, (-heading.y).atan2(-heading.x))
             }
             Self::TowardsFace(_) | Self::Upright(_) => Orientation::UPRIGHT,
         }
     }
+}
+
+/// The smallest rotation that gives a device this normal.
+fn of_normal(normal: &Vec3) -> Orientation {
+    Orientation::from_polar_azimuth(normal.z.clamp(-1.0, 1.0).acos(), normal.y.atan2(normal.x))
 }
 
 #[cfg(test)]

@@ -10,13 +10,15 @@
 
 use heliostat_channel::{ChannelModel, Vec3};
 
+use crate::belief::device::Lean;
+
 /// Standard deviation of the polar angle of a held device in rad: 7.7 degrees for users who sit and
 /// 7.8 degrees for users who walk (Soltani et al., IEEE Trans. Commun. 67(3), 2019).
 const POLAR_SPREAD_RAD: f64 = 0.135;
 
 /// Standard deviation of its azimuth in rad: 3.7 and 10 degrees (the same source), and half a step
 /// between two headings.
-const AZIMUTH_SPREAD_RAD: f64 = 0.13;
+pub(super) const AZIMUTH_SPREAD_RAD: f64 = 0.13;
 
 /// The normal of a tilted detector, and its derivatives.
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +26,8 @@ pub(super) struct Tilt {
     normal: Vec3,
     by_polar: Vec3,
     by_azimuth: Vec3,
+    /// Share of the variance of both angles that is not known.
+    unknown: f64,
 }
 
 impl Tilt {
@@ -34,7 +38,14 @@ impl Tilt {
             normal: Vec3::new(-sine * heading.x, -sine * heading.y, cosine),
             by_polar: Vec3::new(-cosine * heading.x, -cosine * heading.y, -sine),
             by_azimuth: Vec3::new(sine * heading.y, -sine * heading.x, 0.0),
+            unknown: 1.0,
         }
+    }
+
+    /// The detector of a device that leans so, of a user with this heading.
+    pub fn of(lean: &Lean, heading: &Vec3) -> Self {
+        let towards_face = Self::towards_face(lean.polar_rad.sin_cos(), heading);
+        Self { normal: lean.normal(heading), unknown: 1.0 - lean.correlation.powi(2), ..towards_face }
     }
 
     /// Gain over that of the upright detector, for light from a direction of these slopes.
@@ -45,8 +56,9 @@ impl Tilt {
 
     /// Variance of that factor by the spread of the angles of held devices.
     pub fn factor_variance(&self, slopes: [f64; 2]) -> f64 {
-        (POLAR_SPREAD_RAD * along(&self.by_polar, slopes)).powi(2)
-            + (AZIMUTH_SPREAD_RAD * along(&self.by_azimuth, slopes)).powi(2)
+        let by_polar = (POLAR_SPREAD_RAD * along(&self.by_polar, slopes)).powi(2);
+        let by_azimuth = (AZIMUTH_SPREAD_RAD * along(&self.by_azimuth, slopes)).powi(2);
+        self.unknown * (by_polar + by_azimuth)
     }
 }
 

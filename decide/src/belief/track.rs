@@ -1,11 +1,12 @@
 //! What is remembered of one user.
 
 use heliostat_channel::Vec3;
-use heliostat_proto::{ChannelReport, Nanos, OrientationReport, UserChannel, UserState};
+use heliostat_proto::{ChannelReport, Nanos, UserChannel, UserState};
 use serde::{Deserialize, Serialize};
 
 use crate::belief::{
     covered::Covered,
+    device::{Device, DeviceSettings},
     expected::HeldPlace,
     heading::{HEADING_KNOWN, HEADINGS, Heading},
     height::Height,
@@ -27,6 +28,9 @@ pub(super) struct Track {
     /// In a recorded state apart from the rest, since older ones lack it.
     #[serde(skip)]
     pub tilt: TiltEvidence,
+    /// The same.
+    #[serde(skip)]
+    pub device: Device,
 }
 
 /// A reported position.
@@ -40,16 +44,15 @@ impl Track {
     pub fn new(user: u32, priors: &WalkPriors, known_obstacles: bool) -> Self {
         let (motion, height, heading) = (Motion::new(priors), Height::default(), Heading::default());
         let covered = if known_obstacles { Covered::KNOWN_OBSTACLES } else { Covered::UNKNOWN_OBSTACLES };
-        let tilt = TiltEvidence::default();
-        Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None, tilt }
+        let (tilt, device) = (TiltEvidence::default(), Device::default());
+        Self { user, motion, height, heading, covered, earlier: [None; 2], reported_velocity: None, tilt, device }
     }
 
-    /// Place of the receiver, and how it is held, a time in s after the last report; `reported` are
-    /// the reported orientations.
+    /// Place of the receiver, and how it is held, at a time in ns and in s after the last report.
     pub fn held_place(
         &self,
-        ahead_s: f64,
-        (posture, reported): (&Posture, Option<&OrientationReport>),
+        (time_ns, ahead_s): (Nanos, f64),
+        (posture, settings): (&Posture, &DeviceSettings),
         directions: &[Vec3; HEADINGS],
     ) -> HeldPlace {
         let motion = self.motion.estimate(ahead_s);
@@ -59,7 +62,9 @@ impl Track {
         let length = mean.norm();
         let heading = if length > HEADING_KNOWN { mean / length } else { Vec3::zeros() };
         let position = Vec3::new(x, y, self.height.mean_m());
-        HeldPlace { position, held: posture.held(reported, self.user, u.hypot(v)), heading }
+        let speed = u.hypot(v);
+        let held = posture.held(self.device.lean(time_ns, speed, settings), speed);
+        HeldPlace { position, held, heading }
     }
 
     /// The entry of this user in a channel report; `slot` is the likely index.

@@ -18,7 +18,7 @@ use super::{
     journal::Journal,
 };
 use crate::{
-    belief::memory::TiltMemory,
+    belief::memory::{DeviceMemory, LaterMemories, TiltMemory},
     input::inbox::memory::{ArrayInboxMemory, InboxMemory, OrientationMemory},
     observe::{evidence::EvidenceMemory, observer::memory::ObserverMemory},
     output::guard::GuardMemory,
@@ -27,11 +27,13 @@ use crate::{
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
-const LAYOUT: u32 = 3;
+const LAYOUT: u32 = 4;
 /// The layout that ends before the orientations.
 const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
 /// The layout that ends before the arrays, the tilted receivers and the residuals.
 const LAYOUT_WITHOUT_ARRAYS: u32 = 2;
+/// The layout that ends before the devices.
+const LAYOUT_WITHOUT_DEVICES: u32 = 3;
 
 /// The state of a controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -58,6 +60,8 @@ pub struct Memory {
     tilt: TiltMemory,
     /// The history of the channel residuals.
     evidence: EvidenceMemory,
+    /// What orientation reports have shown of devices; after all fields of the third layout.
+    devices: DeviceMemory,
 }
 
 /// The state of one of several arrays.
@@ -105,14 +109,17 @@ impl Memory {
         let found = bytes.first().map_or(0, |byte| u32::from(*byte));
         match found {
             LAYOUT => Ok(decode_state(bytes)?),
-            LAYOUT_WITHOUT_ORIENTATIONS | LAYOUT_WITHOUT_ARRAYS => {
+            LAYOUT_WITHOUT_ORIENTATIONS | LAYOUT_WITHOUT_ARRAYS | LAYOUT_WITHOUT_DEVICES => {
                 let mut complete = bytes.to_vec();
                 if found == LAYOUT_WITHOUT_ORIENTATIONS {
                     complete.extend(encode_state(&OrientationMemory::default())?);
                 }
-                complete.extend(encode_state(&Vec::<ArrayMemory>::new())?);
-                complete.extend(encode_state(&TiltMemory::default())?);
-                complete.extend(encode_state(&EvidenceMemory::default())?);
+                if found != LAYOUT_WITHOUT_DEVICES {
+                    complete.extend(encode_state(&Vec::<ArrayMemory>::new())?);
+                    complete.extend(encode_state(&TiltMemory::default())?);
+                    complete.extend(encode_state(&EvidenceMemory::default())?);
+                }
+                complete.extend(encode_state(&DeviceMemory::default())?);
                 Ok(Self { layout: LAYOUT, ..decode_state(&complete)? })
             }
             _ => Err(MemoryError::Layout { found }),
@@ -158,6 +165,7 @@ impl Controller {
             orientation: self.inbox.orientation_memory(),
             tilt: self.observer.tilt_memory(),
             evidence: self.observer.evidence_memory(),
+            devices: self.observer.device_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
     }
@@ -184,7 +192,7 @@ impl Controller {
         if !self.inbox.restore(&memory.inbox, &memory.orientation) {
             return Err(other("reports"));
         }
-        if !self.observer.restore(&memory.observer, &memory.tilt) {
+        if !self.observer.restore(&memory.observer, LaterMemories { tilt: &memory.tilt, devices: &memory.devices }) {
             return Err(other("belief"));
         }
         if !self.observer.restore_evidence(&memory.evidence) {

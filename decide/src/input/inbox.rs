@@ -175,9 +175,14 @@ impl Inbox {
         self.obstacles.get()
     }
 
+    /// The latest orientation report, of any age.
+    pub fn last_orientation(&self) -> Option<&OrientationReport> {
+        self.orientation.get()
+    }
+
     /// How the users hold their receivers, unless the report is too old at `now`.
     pub fn orientation(&self, now: Nanos) -> Option<&OrientationReport> {
-        self.orientation.get().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
+        self.last_orientation().filter(|report| now.saturating_sub(report.stamp.time_ns) <= self.rules.age_max_ns)
     }
 
     /// The latest telemetry of an array.

@@ -24,11 +24,11 @@ pub const LOG_VARIANCE_OFFSET: f64 = -2.0;
 /// Bounds of the logarithm of the variance.
 pub const LOG_VARIANCE: [f64; 2] = [-9.0, 2.0];
 
-/// A horizontal component of a normal stays below this: an angle of 72 degrees from the vertical.
-const TILT_MAX: f64 = 0.95;
+/// The horizontal part of a normal stays below this: an angle of 72 degrees from the vertical.
+pub const TILT_MAX: f64 = 0.95;
 
 /// Smallest cosine of an incidence angle in a ratio of expected gains.
-const COSINE_MIN: f64 = 0.05;
+pub const COSINE_MIN: f64 = 0.05;
 
 /// The horizontal axes in which a user's features and corrections are given: towards the nearest
 /// array, and to the left of it. Rooms that differ by a rotation give the same rows.
@@ -115,6 +115,11 @@ impl Correction {
             return Self::NONE;
         }
         Self { tilt: frame.to_room([along, left]) }
+    }
+
+    /// The change of the normal, in the room's axes; zero where it does not count.
+    pub fn tilt(&self) -> Vec3 {
+        self.tilt
     }
 
     /// The orientation of a receiver.

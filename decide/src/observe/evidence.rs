@@ -36,7 +36,7 @@ pub const EVIDENCE_VERSION: u32 = 4;
 pub const FEATURES: usize = 38;
 
 /// Index of the direction to the LED in a row; the height component of that to the array follows.
-const LED: usize = 8;
+pub const LED: usize = 8;
 
 /// Index of the believed normal in a row.
 pub const NORMAL: usize = 12;
@@ -205,8 +205,7 @@ impl Evidence {
         }
         let users = self.rows.iter().zip(&self.frames).zip(rows);
         for (correction, ((row, frame), output)) in self.corrections.iter_mut().zip(users) {
-            let believed = [row[NORMAL], row[NORMAL + 1]].map(f64::from);
-            *correction = Correction::decode(output, frame, (believed, &explained(row)));
+            *correction = correction_of(row, frame, output);
         }
     }
 
@@ -265,6 +264,12 @@ impl EvidenceMemory {
         ];
         [shown_last, direct, weight, mirrors].into_iter().chain(means).chain(room)
     }
+}
+
+/// The correction that the output of a network makes for a row in a frame.
+pub fn correction_of(row: &[f32; FEATURES], frame: &Frame, output: &[f32; Correction::VALUES]) -> Correction {
+    let believed = [row[NORMAL], row[NORMAL + 1]].map(f64::from);
+    Correction::decode(output, frame, (believed, &explained(row)))
 }
 
 /// What the residuals of a row show of the tilt, by the means of the middle memory.

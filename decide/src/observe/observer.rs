@@ -6,7 +6,7 @@
 //! reports.
 //!
 //! Where receivers report their orientation, the gains are those of the receivers as they were held
-//! last; the others are as `control.tilt` assumes.
+//! last, or as the filter expects them from the reports; the others are as `control.tilt` assumes.
 //!
 //! Users may come and go with every report, in any order. A user is known by its number: reports
 //! about positions and about gains are matched by it, and it keeps its index in the observation as
@@ -27,7 +27,7 @@ mod beliefs;
 pub mod memory;
 
 use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
-use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, UserReport};
+use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport};
 use heliostat_scenario::Scenario;
 
 use crate::{
@@ -145,12 +145,16 @@ impl Observer {
         self.prediction.handle_users(report);
     }
 
+    /// Takes an accepted orientation report. Call it once for each.
+    pub fn handle_orientation(&mut self, report: &OrientationReport) {
+        self.prediction.handle_orientation(report);
+    }
+
     /// Takes the accepted channel report of the inbox. Call it once for each.
     pub fn handle_channel(&mut self, model: &ChannelModel, inbox: &Inbox) {
         let Some(report) = inbox.last_channel() else { return };
         self.place_obstacles(inbox);
-        let held = inbox.orientation(report.stamp.time_ns);
-        self.prediction.handle_channel(model, (report, held), &self.blockers, inbox.unusable());
+        self.prediction.handle_channel(model, report, &self.blockers, inbox.unusable());
         if let (Some(evidence), Some(belief)) = (&mut self.evidence, self.prediction.belief()) {
             evidence.handle_channel(report.stamp.time_ns, belief.residuals());
         }
@@ -203,12 +207,13 @@ impl Observer {
         let held = inbox.orientation(now);
         self.orientations.clear();
         let users = self.slots.ids().iter().zip(self.headings.iter().zip(&self.velocities));
-        let posture = self.prediction.belief().map_or(&self.posture, Belief::posture);
-        let held_by =
-            |(user, (heading, velocity)): (&u32, (&Vec3, &Vec3))| posture.of(held, *user, (heading, velocity.norm()));
-        self.orientations.extend(users.map(held_by));
-        let is_believed_tilted = !posture.is_upright();
-        let is_tilted = self.correct(model, held.is_some(), correct) || is_believed_tilted || held.is_some();
+        self.orientations.extend(users.map(|(user, (heading, velocity))| {
+            let motion = (heading, velocity.norm());
+            let believed = self.prediction.orientation(*user, age_s, motion);
+            believed.unwrap_or_else(|| self.posture.of(held, *user, motion))
+        }));
+        self.correct(model, held.is_some(), correct);
+        let is_tilted = self.orientations.iter().any(|held| *held != Orientation::UPRIGHT);
         self.place_blockers(inbox);
         into.set_state(
             model,
@@ -265,26 +270,21 @@ impl Observer {
         }
     }
 
-    /// Lets the policy correct the orientations; whether it has tilted a receiver. Reported
-    /// orientations are not corrected.
-    fn correct(&mut self, model: &ChannelModel, reported: bool, correct: Correct<'_>) -> bool {
-        let Some(evidence) = &mut self.evidence else { return false };
+    /// Lets the policy correct the orientations, unless they are reported.
+    fn correct(&mut self, model: &ChannelModel, reported: bool, correct: Correct<'_>) {
+        let Some(evidence) = &mut self.evidence else { return };
         evidence.begin();
         for ((user, estimate), orientation) in self.slots.ids().iter().zip(&self.estimates).zip(&self.orientations) {
-            let Some(estimate) = *estimate else { return false };
+            let Some(estimate) = *estimate else { return };
             evidence.add(model, &Believed { user: *user, estimate, orientation: *orientation });
         }
         correct(evidence);
         if reported {
-            return false;
+            return;
         }
-        let mut is_tilted = false;
         for (orientation, correction) in self.orientations.iter_mut().zip(evidence.corrections()) {
-            let corrected = correction.orientation(*orientation);
-            is_tilted |= corrected != *orientation;
-            *orientation = corrected;
+            *orientation = correction.orientation(*orientation);
         }
-        is_tilted
     }
 
     /// Applies what the filter believes about unreported obstacles and covered detectors: a direct

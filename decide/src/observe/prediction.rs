@@ -1,13 +1,13 @@
 //! Where a user is while a command is in force, by `control.belief`.
 
-use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder};
+use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport, UserState};
 use heliostat_scenario::{self as scenario, Scenario};
 use serde::{Deserialize, Serialize};
 
 use crate::belief::{
     Belief, Estimate,
-    memory::{BeliefMemory, TiltMemory},
+    memory::{BeliefMemory, LaterMemories},
 };
 
 /// Weight of a new interval in the mean time between reports.
@@ -125,12 +125,19 @@ impl Prediction {
     pub fn handle_channel(
         &mut self,
         model: &ChannelModel,
-        (report, held): (&ChannelReport, Option<&OrientationReport>),
+        report: &ChannelReport,
         obstacles: &[Cylinder],
         unusable: &[u32],
     ) {
         if let Method::Filter(belief) = &mut self.method {
-            belief.handle_channel(model, (report, held), obstacles, unusable);
+            belief.handle_channel(model, report, obstacles, unusable);
+        }
+    }
+
+    /// Takes an accepted orientation report.
+    pub fn handle_orientation(&mut self, report: &OrientationReport) {
+        if let Method::Filter(belief) = &mut self.method {
+            belief.handle_orientation(report);
         }
     }
 
@@ -178,7 +185,7 @@ impl Prediction {
     }
 
     /// Replaces the state; false where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &PredictionMemory, tilt: &TiltMemory) -> bool {
+    pub fn restore(&mut self, memory: &PredictionMemory, later: LaterMemories<'_>) -> bool {
         let PredictionMemory { settling_s, interval_s, last_ns, belief } = memory;
         if ![settling_s, interval_s].iter().all(|time_s| (0.0..=TIME_MAX_S).contains(*time_s)) {
             return false;
@@ -186,7 +193,7 @@ impl Prediction {
         self.set_settling(*settling_s);
         self.lead = Lead { interval_s: *interval_s, last_ns: *last_ns, ..self.lead };
         match (&mut self.method, belief) {
-            (Method::Filter(belief), Some(memory)) => belief.restore(memory, tilt),
+            (Method::Filter(belief), Some(memory)) => belief.restore(memory, later),
             (Method::AsReported | Method::ConstantVelocity, None) => true,
             _ => false,
         }
@@ -202,6 +209,12 @@ impl Prediction {
     pub fn estimate(&self, user: u32, age_s: f64) -> Option<Estimate> {
         let estimate = self.belief()?.estimate(user, self.lead.ahead_s(age_s))?;
         Some(Estimate { position: self.lead.within_room(estimate.position), ..estimate })
+    }
+
+    /// How a user with this heading and speed holds the receiver, by the last report, which has this
+    /// age in s; `None` without a belief. See [`Belief::orientation`].
+    pub fn orientation(&self, user: u32, age_s: f64, motion: (&Vec3, f64)) -> Option<Orientation> {
+        Some(self.belief()?.orientation(user, self.lead.ahead_s(age_s), motion))
     }
 
     /// A user of the last report, which has this age in s.

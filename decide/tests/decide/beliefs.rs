@@ -60,7 +60,7 @@ fn direct_clear(los_gain: f32, overrides: &[&str]) -> f64 {
         belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
         let measured = UserChannel { user: 7, los_gain, irs_gain: 0.0, sinr: 0.0 };
         let channel = ChannelReport { stamp, tick, users: vec![measured] };
-        belief.handle_channel(&model, (&channel, None), &[], &[]);
+        belief.handle_channel(&model, &channel, &[], &[]);
     }
     belief.estimate(7, 0.0).unwrap().direct_clear
 }

@@ -1,8 +1,11 @@
 //! Receivers that users tilt towards their faces: what measured direct gains show.
 
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3};
-use heliostat_decide::belief::{Belief, memory::TiltMemory};
-use heliostat_proto::{ChannelReport, Stamp, UserChannel, UserReport, UserState};
+use heliostat_decide::belief::{
+    Belief,
+    memory::{DeviceMemory, LaterMemories, TiltMemory},
+};
+use heliostat_proto::{ChannelReport, OrientationReport, Stamp, UserChannel, UserOrientation, UserReport, UserState};
 use heliostat_scenario::Scenario;
 
 use crate::support::MS;
@@ -35,7 +38,7 @@ fn report(belief: &mut Belief, model: &ChannelModel, gains: &[f64], tick: u64) {
     belief.handle_users(&UserReport { stamp, tick, users: (0..).zip(&SEATS).map(user).collect() });
     let measured = |(user, gain): (u32, &f64)| UserChannel { user, los_gain: *gain as f32, ..UserChannel::default() };
     let channel = ChannelReport { stamp, tick, users: (0..).zip(gains).map(measured).collect() };
-    belief.handle_channel(model, (&channel, None), &[], &[]);
+    belief.handle_channel(model, &channel, &[], &[]);
 }
 
 fn headings(belief: &Belief) -> Vec<Vec3> {
@@ -108,11 +111,83 @@ fn a_restored_belief_has_the_evidence_of_tilted_receivers() {
     let mut first = Belief::new(&scenario, &model, 64);
     report(&mut first, &model, &gains, 1);
     let [mut second, mut without] = [(); 2].map(|()| Belief::new(&scenario, &model, 64));
-    assert!(second.restore(&first.memory(), &first.tilt_memory()));
-    assert!(without.restore(&first.memory(), &TiltMemory::default()));
+    let devices = &DeviceMemory::default();
+    let restore =
+        |belief: &mut Belief, tilt: &TiltMemory| belief.restore(&first.memory(), LaterMemories { tilt, devices });
+    assert!(restore(&mut second, &first.tilt_memory()));
+    assert!(restore(&mut without, &TiltMemory::default()));
     for belief in [&mut first, &mut second, &mut without] {
         (2..=3).for_each(|tick| report(belief, &model, &gains, tick));
     }
     assert_eq!(headings(&second), headings(&first));
     assert_ne!(headings(&without), headings(&first));
+}
+
+/// Reports how the users hold their receivers, `late_ms` after the positions of a tick.
+fn report_held(belief: &mut Belief, (tick, late_ms): (u64, u64), held: &[Orientation]) {
+    let stamp = Stamp { source: 1, sequence: tick, time_ns: (tick * 100 + late_ms) * MS };
+    let entry = |(user, held): (u32, &Orientation)| UserOrientation {
+        user,
+        quaternion: held.quaternion().map(|part| part as f32),
+    };
+    belief.handle_orientation(&OrientationReport { stamp, users: (0..).zip(held).map(entry).collect() });
+}
+
+/// A belief after ten ticks with orientation reports, where users hold their receivers so.
+fn with_reports(held: impl Fn(&Vec3) -> Orientation) -> Belief {
+    let scenario = hall(&[]);
+    let model = scenario.channel_model().unwrap();
+    let held = SEATS.each_ref().map(held);
+    let gains = direct_gains(&model, &SEATS, &held);
+    let mut belief = Belief::new(&scenario, &model, 64);
+    for tick in 1..=10 {
+        report(&mut belief, &model, &gains, tick);
+        report_held(&mut belief, (tick, 0), &held);
+    }
+    belief
+}
+
+#[test]
+fn reported_azimuths_show_the_headings_of_seated_users() {
+    // The direct gain is the same at a second heading, on the other side of the direction of the LED.
+    let aside = |seat: &Vec3| Vec3::new(-seat.y, seat.x, 0.0).normalize();
+    for (seat, heading) in SEATS.iter().zip(headings(&with_reports(|seat| tilted(aside(seat))))) {
+        assert!(heading.dot(&aside(seat)) > 0.95, "{seat:?}: {heading:?}");
+    }
+}
+
+#[test]
+fn reports_of_upright_receivers_show_no_headings_and_no_tilt() {
+    let belief = with_reports(|_| Orientation::UPRIGHT);
+    for (user, heading) in (0..).zip(headings(&belief)) {
+        assert!(heading.norm() < 0.2, "{heading:?}");
+        assert_eq!(belief.orientation(user, 0.1, (&Vec3::x(), 0.0)), Orientation::UPRIGHT);
+    }
+}
+
+#[test]
+fn an_old_report_of_a_receiver_counts_less_than_the_direction_to_the_face() {
+    let mut belief = with_reports(|_| tilted(Vec3::x()));
+    // One report shows the first user's receiver upright.
+    report_held(&mut belief, (10, 1), &[Orientation::UPRIGHT]);
+    let normal = |after_s: f64| belief.orientation(0, after_s, (&Vec3::x(), 0.0)).normal();
+    let lean = -tilted(Vec3::x()).normal().x;
+    let [at_once, soon, late] = [0.001, 0.1, 2.0].map(|after_s| -normal(after_s).x / lean);
+    assert!(at_once < 0.02, "{at_once}");
+    assert!((0.4..0.6).contains(&soon), "{soon}");
+    assert!((0.99..1.01).contains(&late), "{late}");
+}
+
+#[test]
+fn a_restored_belief_has_what_reports_have_shown_of_devices() {
+    let first = with_reports(|_| tilted(Vec3::x()));
+    let scenario = hall(&[]);
+    let model = scenario.channel_model().unwrap();
+    let [mut second, mut without] = [(); 2].map(|()| Belief::new(&scenario, &model, 64));
+    let tilt = &first.tilt_memory();
+    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices: &first.device_memory() }));
+    assert!(without.restore(&first.memory(), LaterMemories { tilt, devices: &DeviceMemory::default() }));
+    let held = |belief: &Belief| belief.orientation(0, 1.0, (&Vec3::x(), 0.0));
+    assert_eq!(held(&second), held(&first));
+    assert_ne!(held(&without), held(&first));
 }

@@ -107,9 +107,10 @@ impl TestSession {
             }
         })?;
         let mut subscriptions = vec![telemetry, announced, safety];
-        for node in [NodeKind::Driver, NodeKind::SimNode] {
+        let statuses = [(NodeKind::Driver, keys.driver_status()), (NodeKind::SimNode, room.status(NodeKind::SimNode))];
+        for (node, key) in statuses {
             let shared = Arc::clone(&received);
-            subscriptions.push(bus.subscribe(&room.status(node), move |payload| {
+            subscriptions.push(bus.subscribe(&key, move |payload| {
                 lock(&shared).statuses.push((node, decode(payload)));
                 shared.1.notify_all();
             })?);

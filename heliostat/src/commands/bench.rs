@@ -1,9 +1,11 @@
 //! `heliostat bench`: times and rates, each beside a reference measured in the same run.
 
+mod belief;
 mod board;
 mod decide;
 mod echo;
 mod env;
+mod moving;
 mod oracle;
 mod pace;
 mod room;
@@ -29,6 +31,8 @@ enum What {
     Oracle(oracle::Args),
     /// The decision without transport at several rates, beside the inference engine alone
     Decide(decide::Args),
+    /// The belief for each report and the observation, beside one evaluation of the channel model
+    Belief(belief::Args),
     /// From report to command between two processes, beside an echo over the same transport
     Loop(wire::Args),
     /// The decision with 49 to 4096 mirrors
@@ -50,6 +54,7 @@ pub fn run(args: Args) -> Result<()> {
         What::Env(args) => env::run(&args),
         What::Oracle(args) => oracle::run(&args),
         What::Decide(args) => decide::decide(&args),
+        What::Belief(args) => belief::run(&args),
         What::Loop(args) => wire::run_loop(&args),
         What::Mirrors(args) => decide::mirrors(&args),
         What::Users(args) => decide::users(&args),

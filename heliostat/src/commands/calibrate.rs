@@ -24,6 +24,9 @@ use crate::output::outln;
 pub struct Args {
     #[command(flatten)]
     scenario: ScenarioArgs,
+    /// Index of the array, from 0; the other arrays of the room are covered meanwhile
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    array: usize,
     /// Mounting errors to simulate: standard deviation of each axis in degrees, separated by commas
     #[arg(long, value_name = "A,B", value_delimiter = ',', default_value = "1,2")]
     mounting_deg: Vec<f64>,
@@ -65,7 +68,8 @@ pub fn run(args: Args) -> Result<()> {
         ensure!(folder.is_dir(), "cannot write {}: there is no folder {}", out.display(), folder.display());
     }
     let settings = Settings {
-        scenario: args.scenario.load()?,
+        scenario: args.scenario.load_arrays()?,
+        array: args.array,
         mounting_deg: args.mounting_deg,
         seeds: args.seeds as usize,
         states: args.states as usize,

@@ -76,9 +76,9 @@ pub fn run(args: Args) -> Result<()> {
             let process =
                 json!({ "name": "demo", "policy": args.policy().name(), "room": Room::new(&args.room)?.name() });
             // Its endpoints are free ports, chosen at the start.
-            document(&args.scenario.load()?, None, process)?
+            document(&args.scenario.load_arrays()?, None, process)?
         }
-        Process::Actor { scenario, users_max } => actor(&scenario.load()?, users_max),
+        Process::Actor { scenario, users_max } => actor(&scenario.load_arrays()?, users_max),
     };
     if args.as_json {
         outln!("{}", serde_json::to_string_pretty(&configuration)?)?;

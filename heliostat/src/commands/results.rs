@@ -12,6 +12,7 @@ pub(super) mod document;
 pub(super) mod pages;
 pub(super) mod steps;
 pub(super) mod table;
+mod training;
 
 use std::fs;
 use std::path::PathBuf;
@@ -43,6 +44,10 @@ pub struct Args {
     /// Keep the sections that the same command finished at the same commit
     #[arg(long)]
     resume: bool,
+    /// Train the actors that the page evaluates and that the folder `training` lacks; a run that was
+    /// interrupted continues. Without it, sections about missing actors are left out
+    #[arg(long)]
+    train: bool,
     /// Print each section's name and command, and run nothing
     #[arg(long)]
     list: bool,
@@ -73,7 +78,13 @@ pub fn run(args: Args) -> Result<()> {
         true => steps::resumed(&kept, page.name, args.quick)?,
         false => Archive::new(page.name, args.quick),
     };
-    let steps: Vec<_> = sections.into_iter().map(|section| (section, section.arguments(args.quick))).collect();
+    let mut steps = Vec::new();
+    for section in sections {
+        let arguments = section.arguments(args.quick);
+        if training::provide(section.name, &arguments, (args.train, args.quick))? {
+            steps.push((section, arguments));
+        }
+    }
     steps::run(&steps, &mut archive, |archive| {
         archive.write(&kept)?;
         fs::write(&out, document::markdown(page, archive)?)

@@ -50,7 +50,8 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// The array of a scenario and a seed, at rest. `dwell_s`: averaging time of a reading in s.
+    /// The array of a scenario with one array, at rest, as its index in its room and a seed mount it.
+    /// `dwell_s`: averaging time of a reading in s.
     ///
     /// The noise of a gain is that of the link budget over an equivalent bandwidth of 1 / (2
     /// dwell): sigma_H = 1 / sqrt(2 dwell B SINR(1)), where SINR(1) is that of a gain of 1 over the
@@ -58,12 +59,12 @@ impl Bench {
     ///
     /// # Errors
     /// The scenario describes no channel.
-    pub fn new(scenario: &Scenario, seed: u64, dwell_s: f64) -> anyhow::Result<Self> {
+    pub fn new(scenario: &Scenario, (index, seed): (usize, u64), dwell_s: f64) -> anyhow::Result<Self> {
         let model = scenario.channel_model()?;
         let spots = spots(scenario);
         let mut scene = Scene::new(&model, spots.len());
         scene.update(&model, &spots, &[], &vec![false; spots.len()]);
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &model.mirrors.arrays()[0], seed, 0);
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, &model.mirrors.arrays()[0], seed, index as u32);
         let capabilities = mirrors.capabilities();
         let away = [f64::from(capabilities.roll.min_rad).max(-AWAY_RAD), 0.0];
         let count = model.mirrors.len();

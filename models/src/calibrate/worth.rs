@@ -41,18 +41,19 @@ impl Evaluation {
         Ok(Self { states, evaluator: Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps()) })
     }
 
-    /// Mean sum rate in Mbit/s with the array of a scenario and a seed, with or without
-    /// corrections.
+    /// Mean sum rate in Mbit/s with the array of a scenario with one array, as its index in its room and
+    /// a seed mount it, with or without corrections.
     ///
     /// # Errors
     /// The array refuses the corrections or a command.
     pub fn sum_rate_mbps(
         &mut self,
         scenario: &Scenario,
-        seed: u64,
+        (index, seed): (usize, u64),
         corrections: Option<&CalibrationFile>,
     ) -> anyhow::Result<f64> {
-        let mirrors = SimulatedMirrors::new(&scenario.actuator, &self.evaluator.model().mirrors.arrays()[0], seed, 0);
+        let array = &self.evaluator.model().mirrors.arrays()[0];
+        let mirrors = SimulatedMirrors::new(&scenario.actuator, array, seed, index as u32);
         let mut kit = Kit::new(mirrors);
         let mut now_ns = SETTLED_NS;
         kit.advance(Moment::simulated(now_ns));

@@ -8,6 +8,9 @@ use serde::Serialize;
 
 use crate::evaluation::statistics::quantile;
 
+/// Lengths in s for which [`Outages`] states the time in longer outages.
+pub const OUTAGE_LENGTHS_S: [f64; 3] = [0.1, 0.5, 2.0];
+
 /// Time between two samples of the rates in ns.
 pub(super) const STEP_NS: u64 = 20_000_000;
 
@@ -55,6 +58,8 @@ pub struct Outages {
     pub p50_s: f64,
     /// 95th percentile of the length in s.
     pub p95_s: f64,
+    /// Share of the users' time in outages that are longer than each of [`OUTAGE_LENGTHS_S`].
+    pub time_in_longer: [f64; OUTAGE_LENGTHS_S.len()],
 }
 
 impl Outages {
@@ -73,6 +78,11 @@ impl Outages {
             per_user_minute: lengths_s.len() as f64 / (user_s / 60.0),
             p50_s: quantile(&lengths_s, 0.5),
             p95_s: quantile(&lengths_s, 0.95),
+            time_in_longer: OUTAGE_LENGTHS_S.map(|least_s| {
+                // Half a sample separates equal lengths from longer ones.
+                let longer = lengths_s.iter().filter(|length_s| **length_s > least_s + 0.5 * step_s);
+                longer.sum::<f64>() / user_s
+            }),
         })
     }
 }
@@ -96,7 +106,17 @@ mod tests {
         let outages = Outages::of([&log, &OutageLog::default()].into_iter()).expect("samples");
         assert!((outages.per_user_minute - 4.0 / (11.0 * 0.02 / 60.0)).abs() < 1e-9);
         assert!((outages.p50_s - 0.03).abs() < 1e-12 && (outages.p95_s - 0.04).abs() < 1e-12);
+        assert_eq!(outages.time_in_longer, [0.0; 3]);
         assert_eq!(Outages::of([&OutageLog::default()].into_iter()), None);
+    }
+
+    #[test]
+    fn the_time_in_long_outages_leaves_out_shorter_ones() {
+        let mut log = OutageLog::default();
+        // User 1 is below for 0.1 s, user 2 for 0.6 s, of 1 s each.
+        (0..50).for_each(|sample| log.handle([(1, sample < 5), (2, sample < 30)].into_iter()));
+        let [tenth, half, two] = Outages::of(std::iter::once(&log)).expect("samples").time_in_longer;
+        assert!((tenth - 0.3).abs() < 1e-12 && (half - 0.3).abs() < 1e-12 && two == 0.0, "{tenth} {half} {two}");
     }
 
     #[test]

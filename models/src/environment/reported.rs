@@ -1,18 +1,20 @@
 //! Rooms that a controller knows by reports only, in closed loop: the examples from which a network
 //! learns to correct the belief.
 //!
-//! Each decision of the controller gives an example for each user: the row that the actor reads, and
-//! the truth in the middle of the command's time in force. The actor of the run decides, so that its
+//! Each decision of the controller shows the row that the actor reads for each user, and the truth in
+//! the middle of the command's time in force: [`Future`]. The actor of the run decides, so that its
 //! own commands shape what it observes.
 
 use anyhow::Context;
 use heliostat_decide::core::Controller;
-use heliostat_decide::evidence::{FEATURES, NORMAL};
+use heliostat_decide::evidence::{Evidence, FEATURES, NORMAL};
 use heliostat_decide::policy::Policy;
 use heliostat_environment::closed_loop::ClosedLoop;
 use heliostat_scenario::{MismatchKind, Scenario};
+use heliostat_sim::World;
 use heliostat_sim::episode::Episode;
 use rand::{Rng, RngExt};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Users have walked for this time when the reports begin, in ns.
@@ -85,6 +87,9 @@ pub struct RoomChoice {
 }
 
 impl RoomChoice {
+    /// The largest number of users in a room.
+    pub const USERS_MAX: u32 = 7;
+
     /// Draws a room around a scenario: walks, how receivers are held, the difference from the known
     /// room, number of users, rates, latencies and noises of the reports, size of the room.
     ///
@@ -102,11 +107,32 @@ impl RoomChoice {
             .context("no room around the scenario is valid: choose the scenario hall, or other walks")
     }
 
+    /// Draws this many rooms around a scenario and runs something in each, on all threads; the
+    /// results are in the order of the rooms, whatever the number of threads.
+    ///
+    /// # Errors
+    /// As [`RoomChoice::draw`], and errors of `run`, which gets a room and its seed.
+    pub fn in_rooms<T: Send>(
+        &self,
+        (scenario, count): (&Scenario, usize),
+        rng: &mut impl Rng,
+        run: impl Fn(&Scenario, u64) -> anyhow::Result<T> + Sync,
+    ) -> anyhow::Result<Vec<T>> {
+        anyhow::ensure!(
+            !self.walks.is_empty(),
+            "walks = []: expected at least one way of walking, for example [\"seated\"]"
+        );
+        let draw = |_| Ok((self.draw(scenario, rng)?, rng.random()));
+        let rooms: Vec<(Scenario, u64)> = (0..count).map(draw).collect::<anyhow::Result<_>>()?;
+        let pool = rayon::ThreadPoolBuilder::new().build()?;
+        pool.install(|| rooms.par_iter().map(|(room, seed)| run(room, *seed)).collect())
+    }
+
     fn overrides(&self, rng: &mut impl Rng) -> Vec<String> {
         let walks = self.walks[rng.random_range(0..self.walks.len())];
         let mut all: Vec<String> = walks.overrides().iter().map(|text| (*text).to_owned()).collect();
         let mut set = |key: &str, value: f64| all.push(format!("{key}={value}"));
-        set("users.count", f64::from(rng.random_range(2..=7_u32)));
+        set("users.count", f64::from(rng.random_range(2..=Self::USERS_MAX)));
         let factor = |rng: &mut dyn FnMut() -> f64, low: f64, high: f64| low * (high / low).powf(rng());
         let mut uniform = || rng.random::<f64>();
         set("streams.positions.rate_hz", factor(&mut uniform, 7.0, 25.0).round());
@@ -144,36 +170,74 @@ impl RoomChoice {
     }
 }
 
-/// The examples of a room in which a policy decides for `seconds`.
+/// Lets a policy decide in a room for `seconds`, and calls `see` after each decision but the first.
 ///
 /// # Errors
 /// The scenario describes no room, or the array refuses a command.
-pub fn examples(scenario: &Scenario, seed: u64, policy: Box<dyn Policy>, seconds: f64) -> anyhow::Result<Vec<Example>> {
+pub fn decisions(
+    scenario: &Scenario,
+    seed: u64,
+    (policy, seconds): (Box<dyn Policy>, f64),
+    see: &mut dyn FnMut(&ClosedLoop),
+) -> anyhow::Result<()> {
     let episode = Episode::new(scenario, None, seed, START_NS)?;
     let controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
     let mut room = ClosedLoop::new(episode, controller);
     let end_ns = START_NS + (seconds * 1e9) as u64;
-    let mut all = Vec::new();
     while let Some((now, event)) = room.poll_event(end_ns) {
         if room.deliver(now, event, &mut |_| {})? && now.room_ns > START_NS + FIRST_NS {
-            add_examples(&room, &mut all);
+            see(&room);
         }
     }
+    Ok(())
+}
+
+/// The examples of a room in which a policy decides for `seconds`.
+///
+/// # Errors
+/// As [`decisions`].
+pub fn examples(scenario: &Scenario, seed: u64, policy: Box<dyn Policy>, seconds: f64) -> anyhow::Result<Vec<Example>> {
+    let mut all = Vec::new();
+    decisions(scenario, seed, (policy, seconds), &mut |room| {
+        let Some(future) = Future::of(room) else { return };
+        all.extend(future.users().map(|(row, tilt)| Example { row, tilt }));
+    })?;
     Ok(all)
 }
 
-/// Adds the examples of the last decision.
-fn add_examples(room: &ClosedLoop, all: &mut Vec<Example>) {
-    let observer = room.controller().observer();
-    let Some(evidence) = observer.evidence() else { return };
-    let mut world = room.room().world().clone();
-    world.step(observer.lead_s());
-    let narrow = |values: [f64; 2]| values.map(|value| value as f32);
-    let rows = evidence.rows().iter().zip(evidence.frames());
-    for ((row, frame), user) in rows.zip(room.observation().ids.iter()) {
-        let Some(index) = world.ids().iter().position(|id| id == user) else { continue };
-        let normal = frame.of_room(&world.orientations()[index].normal());
-        let believed = [row[NORMAL], row[NORMAL + 1]].map(f64::from);
-        all.push(Example { row: *row, tilt: narrow([normal[0] - believed[0], normal[1] - believed[1]]) });
+/// The room in the middle of the time in which the last command of a controller is in force, and the
+/// evidence on which this command was based.
+pub struct Future<'a> {
+    /// Controller and present room.
+    pub room: &'a ClosedLoop,
+    /// The evidence.
+    pub evidence: &'a Evidence,
+    /// Users, obstacles and the true channel.
+    pub world: World,
+    /// Index in the world of each observed user, in the order of the rows.
+    pub indices: Vec<usize>,
+}
+
+impl<'a> Future<'a> {
+    /// After a decision; `None` where the policy reads no evidence or a user has left.
+    pub fn of(room: &'a ClosedLoop) -> Option<Self> {
+        let observer = room.controller().observer();
+        let evidence = observer.evidence()?;
+        let mut world = room.room().world().clone();
+        world.step(observer.lead_s());
+        let index = |user| world.ids().iter().position(|id| id == user);
+        let indices = room.observation().ids.iter().map(index).collect::<Option<_>>()?;
+        Some(Self { room, evidence, indices, world })
+    }
+
+    /// The row of each user, and the horizontal components of the true normal less those of the
+    /// believed one, in the frame of the row.
+    pub fn users(&self) -> impl Iterator<Item = ([f32; FEATURES], [f32; 2])> {
+        let rows = self.evidence.rows().iter().zip(self.evidence.frames());
+        rows.zip(&self.indices).map(|((row, frame), index)| {
+            let normal = frame.of_room(&self.world.orientations()[*index].normal());
+            let tilt = [normal[0] - f64::from(row[NORMAL]), normal[1] - f64::from(row[NORMAL + 1])];
+            (*row, tilt.map(|value| value as f32))
+        })
     }
 }

@@ -261,10 +261,7 @@ impl Channel {
     /// # Errors
     /// Errors of candle.
     pub fn reward(&self, amplitude: &Tensor, reward: Reward) -> Result<Tensor> {
-        let rate = ((amplitude.sqr()? + 1.0)?.log()? * std::f64::consts::LOG2_E)?;
-        let shortfall = ((&self.min_rate * reward.margin)? - &rate)?.relu()?;
-        let part = (rate - (shortfall * reward.lambda)?)?.mul(&self.present)?;
-        part.sum(1)?.div(&self.present.sum(1)?)
+        mean_reward(amplitude, (&self.present, &self.min_rate), reward)
     }
 
     /// Soft assignment of each mirror to each user, (batch, slots, mirrors).
@@ -274,9 +271,7 @@ impl Channel {
         let weighted = self.steering.broadcast_mul(&baseline.unsqueeze(2)?)?;
         let log_weighted = ((weighted + f64::from(POWER_FLOOR))?.log()?)
             .broadcast_add(&(actions * f64::from(head.range))?.unsqueeze(2)?)?;
-        let log_weighted = (log_weighted * exponent)?;
-        let power = log_weighted.broadcast_sub(&log_weighted.max_keepdim(1)?.detach())?.exp()?;
-        power.broadcast_div(&power.sum_keepdim(1)?)
+        shares(&log_weighted, exponent)
     }
 
     /// Values times the baseline weights of the head, (batch, slots).
@@ -286,6 +281,29 @@ impl Channel {
             BaselineWeight::Balanced => weight.mul(&self.balanced),
         }
     }
+}
+
+/// The mean reward of the present users with these amplitudes in bit/s/Hz: (batch). `present` and
+/// the minimum rates are (batch, slots).
+///
+/// # Errors
+/// Errors of candle.
+pub fn mean_reward(amplitude: &Tensor, (present, min_rate): (&Tensor, &Tensor), reward: Reward) -> Result<Tensor> {
+    let rate = ((amplitude.sqr()? + 1.0)?.log()? * std::f64::consts::LOG2_E)?;
+    let shortfall = ((min_rate * reward.margin)? - &rate)?.relu()?;
+    let part = (rate - (shortfall * reward.lambda)?)?.mul(present)?;
+    part.sum(1)?.div(&present.sum(1)?)
+}
+
+/// The soft assignment of each mirror by logarithms of weighted gains, (batch, slots, mirrors): their
+/// powers with this exponent over the sum of the powers of all users.
+///
+/// # Errors
+/// Errors of candle.
+pub fn shares(log_weighted: &Tensor, exponent: f64) -> Result<Tensor> {
+    let log_weighted = (log_weighted * exponent)?;
+    let power = log_weighted.broadcast_sub(&log_weighted.max_keepdim(1)?.detach())?.exp()?;
+    power.broadcast_div(&power.sum_keepdim(1)?)
 }
 
 /// Amplitude of user k from each mirror when it is aimed at user j, by the channel: (k, j,

@@ -10,29 +10,31 @@
 //! The negative logarithm of the likelihood of the true change t of the receiver's normal, by a normal
 //! distribution with the variance v of the same output: |t - t0|^2 / v + ln v, up to constants.
 //!
+//! [`analytic`] and [`ddpg`] fine-tune such a network on the true future rate.
+//!
 //! A room and its mirror image are equally likely, so a random half of the examples is mirrored. The
 //! output layer starts at zero: an untrained network changes nothing.
 
+mod actor;
+pub mod analytic;
+pub mod ddpg;
+
+use analytic::Analytic;
+use anyhow::bail;
 use candle_core::{Device, Result, Tensor};
+use ddpg::Ddpg;
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_decide::correction::{Correction, LOG_VARIANCE, LOG_VARIANCE_OFFSET, LOG_VARIANCE_SCALE};
-use heliostat_decide::evidence::{EVIDENCE_VERSION, FEATURES, MIRRORED};
+use heliostat_decide::evidence::{FEATURES, MIRRORED};
 use heliostat_decide::policy::PolicyKind;
-use heliostat_decide::policy::actor_file::{ActorFile, COMPACT, CORRECTIONS_NAME, INPUT_NAME, key};
-use heliostat_engine::{ActorSource, build};
-use heliostat_onnx::graph::Ends;
 use heliostat_scenario::{MismatchKind, Scenario};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::environment::reported::{Example, RoomChoice, Walks, examples};
 use crate::environment::room::{Environment, Outcome};
-use crate::evaluation::held_out::best_angles;
-use crate::export::rows::export;
 use crate::networks::adam::Adam;
-use crate::networks::layers::{Encoder, Network, Shape, assign};
+use crate::networks::layers::{Network, assign};
 use crate::training::algorithm::{Algorithm, start};
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::settings::RunSettings;
@@ -45,9 +47,43 @@ pub const ALGORITHM: Algorithm = Algorithm {
     summary: "a network that corrects the belief by channel residuals; see the head of `models/src/learners/residual.rs`",
     has_paper_preset: false,
     start: |scenario, _, options| {
-        let settings = Settings::new(scenario.seed);
-        start(scenario, settings, options, Residual::new)
+        let (chosen, options): (Vec<_>, Vec<_>) =
+            options.iter().cloned().partition(|option| option.starts_with(FINE_TUNE));
+        let choice = RoomChoice { walks: Walks::ALL.to_vec(), mismatch: MISMATCH.to_vec() };
+        let seed = scenario.seed;
+        match chosen.last().map(|option| &option[FINE_TUNE.len()..]) {
+            None => start(scenario, Settings::new(seed), &options, Residual::new),
+            Some("analytic") => start(scenario, analytic::Settings::new(seed, choice), &options, Analytic::new),
+            Some("ddpg") => start(scenario, ddpg::Settings::new(seed, choice), &options, Ddpg::new),
+            Some(other) => bail!("--fine-tune {other}: expected analytic or ddpg"),
+        }
     },
+};
+
+/// The start of the option that chooses a fine-tuning in place of the supervised training.
+const FINE_TUNE: &str = "fine_tune=";
+
+/// A fine-tuning of a network that the supervised training has made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum FineTuning {
+    /// By the gradient of the true future rate through the channel
+    Analytic,
+    /// By DDPG with a critic that knows the true room
+    Ddpg,
+}
+
+impl FineTuning {
+    /// The option of a run that chooses it.
+    pub fn option(self) -> String {
+        let name = clap::ValueEnum::to_possible_value(&self).map_or_else(String::new, |value| value.get_name().into());
+        FINE_TUNE.to_owned() + &name
+    }
+}
+
+/// The kinds of mismatch from which rooms are drawn.
+const MISMATCH: [MismatchKind; 7] = {
+    use MismatchKind::{Bodies, Floor, Led, Mirrors, Receiver, Tilt, Tracker};
+    [Bodies, Tilt, Mirrors, Led, Receiver, Floor, Tracker]
 };
 
 /// Features that the network does not read, for comparisons.
@@ -101,15 +137,13 @@ pub struct Settings {
 impl Settings {
     /// The hyperparameters of the built-in actors.
     pub fn new(seed: u64) -> Self {
-        use MismatchKind::{Bodies, Floor, Led, Mirrors, Receiver, Tilt, Tracker};
-        let mismatch = vec![Bodies, Tilt, Mirrors, Led, Receiver, Floor, Tracker];
         Self {
             rate: 3e-3,
             rate_end: 0.03,
             batch: 256,
             room_count: 24,
             room_s: 10.0,
-            choice: RoomChoice { walks: Walks::ALL.to_vec(), mismatch },
+            choice: RoomChoice { walks: Walks::ALL.to_vec(), mismatch: MISMATCH.to_vec() },
             without: Without::Nothing,
             run: RunSettings { episodes: 100, steps: 1, ..RunSettings::paper(seed) },
         }
@@ -121,9 +155,6 @@ impl AsRef<RunSettings> for Settings {
         &self.run
     }
 }
-
-/// Widths of the two hidden layers.
-const HIDDEN: [usize; 2] = [64, 64];
 
 /// The learner with its state between two episodes.
 pub struct Residual {
@@ -141,16 +172,7 @@ impl Residual {
     /// # Errors
     /// Errors of candle, when memory runs out.
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
-        anyhow::ensure!(
-            !settings.choice.walks.is_empty(),
-            "walks = []: expected at least one way of walking, for example [\"seated\"]"
-        );
-        let outputs = Correction::VALUES;
-        let shape = Shape { encoder: Encoder::Mlp, slots: 1, inputs: FEATURES, hidden: HIDDEN, outputs };
-        let network = Network::new(shape, rng)?;
-        let head = network.layer("head");
-        assign(&head.weight, &head.weight.zeros_like()?)?;
-        assign(&head.bias, &head.bias.zeros_like()?)?;
+        let network = actor::untrained(rng)?;
         // The gradient of a weight is zero where its feature is always zero.
         let mut first = network.layer("first").weight.to_vec2::<f32>()?;
         first[settings.without.features()].iter_mut().for_each(|row| row.fill(0.0));
@@ -161,18 +183,9 @@ impl Residual {
 
     /// The examples of newly drawn rooms, in which the present network decides.
     fn examples(&self, rng: &mut ChaCha8Rng) -> anyhow::Result<Vec<Example>> {
-        let draw = |_| Ok((self.settings.choice.draw(&self.scenario, rng)?, rng.random()));
-        let rooms: Vec<(Scenario, u64)> = (0..self.settings.room_count).map(draw).collect::<anyhow::Result<_>>()?;
-        let bytes = self.file(&metadata())?;
-        let file = ActorFile { origin: "the network in training".into(), bytes: bytes.into() };
-        let run = |(room, seed): &(Scenario, u64)| {
-            let policy = build(PolicyKind::Residual, room, &ActorSource::Bytes(file.clone()))?;
-            examples(room, *seed, policy, self.settings.room_s)
-        };
-        // The order of the rooms stays, whatever the number of threads.
-        let pool = rayon::ThreadPoolBuilder::new().build()?;
-        let all: anyhow::Result<Vec<_>> = pool.install(|| rooms.par_iter().map(run).collect());
-        Ok(all?.concat())
+        let file = actor::present(&self.network)?;
+        let run = |room: &Scenario, seed| examples(room, seed, actor::policy(&file, room)?, self.settings.room_s);
+        Ok(self.settings.choice.in_rooms((&self.scenario, self.settings.room_count), rng, run)?.concat())
     }
 
     /// One pass over shuffled examples; returns the mean loss.
@@ -193,18 +206,6 @@ impl Residual {
         }
         Ok(sum / f64::max(count, 1.0))
     }
-
-    fn file(&self, metadata: &[(String, String)]) -> Result<Vec<u8>> {
-        let output = (CORRECTIONS_NAME, Correction::VALUES);
-        let ends = Ends { name: "heliostat-residual", input: (INPUT_NAME, FEATURES), output };
-        export(&self.network, &ends, metadata)
-    }
-}
-
-/// The entries without which no policy reads the file.
-fn metadata() -> [(String, String); 2] {
-    let version = EVIDENCE_VERSION.to_string();
-    [(key::ACTION, COMPACT.into()), (key::OBSERVATION_VERSION, version)].map(|(key, value)| (key.to_owned(), value))
 }
 
 /// The mirror image of an example.
@@ -226,8 +227,7 @@ fn loss(network: &Network, batch: &[Example]) -> Result<Tensor> {
     let rows = table(batch.iter().flat_map(|example| example.row).collect(), FEATURES)?;
     let tilt = table(batch.iter().flat_map(|example| example.tilt).collect(), 2)?;
     let output = network.forward_rows(&rows)?;
-    let [least, most] = LOG_VARIANCE;
-    let log_variance = ((output.narrow(1, 2, 1)? * LOG_VARIANCE_SCALE)? + LOG_VARIANCE_OFFSET)?.clamp(least, most)?;
+    let log_variance = actor::log_variance(&output)?;
     let squared = (output.narrow(1, 0, 2)? - tilt)?.sqr()?.sum_keepdim(1)?;
     ((squared * log_variance.neg()?.exp()?)? + log_variance)?.mean_all()
 }
@@ -249,11 +249,8 @@ impl Learner for Residual {
         Ok(Vec::new())
     }
 
-    /// A true state needs no correction, so these are the angles of the solver.
     fn act(&self, room: &Environment) -> anyhow::Result<MirrorAngles> {
-        let seen = room.observation();
-        let mut solver = heliostat_channel::solver::Solver::new(seen.users(), seen.mirrors());
-        Ok(best_angles(&mut solver, room.model(), &seen.scene, &seen.min_rate_bps))
+        Ok(actor::act_on_truth(room))
     }
 
     fn notes(&self) -> Vec<(&'static str, String)> {
@@ -265,8 +262,6 @@ impl Learner for Residual {
     }
 
     fn export(&self, _: &ChannelModel, entries: &[(String, String)]) -> anyhow::Result<Vec<u8>> {
-        let replaced = [key::OBSERVATION_VERSION, key::USERS_MAX, key::MIRRORS, key::MODE, key::GEOMETRY];
-        let own = entries.iter().filter(|(key, _)| !replaced.contains(&key.as_str())).cloned();
-        Ok(self.file(&metadata().into_iter().chain(own).collect::<Vec<_>>())?)
+        Ok(actor::file(&self.network, entries)?)
     }
 }

@@ -132,7 +132,7 @@ impl States {
     /// # Errors
     /// Errors of candle, when shapes differ.
     pub fn mean_present(&self, values: &Tensor) -> Result<Tensor> {
-        values.mul(&self.present)?.sum(1)?.div(&self.present.sum(1)?)
+        mean_present(values, &self.present)
     }
 
     /// ln(1 + amplitude) of each user under these actions by the smooth decoder, (batch, slots).
@@ -233,6 +233,15 @@ impl Actor {
     pub fn copy(&self) -> Result<Self> {
         Ok(Self { network: self.network.copy()?, ..self.clone() })
     }
+}
+
+/// The mean of values over the present users: (batch, slots) to (batch). `present` is 1 for a present
+/// user, and else 0.
+///
+/// # Errors
+/// Errors of candle, when shapes differ.
+pub fn mean_present(values: &Tensor, present: &Tensor) -> Result<Tensor> {
+    values.mul(present)?.sum(1)?.div(&present.sum(1)?)
 }
 
 #[cfg(test)]

@@ -31,13 +31,7 @@ pub(super) fn parts(room: &Room, plan: &Plan) -> Result<Vec<Part>> {
         "{ID} draws a panel for each number of blocked users, and --blocked has {}: give {PANELS_MAX} numbers or fewer",
         plan.blocked.len()
     );
-    let users = room.scenario.users.count;
-    let most = plan.blocked.iter().copied().max().unwrap_or(0);
-    ensure!(
-        most <= users,
-        "{ID} blocks up to {most} users, but room {} has {users} (users.count): give --blocked numbers up to {users}",
-        room.name
-    );
+    plan.check_blocked(ID, room)?;
     ensure!(
         room.scenario.users.trace.is_none(),
         "{ID} draws states from the random walk, but room {} uses a recording; remove users.trace",

@@ -138,6 +138,15 @@ impl Mobility {
         }
     }
 
+    /// Writes at least the users' velocities, of which alone something depends between two updates
+    /// of the room.
+    pub fn write_velocities(&self, walkers: &mut [Walker]) {
+        match self {
+            Self::Crowd(crowd) => crowd.write_velocities(walkers),
+            Self::RandomWaypoint { .. } | Self::Trace(_) => self.write(walkers),
+        }
+    }
+
     /// New walking speeds; a recorded walk keeps its own.
     pub fn set_speeds(&mut self, speeds: Speeds) {
         match self {

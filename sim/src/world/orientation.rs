@@ -45,6 +45,8 @@ struct Distribution {
     azimuth_std: f64,
     /// Autocorrelation from one node to the next.
     correlation: f64,
+    /// Standard deviation of what is new at a node: sqrt(1 - correlation^2).
+    innovation: f64,
 }
 
 /// The distributions of a scenario.
@@ -58,18 +60,21 @@ struct Distributions {
 impl Distributions {
     fn new(table: &UserOrientation) -> Self {
         let correlation = |coherence_s: f64| AT_COHERENCE_TIME.powf(NODE_S / coherence_s);
+        let innovation = |coherence_s: f64| (1.0 - correlation(coherence_s).powi(2)).sqrt();
         Self {
             sitting: Distribution {
                 polar_mean: table.sitting_polar_mean_deg.to_radians(),
                 polar_std: table.sitting_polar_std_deg.to_radians(),
                 azimuth_std: table.sitting_azimuth_std_deg.to_radians(),
                 correlation: correlation(table.sitting_coherence_s),
+                innovation: innovation(table.sitting_coherence_s),
             },
             walking: Distribution {
                 polar_mean: table.walking_polar_mean_deg.to_radians(),
                 polar_std: table.walking_polar_std_deg.to_radians(),
                 azimuth_std: table.walking_azimuth_std_deg.to_radians(),
                 correlation: correlation(table.walking_coherence_s),
+                innovation: innovation(table.walking_coherence_s),
             },
             walking_from_m_s: table.walking_from_m_s,
         }
@@ -87,12 +92,17 @@ impl Distributions {
     /// Polar angle and deviation of the azimuth in radians; a device never faces down.
     fn angles(&self, node: &Node) -> [f64; 2] {
         let (sitting, walking) = (&self.sitting, &self.walking);
-        let between = |sits: f64, walks: f64| sits + node.walking * (walks - sits);
-        let polar = between(
-            sitting.polar_mean + laplace(sitting.polar_std, node.polar),
-            walking.polar_mean + walking.polar_std * node.polar,
-        );
-        let azimuth = between(laplace(sitting.azimuth_std, node.azimuth), walking.azimuth_std * node.azimuth);
+        let walks = [walking.polar_mean + walking.polar_std * node.polar, walking.azimuth_std * node.azimuth];
+        // The quantiles of a Laplace distribution take most of the time, and a user who walks needs none.
+        let [polar, azimuth] = if node.walking == 1.0 {
+            walks
+        } else {
+            let sits = [
+                sitting.polar_mean + laplace(sitting.polar_std, node.polar),
+                laplace(sitting.azimuth_std, node.azimuth),
+            ];
+            [0, 1].map(|angle| sits[angle] + node.walking * (walks[angle] - sits[angle]))
+        };
         [polar.clamp(0.0, FRAC_PI_2), azimuth]
     }
 }
@@ -131,8 +141,8 @@ impl Process {
     /// The next node becomes the last one.
     fn pass_node(&mut self, distributions: &Distributions, walking: bool) {
         self.last = self.next;
-        self.correlation = distributions.of(walking).correlation;
-        let (kept, drawn) = (self.correlation, (1.0 - self.correlation * self.correlation).sqrt());
+        let &Distribution { correlation: kept, innovation: drawn, .. } = distributions.of(walking);
+        self.correlation = kept;
         let target = f64::from(u8::from(walking));
         let [polar, azimuth] = random::normal_pair(&mut self.rng);
         self.next = Node {
@@ -214,7 +224,7 @@ impl Orientations {
         self.distributions.map(|_| (self.passed + 1) as f64 * NODE_S)
     }
 
-    /// Passes the next node, at which the users move like this.
+    /// Passes the next node, at which the users have these velocities.
     pub fn pass_node(&mut self, walkers: &[Walker]) {
         self.passed += 1;
         if let Some(distributions) = &self.distributions {

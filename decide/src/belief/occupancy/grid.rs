@@ -13,9 +13,6 @@ const CELLS_MAX: f64 = 10_000.0;
 /// of the cells.
 const EDGE_M: f64 = 0.1;
 
-/// Cells of a row that are examined together.
-const LANES: usize = 8;
-
 /// The part of a path below the height of obstacles, in plan view, as a vector from its start.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LowPart {
@@ -25,6 +22,11 @@ pub(super) struct LowPart {
 }
 
 impl LowPart {
+    /// 1 / the squared length in m2; 0 for a path without a length.
+    pub fn inverse(&self) -> f64 {
+        self.inverse
+    }
+
     /// Length in m.
     pub fn length_m(&self) -> f64 {
         let [x, y] = self.along;
@@ -71,13 +73,31 @@ impl Grid {
 
     /// The centre of a cell in m.
     pub fn centre(&self, cell: usize) -> [f64; 2] {
-        let at = |index: usize, axis: usize| (index as f64 + 0.5) * self.cell_m - self.half_m[axis];
-        [at(cell % self.columns, 0), at(cell / self.columns, 1)]
+        [self.centre_of(cell % self.columns, 0), self.centre_of(cell / self.columns, 1)]
+    }
+
+    /// The centre of a column (axis 0) or of a row (axis 1) in m.
+    #[inline(always)]
+    pub fn centre_of(&self, index: usize, axis: usize) -> f64 {
+        (index as f64 + 0.5) * self.cell_m - self.half_m[axis]
+    }
+
+    /// The column (axis 0) or the row (axis 1) of a coordinate in m, or the nearest one.
+    #[inline(always)]
+    pub fn index(&self, at_m: f64, axis: usize) -> usize {
+        let count = [self.columns, self.rows][axis];
+        // A negative number becomes 0.
+        (((at_m + self.half_m[axis]) / self.cell_m) as usize).min(count - 1)
     }
 
     /// Distance in m at which an obstacle begins to block a path.
     pub fn reach_m(&self) -> f64 {
         self.radius_m + EDGE_M
+    }
+
+    /// How fast an obstacle blocks a path as it comes nearer, per m.
+    pub fn blocks_per_m(&self) -> f64 {
+        0.5 / EDGE_M
     }
 
     /// The part of a path that obstacles can block.
@@ -98,44 +118,7 @@ impl Grid {
         let share = ((off[0] * along[0] + off[1] * along[1]) * inverse).clamp(0.0, 1.0);
         let gap = [off[0] - share * along[0], off[1] - share * along[1]];
         let distance = (gap[0] * gap[0] + gap[1] * gap[1]).sqrt();
-        ((self.reach_m() - distance) * (0.5 / EDGE_M)).clamp(0.0, 1.0)
-    }
-
-    /// Calls `visit` with each cell near a path and with how surely an obstacle there blocks it,
-    /// above 0 and at most 1.
-    #[inline(always)]
-    pub fn near(&self, from: &Vec3, to: &Vec3, mut visit: impl FnMut(usize, f64)) {
-        if from.z >= self.height_m {
-            return;
-        }
-        let start = [from.x, from.y];
-        let path = self.low_part(from, to);
-        let along = path.along;
-        let end = [start[0] + along[0], start[1] + along[1]];
-        let reach = self.reach_m();
-        let index = |value: f64, axis: usize, count: usize| {
-            ((value + self.half_m[axis]) / self.cell_m).floor().clamp(0.0, count as f64 - 1.0) as usize
-        };
-        let (bottom, top) = (start[1].min(end[1]) - reach, start[1].max(end[1]) + reach);
-        for row in index(bottom, 1, self.rows)..=index(top, 1, self.rows) {
-            let y = (row as f64 + 0.5) * self.cell_m - self.half_m[1];
-            // The part of the path within reach of the row.
-            let at = |y: f64| if along[1] == 0.0 { 0.5 } else { ((y - start[1]) / along[1]).clamp(0.0, 1.0) };
-            let (one, two) = if along[1] == 0.0 { (0.0, 1.0) } else { (at(y - reach), at(y + reach)) };
-            let (x_one, x_two) = (start[0] + one * along[0], start[0] + two * along[0]);
-            let columns =
-                index(x_one.min(x_two) - reach, 0, self.columns)..=index(x_one.max(x_two) + reach, 0, self.columns);
-            for first in columns.clone().step_by(LANES) {
-                let mut blocks = [0.0; LANES];
-                for (lane, blocks) in blocks.iter_mut().enumerate() {
-                    let x = ((first + lane) as f64 + 0.5) * self.cell_m - self.half_m[0];
-                    *blocks = self.blocks(&path, [x - start[0], y - start[1]]);
-                }
-                for (column, blocks) in (first..=*columns.end()).zip(blocks).filter(|(_, blocks)| *blocks > 0.0) {
-                    visit(row * self.columns + column, blocks);
-                }
-            }
-        }
+        ((self.reach_m() - distance) * self.blocks_per_m()).clamp(0.0, 1.0)
     }
 }
 

@@ -5,7 +5,10 @@ use heliostat_proto::MAX_USERS;
 use serde::{Deserialize, Serialize};
 
 use super::Observer;
-use crate::belief::{Belief, memory::TiltMemory};
+use crate::belief::{
+    Belief,
+    memory::{DeviceMemory, LaterMemories, TiltMemory},
+};
 use crate::observe::evidence::{Evidence, EvidenceMemory};
 use crate::observe::prediction::PredictionMemory;
 
@@ -44,12 +47,17 @@ impl Observer {
         self.prediction.belief().map_or_else(TiltMemory::default, Belief::tilt_memory)
     }
 
+    /// What orientation reports have shown of devices.
+    pub fn device_memory(&self) -> DeviceMemory {
+        self.prediction.belief().map_or_else(DeviceMemory::default, Belief::device_memory)
+    }
+
     /// Replaces the state; false where it is not one of this scenario.
-    pub fn restore(&mut self, memory: &ObserverMemory, tilt: &TiltMemory) -> bool {
+    pub fn restore(&mut self, memory: &ObserverMemory, later: LaterMemories<'_>) -> bool {
         let ObserverMemory { prediction, slots, headings } = memory;
         let is_heading = |heading: &[f64; 3]| heading.iter().all(|part| part.abs() <= 1.0 + 1e-9);
         let is_sound = slots.len() <= MAX_USERS && headings.len() == slots.len() && headings.iter().all(is_heading);
-        if !is_sound || !self.prediction.restore(prediction, tilt) {
+        if !is_sound || !self.prediction.restore(prediction, later) {
             return false;
         }
         self.slots.follow(slots);

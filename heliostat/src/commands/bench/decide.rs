@@ -82,7 +82,7 @@ impl Subject<'_> {
 
 /// `decide`: one policy at several rates, beside the inference engine alone.
 pub fn decide(args: &Args) -> Result<()> {
-    let (scenario, source) = (args.scenario.load()?, args.source()?);
+    let (scenario, source) = (args.scenario.load_arrays()?, args.source()?);
     let kind = args.policy.unwrap_or(PolicyKind::Ddpg);
     let subject = Subject { scenario: &scenario, kind, source: &source, engine: EngineChoice::Auto };
     let engines = args.engines(&subject);
@@ -100,7 +100,7 @@ pub fn decide(args: &Args) -> Result<()> {
 
 /// `policies`: every policy that can decide here, beside the inference engine alone.
 pub fn policies(args: &Args) -> Result<()> {
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load_arrays()?;
     anyhow::ensure!(args.model.is_none(), "--model: bench policies measures the built-in actors; use bench decide");
     let engine = args.engine.unwrap_or_default();
     let mut table =
@@ -132,14 +132,15 @@ pub fn mirrors(args: &Args) -> Result<()> {
             // smallest mirrors.
             "led.side_m=0".into(),
         ];
-        Ok(args.scenario.load()?.with_overrides(&set)?)
+        let scenario = args.scenario.load().context("bench mirrors divides the wall of one array")?;
+        Ok(scenario.with_overrides(&set)?)
     };
     args.growth("mirrors; reference: 49 mirrors", &[7, 10, 16, 32, 64], &sized)
 }
 
 /// `users`: 1 to 50 users; reference: one user.
 pub fn users(args: &Args) -> Result<()> {
-    let sized = |users: usize| Ok(args.scenario.load()?.with_overrides(&[format!("users.count={users}")])?);
+    let sized = |users: usize| Ok(args.scenario.load_arrays()?.with_overrides(&[format!("users.count={users}")])?);
     args.growth("users; reference: one user", &[1, 2, 5, 10, 20, 50], &sized)
 }
 
@@ -328,11 +329,13 @@ impl Side for Decider {
         let now = self.tick * 10_000_000;
         let message = Message::Users(&mut self.report);
         let decision = self.controller.handle_and_poll(now, message, &mut |stage| stamps.mark(stage));
-        let Some(Decision::Move { command, age_ns, .. }) = decision else {
+        let Some(decision @ Decision::Move { age_ns, .. }) = decision else {
             anyhow::bail!("the controller gave no command for tick {}", self.tick);
         };
-        command.sequence = self.tick;
-        encode(command, &mut self.command)?;
+        for (_, command) in decision.commands() {
+            command.sequence = self.tick;
+            encode(command, &mut self.command)?;
+        }
         stamps.mark(Stage::Published);
         self.times.record(&stamps, age_ns);
         Ok(())

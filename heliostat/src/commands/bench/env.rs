@@ -23,7 +23,7 @@ use serde::Serialize;
 use crate::output::outln;
 
 /// Measure environment steps a second on one core for each mode, 49 to 1024 mirrors and 5 to 40
-/// users.
+/// users, and of rooms whose users move by social forces or hold tilted receivers.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print one JSON object
@@ -101,8 +101,9 @@ pub fn run(args: &Args) -> Result<()> {
             rows.push(row);
         }
     }
+    let moving = super::moving::measure(args.seconds, args.json)?;
     if args.json {
-        outln!("{}", serde_json::json!({ "rows": rows }))?;
+        outln!("{}", serde_json::json!({ "rows": rows, "moving": moving }))?;
     }
     Ok(())
 }

@@ -48,9 +48,9 @@ impl Times {
 /// A distribution of times in us.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Distribution {
-    p50: f64,
+    pub p50: f64,
     p90: f64,
-    p99: f64,
+    pub p99: f64,
     p999: f64,
     max: f64,
 }

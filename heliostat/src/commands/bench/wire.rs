@@ -74,7 +74,8 @@ pub fn run_rooms(args: &Args) -> Result<()> {
 
 impl Args {
     fn run(&self, title: &str, default_hz: &[f64], rooms: &[usize]) -> Result<()> {
-        let scenario = self.scenario.load()?;
+        let scenario =
+            self.scenario.load().context("the room of this benchmark has one array; bench decide takes several")?;
         // Fails here rather than in the controller process, for whose answer the room would wait.
         heliostat_engine::build(self.policy, &scenario, &ActorSource::Shipped)?;
         let named: Vec<usize> = self.rooms.iter().map(|rooms| usize::from(*rooms)).collect();

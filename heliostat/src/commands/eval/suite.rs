@@ -21,7 +21,7 @@ use crate::commands::results::pages::Section;
 use crate::commands::results::steps::{self, Step};
 use crate::commands::whole_file;
 use crate::output::outln;
-use tasks::{POLICIES, REFERENCE, TASKS, VERSION};
+use tasks::{POLICIES, REFERENCE, TASKS};
 
 /// Stands for every policy of the suite in `--policies`.
 const ALL: &str = "all";
@@ -69,11 +69,10 @@ struct TaskCommand {
 /// Runs the suite.
 ///
 /// # Errors
-/// An unknown task or policy, a policy that fits no task, a file that cannot be written, or a task that
+/// An unknown task or policy, a named policy that fits no task, a file that cannot be written, or a task that
 /// fails.
 pub fn run(args: &SuiteArgs, policies: &[String], json: bool) -> Result<()> {
-    let policies = compared(policies)?;
-    let steps = steps_of(args, &policies)?;
+    let steps = steps_of(args, policies)?;
     let mut archive = Archive::new(&page::archive_name(), args.quick);
     let kept = args.out.as_ref().map(|out| (out, out.with_extension("json")));
     if let Some((out, kept)) = &kept {
@@ -113,8 +112,10 @@ fn compared(named: &[String]) -> Result<Vec<(String, EvaluatedPolicy)>> {
     names.into_iter().map(parse).collect()
 }
 
-/// The tasks to run, each with the policies that fit its room.
-fn steps_of(args: &SuiteArgs, policies: &[(String, EvaluatedPolicy)]) -> Result<Vec<Step<'static>>> {
+/// The tasks to run, each with the policies that fit its room. A learned policy without a built-in actor
+/// fits none, which is an error only if it was named.
+fn steps_of(args: &SuiteArgs, named: &[String]) -> Result<Vec<Step<'static>>> {
+    let policies = compared(named)?;
     let names: Vec<&str> = TASKS.iter().map(|task| task.name).collect();
     for name in &args.tasks {
         ensure!(names.contains(&name.as_str()), "--tasks {name}: expected one of {}", names.join(", "));
@@ -130,11 +131,11 @@ fn steps_of(args: &SuiteArgs, policies: &[(String, EvaluatedPolicy)]) -> Result<
         fitting.extend(fit);
         steps.push((task as &Section, arguments));
     }
-    for (name, _) in policies {
+    for name in named {
         ensure!(
-            fitting.contains(&name.as_str()),
-            "policy {name} fits none of the rooms of suite {VERSION}; heliostat eval --policies {name}, with the \
-             --scenario and the --set of a task, states why"
+            name == ALL || fitting.contains(&name.as_str()),
+            "policy {name} fits none of the chosen rooms; heliostat eval --policies {name}, with the --scenario and the \
+             --set of a task, states why"
         );
     }
     Ok(steps)
@@ -164,14 +165,16 @@ mod tests {
     #[test]
     fn policies_take_part_in_the_tasks_whose_rooms_they_fit() {
         let args = SuiteArgs { suite: true, quick: true, tasks: Vec::new(), out: None, resume: false };
-        let policies = compared(&["ddpg".into(), "flat".into()]).unwrap();
-        for (task, arguments) in steps_of(&args, &policies).unwrap() {
+        let named = ["ddpg", "flat"].map(String::from);
+        for (task, arguments) in steps_of(&args, &named).unwrap() {
             let learned = !["two-arrays", "office", "atrium", "corridor", "lab"].contains(&task.name);
             let expected = if learned { "greedy,ddpg,flat" } else { "greedy,flat" };
             assert_eq!(arguments.last().map(String::as_str), Some(expected), "{}", task.name);
         }
         let only = SuiteArgs { tasks: vec!["office".into()], ..args };
-        let refusal = steps_of(&only, &policies).unwrap_err().to_string();
+        let refusal = steps_of(&only, &named).unwrap_err().to_string();
         assert!(refusal.contains("policy ddpg fits none"), "{refusal}");
+        let all = steps_of(&only, &[]).unwrap().swap_remove(0).1.pop().unwrap();
+        assert!(all.starts_with("greedy,residual,") && !all.contains("ddpg"), "{all}");
     }
 }

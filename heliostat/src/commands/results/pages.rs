@@ -7,7 +7,7 @@ mod learning;
 mod page;
 mod rooms;
 
-pub use page::{Page, Section};
+pub use page::{Page, Section, Training};
 
 /// The pages by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -37,6 +37,11 @@ impl PageName {
     }
 }
 
+/// The training runs whose actors a command evaluates, in the order in which they are run.
+pub fn trainings(arguments: &[String]) -> Vec<&'static Training> {
+    learning::TRAININGS.iter().filter(|training| training.is_evaluated_by(arguments)).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
@@ -60,7 +65,25 @@ mod tests {
                     let parsed = Cli::try_parse_from(words);
                     assert!(parsed.is_ok(), "{}, {}: {}", page.name, section.name, parsed.unwrap_err());
                 }
+                for training in trainings(&section.arguments(false)) {
+                    let words = ["heliostat".to_owned()].into_iter().chain(training.arguments());
+                    let parsed = Cli::try_parse_from(words);
+                    assert!(parsed.is_ok(), "{}, {}: {}", page.name, training.name, parsed.unwrap_err());
+                }
             }
+        }
+    }
+
+    #[test]
+    fn every_actor_of_a_page_has_a_training_run_and_every_run_an_evaluation() {
+        let commands: Vec<Vec<String>> =
+            learning::PAGE.sections.iter().map(|section| section.arguments(false)).collect();
+        for training in &learning::TRAININGS {
+            assert!(commands.iter().any(|arguments| training.is_evaluated_by(arguments)), "{}", training.name);
+        }
+        for arguments in &commands {
+            let files = arguments.iter().flat_map(|word| word.split(',')).filter(|word| word.ends_with(".onnx"));
+            assert_eq!(files.count(), trainings(arguments).len(), "{arguments:?}");
         }
     }
 

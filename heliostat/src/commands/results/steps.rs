@@ -36,11 +36,13 @@ pub fn resumed(kept: &Path, page: &str, quick: bool) -> Result<Archive> {
     Ok(archive)
 }
 
-/// Runs each command that has not finished at this commit, and calls `keep` after each.
+/// Runs each command that has not finished at this commit. It calls `keep` after each, and once if all
+/// have finished before.
 ///
 /// # Errors
 /// A command that fails, or an error of `keep`.
 pub fn run(steps: &[Step], archive: &mut Archive, keep: impl Fn(&Archive) -> Result<()>) -> Result<()> {
+    let mut ran = false;
     for (index, (section, arguments)) in steps.iter().enumerate() {
         let step = format!("{} of {}: {}", index + 1, steps.len(), section.name);
         if archive.holds(section.name, arguments, machine::COMMIT) {
@@ -53,12 +55,13 @@ pub fn run(steps: &[Step], archive: &mut Archive, keep: impl Fn(&Archive) -> Res
         })?;
         archive.put(finished);
         keep(archive)?;
+        ran = true;
     }
-    Ok(())
+    if ran { Ok(()) } else { keep(archive) }
 }
 
 /// Progress goes to standard error.
-fn report(text: &str) {
+pub(super) fn report(text: &str) {
     drop(writeln!(std::io::stderr(), "{text}"));
 }
 

@@ -115,6 +115,11 @@ impl Crowd {
         self.members.iter().zip(walkers).for_each(|(member, walker)| member.motion_at(share).write(walker));
     }
 
+    /// Writes the velocities of all users.
+    pub fn write_velocities(&self, walkers: &mut [Walker]) {
+        self.members.iter().zip(walkers).for_each(|(member, walker)| walker.velocity = member.velocity());
+    }
+
     /// New walking speeds.
     pub fn set_speeds(&mut self, speeds: Speeds) {
         self.waypoints.speeds = speeds;

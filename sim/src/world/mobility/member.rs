@@ -104,13 +104,17 @@ impl Member {
         }
     }
 
+    /// The velocity between the two instants in m/s.
+    pub fn velocity(&self) -> [f64; 2] {
+        [0, 1].map(|axis| (self.to.at[axis] - self.from.at[axis]) / GRID_S)
+    }
+
     /// The motion between the two instants, at a share of the time from 0 to 1.
     ///
     /// The place is interpolated linearly, so that the velocity is the change of the place. The
     /// heading is interpolated unless it jumps by a right angle or more.
     pub fn motion_at(&self, share: f64) -> Motion {
         let between = |from: [f64; 2], to: [f64; 2]| [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
-        let velocity = [0, 1].map(|axis| (self.to.at[axis] - self.from.at[axis]) / GRID_S);
         let (a, b) = (self.from.facing, self.to.facing);
         let facing = if a == b || a[0] * b[0] + a[1] * b[1] <= 0.0 {
             a
@@ -119,6 +123,6 @@ impl Member {
             let length = (facing[0] * facing[0] + facing[1] * facing[1]).sqrt();
             facing.map(|component| component / length)
         };
-        Motion { at: between(self.from.at, self.to.at), velocity, facing }
+        Motion { at: between(self.from.at, self.to.at), velocity: self.velocity(), facing }
     }
 }

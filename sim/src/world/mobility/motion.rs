@@ -86,7 +86,7 @@ fn rotated(direction: [f64; 2], angle: f64) -> [f64; 2] {
     let (sin, cos) = angle.sin_cos();
     let [x, y] = [direction[0] * cos - direction[1] * sin, direction[0] * sin + direction[1] * cos];
     // Rounding would add up over many turns.
-    let length = x.hypot(y);
+    let length = (x * x + y * y).sqrt();
     [x / length, y / length]
 }
 

@@ -67,12 +67,14 @@ impl SocialForce {
         if semi_axis_m > RANGES_MAX * user_range_m || r_m == 0.0 || q_m == 0.0 {
             return [0.0; 2];
         }
+        // The direction of the force is that of the sum of both unit vectors.
+        let (by_r, by_q) = (1.0 / r_m, 1.0 / q_m);
+        let away = [0, 1].map(|axis| r[axis] * by_r + q[axis] * by_q);
+        let ahead = -(look[0] * away[0] + look[1] * away[1]);
+        let weight = if ahead >= self.sight_cos * length(away) { 1.0 } else { out_of_sight_weight };
         let strength = user_repulsion_m2_s2 / user_range_m * (-semi_axis_m / user_range_m).exp();
-        let factor = strength * sum_m / (4.0 * semi_axis_m.max(SEMI_AXIS_MIN_M));
-        let force = [0, 1].map(|axis| factor * (r[axis] / r_m + q[axis] / q_m));
-        let ahead = -(look[0] * force[0] + look[1] * force[1]);
-        let weight = if ahead >= self.sight_cos * length(force) { 1.0 } else { out_of_sight_weight };
-        force.map(|component| component * weight)
+        let factor = weight * strength * sum_m / (4.0 * semi_axis_m.max(SEMI_AXIS_MIN_M));
+        away.map(|component| factor * component)
     }
 
     /// Acceleration in m/s2 by walls and obstacles.

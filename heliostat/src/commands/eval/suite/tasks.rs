@@ -12,12 +12,15 @@ pub const REFERENCE: &str = "greedy";
 
 /// The policies that `all` stands for. `exhaustive` is for rooms with a few mirrors, and `hold`
 /// without an earlier policy is `flat`.
-pub const POLICIES: [&str; 18] = [
+pub const POLICIES: [&str; 21] = [
     REFERENCE,
     "residual",
     "oracle",
     "fixed-point",
     "ddpg",
+    "td3",
+    "sac",
+    "ppo",
     "analytic",
     "nearest",
     "codebook",

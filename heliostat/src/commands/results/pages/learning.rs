@@ -1,7 +1,7 @@
 //! The page `learning`: the learned correction of the belief beside the best model-based policy.
 
-use super::super::table::{Column, Form};
-use super::page::{Page, Section};
+use super::super::table::{Column, Form, Layout};
+use super::page::{Page, Section, Training};
 
 const COLUMNS: [Column; 6] = [
     Column { title: "ratio", at: "/ratio_to_oracle", form: Form::Interval(3) },
@@ -25,10 +25,135 @@ macro_rules! in_room {
     };
 }
 
+/// The command of a section that compares actors in one room.
+macro_rules! of_actors {
+    ($policies:literal, $overrides:literal) => {
+        concat!("eval --scenario hall --closed-loop --policies ", $policies, $overrides)
+    };
+}
+
+/// The command of a section about an actor that was trained without what the room has.
+macro_rules! left_out {
+    ($name:literal, $overrides:literal) => {
+        concat!(
+            "eval --scenario hall --closed-loop --policies greedy,training/episodes-10/residual.onnx,training/without-",
+            $name,
+            "/residual.onnx --set users.orientation={}",
+            $overrides
+        )
+    };
+}
+
 /// A section about one room.
 const fn room(name: &'static str, title: &'static str, about: &'static str, command: &'static str) -> Section {
     Section::of_policies([name, title, about, command], &COLUMNS)
 }
+
+/// Columns for each policy of a sweep.
+const SWEPT: [Column; 2] = [
+    Column { title: "ratio", at: "/ratio_to_oracle", form: Form::Interval(3) },
+    Column { title: "ratio, difference", at: "/difference_ratio", form: Form::Interval(4) },
+];
+
+/// What the sections about several actors compare.
+const ACTORS: &str = "`residual` is the built-in actor: supervised, 100 episodes. `analytic` and `ddpg` fine-tune it on the true future rate. \
+                      `episodes-N` have less training data; those `without` features have 10 episodes.";
+
+/// The command of the section about two arrays, with the reports of `hall`.
+const TWO_ARRAYS: &str = "eval --scenario deploy/rooms/two-arrays.toml --closed-loop --policies greedy,residual --training-seed 1 \
+                          --set users.orientation={} --set actuator.profile=mems --set control.range_deg=60 \
+                          --set control.validity_ms=400 --set streams.positions.rate_hz=10 --set streams.positions.latency_ms=100 \
+                          --set streams.positions.noise_m=0.05 --set streams.positions.velocity_noise_m_s=0.1 \
+                          --set streams.channel.rate_hz=10 --set streams.channel.latency_ms=100 \
+                          --set streams.channel.noise_relative=0.05 --set streams.obstacles.rate_hz=0";
+
+/// The command of a section about several actors.
+macro_rules! actors {
+    ($overrides:literal) => {
+        of_actors!(
+            "greedy,residual,training/analytic/residual.onnx,training/ddpg/residual.onnx,training/episodes-10/residual.onnx,\
+             training/episodes-30/residual.onnx,training/without-residuals/residual.onnx,\
+             training/without-history/residual.onnx,training/without-neighbours/residual.onnx --training-seed 1",
+            $overrides
+        )
+    };
+}
+
+/// The training runs whose actors the page evaluates, all with training seed 1.
+pub static TRAININGS: [Training; 21] = [
+    Training { name: "analytic", command: "train residual --scenario hall --fine-tune analytic" },
+    Training { name: "ddpg", command: "train residual --scenario hall --fine-tune ddpg" },
+    Training { name: "episodes-10", command: "train residual --scenario hall --episodes 10" },
+    Training { name: "episodes-30", command: "train residual --scenario hall --episodes 30" },
+    Training {
+        name: "without-residuals",
+        command: "train residual --scenario hall --option without=residuals --episodes 10",
+    },
+    Training {
+        name: "without-history",
+        command: "train residual --scenario hall --option without=history --episodes 10",
+    },
+    Training {
+        name: "without-neighbours",
+        command: "train residual --scenario hall --option without=neighbours --episodes 10",
+    },
+    Training {
+        name: "without-random-waypoint",
+        command: "train residual --scenario hall --option walks=[\"pauses\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
+    },
+    Training {
+        name: "without-pauses",
+        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
+    },
+    Training {
+        name: "without-random-direction",
+        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"gauss-markov\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
+    },
+    Training {
+        name: "without-gauss-markov",
+        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
+    },
+    Training {
+        name: "without-smooth-random",
+        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"gauss-markov\",\"social-force\",\"seated\"] --episodes 10",
+    },
+    Training {
+        name: "without-social-force",
+        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"seated\"] --episodes 10",
+    },
+    Training {
+        name: "without-seated",
+        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"social-force\"] --episodes 10",
+    },
+    Training {
+        name: "without-bodies",
+        command: "train residual --scenario hall --option mismatch=[\"tilt\",\"mirrors\",\"led\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
+    },
+    Training {
+        name: "without-tilt",
+        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"mirrors\",\"led\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
+    },
+    Training {
+        name: "without-mirrors",
+        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"led\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
+    },
+    Training {
+        name: "without-led",
+        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
+    },
+    Training {
+        name: "without-receiver",
+        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"led\",\"floor\",\"tracker\"] --episodes 10",
+    },
+    Training {
+        name: "without-floor",
+        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"led\",\"receiver\",\"tracker\"] --episodes 10",
+    },
+    Training {
+        name: "without-tracker",
+        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"led\",\"receiver\",\"floor\"] --episodes 10",
+    },
+];
 
 /// The page.
 pub static PAGE: Page = Page {
@@ -92,6 +217,154 @@ pub static PAGE: Page = Page {
             "hall with 20 users and unreported orientation",
             "Training has at most 7 users.",
             in_room!("hall", " --set users.orientation={} --set users.count=20"),
+        ),
+        room(
+            "large",
+            "hall with 20 x 20 mirrors and unreported orientation",
+            "The file is that of 10 x 10 mirrors.",
+            of_actors!(
+                "greedy,residual",
+                " --training-seed 1 --set users.orientation={} --set mirrors.rows=20 --set mirrors.columns=20 --set mirrors.width_m=0.2 \
+                 --set mirrors.height_m=0.05"
+            ),
+        ),
+        room("two-arrays", "Two arrays on two walls, unreported orientation", "Training has one array.", TWO_ARRAYS),
+        Section {
+            layout: Layout::Sweep,
+            columns: &SWEPT,
+            ..room(
+                "users",
+                "hall with 1 to 10 users and unreported orientation",
+                "Training has 2 to 7 users.",
+                of_actors!(
+                    "greedy,residual",
+                    " --training-seed 1 --set users.orientation={} --sweep users.count=1,2,5,10"
+                ),
+            )
+        },
+        room("actors-orientation", "Actors: unreported orientation", ACTORS, actors!(" --set users.orientation={}")),
+        room(
+            "actors-social",
+            "Actors: unreported orientation, social force",
+            ACTORS,
+            actors!(" --set users.orientation={} --set users.mobility=social-force"),
+        ),
+        room(
+            "actors-all",
+            "Actors: social force, unreported orientation and a rough mismatch",
+            ACTORS,
+            actors!(" --set users.orientation={} --set users.mobility=social-force --set mismatch.level=rough"),
+        ),
+        room(
+            "seeds-orientation",
+            "Three training seeds: unreported orientation",
+            "The supervised actors of the training seeds 1 to 3. An interval contains the spread over the seeds.",
+            of_actors!("greedy,residual", " --set users.orientation={}"),
+        ),
+        room(
+            "seeds-social",
+            "Three training seeds: unreported orientation, social force",
+            "The supervised actors of the training seeds 1 to 3. An interval contains the spread over the seeds.",
+            of_actors!("greedy,residual", " --set users.orientation={} --set users.mobility=social-force"),
+        ),
+        room(
+            "seeds-all",
+            "Three training seeds: social force, unreported orientation and a rough mismatch",
+            "The supervised actors of the training seeds 1 to 3. An interval contains the spread over the seeds.",
+            of_actors!(
+                "greedy,residual",
+                " --set users.orientation={} --set users.mobility=social-force --set mismatch.level=rough"
+            ),
+        ),
+        room(
+            "seeds-seated",
+            "Three training seeds: unreported orientation, seated users",
+            "The supervised actors of the training seeds 1 to 3. An interval contains the spread over the seeds.",
+            of_actors!("greedy,residual", " --set users.orientation={} --set users.mobility=seated"),
+        ),
+        room(
+            "without-random-waypoint",
+            "Left out of training: random waypoint",
+            "Trained on the other walks and evaluated on this one, with unreported orientation.",
+            left_out!("random-waypoint", ""),
+        ),
+        room(
+            "without-pauses",
+            "Left out of training: random waypoint with pauses",
+            "Trained on the other walks and evaluated on this one, with unreported orientation.",
+            left_out!("pauses", " --set users.pause_mean_s=3"),
+        ),
+        room(
+            "without-random-direction",
+            "Left out of training: random direction",
+            "Trained on the other walks and evaluated on this one, with unreported orientation.",
+            left_out!("random-direction", " --set users.mobility=random-direction"),
+        ),
+        room(
+            "without-gauss-markov",
+            "Left out of training: Gauss-Markov",
+            "Trained on the other walks and evaluated on this one, with unreported orientation.",
+            left_out!("gauss-markov", " --set users.mobility=gauss-markov"),
+        ),
+        room(
+            "without-smooth-random",
+            "Left out of training: smooth random",
+            "Trained on the other walks and evaluated on this one, with unreported orientation.",
+            left_out!("smooth-random", " --set users.mobility=smooth-random"),
+        ),
+        room(
+            "without-social-force",
+            "Left out of training: social force",
+            "Trained on the other walks and evaluated on this one, with unreported orientation.",
+            left_out!("social-force", " --set users.mobility=social-force --set users.pause_mean_s=2"),
+        ),
+        room(
+            "without-seated",
+            "Left out of training: seated users",
+            "Trained on the other walks and evaluated on this one, with unreported orientation.",
+            left_out!("seated", " --set users.mobility=seated"),
+        ),
+        room(
+            "without-bodies",
+            "Left out of training: mismatch of bodies",
+            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
+            left_out!("bodies", " --set mismatch.level=rough --set mismatch.kinds=[\"bodies\"]"),
+        ),
+        room(
+            "without-tilt",
+            "Left out of training: mismatch of tilt of the receivers",
+            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
+            left_out!("tilt", " --set mismatch.level=rough --set mismatch.kinds=[\"tilt\"]"),
+        ),
+        room(
+            "without-mirrors",
+            "Left out of training: mismatch of mirrors",
+            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
+            left_out!("mirrors", " --set mismatch.level=rough --set mismatch.kinds=[\"mirrors\"]"),
+        ),
+        room(
+            "without-led",
+            "Left out of training: mismatch of LED",
+            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
+            left_out!("led", " --set mismatch.level=rough --set mismatch.kinds=[\"led\"]"),
+        ),
+        room(
+            "without-receiver",
+            "Left out of training: mismatch of received power",
+            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
+            left_out!("receiver", " --set mismatch.level=rough --set mismatch.kinds=[\"receiver\"]"),
+        ),
+        room(
+            "without-floor",
+            "Left out of training: mismatch of height of the floor",
+            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
+            left_out!("floor", " --set mismatch.level=rough --set mismatch.kinds=[\"floor\"]"),
+        ),
+        room(
+            "without-tracker",
+            "Left out of training: mismatch of tracker",
+            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
+            left_out!("tracker", " --set mismatch.level=rough --set mismatch.kinds=[\"tracker\"]"),
         ),
     ],
 };

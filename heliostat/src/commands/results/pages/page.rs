@@ -69,3 +69,34 @@ impl Section {
         own.iter().cloned().chain(["--json".into()]).chain(passed_on.iter().cloned()).collect()
     }
 }
+
+/// A training run whose actor sections evaluate.
+#[derive(Debug)]
+pub struct Training {
+    /// Name of its folder.
+    pub name: &'static str,
+    /// The arguments of `heliostat` without the folder, separated by single spaces.
+    pub command: &'static str,
+}
+
+impl Training {
+    /// The folder of all training runs, in the folder of the command.
+    const FOLDER: &'static str = "training";
+
+    /// The folder of the run.
+    pub fn folder(&self) -> String {
+        format!("{}/{}", Self::FOLDER, self.name)
+    }
+
+    /// The arguments of `heliostat`, as the page prints them.
+    pub fn arguments(&self) -> Vec<String> {
+        let out = ["--out".into(), self.folder()];
+        self.command.split_whitespace().map(String::from).chain(out).collect()
+    }
+
+    /// Whether a command evaluates its actor.
+    pub fn is_evaluated_by(&self, arguments: &[String]) -> bool {
+        let folder = self.folder() + "/";
+        arguments.iter().flat_map(|word| word.split(',')).any(|word| word.starts_with(&folder))
+    }
+}

@@ -1,82 +1,17 @@
 //! A room with two arrays across processes: a command for each, one stop for all, one driver each.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::path::Path;
 use std::time::Duration;
 
-use heliostat_array::Kit;
-use heliostat_bus::{Bus, BusConfig, Class, Subscription, free_loopback_endpoint};
-use heliostat_driver::run::{self, Settings};
-use heliostat_driver::stop_record::StopRecordSettings;
-use heliostat_proto::{ArrayState, MirrorCommand, MirrorTelemetry, Room, Stamp, UserReport, UserState, decode, encode};
-use heliostat_scenario::Scenario;
+use heliostat_bus::{BusConfig, Class, free_loopback_endpoint};
+use heliostat_proto::{ArrayState, MirrorCommand, Room};
 use heliostat_service::Stop;
-use heliostat_service::clock::utc_ns;
-use heliostat_sim::mirrors::SimulatedMirrors;
 use heliostat_tests::{Process, wait_until};
 
-/// Six mirrors on one wall, then eight on another.
-const TWO: &str =
-    "name = \"two\"\n[[mirrors]]\nrows = 2\ncolumns = 3\n[[mirrors]]\nrows = 2\ncolumns = 4\nwall = \"-x\"\n";
+use room::{Latest, Observer, drive, report, scenario_file};
 
-fn scenario_file(folder: &Path) -> String {
-    let file = folder.join("two.toml");
-    std::fs::write(&file, TWO).expect("a writable folder");
-    file.to_str().expect("a path in UTF-8").to_owned()
-}
-
-/// The latest command and telemetry of each array, and how many commands there were.
-#[derive(Clone, Debug, Default)]
-struct Latest {
-    commands: BTreeMap<usize, (u64, MirrorCommand)>,
-    telemetry: BTreeMap<usize, MirrorTelemetry>,
-}
-
-struct Observer {
-    bus: Bus,
-    latest: Arc<Mutex<Latest>>,
-    _subscriptions: Vec<Subscription>,
-}
-
-impl Observer {
-    fn join(room: &str, endpoints: &[&str]) -> Self {
-        let config = BusConfig::new(Room::new(room).expect("a valid name"));
-        let config = endpoints.iter().fold(config, |config, endpoint| config.connect_to(endpoint));
-        let bus = Bus::open(&config).expect("the bus opens");
-        let latest: Arc<Mutex<Latest>> = Arc::default();
-        let mut subscriptions = Vec::new();
-        for array in [0, 1] {
-            let keys = bus.room().array(array);
-            let kept = Arc::clone(&latest);
-            subscriptions.push(bus.subscribe(&keys.command(), move |payload| {
-                let mut latest = kept.lock().expect("no callback panics");
-                let count = latest.commands.get(&array).map_or(0, |(count, _)| *count);
-                latest.commands.insert(array, (count + 1, decode(payload).expect("a sound command")));
-            }));
-            let kept = Arc::clone(&latest);
-            subscriptions.push(bus.subscribe(&keys.telemetry(), move |payload| {
-                let telemetry = decode(payload).expect("sound telemetry");
-                kept.lock().expect("no callback panics").telemetry.insert(array, telemetry);
-            }));
-        }
-        let subscriptions = subscriptions.into_iter().collect::<Result<_, _>>().expect("valid keys");
-        Self { bus, latest, _subscriptions: subscriptions }
-    }
-
-    fn latest(&self) -> Latest {
-        self.latest.lock().expect("no callback panics").clone()
-    }
-
-    fn states(&self) -> Vec<ArrayState> {
-        self.latest().telemetry.values().map(|telemetry| telemetry.state).collect()
-    }
-
-    /// Commands so far to an array.
-    fn commands(&self, array: usize) -> u64 {
-        self.latest().commands.get(&array).map_or(0, |(count, _)| *count)
-    }
-}
+mod page;
+mod room;
 
 /// The programs of a simulated room with two arrays.
 fn simulated(room: &str, folder: &Path) -> (Process, Process, [String; 2]) {
@@ -96,7 +31,7 @@ fn each_array_follows_its_own_commands_and_one_stop_stops_both() {
     let observer = Observer::join("stopped", &[&of_sim, &of_controller]);
     wait_until("two arrays that follow", || observer.states() == [ArrayState::Following; 2]);
     wait_until("commands to both that telemetry shows", || {
-        let Latest { commands, telemetry } = observer.latest();
+        let Latest { commands, telemetry, .. } = observer.latest();
         let shows = |(array, (_, command)): (&usize, &(u64, MirrorCommand))| {
             telemetry.get(array).is_some_and(|telemetry| telemetry.roll_commanded == command.roll)
         };
@@ -171,26 +106,15 @@ fn two_arrays_in_lockstep_are_the_same_again_and_a_recording_is_verified() {
     let verified = Process::heliostat(&["replay", &recording("first.mcap"), "--verify", "--json"]).wait().json();
     let (same, different) = (verified["same"].as_u64(), verified["different"].as_u64());
     assert!(same > Some(200) && different == Some(0), "commands to both arrays: {verified}");
-}
 
-/// Drives one of two arrays until `stop`, with simulated mirrors in place of hardware.
-fn drive(array: usize, config: BusConfig, folder: PathBuf, stop: &Stop) -> Result<u64, String> {
-    let scenario = Scenario::from_toml(TWO).expect("valid");
-    let model = scenario.channel_model().expect("a model");
-    let mirrors = SimulatedMirrors::new(&scenario.actuator, &model.mirrors.arrays()[array], 1, array as u32);
-    let record = StopRecordSettings { directory: Some(folder), start_armed: true };
-    let settings = Settings { record, array, ..Settings::new(config) };
-    run::run(Kit::new(mirrors), &settings, stop).map(|summary| summary.commands).map_err(|error| error.to_string())
-}
-
-/// Users at rest, as a tracker would report them.
-fn report(tick: u64) -> Vec<u8> {
-    let at = |user: u32| [user as f32 - 2.0, 0.5 * user as f32 - 1.0, 0.85];
-    let user = |user: u32| UserState { user, position_m: at(user), velocity_m_s: [0.0; 2], min_rate_bps: 1e6 };
-    let stamp = Stamp { source: 7, sequence: tick, time_ns: utc_ns() };
-    let mut payload = Vec::new();
-    encode(&UserReport { stamp, tick, users: (0..5).map(user).collect() }, &mut payload).expect("a sound report");
-    payload
+    // Played back into a controller process: both arrays are answered as recorded.
+    let file = scenario_file(folder.path());
+    let of_player = free_loopback_endpoint().expect("a free port");
+    let player = Process::heliostat(&["replay", &recording("first.mcap"), "--listen", &of_player, "--json"]);
+    let flags = ["controller", "--lockstep", "--policy", "greedy", "--room", "paced", "--scenario", &file];
+    let _controller = Process::heliostat(&[&flags[..], &["--connect", &of_player, "--exit-with-parent"]].concat());
+    let playback = player.wait().json();
+    assert_eq!((playback["same"].as_u64(), playback["different"].as_u64()), (Some(400), Some(0)), "{playback}");
 }
 
 #[test]
@@ -250,6 +174,15 @@ fn two_drivers_share_a_room_and_the_end_of_one_leaves_the_other_commanded() {
         let accepted = drivers.next().expect("two drivers").join().expect("no panic").expect("a driver that ends");
         assert!(accepted > 0);
         let lost = observer.commands(1);
+        until("a report of the array that left", &|| observer.controller_counter("driver_absent") == 1);
+        assert_eq!(observer.controller_counter("driver_absent:mirrors-1"), 1);
+        assert_eq!(observer.controller_counter("driver_absent:mirrors"), 0);
+        let Latest { statuses, .. } = observer.latest();
+        let absence = "no driver receives the commands to mirrors-1";
+        assert!(statuses["controller"].last_problem.starts_with(absence), "{:?}", statuses["controller"]);
+        assert_eq!(statuses["controller"].state, absence);
+        let source = |name: &str| statuses[name].stamp.source;
+        assert_ne!(source("driver"), source("driver-1"), "each driver has a status of its own");
         until("no more commands to the array that left", &|| observer.commands(0) > lost + 200);
         let (before, others) = (observer.commands(1), observer.commands(0));
         until("commands to the first array alone", &|| observer.commands(0) > others + 50);

@@ -1,0 +1,154 @@
+//! A driver without transport: which reports are due when, and the record of the emergency stop.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use heliostat_array::arrivals::Arrival;
+use heliostat_array::content::Content;
+use heliostat_array::moment::Moment;
+use heliostat_array::station::{Identity, Report, Station};
+use heliostat_array::stop_record::{StopRecord, StopStore};
+use heliostat_array::{Device, DeviceError, Kit};
+use heliostat_channel::MirrorAngles;
+use heliostat_proto::{ArrayState, AxisLimits, Capabilities, EmergencyStop, Stamp};
+
+const MS: u64 = 1_000_000;
+
+struct Mirror;
+
+impl Device for Mirror {
+    fn capabilities(&self) -> Capabilities {
+        let axis = AxisLimits { min_rad: -0.5, max_rad: 0.5, ..AxisLimits::default() };
+        Capabilities { rows: 1, columns: 1, roll: axis, yaw: axis, ..Capabilities::default() }
+    }
+
+    fn connect(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn apply(&mut self, _now: Moment, _angles: &MirrorAngles) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn measure(&mut self, _now: Moment, _into: &mut MirrorAngles) -> Result<bool, DeviceError> {
+        Ok(false)
+    }
+
+    fn stop(&mut self, _now: Moment) -> Result<(), DeviceError> {
+        Ok(())
+    }
+}
+
+/// A record in memory; `None` for none.
+#[derive(Clone, Default)]
+struct Memory {
+    text: Rc<RefCell<Option<String>>>,
+    is_full: Rc<RefCell<bool>>,
+}
+
+impl StopStore for Memory {
+    fn name(&self) -> String {
+        "the memory".into()
+    }
+
+    fn read(&mut self) -> Result<Option<String>, String> {
+        Ok(self.text.borrow().clone())
+    }
+
+    fn replace(&mut self, text: &str) -> Result<(), String> {
+        if *self.is_full.borrow() {
+            return Err("it is full".into());
+        }
+        *self.text.borrow_mut() = Some(text.to_owned());
+        Ok(())
+    }
+
+    fn empty(&mut self) -> Result<(), String> {
+        *self.text.borrow_mut() = Some(String::new());
+        Ok(())
+    }
+}
+
+fn start(memory: &Memory) -> Station<Mirror, Memory> {
+    let identity = Identity { source: 9, array: 2, software: "test".into() };
+    Station::new(Kit::new(Mirror), StopRecord::open(memory.clone(), true, 0), identity, Moment::simulated(0))
+}
+
+/// The names and sequence numbers of the reports at a time.
+fn reports(station: &mut Station<Mirror, Memory>, at_ms: u64) -> Vec<(&'static str, u64)> {
+    let now = Moment::simulated(at_ms * MS);
+    let due = std::iter::from_fn(|| station.poll_report(now));
+    due.map(|report| match report {
+        Report::Telemetry(telemetry) => ("telemetry", telemetry.stamp.sequence),
+        Report::Safety(safety) => ("safety", safety.stamp.sequence),
+        Report::Capabilities(capabilities) => ("capabilities", capabilities.stamp.sequence),
+        Report::Status(status) => ("status", status.stamp.sequence),
+    })
+    .collect()
+}
+
+fn stop(station: &mut Station<Mirror, Memory>, at_ms: u64) {
+    let at = Moment::simulated(at_ms * MS);
+    let stamp = Stamp { source: 7, sequence: 1, time_ns: at.room_ns };
+    station.handle(Arrival { at, content: Content::Stop(Ok(EmergencyStop { stamp, ..EmergencyStop::default() })) });
+}
+
+#[test]
+fn reports_are_due_at_the_start_at_their_intervals_and_at_each_change() {
+    let mut station = start(&Memory::default());
+    station.advance(Moment::simulated(0)).unwrap();
+    assert_eq!(reports(&mut station, 0), [("safety", 1), ("telemetry", 1), ("capabilities", 1), ("status", 1)]);
+    assert_eq!((reports(&mut station, 49), station.next_ns(), station.telemetry_ns()), (vec![], 50 * MS, 50 * MS));
+    assert_eq!(reports(&mut station, 50), [("telemetry", 2)]);
+    stop(&mut station, 60);
+    assert_eq!(reports(&mut station, 60), [("safety", 2), ("telemetry", 3)], "the stop before the state");
+    assert_eq!(reports(&mut station, 1000), [("telemetry", 4), ("capabilities", 2), ("status", 2)]);
+    assert_eq!(reports(&mut station, 1060), [("safety", 3), ("telemetry", 5)]);
+}
+
+#[test]
+fn the_status_names_the_array_its_state_and_what_was_refused() {
+    let mut station = start(&Memory::default());
+    stop(&mut station, 0);
+    let order = EmergencyStop { action: heliostat_proto::StopAction::Rearm, ..EmergencyStop::default() };
+    station.handle(Arrival { at: Moment::simulated(0), content: Content::Stop(Ok(order)) });
+    station.set_dropped(3);
+    let status = std::iter::from_fn(|| station.poll_report(Moment::simulated(0))).find_map(|report| match report {
+        Report::Status(status) => Some(status),
+        _ => None,
+    });
+    let status = status.expect("it is due at the start");
+    assert_eq!((status.state.as_str(), status.name.as_str()), ("mirrors-2 stopped", "0000000000000009"));
+    let count = |name: &str| status.counters.iter().find(|(found, _)| found == name).map(|(_, count)| *count);
+    assert_eq!((count("refused:dropped"), count("commands")), (Some(3), Some(0)), "{:?}", status.counters);
+    assert!(status.last_problem.contains("rearm"), "{}", status.last_problem);
+}
+
+#[test]
+fn a_stop_is_in_the_record_at_once_and_in_force_at_the_next_start() {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    stop(&mut station, 5);
+    station.advance(Moment::simulated(5 * MS)).unwrap();
+    let restarted = start(&memory);
+    assert_eq!(restarted.kit().array().state(), ArrayState::Stopped);
+    assert_eq!(restarted.kit().array().latch().stop().map(|stop| stop.source), Some(7));
+}
+
+#[test]
+fn a_stop_that_cannot_be_recorded_is_tried_again_with_the_next_safety_report() {
+    let memory = Memory::default();
+    let mut station = start(&memory);
+    reports(&mut station, 0);
+    *memory.is_full.borrow_mut() = true;
+    stop(&mut station, 5);
+    let problem = station.advance(Moment::simulated(5 * MS)).unwrap_err().to_string();
+    assert!(problem.contains("the memory: it is full; the next start is stopped"), "{problem}");
+    assert_eq!((station.is_recorded(), station.last_problem()), (false, problem));
+    station.advance(Moment::simulated(6 * MS)).expect("no attempt until it is due");
+    *memory.is_full.borrow_mut() = false;
+    station.advance(Moment::simulated(1006 * MS)).unwrap();
+    assert!(
+        station.is_recorded() && memory.text.borrow().as_ref().is_some_and(|text| text.contains("sequence = \"1\""))
+    );
+}

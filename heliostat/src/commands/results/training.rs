@@ -1,0 +1,56 @@
+//! The training runs behind a page: each in a process of its own and a folder of its own.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, ensure};
+
+use super::document::command;
+use super::pages::{Training, trainings};
+use super::steps::report;
+
+/// Whether all actors that the command of a section evaluates exist; those that do not are trained
+/// first, if `train`.
+///
+/// # Errors
+/// A training fails.
+pub fn provide(section: &str, arguments: &[String], (train, quick): (bool, bool)) -> Result<bool> {
+    for training in trainings(arguments) {
+        if is_finished(training) {
+            continue;
+        }
+        if !train {
+            report(&format!("{section}: left out, because {} does not exist; --train makes it", training.folder()));
+            return Ok(false);
+        }
+        report(&format!("{section}: {}", command(&training.arguments())));
+        run(training, quick)?;
+    }
+    Ok(true)
+}
+
+/// Whether the folder of a run holds an actor, which a run writes at its end.
+fn is_finished(training: &Training) -> bool {
+    let files = fs::read_dir(training.folder()).into_iter().flatten().flatten();
+    files.map(|file| file.path()).any(|path| path.extension().is_some_and(|extension| extension == "onnx"))
+}
+
+/// Runs a training, or continues it where its folder holds a checkpoint. A quick run has one episode.
+///
+/// # Errors
+/// The training fails.
+fn run(training: &Training, quick: bool) -> Result<()> {
+    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    let mut process = Command::new(program);
+    process.args(training.arguments()).arg("--json").stdin(Stdio::null()).stdout(Stdio::null());
+    if quick {
+        process.args(["--option", "episodes=1", "--option", "room_count=2", "--option", "room_s=3"]);
+    }
+    if Path::new(&training.folder()).join("checkpoint.safetensors").exists() {
+        process.arg("--resume");
+    }
+    let status = process.status().context("cannot start the training")?;
+    ensure!(status.success(), "{}: {status}", command(&training.arguments()));
+    Ok(())
+}

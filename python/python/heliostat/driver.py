@@ -1,0 +1,328 @@
+"""Drivers of mirrors: the rules of the contract around a device in Python. It needs the extra `zenoh`.
+
+A driver is a subclass of `Device` and a call of `main`:
+
+    class Mirrors(Device):
+        capabilities = Capabilities("my mirrors", rows=2, columns=3, roll_rad=(-0.2, 0.2), yaw_rad=(-0.2, 0.2))
+
+        def turn(self, roll, yaw):
+            ...  # angles in rad, one per mirror
+
+        def stop(self):
+            ...
+
+    main(Mirrors(), parser().parse_args())
+
+The rest is the code of the Rust drivers: which commands are followed, the limits, the watchdog, the emergency stop and
+its record, calibrations, telemetry, reconnection. `heliostat driver check` tests the result.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._core import STOP_RECORD_MAX, Station
+from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
+
+_LONGEST_WAIT_NS = 50_000_000
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What an array announces, and what the rules enforce on each command.
+
+    `rows * columns` mirrors with `index = row * columns + column`, row 0 the lowest; smallest and largest roll and yaw
+    in rad. `slew_rad_s`, `settling_s`, `resolution_rad` and `command_rate_max_hz` are 0 where unknown. Without valid
+    commands the mirrors hold for `park_after_ms` and then turn to `park_rad`, roll and yaw. `measures`: the hardware
+    measures its angles. `synchronised_clock`: the clock of this host follows UTC; without it the validity of a command
+    counts from its arrival. `travel_rad`: range of the hardware itself for roll and for yaw, where it exceeds the
+    limits to leave room for the corrections of a calibration.
+    """
+
+    hardware: str
+    rows: int
+    columns: int
+    roll_rad: tuple[float, float]
+    yaw_rad: tuple[float, float]
+    slew_rad_s: float = 0.0
+    settling_s: float = 0.0
+    resolution_rad: float = 0.0
+    command_rate_max_hz: float = 0.0
+    park_after_ms: int = 1000
+    park_rad: tuple[float, float] = (0.0, 0.0)
+    measures: bool = False
+    synchronised_clock: bool = True
+    travel_rad: tuple[tuple[float, float], tuple[float, float]] | None = None
+    driver: str = SOFTWARE
+
+    def message(self) -> dict[str, Any]:
+        """The message of kind 8, with an empty stamp."""
+
+        def axis(limits: tuple[float, float]) -> dict[str, float]:
+            names = ("slew_rad_s", "settling_s", "resolution_rad")
+            return {"min_rad": limits[0], "max_rad": limits[1], **{name: getattr(self, name) for name in names}}
+
+        return {
+            "stamp": {"source": 0, "sequence": 0, "time_ns": 0},
+            "hardware": self.hardware,
+            "driver": self.driver,
+            "rows": self.rows,
+            "columns": self.columns,
+            "roll": axis(self.roll_rad),
+            "yaw": axis(self.yaw_rad),
+            "feedback": int(self.measures),
+            "validity_clock": int(not self.synchronised_clock),
+            "command_rate_max_hz": self.command_rate_max_hz,
+            "park_after_ms": self.park_after_ms,
+            "park_rad": self.park_rad,
+        }
+
+
+@dataclass(frozen=True)
+class Health:
+    """The condition of the hardware: temperature in degrees Celsius where known, whether temperature and supply are
+    outside their ranges, and the indices of mirrors that the hardware reports as broken."""
+
+    temperature_c: float | None = None
+    temperature_fault: bool = False
+    supply_fault: bool = False
+    broken: Sequence[int] = field(default=())
+
+
+class Device(ABC):
+    """Mirrors that can be turned. All methods are called by the thread that runs the driver.
+
+    An exception of a method means that the device does not answer: the driver reports the fault, calls `connect` with
+    growing pauses, and then `turn` with the angles that apply by then, or `stop`.
+    """
+
+    capabilities: Capabilities
+
+    @abstractmethod
+    def turn(self, roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
+        """Turns all mirrors at once: mechanical angles in rad, one per mirror, within the limits, calibrated."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stops all motion at once; an exception means that it may not have stopped."""
+
+    def connect(self) -> None:
+        """Connects and initialises the device; called at the start and after each failure."""
+
+    def measure(self) -> tuple[Sequence[float], Sequence[float]] | None:
+        """Measured roll and yaw in rad, one per mirror; `None` if the hardware does not measure."""
+        return None
+
+    def health(self) -> Health:
+        """The condition of the hardware."""
+        return Health()
+
+
+class StopFile:
+    """The record of the emergency stop in a folder; `heliostat driver run` uses the same file."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._path = folder
+
+    def open(self, name: str) -> str:
+        """Uses the file of this name from now on; returns its path for messages."""
+        self._path = self.folder / name
+        return str(self._path)
+
+    def read(self) -> str | None:
+        """The record, `None` if there is none. Only a regular file is one: a start must not wait for a pipe."""
+        if not self._path.is_file() or self._path.is_symlink():
+            if not os.path.lexists(self._path):
+                return None
+            raise OSError("expected a regular file")
+        if self._path.stat().st_size > STOP_RECORD_MAX:
+            raise OSError(f"expected at most {STOP_RECORD_MAX} bytes")
+        return self._path.read_text(encoding="utf-8")
+
+    def replace(self, text: str) -> None:
+        """Replaces the record at once, and returns when it is on the disk."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        new = self._path.with_suffix(".new")
+        with new.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(self._path)
+        if os.name == "posix":
+            folder = os.open(self.folder, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+
+    def empty(self) -> None:
+        """Empties the record, which means that the state is unknown."""
+        with self._path.open("w") as file:
+            os.fsync(file.fileno())
+
+
+def parser(description: str | None = None) -> argparse.ArgumentParser:
+    """A command line with the flags of `heliostat driver run`; add the flags of your hardware."""
+    flags = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_arguments(flags)
+    flags.add_argument("--array", metavar="N", type=int, default=0, help="index of the array in its room, from 0")
+    flags.add_argument(
+        "--state",
+        metavar="DIR",
+        type=Path,
+        help="keep the emergency stop in this folder [default: $STATE_DIRECTORY, else $XDG_STATE_HOME/heliostat or "
+        "~/.local/state/heliostat]",
+    )
+    flags.add_argument(
+        "--start-armed",
+        action="store_true",
+        help="start parked if there is no record of a stop: declares the first start safe",
+    )
+    return flags
+
+
+def main(device: Device, given: argparse.Namespace) -> None:
+    """Runs a driver by the flags of `parser` until Ctrl-C, SIGTERM or `--seconds`; prints what it did.
+
+    The process exits with status 1 and the reason where the driver cannot run.
+    """
+    try:
+        counters = run(
+            device,
+            Settings.of(given),
+            array=given.array,
+            state=given.state,
+            start_armed=given.start_armed,
+            seconds=given.seconds,
+        )
+    except (PeerError, ValueError) as problem:
+        sys.exit(f"error: {problem}")
+    print(f"commands applied: {counters['accepted']}")
+
+
+def run(
+    device: Device,
+    settings: Settings,
+    *,
+    array: int = 0,
+    state: Path | None = None,
+    start_armed: bool = False,
+    seconds: float | None = None,
+    stop: threading.Event | None = None,
+) -> dict[str, int]:
+    """Drives a device until `stop` is set, by Ctrl-C or SIGTERM too, or for a time in seconds.
+
+    `array` is the index of the array in its room. `state` is the folder of the record of the emergency stop;
+    `start_armed` declares a start without a record safe. Returns the counters of the telemetry. Raises `PeerError`
+    where the room cannot be joined, and `ValueError` for capabilities that the contract does not allow.
+    """
+    begin_ns = time.monotonic_ns()
+
+    def now() -> tuple[int, int]:
+        return time.monotonic_ns() - begin_ns, time.time_ns()
+
+    with (
+        stop_on_signals(stop or threading.Event()) as ended,
+        Peer(settings, "driver", array, ended) as peer,
+    ):
+        if not peer.is_open:
+            return {"accepted": 0}
+        peer.check_alone()
+        station = Station(
+            device,
+            device.capabilities.message(),
+            device.capabilities.travel_rad,
+            StopFile(state or _state_folder()),
+            room=peer.room,
+            array=array,
+            source=peer.source,
+            software=SOFTWARE,
+            start_armed=start_armed,
+            authenticated=peer.authenticated,
+            now=now(),
+        )
+        if station.advice is not None:
+            _log(station.advice)
+        received = threading.Event()
+
+        def receive(name: str) -> None:
+            def handle(payload: bytes) -> None:
+                station.receive(name, payload, now())
+                received.set()
+
+            peer.subscribe(name, handle)
+
+        for name in ("command", "stop", "rearm", "calibration"):
+            receive(name)
+        latest: dict[str, bytes] = {}
+        for name in ("capabilities", "safety"):
+            peer.answer(name, latest)
+        peer.announce()
+        shown, more = _Shown(station.stop), False
+        while not ended.is_set() and (seconds is None or now()[0] < 1e9 * seconds):
+            if not more:
+                wait_ns = min(station.next_ns - now()[0], _LONGEST_WAIT_NS)
+                received.wait(max(0.0, 1e-9 * wait_ns))
+                received.clear()
+            more = station.handle_received()
+            while more and now()[0] < station.telemetry_ns:
+                more = station.handle_received()
+            instant = now()
+            station.advance(instant)
+            for name, payload in station.reports(instant):
+                # A query that follows a publication finds it.
+                latest[name] = payload
+                peer.put(name, payload)
+                if name == "safety":
+                    shown.note_stop(station.stop)
+                if name == "status":
+                    shown.note_problem(station.last_problem)
+        return station.counters()
+
+
+class _Shown:
+    """What the log has shown: each change of the stop, and once a second a new problem."""
+
+    def __init__(self, stop: str) -> None:
+        self._stop, self._problem = stop, ""
+
+    def note_stop(self, stop: str) -> None:
+        if stop != self._stop:
+            _log(f"the array is stopped by {stop}" if stop else "the array is released")
+            self._stop = stop
+
+    def note_problem(self, problem: str) -> None:
+        if problem not in ("", self._problem):
+            _log(problem)
+        self._problem = problem
+
+
+def _log(text: str) -> None:
+    # Texts can come from any process of the room.
+    safe = "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
+    print(safe, file=sys.stderr, flush=True)
+
+
+def _state_folder() -> Path:
+    """The folder of the record where no flag names one."""
+    if of_unit := os.environ.get("STATE_DIRECTORY"):
+        # systemd separates several folders by colons.
+        return Path(of_unit.split(":")[0])
+    if of_user := os.environ.get("XDG_STATE_HOME"):
+        return Path(of_user) / "heliostat"
+    if home := os.environ.get("HOME"):
+        return Path(home) / ".local/state/heliostat"
+    raise PeerError("no folder for the record of the emergency stop: expected --state DIR")

@@ -1,0 +1,302 @@
+"""A process of a room: its flags, its session and what it publishes. It needs the extra `zenoh`.
+
+`heliostat.driver` and `heliostat.tracker` use it. The flags are those of the Rust programs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+import json
+import random
+import signal
+import stat
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from ._core import KINDS, __version__, encode, keys
+
+try:
+    import zenoh
+except ImportError as problem:
+    raise ImportError('the package eclipse-zenoh is missing: pip install "heliostat[zenoh]"') from problem
+
+SOFTWARE = f"heliostat for Python {__version__}"
+DEFAULT_ROOM = "demo"
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.25, 5.0
+_ALIVE_LIMIT_S = 1.0
+_ENCRYPTED = ("tls", "quic")
+_SESSION = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "connect/retry": {"period_init_ms": 50, "period_max_ms": 1000, "period_increase_factor": 2},
+}
+_NODES = {"driver": 2, "tracker": 3}
+# Quality of service by CONTRACT.md: priority, and whether a message is sent at once.
+_QUALITY = {
+    "telemetry": (zenoh.Priority.DATA_HIGH, True),
+    "capabilities": (zenoh.Priority.DATA_HIGH, True),
+    "safety": (zenoh.Priority.DATA_HIGH, True),
+    "status": (zenoh.Priority.DATA_LOW, False),
+}
+_REPORTS = (zenoh.Priority.REAL_TIME, True)
+
+
+class PeerError(Exception):
+    """A setting that is refused, or a room that the process cannot join; the text has the reason."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a process joins a room.
+
+    Endpoints are `tcp/HOST:PORT`, or `tls/HOST:PORT` with `tls`, the folder of `heliostat keys`. Without a room it
+    is that of the keys, else `demo`. A client exchanges messages through the router in `connect` only. Without keys,
+    `insecure` allows to listen where other machines reach the process.
+    """
+
+    room: str | None = None
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    client: bool = False
+    tls: Path | None = None
+    insecure: bool = False
+
+    @staticmethod
+    def of(given: argparse.Namespace) -> Settings:
+        """The settings of the flags of `add_arguments`."""
+        return Settings(
+            given.room, tuple(given.listen), tuple(given.connect), given.client, given.tls, given.insecure
+        )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the flags of the room, the endpoints, the keys and the end."""
+    parser.add_argument("--room", metavar="NAME", help="name of the room [default: the room of --tls, or demo]")
+    parser.add_argument(
+        "--listen", metavar="ENDPOINT", action="append", default=[], help="endpoint at which to listen (repeatable)"
+    )
+    parser.add_argument(
+        "--connect", metavar="ENDPOINT", action="append", default=[], help="endpoint of another process (repeatable)"
+    )
+    parser.add_argument("--client", action="store_true", help="exchange messages through the router of --connect only")
+    parser.add_argument("--tls", metavar="DIR", type=Path, help="encrypt with the keys in this folder (heliostat keys)")
+    parser.add_argument("--insecure", action="store_true", help="listen without --tls where other machines reach it")
+    parser.add_argument("--seconds", metavar="S", type=float, help="end after this time")
+
+
+@contextmanager
+def stop_on_signals(stop: threading.Event) -> Iterator[threading.Event]:
+    """Requests the stop on Ctrl-C and SIGTERM while the block runs; from another than the main thread it does nothing.
+
+    A shell starts background processes with Ctrl-C ignored; the block listens to it all the same.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda *_: stop.set()) for number in signals]
+    try:
+        yield stop
+    finally:
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)
+
+
+class Peer:
+    """A session in a room, as a context manager: it is closed at the end of the block in every case."""
+
+    def __init__(self, settings: Settings, node: str, array: int, stop: threading.Event) -> None:
+        config, room = _configuration(settings, node)
+        self.room, self.node, self.array = room, node, array
+        self.authenticated = settings.tls is not None
+        self.source = random.SystemRandom().getrandbits(64)
+        try:
+            self.keys = keys(room, node, self.source, array)
+        except ValueError as problem:
+            raise PeerError(str(problem)) from problem
+        self._started_ns = time.time_ns()
+        self._sequences: dict[str, int] = {}
+        self._publishers: dict[str, Any] = {}
+        self._declared: list[Any] = []
+        self._stack = ExitStack()
+        self.session: Any = _open(config, stop)
+        if self.session is not None:
+            self._stack.enter_context(self.session)
+
+    def __enter__(self) -> Peer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the room was joined; false only where a stop was requested before."""
+        return self.session is not None
+
+    def check_alone(self) -> None:
+        """Refuses a room in which another process controls the same mirrors."""
+        for name, process in (("simulators", "simulator"), ("drivers", "driver")):
+            for reply in self.session.liveliness().get(self.keys[name], timeout=_ALIVE_LIMIT_S):
+                if reply.ok is not None:
+                    token = reply.ok.key_expr
+                    advice = "stop it, or choose another room with --room"
+                    raise PeerError(f'another {process} is in room "{self.room}" ({token}): {advice}')
+
+    def announce(self) -> None:
+        """Declares the liveliness token of the process."""
+        self._declared.append(self.session.liveliness().declare_token(self.keys["alive"]))
+
+    def subscribe(self, name: str, handle: Callable[[bytes], None]) -> None:
+        """Calls `handle` on a thread of Zenoh with each payload of this message."""
+
+        def deliver(sample: Any) -> None:
+            handle(bytes(sample.payload))
+
+        self._declared.append(self.session.declare_subscriber(self.keys[name], deliver))
+
+    def answer(self, name: str, latest: Mapping[str, bytes]) -> None:
+        """Answers queries of this message with the latest payload, if there is one."""
+        key = self.keys[name]
+
+        def reply(query: Any) -> None:
+            if name in latest:
+                query.reply(key, latest[name])
+
+        self._declared.append(self.session.declare_queryable(key, reply))
+
+    def put(self, name: str, payload: bytes) -> None:
+        """Publishes a payload with the quality of service of this message."""
+        if name not in self._publishers:
+            priority, express = _QUALITY.get(name, _REPORTS)
+            self._publishers[name] = self.session.declare_publisher(
+                self.keys[name], priority=priority, express=express, congestion_control=zenoh.CongestionControl.DROP
+            )
+        self._publishers[name].put(payload)
+
+    def publish(self, name: str, fields: Mapping[str, Any], time_ns: int | None = None) -> None:
+        """Publishes a message with the next stamp of its key; `time_ns` is when its content was sampled."""
+        sequence = self._sequences.get(name, 0) + 1
+        stamp = {"source": self.source, "sequence": sequence, "time_ns": time.time_ns() if time_ns is None else time_ns}
+        payload = encode({"stamp": stamp, **fields}, KINDS[name])
+        self._sequences[name] = sequence
+        self.put(name, payload)
+
+    def publish_status(self, state: str, counters: Mapping[str, int], last_problem: str = "") -> None:
+        """Publishes the status of the process, which operators see."""
+        self.publish(
+            "status",
+            {
+                "node": _NODES[self.node],
+                "name": f"{self.source:016x}",
+                "software": SOFTWARE,
+                "state": state,
+                "scenario": "",
+                "policy": "",
+                "started_ns": self._started_ns,
+                "counters": list(counters.items()),
+                "gauges": [],
+                "timings": [],
+                "last_problem": last_problem,
+            },
+        )
+
+
+def _open(config: zenoh.Config, stop: threading.Event) -> Any:
+    """Opens a session, and retries while a router cannot be reached; `None` where a stop is requested before."""
+    pause_s = _FIRST_PAUSE_S
+    while not stop.is_set():
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as problem:
+            if json.loads(config.get_json("mode")) != "client":
+                raise PeerError(f"the Zenoh session cannot be opened: {problem}") from problem
+        stop.wait(pause_s)
+        pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+    return None
+
+
+def _configuration(settings: Settings, role: str) -> tuple[zenoh.Config, str]:
+    """The configuration of Zenoh, and the room."""
+    _check(settings)
+    config, room = zenoh.Config(), settings.room or DEFAULT_ROOM
+    if settings.tls is not None:
+        config, of_keys = _secured(settings.tls, role)
+        if settings.room not in (None, of_keys):
+            raise PeerError(f'room "{settings.room}": expected "{of_keys}", the room of the keys in {settings.tls}')
+        room = of_keys
+    own = {
+        "mode": "client" if settings.client else "peer",
+        "listen/endpoints": list(settings.listen),
+        "connect/endpoints": list(settings.connect),
+        "connect/timeout_ms": 5000 if settings.client else -1,
+        "connect/exit_on_failure": settings.client,
+    }
+    for key, value in {**_SESSION, **own}.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as problem:
+            raise PeerError(f"setting {key} = {value}: {problem}") from problem
+    return config, room
+
+
+def _secured(folder: Path, role: str) -> tuple[zenoh.Config, str]:
+    """The configuration of a role in a folder of `heliostat keys`, and the room of its rights."""
+    private_key = folder / f"{role}.key"
+    try:
+        if private_key.stat().st_mode & stat.S_IRWXO:
+            raise PeerError(f"{private_key}: every user of this machine can read this private key; expected chmod 600")
+        config = zenoh.Config.from_file(folder / f"zenoh-{role}.json5")
+    except (OSError, zenoh.ZError) as problem:
+        raise PeerError(
+            f'{folder}: {problem}; expected the keys of role "{role}", made by heliostat keys init or keys issue'
+        ) from problem
+    # The file has the paths of the folder in which it was made.
+    certificate = f"{role}.pem"
+    for setting, name in (
+        ("root_ca_certificate", "ca.pem"),
+        ("listen_certificate", certificate),
+        ("listen_private_key", private_key.name),
+        ("connect_certificate", certificate),
+        ("connect_private_key", private_key.name),
+    ):
+        config.insert_json5(f"transport/link/tls/{setting}", json.dumps(str(folder.resolve() / name)))
+    rights = json.loads(config.get_json("access_control"))
+    return config, rights["rules"][0]["key_exprs"][0].split("/")[2]
+
+
+def _check(settings: Settings) -> None:
+    """Refuses endpoints that do not suit each other or the keys."""
+    if settings.client and (settings.listen or not settings.connect):
+        raise PeerError("wrong endpoints for a client: expected no --listen, and the router in --connect")
+    if not (settings.listen or settings.connect):
+        raise PeerError("no endpoint: expected --listen or --connect, for example --connect tcp/127.0.0.1:7447")
+    for endpoint in (*settings.listen, *settings.connect):
+        protocol, _, address = endpoint.partition("/")
+        port = address.rpartition(":")[2].partition("#")[0].partition("?")[0]
+        if protocol == "unixsock-stream":
+            continue
+        if protocol not in ("tcp", *_ENCRYPTED) or not address.rpartition(":")[0] or not port.isdecimal():
+            raise PeerError(f'endpoint "{endpoint}": expected tcp/HOST:PORT or tls/HOST:PORT')
+        if (protocol in _ENCRYPTED) != (settings.tls is not None):
+            expected = "tls/HOST:PORT with --tls" if settings.tls else "--tls DIR with an endpoint tls/HOST:PORT"
+            raise PeerError(f'endpoint "{endpoint}": expected {expected}')
+        if endpoint in settings.listen and not (settings.tls or settings.insecure or _is_local(address)):
+            raise PeerError(f'other machines reach "{endpoint}": expected --tls DIR, or --insecure')
+
+
+def _is_local(address: str) -> bool:
+    host = address.rpartition(":")[0].strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,136 @@
+"""Trackers: reports of the users of a room from Python. It needs the extra `zenoh`.
+
+A tracker is a function of the users who are present, and a call of `main`:
+
+    def users_at(seconds):
+        return [User(0, position_m=(1.0, 0.5, 0.85))]
+
+    main(users_at, parser().parse_args(), rate_hz=20)
+
+A tracking system that sets the pace itself uses `Tracker` and calls `report` for each measurement.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+from ._core import Refused
+from .peer import Peer, PeerError, Settings, add_arguments, stop_on_signals
+
+_STATUS_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class User:
+    """A user who is in the room: its number, which does not change while the user is present, the position of the
+    detector in m from the centre of the floor with z up, the velocity along x and y in m/s, and the required minimum
+    rate in bit/s."""
+
+    user: int
+    position_m: Sequence[float]
+    velocity_m_s: Sequence[float] = (0.0, 0.0)
+    min_rate_bps: float = 0.0
+
+
+class Tracker:
+    """A tracker in a room, as a context manager.
+
+    It announces itself, and publishes its status about once a second of reports. Raises `PeerError` where the room
+    cannot be joined.
+    """
+
+    def __init__(self, settings: Settings, stop: threading.Event | None = None) -> None:
+        self._peer = Peer(settings, "tracker", 0, stop or threading.Event())
+        self._tick, self._status_ns, self._problem = 0, 0, ""
+        self._refused = 0
+        if self._peer.is_open:
+            self._peer.announce()
+
+    def __enter__(self) -> Tracker:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._peer.__exit__(kind, error, trace)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the room was joined; false only where a stop was requested before."""
+        return self._peer.is_open
+
+    @property
+    def ticks(self) -> int:
+        """Number of user reports so far."""
+        return self._tick
+
+    def report(self, users: Iterable[User], time_ns: int | None = None) -> int:
+        """Reports the users who are present; returns the number of the tick.
+
+        `time_ns` is the time of the measurement, UTC in ns; without it, now. Raises `Refused` for a number that is not
+        finite, a wrong shape, or a user who is named twice; nothing is published then.
+        """
+        try:
+            entries = [vars(user) for user in users]
+            if len({entry["user"] for entry in entries}) < len(entries):
+                raise Refused("a user is named twice: expected each user at most once")
+            self._peer.publish("users", {"tick": self._tick + 1, "users": entries}, time_ns)
+        except Refused as problem:
+            self._refused, self._problem = self._refused + 1, str(problem)
+            raise
+        finally:
+            self._publish_status()
+        self._tick += 1
+        return self._tick
+
+    def publish(self, name: str, fields: Mapping[str, Any], time_ns: int | None = None) -> None:
+        """Publishes `channel`, `branches`, `obstacles` or `orientation` with the fields of CONTRACT.md but the stamp.
+
+        A channel report has the tick of its measurement, which `report` returned. Raises `Refused` as `report` does.
+        """
+        if name not in ("channel", "branches", "obstacles", "orientation"):
+            raise ValueError(f"message {name!r}: expected channel, branches, obstacles or orientation")
+        self._peer.publish(name, fields, time_ns)
+
+    def _publish_status(self) -> None:
+        if time.monotonic_ns() >= self._status_ns:
+            self._status_ns = time.monotonic_ns() + _STATUS_NS
+            counters = {"reports": self._tick, "refused": self._refused}
+            self._peer.publish_status("tracking", counters, self._problem)
+
+
+def parser(description: str | None = None) -> argparse.ArgumentParser:
+    """A command line with the flags of a tracker; add the flags of your tracking system."""
+    flags = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_arguments(flags)
+    return flags
+
+
+def main(users_at: Callable[[float], Iterable[User]], given: argparse.Namespace, rate_hz: float = 20.0) -> None:
+    """Reports `users_at(seconds since the start)` at a rate in Hz until Ctrl-C, SIGTERM or `--seconds`.
+
+    A report that is refused is left out, and its reason is printed. The process exits with status 1 and the reason
+    where the room cannot be joined.
+    """
+    begin, turn, refused = time.monotonic(), 0, ""
+    try:
+        with stop_on_signals(threading.Event()) as stop, Tracker(Settings.of(given), stop) as tracker:
+            while not stop.is_set() and (given.seconds is None or time.monotonic() < begin + given.seconds):
+                try:
+                    tracker.report(users_at(time.monotonic() - begin))
+                except Refused as problem:
+                    if refused != str(problem):
+                        refused = str(problem)
+                        print(f"refused: {refused}", file=sys.stderr, flush=True)
+                turn += 1
+                stop.wait(max(0.0, begin + turn / rate_hz - time.monotonic()))
+    except PeerError as problem:
+        sys.exit(f"error: {problem}")
+    print(f"reports sent: {tracker.ticks}")

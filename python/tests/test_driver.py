@@ -1,0 +1,159 @@
+"""Drivers in Python as processes: they pass the conformance check, and begin and end as they should."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("zenoh")
+from heliostat.driver import Capabilities, Device, _log, run
+from heliostat.peer import PeerError, Settings
+from room import EXAMPLES, end_by, free_endpoint, heliostat, needs_program, observer, python, wait_until
+
+SIZE = ("--rows", "2", "--columns", "3")
+STOPPED, PARKED = 3, 0
+
+
+class Mirrors(Device):
+    """Mirrors that reach every angle at once."""
+
+    capabilities = Capabilities("two mirrors", 1, 2, (-0.25, 0.5), (-0.25, 0.5))
+
+    def turn(self, roll: NDArray[np.float64], yaw: NDArray[np.float64]) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+
+def verdicts(*arguments: str) -> dict[str, str]:
+    """The verdict of `heliostat driver check` on each rule."""
+    ended = heliostat("driver", "check", "--json", *arguments)
+    assert ended.stdout, ended.stderr
+    report: dict[str, Any] = json.loads(ended.stdout)
+    return {finding["rule"]: finding["verdict"] for finding in report["findings"]}
+
+
+@needs_program
+@pytest.mark.parametrize("array", ["0", "2"])
+def test_the_example_keeps_every_rule_of_the_contract(tmp_path: Path, array: str) -> None:
+    endpoint, own = free_endpoint(), ("--room", "kept", "--array", array)
+    with python(EXAMPLES / "driver.py", *own, "--connect", endpoint, *SIZE, folder=tmp_path) as driver:
+        found = verdicts("--listen", endpoint, *own)
+        assert len(found) > 20 and set(found.values()) == {"kept"}, found
+        output, _ = end_by(signal.SIGTERM, driver)
+    assert "commands applied: " in output and "commands applied: 0" not in output
+
+
+@needs_program
+def test_a_driver_with_keys_keeps_every_rule_and_takes_the_room_of_its_keys(tmp_path: Path) -> None:
+    keys, endpoint = tmp_path / "keys", free_endpoint("tls")
+    made = heliostat("keys", "init", "--room", "locked", "--out", str(keys), "--host", "127.0.0.1")
+    assert made.returncode == 0, made.stderr
+    moved = keys.rename(tmp_path / "moved")
+    secured = ("--tls", str(moved))
+    with python(EXAMPLES / "driver.py", *secured, "--connect", endpoint, *SIZE, folder=tmp_path) as driver:
+        found = verdicts("--listen", endpoint, *secured)
+        assert len(found) > 15 and "broken" not in found.values(), found
+        end_by(signal.SIGTERM, driver)
+    with pytest.raises(PeerError, match='expected "locked"'):
+        run(Mirrors(), Settings(room="lab", connect=(endpoint,), tls=moved), seconds=0)
+    (moved / "driver.key").chmod(0o644)
+    with pytest.raises(PeerError, match="every user of this machine can read"):
+        run(Mirrors(), Settings(connect=(endpoint,), tls=moved), seconds=0)
+
+
+def test_a_stop_outlives_the_driver_and_ctrl_c_ends_it(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    example = (EXAMPLES / "driver.py", "--room", "lab", "--connect", endpoint, *SIZE)
+    with observer(endpoint, "lab") as operator:
+
+        def state() -> int | None:
+            return operator.latest.get("telemetry", {}).get("state")
+
+        with python(*example, "--start-armed", folder=tmp_path) as driver:
+            wait_until("parked array", lambda: state() == PARKED)
+            wait_until("status", lambda: operator.latest.get("status", {}).get("state") == "array parked")
+            assert len(operator.alive(operator.keys["drivers"])) == 1
+            operator.publish("stop", action=0, operator="ann", reason="test")
+            wait_until("stopped array", lambda: state() == STOPPED)
+            _, errors = end_by(signal.SIGINT, driver)
+            assert "the array is stopped by 000000000000004d/1" in errors
+        wait_until("withdrawn token", lambda: not operator.alive(operator.keys["drivers"]))
+        operator.latest.clear()
+        with python(*example, "--start-armed", folder=tmp_path) as driver:
+            wait_until("stopped array", lambda: state() == STOPPED)
+            operator.publish("rearm", stop_source=77, stop_sequence=1, operator="ann", reason="test")
+            wait_until("parked array", lambda: state() == PARKED)
+            wait_until("safety report", lambda: operator.latest["safety"]["stopped"] is False)
+            _, errors = end_by(signal.SIGINT, driver)
+            assert "the array starts stopped by ann" in errors and "the array is released" in errors
+
+
+def test_a_second_driver_of_the_same_array_is_refused(tmp_path: Path) -> None:
+    endpoint, watched, stop = free_endpoint(), free_endpoint(), threading.Event()
+    # Peers forward nothing, so the second driver connects to the first one.
+    settings = Settings(room="taken", listen=(endpoint,), connect=(watched,))
+    first = threading.Thread(target=run, args=(Mirrors(), settings), kwargs={"state": tmp_path, "stop": stop})
+    with observer(watched, "taken") as operator:
+        first.start()
+        try:
+            wait_until("telemetry", lambda: "telemetry" in operator.latest)
+            second = Settings(room="taken", connect=(endpoint,))
+            with pytest.raises(PeerError, match='another driver is in room "taken"'):
+                run(Mirrors(), second, state=tmp_path, seconds=5)
+            assert run(Mirrors(), second, array=1, state=tmp_path, seconds=0)["accepted"] == 0, "another array is free"
+        finally:
+            stop.set()
+            first.join()
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        (Settings(), "no endpoint"),
+        (Settings(connect=("tcp/127.0.0.1",)), "expected tcp/HOST:PORT"),
+        (Settings(connect=("udp/127.0.0.1:1",)), "expected tcp/HOST:PORT"),
+        (Settings(listen=("tcp/0.0.0.0:1",)), "--insecure"),
+        (Settings(connect=("tls/127.0.0.1:1",)), "--tls DIR"),
+        (Settings(connect=("tcp/127.0.0.1:1",), tls=Path("keys")), "with --tls"),
+        (Settings(connect=("tls/127.0.0.1:1",), tls=Path("absent")), "heliostat keys"),
+        (Settings(client=True, listen=("tcp/127.0.0.1:1",)), "client"),
+        (Settings(room="l/b", connect=("tcp/127.0.0.1:1",)), "only ASCII letters"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused_with_the_reason(settings: Settings, reason: str) -> None:
+    with pytest.raises(PeerError, match=reason):
+        run(Mirrors(), settings, seconds=0)
+
+
+def test_a_text_from_the_room_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    _log("é\x1b[2Jcleared\n")
+    assert capsys.readouterr().err == "é\\x1b[2Jcleared\\x0a\n"
+
+
+def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:
+    for wrong, status in (((), 2), (("--rows", "two", "--columns", "3"), 2), (SIZE, 1)):
+        with python(EXAMPLES / "driver.py", *wrong, folder=tmp_path) as driver:
+            _, errors = driver.communicate()
+            assert driver.returncode == status and ("usage:" in errors or "no endpoint" in errors), errors
+
+
+@needs_program
+def test_the_driver_of_the_tutorial_keeps_every_rule(tmp_path: Path) -> None:
+    tutorial = (EXAMPLES.parent / "docs/tutorials/own-driver.md").read_text(encoding="utf-8")
+    own = tmp_path / "own_driver.py"
+    own.write_text(tutorial.split("```python\n")[1].split("```")[0], encoding="utf-8")
+    endpoint = free_endpoint()
+    with python(own, "--connect", endpoint, folder=tmp_path) as driver:
+        found = verdicts("--listen", endpoint)
+        assert len(found) > 20 and set(found.values()) == {"kept"}, found
+        output, _ = end_by(signal.SIGTERM, driver)
+    assert "turn [" in output and "stop" in output

@@ -1,0 +1,89 @@
+"""Trackers in Python: what they publish, and how they end."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+from heliostat import wire
+
+pytest.importorskip("zenoh")
+from heliostat.peer import PeerError, Settings
+from heliostat.tracker import Tracker, User
+from room import EXAMPLES, end_by, free_endpoint, observer, python, wait_until
+
+
+def test_the_example_reports_users_who_enter_and_leave_until_ctrl_c(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with observer(endpoint, "tracked") as room:
+        example = (EXAMPLES / "tracker.py", "--room", "tracked", "--connect", endpoint)
+        with python(*example, folder=tmp_path) as tracker:
+
+            def present() -> list[int]:
+                return [one["user"] for one in room.latest.get("users", {}).get("users", [])]
+
+            wait_until("report of three users", lambda: present() == [0, 1, 2])
+            wait_until("report of two users", lambda: present() == [0, 2])
+            assert len(room.alive("heliostat/v1/tracked/alive/tracker/*")) == 1
+            assert room.latest["status"]["node"] == 3 and room.latest["status"]["state"] == "tracking"
+            output, _ = end_by(signal.SIGINT, tracker)
+        assert int(output.removeprefix("reports sent: ")) >= room.latest["users"]["tick"] > 20
+
+
+def test_the_example_ends_after_its_time_without_a_controller(tmp_path: Path) -> None:
+    example = (EXAMPLES / "tracker.py", "--connect", free_endpoint(), "--seconds", "0.5")
+    with python(*example, folder=tmp_path) as tracker:
+        output, errors = tracker.communicate(timeout=30)
+        assert tracker.returncode == 0 and "reports sent:" in output, errors
+
+
+def test_reports_have_a_tick_a_stamp_and_the_time_of_the_measurement() -> None:
+    endpoint = free_endpoint()
+    with observer(endpoint, "stamped") as room, Tracker(Settings("stamped", connect=(endpoint,))) as tracker:
+
+        def report() -> bool:
+            tracker.report([User(3, (1.5, -0.25, 0.85), min_rate_bps=1e6)], time_ns=1000)
+            return "users" in room.latest
+
+        wait_until("report", report)
+        message = room.latest["users"]
+        assert message["tick"] == message["stamp"]["sequence"] and message["stamp"]["time_ns"] == 1000
+        assert message["users"][0]["position_m"][:2] == [1.5, -0.25]
+        tracker.publish("obstacles", {"obstacles": [{"x_m": -1.0, "y_m": 0.5, "radius_m": 0.25, "height_m": 1.75}]})
+        gains = {"user": 3, "los_gain": 0.0, "irs_gain": 1e-6, "sinr": 42.5}
+        tracker.publish("channel", {"tick": tracker.ticks, "users": [gains]})
+        tracker.publish("orientation", {"users": [{"user": 3, "quaternion": [0.5, -0.5, 0.5, 0.5]}]})
+        wait_until("other reports", lambda: {"obstacles", "channel", "orientation"} <= room.latest.keys())
+        with pytest.raises(ValueError, match="expected channel"):
+            tracker.publish("command", {})
+
+
+@pytest.mark.parametrize(
+    ("users", "reason"),
+    [
+        ([User(0, (float("nan"), 0.0, 0.85))], "not finite"),
+        ([User(0, (0.0, 0.85))], "invalid length 2"),
+        ([User(0, (0.0, 0.0, 0.85)), User(0, (1.0, 0.0, 0.85))], "named twice"),
+        ([User(-1, (0.0, 0.0, 0.85))], "2\\^64"),
+        ([User(0, (0.0, 0.0, 0.85), min_rate_bps=-1.0)], "not negative"),
+        ([User(number, (0.0, 0.0, 0.85)) for number in range(65)], "64"),
+    ],
+)
+def test_users_that_the_contract_does_not_allow_are_refused_and_reporting_goes_on(
+    users: list[User], reason: str
+) -> None:
+    with Tracker(Settings(connect=(free_endpoint(),))) as tracker:
+        with pytest.raises(wire.Refused, match=reason):
+            tracker.report(users)
+        assert tracker.report([]) == 1
+
+
+def test_a_tracker_without_an_endpoint_is_refused_and_a_stop_ends_the_wait_for_a_router() -> None:
+    with pytest.raises(PeerError, match="no endpoint"):
+        Tracker(Settings())
+    stop = threading.Event()
+    threading.Timer(1.0, stop.set).start()
+    with Tracker(Settings(connect=(free_endpoint(),), client=True), stop) as tracker:
+        assert not tracker.is_open

@@ -1,0 +1,130 @@
+//! The live page of a room with two arrays, in a browser.
+
+use std::net::TcpListener;
+
+use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
+use heliostat_proto::Room;
+use heliostat_service::Stop;
+use heliostat_tests::{Browser, Process, wait_until};
+use serde_json::{Value, json};
+
+use super::room::{drive, report, scenario_file};
+use super::simulated;
+
+/// The address of a page about a room, with its server.
+fn page(room: &str, endpoints: &[&str]) -> (Process, String) {
+    let free = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
+    let port = free.local_addr().expect("bound").port().to_string();
+    drop(free);
+    let flags = ["ui", "--plain", "--room", room, "--ui-port", &port];
+    let connected: Vec<&str> = endpoints.iter().flat_map(|endpoint| ["--connect", *endpoint]).collect();
+    let server = Process::heliostat(&[&flags[..], &connected].concat());
+    let url = format!("http://127.0.0.1:{port}/");
+    wait_until("the address of the page", || server.errors().contains(&url));
+    (server, url)
+}
+
+/// Whether the state of the arrays is green, and its text.
+fn arrays(browser: &Browser) -> (bool, String) {
+    let is_good = browser.run("return document.getElementById('chip-array').classList.contains('good')") == true;
+    (is_good, browser.text("#chip-array"))
+}
+
+/// A part of the newest frame or of the plan.
+fn shown(browser: &Browser, what: &str) -> Value {
+    browser.run(&format!("const room = document.getElementById('room').room; return {what}"))
+}
+
+#[test]
+fn both_arrays_are_drawn_and_obey_the_buttons_of_the_page() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (_sim, _controller, [of_sim, of_controller]) = simulated("drawn", folder.path());
+    let (_server, url) = page("drawn", &[&of_sim, &of_controller]);
+    let Some(browser) = Browser::open(&url) else { return };
+    wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
+    wait_until("a drawn room", || shown(&browser, "room.frames > 3") == true);
+    assert_eq!(shown(&browser, "room.view.content.plan.arrays"), json!([6, 8]));
+    assert_eq!(shown(&browser, "room.view.content.panels.length"), json!(2), "a panel for each array");
+    assert_eq!(shown(&browser, "room.view.content.mirrors.count"), json!(14));
+    // The first corner of the first mirror of each array: at the walls y = 2.5 m and x = -2.5 m.
+    wait_until("mirrors at both walls", || {
+        let corner = |mirror: usize, axis: usize| {
+            shown(&browser, &format!("room.motion.to.mirrors_m[{mirror}][{axis}]")).as_f64().unwrap_or(f64::NAN)
+        };
+        (corner(0, 1) - 2.5).abs() < 0.2 && (corner(6, 0) + 2.5).abs() < 0.2
+    });
+    assert_eq!(shown(&browser, "room.motion.to.serves.length"), json!(14));
+    wait_until("mirrors of both arrays that serve users", || {
+        let served = "[[0, 6], [6, 14]].every(([start, end]) => room.motion.to.serves.slice(start, end).some((user) => user >= 0))";
+        shown(&browser, served) == true
+    });
+    browser.click("#stop");
+    wait_until("a stop of both", || arrays(&browser) == (false, "stopped".into()));
+    browser.click("#rearm");
+    wait_until("two arrays that follow again", || arrays(&browser) == (true, "following".into()));
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}
+
+#[test]
+fn the_page_names_the_array_whose_driver_has_left() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = scenario_file(folder.path());
+    let endpoints: Vec<String> = (0..3).map(|_| free_loopback_endpoint().expect("a free port")).collect();
+    let [first, second, of_controller] = &endpoints[..] else { unreachable!("three endpoints") };
+    let config = || BusConfig::new(Room::new("shown").expect("a valid name"));
+    let [both, later, tracker_stop] = [Stop::default(), Stop::default(), Stop::default()];
+    std::thread::scope(|scope| {
+        // Also where a check fails, so that every thread ends.
+        let _end = RequestAtEnd([both.clone(), later.clone(), tracker_stop.clone()]);
+        let drive_second = |stop: &Stop| {
+            let (config, folder, stop) = (config().listen_at(second), folder.path().to_owned(), stop.clone());
+            scope.spawn(move || drive(1, config, folder, &stop))
+        };
+        let (config_of_first, of_first, stop) = (config().listen_at(first), folder.path().to_owned(), both.clone());
+        scope.spawn(move || drive(0, config_of_first, of_first, &stop));
+        let second_driver = drive_second(&later);
+        let flags = ["controller", "--scenario", &file, "--room", "shown", "--listen", of_controller];
+        let policy = ["--connect", first, "--connect", second, "--policy", "fixed-point", "--exit-with-parent"];
+        let _controller = Process::heliostat(&[&flags[..], &policy].concat());
+        let (tracked, stop) = (config().connect_to(of_controller).connect_to(first), tracker_stop.clone());
+        scope.spawn(move || {
+            let bus = Bus::open(&tracked).expect("the bus opens");
+            let users = bus.publisher(&bus.room().users(), Class::RealTimeDrop).expect("a valid key");
+            let mut tick = 0;
+            while !stop.wait_for(std::time::Duration::from_millis(10)) {
+                tick += 1;
+                users.put(&report(tick)).expect("the session is open");
+            }
+        });
+        let (_server, url) = page("shown", &[first, second, of_controller]);
+        let Some(browser) = Browser::open(&url) else { return };
+        wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
+        let unusable = || shown(&browser, "room.motion.to?.unusable");
+        wait_until("a frame in which every mirror is usable", || unusable() == json!([]));
+
+        later.request();
+        second_driver.join().expect("no panic").expect("a driver that ends");
+        wait_until("a state that is not green", || {
+            arrays(&browser) == (false, "following, no telemetry of mirrors-1".into())
+        });
+        wait_until("mirrors of unknown angles", || unusable() == json!([6, 7, 8, 9, 10, 11, 12, 13]));
+        assert_eq!(shown(&browser, "room.motion.to.serves.slice(6)"), json!([-1, -1, -1, -1, -1, -1, -1, -1]));
+        wait_until("a note about the driver", || {
+            browser.text("#problem").contains("no driver receives the commands to mirrors-1")
+        });
+
+        let _driver = drive_second(&both);
+        wait_until("two arrays that follow again", || arrays(&browser) == (true, "following".into()));
+        wait_until("usable mirrors", || unusable() == json!([]));
+        wait_until("no note about the driver", || !browser.text("#problem").contains("no driver"));
+    });
+}
+
+/// Requests stops when dropped.
+struct RequestAtEnd([Stop; 3]);
+
+impl Drop for RequestAtEnd {
+    fn drop(&mut self) {
+        self.0.iter().for_each(Stop::request);
+    }
+}

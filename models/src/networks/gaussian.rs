@@ -11,9 +11,9 @@ use super::layers::{Encoder, Network, Shape};
 use crate::environment::features::{Head, Layout};
 use crate::training::exploration::normal;
 
-/// Logarithm of the standard deviation that an untrained network gives: 0.37, as the first
-/// exploration of `ddpg`.
-const LOG_SPREAD_START: f64 = -1.0;
+/// Logarithm of the standard deviation that an untrained network gives: 0.14. The decoder raises the
+/// weights to a power, so the value of an action with more noise says little about its mean.
+const LOG_SPREAD_START: f64 = -2.0;
 
 /// Bounds of the logarithm of the standard deviation.
 const LOG_SPREAD: [f64; 2] = [-4.0, 0.5];

@@ -31,6 +31,7 @@ pub use actor::{Actor, Finding};
 pub use dense::{DENSE, DenseEngine, DenseError, DenseNetwork};
 pub use engine::{Engine, Network};
 pub use fixed::Fixed;
+pub use model_based::ModelBased;
 pub use proposal::{Policy, PolicyError, PolicyMemory, TimeSource};
 pub use registry::{BuildError, PolicyKind, Resources, build, build_fallback};
 pub use residual::Residual;

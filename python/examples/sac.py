@@ -175,7 +175,9 @@ def report(arguments: argparse.Namespace) -> None:
     lines += ["```", f"python python/examples/sac.py train FOLDER --environment {settings['environment']} --action "
               f"{settings['action']} --minutes {settings['minutes']} --cores {settings['cores']} --seed {settings['seed']}"]
     lines += [f"python python/examples/sac.py report FOLDER --states {arguments.states} --seeds {arguments.seeds}", "```", ""]
-    lines += ["Other processes used the machine too, so processor time shows the effort of the training.", ""]
+    used_s, full_s = rows[-1]["processor_s"], 60.0 * float(settings["minutes"]) * int(settings["cores"])
+    ended = "" if used_s >= full_s else f" The training was ended after {used_s:.0f} s of the {full_s:.0f} s of processor time."
+    lines += [f"Other processes used the machine too, so processor time shows the effort of the training.{ended}", ""]
     lines += ["## Learning curve", "", f"{arguments.states} held-out states of each of {arguments.seeds} seeds, in closed loop.", ""]
     lines += ["| processor time, s | elapsed, s | steps | sum rate, Mbit/s | ratio to the oracle | minimum rates met |"]
     lines += ["| --- | --- | --- | --- | --- | --- |"]

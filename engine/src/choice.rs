@@ -18,9 +18,10 @@ use crate::{
 };
 
 /// The names of all embedded engines, each with the build that has it.
-const EMBEDDED_ENGINES: [(&str, &str); 2] = [
+const EMBEDDED_ENGINES: [(&str, &str); 3] = [
     ("tract", "a build with default features"),
     ("ort", "a build with `--no-default-features --features onnxruntime`"),
+    ("reference", "a build with `--no-default-features`"),
 ];
 
 /// Which engine evaluates a learned policy.

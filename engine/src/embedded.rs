@@ -4,7 +4,9 @@ use heliostat_decide::policy::{Engine, Network};
 
 #[cfg(feature = "onnxruntime")]
 pub use crate::onnxruntime::{ORT as EMBEDDED, OnnxRuntime as EmbeddedEngine};
-#[cfg(not(feature = "onnxruntime"))]
+#[cfg(not(any(feature = "tract", feature = "onnxruntime")))]
+pub use crate::reference::{REFERENCE as EMBEDDED, Reference as EmbeddedEngine};
+#[cfg(all(feature = "tract", not(feature = "onnxruntime")))]
 pub use crate::tract::{TRACT as EMBEDDED, Tract as EmbeddedEngine};
 
 /// Builds the network of an ONNX model on the embedded engine.

@@ -5,18 +5,22 @@
 //!
 //! The embedded engine is tract, called directly: it is Rust alone. The cargo feature `onnxruntime` selects ONNX Runtime through ort
 //! instead. Only one module names each of them. Dense graphs run on
-//! [`DenseEngine`](heliostat_decide::policy::DenseEngine), which needs neither.
+//! [`DenseEngine`](heliostat_decide::policy::DenseEngine), which needs neither. A build without both features
+//! evaluates other graphs by the reference evaluation, which is slow.
 
+#[cfg(any(feature = "tract", feature = "onnxruntime"))]
 mod batch;
 mod choice;
 mod embedded;
 mod error;
 #[cfg(feature = "onnxruntime")]
 mod onnxruntime;
+#[cfg(not(any(feature = "tract", feature = "onnxruntime")))]
+mod reference;
 pub mod shipped;
 pub mod source;
 mod time;
-#[cfg(not(feature = "onnxruntime"))]
+#[cfg(all(feature = "tract", not(feature = "onnxruntime")))]
 mod tract;
 
 use heliostat_decide::policy::{

@@ -4,7 +4,8 @@
 //! controller decides in zero simulated time. Either the policy of the core decides
 //! ([`ClosedLoop::deliver`]), or the caller does: [`ClosedLoop::next_decision`] returns at the next
 //! position report, [`ClosedLoop::observation`] is then what a policy would read, and
-//! [`ClosedLoop::decide`] commands the angles of the caller.
+//! [`ClosedLoop::decide`] commands the angles of the caller. [`ClosedLoop::decide_corrected`] takes
+//! corrections of the belief instead.
 
 use heliostat_array::moment::Moment;
 use heliostat_channel::MirrorAngles;
@@ -89,18 +90,27 @@ impl ClosedLoop {
     /// # Errors
     /// [`EnvironmentError::Stale`] and [`EnvironmentError::Silence`].
     pub fn next_decision(&mut self, from_ns: u64) -> Result<Moment, EnvironmentError> {
-        while let Some((now, mut event)) = self.episode.poll_event(from_ns.saturating_add(SILENCE_NS)) {
+        self.next_decision_by(from_ns.saturating_add(SILENCE_NS))?.ok_or(EnvironmentError::Silence)
+    }
+
+    /// As [`ClosedLoop::next_decision`], for position reports up to `until_ns`; `None` where there is
+    /// none.
+    ///
+    /// # Errors
+    /// [`EnvironmentError::Stale`].
+    pub fn next_decision_by(&mut self, until_ns: u64) -> Result<Option<Moment>, EnvironmentError> {
+        while let Some((now, mut event)) = self.episode.poll_event(until_ns) {
             let Some(message) = message(&mut event, self.names_unusable) else { continue };
             match self.controller.handle_message(now.room_ns, message) {
                 Due::Command => {
                     self.due = Some((now, self.controller.poll_observation(now.room_ns)));
-                    return Ok(now);
+                    return Ok(Some(now));
                 }
                 Due::StaleCommand => return Err(EnvironmentError::Stale),
                 Due::Nothing => {}
             }
         }
-        Err(EnvironmentError::Silence)
+        Ok(None)
     }
 
     /// The observation of the decision that is due.
@@ -115,6 +125,17 @@ impl ClosedLoop {
     pub fn decide(&mut self, angles: &MirrorAngles) -> Result<(), EnvironmentError> {
         let Some((now, observed)) = self.due.take() else { return Ok(()) };
         let decision = self.controller.poll_proposed(observed, now.room_ns, angles);
+        command(decision, now, (&mut self.episode, &mut self.command_sequence))
+    }
+
+    /// Lets the policy decide on the belief with these corrections, for the decision that is due; no
+    /// effect where none is. See [`Controller::poll_corrected`].
+    ///
+    /// # Errors
+    /// [`EnvironmentError::Refused`].
+    pub fn decide_corrected(&mut self, corrections: &[f32]) -> Result<(), EnvironmentError> {
+        let Some((now, observed)) = self.due.take() else { return Ok(()) };
+        let decision = self.controller.poll_corrected(observed, now.room_ns, corrections);
         command(decision, now, (&mut self.episode, &mut self.command_sequence))
     }
 }

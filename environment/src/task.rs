@@ -27,107 +27,25 @@ use std::sync::Arc;
 use heliostat_channel::solver::Solver;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::core::Controller;
+use heliostat_decide::evidence::{Evidence, FEATURES};
 use heliostat_decide::observation::{Observation, ObservationEncoder, USERS_CAPACITY};
-use heliostat_decide::policy::Fixed;
+use heliostat_decide::policy::{Fixed, Policy};
 use heliostat_decide::safety::Limits;
 use heliostat_decide::selection::Selection;
-use heliostat_scenario::Scenario;
 use heliostat_sim::World;
 use heliostat_sim::episode::Episode;
 
-use crate::action::{ActionDecoder, ActionForm, Seen};
+use crate::action::{ActionDecoder, Decoded, Seen};
 use crate::angle_state::AngleState;
 use crate::believed;
 use crate::closed_loop::ClosedLoop;
+use crate::corrected::CorrectedGreedy;
+use crate::episodes::HeldOutEpisode;
 use crate::error::EnvironmentError;
-use crate::held_out::{SETTLE_S, best_angles, met};
-use crate::room::{Environment, Outcome, Reward, RewardForm};
-
-/// How the room answers an action.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Dynamics {
-    /// True state, instant mirrors; `step_s` seconds between two actions.
-    Static {
-        /// Time between two actions in s.
-        step_s: f64,
-    },
-    /// Reports, belief and mirrors as in a running room.
-    ClosedLoop,
-}
-
-/// What the learner observes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ObservationForm {
-    /// The vector of [`heliostat_decide::observation`], which an exported actor reads.
-    Vector,
-    /// The paper's state: presence, positions, gains, minimum rates and angles ([`AngleState`]).
-    AngleState,
-    /// One row for each slot: [`believed`].
-    Belief,
-}
-
-/// The settings of a task.
-#[derive(Clone, Debug)]
-pub struct TaskSettings {
-    /// The room.
-    pub scenario: Scenario,
-    /// The text of the file `users.trace`.
-    pub trace: Option<String>,
-    /// How the room answers an action.
-    pub dynamics: Dynamics,
-    /// What an action means.
-    pub action: ActionForm,
-    /// What the learner observes.
-    pub observation: ObservationForm,
-    /// The reward.
-    pub reward: Reward,
-    /// Seconds that users walk before the first observation.
-    pub settle_s: f64,
-    /// Whether each step also evaluates the oracle, which takes far longer than the step.
-    pub oracle: bool,
-}
-
-impl TaskSettings {
-    /// A room with its true state, one second between two actions.
-    pub fn of_true_state(scenario: Scenario) -> Self {
-        Self {
-            scenario,
-            trace: None,
-            dynamics: Dynamics::Static { step_s: 1.0 },
-            action: ActionForm::Angles,
-            observation: ObservationForm::Vector,
-            reward: Reward { form: RewardForm::Shortfall, lambda: 1.0, margin: 1.0 },
-            settle_s: SETTLE_S,
-            oracle: false,
-        }
-    }
-
-    /// A room in closed loop.
-    pub fn closed_loop(scenario: Scenario) -> Self {
-        Self { dynamics: Dynamics::ClosedLoop, ..Self::of_true_state(scenario) }
-    }
-
-    fn check(&self) -> Result<(), EnvironmentError> {
-        let refuse =
-            |name, value: f64, expected| Err(EnvironmentError::Setting { name, value: value.to_string(), expected });
-        if let Dynamics::Static { step_s } = self.dynamics
-            && !(step_s.is_finite() && step_s > 0.0)
-        {
-            return refuse("step_s", step_s, "a positive number of seconds");
-        }
-        if !(0.0..=86_400.0).contains(&self.settle_s) {
-            return refuse("settle_s", self.settle_s, "0 to 86400 seconds");
-        }
-        let Reward { lambda, margin, .. } = self.reward;
-        if !(lambda.is_finite() && lambda >= 0.0) {
-            return refuse("penalty", lambda, "a number from 0");
-        }
-        if !(margin.is_finite() && margin >= 0.0) {
-            return refuse("margin", margin, "a number from 0");
-        }
-        Ok(())
-    }
-}
+use crate::held_out::{best_angles, met};
+use crate::room::{Environment, Outcome};
+use crate::sampling::Sampling;
+pub use crate::task_settings::{Dynamics, ObservationForm, TaskSettings};
 
 /// The result of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -159,9 +77,7 @@ impl Room {
             }
             Dynamics::ClosedLoop => {
                 let start_ns = (settings.settle_s * 1e9) as u64;
-                let policy = Box::new(Fixed::flat(scenario.mirror_count()));
-                let controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
-                let mut inner = Box::new(ClosedLoop::new(Episode::new(scenario, trace, seed, start_ns)?, controller));
+                let mut inner = begun(settings, Episode::new(scenario, trace, seed, start_ns)?)?;
                 let now_ns = inner.next_decision(start_ns)?.room_ns;
                 Ok(Self::Closed { inner, now_ns })
             }
@@ -191,6 +107,18 @@ impl Room {
     }
 }
 
+/// An episode with a controller in whose place the learner decides.
+fn begun(settings: &TaskSettings, episode: Episode) -> Result<Box<ClosedLoop>, EnvironmentError> {
+    let scenario = &settings.scenario;
+    let policy: Box<dyn Policy> = if settings.reads_evidence() {
+        Box::new(CorrectedGreedy::new(scenario))
+    } else {
+        Box::new(Fixed::flat(scenario.mirror_count()))
+    };
+    let controller = Controller::new(scenario, scenario.channel_model()?, policy, 1);
+    Ok(Box::new(ClosedLoop::new(episode, controller)))
+}
+
 /// A room in steps of a learner.
 pub struct Task {
     settings: Arc<TaskSettings>,
@@ -209,6 +137,8 @@ pub struct Task {
     angles: MirrorAngles,
     rates_bps: Vec<f64>,
     solver: Option<Solver>,
+    /// In an episode of a comparison.
+    sampling: Option<Sampling>,
 }
 
 impl Task {
@@ -240,6 +170,7 @@ impl Task {
             angles: MirrorAngles::flat(scenario.mirror_count()),
             rates_bps: Vec::new(),
             solver,
+            sampling: None,
             settings,
         };
         if task.settings.observation == ObservationForm::AngleState && slots != USERS_CAPACITY {
@@ -266,6 +197,36 @@ impl Task {
             }
             room => *room = Room::new(&self.settings, seed)?,
         }
+        self.sampling = None;
+        self.restarted()
+    }
+
+    /// Restarts in an episode of a comparison, which [`Task::sampling`] then samples; its last step
+    /// ends at the last sampling time. Needs a closed loop.
+    ///
+    /// # Errors
+    /// As [`Task::new`], and for other dynamics.
+    pub fn begin_episode(&mut self, episode: &HeldOutEpisode) -> Result<(), EnvironmentError> {
+        let settings = &self.settings;
+        if settings.dynamics != Dynamics::ClosedLoop {
+            let expected = "\"closed-loop\" for an episode of a comparison";
+            return Err(EnvironmentError::Setting { name: "dynamics", value: "\"static\"".into(), expected });
+        }
+        let mut inner = begun(settings, episode.begun(&settings.scenario, settings.trace.as_deref())?)?;
+        let mut sampling = Sampling::new(episode);
+        let now_ns = sampling.advance(&mut inner, 0)?;
+        self.room = Room::Closed { inner, now_ns };
+        self.sampling = Some(sampling);
+        self.restarted()
+    }
+
+    /// The samples of the episode of a comparison; `None` in other rooms.
+    pub fn sampling(&self) -> Option<&Sampling> {
+        self.sampling.as_ref()
+    }
+
+    /// Forgets the former room.
+    fn restarted(&mut self) -> Result<(), EnvironmentError> {
         self.selection.set_slots(&[]);
         self.rates_bps.clear();
         self.angles.roll.fill(0.0);
@@ -282,7 +243,7 @@ impl Task {
         let observation = self.room.observation();
         let vector = self.room.vector().unwrap_or(&self.vector);
         let seen = Seen { model: &self.model, observation, chosen: &self.chosen, vector };
-        self.decoder.decode(seen, action, &mut self.angles)?;
+        let decoded = self.decoder.decode(seen, action, &mut self.angles)?;
         let step = match &mut self.room {
             Room::Static { environment, step_s } => {
                 // The mirrors turn at once.
@@ -296,8 +257,14 @@ impl Task {
                 Step { oracle_mbps, ..step }
             }
             Room::Closed { inner, now_ns } => {
-                inner.decide(&self.angles)?;
-                *now_ns = inner.next_decision(*now_ns)?.room_ns;
+                match decoded {
+                    Decoded::Angles => inner.decide(&self.angles)?,
+                    Decoded::Corrections(corrections) => inner.decide_corrected(corrections)?,
+                }
+                *now_ns = match &mut self.sampling {
+                    Some(sampling) => sampling.advance(inner, *now_ns)?,
+                    None => inner.next_decision(*now_ns)?.room_ns,
+                };
                 let (world, angles) = (inner.room().world(), inner.room().angles());
                 self.rates_bps.resize(world.ids().len(), 0.0);
                 world.scene().rates_bps(world.model(), angles, &mut self.rates_bps);
@@ -335,6 +302,7 @@ impl Task {
             ObservationForm::Vector => self.encoder.len(),
             ObservationForm::AngleState => self.angle_state.inputs(),
             ObservationForm::Belief => self.encoder.users_max() * believed::COLUMNS.len(),
+            ObservationForm::Evidence => self.encoder.users_max() * FEATURES,
         }
     }
 
@@ -353,6 +321,15 @@ impl Task {
                     Room::Closed { inner, now_ns } => Some((inner.controller(), *now_ns)),
                 };
                 believed::write((&self.model, self.room.observation()), controller, &self.chosen, out);
+            }
+            ObservationForm::Evidence => {
+                assert_eq!(out.len(), self.observation_len(), "the buffer has another length");
+                out.fill(0.0);
+                let Room::Closed { inner, .. } = &self.room else { return };
+                let rows = inner.controller().observer().evidence().map_or(&[][..], Evidence::rows);
+                for (slot, user) in out.chunks_exact_mut(FEATURES).zip(&self.chosen) {
+                    rows.get(*user).into_iter().for_each(|row| slot.copy_from_slice(row));
+                }
             }
         }
     }

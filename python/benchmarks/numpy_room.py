@@ -1,8 +1,8 @@
-"""The paper's room in NumPy: the reference for the speed of `heliostat/Paper-v0`.
+"""Rooms in NumPy: the references for the speed of `heliostat/Paper-v0` and `heliostat/Static-v0`.
 
-Users on random waypoints, direct paths, mirrors by eqs. (2) and (3), cylinders that block paths, rates, the reward and
-the state, as arrays over users, mirrors and cylinders. `tests/test_benchmark.py` compares its rates with those of the
-package.
+Users on random waypoints, direct paths, mirrors, cylinders that block paths, rates, the reward and the state, as
+arrays over users, mirrors, points of the LED's panel and cylinders. `tests/test_benchmark.py` compares the rates with
+those of the package.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 
-class NumpyRoom:
+class PaperRoom:
     """The paper's room with its true state and mirrors that turn at once."""
 
+    scenario = "paper"
+
     def __init__(self, blockers: Array, seed: int = 1) -> None:
-        room = heliostat.Room("paper")
+        room = heliostat.Room(self.scenario)
         table = room.scenario.tables()
         led, receiver, mirrors, link = table["led"], table["receiver"], table["mirrors"], table["link"]
         self.mirrors = room.mirror_positions
@@ -138,3 +140,96 @@ class NumpyRoom:
             if arrived.any():
                 self.targets[arrived] = self.draw(int(arrived.sum()))
                 self.speed[arrived] = self.generator.uniform(*self.speeds, int(arrived.sum()))
+
+
+class StaticRoom(PaperRoom):
+    """The default room: specular mirrors by the image of the LED's panel, and bodies that block paths.
+
+    The state has the steering gains for a point LED. The package also averages them over the panel and adds a summary
+    of the observation, so it does more in a step.
+    """
+
+    scenario = "specular"
+
+    def __init__(self, obstacles: Array, seed: int = 1) -> None:
+        super().__init__(obstacles, seed)
+        table = heliostat.Room(self.scenario).scenario.tables()
+        mirrors, blockage = table["mirrors"], table["blockage"]
+        self.obstacles = obstacles
+        self.body = blockage["body_radius_m"], blockage["body_height_m"], blockage["body_offset_m"]
+        self.half = mirrors["width_m"] / 2, mirrors["height_m"] / 2
+        self.reflected = mirrors["reflectivity"] * (self.order + 1) * self.front / (2 * np.pi)
+        self.to_panel = self.panel[None] - self.mirrors[:, None]
+        self.to_led = self.led - self.mirrors
+        self.distance_to_led = np.sqrt((self.to_led**2).sum(-1))
+        self.block()
+
+    def block(self) -> None:
+        """Places the bodies behind the receivers."""
+        radius, height, offset = self.body
+        way = (self.targets - self.places)[:, :2]
+        heading = way / np.maximum(np.sqrt((way**2).sum(-1, keepdims=True)), 1e-12)
+        bodies = np.column_stack([self.places[:, :2] - offset * heading, np.full((len(way), 2), (radius, height))])
+        self.blockers = np.concatenate([self.obstacles, bodies])
+        self.led_clear = self.clear(np.broadcast_to(self.led, self.mirrors.shape), self.mirrors)
+        starts = np.broadcast_to(self.places[:, None], (len(self.places), *self.mirrors.shape))
+        self.open = self.clear(starts, np.broadcast_to(self.mirrors[None], starts.shape)) & self.led_clear
+
+    def gains(self, roll: Array, yaw: Array) -> tuple[Array, Array]:
+        towards = self.panel[None] - self.places[:, None]
+        squared = (towards**2).sum(-1)
+        cosine = np.maximum(towards[..., 2] / np.sqrt(squared), 0)
+        seen = np.where(cosine >= self.fov_cosine, cosine, 0)
+        los = (self.order + 1) * self.front / (2 * np.pi) * (cosine**self.order * seen / squared).mean(-1)
+        los = los * self.clear(self.places, np.broadcast_to(self.led, self.places.shape))
+        # The array is on the wall +y: at angles of zero the normals are -y.
+        normal = np.stack([-np.sin(yaw) * np.cos(roll), -np.cos(yaw) * np.cos(roll), -np.sin(roll)], -1)
+        width = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], -1)
+        width /= np.sqrt((width**2).sum(-1, keepdims=True))
+        up = np.cross(width, -normal)
+        to_user = self.places[:, None] - self.mirrors[None]
+        over_user = (to_user * normal).sum(-1)[..., None]
+        over_led = (self.to_panel * normal[:, None]).sum(-1)[None]
+        heights = over_user + over_led
+        inside = (over_user > 0) & (over_led > 0)
+        for axis, half in ((width, self.half[0]), (up, self.half[1])):
+            along_user = (to_user * axis).sum(-1)[..., None]
+            along_led = (self.to_panel * axis[:, None]).sum(-1)[None]
+            inside &= np.abs(over_led * along_user + over_user * along_led) <= half * heights
+        image = self.to_panel - 2 * (self.to_panel * normal[:, None]).sum(-1, keepdims=True) * normal[:, None]
+        towards_image = image[None] - to_user[:, :, None]
+        squared = (towards_image**2).sum(-1)
+        towards_image = towards_image / np.sqrt(squared)[..., None]
+        incidence = towards_image[..., 2]
+        incidence = np.where((incidence > 0) & (incidence >= self.fov_cosine), incidence, 0)
+        irradiance = incidence_of(towards_image, normal)
+        each = np.where(inside, np.maximum(irradiance, 0) ** self.order / squared * incidence, 0).mean(-1)
+        return los, self.reflected * (each * self.open).sum(-1)
+
+    def steering(self) -> Array:
+        """The gain of each mirror for each user if it were aimed at that user, (K, M)."""
+        to_user = self.places[:, None] - self.mirrors[None]
+        distance = np.sqrt((to_user**2).sum(-1))
+        incidence = -to_user[..., 2] / distance
+        incidence = np.where((incidence > 0) & (incidence >= self.fov_cosine), incidence, 0)
+        irradiance = np.maximum(self.to_led[:, 2] / self.distance_to_led, 0) ** self.order
+        return np.asarray(self.reflected * irradiance * incidence / (distance + self.distance_to_led) ** 2 * self.open)
+
+    def step(self, action: Array) -> tuple[Array, float]:
+        """The next state, and the reward with a penalty for missing minimum rates."""
+        self.angles = np.clip(action.reshape(2, -1), -1, 1) * self.range_rad
+        rates = self.rates_bps(*self.angles)
+        reward = float((rates - np.maximum(self.need - rates, 0)).sum() / self.bandwidth)
+        self.walk(1.0)
+        self.block()
+        los, _ = self.gains(*self.angles)
+        unit = np.sqrt(self.unit)
+        parts = [np.ones(len(self.places)), self.places, unit * los, self.need * len(self.places) / self.bandwidth]
+        parts += [unit * self.steering(), self.angles]
+        return np.concatenate([part.ravel() for part in parts]), reward
+
+
+def incidence_of(towards_mirror: Array, normal: Array) -> Array:
+    """The height component of the direction from the mirror to the source, which the mirror has reflected."""
+    along = (towards_mirror * normal[:, None]).sum(-1)
+    return np.asarray(towards_mirror[..., 2] - 2 * along * normal[:, None, 2])

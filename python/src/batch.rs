@@ -6,9 +6,10 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use heliostat_environment::episodes::{WARM, held_out_episodes};
 use heliostat_environment::task::{Step, Task, TaskSettings};
 use numpy::{
-    PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2,
+    PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2,
     PyUntypedArrayMethods,
 };
 use pyo3::exceptions::PyRuntimeError;
@@ -297,6 +298,44 @@ impl Batch {
         }
         let [sum_rate, met, oracle] = figures;
         Ok((observation, reward, truncated, (sum_rate, met, oracle), rates))
+    }
+
+    /// Restarts the only environment of a batch of one in episode `index` of a comparison in closed
+    /// loop with `states` sampling times of each of `seeds` room seeds; returns the observation.
+    fn begin_episode<'py>(
+        &self,
+        py: Python<'py>,
+        index: usize,
+        states: usize,
+        seeds: usize,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let TaskSettings { scenario, trace, .. } = &*self.settings;
+        let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
+        let count = episodes.len();
+        let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
+        let observation = PyArray1::<f32>::zeros(py, self.observation_len, false);
+        let mut seen = observation.readwrite();
+        let seen = seen.as_slice_mut()?;
+        py.detach(|| {
+            let mut slots = self.open()?;
+            guarded(|| {
+                (slots[0].steps, slots[0].ended) = (0, false);
+                slots[0].task.begin_episode(episode).map_err(refused)?;
+                slots[0].task.write_observation(seen);
+                Ok(())
+            })
+        })?;
+        Ok(observation)
+    }
+
+    /// Whether all sampling times of the episode have passed, and sum rate in Mbit/s and share of
+    /// minimum rates met at each of them: shape (n, 2).
+    fn samples<'py>(&self, py: Python<'py>) -> PyResult<(bool, Bound<'py, PyArray2<f64>>)> {
+        let slots = self.open()?;
+        let sampling = slots[0].task.sampling().ok_or_else(|| refused("no episode of a comparison has begun"))?;
+        let rows: Vec<f64> = sampling.samples().iter().flat_map(|row| [row.sum_rate_mbps, row.met]).collect();
+        let count = rows.len() / 2;
+        Ok((sampling.is_over(), PyArray1::from_vec(py, rows).reshape([count, 2])?))
     }
 
     /// The true state of one environment, for pictures and analysis: arrays by name.

@@ -2,8 +2,8 @@
 //!
 //! It holds no logic of its own. Environments are tasks of `heliostat-environment`, physics is
 //! `heliostat-channel`, and policies are those of `heliostat-decide`. Messages are those of
-//! `heliostat-proto`, and the rules of a driver are those of `heliostat-array`. Panics and refusals
-//! become Python exceptions with their reason.
+//! `heliostat-proto`, the rules of a driver are those of `heliostat-array`, and recordings are read by
+//! `heliostat-record`. Panics and refusals become Python exceptions with their reason.
 
 mod actor;
 mod arrays;
@@ -11,6 +11,7 @@ mod batch;
 mod channel;
 mod error;
 mod policy;
+mod recording;
 mod scenario;
 mod settings;
 mod station;
@@ -29,8 +30,10 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<channel::Channel>()?;
     module.add_class::<policy::Policy>()?;
     module.add_class::<station::Station>()?;
+    module.add_class::<recording::Recording>()?;
     module.add_function(wrap_pyfunction!(actor::finish_actor, module)?)?;
     module.add_function(wrap_pyfunction!(settings::held_out_seed, module)?)?;
+    module.add_function(wrap_pyfunction!(settings::oracle_samples, module)?)?;
     module.add_function(wrap_pyfunction!(policy::policy_names, module)?)?;
     module.add_function(wrap_pyfunction!(wire::decode, module)?)?;
     module.add_function(wrap_pyfunction!(wire::encode_message, module)?)?;
@@ -40,6 +43,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("KINDS", BTreeMap::from(kinds))?;
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
+    module.add("EVIDENCE_FEATURES", heliostat_decide::evidence::FEATURES)?;
+    module.add("INSTANTS", heliostat_environment::episodes::INSTANTS)?;
     module.add("BELIEF_COLUMNS", heliostat_environment::believed::COLUMNS.to_vec())?;
     module.add("BUILTIN_SCENARIOS", heliostat_scenario::BUILTIN_NAMES.to_vec())?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))

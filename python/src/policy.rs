@@ -3,91 +3,39 @@
 //! A graph of dense layers runs on the controller's dense engine, another file on the reference
 //! evaluation that verifies engines: the package has no inference library.
 
-use std::sync::{Mutex, OnceLock, PoisonError};
-use std::time::Instant;
+use std::sync::{Mutex, PoisonError};
 
 use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::observation::{Observation, RoomState};
-use heliostat_decide::policy::actor_file::{ActorFile, INPUT_NAME};
-use heliostat_decide::policy::{self, Actor, DenseEngine, Engine, Network, PolicyError, PolicyKind, Resources};
+use heliostat_decide::policy::compact_file::is_compact;
+use heliostat_decide::policy::{self, Actor, PolicyKind};
 use heliostat_decide::safety::Limits;
-use heliostat_onnx::ModelProto;
-use heliostat_onnx::reference::Reference;
+use heliostat_engine::{ActorSource, build, load_actor};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
-use prost::Message;
 use pyo3::prelude::*;
 
 use crate::arrays::{AnglePair, angles, cylinders, numbers, pair, positions};
 use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
 
-/// Evaluates dense graphs by the dense engine, and others by plain loops.
-struct PlainEngine;
-
-struct ReferenceNetwork {
-    reference: Reference,
-    input_length: usize,
-    input: Vec<f32>,
-    output: Vec<f32>,
-}
-
-impl Engine for PlainEngine {
-    fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
-        if let Ok(network) = DenseEngine.load(model, input_length) {
-            return Ok(network);
-        }
-        let model = ModelProto::decode(model).map_err(|error| error.to_string())?;
-        let reference = Reference::new(&model)?;
-        Ok(Box::new(ReferenceNetwork { reference, input_length, input: vec![0.0; input_length], output: Vec::new() }))
-    }
-}
-
-impl Network for ReferenceNetwork {
-    fn engine(&self) -> &'static str {
-        "reference"
-    }
-
-    fn set_rows(&mut self, rows: usize) -> Result<(), PolicyError> {
-        self.input.resize(rows * self.input_length, 0.0);
-        Ok(())
-    }
-
-    fn input_mut(&mut self) -> &mut [f32] {
-        &mut self.input
-    }
-
-    fn run(&mut self) -> Result<&[f32], PolicyError> {
-        self.output.clear();
-        for row in self.input.chunks_exact(self.input_length) {
-            let run = self.reference.run(INPUT_NAME, row);
-            self.output.extend(run.map_err(|message| PolicyError::Inference { message })?);
-        }
-        Ok(&self.output)
-    }
-}
-
-/// The names of the policies that need no file.
+/// The names of all policies; a learned one is the actor that is built in for the room.
 #[pyfunction]
 pub fn policy_names() -> Vec<String> {
-    PolicyKind::value_variants().iter().filter(|kind| !kind.is_learned()).map(|kind| kind.name()).collect()
-}
-
-fn monotonic_ns() -> u64 {
-    static START: OnceLock<Instant> = OnceLock::new();
-    START.get_or_init(Instant::now).elapsed().as_nanos() as u64
+    PolicyKind::value_variants().iter().map(|kind| kind.name()).collect()
 }
 
 enum Kind {
-    Named(Box<dyn policy::Policy>),
-    File(Box<Actor>),
+    /// A network from the observation to the angles.
+    Actor(Box<Actor>),
+    Other(Box<dyn policy::Policy>),
 }
 
 impl Kind {
     fn as_policy(&mut self) -> &mut dyn policy::Policy {
         match self {
-            Self::Named(policy) => policy.as_mut(),
-            Self::File(actor) => actor.as_mut(),
+            Self::Actor(actor) => actor.as_mut(),
+            Self::Other(policy) => policy.as_mut(),
         }
     }
 }
@@ -106,21 +54,22 @@ impl Policy {
     #[new]
     fn new(scenario: &Scenario, name: &str) -> PyResult<Self> {
         let room = &scenario.inner;
-        let policy = if name.ends_with(".onnx") {
-            let bytes = std::fs::read(name).map_err(|error| refused(format!("{name}: {error}")))?;
-            let file = ActorFile { origin: name.into(), bytes: bytes.into() };
-            Kind::File(Box::new(Actor::load(&file, room, &PlainEngine).map_err(refused)?))
+        // A file is built as a learned policy; which one does not matter.
+        let (kind, source) = if name.ends_with(".onnx") {
+            (PolicyKind::Ddpg, ActorSource::Path(name.into()))
         } else {
-            let known = policy_names();
-            let kind = PolicyKind::from_str(name, false).ok().filter(|kind| !kind.is_learned());
-            let kind = kind.ok_or_else(|| {
-                refused(format!(
-                    "unknown policy {name:?}: expected {}, or the path of a file FILE.onnx",
-                    known.join(", ")
-                ))
+            let kind = PolicyKind::from_str(name, false).map_err(|_| {
+                let known = policy_names().join(", ");
+                refused(format!("unknown policy {name:?}: expected {known}, or the path of a file FILE.onnx"))
             })?;
-            let resources = Resources { actor: None, engine: &PlainEngine, monotonic_ns };
-            Kind::Named(policy::build(kind, room, &resources).map_err(refused)?)
+            (kind, ActorSource::Shipped)
+        };
+        let file = if kind.is_learned() { Some(source.fetch(kind, room).map_err(refused)?) } else { None };
+        let policy = match &file {
+            Some(file) if kind != PolicyKind::Residual && !is_compact(file) => {
+                Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?))
+            }
+            _ => Kind::Other(build(kind, room, &source).map_err(refused)?),
         };
         Ok(Self {
             model: room.channel_model().map_err(refused)?,
@@ -171,11 +120,11 @@ impl Policy {
         Ok(pair(py, angles))
     }
 
-    /// Roll and yaw that the network of a file gives for a flat observation, as the file gives them.
+    /// Roll and yaw that an actor's network gives for a flat observation, without limits.
     fn answer<'py>(&self, py: Python<'py>, observation: PyReadonlyArray1<'py, f32>) -> PyResult<AnglePair<'py>> {
         let mut policy = self.policy.lock().unwrap_or_else(PoisonError::into_inner);
-        let Kind::File(actor) = &mut *policy else {
-            return Err(refused("only a policy from a file reads an observation; use act"));
+        let Kind::Actor(actor) = &mut *policy else {
+            return Err(refused("only an actor with angles as its output reads an observation; use act"));
         };
         let expected = actor.info().encoder().len();
         if observation.len() != expected {

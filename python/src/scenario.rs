@@ -39,6 +39,12 @@ impl Scenario {
         Ok(Self { inner: Checked::from_toml_with(&text, &overrides).map_err(refused)? })
     }
 
+    /// The checked scenario of a text in TOML.
+    #[staticmethod]
+    fn of_toml(text: &str) -> PyResult<Self> {
+        Ok(Self { inner: Checked::from_toml_with(text, &[]).map_err(refused)? })
+    }
+
     /// The name of the scenario.
     #[getter]
     fn name(&self) -> &str {

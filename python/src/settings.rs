@@ -2,12 +2,18 @@
 
 use std::sync::Arc;
 
+use heliostat_channel::MirrorAngles;
 use heliostat_environment::action::ActionForm;
+use heliostat_environment::episodes::{HeldOutEpisode, WARM, held_out_episodes};
 use heliostat_environment::room::{Reward, RewardForm};
+use heliostat_environment::sampling::Sampled;
 use heliostat_environment::task::{Dynamics, ObservationForm, TaskSettings};
+use heliostat_sim::World;
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
+use rayon::prelude::*;
 
-use crate::error::refused;
+use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
 
 /// What an environment is: scenario, dynamics, forms of action and observation, reward.
@@ -48,12 +54,15 @@ impl Settings {
             dynamics,
             &[("static", Dynamics::Static { step_s }), ("closed-loop", Dynamics::ClosedLoop)],
         )?;
-        let action = choice("action", action, &[("angles", ActionForm::Angles), ("weights", ActionForm::Weights)])?;
+        let actions =
+            [("angles", ActionForm::Angles), ("weights", ActionForm::Weights), ("compact", ActionForm::Compact)];
+        let action = choice("action", action, &actions)?;
         let forms = [
             ("flat", ObservationForm::Vector),
             ("dict", ObservationForm::Vector),
             ("paper", ObservationForm::AngleState),
             ("belief", ObservationForm::Belief),
+            ("evidence", ObservationForm::Evidence),
         ];
         let observation = choice("observation", observation, &forms)?;
         let form =
@@ -78,4 +87,35 @@ impl Settings {
 #[pyfunction]
 pub fn held_out_seed(scenario_seed: u64, index: u64) -> u64 {
     heliostat_environment::held_out::held_out_seed(scenario_seed, index)
+}
+
+/// Sum rate in Mbit/s and share of minimum rates met of the oracle at each sampling time of each
+/// episode of a comparison in closed loop, in the order of the episodes: shape (n, 2).
+#[pyfunction]
+pub fn oracle_samples<'py>(
+    py: Python<'py>,
+    scenario: &Scenario,
+    states: usize,
+    seeds: usize,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let room = &scenario.inner;
+    let samples = py.detach(|| {
+        guarded(|| {
+            let trace = room.read_trace().map_err(refused)?;
+            let episodes = held_out_episodes(room, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
+            let solve = |episode: &HeldOutEpisode| {
+                let mut rows = Vec::new();
+                let look = |world: &World, angles: &MirrorAngles| {
+                    let Sampled { sum_rate_mbps, met } = Sampled::of(world, angles);
+                    rows.extend([sum_rate_mbps, met]);
+                };
+                episode.solve(room, trace.as_deref(), look).map_err(refused)?;
+                Ok(rows)
+            };
+            let rows: PyResult<Vec<Vec<f64>>> = episodes.par_iter().map(solve).collect();
+            Ok(rows?.concat())
+        })
+    })?;
+    let count = samples.len() / 2;
+    PyArray1::from_vec(py, samples).reshape([count, 2])
 }

@@ -1,18 +1,51 @@
-"""The Python blocks of the guide run, one after the other."""
+"""The Python blocks of the guide run, one after the other, and each public name has a docstring."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
+import pkgutil
 import re
 from pathlib import Path
 from typing import Any
 
-GUIDE = Path(__file__).parents[2] / "docs" / "python.md"
+import heliostat
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_guide_runs(capsys: Any) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) >= 4
+@pytest.mark.parametrize(
+    ("page", "count", "printed"),
+    [("python.md", 4, "Mbit/s, minimum rates met"), ("tutorials/python.md", 2, "ratio to the oracle")],
+)
+def test_the_blocks_of_a_guide_run(page: str, count: int, printed: str, capsys: Any) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) >= count
     names: dict[str, Any] = {}
     for block in blocks:
-        exec(compile(block, str(GUIDE), "exec"), names)
-    assert "Mbit/s, minimum rates met" in capsys.readouterr().out
+        exec(compile(block, page, "exec"), names)
+    assert printed in capsys.readouterr().out
+
+
+def test_each_public_name_has_a_docstring() -> None:
+    missing, seen = [], 0
+    for found in pkgutil.iter_modules(heliostat.__path__, "heliostat."):
+        if found.name.rpartition(".")[2].startswith("_"):
+            continue
+        try:
+            module = importlib.import_module(found.name)
+        except ImportError:
+            continue  # Its optional part is not installed.
+        assert module.__doc__, found.name
+        for name, value in vars(module).items():
+            if name.startswith("_") or getattr(value, "__module__", None) != found.name:
+                continue
+            parts = {name: value}
+            if inspect.isclass(value):
+                parts |= {f"{name}.{part}": held for part, held in vars(value).items() if not part.startswith("_")}
+            for path, part in parts.items():
+                if callable(part) or isinstance(part, property):
+                    seen += 1
+                    missing += [] if part.__doc__ else [f"{found.name}.{path}"]
+    assert seen > 40 and not missing, missing

@@ -45,6 +45,41 @@ def test_the_checker_of_gymnasium_accepts_each_form(name: str, action: str, obse
     env.close()
 
 
+@pytest.mark.parametrize("name", ["heliostat/Hall-v0", "heliostat/Office-v0"])
+def test_the_checker_of_gymnasium_accepts_corrections_of_the_belief(name: str) -> None:
+    env = gymnasium.make(name, action="compact", observation="evidence")
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.action_space.shape == (3 * env.unwrapped.slots,)  # type: ignore[attr-defined]
+
+
+def test_the_parts_of_a_flat_observation_have_names() -> None:
+    env = make()
+    flat, _ = env.reset(seed=1)
+    parts, _ = make(observation="dict").reset(seed=1)
+    assert list(env.parts) == list(parts)
+    for name, (indices, shape) in env.parts.items():
+        assert np.array_equal(flat[indices].reshape(shape), parts[name])
+
+
+def test_an_episode_of_a_comparison_ends_with_its_samples() -> None:
+    env = make("heliostat/Hall-v0")
+    env.reset(options={"episode": (1, 30, 1)})
+    info: dict[str, Any] = {}
+    truncated, steps = False, 0
+    while not truncated:
+        assert "samples" not in info
+        _, _, _, truncated, info = env.step(np.zeros(200, np.float32))
+        steps += 1
+    # 20 states of the first episode, and the other 10 here; about one in a quarter of a second.
+    assert info["samples"].shape == (10, 2) and 30 < steps < 45
+    env.reset(seed=1)
+    assert not env.step(np.zeros(200, np.float32))[3]
+    with pytest.raises(ValueError, match="episode 2 of 2"):
+        env.reset(options={"episode": (2, 30, 1)})
+    with pytest.raises(ValueError, match="closed-loop"):
+        make().reset(options={"episode": (0, 30, 1)})
+
+
 @pytest.mark.parametrize("name", IDS)
 def test_the_same_seed_gives_the_same_run_and_another_seed_another(name: str) -> None:
     first, again, other = run(make(name), 12), run(make(name), 12), run(make(name), 12, seed=4)
@@ -141,7 +176,9 @@ def test_users_may_come_and_go_in_closed_loop() -> None:
         ({"overrides": {"users.cout": 3}}, "cout"),
         ({"overrides": {"users.count": 0}}, "users.count = 0"),
         ({"overrides": {"users.count": 20}}, "20 users, expected at most 10"),
-        ({"action": "angle"}, 'action = "angle": expected "angles", "weights"'),
+        ({"action": "angle"}, 'action = "angle": expected "angles", "weights", "compact"'),
+        ({"action": "compact"}, 'action = "compact": expected dynamics = "closed-loop"'),
+        ({"observation": "evidence"}, 'observation = "evidence": expected dynamics'),
         ({"observation": "all"}, "observation = "),
         ({"reward": "none"}, "reward = "),
         ({"dynamics": "slow"}, "dynamics = "),

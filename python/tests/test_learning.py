@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import warnings
 from pathlib import Path
@@ -42,10 +43,27 @@ def test_a_score_is_that_of_the_held_out_rooms_and_leaves_the_environment_as_it_
     fresh = heliostat.HeliostatEnv()
     fresh.reset(seed=4)
     assert np.array_equal(env.step(zero(seen))[0], fresh.step(zero(seen))[0])
-    with pytest.raises(ValueError, match="static"):
-        heliostat.evaluate(zero, heliostat.HeliostatEnv("hall", dynamics="closed-loop"))
+    with pytest.raises(ValueError, match="at least one state"):
+        heliostat.evaluate(zero, env, states=0)
     with pytest.raises(TypeError, match="heliostat"):
         heliostat.evaluate(zero, gymnasium.make("CartPole-v1"))
+
+
+def test_an_exported_network_of_weights_gives_the_angles_of_the_environment(tmp_path: Path) -> None:
+    torch = torch_or_skip()
+    for name, settings in [("heliostat/Static-v0", {}), ("heliostat/Paper-v0", {"observation": "flat"})]:
+        env = gymnasium.make(name, action="weights", **settings).unwrapped  # type: ignore[arg-type]
+        assert isinstance(env, heliostat.HeliostatEnv)
+        module = module_of(env, torch)
+        policy = heliostat.Policy(str(heliostat.export_onnx(module, env, tmp_path / "own.onnx")), env.scenario)
+        for seed in range(5):
+            observation, _ = env.reset(seed=seed)
+            roll, yaw = policy.answer(observation)
+            with torch.no_grad():
+                env.step(module(torch.from_numpy(observation)[None])[0].numpy())
+            turned = env.state()
+            assert np.concatenate([roll, yaw]) == pytest.approx(np.concatenate([turned["roll"], turned["yaw"]]), abs=2e-5)
+            assert np.ptp(roll) > 0.1
 
 
 @pytest.mark.parametrize("name", ["heliostat/Static-v0", "heliostat/Paper-v0"])
@@ -77,10 +95,17 @@ def test_networks_that_no_controller_accepts_are_refused_with_the_reason(tmp_pat
     path = tmp_path / "own.onnx"
     with pytest.raises(ValueError, match=r"shape \(1, 7\) for one observation, expected \(1, 200\)"):
         heliostat.export_onnx(torch.nn.Linear(1370, 7), env, path)
-    with pytest.raises(ValueError, match="weights"):
-        heliostat.export_onnx(module_of(env, torch), heliostat.HeliostatEnv(action="weights"), path)
-    with pytest.raises(ValueError, match="belief"):
-        heliostat.export_onnx(module_of(env, torch), heliostat.HeliostatEnv(observation="belief"), path)
+    refused: list[tuple[dict[str, Any], str]] = [
+        ({"observation": "belief"}, 'observation = .belief.: expected "flat" or "paper"'),
+        ({"action": "compact", "dynamics": "closed-loop"}, 'observation = .flat.: expected "evidence"'),
+    ]
+    for settings, reason in refused:
+        with pytest.raises(ValueError, match=reason):
+            heliostat.export_onnx(module_of(env, torch), heliostat.HeliostatEnv(**settings), path)
+    leds: dict[str, Any] = {"led.positions_m": [[-1.0, 0.0, 3.0], [1.0, 0.0, 3.0]]}
+    several = heliostat.HeliostatEnv(action="weights", overrides=leds)
+    with pytest.raises(ValueError, match="2 access points"):
+        heliostat.export_onnx(module_of(several, torch), several, path)
     diverged = module_of(env, torch)
     with torch.no_grad():
         diverged[0].weight[0, 0] = float("nan")
@@ -95,25 +120,95 @@ def test_networks_that_no_controller_accepts_are_refused_with_the_reason(tmp_pat
         heliostat.Policy(str(path), overrides={"room.height_m": 3.2})
 
 
-def test_the_command_line_gives_an_exported_network_the_same_score(tmp_path: Path) -> None:
+def program_or_skip() -> str:
     program = os.environ.get("HELIOSTAT_PROGRAM")
     if program is None:
         pytest.skip("HELIOSTAT_PROGRAM names no program")
-    torch = torch_or_skip()
-    env = heliostat.HeliostatEnv()
-    module = module_of(env, torch)
-    path = heliostat.export_onnx(module, env, tmp_path / "own.onnx")
+    return program
 
-    def act(observation: Any) -> Any:
-        with torch.no_grad():
-            return module(torch.from_numpy(observation)[None])[0].numpy()
 
-    score = heliostat.evaluate(act, env, states=20)
-    command = [program, "eval", "--policies", str(path), "--states", "20", "--seeds", "1", "--json"]
+def report_of(program: str, policy: str, *arguments: str) -> tuple[Any, Any]:
+    """The rows of a policy and of the oracle."""
+    command = [program, "eval", "--policies", policy, "--json", *arguments]
     report = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
     (row,) = report["policies"].values()
+    return row, report["oracle"]
+
+
+FORMS = [
+    ("heliostat/Static-v0", {}),
+    ("heliostat/Static-v0", {"action": "weights"}),
+    ("heliostat/Hall-v0", {}),
+    ("heliostat/Hall-v0", {"action": "weights"}),
+    ("heliostat/Hall-v0", {"action": "compact", "observation": "evidence"}),
+]
+
+
+def exported(name: str, settings: Any, torch: Any, path: Path) -> tuple[heliostat.HeliostatEnv, Any]:
+    """An environment with a network for it, which is in the file, and its actions."""
+    env = gymnasium.make(name, **settings).unwrapped
+    assert isinstance(env, heliostat.HeliostatEnv)
+    if env.action_form == "compact":
+        torch.manual_seed(3)
+        module = torch.nn.Sequential(torch.nn.Linear(heliostat.EVIDENCE_FEATURES, 16), torch.nn.ReLU(), torch.nn.Linear(16, 3))
+        with torch.no_grad():
+            # Certain enough that some corrections count.
+            module[2].bias[:] = torch.tensor([0.2, 0.0, -1.0])
+    else:
+        module = module_of(env, torch)
+    heliostat.export_onnx(module, env, path)
+
+    def act(observation: Any) -> Any:
+        rows = torch.from_numpy(observation).reshape(env.slots if env.action_form == "compact" else 1, -1)
+        with torch.no_grad():
+            return module(rows).numpy().ravel()
+
+    return env, act
+
+
+@pytest.mark.parametrize(("name", "settings"), FORMS)
+def test_the_command_line_gives_an_exported_network_the_same_score(name: str, settings: Any, tmp_path: Path) -> None:
+    torch, program = torch_or_skip(), program_or_skip()
+    env, act = exported(name, settings, torch, tmp_path / "own.onnx")
+    score = heliostat.evaluate(act, env, states=20)
+    loop = [] if env.is_static else ["--closed-loop", "--scenario", "hall"]
+    row, oracle = report_of(program, str(tmp_path / "own.onnx"), *loop, "--states", "20", "--seeds", "1")
     assert row["ratio_to_oracle"]["mean"] == pytest.approx(score.ratio_to_oracle, abs=0.005)
-    assert report["oracle"]["sum_rate_mbps"]["mean"] == pytest.approx(score.oracle_mbps, rel=1e-9)
+    assert oracle["sum_rate_mbps"]["mean"] == pytest.approx(score.oracle_mbps, rel=1e-9)
+    # An action of zero has another score: the network matters.
+    assert abs(heliostat.evaluate(lambda seen: 0 * act(seen), env, states=20).ratio_to_oracle - score.ratio_to_oracle) > 1e-4
+
+
+def test_a_score_in_closed_loop_is_that_of_the_command_line() -> None:
+    program = program_or_skip()
+    arguments = ("--closed-loop", "--scenario", "hall", "--states", "30", "--seeds", "2")
+    compact = {"action": "compact", "observation": "evidence"}
+    for policy, settings in [("flat", {}), ("greedy", compact)]:
+        env = gymnasium.make("heliostat/Hall-v0", **settings)  # type: ignore[arg-type]
+        nothing = np.zeros(env.action_space.shape or (), np.float32)
+        env.reset(seed=4)
+        score = heliostat.evaluate(lambda _, nothing=nothing: nothing, env, states=30, seeds=2)  # type: ignore[misc]
+        row, oracle = report_of(program, policy, *arguments)
+        assert score.states == 60
+        for figure in ("ratio_to_oracle", "sum_rate_mbps", "qos_met"):
+            assert getattr(score, figure) == pytest.approx(row[figure]["mean"], rel=1e-9), (policy, figure)
+        assert score.oracle_mbps == pytest.approx(oracle["sum_rate_mbps"]["mean"], rel=1e-9)
+        # The environment is as it was.
+        fresh = gymnasium.make("heliostat/Hall-v0", **settings)  # type: ignore[arg-type]
+        fresh.reset(seed=4)
+        assert np.array_equal(env.step(nothing)[0], fresh.step(nothing)[0])
+
+
+@pytest.mark.parametrize("settings", [{}, {"action": "weights"}, {"action": "compact", "observation": "evidence"}])
+def test_an_exported_network_moves_the_mirrors_of_the_demo(settings: Any, tmp_path: Path) -> None:
+    torch, program = torch_or_skip(), program_or_skip()
+    exported("heliostat/Hall-v0", settings, torch, tmp_path / "own.onnx")
+    command = [program, "demo", "--scenario", "hall", "--model", str(tmp_path / "own.onnx"), "--seconds", "3"]
+    shown = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    rates = dict(re.findall(r"^(\S.*?)\s{2,}(\d+\.\d\d)\s+\d\.\d+$", shown, re.MULTILINE))
+    own, flat = (float(rate) for name, rate in rates.items() if name in ("ddpg", "residual", "flat"))
+    assert own != flat, shown
+    assert int(re.search(r"commands (\d+)", shown)[1]) > 10, shown  # type: ignore[index]
 
 
 @pytest.mark.parametrize("name", list(heliostat.envs.IDS))

@@ -63,6 +63,19 @@ def test_the_oracle_is_at_least_as_good_as_every_policy() -> None:
     assert room.link(USERS, FLAT, FLAT)["rate_mbps"].sum() < 0.9 * oracle
 
 
+def test_learned_policies_are_built_in_by_name() -> None:
+    room = heliostat.Room()
+    rate = {}
+    for name in ("ddpg", "analytic", "residual", "greedy", "flat"):
+        rate[name] = room.link(USERS, *heliostat.Policy(name).act(USERS))["rate_mbps"].sum()
+    assert rate["ddpg"] > 0.9 * rate["greedy"] and rate["analytic"] > 0.9 * rate["greedy"]
+    assert rate["residual"] == rate["greedy"] > 1.2 * rate["flat"]
+    assert rate["ddpg"] != rate["greedy"] != rate["analytic"]
+    assert {"ddpg", "residual", "greedy"} <= set(heliostat.policy_names())
+    with pytest.raises(ValueError, match="no actor is built in for ddpg"):
+        heliostat.Policy("ddpg", overrides={"mirrors.rows": 3})
+
+
 def test_a_map_has_the_rates_of_its_points() -> None:
     room = heliostat.Room()
     angles = room.decode(USERS, [0.0, 1.0, 0.0])

@@ -7,6 +7,7 @@
 //! - [`recorder`]: from the bus through a queue into a file; a slow disk does not slow the room
 //!   down.
 //! - [`mod@file`]: the file format, written in complete chunks and readable up to the last of them.
+//! - [`received`]: a payload, decoded.
 //! - [`account`]: counts of received, missing and unreadable messages.
 //! - [`scene`] and [`series`]: derived channels for Foxglove.
 //! - [`replay`]: from the file into a controller of this process, with a comparison of every
@@ -16,11 +17,17 @@
 //! `docs/recording.md` describes the file format, and what a replay can verify.
 
 pub mod account;
+#[cfg(feature = "live")]
 pub mod cli;
 pub mod file;
+#[cfg(feature = "live")]
 pub mod play;
-mod received;
+pub mod received;
+#[cfg(feature = "live")]
 pub mod recorder;
+#[cfg(feature = "live")]
 pub mod replay;
+#[cfg(feature = "live")]
 pub mod scene;
+#[cfg(feature = "live")]
 pub mod series;

@@ -10,17 +10,29 @@ use heliostat_proto::{
 /// A decoded payload; kinds that are only recorded keep their stamp alone.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Received {
+    /// Positions of the users.
     Users(UserReport),
+    /// Measured gains.
     Channel(ChannelReport),
+    /// Reported obstacles.
     Obstacles(ObstacleReport),
+    /// How users hold their receivers.
     Orientation(OrientationReport),
+    /// A command to an array.
     Command(MirrorCommand),
+    /// Telemetry of an array.
     Telemetry(MirrorTelemetry),
+    /// Times and counts of a process.
     Status(NodeStatus),
+    /// The truth of a simulated room.
     Truth(RoomTruth),
+    /// The geometry that a room announces.
     Geometry(RoomGeometry),
+    /// A controller's belief about the users.
     Belief(BeliefReport),
+    /// The state of a decision core.
     Memory(ControllerMemory),
+    /// Another kind.
     Other(Kind, Stamp),
 }
 
@@ -37,6 +49,9 @@ pub struct Origin {
 
 impl Received {
     /// Decodes a payload.
+    ///
+    /// # Errors
+    /// The payload has no known kind, or does not decode.
     pub fn read(payload: &[u8]) -> Result<Self, CodecError> {
         fn stamped<T: Message>(payload: &[u8], stamp: fn(&T) -> Stamp) -> Result<Received, CodecError> {
             decode::<T>(payload).map(|message| Received::Other(T::KIND, stamp(&message)))

@@ -133,6 +133,12 @@ fn own_driver_runs() {
     assert!(run("docs/tutorials/own-driver.md") >= 5);
 }
 
+/// Its blocks in Python run in python/tests/test_documents.py.
+#[test]
+fn python_runs() {
+    assert!(run("docs/tutorials/python.md") >= 1);
+}
+
 #[test]
 fn latency_report_runs() {
     assert!(run("docs/tutorials/latency-report.md") >= 6);

@@ -42,6 +42,18 @@ impl Controller {
         self.decide(observed, now, &mut |_| {})
     }
 
+    /// Decides as [`poll_command`](Self::poll_command), with the corrections of the caller in place of
+    /// the policy's. Shape of `corrections`: K * [`Correction::VALUES`](crate::correction::Correction::VALUES),
+    /// row-major.
+    ///
+    /// No effect of the corrections where the policy does not read evidence.
+    pub fn poll_corrected(&mut self, observed: Observed, now: Nanos, corrections: &[f32]) -> Decision<'_> {
+        let Self { model, inbox, observer, observation, .. } = self;
+        observer.observe(model, inbox, (now, &mut |evidence| evidence.correct(corrections)), observation);
+        self.observe_arrays();
+        self.decide(observed, now, &mut |_| {})
+    }
+
     /// Fills the observation; the action that is then due.
     pub(super) fn observe(&mut self, now: Nanos, timing: Timing, mark: &mut dyn FnMut(Stage)) -> Observed {
         self.is_proposed = false;

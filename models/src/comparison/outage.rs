@@ -4,15 +4,13 @@
 //! the user leaves or the episode ends, so the longest outages are cut off at the length of an
 //! episode.
 
+use heliostat_environment::episodes::OUTAGE_STEP_NS;
 use serde::Serialize;
 
 use crate::evaluation::statistics::quantile;
 
 /// Lengths in s for which [`Outages`] states the time in longer outages.
 pub const OUTAGE_LENGTHS_S: [f64; 3] = [0.1, 0.5, 2.0];
-
-/// Time between two samples of the rates in ns.
-pub(super) const STEP_NS: u64 = 20_000_000;
 
 /// The outages of one episode.
 #[derive(Clone, Debug, Default)]
@@ -65,7 +63,7 @@ pub struct Outages {
 impl Outages {
     /// The distribution over episodes; `None` without a sample.
     pub(super) fn of<'a>(logs: impl Iterator<Item = &'a OutageLog>) -> Option<Self> {
-        let step_s = STEP_NS as f64 * 1e-9;
+        let step_s = OUTAGE_STEP_NS as f64 * 1e-9;
         let (mut lengths_s, mut samples) = (Vec::new(), 0);
         for log in logs {
             let lengths = log.ended.iter().chain(log.open.iter().map(|(_, length)| length));

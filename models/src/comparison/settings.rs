@@ -22,7 +22,7 @@ pub enum Loop {
 
 impl Settings {
     /// The usual time from the controller's start to the first sampling interval.
-    pub const WARM: Duration = Duration::from_secs(1);
+    pub const WARM: Duration = heliostat_environment::episodes::WARM;
 }
 
 /// The policies and the states of a comparison.

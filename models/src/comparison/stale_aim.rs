@@ -2,12 +2,12 @@
 
 use heliostat_channel::solver::Solver;
 use heliostat_decide::core::Controller;
+use heliostat_environment::episodes::{HeldOutEpisode, WARM};
 use heliostat_scenario::Scenario;
 use heliostat_sim::SimulatedRoom;
 
-use super::closed_loop::{Episode, Lockstep};
+use super::closed_loop::Lockstep;
 use super::evaluated_policy::EvaluatedPolicy;
-use super::settings::Settings;
 use crate::evaluation::held_out::{best_angles, held_out_seed};
 
 /// SINR over the SINR at perfect aim for each user, at `instants` sampling times of one walk in
@@ -25,7 +25,7 @@ pub fn kept_sinr(scenario: &Scenario, evaluated: &EvaluatedPolicy, instants: usi
     let (users, seed) = (scenario.users.count, scenario.seed);
     let scenario = evaluated.scenario(scenario);
     let controller = Controller::new(&scenario, scenario.channel_model()?, evaluated.build(&scenario, seed)?, 1);
-    let episode = Episode::new(held_out_seed(seed, 0), seed, instants, Settings::WARM);
+    let episode = HeldOutEpisode::new(held_out_seed(seed, 0), seed, instants, WARM);
     let mut solver = Solver::new(users, scenario.mirror_count());
     let [mut sinr, mut perfect] = [vec![0.0; users], vec![0.0; users]];
     let mut kept = Vec::with_capacity(users * instants);

@@ -114,10 +114,14 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         overrides: keys of the scenario as "users.count", with their values.
         dynamics: "static" (true state, instant mirrors) or "closed-loop" (reports, belief, mirror dynamics). A step
             of a closed loop is the time between two position reports.
-        action: "angles" (roll of each mirror, then yaw of each, over the range of an axis) or "weights" (one for each
-            slot; the decoder computes the angles). All components are in [-1, 1].
+        action: "angles" (roll of each mirror, then yaw of each, over the range of an axis), "weights" (one for each
+            slot; the decoder computes the angles) or, in closed loop, "compact" (three numbers for each slot, which
+            correct the belief about how the user holds the receiver; the policy greedy then decides). All components
+            are in [-1, 1].
         observation: "flat" (the vector that the controller gives to an actor), "dict" (its parts by name, with the
-            mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot) or "paper".
+            mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot), "paper" or, in closed
+            loop, "evidence" (one row of `heliostat.EVIDENCE_FEATURES` values for each slot, as the action "compact"
+            needs; zeros in an empty slot).
         reward: "shortfall" (a missing minimum rate is penalised) or "printed" (as in the paper).
         penalty: weight of the penalty.
         margin: factor on the minimum rates in the penalty.
@@ -156,27 +160,35 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         self.render_mode = render_mode
         self._window: Window | None = None
         self._is_reset = False
+        self._in_episode = False
         self._actions_shape = self._layout.action_space.shape
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode in the room of this seed, or of the next one.
 
         `options={"held_out": index}` starts in a held-out room, which training never uses; "held_out_set" is the
-        seed of the comparison, that of the scenario if absent.
+        seed of the comparison, that of the scenario if absent. `options={"episode": (index, states, seeds)}` starts an
+        episode of a comparison in closed loop with that many states of each of that many seeds; its last step is
+        truncated, and its `info["samples"]` has sum rate in Mbit/s and share of minimum rates met at each of its
+        sampling times.
         """
         if seed is not None:
             _seed_of(seed)
         super().reset(seed=seed)
         room_seed = seed
-        unknown = set(options or ()) - {"held_out", "held_out_set"}
+        unknown = set(options or ()) - {"held_out", "held_out_set", "episode"}
         if unknown:
-            raise ValueError(f"unknown reset options {sorted(unknown)}: expected held_out, held_out_set")
+            raise ValueError(f"unknown reset options {sorted(unknown)}: expected held_out, held_out_set, episode")
         if options and "held_out" in options:
             room_seed = held_out_seed(int(options.get("held_out_set", self.scenario.seed)), int(options["held_out"]))
         elif seed is None and not self._is_reset:
             room_seed = int(self.np_random.integers(2**63))
         seen = np.empty((1, self._batch.observation_len), np.float32)
-        self._batch.reset([room_seed], seen)
+        self._in_episode = bool(options) and "episode" in (options or {})
+        if options and self._in_episode:
+            seen[0] = self._batch.begin_episode(*(int(number) for number in options["episode"]))
+        else:
+            self._batch.reset([room_seed], seen)
         self._is_reset = True
         if self.render_mode == "human":
             self.render()
@@ -193,9 +205,14 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         info = {"sum_rate_mbps": sum_rate, "qos_met": met, "rates_mbps": rates}
         if self._oracle:
             info["oracle_mbps"] = oracle
+        is_over = False
+        if self._in_episode:
+            is_over, samples = self._batch.samples()
+            if is_over:
+                info["samples"] = samples
         if self.render_mode == "human":
             self.render()
-        return self._layout.shown(seen), reward, False, False, info
+        return self._layout.shown(seen), reward, False, is_over, info
 
     def render(self) -> Any:
         """The floor from above, (400, n, 3) in uint8; with "human" it is also shown in a window."""
@@ -220,22 +237,30 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         return bool(self._settings.get("dynamics", "static") == "static")
 
     @contextmanager
-    def with_oracle(self) -> Iterator[None]:
-        """Within the context, steps evaluate the oracle in other rooms, whose users have walked for `SETTLE_S`."""
-        batch, oracle = self._batch, self._oracle
-        settings = {**self._settings, "oracle": True, "settle_s": SETTLE_S}
+    def with_other_rooms(self, *, oracle: bool) -> Iterator[None]:
+        """Within the context, the environment has other rooms, whose users have walked for `SETTLE_S`.
+
+        `oracle`: whether steps evaluate the oracle.
+        """
+        kept = self._batch, self._oracle, self._is_reset, self._in_episode
+        settings = {**self._settings, "oracle": oracle, "settle_s": SETTLE_S}
         self._batch = Batch(make_settings(self.scenario, **settings), [self.scenario.seed], "disabled", _UNLIMITED)
-        self._oracle = True
+        self._oracle = oracle
         try:
             yield
         finally:
             self._batch.close()
-            self._batch, self._oracle = batch, oracle
+            self._batch, self._oracle, self._is_reset, self._in_episode = kept
 
     @property
     def slots(self) -> int:
         """Slots for users in an observation."""
         return self._batch.slots_max
+
+    @property
+    def parts(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
+        """The indices and the shape of each part of a flat observation, by name."""
+        return {name: (slice(first, first + int(np.prod(shape))), shape) for name, first, shape in self._layout.parts}
 
     def close(self) -> None:
         """Frees the room; later steps raise `RuntimeError`."""

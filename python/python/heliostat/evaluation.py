@@ -1,15 +1,19 @@
-"""Scores on held-out states: the same rooms, users and oracle as `heliostat eval`."""
+"""Scores on held-out rooms: the same rooms, users and oracle as `heliostat eval`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ._core import INSTANTS, oracle_samples
 from .envs import HeliostatEnv
+
+Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
+"""From an observation to an action."""
 
 
 @dataclass(frozen=True)
@@ -25,35 +29,50 @@ class Score:
     states: int
 
 
-def evaluate(
-    act: Callable[[Any], NDArray[np.float32]], env: HeliostatEnv | Any, states: int = 100, seeds: int = 1
-) -> Score:
-    """The score of `act`, from an observation to an action, in a static room without a step between.
+def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 1) -> Score:
+    """The score of `act`, from an observation to an action.
 
-    The states are those of `heliostat eval --states STATES --seeds SEEDS` for the scenario of `env`; any wrappers of
-    Gymnasium that change observations or actions apply. Needs a static room; its settings other than scenario,
-    action and observation do not matter.
+    The states are those of `heliostat eval --states STATES --seeds SEEDS` for the scenario of `env`: in a static room
+    one by one, without a step between; in a closed loop those of `heliostat eval --closed-loop`, at sampling times
+    between which `act` decides for each position report. Any wrappers of Gymnasium that change observations or
+    actions apply. Settings of `env` other than scenario, dynamics, action and observation do not matter.
     """
     inner = env.unwrapped
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")
-    if not inner.is_static:
-        raise ValueError('evaluate needs dynamics="static"; run `heliostat eval --closed-loop` for a closed loop')
     if states < 1 or seeds < 1:
         raise ValueError("evaluate needs at least one state and one seed")
-    rows = []
-    with inner.with_oracle():
-        for seed in range(seeds):
-            for index in range(states):
-                observation, _ = env.reset(options={"held_out": index, "held_out_set": inner.scenario.seed + seed})
-                _, _, _, _, info = env.step(act(observation))
-                rows.append((info["sum_rate_mbps"], info["oracle_mbps"], info["qos_met"]))
-    rate, oracle, met = np.array(rows).T
+    with inner.with_other_rooms(oracle=inner.is_static):
+        samples = _static if inner.is_static else _closed_loop
+        rate, met, oracle = samples(act, env, inner, states, seeds).T
     served = oracle > 0.0
     return Score(
         ratio_to_oracle=float((rate[served] / oracle[served]).mean()),
         sum_rate_mbps=float(rate.mean()),
         oracle_mbps=float(oracle.mean()),
-        qos_met=float(met.mean()),
-        states=len(rows),
+        qos_met=float(np.nanmean(met)),
+        states=len(rate),
     )
+
+
+def _static(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> NDArray[np.float64]:
+    """Sum rate, share of minimum rates met and the oracle's sum rate of each state, (n, 3)."""
+    rows = []
+    for seed in range(seeds):
+        for index in range(states):
+            observation, _ = env.reset(options={"held_out": index, "held_out_set": inner.scenario.seed + seed})
+            info = env.step(act(observation))[4]
+            rows.append((info["sum_rate_mbps"], info["qos_met"], info["oracle_mbps"]))
+    return np.array(rows)
+
+
+def _closed_loop(act: Act, env: Any, inner: HeliostatEnv, states: int, seeds: int) -> NDArray[np.float64]:
+    """The same at the sampling times of each episode."""
+    samples = []
+    for index in range(seeds * -(-states // INSTANTS)):
+        observation, info = env.reset(options={"episode": (index, states, seeds)})
+        while "samples" not in info:
+            observation, _, _, _, info = env.step(act(observation))
+        samples.append(info["samples"])
+    oracle = oracle_samples(inner.scenario, states, seeds)
+    return np.column_stack([np.concatenate(samples), oracle[:, 0]])

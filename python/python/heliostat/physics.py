@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,9 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._core import Channel, Scenario
 from ._core import Policy as _Policy
 from .scenario import Value, load_scenario
-
-if TYPE_CHECKING:
-    from ._core import LinkResult
+from .tables import LinkResult
 
 Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Roll and yaw of each mirror in rad, each of shape (M,)."""
@@ -105,7 +103,8 @@ class Room:
 class Policy:
     """A policy of the controller by its name, or an actor from the path of its ONNX file.
 
-    A graph of dense layers runs on the controller's dense engine. Another file runs on a reference evaluation,
+    A learned policy by its name is the actor that is built in for the room, of training seed 1. `residual` corrects a
+    belief, so that with true positions it decides as `greedy`. A graph of dense layers runs on the controller's dense engine. Another file runs on a reference evaluation,
     which is slow and meant for checks.
     """
 
@@ -130,7 +129,7 @@ class Policy:
         )
 
     def answer(self, observation: ArrayLike) -> Angles:
-        """The angles that an actor from a file gives for a flat observation."""
+        """The angles that an actor gives for a flat observation, without the controller's limits."""
         return self._policy.answer(np.ascontiguousarray(observation, np.float32))
 
 

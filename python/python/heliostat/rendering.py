@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ._core import Channel, Scenario
 
 if TYPE_CHECKING:
-    from ._core import State
+    from .tables import State
 
 Picture = NDArray[np.uint8]
 

@@ -1,0 +1,87 @@
+"""Recordings as arrays, from a room that the program runs and records."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+from pathlib import Path
+
+import heliostat
+import numpy as np
+import pytest
+
+OVERRIDES = ("--set", "streams.channel.rate_hz=5")
+
+
+def free_address() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    program = os.environ.get("HELIOSTAT_PROGRAM")
+    if program is None:
+        pytest.skip("HELIOSTAT_PROGRAM names no program")
+    file = tmp_path_factory.mktemp("recording") / "room.mcap"
+    room, recorder = free_address(), free_address()
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scenario = ["--scenario", "hall", *OVERRIDES]
+    commands = [
+        ["sim-node", "--listen", room, "--seconds", "8", *scenario],
+        ["record", "--connect", room, "--listen", recorder, "--until-empty", "--out", str(file), *scenario],
+        ["controller", "--connect", room, "--connect", recorder, "--policy", "fixed-point", "--seconds", "6", *scenario],
+    ]
+    processes = [subprocess.Popen([program, *command], **quiet) for command in commands]  # type: ignore[call-overload]
+    try:
+        assert [process.wait(60) for process in processes] == [0, 0, 0]
+    finally:
+        for process in processes:
+            process.kill()
+    return file
+
+
+def test_a_recording_has_the_reports_commands_and_decisions_of_its_room(path: Path) -> None:
+    recording = heliostat.Recording(path)
+    assert recording.account is not None and recording.scenario().name == "hall"
+    assert recording.scenario().tables()["streams"]["channel"]["rate_hz"] == 5.0
+    reports = recording.reports()
+    ticks = np.unique(reports["tick"])
+    assert len(ticks) > 30 and reports["position_m"].shape == (5 * len(ticks), 3)
+    length_x, length_y, _ = recording.scenario().room_m
+    assert (np.abs(reports["position_m"][:, 0]) <= length_x / 2 + 0.5).all()
+    assert (np.abs(reports["position_m"][:, 1]) <= length_y / 2 + 0.5).all()
+    assert set(reports["user"].tolist()) == set(recording.channels()["user"].tolist())
+    commands = recording.commands()
+    assert commands["roll"].shape == (len(commands["sequence"]), 100) == commands["yaw"].shape
+    assert np.ptp(commands["roll"][-1]) > 0.05
+    assert recording.commands(array=1)["sequence"].shape == (0,)
+    # The array follows the command that it names.
+    telemetry = recording.telemetry()
+    row = len(telemetry["answers"]) // 2
+    (followed,) = np.flatnonzero(commands["answers"] == telemetry["answers"][row])
+    assert np.array_equal(telemetry["roll"][row], commands["roll"][followed])
+    decisions = recording.decisions()
+    assert len(decisions["tick"]) > 20 and np.isin(decisions["tick"], commands["answers"]).all()
+    report = np.flatnonzero(reports["tick"] == decisions["tick"][3])[0]
+    command = np.flatnonzero(commands["answers"] == decisions["tick"][3])[0]
+    apart_us = (int(commands["arrived_ns"][command]) - int(reports["arrived_ns"][report])) / 1e3
+    assert decisions["answer_us"][3] == pytest.approx(apart_us)
+
+
+def test_the_truth_of_a_recording_agrees_with_the_physics(path: Path) -> None:
+    truth = heliostat.Recording(path).truth()
+    assert len(truth["user"]) > 50 and truth["position_m"].shape[1] == 3
+    assert (truth["rate_mbps"] >= 0.0).all() and (truth["oracle_sum_rate_mbps"] > 0.0).any()
+    open_ = ~truth["blocked"]
+    assert truth["rate_mbps"][open_].mean() > truth["rate_mbps"][~open_].mean() or open_.all()
+
+
+def test_files_that_are_no_recordings_are_refused_with_the_reason(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="none.mcap"):
+        heliostat.Recording(tmp_path / "none.mcap")
+    (tmp_path / "text.mcap").write_bytes(b"no recording")
+    with pytest.raises(ValueError, match="cannot be read"):
+        heliostat.Recording(tmp_path / "text.mcap")

@@ -223,8 +223,7 @@ fn telemetry(scenario: &Scenario) -> Vec<MirrorTelemetry> {
             ..MirrorTelemetry::default()
         }
     };
-    let several = arrays.iter().filter(|_| arrays.len() > 1);
-    several.map(|array| of_array(array.rows * array.columns)).collect()
+    arrays.iter().filter(|_| arrays.len() > 1).map(|array| of_array(array.rows * array.columns)).collect()
 }
 
 /// One of the two sides that alternate.
@@ -322,9 +321,11 @@ impl Side for Decider {
         if self.tick % 100 == 1 {
             self.controller.handle_and_poll(now, Message::Obstacles(&mut self.walkers.obstacles), &mut |_| {});
         }
-        for (array, telemetry) in self.telemetry.iter_mut().enumerate().filter(|_| self.tick % TELEMETRY_TICKS == 1) {
-            telemetry.stamp = Stamp { source: 2 + array as u64, sequence: self.tick, time_ns: now };
-            self.controller.handle_and_poll(now, Message::Telemetry(array, telemetry), &mut |_| {});
+        for (array, telemetry) in self.telemetry.iter().enumerate().filter(|_| self.tick % TELEMETRY_TICKS == 1) {
+            // A copy, since the controller keeps the memory of an accepted message.
+            let stamp = Stamp { source: 2 + array as u64, sequence: self.tick, time_ns: now };
+            let mut telemetry = MirrorTelemetry { stamp, ..telemetry.clone() };
+            self.controller.handle_and_poll(now, Message::Telemetry(array, &mut telemetry), &mut |_| {});
         }
         self.controller.handle_and_poll(now, Message::Channel(&mut self.walkers.channel), &mut |_| {});
         Ok(encode(&self.walkers.users, &mut self.payload)?)

@@ -215,13 +215,8 @@ impl Args {
 fn telemetry(scenario: &Scenario) -> Vec<MirrorTelemetry> {
     let arrays = scenario.mirrors.arrays();
     let of_array = |mirrors: usize| {
-        let flat = vec![0.0; mirrors];
-        MirrorTelemetry {
-            state: ArrayState::Following,
-            roll_commanded: flat.clone(),
-            yaw_commanded: flat,
-            ..MirrorTelemetry::default()
-        }
+        let (state, flat) = (ArrayState::Following, vec![0.0; mirrors]);
+        MirrorTelemetry { state, roll_commanded: flat.clone(), yaw_commanded: flat, ..Default::default() }
     };
     arrays.iter().filter(|_| arrays.len() > 1).map(|array| of_array(array.rows * array.columns)).collect()
 }

@@ -14,7 +14,7 @@ use heliostat_proto::{NodeKind, Room};
 use zenoh::Wait;
 
 /// Every key of the contract, and a key outside of it.
-const KEYS: [&str; 30] = [
+const KEYS: [&str; 33] = [
     "users",
     "channel",
     "obstacles",
@@ -38,6 +38,9 @@ const KEYS: [&str; 30] = [
     "controller/memory",
     "geometry/sim-node",
     "geometry/driver",
+    "orientation",
+    "branches",
+    "status/driver-1",
     "mirrors-1/command",
     "mirrors-15/telemetry",
     "mirrors-1/capabilities",
@@ -49,7 +52,7 @@ const KEYS: [&str; 30] = [
 
 /// The keys on which each role may publish, written down independently of the program.
 const RIGHTS: [(AccessRole, &str); 8] = [
-    (AccessRole::Tracker, "users channel obstacles mirrors/stop status/tracker"),
+    (AccessRole::Tracker, "users channel obstacles orientation branches mirrors/stop status/tracker"),
     (
         AccessRole::Controller,
         "mirrors/command mirrors-1/command mirrors/stop status/controller geometry/controller controller/belief \
@@ -58,11 +61,11 @@ const RIGHTS: [(AccessRole, &str); 8] = [
     (
         AccessRole::Driver,
         "mirrors/telemetry mirrors/capabilities mirrors/safety mirrors-15/telemetry mirrors-1/capabilities \
-         mirrors-1/safety mirrors/stop status/driver",
+         mirrors-1/safety mirrors/stop status/driver status/driver-1",
     ),
     (
         AccessRole::Simulator,
-        "users channel obstacles truth mirrors/telemetry mirrors/capabilities mirrors/safety \
+        "users channel obstacles orientation branches truth mirrors/telemetry mirrors/capabilities mirrors/safety \
          mirrors-15/telemetry mirrors-1/capabilities mirrors-1/safety mirrors/stop \
          status/sim-node status/tracker geometry/sim-node",
     ),

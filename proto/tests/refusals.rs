@@ -490,3 +490,12 @@ fn a_branch_has_one_gain_of_each_path() {
     assert_eq!(refusal::<BranchReport>(&fewer).name(), "bad-length");
     assert_eq!(Room::new("demo").expect("a valid name").branches(), "heliostat/v1/demo/branches");
 }
+
+#[test]
+fn counters_and_messages_name_an_array_by_the_first_part_of_its_keys() {
+    let room = Room::new("lab").expect("a valid name");
+    for array in [0, 1, MAX_ARRAYS - 1] {
+        let key = format!("heliostat/v1/lab/{}/command", array_keys::array_name(array));
+        assert_eq!(key, room.array(array).command());
+    }
+}

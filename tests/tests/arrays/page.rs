@@ -8,7 +8,7 @@ use heliostat_service::Stop;
 use heliostat_tests::{Browser, Process, wait_until};
 use serde_json::{Value, json};
 
-use super::room::{drive, report, scenario_file};
+use super::room::{RequestAtEnd, drive, report, scenario_file};
 use super::simulated;
 
 /// The address of a page about a room, with its server.
@@ -74,8 +74,7 @@ fn the_page_names_the_array_whose_driver_has_left() {
     let config = || BusConfig::new(Room::new("shown").expect("a valid name"));
     let [both, later, tracker_stop] = [Stop::default(), Stop::default(), Stop::default()];
     std::thread::scope(|scope| {
-        // Also where a check fails, so that every thread ends.
-        let _end = RequestAtEnd([both.clone(), later.clone(), tracker_stop.clone()]);
+        let _end = RequestAtEnd(vec![both.clone(), later.clone(), tracker_stop.clone()]);
         let drive_second = |stop: &Stop| {
             let (config, folder, stop) = (config().listen_at(second), folder.path().to_owned(), stop.clone());
             scope.spawn(move || drive(1, config, folder, &stop))
@@ -118,13 +117,4 @@ fn the_page_names_the_array_whose_driver_has_left() {
         wait_until("usable mirrors", || unusable() == json!([]));
         wait_until("no note about the driver", || !browser.text("#problem").contains("no driver"));
     });
-}
-
-/// Requests stops when dropped.
-struct RequestAtEnd([Stop; 3]);
-
-impl Drop for RequestAtEnd {
-    fn drop(&mut self) {
-        self.0.iter().for_each(Stop::request);
-    }
 }

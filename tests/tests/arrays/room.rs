@@ -112,3 +112,12 @@ pub fn report(tick: u64) -> Vec<u8> {
     encode(&UserReport { stamp, tick, users: (0..5).map(user).collect() }, &mut payload).expect("a sound report");
     payload
 }
+
+/// Requests stops when dropped, so that every thread ends where a check fails.
+pub struct RequestAtEnd(pub Vec<Stop>);
+
+impl Drop for RequestAtEnd {
+    fn drop(&mut self) {
+        self.0.iter().for_each(Stop::request);
+    }
+}

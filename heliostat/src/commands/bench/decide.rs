@@ -16,7 +16,7 @@ use heliostat_decide::core::{Controller, Decision, Stage};
 use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::{Actor, Policy, PolicyKind};
 use heliostat_engine::{ActorSource, EngineChoice};
-use heliostat_proto::{UserReport, decode_into, encode};
+use heliostat_proto::{ArrayState, MirrorTelemetry, Stamp, UserReport, decode_into, encode};
 use heliostat_scenario::{Scenario, ScenarioArgs};
 
 use super::pace::{Block, PaceArgs, Plan, Turn};
@@ -25,6 +25,8 @@ use super::walkers::Walkers;
 
 /// Unmeasured decisions at the start.
 const WARM_UP: usize = 200;
+/// Reports between two messages of telemetry.
+const TELEMETRY_TICKS: u64 = 5;
 /// Cache warm-ups before each report, as in the controller.
 const WARM_UPS: u32 = 2;
 /// The cache warm-ups end this long before the report is due, as in the controller.
@@ -209,6 +211,16 @@ impl Args {
     }
 }
 
+/// Telemetry of each of several arrays; nothing for one.
+fn telemetry(scenario: &Scenario) -> Vec<MirrorTelemetry> {
+    let arrays = scenario.mirrors.arrays();
+    let of_array = |mirrors: usize| {
+        let (state, flat) = (ArrayState::Following, vec![0.0; mirrors]);
+        MirrorTelemetry { state, roll_commanded: flat.clone(), yaw_commanded: flat, ..Default::default() }
+    };
+    arrays.iter().filter(|_| arrays.len() > 1).map(|array| of_array(array.rows * array.columns)).collect()
+}
+
 /// One of the two sides that alternate.
 trait Side {
     /// Prepares the next report, before the pause.
@@ -255,6 +267,8 @@ fn go_through(side: &mut dyn Side, block: Block, record: &mut dyn FnMut(Duration
 struct Decider {
     controller: Controller,
     walkers: Walkers,
+    /// Of each of several arrays, which are lost without it; empty for one array.
+    telemetry: Vec<MirrorTelemetry>,
     users: usize,
     tick: u64,
     keep_warm: KeepWarm,
@@ -274,6 +288,7 @@ impl Decider {
         let mut decider = Self {
             controller,
             walkers: Walkers::default(),
+            telemetry: telemetry(scenario),
             users: scenario.users.count,
             tick: 0,
             keep_warm,
@@ -300,6 +315,12 @@ impl Side for Decider {
         self.walkers.walk(1, self.tick, now, self.users);
         if self.tick % 100 == 1 {
             self.controller.handle_and_poll(now, Message::Obstacles(&mut self.walkers.obstacles), &mut |_| {});
+        }
+        for (array, telemetry) in self.telemetry.iter().enumerate().filter(|_| self.tick % TELEMETRY_TICKS == 1) {
+            // A copy, since the controller keeps the memory of an accepted message.
+            let stamp = Stamp { source: 2 + array as u64, sequence: self.tick, time_ns: now };
+            let mut telemetry = MirrorTelemetry { stamp, ..telemetry.clone() };
+            self.controller.handle_and_poll(now, Message::Telemetry(array, &mut telemetry), &mut |_| {});
         }
         self.controller.handle_and_poll(now, Message::Channel(&mut self.walkers.channel), &mut |_| {});
         Ok(encode(&self.walkers.users, &mut self.payload)?)

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
+use clap::Parser;
 use heliostat_engine::{ActorSource, EngineChoice};
 use heliostat_models::comparison::{EvaluatedPolicy, Known, Loop, Settings, compare};
 use heliostat_scenario::{Belief, Scenario, ScenarioArgs};
@@ -152,10 +153,22 @@ impl Args {
     }
 }
 
+/// The command of a task of the suite; the word `eval` stands in the place of the program's name.
+#[derive(Debug, Parser)]
+struct TaskCommand {
+    #[command(flatten)]
+    args: Args,
+}
+
+/// The room of a task of the suite, by the arguments of its command.
+fn room_of(arguments: &[String]) -> Result<Scenario> {
+    TaskCommand::try_parse_from(arguments)?.args.scenario(None)
+}
+
 /// Runs the command.
 pub fn run(args: Args) -> Result<()> {
     if args.suite.is_chosen() {
-        return suite::run(&args.suite, &args.policies, args.json);
+        return suite::run(&args.suite, &args.policies, args.json, &room_of);
     }
     let sweep = args.sweep.as_ref();
     let settings: Vec<Settings> = match sweep {

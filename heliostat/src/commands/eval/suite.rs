@@ -11,11 +11,10 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use clap::Parser;
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::EvaluatedPolicy;
+use heliostat_scenario::Scenario;
 
-use super::Args;
 use crate::commands::results::archive::Archive;
 use crate::commands::results::pages::Section;
 use crate::commands::results::steps::{self, Step};
@@ -59,20 +58,16 @@ impl SuiteArgs {
     }
 }
 
-/// The command of a task, without the program's name.
-#[derive(Debug, Parser)]
-struct TaskCommand {
-    #[command(flatten)]
-    args: Args,
-}
+/// Reads the room of a task from the arguments of its command.
+pub type RoomOf<'a> = &'a dyn Fn(&[String]) -> Result<Scenario>;
 
 /// Runs the suite.
 ///
 /// # Errors
 /// An unknown task or policy, a named policy that fits no task, a file that cannot be written, or a task that
 /// fails.
-pub fn run(args: &SuiteArgs, policies: &[String], json: bool) -> Result<()> {
-    let steps = steps_of(args, policies)?;
+pub fn run(args: &SuiteArgs, policies: &[String], json: bool, room_of: RoomOf) -> Result<()> {
+    let steps = steps_of(args, policies, room_of)?;
     let mut archive = Archive::new(&page::archive_name(), args.quick);
     let kept = args.out.as_ref().map(|out| (out, out.with_extension("json")));
     if let Some((out, kept)) = &kept {
@@ -114,7 +109,7 @@ fn compared(named: &[String]) -> Result<Vec<(String, EvaluatedPolicy)>> {
 
 /// The tasks to run, each with the policies that fit its room. A learned policy without a built-in actor
 /// fits none, which is an error only if it was named.
-fn steps_of(args: &SuiteArgs, named: &[String]) -> Result<Vec<Step<'static>>> {
+fn steps_of(args: &SuiteArgs, named: &[String], room_of: RoomOf) -> Result<Vec<Step<'static>>> {
     let policies = compared(named)?;
     let names: Vec<&str> = TASKS.iter().map(|task| task.name).collect();
     for name in &args.tasks {
@@ -124,7 +119,7 @@ fn steps_of(args: &SuiteArgs, named: &[String]) -> Result<Vec<Step<'static>>> {
     let (mut steps, mut fitting) = (Vec::new(), Vec::new());
     for task in chosen {
         let mut arguments = task.arguments(args.quick);
-        let scenario = TaskCommand::try_parse_from(&arguments)?.args.scenario(None)?;
+        let scenario = room_of(&arguments)?;
         let fit: Vec<&str> =
             policies.iter().filter(|(_, policy)| policy.fits(&scenario)).map(|(name, _)| name.as_str()).collect();
         arguments.extend(["--policies".into(), fit.join(",")]);
@@ -143,6 +138,7 @@ fn steps_of(args: &SuiteArgs, named: &[String]) -> Result<Vec<Step<'static>>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::room_of;
     use super::*;
 
     fn names(named: &[&str]) -> Result<Vec<String>> {
@@ -166,15 +162,15 @@ mod tests {
     fn policies_take_part_in_the_tasks_whose_rooms_they_fit() {
         let args = SuiteArgs { suite: true, quick: true, tasks: Vec::new(), out: None, resume: false };
         let named = ["ddpg", "flat"].map(String::from);
-        for (task, arguments) in steps_of(&args, &named).unwrap() {
+        for (task, arguments) in steps_of(&args, &named, &room_of).unwrap() {
             let learned = !["two-arrays", "office", "atrium", "corridor", "lab"].contains(&task.name);
             let expected = if learned { "greedy,ddpg,flat" } else { "greedy,flat" };
             assert_eq!(arguments.last().map(String::as_str), Some(expected), "{}", task.name);
         }
         let only = SuiteArgs { tasks: vec!["office".into()], ..args };
-        let refusal = steps_of(&only, &named).unwrap_err().to_string();
+        let refusal = steps_of(&only, &named, &room_of).unwrap_err().to_string();
         assert!(refusal.contains("policy ddpg fits none"), "{refusal}");
-        let all = steps_of(&only, &[]).unwrap().swap_remove(0).1.pop().unwrap();
+        let all = steps_of(&only, &[], &room_of).unwrap().swap_remove(0).1.pop().unwrap();
         assert!(all.starts_with("greedy,residual,") && !all.contains("ddpg"), "{all}");
     }
 }

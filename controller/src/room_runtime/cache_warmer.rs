@@ -17,6 +17,11 @@
 //!                    all warm-ups done (then Spin), or on_arrival
 //! ```
 //!
+//! On a machine without an idle processor the report waits for the room's thread: that thread yields
+//! while it spins, and runs again after the others. The callback is woken at once there. So after a
+//! report that waited longer than `WAIT_MAX`, the callbacks decide for the next `PAUSE_REPORTS`
+//! reports.
+//!
 //! The caller reports events by `on_*` and executes what [`CacheWarmer::next_action`] returns. Time
 //! is an argument.
 
@@ -51,6 +56,14 @@ const MARGIN_AFTER_REPORT: Duration = Duration::from_micros(100);
 /// Longest spin: a twentieth of the interval between reports at 100 Hz, which bounds the processor
 /// time it takes.
 const SPIN_MAX: Duration = Duration::from_micros(500);
+
+/// A report that waits longer than this for the room's thread loses more than warm caches give: the
+/// shortest decision for which warm-ups pay.
+const WAIT_MAX: Duration = *WORTH_STARTING.start();
+
+/// Reports without cache warm-ups after one that waited too long. At most one of so many reports then
+/// waits on a machine that stays busy.
+const PAUSE_REPORTS: u32 = 128;
 
 /// Whether the room's thread warms up the caches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,6 +127,8 @@ pub struct CacheWarmer {
     decision: MeanDuration,
     warm_up: MeanDuration,
     warm_ups: u64,
+    /// Reports until cache warm-ups are tried again.
+    paused: u32,
     phase: Phase,
 }
 
@@ -126,6 +141,7 @@ impl CacheWarmer {
             decision: MeanDuration::default(),
             warm_up: MeanDuration::default(),
             warm_ups: 0,
+            paused: 0,
             phase: Phase::Idle,
         }
     }
@@ -133,6 +149,14 @@ impl CacheWarmer {
     /// A position report arrived.
     pub fn on_report(&mut self, at: Instant) {
         self.arrivals.on_report(at);
+        self.paused = self.paused.saturating_sub(1);
+    }
+
+    /// A position report waited so long for the room's thread.
+    pub fn on_wait(&mut self, waited: Duration) {
+        if waited > WAIT_MAX {
+            self.paused = PAUSE_REPORTS;
+        }
     }
 
     /// Something arrived for the room's thread: cache warm-ups that are under way end.
@@ -182,7 +206,7 @@ impl CacheWarmer {
     /// Whether decisions take so long that they belong on the thread that is kept warm.
     pub fn is_worthwhile(&self) -> bool {
         let worth = if self.warm_up.is_known() { WORTH_CONTINUING } else { WORTH_STARTING };
-        self.enabled && worth.contains(&self.decision.mean())
+        self.enabled && self.paused == 0 && worth.contains(&self.decision.mean())
     }
 
     /// Expected duration of the next decision; zero before the first.
@@ -412,6 +436,23 @@ mod tests {
         assert_eq!(warmer.next_action(decided + pause), Action::WarmUp);
         warmer.on_arrival();
         assert_eq!(warmer.next_action(decided + pause), Action::Wait(None));
+    }
+
+    #[test]
+    fn after_a_report_that_waited_for_the_thread_the_callbacks_decide_for_a_while() {
+        let (mut warmer, decided) = warmer_after(400 * US);
+        warmer.on_wait(WAIT_MAX);
+        assert!(warmer.is_worthwhile(), "a short wait");
+        warmer.on_wait(WAIT_MAX + US);
+        let mut report = decided;
+        for _ in 0..PAUSE_REPORTS {
+            assert!(!warmer.is_worthwhile());
+            report += TICK;
+            warmer.on_report(report);
+            warmer.on_decision(400 * US, report + 400 * US);
+        }
+        assert!(warmer.is_worthwhile(), "tried again");
+        assert!(matches!(warmer.next_action(report + 400 * US), Action::Wait(Some(_))), "{warmer:?}");
     }
 
     #[test]

@@ -12,9 +12,10 @@
 //! [`PayloadHandler::handle`] chooses. By default the callback decides. It queues the payload for
 //! the room's thread in four cases: the queue is not empty, another thread holds the lock, the
 //! payload came right after the last decision, or it is a position report and the room's thread
-//! keeps the caches warm. The main thread holds the lock to act on missing reports, to exchange
-//! stage times and to copy counters; callbacks hold it to pass on liveliness, stop orders and
-//! capabilities; the thread of policy swaps holds it to replace the policy.
+//! keeps the caches warm. After a report has waited long for that thread, the last case is left out
+//! for a while. The main thread holds the lock to act on missing reports, to exchange stage times
+//! and to copy counters; callbacks hold it to pass on liveliness, stop orders and capabilities; the
+//! thread of policy swaps holds it to replace the policy.
 
 use std::{
     sync::{Arc, Mutex, MutexGuard},
@@ -377,6 +378,9 @@ pub fn run(decision_loop: &Mutex<DecisionLoop>, queue: &ReceiveQueue) {
 fn drain(queue: &ReceiveQueue, decision_loop: &mut DecisionLoop) {
     decision_loop.warmer.on_arrival();
     while let Some(arrival) = queue.pop() {
+        if arrival.inlet.stream == Stream::Users {
+            decision_loop.warmer.on_wait(arrival.entered.elapsed());
+        }
         decision_loop.handle_payload(arrival.inlet, &arrival.payload, arrival.entered);
         queue.recycle(arrival.payload);
     }

@@ -21,10 +21,7 @@ use heliostat_proto::Nanos;
 use heliostat_scenario::{AssumedTilt, Scenario};
 use serde::{Deserialize, Serialize};
 
-use crate::belief::{
-    heading::{HEADINGS, Heading},
-    tilt::AZIMUTH_SPREAD_RAD,
-};
+use crate::belief::heading::{HEADINGS, Heading};
 
 /// Time in s after which the autocorrelation of the angles is [`AT_COHERENCE_TIME`], of a user who
 /// sits or stands and of one who walks (Soltani et al., 2019).
@@ -32,6 +29,10 @@ const COHERENCE_S: [f64; 2] = [0.373, 0.134];
 
 /// Autocorrelation at the coherence time (the same source).
 const AT_COHERENCE_TIME: f64 = 0.05;
+
+/// Standard deviation of the azimuth of a held device in rad: 3.7 and 10 degrees (the same source),
+/// and half a step between two headings.
+pub(super) const AZIMUTH_SPREAD_RAD: f64 = 0.13;
 
 /// Standard deviation in rad of a normal for other reasons: that of a device which is held upright.
 const SWAY_RAD: f64 = 0.05;

@@ -10,15 +10,11 @@
 
 use heliostat_channel::{ChannelModel, Vec3};
 
-use crate::belief::device::Lean;
+use crate::belief::device::{AZIMUTH_SPREAD_RAD, Lean};
 
 /// Standard deviation of the polar angle of a held device in rad: 7.7 degrees for users who sit and
 /// 7.8 degrees for users who walk (Soltani et al., IEEE Trans. Commun. 67(3), 2019).
 const POLAR_SPREAD_RAD: f64 = 0.135;
-
-/// Standard deviation of its azimuth in rad: 3.7 and 10 degrees (the same source), and half a step
-/// between two headings.
-pub(super) const AZIMUTH_SPREAD_RAD: f64 = 0.13;
 
 /// The normal of a tilted detector, and its derivatives.
 #[derive(Clone, Copy, Debug)]

@@ -18,6 +18,7 @@
 mod actor;
 pub mod analytic;
 pub mod ddpg;
+mod explorer;
 
 use analytic::Analytic;
 use anyhow::bail;

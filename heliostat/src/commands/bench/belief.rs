@@ -15,7 +15,6 @@ use anyhow::Result;
 use heliostat_channel::{Scene, Vec3};
 use heliostat_decide::{
     core::{Controller, Due, Stage, Timing},
-    inbox::Message,
     policy::PolicyKind,
 };
 use heliostat_engine::{ActorSource, EngineChoice};

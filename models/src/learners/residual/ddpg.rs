@@ -19,22 +19,19 @@
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_decide::evidence::{Evidence, FEATURES};
-use heliostat_decide::observation::Observation;
-use heliostat_decide::policy::{Policy, PolicyError, PolicyKind};
-use heliostat_engine::{ActorSource, build};
+use heliostat_decide::evidence::FEATURES;
 use heliostat_scenario::Scenario;
-use rand::SeedableRng;
+use heliostat_sim::SimulatedRoom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::actor::{self, CERTAIN};
+use super::actor;
+use super::explorer::{CHANGE, Explorer};
 use crate::environment::reported::{Future, RoomChoice, decisions};
 use crate::environment::room::{Environment, Outcome, Reward, RewardForm};
 use crate::networks::actor::mean_present;
 use crate::networks::adam::Adam;
 use crate::networks::layers::{Encoder, Network, Shape, soft_update};
-use crate::training::exploration::normal;
 use crate::training::learner::{Episode, Learner, Part, part};
 use crate::training::replay::Replay;
 use crate::training::settings::RunSettings;
@@ -49,12 +46,6 @@ const TRUTH: usize = 10;
 
 /// Values of a user in a state: presence, row, truth.
 const WIDTH: usize = 1 + FEATURES + TRUTH;
-
-/// Horizontal components of the change of a normal.
-const CHANGE: usize = 2;
-
-/// Share of the noise of a decision that the next one keeps.
-const NOISE_KEPT: f64 = 0.9;
 
 /// The hyperparameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -182,14 +173,7 @@ impl Ddpg {
     fn explore(&self, noise: f64, rng: &mut ChaCha8Rng) -> anyhow::Result<Vec<Vec<Step>>> {
         let Settings { choice, room_count, room_s, run, .. } = &self.settings;
         let run = |room: &Scenario, seed| {
-            let solver = build(PolicyKind::Greedy, room, &ActorSource::Shipped)?;
-            let explorer = Explorer {
-                solver,
-                network: self.actor.frozen(),
-                noise,
-                kept: vec![[0.0; CHANGE]; SLOTS],
-                rng: ChaCha8Rng::seed_from_u64(seed),
-            };
+            let explorer = Explorer::new(self.actor.frozen(), room, (noise, seed))?;
             let model = room.channel_model()?;
             let mut steps: Vec<Step> = Vec::new();
             decisions(room, seed, (Box::new(explorer), *room_s), &mut |decided| {
@@ -359,66 +343,10 @@ fn step(future: &Future<'_>, model: &ChannelModel) -> Step {
 }
 
 /// The mean over the users of a room's reward now, in bit/s/Hz.
-fn reward(room: &heliostat_sim::SimulatedRoom, reward: Reward) -> f32 {
+fn reward(room: &SimulatedRoom, reward: Reward) -> f32 {
     let world = room.world();
     let mut rates = vec![0.0; world.users().len()];
     world.scene().rates_bps(world.model(), room.angles(), &mut rates);
     let outcome = reward.outcome(&rates, world.min_rate_bps(), |_| {});
     (1e6 * outcome.reward_mbps / world.model().budget.bandwidth_hz) as f32
-}
-
-/// The network in training with noise on its changes, in front of the solver.
-struct Explorer {
-    solver: Box<dyn Policy>,
-    network: Network,
-    /// Standard deviation of the noise.
-    noise: f64,
-    /// The noise of the last decision. Shape: slots.
-    kept: Vec<[f64; CHANGE]>,
-    rng: ChaCha8Rng,
-}
-
-impl Explorer {
-    /// The outputs for all rows, with noise.
-    fn outputs(&mut self, rows: &[[f32; FEATURES]]) -> Result<Vec<f32>> {
-        let values = Tensor::from_vec(rows.concat(), (rows.len(), FEATURES), &Device::Cpu)?;
-        let found = self.network.forward_rows(&values)?.to_vec2::<f32>()?;
-        let fresh = self.noise * (1.0 - NOISE_KEPT * NOISE_KEPT).sqrt();
-        let mut outputs = Vec::with_capacity(3 * rows.len());
-        for ((row, found), kept) in rows.iter().zip(&found).zip(&mut self.kept) {
-            let counted = actor::change_of(row, &[found[0], found[1], found[2]]);
-            for (kept, counted) in kept.iter_mut().zip(counted) {
-                *kept = NOISE_KEPT * *kept + fresh * normal(&mut self.rng);
-                outputs.push((counted + *kept) as f32);
-            }
-            outputs.push(CERTAIN);
-        }
-        Ok(outputs)
-    }
-}
-
-impl Policy for Explorer {
-    fn name(&self) -> &str {
-        "residual"
-    }
-
-    fn reads_evidence(&self) -> bool {
-        true
-    }
-
-    fn correct(&mut self, evidence: &mut Evidence) {
-        // Without outputs, as when memory runs out, nothing is corrected.
-        if let Ok(outputs) = self.outputs(evidence.rows()) {
-            evidence.correct(&outputs);
-        }
-    }
-
-    fn act(
-        &mut self,
-        model: &ChannelModel,
-        observation: &Observation,
-        out: &mut MirrorAngles,
-    ) -> std::result::Result<(), PolicyError> {
-        self.solver.act(model, observation, out)
-    }
 }

@@ -90,14 +90,17 @@ class PaperRoom:
         blocked = ((offset**2).sum(-1) <= self.blockers[:, 2] ** 2) & (top >= 0)
         return np.asarray(~blocked.any(-1))
 
-    def gains(self, roll: Array, yaw: Array) -> tuple[Array, Array]:
-        """Direct gains, and gains over the mirrors, (K,)."""
+    def direct(self) -> Array:
+        """Direct gains, (K,)."""
         towards = self.panel[None] - self.places[:, None]
         squared = (towards**2).sum(-1)
         cosine = np.maximum(towards[..., 2] / np.sqrt(squared), 0)
         seen = np.where(cosine >= self.fov_cosine, cosine, 0)
         los = (self.order + 1) * self.front / (2 * np.pi) * (cosine**self.order * seen / squared).mean(-1)
-        los = los * self.clear(self.places, np.broadcast_to(self.led, self.places.shape))
+        return np.asarray(los * self.clear(self.places, np.broadcast_to(self.led, self.places.shape)))
+
+    def over_mirrors(self, roll: Array, yaw: Array) -> Array:
+        """Gains over the mirrors, (K,)."""
         from_user = self.mirrors[None] - self.places[:, None]
         squared = (from_user**2).sum(-1)
         distance = np.sqrt(squared)
@@ -107,12 +110,12 @@ class PaperRoom:
         tilt = np.maximum((tilt + from_user[..., 2] * np.sin(roll)) / distance, 0)
         starts = np.broadcast_to(self.places[:, None], from_user.shape)
         open_ = self.clear(starts, np.broadcast_to(self.mirrors[None], from_user.shape)) & self.led_clear
-        return los, (self.lit * self.front * incidence * tilt / squared * open_).sum(-1) * self.scale
+        return np.asarray((self.lit * self.front * incidence * tilt / squared * open_).sum(-1) * self.scale)
 
     def rates_bps(self, roll: Array, yaw: Array) -> Array:
         """Rates in bit/s, (K,)."""
-        los, irs = self.gains(roll, yaw)
-        return np.asarray(self.bandwidth / len(self.places) * np.log2(1 + self.unit * (los + irs) ** 2))
+        gain = self.direct() + self.over_mirrors(roll, yaw)
+        return np.asarray(self.bandwidth / len(self.places) * np.log2(1 + self.unit * gain**2))
 
     def step(self, action: Array) -> tuple[Array, float]:
         """The next state, and the reward as printed."""
@@ -120,7 +123,7 @@ class PaperRoom:
         rates = self.rates_bps(*self.angles)
         reward = float((rates - np.where(rates >= self.need, self.need, 0)).sum() / self.bandwidth)
         self.walk(1.0)
-        los, _ = self.gains(*self.angles)
+        los = self.direct()
         extent = (self.length_x / 2, self.length_y / 2, self.height)
         amplitude = np.log1p(np.sqrt(self.unit) * los)
         parts = [np.ones(len(self.places)), self.places / extent, amplitude, self.need * len(self.places) / self.bandwidth]
@@ -175,13 +178,8 @@ class StaticRoom(PaperRoom):
         starts = np.broadcast_to(self.places[:, None], (len(self.places), *self.mirrors.shape))
         self.open = self.clear(starts, np.broadcast_to(self.mirrors[None], starts.shape)) & self.led_clear
 
-    def gains(self, roll: Array, yaw: Array) -> tuple[Array, Array]:
-        towards = self.panel[None] - self.places[:, None]
-        squared = (towards**2).sum(-1)
-        cosine = np.maximum(towards[..., 2] / np.sqrt(squared), 0)
-        seen = np.where(cosine >= self.fov_cosine, cosine, 0)
-        los = (self.order + 1) * self.front / (2 * np.pi) * (cosine**self.order * seen / squared).mean(-1)
-        los = los * self.clear(self.places, np.broadcast_to(self.led, self.places.shape))
+    def over_mirrors(self, roll: Array, yaw: Array) -> Array:
+        """Gains over the mirrors, (K,)."""
         # The array is on the wall +y: at angles of zero the normals are -y.
         normal = np.stack([-np.sin(yaw) * np.cos(roll), -np.cos(yaw) * np.cos(roll), -np.sin(roll)], -1)
         width = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], -1)
@@ -204,7 +202,7 @@ class StaticRoom(PaperRoom):
         incidence = np.where((incidence > 0) & (incidence >= self.fov_cosine), incidence, 0)
         irradiance = incidence_of(towards_image, normal)
         each = np.where(inside, np.maximum(irradiance, 0) ** self.order / squared * incidence, 0).mean(-1)
-        return los, self.reflected * (each * self.open).sum(-1)
+        return np.asarray(self.reflected * (each * self.open).sum(-1))
 
     def steering(self) -> Array:
         """The gain of each mirror for each user if it were aimed at that user, (K, M)."""
@@ -222,7 +220,7 @@ class StaticRoom(PaperRoom):
         reward = float((rates - np.maximum(self.need - rates, 0)).sum() / self.bandwidth)
         self.walk(1.0)
         self.block()
-        los, _ = self.gains(*self.angles)
+        los = self.direct()
         unit = np.sqrt(self.unit)
         parts = [np.ones(len(self.places)), self.places, unit * los, self.need * len(self.places) / self.bandwidth]
         parts += [unit * self.steering(), self.angles]

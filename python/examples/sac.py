@@ -107,7 +107,8 @@ class Checkpoints(BaseCallback):  # type: ignore[misc]
         return processor_s < self.processor_s
 
     def _on_training_end(self) -> None:
-        self.save()
+        if self.rows[-1]["steps"] < self.num_timesteps:
+            self.save()
 
 
 def train(arguments: argparse.Namespace) -> None:
@@ -199,6 +200,12 @@ def figures(score: heliostat.Score) -> str:
     return f"{score.sum_rate_mbps:.1f} | {score.ratio_to_oracle:.4f} | {score.qos_met:.4f}"
 
 
+def interval(figure: dict[str, Any], digits: int) -> str:
+    """A mean with half the width of its interval, which a single episode does not have."""
+    half = "" if figure["ci95"] is None else f" ± {figure['ci95']:.{digits}f}"
+    return f"{figure['mean']:.{digits}f}{half}"
+
+
 def compared(arguments: argparse.Namespace, path: Path, scenario: str, own: heliostat.Score) -> list[str]:
     """The exported file beside other policies, and in the demo."""
     found = evaluated(arguments.program, path, scenario, arguments)
@@ -209,8 +216,7 @@ def compared(arguments: argparse.Namespace, path: Path, scenario: str, own: heli
     lines += ["| policy | sum rate, Mbit/s | ratio to the oracle | minimum rates met |", "| --- | --- | --- | --- |"]
     policies = sorted(found["policies"].items(), key=lambda item: -item[1]["ratio_to_oracle"]["mean"])
     for name, row in policies:
-        shown = [f"{row[key]['mean']:.{digits}f} ± {row[key]['ci95']:.{digits}f}"
-                 for key, digits in (("sum_rate_mbps", 1), ("ratio_to_oracle", 4), ("qos_met", 4))]
+        shown = [interval(row[key], digits) for key, digits in (("sum_rate_mbps", 1), ("ratio_to_oracle", 4), ("qos_met", 4))]
         lines += [f"| {'own.onnx' if name == str(path) else name} | {' | '.join(shown)} |"]
     by_program = found["policies"][str(path)]["ratio_to_oracle"]["mean"]
     lines += ["", f"`heliostat.evaluate` gives the ratio {own.ratio_to_oracle:.4f} for the same network, the program "

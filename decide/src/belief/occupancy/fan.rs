@@ -74,14 +74,15 @@ impl LowParts {
     /// How surely an obstacle at `off` blocks each path, as [`Grid::blocks`].
     #[inline(always)]
     fn blocks(&self, off: [f32; 2], per_m: f32) -> Lanes {
-        let mut blocks = [0.0; LANES];
-        for lane in 0..LANES {
-            let share = ((off[0] * self.x[lane] + off[1] * self.y[lane]) * self.inverse[lane]).clamp(0.0, 1.0);
-            let gap = [off[0] - share * self.x[lane], off[1] - share * self.y[lane]];
-            let distance = (gap[0] * gap[0] + gap[1] * gap[1]).sqrt();
-            blocks[lane] = ((self.reach_m[lane] - distance) * per_m).clamp(0.0, 1.0);
-        }
-        blocks
+        std::array::from_fn(
+            #[inline(always)]
+            |lane| {
+                let share = ((off[0] * self.x[lane] + off[1] * self.y[lane]) * self.inverse[lane]).clamp(0.0, 1.0);
+                let gap = [off[0] - share * self.x[lane], off[1] - share * self.y[lane]];
+                let distance = (gap[0] * gap[0] + gap[1] * gap[1]).sqrt();
+                ((self.reach_m[lane] - distance) * per_m).clamp(0.0, 1.0)
+            },
+        )
     }
 }
 

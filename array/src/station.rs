@@ -30,7 +30,7 @@ const TELEMETRY_NS: u64 = 50_000_000;
 /// Time between two publications of the capabilities, of the safety report and of the status, in ns.
 const ANNOUNCEMENT_NS: u64 = 1_000_000_000;
 
-/// What a driver is called in its messages.
+/// The identity of a driver in its messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// The source id in its stamps.

@@ -6,8 +6,8 @@
 //! from a report is forgotten, so a returning user starts again.
 //!
 //! [`Belief::handle_orientation`] and [`Belief::handle_channel`] take each accepted report of these
-//! kinds, and [`Belief::handle_command`]
-//! each command, because the gains depend on the angles of the mirrors.
+//! kinds. [`Belief::handle_command`] takes each command, because the gains depend on the angles of
+//! the mirrors.
 //!
 //! - [`motion`]: place and velocity, by a bank of hypotheses about the walk.
 //! - [`height`]: the height of the detector, which is constant for a long time.

@@ -31,7 +31,7 @@ pub struct DriverPresence {
 /// The array of a driver, and its source; a simulator drives every array of its room.
 type Token = (Option<usize>, u64);
 
-/// Finds out that commands are sent for a while without any sign of a driver.
+/// Detects that commands are sent for a while without any sign of a driver.
 #[derive(Clone, Debug, Default)]
 struct AbsenceDetector {
     telemetry: Option<Stamp>,

@@ -1,8 +1,8 @@
-//! What measured gains say about the headings of users, about how they hold their receivers, and
-//! about unreported obstacles.
+//! What measured gains show of the headings of users, of how they hold their receivers, and of
+//! unreported obstacles.
 //!
 //! A user's own body blocks the direct path, or the paths from some mirrors, and which of them
-//! depends on the heading. So does the gain of a receiver that is tilted towards the face. For each
+//! depends on the heading. The gain of a receiver that is tilted towards the face does too. For each
 //! heading the expected gain over the mirrors, with the angles in force at the time of the
 //! measurement, is compared with the measured one; for a tilted receiver the direct gain is
 //! compared as well. What bodies do not explain, obstacles do.

@@ -1,6 +1,6 @@
 //! The motion of one user: a weighted bank of hypotheses.
 //!
-//! Bayesian online change-point detection (Adams and MacKay, 2007): each hypothesis is "moves thus
+//! Bayesian online change-point detection (Adams and MacKay, 2007): each hypothesis is "moves so
 //! since report r". A report adds hypotheses for a change within the last interval, and the
 //! likelihood of the reported position and velocity updates all weights. The heaviest
 //! eight are kept. The estimate is the mean of the bank.

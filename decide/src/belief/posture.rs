@@ -14,7 +14,7 @@ use crate::belief::device::Lean;
 /// Logarithm of the prior odds that users tilt their receivers.
 const PRIOR: f64 = -3.0;
 
-/// Bound of the evidence of one user: a detector that is tilted in its device misleads for ever.
+/// Bound of the evidence of one user: a detector tilted in its device always misleads.
 const LARGEST: f64 = 4.0;
 
 /// Bound of the change by one measurement: the angles of a device persist from one to the next.

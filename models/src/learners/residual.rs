@@ -3,7 +3,7 @@
 //! The paper has no such algorithm. A network reads the row of a user
 //! ([`heliostat_decide::evidence`]) and corrects how the receiver is held
 //! ([`heliostat_decide::correction`]); the model-based solver then acts. Each episode draws
-//! new rooms ([`crate::environment::reported`]), in which the network of the moment decides in closed
+//! new rooms ([`crate::environment::reported`]), in which the present network decides in closed
 //! loop, and learns from their examples once.
 //!
 //! # The loss

@@ -122,7 +122,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
             mask of the slots), "belief" (one row of `heliostat.BELIEF_COLUMNS` for each slot), "paper" or, in closed
             loop, "evidence" (one row of `heliostat.EVIDENCE_FEATURES` values for each slot, as the action "compact"
             needs; zeros in an empty slot).
-        reward: "shortfall" (a missing minimum rate is penalised) or "printed" (as in the paper).
+        reward: "shortfall" (a rate below the minimum is penalised) or "printed" (as in the paper).
         penalty: weight of the penalty.
         margin: factor on the minimum rates in the penalty.
         step_s: seconds between two actions of a static room.

@@ -1,6 +1,6 @@
 //! Fine-tuning of the corrections by the gradient of the true future rate through the channel.
 //!
-//! The paper has no such algorithm. Each episode draws new rooms, in which the network of the moment
+//! The paper has no such algorithm. Each episode draws new rooms, in which the present network
 //! decides. For some of its decisions [`Outlook`] holds what the command would give in the true room,
 //! in the middle of its time in force, if the receivers were believed to be held otherwise. The
 //! method [`Batch::reward`] follows these steps:

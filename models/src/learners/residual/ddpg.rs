@@ -14,7 +14,7 @@
 //!    decomposition, Sunehag and others, 2018).
 //! 5. **Exploration.** Noise on the change of each user, with correlation over time. It counts where
 //!    the measured gains do not contradict it, whatever its variance.
-//! 6. **Episodes.** As in the supervised training, the network of the moment decides in newly drawn
+//! 6. **Episodes.** As in the supervised training, the present network decides in newly drawn
 //!    rooms, and learns after that. The critic learns alone until the buffer holds `warm_up` decisions.
 
 use candle_core::{Device, Result, Tensor};

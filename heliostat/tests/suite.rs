@@ -71,6 +71,15 @@ fn unknown_tasks_and_flags_of_a_single_comparison_are_refused() {
     assert!(refusal(&["--resume"]).contains("--out"));
     assert!(refusal(&["--out", "no/board.md"]).contains("expected a file in a folder that exists"));
     assert!(refusal(&["--tasks", "lab", "--policies", "ddpg"]).contains("fits none"));
+    // The JSON file beside the page is checked before the first task, too.
+    let with_json = refusal(&["--out", "board.json"]);
+    assert!(with_json.contains("expected another ending") && !folder.path().join("board.json").exists(), "{with_json}");
+    fs::create_dir(folder.path().join("taken.json")).expect("a folder");
+    let taken = refusal(&["--tasks", "lab", "--policies", "flat", "--out", "taken.md"]);
+    assert!(taken.contains("cannot write taken.json") && !taken.contains("1 of 1"), "{taken}");
+    fs::write(folder.path().join("cut.json"), "{\"page\": \"sui").expect("a file");
+    let cut = refusal(&["--tasks", "lab", "--policies", "flat", "--out", "cut.md", "--resume"]);
+    assert!(cut.contains("cut.json holds no finished sections") && cut.contains("leave out --resume"), "{cut}");
 }
 
 #[test]

@@ -7,10 +7,9 @@ mod page;
 mod standing;
 mod tasks;
 
-use std::fs;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_scenario::Scenario;
@@ -71,7 +70,13 @@ pub fn run(args: &SuiteArgs, policies: &[String], json: bool, room_of: RoomOf) -
     let mut archive = Archive::new(&page::archive_name(), args.quick);
     let kept = args.out.as_ref().map(|out| (out, out.with_extension("json")));
     if let Some((out, kept)) = &kept {
+        ensure!(
+            *out != kept,
+            "--out {}: the finished tasks go to the JSON file of this name; expected another ending, such as .md",
+            out.display()
+        );
         whole_file::check_writable(out)?;
+        whole_file::check_writable(kept)?;
         if args.resume {
             archive = steps::resumed(kept, &page::archive_name(), args.quick)?;
         }
@@ -79,7 +84,7 @@ pub fn run(args: &SuiteArgs, policies: &[String], json: bool, room_of: RoomOf) -
     steps::run(&steps, &mut archive, |archive| {
         let Some((out, kept)) = &kept else { return Ok(()) };
         archive.write(kept)?;
-        fs::write(out, page::markdown(archive)?).with_context(|| format!("cannot write {}", out.display()))
+        whole_file::write(out, page::markdown(archive)?.as_bytes())
     })?;
     match &kept {
         _ if json => outln!("{}", page::json(&archive)?)?,

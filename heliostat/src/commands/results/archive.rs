@@ -7,6 +7,8 @@ use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::commands::whole_file;
+
 /// The finished sections of one page.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -55,17 +57,21 @@ impl Archive {
     /// A file that cannot be read or is no archive.
     pub fn read(file: &Path) -> Result<Self> {
         let text = fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-        serde_json::from_str(&text).with_context(|| format!("{} holds no finished sections", file.display()))
+        serde_json::from_str(&text).with_context(|| {
+            format!(
+                "{} holds no finished sections: delete it or restore it, or leave out --resume to measure all again",
+                file.display()
+            )
+        })
     }
 
-    /// Writes the archive.
+    /// Writes the archive, complete or not at all: a full disk leaves the finished sections of before.
     ///
     /// # Errors
     /// A file that cannot be written.
     pub fn write(&self, file: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self)? + "\n";
-        fs::write(file, text)
-            .with_context(|| format!("cannot write {}: expected a file in a folder that exists", file.display()))
+        whole_file::write(file, text.as_bytes())
     }
 
     /// Whether the section was finished by this command at this commit.
@@ -124,5 +130,20 @@ mod tests {
         assert_eq!((read.page, read.quick, read.sections), ("latency".into(), true, vec![finished("a")]));
         fs::write(&file, "{}").unwrap();
         assert!(Archive::read(&file).is_err());
+    }
+
+    #[test]
+    fn an_archive_that_cannot_be_written_completely_leaves_the_one_of_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("latency.json");
+        let mut archive = Archive::new("latency", true);
+        archive.put(finished("a"));
+        archive.write(&file).unwrap();
+        // Nothing can be written beside the file.
+        fs::create_dir(folder.path().join("latency.json.part")).unwrap();
+        archive.put(finished("b"));
+        let refusal = format!("{:#}", archive.write(&file).unwrap_err());
+        assert!(refusal.contains("cannot write") && refusal.contains("latency.json"), "{refusal}");
+        assert_eq!(Archive::read(&file).unwrap().sections, [finished("a")]);
     }
 }

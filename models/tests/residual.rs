@@ -28,6 +28,11 @@ fn short(episodes: usize) -> Settings {
     Settings { room_count: 4, room_s: 3.0, batch: 64, run, ..settings }
 }
 
+/// Rooms of seated users that are as the controller knows them.
+fn seated_only() -> RoomChoice {
+    RoomChoice { walks: vec![Walks::Seated], mismatch: Vec::new(), offices: 0.0 }
+}
+
 /// The belief takes all receivers for upright, so that the network alone can find their tilt.
 const UPRIGHT: &str = "control.tilt={walking_deg=0.0,sitting_deg=0.0}";
 
@@ -112,9 +117,26 @@ fn rooms_differ_in_everything_that_a_run_may_draw() {
     assert_eq!(differ(&|room| format!("{:?}", room.mismatch.level)), 3);
     assert_eq!(differ(&|room| room.users.orientation.is_some().to_string()), 2);
     assert!(differ(&|room| format!("{}", room.streams.positions.latency_ms)) > 20);
-    let one = Settings { choice: RoomChoice { walks: vec![Walks::Seated], mismatch: Vec::new() }, ..settings };
+    let one = Settings { choice: seated_only(), ..settings };
     let seated = one.choice.draw(&hall(&[]), &mut rng).unwrap();
     assert!(seated.mismatch.is_none() && format!("{:?}", seated.users.mobility).contains("Seated"));
+}
+
+#[test]
+fn offices_have_seated_and_walking_users_with_tilted_receivers_and_some_report_orientations() {
+    use rand::SeedableRng;
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
+    let offices = RoomChoice { offices: 1.0, ..seated_only() };
+    let rooms: Vec<Scenario> = (0..20).map(|_| offices.draw(&hall(&[]), &mut rng).unwrap()).collect();
+    assert!(rooms.iter().all(|room| room.users.mixture.len() == 2 && room.users.orientation.is_some()));
+    for differs in [
+        |room: &Scenario| room.streams.orientation.is_some(),
+        |room: &Scenario| room.led.positions_m.len() == 2,
+        |room: &Scenario| room.control.tilt.is_some(),
+    ] {
+        let count = rooms.iter().filter(|room| differs(room)).count();
+        assert!((1..20).contains(&count), "{count} of 20");
+    }
 }
 
 const REWARD: Reward = Reward { form: RewardForm::Shortfall, lambda: 10.0, margin: 1.0 };
@@ -136,7 +158,7 @@ fn outlooks(seed: u64) -> (Vec<Outlook>, Vec<f32>) {
 
 fn reward(batch: &Batch, changes: &[f32], exponent: f64) -> f32 {
     let changes = Tensor::from_slice(changes, (changes.len() / 2, 2), &Device::Cpu).unwrap();
-    batch.reward(&changes, exponent, REWARD).unwrap().to_scalar().unwrap()
+    batch.rewards(&changes, exponent, REWARD).unwrap().mean_all().unwrap().to_scalar().unwrap()
 }
 
 #[test]
@@ -159,7 +181,7 @@ fn the_gradient_of_the_future_rate_is_that_of_finite_differences() {
     let half: Vec<f32> = changes.iter().map(|value| 0.5 * value).collect();
     let batch = Batch::new(all).unwrap();
     let variable = Var::from_slice(&half, (half.len() / 2, 2), &Device::Cpu).unwrap();
-    let gradients = batch.reward(&variable, 4.0, REWARD).unwrap().backward().unwrap();
+    let gradients = batch.rewards(&variable, 4.0, REWARD).unwrap().mean_all().unwrap().backward().unwrap();
     let gradient = gradients.get(&variable).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
     let largest = gradient.iter().fold(0.0_f32, |largest, value| largest.max(value.abs()));
     for (index, found) in gradient.iter().enumerate() {
@@ -177,13 +199,12 @@ fn the_gradient_of_the_future_rate_is_that_of_finite_differences() {
 
 /// Short fine-tunings of a network by both methods.
 fn fine_tunings(from: &std::path::Path, episodes: usize) -> [Training; 2] {
-    let choice = || RoomChoice { walks: vec![Walks::Seated], mismatch: Vec::new() };
     let from = || from.to_string_lossy().into_owned();
     let room = || hall(&["mirrors.rows=4", "mirrors.columns=4", UPRIGHT]);
-    let settings = analytic::Settings::new(1, choice());
+    let settings = analytic::Settings::new(1, seated_only());
     let run = RunSettings { episodes, ..settings.run.clone() };
     let by_gradient = analytic::Settings { from: from(), batch: 8, room_count: 3, room_s: 3.0, run, ..settings };
-    let settings = ddpg::Settings::new(1, choice());
+    let settings = ddpg::Settings::new(1, seated_only());
     let run = RunSettings { episodes, ..settings.run.clone() };
     let by_critic =
         ddpg::Settings { from: from(), batch: 8, room_count: 3, room_s: 3.0, updates: 4, warm_up: 80, run, ..settings };
@@ -211,6 +232,25 @@ fn a_fine_tuning_starts_from_a_file_changes_it_and_resumes() {
         assert!(file(&resumed).bytes == file(&whole).bytes, "method {index}");
         assert!(file(&whole).bytes != first.bytes, "method {index}");
     }
+}
+
+#[test]
+fn caution_changes_what_a_fine_tuning_learns() {
+    let folder = tempfile::tempdir().unwrap();
+    let start = folder.path().join("start.onnx");
+    let mut supervised = training(short(1));
+    supervised.run_episode().unwrap();
+    std::fs::write(&start, file(&supervised).bytes).unwrap();
+    let learned = |caution: f64| {
+        let settings = analytic::Settings::new(1, seated_only());
+        let from = start.to_string_lossy().into_owned();
+        let settings = analytic::Settings { from, caution, batch: 8, room_count: 3, room_s: 3.0, ..settings };
+        let room = hall(&["mirrors.rows=4", "mirrors.columns=4", UPRIGHT]);
+        let mut run = Training::new(room, settings, Analytic::new).unwrap();
+        run.run_episode().unwrap();
+        file(&run).bytes
+    };
+    assert!(learned(2.0) == learned(2.0) && learned(2.0) != learned(0.0));
 }
 
 #[test]

@@ -84,6 +84,9 @@ pub struct RoomChoice {
     pub walks: Vec<Walks>,
     /// The parts of the room that may differ from the known one.
     pub mismatch: Vec<MismatchKind>,
+    /// Share of offices: seated users among users who walk, with tilted receivers.
+    #[serde(default)]
+    pub offices: f64,
 }
 
 impl RoomChoice {
@@ -129,8 +132,14 @@ impl RoomChoice {
     }
 
     fn overrides(&self, rng: &mut impl Rng) -> Vec<String> {
-        let walks = self.walks[rng.random_range(0..self.walks.len())];
-        let mut all: Vec<String> = walks.overrides().iter().map(|text| (*text).to_owned()).collect();
+        // Without offices, no number of the generator is used for them.
+        let office = self.offices > 0.0 && rng.random_bool(self.offices.min(1.0));
+        let mut all: Vec<String> = if office {
+            office_overrides(rng)
+        } else {
+            let walks = self.walks[rng.random_range(0..self.walks.len())];
+            walks.overrides().iter().map(|text| (*text).to_owned()).collect()
+        };
         let mut set = |key: &str, value: f64| all.push(format!("{key}={value}"));
         set("users.count", f64::from(rng.random_range(2..=Self::USERS_MAX)));
         let factor = |rng: &mut dyn FnMut() -> f64, low: f64, high: f64| low * (high / low).powf(rng());
@@ -147,17 +156,17 @@ impl RoomChoice {
         set("room.height_m", height_m);
         let led_m = [0.4 * length_x_m * (uniform() - 0.5), 0.4 * length_y_m * (uniform() - 0.5), height_m];
         // One LED, or two that are opposite to each other.
-        let two = uniform() < 0.3;
+        let two = uniform() < if office { 0.7 } else { 0.3 };
         let opposite_m = [-led_m[0], -led_m[1], height_m];
         all.push(if two {
             format!("led.positions_m=[{led_m:?}, {opposite_m:?}]")
         } else {
             format!("led.positions_m=[{led_m:?}]")
         });
-        if rng.random_bool(0.6) {
+        if office || rng.random_bool(0.6) {
             all.push("users.orientation={}".into());
         }
-        if rng.random_bool(0.25) {
+        if rng.random_bool(if office { 0.5 } else { 0.25 }) {
             all.push("control.tilt={}".into());
         }
         let level = ["none", "typical", "rough"][rng.random_range(0..3)];
@@ -168,6 +177,27 @@ impl RoomChoice {
         }
         all
     }
+}
+
+/// Walks, pauses and furniture of an office, and the reports of orientations in some of them.
+fn office_overrides(rng: &mut impl Rng) -> Vec<String> {
+    let (seated, walking) = [(0.4, 0.6), (0.6, 0.4), (0.8, 0.2)][rng.random_range(0..3)];
+    let models = [("seated", seated), ("social-force", walking)];
+    let models = models.map(|(model, share)| format!("{{mobility=\"{model}\",share={share}}}"));
+    let mut all = vec![
+        "users.mobility=mixture".to_owned(),
+        format!("users.mixture=[{}]", models.join(",")),
+        format!("users.pause_mean_s={}", 2.0 + 6.0 * rng.random::<f64>()),
+        "users.heading_lag_s=0.3".into(),
+        "blockage.obstacle_radius_m=0.3".into(),
+    ];
+    if rng.random_bool(0.4) {
+        let rate_hz = 10.0 + (15.0 * rng.random::<f64>()).round();
+        all.push(format!("streams.orientation.rate_hz={rate_hz}"));
+        all.push(format!("streams.orientation.latency_ms={}", (100.0 * rng.random::<f64>()).round()));
+        all.push(format!("streams.orientation.noise_deg={}", 1.0 + 3.0 * rng.random::<f64>()));
+    }
+    all
 }
 
 /// Lets a policy decide in a room for `seconds`, and calls `see` after each decision but the first.

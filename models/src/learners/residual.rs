@@ -50,16 +50,22 @@ pub const ALGORITHM: Algorithm = Algorithm {
     start: |scenario, _, options| {
         let (chosen, options): (Vec<_>, Vec<_>) =
             options.iter().cloned().partition(|option| option.starts_with(FINE_TUNE));
-        let choice = RoomChoice { walks: Walks::ALL.to_vec(), mismatch: MISMATCH.to_vec() };
+        let choice = rooms();
         let seed = scenario.seed;
         match chosen.last().map(|option| &option[FINE_TUNE.len()..]) {
             None => start(scenario, Settings::new(seed), &options, Residual::new),
-            Some("analytic") => start(scenario, analytic::Settings::new(seed, choice), &options, Analytic::new),
+            Some("analytic") => {
+                let choice = RoomChoice { offices: OFFICES, ..choice };
+                start(scenario, analytic::Settings::new(seed, choice), &options, Analytic::new)
+            }
             Some("ddpg") => start(scenario, ddpg::Settings::new(seed, choice), &options, Ddpg::new),
             Some(other) => bail!("--fine-tune {other}: expected analytic or ddpg"),
         }
     },
 };
+
+/// Share of offices in the fine-tuning by a gradient.
+const OFFICES: f64 = 0.35;
 
 /// The start of the option that chooses a fine-tuning in place of the supervised training.
 const FINE_TUNE: &str = "fine_tune=";
@@ -79,6 +85,11 @@ impl FineTuning {
         let name = clap::ValueEnum::to_possible_value(&self).map_or_else(String::new, |value| value.get_name().into());
         FINE_TUNE.to_owned() + &name
     }
+}
+
+/// The rooms of the supervised training.
+fn rooms() -> RoomChoice {
+    RoomChoice { walks: Walks::ALL.to_vec(), mismatch: MISMATCH.to_vec(), offices: 0.0 }
 }
 
 /// The kinds of mismatch from which rooms are drawn.
@@ -144,7 +155,7 @@ impl Settings {
             batch: 256,
             room_count: 24,
             room_s: 10.0,
-            choice: RoomChoice { walks: Walks::ALL.to_vec(), mismatch: MISMATCH.to_vec() },
+            choice: rooms(),
             without: Without::Nothing,
             run: RunSettings { episodes: 100, steps: 1, ..RunSettings::paper(seed) },
         }

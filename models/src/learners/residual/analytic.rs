@@ -3,7 +3,7 @@
 //! The paper has no such algorithm. Each episode draws new rooms, in which the present network
 //! decides. For some of its decisions [`Outlook`] holds what the command would give in the true room,
 //! in the middle of its time in force, if the receivers were believed to be held otherwise. The
-//! method [`Batch::reward`] follows these steps:
+//! method [`Batch::rewards`] follows these steps:
 //!
 //! 1. A changed normal n changes the believed amplitude of a path from direction d by (n . d) / (n_0 . d),
 //!    with the normal n_0 that the command has assumed.
@@ -15,7 +15,8 @@
 //!    user k, when it is aimed at the user to whom it is assigned.
 //!
 //! The condition that a change exceeds its uncertainty is softened too, so that the variance learns
-//! when a correction is worth its risk. Rewards later than that of the command have no gradient here.
+//! when a correction is worth its risk. A decision in which the changes lower the reward counts more
+//! than one in which they raise it. Rewards later than that of the command have no gradient here.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles, sharing};
@@ -58,6 +59,8 @@ pub struct Settings {
     pub batch: usize,
     /// Decisions for one that is used.
     pub every: usize,
+    /// Added to the weight 1 of a decision in which the changes lower the reward.
+    pub caution: f64,
     /// Exponent of the soft assignment in the first episode and in the last.
     pub exponent: [f64; 2],
     /// Rooms of an episode.
@@ -83,11 +86,12 @@ impl Settings {
             rate_end: 0.1,
             batch: 32,
             every: 3,
+            caution: 2.0,
             exponent: [8.0, 64.0],
             room_count: 24,
             room_s: 10.0,
             choice,
-            run: RunSettings { reward, episodes: 40, steps: 1, ..RunSettings::paper(seed) },
+            run: RunSettings { reward, episodes: 30, steps: 1, ..RunSettings::paper(seed) },
         }
     }
 }
@@ -165,12 +169,12 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// The mean reward in bit/s/Hz with these changes of the normals that were believed, as a function
-    /// of the changes; the module has the steps. `change` is (batch * slots, 2).
+    /// The reward of each decision in bit/s/Hz with these changes of the normals that were believed, as a
+    /// function of the changes: (batch). The module has the steps. `change` is (batch * slots, 2).
     ///
     /// # Errors
     /// Errors of candle.
-    pub fn reward(&self, change: &Tensor, exponent: f64, reward: Reward) -> Result<Tensor> {
+    pub fn rewards(&self, change: &Tensor, exponent: f64, reward: Reward) -> Result<Tensor> {
         let believed = self.values()?.narrow(1, NORMAL, 2)?;
         let normal = self.users(&upward(&(believed + change)?)?)?;
 
@@ -197,7 +201,7 @@ impl Batch {
         let assignment = shares(&log_steering.broadcast_add(&log_weight.unsqueeze(2)?)?, exponent)?;
         let given = self.crossed.matmul(&assignment.flatten_from(1)?.unsqueeze(2)?)?.squeeze(2)?;
         let amplitude = (&self.true_direct + given)?;
-        mean_reward(&amplitude, (&self.present, &self.min_rate), reward)?.mean_all()
+        mean_reward(&amplitude, (&self.present, &self.min_rate), reward)
     }
 
     /// The rows of all slots, (batch * slots, [`FEATURES`]).
@@ -308,7 +312,7 @@ impl Learner for Analytic {
     }
 
     fn step(&mut self, episode: &mut Episode<'_>) -> anyhow::Result<Vec<Outcome>> {
-        let Settings { rate, rate_end, exponent: [first, last], batch, .. } = self.settings;
+        let Settings { rate, rate_end, exponent: [first, last], batch, caution, .. } = self.settings;
         let all = self.outlooks(episode.rng)?;
         let rate = rate * rate_end.powf(episode.progress());
         let exponent = first * (last / first).powf(episode.progress());
@@ -316,9 +320,12 @@ impl Learner for Analytic {
         for batch in all.chunks_exact(batch.min(all.len()).max(1)) {
             let batch = Batch::new(batch)?;
             let change = actor::smooth_change(&self.network.forward_rows(&batch.values()?)?, &batch.rows)?;
-            let reward = batch.reward(&change, exponent, self.settings.run.reward)?;
-            self.adam.step(&self.network, &reward.neg()?.backward()?, rate)?;
-            sum += f64::from(reward.to_scalar::<f32>()?);
+            let rewards = batch.rewards(&change, exponent, self.settings.run.reward)?;
+            let unchanged = batch.rewards(&change.zeros_like()?, exponent, self.settings.run.reward)?;
+            let lost = (unchanged - &rewards)?.relu()?;
+            let loss = ((lost * caution)? - &rewards)?.mean_all()?;
+            self.adam.step(&self.network, &loss.backward()?, rate)?;
+            sum += f64::from(rewards.mean_all()?.to_scalar::<f32>()?);
             count += 1.0;
         }
         self.reward = sum / f64::max(count, 1.0);

@@ -79,6 +79,19 @@ macro_rules! actors {
     };
 }
 
+/// The command of a section about the actor that was fine-tuned by a gradient.
+macro_rules! fine_tuned {
+    ($room:literal) => {
+        concat!(
+            "eval --closed-loop --policies greedy,residual,training/analytic/residual.onnx --training-seed 1 --scenario ",
+            $room
+        )
+    };
+}
+
+/// What these sections compare.
+const FINE: &str = "The supervised actor, and the one that `--fine-tune analytic` makes from it.";
+
 /// The training runs whose actors the page evaluates, all with training seed 1.
 pub static TRAININGS: [Training; 21] = [
     Training { name: "analytic", command: "train residual --scenario hall --fine-tune analytic" },
@@ -255,6 +268,12 @@ pub static PAGE: Page = Page {
             ACTORS,
             actors!(" --set users.orientation={} --set users.mobility=social-force --set mismatch.level=rough"),
         ),
+        room("fine-hall", "Fine-tuned: hall", FINE, fine_tuned!("hall")),
+        room("fine-typical", "Fine-tuned: typical mismatch", FINE, fine_tuned!("hall --set mismatch.level=typical")),
+        room("fine-rough", "Fine-tuned: rough mismatch", FINE, fine_tuned!("hall --set mismatch.level=rough")),
+        room("fine-office", "Fine-tuned: office", FINE, fine_tuned!("office")),
+        room("fine-corridor", "Fine-tuned: corridor", FINE, fine_tuned!("corridor")),
+        room("fine-foyer", "Fine-tuned: foyer", FINE, fine_tuned!("deploy/rooms/foyer.toml")),
         room(
             "seeds-orientation",
             "Three training seeds: unreported orientation",

@@ -12,7 +12,7 @@ pub const REFERENCE: &str = "greedy";
 
 /// The policies that `all` stands for. `exhaustive` is for rooms with a few mirrors, and `hold`
 /// without an earlier policy is `flat`.
-pub const POLICIES: [&str; 21] = [
+pub const POLICIES: [&str; 22] = [
     REFERENCE,
     "residual",
     "oracle",
@@ -23,6 +23,7 @@ pub const POLICIES: [&str; 21] = [
     "ppo",
     "analytic",
     "nearest",
+    "mirror-codebook",
     "codebook",
     "dql",
     "q-learning",

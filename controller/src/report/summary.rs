@@ -358,3 +358,25 @@ fn describe_unfit(unfit: &Unfit) -> String {
     };
     format!("{unfit}{advice}")
 }
+
+#[cfg(test)]
+mod tests {
+    use heliostat_decide::{core::Timing, policy::Fixed};
+    use heliostat_scenario::Scenario;
+
+    use super::*;
+
+    #[test]
+    fn the_report_leaves_out_counts_of_zero() {
+        let scenario = Scenario::builtin("specular").expect("a built-in scenario");
+        let policy = Box::new(Fixed::flat(scenario.mirror_count()));
+        let mut controller = Controller::new(&scenario, scenario.channel_model().expect("valid"), policy, 1);
+        let Summary { fallbacks, refused, users, epoch_events, .. } = Summary::of(&controller);
+        assert_eq!([fallbacks, refused, users, epoch_events], [const { BTreeMap::new() }; 4]);
+        // Without a position report there is nothing to observe.
+        controller.poll_command(0, Timing::InTime, &mut |_| {});
+        let summary = Summary::of(&controller);
+        assert_eq!(summary.fallbacks, BTreeMap::from([("held".to_owned(), 1)]));
+        assert!(summary.to_string().contains("\nfallbacks: held 1\nrefused: none\n"), "{summary}");
+    }
+}

@@ -152,7 +152,7 @@ fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
     let url = server.url();
     for flags in [&[][..], &["--disable-gpu", "--disable-3d-apis"]] {
         let Some(browser) = Browser::open_with(&url, flags) else { return };
-        let users = "const { to } = document.getElementById('room').room.motion; return to ? to.users : []";
+        let users = "return document.getElementById('room').room?.motion.to?.users ?? []";
         let believed = || {
             browser.run(users).as_array().is_some_and(|users| {
                 !users.is_empty() && users.iter().all(|user| user["belief"]["semi_axes_m"].is_array())

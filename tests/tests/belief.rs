@@ -123,7 +123,7 @@ fn a_controller_without_a_filter_publishes_no_belief() {
 fn the_metrics_compare_the_belief_with_the_reports_and_the_truth() {
     let setting = Setting::new(&FILTER);
     let [room_at, controller_at] = setting.metrics;
-    wait_until("many compared places", || value(&fetch(room_at), "heliostat_belief_places_total") > 500.0);
+    wait_until("many compared places", || value(&fetch(room_at), "heliostat_belief_places_total") > 1000.0);
     let (room, controller) = (fetch(room_at), fetch(controller_at));
     let places = value(&room, "heliostat_belief_places_total");
     let inside = |ellipse: &str| {

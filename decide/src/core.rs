@@ -163,6 +163,7 @@ impl Controller {
         let validity_ms = scenario.control.validity_ms.round() as u32;
         let mut observer = Observer::new(scenario, &model);
         observer.keep_evidence(policy.reads_evidence());
+        observer.keep_walks(policy.reads_walks());
         Self {
             inbox: Inbox::new(scenario),
             observer,
@@ -336,13 +337,14 @@ impl Controller {
     /// start-up warm-up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
         self.observer.keep_evidence(policy.reads_evidence());
+        self.observer.keep_walks(policy.reads_walks());
         self.policy.replace_policy(policy)
     }
 
     /// Fills the observation, with the corrections of the policy.
     fn fill_observation(&mut self, now: Nanos) -> Option<LosSource> {
         let Self { model, inbox, observer, observation, policy, .. } = self;
-        observer.observe(model, inbox, (now, &mut |evidence| policy.correct(evidence)), observation)
+        observer.observe(model, inbox, (now, &mut |part| policy.correct(part)), observation)
     }
 
     /// Proposes angles by `action`, limits them and completes the command.

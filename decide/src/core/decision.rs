@@ -7,7 +7,7 @@ use heliostat_scenario::DegradedAction;
 
 use super::Controller;
 use crate::{
-    observe::observer::LosSource,
+    observe::observer::{Correctable, LosSource},
     output::outcome::{Decision, DegradedMode, Stage, Timing},
 };
 
@@ -49,7 +49,12 @@ impl Controller {
     /// No effect of the corrections where the policy does not read evidence.
     pub fn poll_corrected(&mut self, observed: Observed, now: Nanos, corrections: &[f32]) -> Decision<'_> {
         let Self { model, inbox, observer, observation, .. } = self;
-        observer.observe(model, inbox, (now, &mut |evidence| evidence.correct(corrections)), observation);
+        let correct = &mut |part: Correctable<'_>| {
+            if let Correctable::Receivers(evidence) = part {
+                evidence.correct(corrections);
+            }
+        };
+        observer.observe(model, inbox, (now, correct), observation);
         self.observe_arrays();
         self.decide(observed, now, &mut |_| {})
     }

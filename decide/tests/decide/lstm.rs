@@ -69,6 +69,19 @@ fn commands_follow_the_predicted_places_and_another_policy_the_belief() {
 }
 
 #[test]
+fn a_policy_that_replaces_another_predicts_from_the_next_report_on() {
+    let room = scenario(&["control.belief=\"none\""]);
+    let recipe = ActorRecipe::displacements([0.6, 0.3]);
+    let mut replaced = running(&room, PolicyKind::Greedy, &recipe, 20);
+    replaced.replace_policy(build_with(PolicyKind::Lstm, &room, &recipe.file()).unwrap());
+    let mut rest = Room { sequence: 1000, ..Room::new(&room) };
+    rest.tick(&mut replaced, 21).command();
+    let reported = running(&room, PolicyKind::Greedy, &recipe, 21);
+    let moved = replaced.observation().positions[0] - reported.observation().positions[0];
+    assert!((moved.x - 0.6).abs() < 0.02 && (moved.y - 0.3).abs() < 0.02, "{moved:?}");
+}
+
+#[test]
 fn files_of_another_kind_are_refused_with_advice() {
     let room = scenario(&[]);
     let fitting = || ActorRecipe::displacements([0.0; 2]);

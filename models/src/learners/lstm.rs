@@ -273,3 +273,64 @@ impl Learner for Lstm {
         Ok(file(&self.network, entries)?)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::networks::layers::assign;
+    use heliostat_onnx::{ModelProto, reference::Reference};
+    use prost::Message;
+    use rand::SeedableRng;
+
+    /// The distance in a row of the wall to which a vector along an axis points.
+    fn wall_m(row: &[f32; WALK_VALUES], [x, y]: [f32; 2]) -> f32 {
+        let index = if x == 0.0 { 2 + usize::from(y > 0.0) } else { usize::from(x > 0.0) };
+        row[LEAD + 1 + index]
+    }
+
+    #[test]
+    fn a_turned_example_keeps_its_walls_beside_its_vectors() {
+        let mut row = [0.0; WALK_VALUES];
+        row[LEAD - REPORT_VALUES..].copy_from_slice(&[0.0, 0.5, -0.7, 0.0, 0.0, 1.0, 0.25, 0.1, 0.2, 0.3, 0.4]);
+        let original = Example { row, left: [0.0, 0.4], moved: [-0.1, 0.0] };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut found = Vec::new();
+        for _ in 0..100 {
+            let mut example = original;
+            turn(&mut example, &mut rng);
+            let report = &example.row[LEAD - REPORT_VALUES..LEAD];
+            assert_eq!([wall_m(&example.row, example.left), wall_m(&example.row, example.moved)], [0.4, 0.1]);
+            assert_eq!(wall_m(&example.row, [report[0], report[1]]), 0.4);
+            assert_eq!(wall_m(&example.row, [report[2], report[3]]), 0.1);
+            assert_eq!([report[4], report[5], example.row[LEAD]], [0.0, 1.0, 0.25]);
+            found.push(example.left);
+        }
+        found.sort_by(|one, other| one.partial_cmp(other).unwrap());
+        found.dedup();
+        assert_eq!(found, [[-0.4, 0.0], [0.0, -0.4], [0.0, 0.4], [0.4, 0.0]]);
+    }
+
+    #[test]
+    fn the_exported_graph_gives_the_outputs_of_the_network_times_the_lead() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let network = Network::new(SHAPE, &mut rng).unwrap();
+        for layer in network.layers() {
+            for parameter in [&layer.weight, &layer.bias] {
+                let values = (0..parameter.elem_count()).map(|_| rng.random_range(-0.5..0.5_f32)).collect();
+                assign(parameter, &Tensor::from_vec(values, parameter.shape(), &Device::Cpu).unwrap()).unwrap();
+            }
+        }
+        let model = ModelProto::decode(&file(&network, &[]).unwrap()[..]).unwrap();
+        let reference = Reference::new(&model).unwrap();
+        for _ in 0..20 {
+            let row: [f32; WALK_VALUES] = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
+            let rows = Tensor::from_slice(&row, (1, WALK_VALUES), &Device::Cpu).unwrap();
+            let expected = network.forward(&rows).unwrap().to_vec2::<f32>().unwrap().concat();
+            let found = reference.run(INPUT_NAME, &row).unwrap();
+            for (found, expected) in found.iter().zip(&expected) {
+                assert!((found - row[LEAD] * expected).abs() < 1e-5, "{found} for {} * {expected}", row[LEAD]);
+            }
+            assert!(found.len() == 2 && found[0] != 0.0);
+        }
+    }
+}

@@ -55,7 +55,7 @@ pub static PAGE: Page = Page {
     title: "Results: newer algorithms from the literature",
     about: "What the policies do: [evaluation.md](../evaluation.md). Behind the plus sign stands the belief. `lstm` replaces the \
             places of the belief by its own prediction, and takes headings and gains from the belief. `td3`, `sac` and `ppo` \
-            are trained in `specular` on exact states. A difference is to the first row of `greedy`, paired state by state. \
+            are trained in `specular` on exact states. A difference is to the row that has none, paired state by state. \
             Each learned policy has one actor, of training seed 1. An episode of 20 instants counts as one sample.",
     sections: &[
         section([

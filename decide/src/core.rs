@@ -160,6 +160,7 @@ impl Controller {
         let validity_ms = scenario.control.validity_ms.round() as u32;
         let mut observer = Observer::new(scenario, &model);
         observer.keep_evidence(policy.reads_evidence());
+        observer.keep_walks(policy.reads_walks());
         Self {
             inbox: Inbox::new(scenario),
             observer,
@@ -329,6 +330,7 @@ impl Controller {
     /// start-up warm-up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
         self.observer.keep_evidence(policy.reads_evidence());
+        self.observer.keep_walks(policy.reads_walks());
         self.policy.replace_policy(policy)
     }
 }

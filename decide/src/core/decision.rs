@@ -10,7 +10,7 @@ use super::{
     array_output::{copy_narrowed, copy_widened},
 };
 use crate::{
-    observe::observer::LosSource,
+    observe::observer::{Correctable, LosSource},
     output::{
         outcome::{Decision, DegradedMode, Stage, Timing},
         safety::Clipped,
@@ -56,7 +56,12 @@ impl Controller {
     /// No effect of the corrections where the policy does not read evidence.
     pub fn poll_corrected(&mut self, observed: Observed, now: Nanos, corrections: &[f32]) -> Decision<'_> {
         let Self { model, inbox, observer, observation, .. } = self;
-        observer.observe(model, inbox, (now, &mut |evidence| evidence.correct(corrections)), observation);
+        let correct = &mut |part: Correctable<'_>| {
+            if let Correctable::Receivers(evidence) = part {
+                evidence.correct(corrections);
+            }
+        };
+        observer.observe(model, inbox, (now, correct), observation);
         self.observe_arrays();
         self.decide(observed, now, &mut |_| {})
     }
@@ -103,7 +108,7 @@ impl Controller {
     /// Fills the observation, with the corrections of the policy.
     pub(super) fn fill_observation(&mut self, now: Nanos) -> Option<LosSource> {
         let Self { model, inbox, observer, observation, policy, .. } = self;
-        observer.observe(model, inbox, (now, &mut |evidence| policy.correct(evidence)), observation)
+        observer.observe(model, inbox, (now, &mut |part| policy.correct(part)), observation)
     }
 
     /// The action for a report without users: no angle is better than the last one.

@@ -26,6 +26,9 @@ pub const CORRECTIONS_NAME: &str = "corrections";
 /// The action of a network that corrects the belief.
 pub const COMPACT: &str = "compact";
 
+/// Action and name of the only output of a network that predicts places.
+pub const DISPLACEMENTS_NAME: &str = "displacements";
+
 /// The keys of the metadata that every actor carries.
 pub mod key {
     /// Beginning of all keys.
@@ -36,7 +39,8 @@ pub mod key {
     pub const USERS_MAX: &str = "heliostat.users_max";
     /// Number of mirrors.
     pub const MIRRORS: &str = "heliostat.mirrors";
-    /// What the output is: [`COMPACT`](super::COMPACT), or angles where the entry is missing.
+    /// What the output is: [`COMPACT`](super::COMPACT), [`DISPLACEMENTS_NAME`](super::DISPLACEMENTS_NAME), or
+    /// angles where the entry is missing.
     pub const ACTION: &str = "heliostat.action";
     /// Channel mode that the actor was trained in.
     pub const MODE: &str = "heliostat.mode";

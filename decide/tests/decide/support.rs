@@ -9,8 +9,11 @@ use heliostat_decide::{
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
         self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
-        actor_file::{ActorError, ActorFile, COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key},
+        actor_file::{
+            ActorError, ActorFile, COMPACT, CORRECTIONS_NAME, DISPLACEMENTS_NAME, INPUT_NAME, OUTPUT_NAME, key,
+        },
     },
+    walk_history::{DISPLACEMENT_VALUES, WALK_VALUES, WALK_VERSION},
 };
 use heliostat_onnx::{
     GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, TensorShapeProto,
@@ -202,6 +205,21 @@ impl ActorRecipe {
         }
     }
 
+    /// An actor that moves every user from the Gauss-Markov prediction by this in m.
+    pub fn displacements(bias: [f32; DISPLACEMENT_VALUES]) -> Self {
+        Self {
+            output_name: DISPLACEMENTS_NAME,
+            input_length: WALK_VALUES,
+            output_length: DISPLACEMENT_VALUES,
+            bias: bias.to_vec(),
+            metadata: vec![
+                (key::ACTION, DISPLACEMENTS_NAME.into()),
+                (key::OBSERVATION_VERSION, WALK_VERSION.to_string()),
+            ],
+            ..Self::compact([0.0; Correction::VALUES])
+        }
+    }
+
     pub fn with_metadata(mut self, key: &'static str, value: &str) -> Self {
         self.metadata.retain(|(name, _)| *name != key);
         self.metadata.push((key, value.into()));
@@ -343,11 +361,12 @@ impl Engine for FixedEngine {
     }
 }
 
-/// A policy by its name; learned ones with an actor that fits. That of `residual` depends on its
-/// input.
+/// A policy by its name; learned ones with an actor that fits. Those of `residual` and `lstm` depend on
+/// their input.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
     let recipe = match kind {
         PolicyKind::Residual => ActorRecipe { weight: 0.02, ..ActorRecipe::compact([-0.3, -0.2, -1.0]) },
+        PolicyKind::Lstm => ActorRecipe { weight: 0.02, ..ActorRecipe::displacements([0.1, -0.1]) },
         _ => ActorRecipe::fitting(scenario),
     };
     build_with(kind, scenario, &recipe.file())

@@ -83,9 +83,9 @@ impl TaskSettings {
         let refuse =
             |name, value: f64, expected| Err(EnvironmentError::Setting { name, value: value.to_string(), expected });
         if let Dynamics::Static { step_s } = self.dynamics
-            && !(step_s.is_finite() && step_s > 0.0)
+            && !(step_s > 0.0 && step_s <= 86_400.0)
         {
-            return refuse("step_s", step_s, "a positive number of seconds");
+            return refuse("step_s", step_s, "seconds above 0, up to 86400");
         }
         if matches!(self.dynamics, Dynamics::Static { .. }) && self.reads_evidence() {
             let (name, value) = match self.action {

@@ -1,6 +1,7 @@
 //! Checks of NumPy arrays, and their conversion to the types of the channel.
 
 use heliostat_channel::{Cylinder, MirrorAngles, Vec3};
+use heliostat_scenario::USERS_MAX;
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
@@ -20,6 +21,14 @@ pub fn positions(array: &PyReadonlyArray2<'_, f64>, name: &str) -> PyResult<Vec<
     }
     all_finite(rows.iter().flat_map(|row| row.iter().copied()), name)?;
     Ok(rows)
+}
+
+/// Refuses more users than a room may have: the tables of the solver grow with their square.
+pub fn few_users(users: usize) -> PyResult<()> {
+    if users > USERS_MAX {
+        return Err(refused(format!("positions holds {users} users, expected at most {USERS_MAX}")));
+    }
+    Ok(())
 }
 
 /// Cylinders from an array of shape (N, 4): x, y, radius and height in m; none without the array.

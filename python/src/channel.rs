@@ -7,9 +7,12 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{AnglePair, angles, cylinders, numbers, pair, positions};
+use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, pair, positions};
 use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
+
+/// Largest number of pairs of user and mirror of a call: their tables need about 1 GB.
+const PAIRS_MAX: usize = 1 << 25;
 
 /// The channel of a scenario's room: gains, SINR and rates of users under mirror angles, the decoder
 /// and the oracle.
@@ -26,6 +29,10 @@ impl Channel {
         blockers: Option<&PyReadonlyArray2<'_, f64>>,
     ) -> PyResult<Scene> {
         let places = positions(places, "positions")?;
+        let most = PAIRS_MAX / self.model.mirrors.len();
+        if places.len() > most {
+            return Err(refused(format!("positions holds {} users, expected at most {most} at once", places.len())));
+        }
         let mut scene = Scene::new(&self.model, places.len());
         scene.update(&self.model, &places, &cylinders(blockers)?, &vec![false; places.len()]);
         Ok(scene)
@@ -139,6 +146,7 @@ impl Channel {
         min_rate_mbps: Option<PyReadonlyArray1<'py, f64>>,
     ) -> PyResult<AnglePair<'py>> {
         let scene = self.scene(&positions, blockers.as_ref())?;
+        few_users(scene.users())?;
         let min_rate_bps = match min_rate_mbps {
             Some(rates) => numbers(&rates, scene.users(), "min_rate_mbps")?.iter().map(|rate| 1e6 * rate).collect(),
             None => self.min_rate_bps.iter().copied().cycle().take(scene.users()).collect::<Vec<_>>(),

@@ -14,7 +14,7 @@ use heliostat_engine::{ActorSource, build, load_actor};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use crate::arrays::{AnglePair, angles, cylinders, numbers, pair, positions};
+use crate::arrays::{AnglePair, angles, cylinders, few_users, numbers, pair, positions};
 use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
 
@@ -89,6 +89,7 @@ impl Policy {
         min_rate_mbps: Option<PyReadonlyArray1<'py, f64>>,
     ) -> PyResult<AnglePair<'py>> {
         let places = self::positions(&positions, "positions")?;
+        few_users(places.len())?;
         let blockers = cylinders(blockers.as_ref())?;
         let users = places.len();
         let min_rate_bps = match min_rate_mbps {

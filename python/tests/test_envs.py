@@ -183,6 +183,7 @@ def test_users_may_come_and_go_in_closed_loop() -> None:
         ({"reward": "none"}, "reward = "),
         ({"dynamics": "slow"}, "dynamics = "),
         ({"step_s": 0.0}, "step_s = 0"),
+        ({"step_s": 1e300}, "step_s = 1.*up to 86400"),
         ({"penalty": float("nan")}, "penalty = NaN"),
         ({"scenario": "missing.toml"}, "missing.toml"),
         ({"overrides": {"mismatch.level": "rough"}}, "mismatch.level"),
@@ -210,13 +211,20 @@ def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:
         (np.zeros(7, np.float32), r"shape \(7,\), expected \(200,\)"),
         (np.zeros((1, 200), np.float32), "shape"),
         (bad, "NaN at index 7"),
+        (np.zeros(200, np.complex64), "action: dtype complex64, expected real numbers"),
+        (np.array(["0.5"] * 200), "action: dtype <U3, expected real numbers"),
+        ([None] * 200, "action: dtype object"),
     ]:
         with pytest.raises(ValueError, match=reason):
             env.step(action)
-    with pytest.raises((TypeError, ValueError)):
+    with pytest.raises(ValueError, match="dtype <U2"):
         env.step("up")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="seed"):
         env.reset(seed=-1)
+    with pytest.raises(TypeError, match="seed = 'a': expected an integer from 0"):
+        env.reset(seed="a")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="held_out = -1: expected an integer"):
+        env.reset(options={"held_out": -1})
     with pytest.raises(ValueError, match="held_in"):
         env.reset(options={"held_in": 1})
     env.reset(seed=1)
@@ -224,6 +232,31 @@ def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:
     fresh.reset(seed=1)
     flat = np.zeros(200)  # float64 is converted
     assert np.array_equal(env.step(flat)[0], fresh.step(flat)[0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("episode", "reason"),
+    [
+        ((0, 2**40, 1), "states = 1099511627776: expected an integer from 1 to"),
+        ((0, 20, 2**40), "seeds = 1099511627776: expected an integer from 1 to"),
+        ((0, 0, 1), "states = 0"),
+        ((-1, 20, 1), "index = -1"),
+        ((0, 20), r"expected \(index, states, seeds\)"),
+        ("abc", r"expected \(index, states, seeds\)"),
+    ],
+)
+def test_an_episode_of_absurd_size_is_refused_before_it_needs_memory(episode: Any, reason: str) -> None:
+    env = make("heliostat/Hall-v0")
+    with pytest.raises(ValueError, match=reason):
+        env.reset(options={"episode": episode})
+    env.close()
+
+
+def test_a_score_of_absurd_size_is_refused_before_it_needs_memory() -> None:
+    with pytest.raises(ValueError, match="states = 1000000000000"):
+        heliostat.evaluate(lambda _: np.zeros(200, np.float32), make(), 10**12)
+    with pytest.raises(ValueError, match="seeds = 0"):
+        heliostat.evaluate(lambda _: np.zeros(200, np.float32), make(), 10, 0)
 
 
 def test_a_closed_environment_refuses_steps() -> None:

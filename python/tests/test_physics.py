@@ -105,3 +105,26 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
     ]:
         with pytest.raises(ValueError, match=reason):
             call()  # type: ignore[no-untyped-call]
+
+
+def test_a_map_in_parts_equals_one_evaluation_of_all_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = heliostat.Room("office")
+    angles = np.random.default_rng(2).uniform(-0.2, 0.2, (2, room.mirrors))
+    complete = heliostat.rate_map(room, *angles, step_m=0.5)
+    monkeypatch.setattr("heliostat.physics._PLACES_AT_ONCE", 7)
+    in_parts = heliostat.rate_map(room, *angles, step_m=0.5)
+    assert all(np.array_equal(one, two) for one, two in zip(complete, in_parts, strict=True))
+    assert complete[2].size > 14 and complete[2].max() > complete[2].min()
+    with pytest.raises(ValueError, match="quantity = 'rate': expected one of los_gain"):
+        heliostat.rate_map(room, *angles, quantity="rate")
+
+
+def test_more_users_than_memory_allows_are_refused() -> None:
+    room = heliostat.Room()
+    with pytest.raises(ValueError, match="positions holds 400000 users, expected at most 335544 at once"):
+        room.link(np.tile(USERS[:1], (400_000, 1)), FLAT, FLAT)
+    for call in (room.oracle, heliostat.Policy("greedy").act):
+        with pytest.raises(ValueError, match="positions holds 65 users, expected at most 64"):
+            call(np.tile(USERS[:1], (65, 1)))
+    with pytest.raises(ValueError, match="positions: dtype complex128, expected real numbers"):
+        room.link(USERS.astype(complex), FLAT, FLAT)

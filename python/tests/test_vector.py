@@ -115,6 +115,31 @@ def test_an_action_that_is_not_valid_stops_all_environments_before_the_step() ->
         env.step(actions(0))
 
 
+@pytest.mark.parametrize(
+    ("keywords", "error", "reason"),
+    [
+        ({"num_envs": 0}, ValueError, "num_envs = 0: expected an integer from 1 to"),
+        ({"num_envs": 10**20}, ValueError, "num_envs = 100000000000000000000"),
+        ({"num_envs": 1.5}, TypeError, "num_envs = 1.5"),
+        ({"num_envs": "4"}, TypeError, "num_envs = '4'"),
+        ({"max_episode_steps": 2**70}, ValueError, "max_episode_steps = 1180591620717411303424"),
+        ({"max_episode_steps": float("nan")}, TypeError, "max_episode_steps = nan"),
+    ],
+)
+def test_absurd_sizes_are_refused_by_name(keywords: dict[str, Any], error: type[Exception], reason: str) -> None:
+    with pytest.raises(error, match=reason):
+        heliostat.HeliostatVectorEnv(**keywords)
+
+
+def test_seeds_of_another_type_are_refused_by_name() -> None:
+    env = batch()
+    with pytest.raises(TypeError, match="seed = 1.5"):
+        env.reset(seed=[1, 1.5, 2])  # type: ignore[list-item]
+    with pytest.raises(ValueError, match="dtype complex128"):
+        env.reset(seed=1)
+        env.step(np.zeros((3, 200), complex))
+
+
 def test_other_threads_run_while_a_batch_steps() -> None:
     env = heliostat.HeliostatVectorEnv("hall", num_envs=16, dynamics="closed-loop", oracle=True)
     env.reset(seed=1)

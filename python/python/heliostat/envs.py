@@ -23,6 +23,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from ._checks import integer, real
 from ._core import Batch, Settings, held_out_seed
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario
@@ -37,6 +38,9 @@ BOUND = 1e6
 """Bound of the components of an observation, beyond any value of a room: learners expect finite bounds."""
 
 _UNLIMITED = 2**63
+_SEED_MAX = 2**64 - 1
+STATES_MAX = 10_000_000
+"""Largest number of states of a comparison, over all seeds."""
 
 
 def make_settings(
@@ -67,11 +71,19 @@ def make_settings(
     )
 
 
-def _seed_of(seed: int) -> int:
+def _seed_of(seed: Any) -> int:
     """A seed of the room; Gymnasium accepts integers from 0."""
-    if not 0 <= seed < 2**64:
-        raise ValueError(f"seed = {seed}: expected an integer from 0 to 2**64 - 1")
-    return seed
+    return integer("seed", seed, 0, _SEED_MAX)
+
+
+def _episode_of(option: Any) -> tuple[int, int, int]:
+    """Index, states and seeds of an episode of a comparison."""
+    if not isinstance(option, (tuple, list)) or len(option) != 3:
+        raise ValueError(f"episode = {option!r}: expected (index, states, seeds)")
+    index, states, seeds = option
+    states = integer("states", states, 1, STATES_MAX)
+    seeds = integer("seeds", seeds, 1, STATES_MAX // states)
+    return integer("index", index, 0, STATES_MAX), states, seeds
 
 
 class Layout:
@@ -180,13 +192,14 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         if unknown:
             raise ValueError(f"unknown reset options {sorted(unknown)}: expected held_out, held_out_set, episode")
         if options and "held_out" in options:
-            room_seed = held_out_seed(int(options.get("held_out_set", self.scenario.seed)), int(options["held_out"]))
+            held_out_set = integer("held_out_set", options.get("held_out_set", self.scenario.seed), 0, _SEED_MAX)
+            room_seed = held_out_seed(held_out_set, integer("held_out", options["held_out"], 0, _SEED_MAX))
         elif seed is None and not self._is_reset:
             room_seed = int(self.np_random.integers(2**63))
         seen = np.empty((1, self._batch.observation_len), np.float32)
         self._in_episode = bool(options) and "episode" in (options or {})
         if options and self._in_episode:
-            seen[0] = self._batch.begin_episode(*(int(number) for number in options["episode"]))
+            seen[0] = self._batch.begin_episode(*_episode_of(options["episode"]))
         else:
             self._batch.reset([room_seed], seen)
         self._is_reset = True
@@ -198,7 +211,7 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         """Performs an action; raises `ValueError` for another shape or a component that is not finite."""
         if not self._is_reset:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
-        checked = np.ascontiguousarray(action, np.float32)
+        checked = np.ascontiguousarray(real("action", action), np.float32)
         if checked.shape != self._actions_shape:
             raise ValueError(f"an action of shape {checked.shape}, expected {self._actions_shape}")
         seen, reward, _, (sum_rate, met, oracle), rates = self._batch.step_one(checked)

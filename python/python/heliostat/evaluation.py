@@ -9,8 +9,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ._checks import integer
 from ._core import INSTANTS, oracle_samples
-from .envs import HeliostatEnv
+from .envs import STATES_MAX, HeliostatEnv
 
 Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
 """From an observation to an action."""
@@ -40,8 +41,8 @@ def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 
     inner = env.unwrapped
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")
-    if states < 1 or seeds < 1:
-        raise ValueError("evaluate needs at least one state and one seed")
+    states = integer("states", states, 1, STATES_MAX)
+    seeds = integer("seeds", seeds, 1, STATES_MAX // states)
     with inner.with_other_rooms(oracle=inner.is_static):
         samples = _static if inner.is_static else _closed_loop
         rate, met, oracle = samples(act, env, inner, states, seeds).T

@@ -17,17 +17,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._checks import real
 from ._core import Channel, Scenario
 from ._core import Policy as _Policy
 from .scenario import Value, load_scenario
 from .tables import LinkResult
+
+# The places of a map in parts of this size, since each place needs memory for each mirror.
+_PLACES_AT_ONCE = 4096
 
 Angles = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Roll and yaw of each mirror in rad, each of shape (M,)."""
 
 
 def _array(values: ArrayLike, name: str, dimensions: int) -> NDArray[np.float64]:
-    array = np.ascontiguousarray(values, np.float64)
+    array = np.ascontiguousarray(real(name, values), np.float64)
     if array.ndim != dimensions:
         raise ValueError(f"{name} has the shape {array.shape}, expected {dimensions} dimensions")
     return array
@@ -130,7 +134,7 @@ class Policy:
 
     def answer(self, observation: ArrayLike) -> Angles:
         """The angles that an actor gives for a flat observation, without the controller's limits."""
-        return self._policy.answer(np.ascontiguousarray(observation, np.float32))
+        return self._policy.answer(np.ascontiguousarray(real("observation", observation), np.float32))
 
 
 def decode(
@@ -162,8 +166,8 @@ def rate_map(
     y = np.arange(-length_y / 2 + step_m / 2, length_y / 2, step_m)
     grid_x, grid_y = np.meshgrid(x, y)
     places = np.stack([grid_x.ravel(), grid_y.ravel(), np.full(grid_x.size, height_m)], axis=1)
-    result = room.link(places, roll, yaw, blockers, sharing)
-    if quantity not in result:
-        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(result)}")
-    values: NDArray[Any] = dict(result)[quantity]  # type: ignore[assignment]
-    return x, y, values.reshape(grid_x.shape)
+    if quantity not in LinkResult.__annotations__:
+        raise ValueError(f"quantity = {quantity!r}: expected one of {', '.join(LinkResult.__annotations__)}")
+    parts = (places[first : first + _PLACES_AT_ONCE] for first in range(0, len(places), _PLACES_AT_ONCE))
+    values: list[Any] = [dict(room.link(part, roll, yaw, blockers, sharing))[quantity] for part in parts]
+    return x, y, np.concatenate(values).reshape(grid_x.shape)

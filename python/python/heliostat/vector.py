@@ -12,11 +12,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from ._checks import integer, real
 from ._core import Batch
 from .envs import _UNLIMITED, Layout, _seed_of, make_settings
 from .rendering import draw
 from .scenario import Scenario, Value, load_scenario
 
+# More rooms would not fit into the memory of most machines.
+_ENVS_MAX = 16_384
 _MODES = {
     AutoresetMode.NEXT_STEP: "next-step",
     AutoresetMode.SAME_STEP: "same-step",
@@ -58,10 +61,9 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         observation: str = "flat",
         **settings: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: expected an integer from 1")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps = {max_episode_steps}: expected an integer from 1")
+        num_envs = integer("num_envs", num_envs, 1, _ENVS_MAX)
+        if max_episode_steps is not None:
+            max_episode_steps = integer("max_episode_steps", max_episode_steps, 1, _UNLIMITED)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array"')
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -103,9 +105,9 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
             first = seed
             if first is None and not self._is_reset:
                 first = int(self.np_random.integers(2**62))
-            seeds = [None if first is None else _seed_of(int(first) + index) for index in range(self.num_envs)]
+            seeds = [None if first is None else _seed_of(_seed_of(first) + index) for index in range(self.num_envs)]
         else:
-            seeds = [None if one is None else _seed_of(int(one)) for one in seed]
+            seeds = [None if one is None else _seed_of(one) for one in seed]
         if mask is not None:
             mask = np.ascontiguousarray(mask)
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
@@ -118,7 +120,7 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         """Steps all environments; raises `ValueError`, without a step, if any action is not valid."""
         if not self._is_reset:
             raise gymnasium.error.ResetNeeded("call reset before the first step")
-        checked = np.ascontiguousarray(actions, np.float32)
+        checked = np.ascontiguousarray(real("actions", actions), np.float32)
         if checked.shape != self.action_space.shape:
             raise ValueError(f"actions of shape {checked.shape}, expected {self.action_space.shape}")
         self._batch.step(

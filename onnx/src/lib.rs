@@ -18,6 +18,7 @@
 
 pub mod graph;
 pub mod reference;
+pub mod standard;
 pub mod tensor;
 
 #[allow(missing_docs, unused_qualifications, clippy::all)]

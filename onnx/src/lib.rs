@@ -62,3 +62,24 @@ pub fn f32_extents(port: &ValueInfoProto) -> Option<Vec<Option<usize>>> {
     };
     tensor.shape.as_ref().filter(|_| is_float).map(|shape| shape.dim.iter().map(extent).collect())
 }
+
+/// Element type and shape of an input or output, as "f32 [1, 200]".
+pub fn describe(port: &ValueInfoProto) -> String {
+    let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref().and_then(|kind| kind.value.as_ref()) else {
+        return "of no known type".into();
+    };
+    let element = match DataType::try_from(tensor.elem_type) {
+        Ok(DataType::Float) => "f32".into(),
+        Ok(other) => format!("{other:?}"),
+        Err(_) => format!("type {}", tensor.elem_type),
+    };
+    let dimensions = tensor.shape.iter().flat_map(|shape| &shape.dim);
+    let sizes: Vec<String> = dimensions
+        .map(|dimension| match &dimension.value {
+            Some(dimension::Value::DimValue(size)) => size.to_string(),
+            Some(dimension::Value::DimParam(name)) => name.clone(),
+            None => "?".into(),
+        })
+        .collect();
+    format!("{element} [{}]", sizes.join(", "))
+}

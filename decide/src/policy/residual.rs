@@ -53,8 +53,7 @@ impl Residual {
         let solver = ModelBased::greedy(users, mirrors);
         let mut policy =
             Self { name: "residual".into(), solver, network, outputs: Vec::with_capacity(capacity), failure: None };
-        let reference =
-            Reference::new(&model).map_err(|reason| refused(format!("no reference evaluation: {reason}")))?;
+        let reference = Reference::new(&model).map_err(|reason| refused(unsupported(&reason)))?;
         policy.compare(&reference).map_err(refused)?;
         Ok(policy)
     }
@@ -74,14 +73,16 @@ impl Residual {
                 })
             })
             .collect();
-        self.evaluate(&rows).map_err(|error| error.to_string())?;
         let engine = self.network.engine();
+        let failed = |error: PolicyError| format!("the engine {engine} does not evaluate {COMPARED} rows: {error}");
+        self.evaluate(&rows).map_err(failed)?;
         for (row, found) in rows.iter().zip(self.outputs.chunks_exact(Correction::VALUES)) {
-            let expected = reference.run(INPUT_NAME, row)?;
+            let expected = reference.run(INPUT_NAME, row).map_err(|reason| unsupported(&reason))?;
             let differs = |(found, expected): (&f32, &f32)| (found - expected).abs() > SAME * expected.abs().max(1.0);
             if expected.len() != Correction::VALUES || found.iter().zip(&expected).any(differs) {
                 return Err(format!(
-                    "the engine {engine} gives {found:?} and the reference evaluation {expected:?} for the same row"
+                    "the engine {engine} gives {found:?} and the reference evaluation {expected:?} for the same row, \
+                     expected equal values"
                 ));
             }
         }
@@ -109,6 +110,11 @@ impl Residual {
         self.outputs.extend_from_slice(found);
         Ok(())
     }
+}
+
+/// The refusal of a network that the reference cannot evaluate, for this reason.
+fn unsupported(reason: &str) -> String {
+    format!("the reference evaluation, which verifies the engine, does not support {reason}")
 }
 
 impl Policy for Residual {

@@ -23,7 +23,7 @@ use std::collections::HashMap;
 
 use crate::standard::foreign_operator;
 use crate::tensor::{Data, Tensor};
-use crate::{GraphProto, ModelProto};
+use crate::{GraphProto, ModelProto, uncomputed_output};
 use call::Call;
 
 /// Largest number of multiplications and values of one evaluation: a fraction of a second.
@@ -42,12 +42,15 @@ impl Reference {
     /// Prepares the graph of a file.
     ///
     /// # Errors
-    /// The file has no graph, an operator that is not of the standard domain, or a constant of
+    /// The file has no graph, an output that no node computes, an operator that is not of the standard domain, or a constant of
     /// another type than f32 and i64.
     pub fn new(model: &ModelProto) -> Result<Self, Reason> {
         let graph = model.graph.clone().ok_or("a file without a graph")?;
         if let Some(foreign) = foreign_operator(&graph) {
             return Err(format!("the operator {foreign}"));
+        }
+        if let Some(output) = uncomputed_output(&graph) {
+            return Err(format!("the output {output:?}, which no node computes"));
         }
         let read = |proto: &crate::TensorProto| {
             let tensor =

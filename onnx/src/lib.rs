@@ -51,13 +51,14 @@ fn f32_table(name: &str, rows: dimension::Value, length: usize) -> ValueInfoProt
     }
 }
 
-/// The extents of an input or output whose elements are 32-bit floats, `None` for an open one;
+/// The extents of an input or output whose elements are 32-bit floats, `None` for an open one,
+/// which exporters also write as a negative number;
 /// `None` where the type is another one or the shape is absent.
 pub fn f32_extents(port: &ValueInfoProto) -> Option<Vec<Option<usize>>> {
     let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref()?.value.as_ref() else { return None };
     let is_float = tensor.elem_type == DataType::Float as i32;
     let extent = |dimension: &Dimension| match dimension.value {
-        Some(dimension::Value::DimValue(size)) => usize::try_from(size).ok().filter(|size| *size > 0),
+        Some(dimension::Value::DimValue(size)) => usize::try_from(size).ok(),
         _ => None,
     };
     tensor.shape.as_ref().filter(|_| is_float).map(|shape| shape.dim.iter().map(extent).collect())

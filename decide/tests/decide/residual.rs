@@ -11,7 +11,10 @@ use heliostat_decide::{
         actor_file::{ActorFile, key},
     },
 };
-use heliostat_onnx::{ModelProto, NodeProto, ValueInfoProto, f32_row};
+use heliostat_onnx::{
+    ModelProto, NodeProto, TypeProto, ValueInfoProto, f32_row, tensor_shape_proto::dimension::Value as Extent,
+    type_proto::Value,
+};
 use heliostat_proto::MirrorCommand;
 use heliostat_scenario::Scenario;
 use prost::Message as _;
@@ -142,6 +145,7 @@ fn files_that_do_not_fit_are_refused_with_advice() {
             "(f32 [1, 38]), expected exactly one, \"observation\" (f32 [rows, 38])",
         ),
         (ActorRecipe { port: f32_row, ..fitting() }, "first dimension is dynamic"),
+        (ActorRecipe { port: no_rows, ..fitting() }, "(f32 [0, 38]), expected exactly one"),
         (ActorRecipe { port: without_type, ..fitting() }, "the inputs \"observation\" (of no known type), expected"),
         (ActorRecipe { opset: 9999, ..fitting() }, "the opset 9999, expected an opset from 7 to 28; export it again"),
         (fitting().with_metadata(key::ACTION, "a\u{1b}[31m"), "the action \"a\\u{1b}[31m\", expected \"compact\""),
@@ -152,6 +156,14 @@ fn files_that_do_not_fit_are_refused_with_advice() {
         let text = refusal(recipe);
         assert!(text.contains("test.onnx") && text.contains(words), "{text}");
     }
+}
+
+fn no_rows(name: &str, length: usize) -> ValueInfoProto {
+    let mut port = f32_row(name, length);
+    if let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type {
+        tensor.shape.as_mut().expect("a shape").dim[0].value = Some(Extent::DimValue(0));
+    }
+    port
 }
 
 fn without_type(name: &str, _: usize) -> ValueInfoProto {

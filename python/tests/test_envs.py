@@ -194,6 +194,29 @@ def test_settings_outside_their_domain_are_refused_with_the_reason(keywords: dic
         heliostat.HeliostatEnv(**keywords)
 
 
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"held_out": -1}, "held_out = -1: expected an integer from 0"),
+        ({"held_out": 0, "held_out_set": 2**64}, "held_out_set = "),
+        ({"episode": (0, 1)}, "episode = .*: expected the index, the number of states and that of seeds"),
+        ({"episode": (-1, 1, 1)}, "index of the episode = -1"),
+        ({"episode": (0, 10**18, 1)}, "states = 10+: expected an integer from 1 to 1000000"),
+        ({"episode": (0, 10**4, 10**4)}, "10000 states of 10000 seeds: expected at most 1000000 together"),
+        ({"other": 1}, "unknown reset options"),
+    ],
+)
+def test_reset_options_outside_their_domain_are_refused(options: dict[str, Any], reason: str) -> None:
+    env = heliostat.HeliostatEnv()
+    with pytest.raises(ValueError, match=reason):
+        env.reset(options=options)
+    with pytest.raises(TypeError, match="options: expected a mapping"):
+        env.reset(options=3)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="states = 'many': expected an integer"):
+        heliostat.evaluate(lambda seen: seen, env, states="many")  # type: ignore[arg-type]
+    env.close()
+
+
 def test_an_unknown_keyword_is_a_type_error() -> None:
     with pytest.raises(TypeError, match="penality"):
         heliostat.HeliostatEnv(penality=1.0)

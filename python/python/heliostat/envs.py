@@ -14,7 +14,7 @@ bit/s/Hz. An episode never terminates; Gymnasium truncates it after `max_episode
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeAlias
 
@@ -23,6 +23,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from ._checks import integer, seed_of, states_of
 from ._core import Batch, Settings, held_out_seed
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario
@@ -67,11 +68,12 @@ def make_settings(
     )
 
 
-def _seed_of(seed: int) -> int:
-    """A seed of the room; Gymnasium accepts integers from 0."""
-    if not 0 <= seed < 2**64:
-        raise ValueError(f"seed = {seed}: expected an integer from 0 to 2**64 - 1")
-    return seed
+def _episode_of(value: Any) -> tuple[int, int, int]:
+    """Index, states and seeds of an episode of a comparison."""
+    if not isinstance(value, Sequence) or len(value) != 3:
+        raise ValueError(f"episode = {value!r}: expected the index, the number of states and that of seeds")
+    states, seeds = states_of(*value[1:])
+    return integer(value[0], "index of the episode", 0, states * seeds - 1), states, seeds
 
 
 class Layout:
@@ -173,20 +175,25 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         sampling times.
         """
         if seed is not None:
-            _seed_of(seed)
+            seed = seed_of(seed)
         super().reset(seed=seed)
         room_seed = seed
+        if options is not None and not isinstance(options, Mapping):
+            raise TypeError(f'options: expected a mapping such as {{"held_out": 0}}, found {type(options).__name__}')
         unknown = set(options or ()) - {"held_out", "held_out_set", "episode"}
         if unknown:
             raise ValueError(f"unknown reset options {sorted(unknown)}: expected held_out, held_out_set, episode")
         if options and "held_out" in options:
-            room_seed = held_out_seed(int(options.get("held_out_set", self.scenario.seed)), int(options["held_out"]))
+            room_seed = held_out_seed(
+                seed_of(options.get("held_out_set", self.scenario.seed), "held_out_set"),
+                seed_of(options["held_out"], "held_out"),
+            )
         elif seed is None and not self._is_reset:
             room_seed = int(self.np_random.integers(2**63))
         seen = np.empty((1, self._batch.observation_len), np.float32)
         self._in_episode = bool(options) and "episode" in (options or {})
         if options and self._in_episode:
-            seen[0] = self._batch.begin_episode(*(int(number) for number in options["episode"]))
+            seen[0] = self._batch.begin_episode(*_episode_of(options["episode"]))
         else:
             self._batch.reset([room_seed], seen)
         self._is_reset = True

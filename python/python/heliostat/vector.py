@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -12,8 +12,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from ._checks import integer, seed_of
 from ._core import Batch
-from .envs import _UNLIMITED, Layout, _seed_of, make_settings
+from .envs import _UNLIMITED, Layout, make_settings
 from .rendering import draw
 from .scenario import Scenario, Value, load_scenario
 
@@ -24,6 +25,10 @@ _MODES = {
 }
 
 
+NUM_ENVS_MAX = 16_384
+"""Most environments of a batch; each holds a room in memory."""
+
+
 class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
     """Environments of the same settings, as `gymnasium.vector.VectorEnv`.
 
@@ -31,7 +36,7 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
 
     Args:
         scenario: as for `HeliostatEnv`, as are `overrides` and the other settings.
-        num_envs: number of environments.
+        num_envs: number of environments, at most `NUM_ENVS_MAX`.
         max_episode_steps: steps of an episode; absent: an episode does not end.
         autoreset_mode: when an environment restarts after the end of its episode. `NEXT_STEP`: the next step ignores
             its action. `SAME_STEP`: the step that ends the episode; `info["final_obs"]` has its last observation.
@@ -58,10 +63,9 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         observation: str = "flat",
         **settings: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: expected an integer from 1")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps = {max_episode_steps}: expected an integer from 1")
+        num_envs = integer(num_envs, "num_envs", 1, NUM_ENVS_MAX)
+        if max_episode_steps is not None:
+            max_episode_steps = integer(max_episode_steps, "max_episode_steps", 1, _UNLIMITED)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'render_mode = {render_mode!r}: expected "rgb_array"')
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -98,14 +102,14 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         if options:
             raise ValueError(f"unknown reset options {sorted(options)}: expected reset_mask")
         seeds: list[int | None]
-        if seed is None or isinstance(seed, (int, np.integer)):
-            super().reset(seed=None if seed is None else int(seed))
-            first = seed
+        if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str):
+            seeds = [None if one is None else seed_of(one) for one in seed]
+        else:
+            first = None if seed is None else seed_of(seed)
+            super().reset(seed=first)
             if first is None and not self._is_reset:
                 first = int(self.np_random.integers(2**62))
-            seeds = [None if first is None else _seed_of(int(first) + index) for index in range(self.num_envs)]
-        else:
-            seeds = [None if one is None else _seed_of(int(one)) for one in seed]
+            seeds = [None if first is None else seed_of(first + index) for index in range(self.num_envs)]
         if mask is not None:
             mask = np.ascontiguousarray(mask)
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):

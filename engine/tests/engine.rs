@@ -78,7 +78,7 @@ fn embedded_refusal(change: fn(&mut GraphProto)) -> String {
         Ok(network) => network,
         Err(refusal) => return refusal,
     };
-    network.run().err().expect("a refusal at the load or at the first run").to_string()
+    network.run().expect_err("a refusal at the load or at the first run").to_string()
 }
 
 /// A panic would print the frames of the engine into the log of an operator.

@@ -10,7 +10,7 @@ mod tasks;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_scenario::Scenario;
@@ -138,8 +138,8 @@ fn steps_of(args: &SuiteArgs, named: &[String], room_of: RoomOf) -> Result<Vec<S
         fitting.extend(fit);
         steps.push((task as &Section, arguments));
     }
-    for name in named.iter().filter(|name| *name != ALL && !fitting.contains(&name.as_str())) {
-        let (task, refusal) = refusals.remove(name.as_str()).context("a policy that fits no room was refused")?;
+    let mut unfit = named.iter().filter(|name| !fitting.contains(&name.as_str()));
+    if let Some((name, (task, refusal))) = unfit.find_map(|name| refusals.remove_entry(name.as_str())) {
         bail!("policy {name} fits none of the chosen rooms, and not that of {task}: {refusal:#}");
     }
     Ok(steps)

@@ -129,7 +129,7 @@ fn the_controller_counts_invalid_payloads_about_arrays_and_names_the_last() {
         ("rearm", "rearm", room.rearm()),
         ("geometry", "geometry", geometry),
     ];
-    let problem = || observer.status(NodeKind::Controller).expect("received").last_problem;
+    let problem = || observer.status(NodeKind::Controller).map(|status| status.last_problem).unwrap_or_default();
     for (topic, name, key) in &topics {
         let counter = format!("refused:{topic}:truncated");
         observer.publish(key, &[]);
@@ -152,6 +152,7 @@ fn the_controller_counts_invalid_payloads_about_arrays_and_names_the_last() {
 fn a_refusal_of_telemetry_names_the_array_and_the_sizes() {
     let (sim, central, observer) = running();
     let key = observer.room().array(0).telemetry();
+    wait_until("telemetry", || observer.telemetry().is_some());
     let real = observer.telemetry().expect("received");
     let sized = |roll, yaw| MirrorTelemetry {
         roll_commanded: vec![0.0; roll],
@@ -160,7 +161,7 @@ fn a_refusal_of_telemetry_names_the_array_and_the_sizes() {
         yaw_measured: Vec::new(),
         ..real.clone()
     };
-    let problem = || observer.status(NodeKind::Controller).expect("received").last_problem;
+    let problem = || observer.status(NodeKind::Controller).map(|status| status.last_problem).unwrap_or_default();
     observer.publish(&key, &encoded(&sized(9, 9)));
     let expected = "telemetry of mirrors refused: it has 9 roll and 9 yaw angles, expected 100 of each";
     wait_until(expected, || problem().starts_with(expected));

@@ -231,9 +231,9 @@ impl Controller {
         Due::Nothing
     }
 
-    /// Counts a payload that does not decode.
-    pub fn handle_malformed(&mut self, stream: Stream, refusal: Refusal) {
-        self.inbox.count_malformed(stream, refusal);
+    /// Counts a payload of a stream, and of an array for telemetry, that does not decode.
+    pub fn handle_malformed(&mut self, place: (Stream, usize), refusal: Refusal) {
+        self.inbox.count_malformed(place, refusal);
     }
 
     /// A source has left: another source may own the room at once.

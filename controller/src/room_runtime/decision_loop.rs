@@ -159,7 +159,7 @@ impl DecisionLoop {
         let message = match self.buffers.decode(inlet, payload) {
             Ok(message) => message,
             Err(error) => {
-                self.controller.handle_malformed(inlet.stream, Refusal::from(&error));
+                self.controller.handle_malformed((inlet.stream, inlet.array), Refusal::from(&error));
                 self.last_malformed = Some(error);
                 return;
             }

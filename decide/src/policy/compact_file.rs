@@ -4,13 +4,14 @@
 //! are the two kinds.
 
 use heliostat_onnx::{
-    ModelProto, ValueInfoProto, tensor::first_not_finite, tensor_proto::DataType,
-    tensor_shape_proto::dimension::Value as Dimension, type_proto,
+    ModelProto, ValueInfoProto, describe, f32_extents,
+    standard::{VersionError, check_versions},
+    tensor::first_not_finite,
 };
 use prost::Message;
 use thiserror::Error;
 
-use super::actor_file::{ActorFile, COMPACT, CORRECTIONS_NAME, DISPLACEMENTS_NAME, INPUT_NAME, key};
+use super::actor_file::{ANGLES, ActorFile, COMPACT, CORRECTIONS_NAME, DISPLACEMENTS_NAME, INPUT_NAME, key, quoted};
 use crate::observe::{
     correction::Correction,
     evidence::{EVIDENCE_VERSION, FEATURES},
@@ -61,6 +62,14 @@ pub enum CompactError {
         /// Why.
         message: String,
     },
+    /// The version of the format or of the operators is not known.
+    #[error("{origin} has {unknown}")]
+    OnnxVersion {
+        /// The file.
+        origin: String,
+        /// The version found and those expected.
+        unknown: VersionError,
+    },
     /// The file has another action.
     #[error(
         "{origin} has the action {found}, expected \"{}\" as the policy {} needs; \
@@ -88,11 +97,16 @@ pub enum CompactError {
         expected: &'static RowKind,
     },
     /// A port has another name, type or shape.
-    #[error("{origin}: {found}, expected \"{port}\" of f32 [rows, {expected}]; export the actor again")]
+    #[error(
+        "{origin} has the {side} {found}, expected exactly one, \"{port}\" (f32 [rows, {expected}]): one file serves any \
+         number of users, so its first dimension is dynamic; export the actor again with dynamic rows"
+    )]
     Port {
         /// The file.
         origin: String,
-        /// Name and shape found.
+        /// "inputs" or "outputs".
+        side: &'static str,
+        /// Names, types and shapes found.
         found: String,
         /// The name expected.
         port: &'static str,
@@ -133,31 +147,35 @@ impl RowKind {
         let origin = || file.origin.clone();
         let model = ModelProto::decode(file.bytes.as_ref())
             .map_err(|error| CompactError::NotOnnx { origin: origin(), message: error.to_string() })?;
-        let action = entry(&model, key::ACTION).unwrap_or("angles");
-        if action != self.action {
-            return Err(CompactError::Action { origin: origin(), found: format!("\"{action}\""), expected: self });
-        }
-        let version = entry(&model, key::OBSERVATION_VERSION).unwrap_or("none");
-        if version != self.version.to_string() {
-            return Err(CompactError::Version { origin: origin(), found: version.into(), expected: self });
-        }
-        if let Some(tensor) = first_not_finite(&model) {
-            return Err(CompactError::NotFinite { origin: origin(), tensor });
-        }
         let graph = model
             .graph
             .as_ref()
             .ok_or_else(|| CompactError::NotOnnx { origin: origin(), message: "it holds no graph".into() })?;
+        check_versions(&model).map_err(|unknown| CompactError::OnnxVersion { origin: origin(), unknown })?;
+        let action = entry(&model, key::ACTION).unwrap_or(ANGLES);
+        if action != self.action {
+            return Err(CompactError::Action { origin: origin(), found: quoted(action), expected: self });
+        }
+        let version = entry(&model, key::OBSERVATION_VERSION);
+        if version != Some(&self.version.to_string()) {
+            let found = version.map_or("none".into(), quoted);
+            return Err(CompactError::Version { origin: origin(), found, expected: self });
+        }
+        if let Some(tensor) = first_not_finite(&model) {
+            return Err(CompactError::NotFinite { origin: origin(), tensor });
+        }
         let is_weight = |port: &&ValueInfoProto| graph.initializer.iter().any(|weight| weight.name == port.name);
         let inputs: Vec<_> = graph.input.iter().filter(|port| !is_weight(port)).collect();
         let outputs: Vec<_> = graph.output.iter().collect();
         let (output, values) = self.output;
-        for (port, ports, length) in [(INPUT_NAME, inputs, self.inputs), (output, outputs, values)] {
-            let is_expected = |found: &&ValueInfoProto| found.name == port && row_length(found) == Some(length as i64);
-            if ports.len() != 1 || !ports.iter().all(is_expected) {
-                let names: Vec<String> =
-                    ports.iter().map(|port| format!("\"{}\" with rows of {:?}", port.name, row_length(port))).collect();
-                return Err(CompactError::Port { origin: origin(), found: names.join(", "), port, expected: length });
+        let sides = [("inputs", INPUT_NAME, inputs, self.inputs), ("outputs", output, outputs, values)];
+        for (side, port, ports, expected) in sides {
+            let has_rows = |found: &ValueInfoProto| f32_extents(found).as_deref() == Some(&[None, Some(expected)]);
+            if ports.len() != 1 || !ports.iter().all(|found| found.name == port && has_rows(found)) {
+                let found: Vec<_> =
+                    ports.iter().map(|port| format!("{} ({})", quoted(&port.name), describe(port))).collect();
+                let found = if found.is_empty() { "none".into() } else { found.join(", ") };
+                return Err(CompactError::Port { origin: origin(), side, found, port, expected });
             }
         }
         Ok(model)
@@ -166,14 +184,4 @@ impl RowKind {
 
 fn entry<'a>(model: &'a ModelProto, key: &str) -> Option<&'a str> {
     model.metadata_props.iter().find(|entry| entry.key == key).map(|entry| entry.value.as_str())
-}
-
-/// The second extent of a table of 32-bit floats; `None` for other types and shapes.
-fn row_length(port: &ValueInfoProto) -> Option<i64> {
-    let type_proto::Value::TensorType(tensor) = port.r#type.as_ref()?.value.as_ref()? else { return None };
-    let [_, extent] = tensor.shape.as_ref()?.dim.as_slice() else { return None };
-    match extent.value.as_ref()? {
-        Dimension::DimValue(length) if tensor.elem_type == DataType::Float as i32 => Some(*length),
-        _ => None,
-    }
 }

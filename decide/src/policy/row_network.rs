@@ -39,8 +39,7 @@ impl<const N: usize> RowNetwork<N> {
             .map_err(|message| refused(format!("the inference engine refused the network: {message}")))?;
         let values = kind.output.1;
         let mut loaded = Self { network, values, outputs: Vec::with_capacity(MAX_USERS * values) };
-        let reference =
-            Reference::new(&model).map_err(|reason| refused(format!("no reference evaluation: {reason}")))?;
+        let reference = Reference::new(&model).map_err(|reason| refused(unsupported(&reason)))?;
         loaded.compare(&reference).map_err(refused)?;
         Ok(loaded)
     }
@@ -60,14 +59,16 @@ impl<const N: usize> RowNetwork<N> {
                 })
             })
             .collect();
-        self.evaluate(&rows).map_err(|error| error.to_string())?;
         let engine = self.engine();
+        let failed = |error: PolicyError| format!("the engine {engine} does not evaluate {COMPARED} rows: {error}");
+        self.evaluate(&rows).map_err(failed)?;
         for (row, found) in rows.iter().zip(self.outputs.chunks_exact(self.values)) {
-            let expected = reference.run(INPUT_NAME, row)?;
+            let expected = reference.run(INPUT_NAME, row).map_err(|reason| unsupported(&reason))?;
             let differs = |(found, expected): (&f32, &f32)| (found - expected).abs() > SAME * expected.abs().max(1.0);
             if expected.len() != self.values || found.iter().zip(&expected).any(differs) {
                 return Err(format!(
-                    "the engine {engine} gives {found:?} and the reference evaluation {expected:?} for the same row"
+                    "the engine {engine} gives {found:?} and the reference evaluation {expected:?} for the same row, \
+                     expected equal values"
                 ));
             }
         }
@@ -98,4 +99,9 @@ impl<const N: usize> RowNetwork<N> {
         self.outputs.extend_from_slice(found);
         Ok(&self.outputs)
     }
+}
+
+/// The refusal of a network that the reference cannot evaluate, for this reason.
+fn unsupported(reason: &str) -> String {
+    format!("the reference evaluation, which verifies the engine, does not support {reason}")
 }

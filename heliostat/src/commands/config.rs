@@ -18,7 +18,7 @@ use crate::output::outln;
 /// Print the effective configuration of a process: its scenario with every key, its room and its
 /// endpoints.
 ///
-/// Give the same flags as to the process; no process is started.
+/// Give the same flags as to the process; no process is started. The file of a policy is checked.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print JSON instead of TOML
@@ -52,6 +52,7 @@ pub fn run(args: Args) -> Result<()> {
     let configuration = match args.process {
         Process::Controller(args) => {
             let config = args.node_config()?;
+            config.check_model()?;
             let process = json!({
                 "name": "controller",
                 "policy": config.policy.name(),

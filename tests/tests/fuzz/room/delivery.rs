@@ -84,7 +84,7 @@ impl Room {
         let mut report = match decode::<T>(payload) {
             Ok(report) => report,
             Err(error) => {
-                controller.handle_malformed(stream, Refusal::from(&error));
+                controller.handle_malformed((stream, 0), Refusal::from(&error));
                 return false;
             }
         };

@@ -86,9 +86,9 @@ fn files_of_another_kind_are_refused_with_advice() {
     let room = scenario(&[]);
     let fitting = || ActorRecipe::displacements([0.0; 2]);
     let cases = [
-        (fitting().with_metadata(key::OBSERVATION_VERSION, "4"), "observation version 4, expected 1"),
+        (fitting().with_metadata(key::OBSERVATION_VERSION, "4"), "observation version \"4\", expected 1"),
         (ActorRecipe::compact([0.0; 3]), "the action \"compact\", expected \"displacements\""),
-        (ActorRecipe { output_name: "angles", ..fitting() }, "expected \"displacements\" of f32 [rows, 2]"),
+        (ActorRecipe { output_name: "angles", ..fitting() }, "expected exactly one, \"displacements\" (f32 [rows, 2])"),
         (ActorRecipe::fitting(&room), "heliostat train lstm"),
         (ActorRecipe::displacements([f32::NAN; 2]), "not finite"),
     ];

@@ -198,6 +198,8 @@ def test_settings_outside_their_domain_are_refused_with_the_reason(keywords: dic
 def test_an_unknown_keyword_is_a_type_error() -> None:
     with pytest.raises(TypeError, match="penality"):
         heliostat.HeliostatEnv(penality=1.0)
+    with pytest.raises(TypeError, match="overrides = .*expected a dictionary"):
+        heliostat.HeliostatEnv(overrides=["users.count=3"])  # type: ignore[arg-type]
 
 
 def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:

@@ -27,6 +27,8 @@ def load_scenario(
         if overrides:
             raise ValueError("overrides apply to a name or a file, not to a Scenario that is already checked")
         return source
+    if overrides is not None and not isinstance(overrides, Mapping):
+        raise TypeError(f"overrides = {overrides!r}: expected a dictionary from keys to values")
     return Scenario(os.fspath(source), [f"{key}={_toml(value)}" for key, value in (overrides or {}).items()])
 
 

@@ -4,7 +4,7 @@ use std::{path::PathBuf, time::Duration};
 
 use heliostat_bus::BusConfig;
 use heliostat_decide::{capabilities::Force, policy::PolicyKind};
-use heliostat_engine::EngineChoice;
+use heliostat_engine::{ActorSource, BuildError, EngineChoice};
 use heliostat_proto::Room;
 use heliostat_scenario::Scenario;
 use heliostat_service::MetricsArgs;
@@ -47,4 +47,22 @@ pub struct NodeConfig {
     pub run_for: Option<Duration>,
     /// Where metrics are served.
     pub metrics: MetricsArgs,
+}
+
+impl NodeConfig {
+    /// Where the actor of the policy comes from.
+    pub fn actor(&self) -> ActorSource {
+        self.model.clone().map_or(ActorSource::Shipped, ActorSource::Path)
+    }
+
+    /// Checks that the policy can be built from the file of its actor, if one is given.
+    ///
+    /// # Errors
+    /// The file is missing, or does not fit the policy or the room.
+    pub fn check_model(&self) -> Result<(), BuildError> {
+        match &self.model {
+            Some(_) => self.engine.build(self.policy, &self.scenario, &self.actor()).map(drop),
+            None => Ok(()),
+        }
+    }
 }

@@ -27,6 +27,7 @@ pub mod room_clock;
 pub mod state_publisher;
 mod status;
 mod subscriptions;
+mod undecodable;
 pub mod watchdog;
 
 use std::{
@@ -38,7 +39,6 @@ use std::{
 use anyhow::Context;
 use heliostat_bus::{Bus, BusError, Class, Publisher, Subscription, Token};
 use heliostat_decide::{capabilities::Examiner, core::Controller, tenure::Tenure};
-use heliostat_engine::ActorSource;
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Room, encode};
 use heliostat_service::{clock::utc_ns, source_id};
 
@@ -59,6 +59,8 @@ use receive_queue::ReceiveQueue;
 use room_clock::RoomClock;
 use state_publisher::StatePublisher;
 use status::{Conditions, Identity, Problem, Reporter};
+use subscriptions::Arrays;
+use undecodable::Decoder;
 use watchdog::{POLICY_TIMEOUT, Watchdog};
 
 /// A room that is being served.
@@ -77,6 +79,7 @@ pub struct RoomRuntime {
     geometry: GeometryExchange,
     driver: DriverPresence,
     reporter: Reporter,
+    decoder: Decoder,
     /// Exchanged with the decision loop's times, so that its lock is held only for an instant.
     spare_times: StageTimes,
     /// Since the start.
@@ -101,7 +104,7 @@ impl RoomRuntime {
             // The room waits for each command, so a dropped command would stop it.
             Pace::Lockstep => (RoomClock::Lockstep { newest_ns: 0 }, Tenure::lockstep(1), Class::RealTimeBlock),
         };
-        let actor = config.model.clone().map_or(ActorSource::Shipped, ActorSource::Path);
+        let actor = config.actor();
         let (policy, findings) = config.engine.build_tried(config.policy, scenario, &actor)?;
         let model = scenario.channel_model()?;
         let examiner = Examiner::new(scenario, &model, config.force);
@@ -132,7 +135,13 @@ impl RoomRuntime {
             decide_in: settings.decide_in,
         };
         // The arrays first: their announcements precede the first command.
-        let mut subscriptions = subscriptions::subscribe_to_arrays(bus, &decision_loop, &watchdog, examiner)?;
+        let decoder = Decoder::default();
+        let arrays = Arrays {
+            decision_loop: Arc::clone(&decision_loop),
+            watchdog: Arc::clone(&watchdog),
+            decoder: decoder.clone(),
+        };
+        let mut subscriptions = subscriptions::subscribe_to_arrays(bus, &arrays, &examiner)?;
         subscriptions.extend(subscriptions::subscribe_to_reports(bus, &handler)?);
         let builder = PolicyBuilder {
             scenario: scenario.clone(),
@@ -143,7 +152,7 @@ impl RoomRuntime {
         let (policy_swap, orders) = PolicySwap::subscribe(bus, &decision_loop, builder)?;
         subscriptions.push(orders);
         policy_swap.report(findings);
-        let (mut geometry, announced) = GeometryExchange::open(bus, scenario, source)?;
+        let (mut geometry, announced) = GeometryExchange::open(bus, scenario, source, decoder.clone())?;
         let (driver, tokens) = DriverPresence::open(bus, scenario.mirrors.arrays().len())?;
         subscriptions.extend([announced, tokens]);
         geometry.announce_if_due(started_ns);
@@ -162,6 +171,7 @@ impl RoomRuntime {
             geometry,
             driver,
             reporter: Reporter::new(identity),
+            decoder,
             spare_times: StageTimes::new(),
             times: StageTimes::new(),
             policy_times: PolicyTimes::default(),
@@ -212,6 +222,7 @@ impl RoomRuntime {
         let conditions = Conditions {
             without_driver: self.driver.absent(Instant::now(), &decision_loop.controller),
             geometry: self.geometry.problem().map(str::to_owned),
+            undecodable: self.decoder.counts(),
         };
         let former = std::mem::take(&mut decision_loop.former_times);
         let mut snapshot = self.reporter.take_snapshot(&decision_loop, self.policy_swap.counters(), conditions);

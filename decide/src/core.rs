@@ -112,14 +112,11 @@ use crate::{
         inbox::{Inbox, Message, publishes},
         refusal::{Refusal, Stream},
     },
-    observe::{
-        observation::Observation,
-        observer::{LosSource, Observer},
-    },
-    output::{safety::Clipped, tenure::Tenure},
-    policy::{self, Policy, ProposedBy, WithFallback},
+    observe::{observation::Observation, observer::Observer},
+    output::tenure::Tenure,
+    policy::{self, Policy, WithFallback},
 };
-use array_output::{ArrayOutput, copy_narrowed, copy_widened};
+use array_output::ArrayOutput;
 use degraded_actions::{DegradedActions, LastReport};
 use journal::Journal;
 
@@ -163,6 +160,7 @@ impl Controller {
         let validity_ms = scenario.control.validity_ms.round() as u32;
         let mut observer = Observer::new(scenario, &model);
         observer.keep_evidence(policy.reads_evidence());
+        observer.keep_walks(policy.reads_walks());
         Self {
             inbox: Inbox::new(scenario),
             observer,
@@ -208,38 +206,34 @@ impl Controller {
         if accepted.is_ok() {
             self.journal.record_message((stream, array), &stamp, now);
         }
-        match accepted {
-            Ok(()) if stream == Stream::Users => {
+        match (stream, accepted) {
+            (Stream::Users, Ok(())) => {
                 if let Some(report) = self.inbox.users() {
                     self.observer.handle_users(report);
                 }
                 self.last_report = Some(LastReport { accepted_ns: now, silence_handled: false });
-                Due::Command
+                return Due::Command;
             }
-            Err(Refusal::Stale) if stream == Stream::Users => Due::StaleCommand,
-            Ok(()) if stream == Stream::Channel => {
-                self.observer.handle_channel(&self.model, &self.inbox);
-                Due::Nothing
-            }
-            Ok(()) if stream == Stream::Orientation => {
+            (Stream::Users, Err(Refusal::Stale)) => return Due::StaleCommand,
+            (Stream::Channel, Ok(())) => self.observer.handle_channel(&self.model, &self.inbox),
+            (Stream::Orientation, Ok(())) => {
                 if let Some(report) = self.inbox.last_orientation() {
                     self.observer.handle_orientation(report);
                 }
-                Due::Nothing
             }
-            Ok(()) if stream == Stream::Telemetry => {
+            (Stream::Telemetry, Ok(())) => {
                 if let Some(telemetry) = self.inbox.telemetry(array) {
                     self.arrays[array].handle_telemetry(now, telemetry, &mut self.counters);
                 }
-                Due::Nothing
             }
-            _ => Due::Nothing,
+            (Stream::Obstacles, Ok(())) | (_, Err(_)) => {}
         }
+        Due::Nothing
     }
 
-    /// Counts a payload that does not decode.
-    pub fn handle_malformed(&mut self, stream: Stream, refusal: Refusal) {
-        self.inbox.count_malformed(stream, refusal);
+    /// Counts a payload of a stream, and of an array for telemetry, that does not decode.
+    pub fn handle_malformed(&mut self, place: (Stream, usize), refusal: Refusal) {
+        self.inbox.count_malformed(place, refusal);
     }
 
     /// A source has left: another source may own the room at once.
@@ -336,142 +330,7 @@ impl Controller {
     /// start-up warm-up.
     pub fn replace_policy(&mut self, policy: Box<dyn Policy>) -> Box<dyn Policy> {
         self.observer.keep_evidence(policy.reads_evidence());
+        self.observer.keep_walks(policy.reads_walks());
         self.policy.replace_policy(policy)
-    }
-
-    /// Fills the observation, with the corrections of the policy.
-    fn fill_observation(&mut self, now: Nanos) -> Option<LosSource> {
-        let Self { model, inbox, observer, observation, policy, .. } = self;
-        observer.observe(model, inbox, (now, &mut |evidence| policy.correct(evidence)), observation)
-    }
-
-    /// Proposes angles by `action`, limits them and completes the command.
-    fn execute(
-        &mut self,
-        (action, mode): (DegradedAction, DegradedMode),
-        tick: u64,
-        now: Nanos,
-        mark: &mut dyn FnMut(Stage),
-    ) -> Decision<'_> {
-        let Some(epoch) = self.arrays.iter().find_map(|array| array.permit.ok()) else {
-            return Decision::Hold(self.arrays[0].permit.err().unwrap_or(DegradedMode::Withheld));
-        };
-        self.command.epoch = epoch;
-        self.settle_angles(now);
-        let mut is_own = false;
-        let proposed = match action {
-            DegradedAction::Policy => {
-                let by = self.propose();
-                is_own = by == ProposedBy::Policy;
-                by != ProposedBy::None
-            }
-            DegradedAction::Fallback => self.policy.fall_back(&self.model, &self.observation, &mut self.proposed),
-            DegradedAction::LastGood => self.repeat(),
-            DegradedAction::Park => {
-                self.proposed.roll.fill(0.0);
-                self.proposed.yaw.fill(0.0);
-                true
-            }
-            DegradedAction::Hold => return Decision::Hold(mode),
-        };
-        if !proposed {
-            self.counters.count_degraded(DegradedMode::Held);
-            return Decision::Hold(DegradedMode::Held);
-        }
-        mark(Stage::Inferred);
-        let mut clipped = Clipped::default();
-        for array in &self.arrays {
-            clipped += array.bound(&self.observation.angles, &mut self.proposed);
-        }
-        self.counters.clipped += clipped;
-        self.policy.tallies.count_command(is_own, clipped);
-        self.complete_command(tick, now);
-        mark(Stage::MadeSafe);
-        let sampled_ns = self.inbox.users().map_or(now, |report| report.stamp.time_ns);
-        let age_ns = now.saturating_sub(sampled_ns);
-        Decision::Move { command: &mut self.command, parts: &mut self.parts, age_ns }
-    }
-
-    /// Decides which arrays get the command that is due at `now`.
-    fn update_permits(&mut self, now: Nanos) {
-        let repeated = self.repeated.take();
-        for (index, array) in self.arrays.iter_mut().enumerate() {
-            match repeated {
-                Some(withheld) => array.repeat_permit(withheld >> index & 1 == 0),
-                None => array.update_permit(now, self.inbox.telemetry(index), &mut self.counters),
-            }
-        }
-    }
-
-    /// Leaves out the mirrors that do not follow, those of arrays without a command, and pairs
-    /// beyond the range of an array.
-    fn observe_arrays(&mut self) {
-        self.observation.scene.exclude_mirrors(self.inbox.unusable());
-        let is_one = self.arrays.len() == 1;
-        for array in &self.arrays {
-            if array.permit.is_err() && !is_one {
-                self.observation.scene.exclude(array.mirrors.clone());
-            } else if let Some([roll, yaw]) = array.limits.narrow_axes_rad() {
-                let (mirrors, ranges) = (array.mirrors.clone(), [&roll, &yaw]);
-                self.observation.scene.restrict_array_to_range(&self.model, mirrors, ranges);
-            }
-        }
-    }
-
-    /// Sets the observation's angles to those of the mirrors.
-    fn settle_angles(&mut self, now: Nanos) {
-        for (index, array) in self.arrays.iter_mut().enumerate() {
-            array.settle(now, self.inbox.telemetry(index), self.interval_s, &mut self.observation.angles);
-        }
-    }
-
-    /// Whether a command was given.
-    fn has_command(&self) -> bool {
-        self.arrays.iter().any(|array| array.commanded_ns.is_some())
-    }
-
-    /// The action for a report without users: no angle is better than the last one.
-    fn without_users(&self) -> DegradedAction {
-        if self.has_command() { DegradedAction::LastGood } else { DegradedAction::Park }
-    }
-
-    /// Lets the policy propose, or else the fallback; angles of the caller stay.
-    fn propose(&mut self) -> ProposedBy {
-        if self.is_proposed {
-            return ProposedBy::Policy;
-        }
-        let by = self.policy.propose(&self.model, &self.observation, &mut self.proposed);
-        if by == ProposedBy::Fallback {
-            self.counters.count_degraded(DegradedMode::PolicyFailed);
-        } else {
-            self.counters.unserved_users += self.policy.unserved(self.observation.users()) as u64;
-        }
-        by
-    }
-
-    /// Proposes the last command; false where there is none.
-    fn repeat(&mut self) -> bool {
-        copy_widened(&self.command.roll, &mut self.proposed.roll);
-        copy_widened(&self.command.yaw, &mut self.proposed.yaw);
-        self.has_command()
-    }
-
-    fn complete_command(&mut self, tick: u64, now: Nanos) {
-        let withheld = self.arrays.iter().rev().fold(0, |bits, array| bits << 1 | u64::from(array.permit.is_err()));
-        self.counters.commands += self.arrays.len() as u64 - u64::from(withheld.count_ones());
-        self.journal.record_command(withheld);
-        self.command.sequence = 0;
-        self.command.answers = tick;
-        self.command.time_ns = now;
-        copy_narrowed(&self.proposed.roll, &mut self.command.roll);
-        copy_narrowed(&self.proposed.yaw, &mut self.command.yaw);
-        self.observation.set_angles(&self.proposed);
-        self.observer.handle_command(&self.command);
-        for array in self.arrays.iter_mut().filter(|array| array.permit.is_ok()) {
-            array.commanded_ns = Some(now);
-        }
-        for (part, array) in self.parts.iter_mut().zip(&self.arrays) {
-            part.set(&self.command, array.permit.ok(), array.guard.validity_ms());
-        }
     }
 }

@@ -7,3 +7,4 @@ pub mod observer;
 pub mod prediction;
 pub mod selection;
 pub mod slots;
+pub mod walk_history;

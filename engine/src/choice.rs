@@ -3,9 +3,10 @@
 use std::{fmt, str::FromStr};
 
 use heliostat_decide::policy::{
-    self, Actor, DENSE, DenseEngine, Engine, Finding, Policy, PolicyKind, Residual, Resources,
+    self, Actor, DENSE, DenseEngine, Engine, Finding, Policy, PolicyKind, Resources,
     actor_file::{ActorError, ActorFile},
-    compact_file::{CompactError, is_compact},
+    compact_file::{CompactError, RowKind},
+    load_rows,
 };
 use heliostat_scenario::Scenario;
 use thiserror::Error;
@@ -101,8 +102,8 @@ impl EngineChoice {
         source.check_used_by(kind)?;
         if kind.is_learned() {
             let file = source.fetch(kind, scenario)?;
-            if kind == PolicyKind::Residual || is_compact(&file) {
-                return Ok(Box::new(self.load_compact(kind, &file, scenario)?));
+            if let Some(rows) = kind.rows(&file) {
+                return self.load_rows(rows, kind, (&file, scenario));
             }
             return Ok(Box::new(self.load_policy(kind, &file, scenario)?));
         }
@@ -126,9 +127,9 @@ impl EngineChoice {
             return Ok((self.build(kind, scenario, source)?, Vec::new()));
         }
         let file = source.fetch(kind, scenario)?;
-        if kind == PolicyKind::Residual || is_compact(&file) {
+        if let Some(rows) = kind.rows(&file) {
             // Its load compares the engine with the reference evaluation.
-            return Ok((Box::new(self.load_compact(kind, &file, scenario)?), Vec::new()));
+            return Ok((self.load_rows(rows, kind, (&file, scenario))?, Vec::new()));
         }
         let mut actor = self.load_policy(kind, &file, scenario)?;
         let findings = actor.try_out(&file, scenario, monotonic_ns).map_err(policy::BuildError::from)?;
@@ -139,9 +140,13 @@ impl EngineChoice {
         Ok(self.load_actor(file, scenario).map_err(policy::BuildError::from)?.named(kind.name()))
     }
 
-    fn load_compact(self, kind: PolicyKind, file: &ActorFile, scenario: &Scenario) -> Result<Residual, BuildError> {
-        let size = (scenario.users.count, scenario.mirror_count());
-        let load = |engine: &dyn Engine| Residual::load(file, size, engine);
+    fn load_rows(
+        self,
+        rows: &'static RowKind,
+        kind: PolicyKind,
+        room: (&ActorFile, &Scenario),
+    ) -> Result<Box<dyn Policy>, BuildError> {
+        let load = |engine: &dyn Engine| load_rows(rows, kind, room, engine);
         let policy = match self {
             Self::Embedded => load(&EmbeddedEngine),
             Self::Dense => load(&DenseEngine),
@@ -150,7 +155,7 @@ impl EngineChoice {
                 loaded => loaded,
             },
         };
-        Ok(policy.map_err(policy::BuildError::from)?.named(kind.name()))
+        Ok(policy.map_err(policy::BuildError::from)?)
     }
 
     /// Loads an actor for a room, and compares the engines where its graph is dense.

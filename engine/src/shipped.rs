@@ -15,9 +15,10 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 }
 
 /// The file name of an actor: `<policy>-<mode>-<rows>x<columns>.onnx`, with `-seedN` before the dot
-/// for training seeds other than 1. The actor of `residual` serves any room: `residual.onnx`.
+/// for training seeds other than 1. The actors of `residual` and `lstm` serve any room:
+/// `residual.onnx`.
 pub fn file_name(policy: PolicyKind, scenario: &Scenario, training_seed: u64) -> String {
-    if policy == PolicyKind::Residual {
+    if matches!(policy, PolicyKind::Residual | PolicyKind::Lstm) {
         let seed = if training_seed == 1 { String::new() } else { format!("-seed{training_seed}") };
         return format!("{}{seed}.onnx", policy.name());
     }

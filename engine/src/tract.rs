@@ -1,7 +1,8 @@
 //! The embedded engine: tract, on the calling thread.
 //!
 //! A run copies its input and allocates in tract; the tests print how often. [`sizes`] refuses a
-//! network whose tensors do not fit into memory before tract computes any of them.
+//! network whose tensors do not fit into memory before tract computes any of them. Graphs that tract
+//! would misread are refused before it sees them.
 
 mod sizes;
 
@@ -9,6 +10,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use heliostat_decide::policy::{Engine, Network, PolicyError};
+use heliostat_onnx::{ModelProto, standard::foreign_operator, uncomputed_output};
+use prost::Message;
 use tract_hir::infer::{Factoid, InferenceFact};
 use tract_hir::internal::DimLike;
 use tract_hir::prelude::{DatumType, InferenceModel, TDim};
@@ -30,11 +33,27 @@ pub struct Tract;
 
 impl Engine for Tract {
     fn load(&self, model: &[u8], input_length: usize) -> Result<Box<dyn Network>, String> {
+        check(model)?;
         // tract panics on some malformed networks. No state of ours is in use meanwhile.
         let network = catch_unwind(AssertUnwindSafe(|| network(model, input_length)))
             .map_err(|_| "it panicked: expected a network of operators that tract supports".to_owned())?;
         // The alternate form has the chain of causes.
         Ok(Box::new(network.map_err(|error| format!("{error:#}"))?))
+    }
+}
+
+/// Refuses operators of another domain, which tract takes for the standard ones, and an output that
+/// no node computes, on which tract panics.
+fn check(model: &[u8]) -> Result<(), String> {
+    let model = ModelProto::decode(model).map_err(|error| format!("it is not an ONNX model: {error}"))?;
+    let graph = model.graph.ok_or("it holds no graph: expected a network")?;
+    if let Some(foreign) = foreign_operator(&graph) {
+        return Err(format!("the operator {foreign}: expected operators of the domain \"ai.onnx\""));
+    }
+    match uncomputed_output(&graph) {
+        Some(output) => Err(format!("no node computes the output {output:?}: expected a network that ends in it")),
+        None if graph.output.is_empty() => Err("the graph has no output: expected one".into()),
+        None => Ok(()),
     }
 }
 

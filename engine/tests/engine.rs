@@ -1,14 +1,22 @@
 //! Learned policies on the real inference engine.
 
+use std::panic;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 
 use allocation_counter::measure;
 use heliostat_channel::MirrorAngles;
+use heliostat_decide::evidence::FEATURES;
 use heliostat_decide::observation::Observation;
 use heliostat_decide::policy::actor_file::ActorFile;
 use heliostat_decide::policy::{Policy, PolicyKind};
-use heliostat_engine::{ActorSource, BuildError, EngineChoice, SourceError, build, load_actor, source};
+use heliostat_engine::{
+    ActorSource, BuildError, EngineChoice, SourceError, build, embedded_network, load_actor, source,
+};
+use heliostat_onnx::{GraphProto, ModelProto};
 use heliostat_scenario::Scenario;
+use prost::Message;
 use support::{ActorRecipe, model, scenario};
 
 #[path = "../../decide/tests/decide/support.rs"]
@@ -59,6 +67,53 @@ fn a_file_for_a_policy_that_reads_none_is_refused() {
     let file = ActorSource::Path("actor.onnx".into());
     let refusal = build(PolicyKind::FixedPoint, &Scenario::default(), &file).err().expect("a refusal").to_string();
     assert!(refusal.contains("fixed-point, which reads none"), "{refusal}");
+}
+
+/// The refusal of the embedded engine for a small network after a change.
+fn embedded_refusal(change: fn(&mut GraphProto)) -> String {
+    let mut model = ModelProto::decode(&ActorRecipe::compact([0.0; 3]).bytes()[..]).unwrap();
+    change(model.graph.as_mut().unwrap());
+    let network = embedded_network(&model.encode_to_vec(), FEATURES);
+    let mut network = match network {
+        Ok(network) => network,
+        Err(refusal) => return refusal,
+    };
+    network.run().expect_err("a refusal at the load or at the first run").to_string()
+}
+
+/// A panic would print the frames of the engine into the log of an operator.
+#[test]
+fn a_graph_whose_output_no_node_computes_is_refused_without_a_panic() {
+    static PANICS: AtomicUsize = AtomicUsize::new(0);
+    let before = panic::take_hook();
+    panic::set_hook(Box::new(move |info| {
+        if thread::current().name() == Some("refused graphs") {
+            PANICS.fetch_add(1, Ordering::Relaxed);
+        }
+        before(info);
+    }));
+    let refusals = || {
+        [
+            embedded_refusal(|graph| graph.node.clear()),
+            embedded_refusal(|graph| {
+                graph.node.clear();
+                graph.output = graph.input.clone();
+            }),
+            embedded_refusal(|graph| graph.node[1].output[0] = "other".into()),
+            embedded_refusal(|graph| graph.output.clear()),
+        ]
+    };
+    let refusals = thread::Builder::new().name("refused graphs".into()).spawn(refusals).unwrap().join().unwrap();
+    assert_eq!(PANICS.load(Ordering::Relaxed), 0);
+    for refusal in refusals {
+        assert!(refusal.contains("output"), "{refusal}");
+    }
+}
+
+#[test]
+fn an_operator_of_another_domain_is_refused_by_the_embedded_engine() {
+    let refusal = embedded_refusal(|graph| graph.node[1].domain = "com.example".into());
+    assert!(refusal.contains("Add") && refusal.contains("com.example"), "{refusal}");
 }
 
 /// Allocations of one run of the embedded engine on a network, and their bytes.

@@ -70,7 +70,13 @@ fn unknown_tasks_and_flags_of_a_single_comparison_are_refused() {
     assert!(refusal(&["--scenario", "hall"]).contains("cannot be used with"));
     assert!(refusal(&["--resume"]).contains("--out"));
     assert!(refusal(&["--out", "no/board.md"]).contains("expected a file in a folder that exists"));
-    assert!(refusal(&["--tasks", "lab", "--policies", "ddpg"]).contains("fits none"));
+    let unfit = refusal(&["--tasks", "lab", "--policies", "ddpg"]);
+    assert!(unfit.contains("fits none") && unfit.contains("not that of lab: no actor is built in"), "{unfit}");
+    let missing = refusal(&["--tasks", "lab", "--policies", "missing.onnx"]);
+    assert!(missing.contains("no actor at missing.onnx") && !missing.contains("fits none"), "{missing}");
+    fs::write(folder.path().join("cut.onnx"), [8]).expect("a file");
+    let cut = refusal(&["--tasks", "lab", "--policies", "cut.onnx"]);
+    assert!(cut.contains("cut.onnx is not an ONNX model"), "{cut}");
     // The JSON file beside the page is checked before the first task, too.
     let with_json = refusal(&["--out", "board.json"]);
     assert!(with_json.contains("expected another ending") && !folder.path().join("board.json").exists(), "{with_json}");

@@ -5,6 +5,7 @@
 //! - [`ddpg_raw`], [`ddpg_basis`]: DDPG with the angles of all mirrors as the action.
 //! - [`analytic`]: the network of `ddpg`, trained by the gradient through the channel.
 //! - [`residual`]: corrections of the belief by channel residuals, for any room.
+//! - [`lstm`]: predictions of places by the last reports, for any room.
 //! - [`dql`]: deep Q-learning on a codebook of angles.
 //! - [`q_learning`], [`sarsa`]: tabular learning on the codebook; [`table`] is the table.
 //!
@@ -15,6 +16,7 @@ pub mod ddpg;
 pub mod ddpg_basis;
 pub mod ddpg_raw;
 pub mod dql;
+pub mod lstm;
 pub mod ppo;
 pub mod q_learning;
 pub mod residual;
@@ -35,6 +37,7 @@ pub const ALGORITHMS: &[Algorithm] = &[
     ppo::ALGORITHM,
     analytic::ALGORITHM,
     residual::ALGORITHM,
+    lstm::ALGORITHM,
     dql::ALGORITHM,
     q_learning::ALGORITHM,
     sarsa::ALGORITHM,

@@ -6,6 +6,7 @@ pub mod adam;
 pub mod critic;
 pub mod gaussian;
 pub mod layers;
+pub mod lstm;
 pub mod patterns;
 
 pub use adam::Adam;

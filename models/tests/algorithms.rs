@@ -38,7 +38,7 @@ fn short(algorithm: Algorithm) -> &'static [&'static str] {
         "ppo" => &["room_count=2", "batch=8", "epochs=2", "gamma=0.5"],
         "analytic" => &["batch=3"],
         "dql" => &["warm_up=10", "batch=8", "replay=20", "steps_per_update=2"],
-        "residual" => &["room_count=1", "room_s=2", "batch=32"],
+        "residual" | "lstm" => &["room_count=1", "room_s=2", "batch=32"],
         _ => &[],
     }
 }
@@ -100,8 +100,9 @@ fn a_resumed_run_equals_an_uninterrupted_run() {
 
 #[test]
 fn exported_graphs_give_the_learners_angles() {
-    // The graph of residual gives corrections; models/tests/residual.rs evaluates it.
-    for algorithm in Algorithm::value_variants().iter().filter(|algorithm| algorithm.name != "residual") {
+    // The graphs of residual and lstm give corrections; models/tests/residual.rs and lstm.rs evaluate them.
+    let gives_angles = |algorithm: &&Algorithm| !["residual", "lstm"].contains(&algorithm.name);
+    for algorithm in Algorithm::value_variants().iter().filter(gives_angles) {
         for mode in ["specular", "paper-calibrated"] {
             let mut training = begin(*algorithm, mode, 5);
             run(&mut training, EPISODES);

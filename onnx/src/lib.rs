@@ -18,6 +18,7 @@
 
 pub mod graph;
 pub mod reference;
+pub mod standard;
 pub mod tensor;
 
 #[allow(missing_docs, unused_qualifications, clippy::all)]
@@ -50,14 +51,42 @@ fn f32_table(name: &str, rows: dimension::Value, length: usize) -> ValueInfoProt
     }
 }
 
-/// The extents of an input or output whose elements are 32-bit floats, `None` for an open one;
+/// The extents of an input or output whose elements are 32-bit floats, `None` for an open one,
+/// which exporters also write as a negative number;
 /// `None` where the type is another one or the shape is absent.
 pub fn f32_extents(port: &ValueInfoProto) -> Option<Vec<Option<usize>>> {
     let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref()?.value.as_ref() else { return None };
     let is_float = tensor.elem_type == DataType::Float as i32;
     let extent = |dimension: &Dimension| match dimension.value {
-        Some(dimension::Value::DimValue(size)) => usize::try_from(size).ok().filter(|size| *size > 0),
+        Some(dimension::Value::DimValue(size)) => usize::try_from(size).ok(),
         _ => None,
     };
     tensor.shape.as_ref().filter(|_| is_float).map(|shape| shape.dim.iter().map(extent).collect())
+}
+
+/// Element type and shape of an input or output, as "f32 [1, 200]".
+pub fn describe(port: &ValueInfoProto) -> String {
+    let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref().and_then(|kind| kind.value.as_ref()) else {
+        return "of no known type".into();
+    };
+    let element = match DataType::try_from(tensor.elem_type) {
+        Ok(DataType::Float) => "f32".into(),
+        Ok(other) => format!("{other:?}"),
+        Err(_) => format!("type {}", tensor.elem_type),
+    };
+    let dimensions = tensor.shape.iter().flat_map(|shape| &shape.dim);
+    let sizes: Vec<String> = dimensions
+        .map(|dimension| match &dimension.value {
+            Some(dimension::Value::DimValue(size)) => size.to_string(),
+            Some(dimension::Value::DimParam(name)) => name.clone(),
+            None => "?".into(),
+        })
+        .collect();
+    format!("{element} [{}]", sizes.join(", "))
+}
+
+/// The name of the first output of a graph that no node computes.
+pub fn uncomputed_output(graph: &GraphProto) -> Option<&str> {
+    let computed = || graph.node.iter().flat_map(|node| &node.output);
+    graph.output.iter().map(|port| port.name.as_str()).find(|name| !computed().any(|computed| computed == name))
 }

@@ -21,8 +21,9 @@ mod layout;
 
 use std::collections::HashMap;
 
+use crate::standard::foreign_operator;
 use crate::tensor::{Data, Tensor};
-use crate::{GraphProto, ModelProto};
+use crate::{GraphProto, ModelProto, uncomputed_output};
 use call::Call;
 
 /// Largest number of multiplications and values of one evaluation: a fraction of a second.
@@ -41,9 +42,16 @@ impl Reference {
     /// Prepares the graph of a file.
     ///
     /// # Errors
-    /// The file has no graph, or a constant of another type than f32 and i64.
+    /// The file has no graph, an output that no node computes, an operator that is not of the standard domain, or a constant of
+    /// another type than f32 and i64.
     pub fn new(model: &ModelProto) -> Result<Self, Reason> {
-        let graph = model.graph.clone().ok_or("the file holds no graph")?;
+        let graph = model.graph.clone().ok_or("a file without a graph")?;
+        if let Some(foreign) = foreign_operator(&graph) {
+            return Err(format!("the operator {foreign}"));
+        }
+        if let Some(output) = uncomputed_output(&graph) {
+            return Err(format!("the output {output:?}, which no node computes"));
+        }
         let read = |proto: &crate::TensorProto| {
             let tensor =
                 Tensor::read(proto).ok_or_else(|| format!("the type or shape of the tensor {}", proto.name))?;
@@ -88,4 +96,36 @@ fn evaluate(call: &Call<'_>) -> Option<Vec<Tensor>> {
         return layout::max_pool(call);
     }
     arithmetic::evaluate(call).or_else(|| layout::evaluate(call)).map(|output| vec![output])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::{Ends, Graph};
+    use prost::Message;
+
+    fn model(graph: Graph) -> ModelProto {
+        let file = graph.finish(&Ends { name: "test", input: ("x", 3), output: ("y", 3) }, &[]);
+        ModelProto::decode(&file[..]).expect("just written")
+    }
+
+    #[test]
+    fn clip_between_swapped_bounds_gives_the_maximum_and_keeps_nan() {
+        let mut graph = Graph::default();
+        let (low, high) = (graph.scalar(1.0), graph.scalar(-2.0));
+        graph.node("Clip", &["x", &low, &high]);
+        let found = Reference::new(&model(graph)).expect("it is known").run("x", &[-9.0, f32::NAN, 9.0]);
+        let found = found.expect("it is known");
+        assert!(found[0] == -2.0 && found[1].is_nan() && found[2] == -2.0, "{found:?}");
+    }
+
+    #[test]
+    fn an_operator_of_another_domain_is_not_taken_for_the_standard_one_of_its_name() {
+        let mut graph = Graph::default();
+        graph.node("Relu", &["x"]);
+        let mut model = model(graph);
+        model.graph.as_mut().expect("a graph").node[0].domain = "com.example".into();
+        let reason = Reference::new(&model).err().expect("another domain");
+        assert_eq!(reason, "the operator Relu of the domain \"com.example\"");
+    }
 }

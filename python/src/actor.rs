@@ -6,7 +6,7 @@ use heliostat_decide::observation::{OBSERVATION_VERSION, ObservationEncoder, USE
 use heliostat_decide::policy::actor_file::{
     ActorFile, ActorInfo, COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key,
 };
-use heliostat_decide::policy::compact_file;
+use heliostat_decide::policy::compact_file::CORRECTIONS;
 use heliostat_environment::action::Head;
 use heliostat_environment::angle_state::AngleState;
 use heliostat_environment::decoder_graph::{Observed, decode};
@@ -91,7 +91,7 @@ pub fn finish_actor<'py>(
     // The checks of a controller, so that a file that it would refuse is not written.
     let file = ActorFile { origin: "the exported network".into(), bytes: bytes.clone().into() };
     if action == "compact" {
-        compact_file::check(&file).map_err(refused)?;
+        CORRECTIONS.check(&file).map_err(refused)?;
     } else {
         ActorInfo::read(&file).and_then(|info| info.check_fits(room)).map_err(refused)?;
     }

@@ -41,6 +41,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(wire::kind_of, module)?)?;
     let kinds = wire::KINDS.map(|(name, kind)| (name, kind.number()));
     module.add("KINDS", BTreeMap::from(kinds))?;
+    module.add("ARRAYS_MAX", heliostat_proto::MAX_ARRAYS)?;
     module.add("STOP_RECORD_MAX", heliostat_array::stop_record::RECORD_MAX)?;
     module.add("Refused", module.py().get_type::<wire::Refused>())?;
     module.add("EVIDENCE_FEATURES", heliostat_decide::evidence::FEATURES)?;

@@ -8,7 +8,6 @@ use std::sync::{Mutex, PoisonError};
 use clap::ValueEnum;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::observation::{Observation, RoomState};
-use heliostat_decide::policy::compact_file::is_compact;
 use heliostat_decide::policy::{self, Actor, PolicyKind};
 use heliostat_decide::safety::Limits;
 use heliostat_engine::{ActorSource, build, load_actor};
@@ -66,7 +65,7 @@ impl Policy {
         };
         let file = if kind.is_learned() { Some(source.fetch(kind, room).map_err(refused)?) } else { None };
         let policy = match &file {
-            Some(file) if kind != PolicyKind::Residual && !is_compact(file) => {
+            Some(file) if kind.rows(file).is_none() => {
                 Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?))
             }
             _ => Kind::Other(build(kind, room, &source).map_err(refused)?),

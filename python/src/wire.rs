@@ -62,13 +62,13 @@ macro_rules! for_kind {
 
 /// The message of a payload: a dictionary with the fields of this kind.
 #[pyfunction]
-pub fn decode<'py>(py: Python<'py>, payload: &[u8], kind: u8) -> PyResult<Bound<'py, PyAny>> {
+pub fn decode<'py>(py: Python<'py>, payload: &[u8], kind: i64) -> PyResult<Bound<'py, PyAny>> {
     for_kind!(known(kind)?, decoded(py, payload))
 }
 
 /// The payload of a message, a dictionary with the fields of this kind.
 #[pyfunction(name = "encode")]
-pub fn encode_message<'py>(py: Python<'py>, message: &Bound<'py, PyAny>, kind: u8) -> PyResult<Bound<'py, PyBytes>> {
+pub fn encode_message<'py>(py: Python<'py>, message: &Bound<'py, PyAny>, kind: i64) -> PyResult<Bound<'py, PyBytes>> {
     let kind = known(kind)?;
     let value = from_python(message, kind.name())?;
     for_kind!(kind, encoded(py, value, kind))
@@ -83,13 +83,13 @@ pub fn kind_of(payload: &[u8]) -> PyResult<u8> {
 /// The keys of a process in a room, with the array of this index: one for each message by name, and
 /// the patterns of liveliness tokens.
 #[pyfunction]
-pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: usize) -> PyResult<Bound<'py, PyDict>> {
+pub fn keys<'py>(py: Python<'py>, room: &str, node: &str, source: u64, array: i64) -> PyResult<Bound<'py, PyDict>> {
     let room = self::room(room)?;
     let node = NodeKind::from_name(node).ok_or_else(|| PyValueError::new_err(format!("unknown process {node:?}")))?;
-    if array >= MAX_ARRAYS {
-        return Err(PyValueError::new_err(format!("array = {array}: expected 0 to {}", MAX_ARRAYS - 1)));
-    }
-    let own = room.array(array);
+    let index = usize::try_from(array).ok().filter(|index| *index < MAX_ARRAYS);
+    let index =
+        index.ok_or_else(|| PyValueError::new_err(format!("array = {array}: expected 0 to {}", MAX_ARRAYS - 1)))?;
+    let own = room.array(index);
     let (alive, status) = match node {
         NodeKind::Driver => (own.driver_alive(source), own.driver_status()),
         _ => (room.alive(node, source), room.status(node)),
@@ -134,8 +134,10 @@ pub fn from_dictionary<T: DeserializeOwned>(message: &Bound<'_, PyAny>, kind: Ki
     typed(from_python(message, kind.name())?, kind)
 }
 
-fn known(kind: u8) -> PyResult<Kind> {
-    Kind::from_number(kind).ok_or_else(|| refuse(&CodecError::UnknownKind { found: kind }))
+fn known(kind: i64) -> PyResult<Kind> {
+    let found =
+        u8::try_from(kind).map_err(|_| Refused::new_err(format!("kind {kind}: expected a number of one byte")))?;
+    Kind::from_number(found).ok_or_else(|| refuse(&CodecError::UnknownKind { found }))
 }
 
 fn typed<T: DeserializeOwned>(value: Value, kind: Kind) -> PyResult<T> {

@@ -126,6 +126,8 @@ def test_a_second_driver_of_the_same_array_is_refused(tmp_path: Path) -> None:
         (Settings(connect=("tcp/127.0.0.1:1",), tls=Path("keys")), "with --tls"),
         (Settings(connect=("tls/127.0.0.1:1",), tls=Path("absent")), "heliostat keys"),
         (Settings(client=True, listen=("tcp/127.0.0.1:1",)), "client"),
+        (Settings(listen="tcp/127.0.0.1:1"), "listen = .*: expected a tuple of endpoints"),  # type: ignore[arg-type]
+        (Settings(connect=(3,)), "connect = .*: expected a tuple of endpoints"),  # type: ignore[arg-type]
         (Settings(room="l/b", connect=("tcp/127.0.0.1:1",)), "only ASCII letters"),
     ],
 )
@@ -144,6 +146,16 @@ def test_a_wrong_command_line_ends_with_the_usage(tmp_path: Path) -> None:
         with python(EXAMPLES / "driver.py", *wrong, folder=tmp_path) as driver:
             _, errors = driver.communicate()
             assert driver.returncode == status and ("usage:" in errors or "no endpoint" in errors), errors
+    for array in ("-1", "16", "two", "1.5", str(2**80)):
+        with python(EXAMPLES / "driver.py", *SIZE, "--array", array, folder=tmp_path) as driver:
+            _, errors = driver.communicate()
+            assert driver.returncode == 2 and f'invalid array "{array}": expected an index from 0 to 15' in errors, errors
+
+
+@pytest.mark.parametrize("array", [-1, 16, 2**80, "x", None])
+def test_an_index_outside_the_arrays_of_a_room_is_refused(array: Any) -> None:
+    with pytest.raises(PeerError, match=r"array = .*: expected an integer from 0 to 15"):
+        run(Mirrors(), Settings(listen=("tcp/127.0.0.1:0",)), array=array, seconds=0)
 
 
 @needs_program

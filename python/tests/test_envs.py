@@ -195,11 +195,33 @@ def test_settings_outside_their_domain_are_refused_with_the_reason(keywords: dic
         heliostat.HeliostatEnv(**keywords)
 
 
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"held_out": -1}, "held_out = -1: expected an integer from 0"),
+        ({"held_out": 0, "held_out_set": 2**64}, "held_out_set = "),
+        ({"episode": (0, 0, 1)}, "states = 0"),
+        ({"episode": (0, 1)}, "episode = .*: expected the index, the number of states and that of seeds"),
+        ({"episode": (-1, 1, 1)}, "index of the episode = -1"),
+        ({"episode": (0, 10**18, 1)}, "states = 10+: expected an integer from 1 to 1000000"),
+        ({"episode": (0, 10**4, 10**4)}, "10000 states of 10000 seeds: expected at most 1000000 together"),
+        ({"other": 1}, "unknown reset options"),
+    ],
+)
+def test_reset_options_outside_their_domain_are_refused(options: dict[str, Any], reason: str) -> None:
+    env = heliostat.HeliostatEnv()
+    with pytest.raises(ValueError, match=reason):
+        env.reset(options=options)
+    with pytest.raises(TypeError, match="options: expected a mapping"):
+        env.reset(options=3)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="states = 'many': expected an integer"):
+        heliostat.evaluate(lambda seen: seen, env, states="many")  # type: ignore[arg-type]
+    env.close()
+
+
 def test_an_unknown_keyword_is_a_type_error() -> None:
     with pytest.raises(TypeError, match="penality"):
         heliostat.HeliostatEnv(penality=1.0)
-    with pytest.raises(TypeError, match="overrides = .*expected a dictionary"):
-        heliostat.HeliostatEnv(overrides=["users.count=3"])  # type: ignore[arg-type]
 
 
 def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:
@@ -235,24 +257,6 @@ def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:
     fresh.reset(seed=1)
     flat = np.zeros(200)  # float64 is converted
     assert np.array_equal(env.step(flat)[0], fresh.step(flat)[0])  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("episode", "reason"),
-    [
-        ((0, 2**40, 1), "states = 1099511627776: expected an integer from 1 to"),
-        ((0, 20, 2**40), "seeds = 1099511627776: expected an integer from 1 to"),
-        ((0, 0, 1), "states = 0"),
-        ((-1, 20, 1), "index = -1"),
-        ((0, 20), r"expected \(index, states, seeds\)"),
-        ("abc", r"expected \(index, states, seeds\)"),
-    ],
-)
-def test_an_episode_of_absurd_size_is_refused_before_it_needs_memory(episode: Any, reason: str) -> None:
-    env = make("heliostat/Hall-v0")
-    with pytest.raises(ValueError, match=reason):
-        env.reset(options={"episode": episode})
-    env.close()
 
 
 def test_a_score_of_absurd_size_is_refused_before_it_needs_memory() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import heliostat
 import numpy as np
 import pytest
@@ -100,6 +102,10 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: room.link(USERS, FLAT, FLAT, np.zeros((1, 3))), "blockers has the shape"),
         (lambda: room.link(USERS, FLAT, FLAT, sharing=0), "sharing = 0"),
         (lambda: room.decode(USERS, [1.0, -1.0, 0.0]), "weights holds -1"),
+        (lambda: room.link(USERS, FLAT, FLAT, sharing=-1), "sharing = -1: expected an integer from 1"),
+        (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=0.0), "step_m = 0.0: expected a positive number"),
+        (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e-6), "2.5e.13 points in this room, expected at most"),
+        (lambda: heliostat.rate_map(room, FLAT, FLAT, step_m=1e9), "step_m = 1000000000.0: expected .* below 10"),
         (lambda: heliostat.Policy("gready"), 'unknown policy "gready"'),
         (lambda: heliostat.Policy("none.onnx"), "none.onnx"),
     ]:
@@ -128,3 +134,18 @@ def test_more_users_than_memory_allows_are_refused() -> None:
             call(np.tile(USERS[:1], (65, 1)))
     with pytest.raises(ValueError, match="positions: dtype complex128, expected real numbers"):
         room.link(USERS.astype(complex), FLAT, FLAT)
+
+
+def test_arguments_of_another_type_are_refused_with_the_expected_one() -> None:
+    wrong: Any = [1]
+    wrong_value: Any = object()
+    name: Any = "specular"
+    for call, reason in [
+        (lambda: heliostat.Room("specular", wrong), "overrides: expected a mapping .*, found list"),
+        (lambda: heliostat.Room("specular", {"users.count": wrong_value}), "users.count is of the type object"),
+        (lambda: heliostat.rate_map(name, FLAT, FLAT), "room: expected a Room, found str"),
+        (lambda: heliostat.evaluate(lambda seen: seen, 3), "expected an environment of heliostat, found int"),
+    ]:
+        with pytest.raises(TypeError, match=reason):
+            call()  # type: ignore[no-untyped-call]
+    assert heliostat.load_scenario("specular", {"users.count": np.int64(3)}).users == 3  # type: ignore[dict-item]

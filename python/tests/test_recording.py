@@ -79,6 +79,14 @@ def test_the_truth_of_a_recording_agrees_with_the_physics(path: Path) -> None:
     assert truth["rate_mbps"][open_].mean() > truth["rate_mbps"][~open_].mean() or open_.all()
 
 
+def test_an_array_that_no_room_has_is_refused(path: Path) -> None:
+    recording = heliostat.Recording(path)
+    for read in (recording.commands, recording.telemetry, recording.decisions):
+        for array in (-1, 16, "x"):
+            with pytest.raises((TypeError, ValueError), match=r"array = .*: expected an integer from 0 to 15"):
+                read(array)  # type: ignore[arg-type]
+
+
 def test_files_that_are_no_recordings_are_refused_with_the_reason(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="none.mcap"):
         heliostat.Recording(tmp_path / "none.mcap")

@@ -159,3 +159,18 @@ def test_other_threads_run_while_a_batch_steps() -> None:
     thread.join()
     within = sum(begun < at < ended for at in ticks)
     assert within >= 2, f"{within} turns of the other thread in {ended - begun:.4f} s"
+
+
+@pytest.mark.parametrize("count", [-1, 10**9, None])
+def test_a_number_of_environments_outside_its_bounds_is_refused(count: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match=r"num_envs = .*: expected an integer from 1 to 16384"):
+        heliostat.HeliostatVectorEnv("specular", num_envs=count)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**64, 2.5, "x", [1, -1], [1, "x"]])
+def test_a_seed_outside_its_bounds_is_refused(seed: Any) -> None:
+    env = heliostat.HeliostatVectorEnv("specular", num_envs=2)
+    with pytest.raises((TypeError, ValueError), match=r"seed = .*: expected an integer from 0 to 2\*\*64 - 1"):
+        env.reset(seed=seed)
+    env.reset(seed=np.array([1, 2]))  # type: ignore[arg-type]
+    env.close()

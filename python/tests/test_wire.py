@@ -92,3 +92,12 @@ def test_keys_are_those_of_the_room_and_the_array() -> None:
     for room, node, array in [("l/b", "driver", 0), ("lab", "lamp", 0), ("lab", "driver", 16)]:
         with pytest.raises(ValueError, match="expected|unknown"):
             wire.keys(room, node, 1, array)
+
+
+def test_numbers_outside_their_bounds_are_refused() -> None:
+    for kind in (-1, 0, 99, 999, 2**40):
+        with pytest.raises(wire.Refused, match=f"kind {kind}"):
+            wire.encode({}, kind)
+    for array in (-1, 16, 2**40):
+        with pytest.raises(ValueError, match=f"array = {array}: expected 0 to 15"):
+            wire.keys("demo", "driver", 1, array)

@@ -4,6 +4,7 @@
 //! - [`Process`]: a built program as a process.
 //! - [`RoomObserver`]: a session that receives the messages of a room.
 //! - [`Browser`]: a browser with one page.
+//! - [`PageServer`]: a server of the live page.
 //! - [`PythonExample`]: an example in Python as a process.
 //! - [`containers`]: a container engine with base images.
 //! - [`faults`]: rooms of processes, faults, and the measurement of their effects.
@@ -17,6 +18,7 @@ pub mod architecture;
 mod browser;
 pub mod containers;
 pub mod faults;
+mod live_page;
 pub mod module_graph;
 mod observer;
 pub mod packages;
@@ -26,6 +28,7 @@ pub mod rust_source;
 mod wait;
 
 pub use browser::Browser;
+pub use live_page::{PageServer, choose_theme};
 pub use observer::RoomObserver;
 pub use process::{Ended, Process, programs};
 pub use python::{PythonExample, python};

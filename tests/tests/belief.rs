@@ -1,13 +1,13 @@
 //! The belief that a controller publishes: on the bus, beside the truth in the metrics, and on the
 //! page in a browser.
 
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use heliostat_bus::{Bus, BusConfig, Subscription, free_loopback_endpoint, free_loopback_port};
 use heliostat_proto::{BeliefReport, MirrorCommand, Room, RoomTruth, codec};
-use heliostat_tests::{Browser, Process, wait_until};
+use heliostat_tests::{Browser, PageServer, Process, wait_until};
 
 const FILTER: [&str; 6] =
     ["--scenario", "hall", "--set", "control.belief=\"filter\"", "--set", "streams.positions.rate_hz=50"];
@@ -123,7 +123,7 @@ fn a_controller_without_a_filter_publishes_no_belief() {
 fn the_metrics_compare_the_belief_with_the_reports_and_the_truth() {
     let setting = Setting::new(&FILTER);
     let [room_at, controller_at] = setting.metrics;
-    wait_until("many compared places", || value(&fetch(room_at), "heliostat_belief_places_total") > 500.0);
+    wait_until("many compared places", || value(&fetch(room_at), "heliostat_belief_places_total") > 1000.0);
     let (room, controller) = (fetch(room_at), fetch(controller_at));
     let places = value(&room, "heliostat_belief_places_total");
     let inside = |ellipse: &str| {
@@ -147,17 +147,12 @@ fn the_metrics_compare_the_belief_with_the_reports_and_the_truth() {
 #[test]
 fn the_page_draws_the_belief_of_each_user_until_it_is_switched_off() {
     let setting = Setting::new(&FILTER);
-    let port = TcpListener::bind(("127.0.0.1", 0)).and_then(|free| free.local_addr()).expect("a free port").port();
-    let (port, [room_at, controller_at]) = (port.to_string(), setting.endpoints.each_ref().map(String::as_str));
-    let server = Process::heliostat(
-        &[&["ui", "--plain", "--connect", room_at, "--connect", controller_at, "--ui-port", &port][..], &FILTER]
-            .concat(),
-    );
-    wait_until("the address of the page", || server.errors().contains("the page is at http://"));
-    let url = format!("http://127.0.0.1:{port}/");
+    let [room_at, controller_at] = setting.endpoints.each_ref().map(String::as_str);
+    let server = PageServer::start(&[&["--connect", room_at, "--connect", controller_at][..], &FILTER].concat());
+    let url = server.url();
     for flags in [&[][..], &["--disable-gpu", "--disable-3d-apis"]] {
         let Some(browser) = Browser::open_with(&url, flags) else { return };
-        let users = "const { to } = document.getElementById('room').room.motion; return to ? to.users : []";
+        let users = "return document.getElementById('room').room?.motion.to?.users ?? []";
         let believed = || {
             browser.run(users).as_array().is_some_and(|users| {
                 !users.is_empty() && users.iter().all(|user| user["belief"]["semi_axes_m"].is_array())

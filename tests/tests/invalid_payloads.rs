@@ -3,7 +3,8 @@
 
 use heliostat_bus::free_loopback_endpoint;
 use heliostat_proto::{
-    ChannelReport, MirrorCommand, NodeKind, Obstacle, ObstacleReport, Stamp, UserChannel, UserReport, UserState, codec,
+    ChannelReport, EmergencyStop, MirrorCommand, MirrorTelemetry, NodeKind, Obstacle, ObstacleReport, Stamp,
+    UserChannel, UserReport, UserState, codec,
 };
 use heliostat_tests::{Process, RoomObserver, wait_until};
 
@@ -112,6 +113,66 @@ fn the_controller_counts_invalid_payloads_by_cause() {
     observer.wait_for_commands();
     let summary = central.end().json();
     assert!(summary["refused"]["users:not-finite"].as_u64() > Some(0), "{summary}");
+    sim.end().json();
+}
+
+#[test]
+fn the_controller_counts_invalid_payloads_about_arrays_and_names_the_last() {
+    let (sim, central, observer) = running();
+    let room = observer.room().clone();
+    let geometry = room.geometry(NodeKind::SimNode);
+    // The cause is that of an empty payload; the controller decodes every topic by the same codec.
+    let topics = [
+        ("capabilities", "capabilities of mirrors", room.array(0).capabilities()),
+        ("safety", "safety of mirrors", room.array(0).safety()),
+        ("stop", "stop", room.stop()),
+        ("rearm", "rearm", room.rearm()),
+        ("geometry", "geometry", geometry),
+    ];
+    let problem = || observer.status(NodeKind::Controller).map(|status| status.last_problem).unwrap_or_default();
+    for (topic, name, key) in &topics {
+        let counter = format!("refused:{topic}:truncated");
+        observer.publish(key, &[]);
+        wait_until(&counter, || observer.counter(NodeKind::Controller, &counter) == 1);
+        wait_until(name, || problem().starts_with(&format!("{name}: ")));
+    }
+    let valid = encoded(&EmergencyStop::default());
+    for (name, payload) in [("wrong-version", vec![9, valid[1]]), ("trailing-bytes", [&valid[..], &[0]].concat())] {
+        let counter = format!("refused:stop:{name}");
+        observer.publish(&room.stop(), &payload);
+        wait_until(&counter, || observer.counter(NodeKind::Controller, &counter) == 1);
+    }
+    observer.wait_for_commands();
+    let summary = central.end().json();
+    assert_eq!(summary["refused"]["stop:truncated"].as_u64(), Some(1), "{summary}");
+    sim.end().json();
+}
+
+#[test]
+fn a_refusal_of_telemetry_names_the_array_and_the_sizes() {
+    let (sim, central, observer) = running();
+    let key = observer.room().array(0).telemetry();
+    wait_until("telemetry", || observer.telemetry().is_some());
+    let real = observer.telemetry().expect("received");
+    let sized = |roll, yaw| MirrorTelemetry {
+        roll_commanded: vec![0.0; roll],
+        yaw_commanded: vec![0.0; yaw],
+        roll_measured: Vec::new(),
+        yaw_measured: Vec::new(),
+        ..real.clone()
+    };
+    let problem = || observer.status(NodeKind::Controller).map(|status| status.last_problem).unwrap_or_default();
+    observer.publish(&key, &encoded(&sized(9, 9)));
+    let expected = "telemetry of mirrors refused: it has 9 roll and 9 yaw angles, expected 100 of each";
+    wait_until(expected, || problem().starts_with(expected));
+    observer.publish(&key, &[1]);
+    wait_until("the name of the array", || problem().starts_with("telemetry of mirrors: "));
+    // Its owner is that of the array, which is the simulator here.
+    let foreign = Stamp { source: real.stamp.source ^ 1, ..real.stamp };
+    observer.publish(&key, &encoded(&MirrorTelemetry { stamp: foreign, ..sized(100, 100) }));
+    let expected = format!("reports telemetry of mirrors in this room, which source {:016x} owns", real.stamp.source);
+    wait_until(&expected, || problem().contains(&expected));
+    central.end().json();
     sim.end().json();
 }
 

@@ -9,7 +9,7 @@ use std::net::TcpStream;
 use std::path::Path;
 
 use heliostat_proto::{ArrayState, NodeKind};
-use heliostat_tests::{Browser, Process, RoomObserver, wait_until};
+use heliostat_tests::{Browser, Process, RoomObserver, choose_theme, wait_until};
 
 /// A demo with a page, and an observer of its topics.
 struct Setting {
@@ -191,13 +191,7 @@ fn take_screenshots(browser: &Browser) {
         [("page-light", "light", 1280, 800), ("page-dark", "dark", 1280, 800), ("page-narrow", "light", 390, 844)]
     {
         browser.resize(width, height);
-        wait_until("the theme", || {
-            let now = browser.text("#theme");
-            if now != format!("theme: {theme}") {
-                browser.click("#theme");
-            }
-            now == format!("theme: {theme}")
-        });
+        choose_theme(browser, theme);
         std::thread::sleep(std::time::Duration::from_secs(3));
         std::fs::write(folder.join(name).with_extension("png"), browser.screenshot()).expect("written");
     }

@@ -8,8 +8,20 @@ const QUICK: [&str; 10] =
     ["fixed-point", "greedy", "mirror-codebook", "sine-cosine", "pso", "nearest", "random", "flat", "no-irs", "hold"];
 
 /// Learned policies, built in or not.
-const LEARNED: [&str; 11] =
-    ["ddpg", "td3", "sac", "ppo", "residual", "ddpg-raw", "ddpg-basis", "analytic", "dql", "q-learning", "sarsa"];
+const LEARNED: [&str; 12] = [
+    "ddpg",
+    "td3",
+    "sac",
+    "ppo",
+    "residual",
+    "lstm",
+    "ddpg-raw",
+    "ddpg-basis",
+    "analytic",
+    "dql",
+    "q-learning",
+    "sarsa",
+];
 
 /// A room small enough for the exhaustive search.
 const SMALL: [&str; 6] = ["--set", "mirrors.rows=3", "--set", "mirrors.columns=3", "--set", "users.count=3"];

@@ -2,8 +2,9 @@
 //!
 //! Layout: one array per component, a fixed number of mirrors per block, no data-dependent branch
 //! in a loop over lanes. rustc vectorises these loops: two mirrors at a time on the x86-64
-//! baseline, four with AVX2 (see [`with_widest_simd`](crate::simd::with_widest_simd)). To inspect
-//! the code: `cargo rustc --release -p heliostat-channel -- --emit asm`.
+//! baseline, four with AVX2, eight with AVX-512 (see
+//! [`with_widest_simd`](crate::simd::with_widest_simd)). To inspect the code:
+//! `cargo rustc --release -p heliostat-channel -- --emit asm`.
 
 use crate::arrays::{MirrorArrays, Surfaces};
 use crate::emitter::lambertian;

@@ -1,6 +1,8 @@
 //! The final report of a controller, as one JSON object or as a table.
 
-use std::{collections::BTreeMap, fmt};
+mod table;
+
+use std::collections::BTreeMap;
 
 use heliostat_decide::{
     belief::innovations::Innovations,
@@ -11,7 +13,6 @@ use heliostat_decide::{
     tenure::{Standing, TenureEvent},
 };
 use heliostat_proto::{MirrorTelemetry, Quantiles, Room, array_keys::array_name};
-use heliostat_service::printable::printable;
 use serde::{Deserialize, Serialize};
 
 use super::stage_times::{PolicyTimes, StageTimes};
@@ -228,11 +229,7 @@ impl Summary {
     /// The counters of the core; [`Summary::add_times`] adds the times.
     pub fn of(controller: &Controller) -> Self {
         let counters = controller.counters();
-        let degraded = DegradedMode::ALL.map(|mode| (mode.name().to_string(), counters.degraded(mode)));
-        let events = TenureEvent::ALL.map(|event| (event.name().to_string(), counters.tenure(event)));
         let arrays = 0..controller.arrays();
-        let users = [("unmeasured", counters.unmeasured_users), ("unserved", counters.unserved_users)]
-            .map(|(name, count)| (name.to_string(), count));
         let foreign = ("array:foreign-source".to_string(), counters.foreign_arrays);
         let refused = controller.inbox().refused().named().chain([foreign]);
         Self {
@@ -246,10 +243,10 @@ impl Summary {
             epoch: controller.epoch(),
             decisions: counters.decisions,
             commands: counters.commands,
-            fallbacks: degraded.into_iter().filter(|(_, count)| *count > 0).collect(),
-            refused: refused.filter(|(_, count)| *count > 0).collect(),
-            users: users.into_iter().filter(|(_, count)| *count > 0).collect(),
-            epoch_events: events.into_iter().filter(|(_, count)| *count > 0).collect(),
+            fallbacks: nonzero(DegradedMode::ALL.map(|mode| (mode.name(), counters.degraded(mode)))),
+            refused: nonzero(refused),
+            users: nonzero([("unmeasured", counters.unmeasured_users), ("unserved", counters.unserved_users)]),
+            epoch_events: nonzero(TenureEvent::ALL.map(|event| (event.name(), counters.tenure(event)))),
             standby: arrays.clone().any(|array| controller.tenure(array).standing() == Standing::Standby),
             unfit: controller.unfit().map(describe_unfit),
             missed: Stream::ALL.map(|stream| (stream.name().into(), controller.inbox().missed(stream))).into(),
@@ -339,100 +336,17 @@ impl Summary {
         for (name, policy) in &mut self.policies {
             policy.decision_us = policy_times.decision_us(name);
         }
-        let by_stage = Stage::ALL.map(|stage| (stage.name().to_string(), times.over_budget_by(stage)));
         self.over_budget = times.over_budget();
-        self.over_budget_by = by_stage.into_iter().filter(|(_, count)| *count > 0).collect();
+        self.over_budget_by = nonzero(Stage::ALL.map(|stage| (stage.name(), times.over_budget_by(stage))));
         self.decision_us = times.decision_us();
         self.stages_us = Stage::ALL.map(|stage| (stage.name().to_string(), times.stage_us(stage))).into();
         self.age_us = times.age_us();
     }
 }
 
-impl fmt::Display for Summary {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(formatter, "policy {} at the end, epoch {}", self.policy, self.epoch)?;
-        writeln!(
-            formatter,
-            "decisions {}, commands {}, unsent {}, dropped {}, cache warm-ups {}",
-            self.decisions, self.commands, self.unsent, self.dropped, self.cache_warm_ups
-        )?;
-        writeln!(formatter, "over 0.5 ms: {}, by longest stage:{}", self.over_budget, list(&self.over_budget_by))?;
-        writeln!(formatter, "{:<12}{:>10}{:>10}{:>10}{:>10}{:>10}", "time in us", "p50", "p90", "p99", "p99.9", "max")?;
-        let stages = Stage::ALL.iter().filter_map(|stage| Some((stage.name(), self.stages_us.get(stage.name())?)));
-        let rows = [("decision", &self.decision_us)].into_iter().chain(stages).chain([("age", &self.age_us)]);
-        for (name, times) in rows {
-            let Quantiles { p50, p90, p99, p999, max, .. } = times;
-            writeln!(formatter, "{name:<12}{p50:>10.1}{p90:>10.1}{p99:>10.1}{p999:>10.1}{max:>10.1}")?;
-        }
-        self.write_policies(formatter)?;
-        writeln!(formatter, "fallbacks:{}", list(&self.fallbacks))?;
-        writeln!(formatter, "refused:{}", list(&self.refused))?;
-        writeln!(formatter, "reports that did not arrive:{}", list(&self.missed))?;
-        write!(formatter, "angles limited: {} by range, {} by slew", self.clipped.range, self.clipped.slew)?;
-        if !self.users.is_empty() {
-            write!(
-                formatter,
-                "\nusers without a measured gain, or beyond the policy's capacity, summed over decisions:{}",
-                list(&self.users)
-            )?;
-        }
-        if let Some(BeliefSummary { reports, innovation_mean }) = self.belief {
-            write!(
-                formatter,
-                "\nbelief: mean normalised innovation squared {innovation_mean:.2} over {reports} reported positions"
-            )?;
-        }
-        if !self.epoch_events.is_empty() {
-            write!(formatter, "\nchanges of the epoch:{}", list(&self.epoch_events))?;
-        }
-        if self.standby {
-            write!(formatter, "\nstandby: the array follows another controller")?;
-        }
-        if self.driver_absent {
-            let arrays = self.arrays.iter().filter(|array| array.driver_absent);
-            let names: Vec<&str> = arrays.map(|array| array.name.as_str()).collect();
-            let to = if names.is_empty() { String::new() } else { format!(" to {}", names.join(" and ")) };
-            write!(formatter, "\nno driver received the commands{to}")?;
-        }
-        if self.geometry_differs {
-            write!(formatter, "\nroom and controller have different geometries")?;
-        }
-        if let Some(unfit) = &self.unfit {
-            write!(formatter, "\nno commands: {unfit}")?;
-        }
-        for granted in &self.machine {
-            write!(formatter, "\n{granted}")?;
-        }
-        for (room, summary) in &self.rooms {
-            let Quantiles { p50, p99, .. } = summary.decision_us;
-            write!(formatter, "\nroom {room}: decisions {}, p50 {p50:.1} us, p99 {p99:.1} us", summary.decisions)?;
-        }
-        if self.unanswered > 0 {
-            write!(formatter, "\nthe policy had not returned for 0.1 s at {} status checks", self.unanswered)?;
-        }
-        if !self.last_problem.is_empty() {
-            write!(formatter, "\nlast problem: {}", printable(&self.last_problem))?;
-        }
-        Ok(())
-    }
-}
-
-impl Summary {
-    /// One line for each policy that was in charge.
-    fn write_policies(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names = ["decisions", "commands", "fallbacks", "limited", "p50 (us)", "p99 (us)"];
-        write!(formatter, "{:<14}", "policy")?;
-        names.iter().try_for_each(|name| write!(formatter, "{name:>10}"))?;
-        writeln!(formatter)?;
-        for (name, policy) in &self.policies {
-            let limited = policy.clipped.range + policy.clipped.slew;
-            let counts = [policy.decisions, policy.commands, policy.fallbacks, limited];
-            write!(formatter, "{name:<14}")?;
-            counts.iter().try_for_each(|count| write!(formatter, "{count:>10}"))?;
-            writeln!(formatter, "{:>10.1}{:>10.1}", policy.decision_us.p50, policy.decision_us.p99)?;
-        }
-        Ok(())
-    }
+/// The counts above zero, by name.
+fn nonzero(counts: impl IntoIterator<Item = (impl Into<String>, u64)>) -> BTreeMap<String, u64> {
+    counts.into_iter().filter(|(_, count)| *count > 0).map(|(name, count)| (name.into(), count)).collect()
 }
 
 /// The mismatch, and the flag of the command line that accepts it, where there is one.
@@ -445,9 +359,24 @@ fn describe_unfit(unfit: &Unfit) -> String {
     format!("{unfit}{advice}")
 }
 
-fn list(counts: &BTreeMap<String, u64>) -> String {
-    if counts.is_empty() {
-        return " none".into();
+#[cfg(test)]
+mod tests {
+    use heliostat_decide::{core::Timing, policy::Fixed};
+    use heliostat_scenario::Scenario;
+
+    use super::*;
+
+    #[test]
+    fn the_report_leaves_out_counts_of_zero() {
+        let scenario = Scenario::builtin("specular").expect("a built-in scenario");
+        let policy = Box::new(Fixed::flat(scenario.mirror_count()));
+        let mut controller = Controller::new(&scenario, scenario.channel_model().expect("valid"), policy, 1);
+        let Summary { fallbacks, refused, users, epoch_events, .. } = Summary::of(&controller);
+        assert_eq!([fallbacks, refused, users, epoch_events], [const { BTreeMap::new() }; 4]);
+        // Without a position report there is nothing to observe.
+        controller.poll_command(0, Timing::InTime, &mut |_| {});
+        let summary = Summary::of(&controller);
+        assert_eq!(summary.fallbacks, BTreeMap::from([("held".to_owned(), 1)]));
+        assert!(summary.to_string().contains("\nfallbacks: held 1\nrefused: none\n"), "{summary}");
     }
-    counts.iter().map(|(name, count)| format!(" {name} {count}")).collect()
 }

@@ -17,6 +17,8 @@
 //! and to copy counters; callbacks hold it to pass on liveliness, stop orders and capabilities; the
 //! thread of policy swaps holds it to replace the policy.
 
+mod message_buffers;
+
 use std::{
     sync::{Arc, Mutex, MutexGuard},
     time::{Duration, Instant},
@@ -24,13 +26,10 @@ use std::{
 
 use heliostat_decide::{
     core::{Controller, Decision, Due, Stage, Timing},
-    inbox::Message,
     policy::Policy,
     refusal::{Refusal, Stream},
 };
-use heliostat_proto::{
-    ChannelReport, CodecError, MirrorTelemetry, Nanos, ObstacleReport, OrientationReport, UserReport, decode_into,
-};
+use heliostat_proto::{CodecError, Nanos};
 
 use super::{
     cache_warmer::{Action, CacheWarmer, KeepWarm},
@@ -43,6 +42,7 @@ use super::{
     watchdog::Watchdog,
 };
 use crate::report::stage_times::{StageStamps, StageTimes};
+use message_buffers::MessageBuffers;
 
 /// A report that arrives within this time after a decision indicates a backlog. The callback then
 /// queues it for the room's thread.
@@ -103,7 +103,7 @@ pub struct DecisionLoop {
     warmer: CacheWarmer,
     states: StatePublisher,
     /// Decoded into, and swapped with the core's former reports.
-    buffers: Buffers,
+    buffers: MessageBuffers,
     /// The stamps of the tick that is due.
     due: Option<StageStamps>,
     /// A decision whose predicted latency exceeds it is late.
@@ -114,42 +114,6 @@ pub struct DecisionLoop {
     unsent: u64,
     superseded: u64,
     last_malformed: Option<CodecError>,
-}
-
-struct Buffers {
-    users: UserReport,
-    channel: ChannelReport,
-    obstacles: ObstacleReport,
-    telemetry: MirrorTelemetry,
-    orientation: OrientationReport,
-}
-
-impl Buffers {
-    fn new() -> Self {
-        Self {
-            users: UserReport::buffer(),
-            channel: ChannelReport::buffer(),
-            obstacles: ObstacleReport::default(),
-            telemetry: MirrorTelemetry::default(),
-            orientation: OrientationReport::buffer(),
-        }
-    }
-
-    fn decode(&mut self, Inlet { stream, array }: Inlet, payload: &[u8]) -> Result<Message<'_>, CodecError> {
-        match stream {
-            Stream::Users => decode_into(&mut self.users, payload).map(|()| Message::Users(&mut self.users)),
-            Stream::Channel => decode_into(&mut self.channel, payload).map(|()| Message::Channel(&mut self.channel)),
-            Stream::Obstacles => {
-                decode_into(&mut self.obstacles, payload).map(|()| Message::Obstacles(&mut self.obstacles))
-            }
-            Stream::Telemetry => {
-                decode_into(&mut self.telemetry, payload).map(|()| Message::Telemetry(array, &mut self.telemetry))
-            }
-            Stream::Orientation => {
-                decode_into(&mut self.orientation, payload).map(|()| Message::Orientation(&mut self.orientation))
-            }
-        }
-    }
 }
 
 impl DecisionLoop {
@@ -171,7 +135,7 @@ impl DecisionLoop {
             watchdog,
             warmer: CacheWarmer::new(false),
             states,
-            buffers: Buffers::new(),
+            buffers: MessageBuffers::new(),
             due: None,
             deadline,
             was_late: false,
@@ -195,7 +159,7 @@ impl DecisionLoop {
         let message = match self.buffers.decode(inlet, payload) {
             Ok(message) => message,
             Err(error) => {
-                self.controller.handle_malformed(inlet.stream, Refusal::from(&error));
+                self.controller.handle_malformed((inlet.stream, inlet.array), Refusal::from(&error));
                 self.last_malformed = Some(error);
                 return;
             }

@@ -9,11 +9,11 @@ use std::{
 };
 
 use heliostat_bus::{Bus, Class, Publisher, Subscription};
-use heliostat_proto::{Nanos, NodeKind, RoomGeometry, Stamp, decode, encode};
+use heliostat_proto::{Nanos, NodeKind, RoomGeometry, Stamp, encode};
 use heliostat_scenario::{GeometryDifference, Scenario};
 use heliostat_service::printable::printable;
 
-use super::locks::lock;
+use super::{locks::lock, undecodable::Decoder};
 
 /// Time between two announcements.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -44,11 +44,11 @@ impl GeometryExchange {
     ///
     /// # Errors
     /// If the session is closed.
-    pub fn open(bus: &Bus, scenario: &Scenario, source: u64) -> anyhow::Result<(Self, Subscription)> {
+    pub fn open(bus: &Bus, scenario: &Scenario, source: u64, decoder: Decoder) -> anyhow::Result<(Self, Subscription)> {
         let received: Arc<Mutex<Announced>> = Arc::default();
         let newest = Arc::clone(&received);
         let subscription = bus.subscribe(&bus.room().geometry(NodeKind::SimNode), move |payload| {
-            let Ok(geometry) = decode::<RoomGeometry>(payload) else { return };
+            let Some(geometry) = decoder.decode::<RoomGeometry>("geometry", None, payload) else { return };
             *lock(&newest) = Some((Instant::now(), geometry.scenario));
         })?;
         let stamp = Stamp { source, ..Stamp::default() };

@@ -2,13 +2,13 @@
 
 use heliostat_decide::{
     core::{Counters, DegradedMode, Stage},
-    refusal::Refusal,
+    refusal::{LastRefusal, Refusal, Stream, TelemetrySizes},
     tenure::{Standing, Tenure, TenureEvent},
 };
 use heliostat_proto::{Nanos, NodeKind, NodeStatus, Stamp, array_keys::array_name};
 use heliostat_service::clock::utc_ns;
 
-use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters};
+use super::{decision_loop::DecisionLoop, policy_swap::SwapCounters, undecodable::UndecodableCounts};
 use crate::report::{stage_times::StageTimes, summary::Summary};
 
 /// What to do about commands without a receiver.
@@ -36,6 +36,7 @@ pub struct Reporter {
     orders_refused: u64,
     policy_warnings: u64,
     foreign_arrays: u64,
+    undecodable: u64,
     epoch_events: [u64; TenureEvent::ALL.len()],
     unfit: Option<String>,
     conditions: Conditions,
@@ -49,6 +50,8 @@ pub struct Conditions {
     pub without_driver: Vec<usize>,
     /// Why the room's geometry is not that of this controller.
     pub geometry: Option<String>,
+    /// Payloads that did not decode, of the topics that the decision loop does not receive.
+    pub undecodable: UndecodableCounts,
 }
 
 /// What went wrong since the last status.
@@ -83,6 +86,7 @@ impl Reporter {
             orders_refused: 0,
             policy_warnings: 0,
             foreign_arrays: 0,
+            undecodable: 0,
             epoch_events: [0; TenureEvent::ALL.len()],
             unfit: None,
             conditions: Conditions::default(),
@@ -102,13 +106,16 @@ impl Reporter {
         summary.unsent = decision_loop.unsent();
         summary.dropped = decision_loop.superseded();
         summary.cache_warm_ups = decision_loop.cache_warm_ups();
+        summary.refused.extend(conditions.undecodable.named());
         // Of several arrays, the first that follows another controller.
         let mut tenures = (0..controller.arrays()).map(|array| controller.tenure(array));
         let tenure = tenures.find(|tenure| tenure.standing() == Standing::Standby).unwrap_or(controller.tenure(0));
+        let undecodable = conditions.undecodable.clone();
         let problem = self
             .new_alarm(&summary, controller.counters(), tenure)
             .or_else(|| self.new_condition(conditions, controller.arrays()))
-            .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning));
+            .or_else(|| self.new_problem(decision_loop, &swaps).map(Problem::Warning))
+            .or_else(|| self.new_undecodable(&undecodable).map(Problem::Warning));
         if let Some(Problem::Alarm(problem) | Problem::Warning(problem)) = &problem {
             self.last_problem.clone_from(problem);
         }
@@ -282,6 +289,12 @@ impl Reporter {
         }
         refused_rose.then(|| describe_refusal(decision_loop)).flatten()
     }
+
+    /// The last payload that did not decode, if there are more than at the last report of one.
+    fn new_undecodable(&mut self, counts: &UndecodableCounts) -> Option<String> {
+        let before = std::mem::replace(&mut self.undecodable, counts.total());
+        counts.last().filter(|_| before < counts.total()).map(str::to_owned)
+    }
 }
 
 /// Which commands reach no driver, in a room with this number of arrays.
@@ -325,13 +338,21 @@ fn describe_event(event: TenureEvent, tenure: &Tenure) -> String {
 
 fn describe_refusal(decision_loop: &DecisionLoop) -> Option<String> {
     let inbox = decision_loop.controller.inbox();
-    let (stream, refusal) = inbox.refused().last()?;
-    let name = stream.name();
+    let LastRefusal { stream, array, refusal, sizes } = inbox.refused().last()?;
+    let (name, owner) = match stream {
+        Stream::Telemetry => (format!("telemetry of {}", array_name(array)), inbox.array_source(array)),
+        _ => (stream.name().to_owned(), inbox.source()),
+    };
     Some(match (refusal, decision_loop.last_malformed()) {
         (Refusal::ForeignSource, _) => format!(
             "a second source {:016x} reports {name} in this room, which source {:016x} owns; it is refused",
             inbox.refused().last_foreign_source().unwrap_or_default(),
-            inbox.source().unwrap_or_default()
+            owner.unwrap_or_default()
+        ),
+        (Refusal::WrongMirrorCount, _) if let Some(TelemetrySizes { roll, yaw, expected }) = sizes => format!(
+            "{name} refused: it has {roll} roll and {yaw} yaw angles, expected {expected} of each; \
+             start its driver with the size that the scenario gives {}",
+            array_name(array)
         ),
         (_, Some(error)) if refusal == Refusal::from(error) => format!("{name}: {error}"),
         _ => format!("{name} refused: {refusal}"),

@@ -7,18 +7,30 @@ use std::{
 
 use heliostat_bus::{Bus, Presence, Subscription};
 use heliostat_decide::{capabilities::Examiner, refusal::Stream};
-use heliostat_proto::{Capabilities, EmergencyStop, Rearm, SafetyReport, decode, keys::parse_alive};
+use heliostat_proto::{Capabilities, EmergencyStop, Rearm, SafetyReport, keys::parse_alive};
 use heliostat_service::clock::utc_ns;
 
 use super::{
     decision_loop::{DecisionLoop, PayloadHandler},
     inlet::Inlet,
     locks::lock,
+    undecodable::Decoder,
     watchdog::Watchdog,
 };
 
 /// How long the controller waits for the announcements of an array that is already there.
 const ANNOUNCED_WITHIN: Duration = Duration::from_millis(300);
+
+/// What the callbacks about arrays share.
+#[derive(Clone)]
+pub struct Arrays {
+    /// The loop that decides for all of them.
+    pub decision_loop: Arc<Mutex<DecisionLoop>>,
+    /// Knows their epochs and stops while the loop is locked.
+    pub watchdog: Arc<Watchdog>,
+    /// Counts the payloads that do not decode.
+    pub decoder: Decoder,
+}
 
 /// Subscribes to the reports of a room and to the liveliness of its sources.
 ///
@@ -60,21 +72,16 @@ pub fn subscribe_to_reports(bus: &Bus, handler: &PayloadHandler) -> anyhow::Resu
 ///
 /// # Errors
 /// If the session is closed.
-pub fn subscribe_to_arrays(
-    bus: &Bus,
-    decision_loop: &Arc<Mutex<DecisionLoop>>,
-    watchdog: &Arc<Watchdog>,
-    examiner: Examiner,
-) -> anyhow::Result<Vec<Subscription>> {
+pub fn subscribe_to_arrays(bus: &Bus, arrays: &Arrays, examiner: &Examiner) -> anyhow::Result<Vec<Subscription>> {
     let mut subscriptions = Vec::new();
-    let arrays = 0..lock(decision_loop).controller.arrays();
-    for array in arrays.clone() {
-        subscriptions.push(subscribe_to_capabilities(bus, array, decision_loop, examiner.clone())?);
+    let indices = 0..lock(&arrays.decision_loop).controller.arrays();
+    for array in indices.clone() {
+        subscriptions.push(subscribe_to_capabilities(bus, array, arrays, examiner.clone())?);
     }
-    subscriptions.push(watch_nodes(bus, decision_loop, examiner)?);
-    subscriptions.extend(subscribe_to_stops(bus, decision_loop, watchdog)?);
-    for array in arrays {
-        subscriptions.push(subscribe_to_safety(bus, array, decision_loop, watchdog)?);
+    subscriptions.push(watch_nodes(bus, &arrays.decision_loop, examiner.clone())?);
+    subscriptions.extend(subscribe_to_stops(bus, arrays)?);
+    for array in indices {
+        subscriptions.push(subscribe_to_safety(bus, array, arrays)?);
     }
     Ok(subscriptions)
 }
@@ -82,14 +89,14 @@ pub fn subscribe_to_arrays(
 fn subscribe_to_capabilities(
     bus: &Bus,
     array: usize,
-    decision_loop: &Arc<Mutex<DecisionLoop>>,
+    arrays: &Arrays,
     examiner: Examiner,
 ) -> anyhow::Result<Subscription> {
     let key = bus.room().array(array).capabilities();
-    let decision_loop = Arc::clone(decision_loop);
+    let Arrays { decision_loop, decoder, .. } = arrays.clone();
     let mut known = Capabilities::default();
     let mut examine = move |payload: &[u8]| {
-        let Ok(new) = decode::<Capabilities>(payload) else { return };
+        let Some(new) = decoder.decode::<Capabilities>("capabilities", Some(array), payload) else { return };
         let is_admitted = lock(&decision_loop).controller.admits_array(array, new.stamp.source);
         if is_admitted && known == (Capabilities { stamp: known.stamp, ..new.clone() }) {
             return;
@@ -107,40 +114,30 @@ fn subscribe_to_capabilities(
 
 /// The watchdog has latches of its own, because the decision loop can be locked when an order
 /// arrives.
-fn subscribe_to_stops(
-    bus: &Bus,
-    decision_loop: &Arc<Mutex<DecisionLoop>>,
-    watchdog: &Arc<Watchdog>,
-) -> anyhow::Result<[Subscription; 2]> {
+fn subscribe_to_stops(bus: &Bus, arrays: &Arrays) -> anyhow::Result<[Subscription; 2]> {
     let room = bus.room();
-    let shared = || (Arc::clone(decision_loop), Arc::clone(watchdog));
-    let (on_stop, watchdog) = shared();
+    let Arrays { decision_loop: on_stop, watchdog, decoder } = arrays.clone();
     let stops = bus.subscribe(&room.stop(), move |payload| {
-        let Ok(order) = decode::<EmergencyStop>(payload) else { return };
+        let Some(order) = decoder.decode::<EmergencyStop>("stop", None, payload) else { return };
         watchdog.update_stop(|latch| latch.handle_order(utc_ns(), &order));
         let decision_loop = &mut lock(&on_stop);
         let now = decision_loop.room_time_ns();
         decision_loop.controller.handle_stop_order(now, &order);
     })?;
-    let (on_rearm, watchdog) = shared();
+    let Arrays { decision_loop: on_rearm, watchdog, decoder } = arrays.clone();
     let rearms = bus.subscribe(&room.rearm(), move |payload| {
-        let Ok(rearm) = decode::<Rearm>(payload) else { return };
+        let Some(rearm) = decoder.decode::<Rearm>("rearm", None, payload) else { return };
         watchdog.update_stop(|latch| latch.handle_rearm(&rearm));
         lock(&on_rearm).controller.handle_rearm(&rearm);
     })?;
     Ok([stops, rearms])
 }
 
-fn subscribe_to_safety(
-    bus: &Bus,
-    array: usize,
-    decision_loop: &Arc<Mutex<DecisionLoop>>,
-    watchdog: &Arc<Watchdog>,
-) -> anyhow::Result<Subscription> {
+fn subscribe_to_safety(bus: &Bus, array: usize, arrays: &Arrays) -> anyhow::Result<Subscription> {
     let key = bus.room().array(array).safety();
-    let (decision_loop, watchdog) = (Arc::clone(decision_loop), Arc::clone(watchdog));
+    let Arrays { decision_loop, watchdog, decoder } = arrays.clone();
     let report = move |payload: &[u8]| {
-        let Ok(report) = decode::<SafetyReport>(payload) else { return };
+        let Some(report) = decoder.decode::<SafetyReport>("safety", Some(array), payload) else { return };
         if lock(&decision_loop).controller.handle_safety(array, &report) {
             watchdog.handle_safety(array, &report);
         }

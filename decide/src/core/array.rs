@@ -104,4 +104,20 @@ impl Controller {
     pub fn unfit(&self) -> Option<&Unfit> {
         self.arrays.iter().find_map(|array| array.guard.unfit())
     }
+
+    /// Decides which arrays get the command that is due at `now`.
+    pub(super) fn update_permits(&mut self, now: Nanos) {
+        let repeated = self.repeated.take();
+        for (index, array) in self.arrays.iter_mut().enumerate() {
+            match repeated {
+                Some(withheld) => array.repeat_permit(withheld >> index & 1 == 0),
+                None => array.update_permit(now, self.inbox.telemetry(index), &mut self.counters),
+            }
+        }
+    }
+
+    /// Whether a command was given.
+    pub(super) fn has_command(&self) -> bool {
+        self.arrays.iter().any(|array| array.commanded_ns.is_some())
+    }
 }

@@ -20,20 +20,22 @@ use super::{
 use crate::{
     belief::memory::{DeviceMemory, LaterMemories, TiltMemory},
     input::inbox::memory::{ArrayInboxMemory, InboxMemory, OrientationMemory},
-    observe::{evidence::EvidenceMemory, observer::memory::ObserverMemory},
+    observe::{evidence::EvidenceMemory, observer::memory::ObserverMemory, walk_history::WalkMemory},
     output::guard::GuardMemory,
     output::safety::check_finite,
     policy::FallbackMemory,
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
-const LAYOUT: u32 = 4;
+const LAYOUT: u32 = 5;
 /// The layout that ends before the orientations.
 const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
 /// The layout that ends before the arrays, the tilted receivers and the residuals.
 const LAYOUT_WITHOUT_ARRAYS: u32 = 2;
 /// The layout that ends before the devices.
 const LAYOUT_WITHOUT_DEVICES: u32 = 3;
+/// The layout that ends before the last reports about the users.
+const LAYOUT_WITHOUT_WALKS: u32 = 4;
 
 /// The state of a controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -62,6 +64,9 @@ pub struct Memory {
     evidence: EvidenceMemory,
     /// What orientation reports have shown of devices; after all fields of the third layout.
     devices: DeviceMemory,
+    /// The last reports about the users, where the policy predicts places; after all fields of the fourth
+    /// layout.
+    walks: WalkMemory,
 }
 
 /// The state of one of several arrays.
@@ -109,17 +114,20 @@ impl Memory {
         let found = bytes.first().map_or(0, |byte| u32::from(*byte));
         match found {
             LAYOUT => Ok(decode_state(bytes)?),
-            LAYOUT_WITHOUT_ORIENTATIONS | LAYOUT_WITHOUT_ARRAYS | LAYOUT_WITHOUT_DEVICES => {
+            LAYOUT_WITHOUT_ORIENTATIONS..=LAYOUT_WITHOUT_WALKS => {
                 let mut complete = bytes.to_vec();
                 if found == LAYOUT_WITHOUT_ORIENTATIONS {
                     complete.extend(encode_state(&OrientationMemory::default())?);
                 }
-                if found != LAYOUT_WITHOUT_DEVICES {
+                if found <= LAYOUT_WITHOUT_ARRAYS {
                     complete.extend(encode_state(&Vec::<ArrayMemory>::new())?);
                     complete.extend(encode_state(&TiltMemory::default())?);
                     complete.extend(encode_state(&EvidenceMemory::default())?);
                 }
-                complete.extend(encode_state(&DeviceMemory::default())?);
+                if found <= LAYOUT_WITHOUT_DEVICES {
+                    complete.extend(encode_state(&DeviceMemory::default())?);
+                }
+                complete.extend(encode_state(&WalkMemory::default())?);
                 Ok(Self { layout: LAYOUT, ..decode_state(&complete)? })
             }
             _ => Err(MemoryError::Layout { found }),
@@ -166,6 +174,7 @@ impl Controller {
             tilt: self.observer.tilt_memory(),
             evidence: self.observer.evidence_memory(),
             devices: self.observer.device_memory(),
+            walks: self.observer.walk_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
     }
@@ -197,6 +206,9 @@ impl Controller {
         }
         if !self.observer.restore_evidence(&memory.evidence) {
             return Err(other("history of the channel residuals"));
+        }
+        if !self.observer.restore_walks(&memory.walks) {
+            return Err(other("last reports about the users"));
         }
         self.policy.restore(&memory.policy);
         self.arrays[0].guard.restore(&memory.guard);

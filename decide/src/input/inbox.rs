@@ -138,20 +138,26 @@ impl Inbox {
                 self.renew_owner(now, (stream, array), stamp.source);
                 self.keep(message);
             }
-            Err(Refusal::ForeignSource) => self.refused.count_foreign(stream, stamp.source),
+            Err(Refusal::ForeignSource) => self.refused.count_foreign((stream, array), stamp.source),
             Err(refusal) => {
                 if array < self.arrays.len() {
                     self.track_mut(stream, array).on_refused(&stamp);
                 }
-                self.refused.count(stream, refusal);
+                match &message {
+                    Message::Telemetry(_, report) if refusal == Refusal::WrongMirrorCount => {
+                        let sizes = self.arrays.get(array).map(|array| array.sizes(report));
+                        self.refused.count_sizes((stream, array), sizes);
+                    }
+                    _ => self.refused.count((stream, array), refusal),
+                }
             }
         }
         checked
     }
 
-    /// Counts a payload that does not decode.
-    pub fn count_malformed(&mut self, stream: Stream, refusal: Refusal) {
-        self.refused.count(stream, refusal);
+    /// Counts a payload of a stream, and of an array for telemetry, that does not decode.
+    pub fn count_malformed(&mut self, place: (Stream, usize), refusal: Refusal) {
+        self.refused.count(place, refusal);
     }
 
     /// The latest positions.

@@ -151,24 +151,54 @@ impl fmt::Display for Refusal {
     }
 }
 
+/// The last message that was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LastRefusal {
+    /// Its stream.
+    pub stream: Stream,
+    /// The array that telemetry describes; 0 for reports about the room.
+    pub array: usize,
+    /// Why.
+    pub refusal: Refusal,
+    /// The sizes of telemetry of another number of mirrors.
+    pub sizes: Option<TelemetrySizes>,
+}
+
+/// The sizes of telemetry, and the one expected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TelemetrySizes {
+    /// Number of commanded roll angles.
+    pub roll: usize,
+    /// Number of commanded yaw angles.
+    pub yaw: usize,
+    /// Number of mirrors of the array.
+    pub expected: usize,
+}
+
 /// The counters of refusals, and the last refusal.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Refused {
     counts: [[u64; Refusal::ALL.len()]; Stream::ALL.len()],
-    last: Option<(Stream, Refusal)>,
+    last: Option<LastRefusal>,
     last_foreign_source: Option<u64>,
 }
 
 impl Refused {
-    /// Counts one refusal.
-    pub fn count(&mut self, stream: Stream, refusal: Refusal) {
+    /// Counts one refusal of a stream, and of an array for telemetry.
+    pub fn count(&mut self, (stream, array): (Stream, usize), refusal: Refusal) {
         self.counts[stream as usize][refusal as usize] += 1;
-        self.last = Some((stream, refusal));
+        self.last = Some(LastRefusal { stream, array, refusal, sizes: None });
+    }
+
+    /// Counts telemetry of another number of mirrors, and keeps its sizes.
+    pub(crate) fn count_sizes(&mut self, place: (Stream, usize), sizes: Option<TelemetrySizes>) {
+        self.count(place, Refusal::WrongMirrorCount);
+        self.last = self.last.map(|last| LastRefusal { sizes, ..last });
     }
 
     /// Counts a report of a source that does not own the room, and keeps its id.
-    pub(crate) fn count_foreign(&mut self, stream: Stream, source: u64) {
-        self.count(stream, Refusal::ForeignSource);
+    pub(crate) fn count_foreign(&mut self, place: (Stream, usize), source: u64) {
+        self.count(place, Refusal::ForeignSource);
         self.last_foreign_source = Some(source);
     }
 
@@ -183,7 +213,7 @@ impl Refused {
     }
 
     /// The last refusal.
-    pub fn last(&self) -> Option<(Stream, Refusal)> {
+    pub fn last(&self) -> Option<LastRefusal> {
         self.last
     }
 
@@ -216,9 +246,9 @@ mod tests {
     #[test]
     fn only_counters_above_zero_are_listed() {
         let mut refused = Refused::default();
-        refused.count(Stream::Channel, Refusal::Stale);
-        refused.count(Stream::Channel, Refusal::Stale);
-        refused.count_foreign(Stream::Users, 7);
+        refused.count((Stream::Channel, 0), Refusal::Stale);
+        refused.count((Stream::Channel, 0), Refusal::Stale);
+        refused.count_foreign((Stream::Users, 0), 7);
         let named: Vec<_> = refused.named().collect();
         assert_eq!(named, [("users:foreign-source".into(), 1), ("channel:stale".into(), 2)]);
         assert_eq!(refused.last_foreign_source(), Some(7));

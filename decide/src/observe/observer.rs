@@ -19,12 +19,16 @@
 //! the age of the report, the settling time of the mirrors, and half of the interval until the next
 //! report. No user is predicted to leave the room.
 //!
+//! A policy that predicts places itself replaces the place of each user ([`WalkHistory`]), whatever the
+//! belief; headings and gains stay those of the belief.
+//!
 //! With the filter, measured gains show headings and unreported obstacles. The gain of the direct
 //! path is then that of the model at the predicted place, or 0 where it is blocked: by the latest
 //! measurement where all obstacles are reported, and otherwise by what the filter believes.
 
 mod beliefs;
 pub mod memory;
+mod places;
 
 use heliostat_channel::{ChannelModel, Orientation, Vec3, blockage::Cylinder};
 use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Nanos, OrientationReport, UserReport};
@@ -38,6 +42,7 @@ use crate::{
         observation::{Observation, RoomState},
         prediction::{Predicted, Prediction},
         slots::Slots,
+        walk_history::WalkHistory,
     },
 };
 
@@ -78,10 +83,20 @@ pub struct Observer {
     estimates: Vec<Option<Estimate>>,
     /// Absent where the policy corrects nothing.
     evidence: Option<Evidence>,
+    /// Absent where the policy predicts no places.
+    walks: Option<WalkHistory>,
 }
 
-/// Writes the corrections of a policy for the rows of an observation.
-pub type Correct<'a> = &'a mut dyn FnMut(&mut Evidence);
+/// A part of the belief that a policy may change for an observation.
+pub enum Correctable<'a> {
+    /// Where the users are while the command is in force.
+    Places(&'a mut WalkHistory),
+    /// How they hold their receivers.
+    Receivers(&'a mut Evidence),
+}
+
+/// Writes the predictions and corrections of a policy for the rows of an observation.
+pub type Correct<'a> = &'a mut dyn FnMut(Correctable<'_>);
 
 /// Where the gains of the direct paths came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,6 +133,7 @@ impl Observer {
             forced: Vec::with_capacity(MAX_USERS),
             estimates: Vec::with_capacity(MAX_USERS),
             evidence: None,
+            walks: None,
         }
     }
 
@@ -143,6 +159,7 @@ impl Observer {
     /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
     pub fn handle_users(&mut self, report: &UserReport) {
         self.prediction.handle_users(report);
+        self.walks.iter_mut().for_each(|walks| walks.handle_users(report));
     }
 
     /// Takes an accepted orientation report. Call it once for each.
@@ -188,10 +205,11 @@ impl Observer {
         self.slots.clear();
         self.headings.clear();
         self.evidence.iter_mut().for_each(Evidence::forget);
+        self.walks.iter_mut().for_each(WalkHistory::forget);
     }
 
     /// Fills an observation from the latest reports at `now`; `None` without a position report.
-    /// `correct` may correct the belief about each user, where evidence is kept.
+    /// `correct` may correct the belief about each user, where walks or evidence are kept.
     ///
     /// Does not allocate.
     pub fn observe(
@@ -204,6 +222,7 @@ impl Observer {
         let report = inbox.users()?;
         let age_s = now.saturating_sub(report.stamp.time_ns) as f64 * 1e-9;
         self.place_users(report, age_s);
+        self.predict_places(age_s, correct);
         let held = inbox.orientation(now);
         self.orientations.clear();
         let users = self.slots.ids().iter().zip(self.headings.iter().zip(&self.velocities));
@@ -278,7 +297,7 @@ impl Observer {
             let Some(estimate) = *estimate else { return };
             evidence.add(model, &Believed { user: *user, estimate, orientation: *orientation });
         }
-        correct(evidence);
+        correct(Correctable::Receivers(evidence));
         if reported {
             return;
         }

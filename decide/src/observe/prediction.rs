@@ -121,6 +121,16 @@ impl Prediction {
         self.lead.ahead_s(0.0)
     }
 
+    /// Half of the lengths of the room along x and y in m.
+    pub fn half_room_m(&self) -> [f64; 2] {
+        self.lead.half_room_m
+    }
+
+    /// The nearest position within the room.
+    pub fn within_room(&self, position: Vec3) -> Vec3 {
+        self.lead.within_room(position)
+    }
+
     /// Takes an accepted channel report; see [`Belief::handle_channel`].
     pub fn handle_channel(
         &mut self,

@@ -7,14 +7,18 @@
 use std::borrow::Cow;
 
 use heliostat_onnx::{
-    ModelProto, ValueInfoProto, tensor::first_not_finite, tensor_proto::DataType,
-    tensor_shape_proto::dimension::Value as Dimension, type_proto,
+    ModelProto, ValueInfoProto, describe,
+    standard::{VersionError, check_versions},
+    tensor::first_not_finite,
 };
 use heliostat_scenario::Scenario;
 use prost::Message;
 use thiserror::Error;
 
 use crate::observe::observation::{OBSERVATION_VERSION, ObservationEncoder};
+
+/// Longest text of a file that a message repeats, in characters.
+const QUOTED_MAX: usize = 64;
 
 /// Name of the network's only input.
 pub const INPUT_NAME: &str = "observation";
@@ -25,6 +29,11 @@ pub const OUTPUT_NAME: &str = "angles";
 pub const CORRECTIONS_NAME: &str = "corrections";
 /// The action of a network that corrects the belief.
 pub const COMPACT: &str = "compact";
+/// The action of a network that gives the angles; that of a file without an entry.
+pub const ANGLES: &str = "angles";
+
+/// Action and name of the only output of a network that predicts places.
+pub const DISPLACEMENTS_NAME: &str = "displacements";
 
 /// The keys of the metadata that every actor carries.
 pub mod key {
@@ -36,7 +45,8 @@ pub mod key {
     pub const USERS_MAX: &str = "heliostat.users_max";
     /// Number of mirrors.
     pub const MIRRORS: &str = "heliostat.mirrors";
-    /// What the output is: [`COMPACT`](super::COMPACT), or angles where the entry is missing.
+    /// What the output is: [`COMPACT`](super::COMPACT), [`DISPLACEMENTS_NAME`](super::DISPLACEMENTS_NAME), or
+    /// [`ANGLES`](super::ANGLES) where the entry is missing.
     pub const ACTION: &str = "heliostat.action";
     /// Channel mode that the actor was trained in.
     pub const MODE: &str = "heliostat.mode";
@@ -64,6 +74,26 @@ pub enum ActorError {
         origin: String,
         /// Why.
         message: String,
+    },
+    /// The version of the format or of the operators is not known.
+    #[error("{origin} has {unknown}")]
+    Version {
+        /// The file.
+        origin: String,
+        /// The version found and those expected.
+        unknown: VersionError,
+    },
+    /// No policy has the action.
+    #[error(
+        "{origin} has the unknown action {found}, expected \"{ANGLES}\" or \"{COMPACT}\": \
+         correct its metadata \"{}\", or export the actor again with `heliostat train`",
+        key::ACTION
+    )]
+    Action {
+        /// The file.
+        origin: String,
+        /// The action found.
+        found: String,
     },
     /// Inputs or outputs have other names or another number.
     #[error("{origin} has {side} {found:?}, expected exactly one, \"{expected}\"")]
@@ -155,7 +185,7 @@ pub enum ActorError {
     #[error(
         "{origin} has no usable metadata \"{key}\" (found {found}), expected the entries that \
          `heliostat config --as-json actor` prints; export the actor again with `heliostat train`",
-        found = found.as_ref().map_or("none".to_owned(), |value| format!("{value:?}"))
+        found = found.as_ref().map_or("none".to_owned(), |value| quoted(value))
     )]
     Metadata {
         /// The file.
@@ -225,8 +255,9 @@ impl ActorInfo {
         let origin = file.origin.clone();
         let not_onnx = |message: String| ActorError::NotOnnx { origin: origin.clone(), message };
         let model = ModelProto::decode(file.bytes.as_ref()).map_err(|error| not_onnx(error.to_string()))?;
-        let not_finite = first_not_finite(&model);
+        let (versions, not_finite) = (check_versions(&model), first_not_finite(&model));
         let graph = model.graph.ok_or_else(|| not_onnx("it holds no graph".into()))?;
+        versions.map_err(|unknown| ActorError::Version { origin: origin.clone(), unknown })?;
         if let Some(tensor) = not_finite {
             return Err(ActorError::NotFinite { origin: file.origin.clone(), tensor });
         }
@@ -235,6 +266,9 @@ impl ActorInfo {
             return Err(ActorError::NoMetadata { origin: file.origin.clone() });
         }
         let reader = MetadataReader { origin: &file.origin, entries: &entries };
+        if let Some(action) = reader.find(key::ACTION).filter(|action| ![ANGLES, COMPACT].contains(&action.as_str())) {
+            return Err(ActorError::Action { origin: origin.clone(), found: quoted(action) });
+        }
         let info = Self {
             observation_version: reader.number(key::OBSERVATION_VERSION)?,
             users_max: reader.number(key::USERS_MAX)?,
@@ -325,25 +359,9 @@ impl ActorInfo {
     }
 }
 
-/// Element type and shape, as "f32 [1, 200]".
-pub(super) fn describe(port: &ValueInfoProto) -> String {
-    let Some(type_proto::Value::TensorType(tensor)) = port.r#type.as_ref().and_then(|kind| kind.value.as_ref()) else {
-        return "of no known type".into();
-    };
-    let element = match DataType::try_from(tensor.elem_type) {
-        Ok(DataType::Float) => "f32".into(),
-        Ok(other) => format!("{other:?}"),
-        Err(_) => format!("type {}", tensor.elem_type),
-    };
-    let dimensions = tensor.shape.iter().flat_map(|shape| &shape.dim);
-    let sizes: Vec<String> = dimensions
-        .map(|dimension| match &dimension.value {
-            Some(Dimension::DimValue(size)) => size.to_string(),
-            Some(Dimension::DimParam(name)) => name.clone(),
-            None => "?".into(),
-        })
-        .collect();
-    format!("{element} [{}]", sizes.join(", "))
+/// The beginning of a text of a file, in quotation marks and without control characters.
+pub(super) fn quoted(text: &str) -> String {
+    format!("{:?}", text.chars().take(QUOTED_MAX).collect::<String>())
 }
 
 struct MetadataReader<'a> {

@@ -13,6 +13,7 @@ use crate::{
     observe::{
         evidence::Evidence,
         observation::{EncodeError, Observation},
+        walk_history::WalkHistory,
     },
     output::safety::NotFinite,
 };
@@ -48,6 +49,15 @@ pub trait Policy: Send {
     /// Corrects the belief about the users, before their observation is made for
     /// [`act`](Self::act). A failure is returned by that call.
     fn correct(&mut self, _: &mut Evidence) {}
+
+    /// Whether it predicts the places of users by their last reports; the core then keeps these.
+    fn reads_walks(&self) -> bool {
+        false
+    }
+
+    /// Predicts the places of the users, before their observation is made for [`act`](Self::act). A
+    /// failure is returned by that call.
+    fn predict(&mut self, _: &mut WalkHistory) {}
 
     /// The largest number of users that it serves; it leaves out the others of an observation.
     fn users_max(&self) -> usize {

@@ -7,8 +7,9 @@ use thiserror::Error;
 
 use super::actor::Actor;
 use super::actor_file::{ActorError, ActorFile};
-use super::compact_file::{CompactError, is_compact};
+use super::compact_file::{CORRECTIONS, CompactError, DISPLACEMENTS, RowKind};
 use super::engine::Engine;
+use super::lstm::Lstm;
 use super::proposal::{Policy, TimeSource};
 use super::residual::Residual;
 use crate::output::safety::Limits;
@@ -76,6 +77,8 @@ policies! {
     Ddpg: Learned,
     /// Learned: greedy on a belief that a network corrects by channel residuals; one file for any room
     Residual: Learned,
+    /// Learned: greedy on places that an LSTM predicts from the last reports; one file for any room
+    Lstm: Learned,
     /// Learned: DDPG on the angles of all mirrors, as in the paper
     DdpgRaw: Learned,
     /// Learned: as ddpg-raw, with a critic that reads smooth patterns of the angles
@@ -163,6 +166,16 @@ impl PolicyKind {
         matches!(self.recipe(), Learned)
     }
 
+    /// What the network in the file of a learned policy is applied to: a row of each user, or, for `None`,
+    /// the complete observation. The file decides under the name of any policy but `residual` and `lstm`.
+    pub fn rows(self, file: &ActorFile) -> Option<&'static RowKind> {
+        match self {
+            Self::Residual => Some(&CORRECTIONS),
+            Self::Lstm => Some(&DISPLACEMENTS),
+            _ => RowKind::of(file),
+        }
+    }
+
     /// The names of all learned policies, separated by commas.
     pub fn learned_names() -> String {
         let learned = Self::value_variants().iter().filter(|kind| kind.is_learned());
@@ -179,9 +192,8 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     match kind.recipe() {
         Learned => {
             let actor = resources.actor.ok_or_else(|| BuildError::ActorExpected { policy: kind.name() })?;
-            if kind == PolicyKind::Residual || is_compact(actor) {
-                let size = (scenario.users.count, scenario.mirror_count());
-                return Residual::load(actor, size, resources.engine)?.named(kind.name()).boxed();
+            if let Some(rows) = kind.rows(actor) {
+                return Ok(load_rows(rows, kind, (actor, scenario), resources.engine)?);
             }
             Actor::load(actor, scenario, resources.engine)?.named(kind.name()).boxed()
         }
@@ -192,6 +204,24 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
             range_rad: Limits::new(&scenario.control).range_rad(),
             monotonic_ns: resources.monotonic_ns,
         }),
+    }
+}
+
+/// Loads a policy whose network is applied to a row of each user, for a room, under the name of `kind`.
+///
+/// # Errors
+/// [`CompactError`] where the file is of another kind, or the engine refuses it.
+pub fn load_rows(
+    rows: &'static RowKind,
+    kind: PolicyKind,
+    (file, scenario): (&ActorFile, &Scenario),
+    engine: &dyn Engine,
+) -> Result<Box<dyn Policy>, CompactError> {
+    let size = (scenario.users.count, scenario.mirror_count());
+    if *rows == CORRECTIONS {
+        Ok(Box::new(Residual::load(file, size, engine)?.named(kind.name())))
+    } else {
+        Ok(Box::new(Lstm::load(file, size, engine)?.named(kind.name())))
     }
 }
 

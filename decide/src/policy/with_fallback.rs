@@ -9,7 +9,7 @@ use super::{
     warm_up::warm_up,
 };
 use crate::{
-    observe::{evidence::Evidence, observation::Observation},
+    observe::{observation::Observation, observer::Correctable},
     output::safety,
 };
 
@@ -73,9 +73,12 @@ impl WithFallback {
         self.policy.reads_evidence()
     }
 
-    /// Lets the policy correct the belief.
-    pub fn correct(&mut self, evidence: &mut Evidence) {
-        self.policy.correct(evidence);
+    /// Lets the policy correct a part of the belief.
+    pub fn correct(&mut self, part: Correctable<'_>) {
+        match part {
+            Correctable::Places(walks) => self.policy.predict(walks),
+            Correctable::Receivers(evidence) => self.policy.correct(evidence),
+        }
     }
 
     /// Lets the policy propose angles, or the fallback if the policy fails.

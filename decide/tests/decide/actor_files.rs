@@ -71,6 +71,31 @@ fn other_ports_are_refused() {
 }
 
 #[test]
+fn an_unknown_action_is_named_with_the_known_ones() {
+    let scenario = scenario(&[]);
+    let with = |action: &str| ActorRecipe::fitting(&scenario).with_metadata(key::ACTION, action);
+    assert!(load_actor(&with("angles").file(), &scenario).is_ok());
+    for action in ["COMPACT", "weights", ""] {
+        let error = refusal(&with(action), &scenario);
+        assert_contains(
+            &error,
+            &[&format!("unknown action \"{action}\""), "\"angles\"", "\"compact\"", "heliostat.action"],
+        );
+    }
+    let error = refusal(&with(&"\u{1b}x".repeat(5000)), &scenario);
+    assert!(error.to_string().len() < 600 && !error.to_string().contains('\u{1b}'), "{error}");
+}
+
+#[test]
+fn an_opset_that_is_not_known_is_refused_with_the_known_ones() {
+    let scenario = scenario(&[]);
+    for opset in [6, 29, -5] {
+        let error = refusal(&ActorRecipe { opset, ..ActorRecipe::fitting(&scenario) }, &scenario);
+        assert_contains(&error, &["test.onnx", &format!("the opset {opset}"), "from 7 to 28", "export it again"]);
+    }
+}
+
+#[test]
 fn other_shapes_are_refused() {
     let scenario = scenario(&[]);
     // 4 users and 9 mirrors: 4 * (17 + 9) + 18 = 122.

@@ -6,6 +6,7 @@ use heliostat_decide::{
     inbox::Message,
     observation::Observation,
     policy::{Policy, PolicyError, PolicyKind},
+    refusal::{LastRefusal, Refusal, Stream, TelemetrySizes},
     tenure::Tenure,
 };
 use heliostat_proto::{
@@ -293,4 +294,18 @@ fn silence_withholds_or_repeats_for_each_array() {
     let mut single = crate::support::controller(&one, Box::new(Reaching));
     let Outcome::Moved(command) = Room::new(&one).tick(&mut single, 1) else { panic!("no command") };
     assert_eq!(command.roll, [0.25; 9]);
+}
+
+#[test]
+fn a_refusal_of_telemetry_has_the_array_and_the_sizes() {
+    let scenario = two_arrays();
+    let mut controller = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
+    let last = |controller: &Controller| controller.inbox().refused().last().expect("a refusal");
+    let mut of_first = telemetry(0, 1, 1, ArrayState::Following);
+    receive(&mut controller, Room::time(1), Message::Telemetry(1, &mut of_first));
+    let sizes = Some(TelemetrySizes { roll: 4, yaw: 4, expected: 6 });
+    let (stream, refusal) = (Stream::Telemetry, Refusal::WrongMirrorCount);
+    assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal, sizes });
+    controller.handle_malformed((stream, 1), Refusal::Truncated);
+    assert_eq!(last(&controller), LastRefusal { stream, array: 1, refusal: Refusal::Truncated, sizes: None });
 }

@@ -9,6 +9,7 @@ mod decisions;
 mod dense;
 mod dense_graphs;
 mod epochs;
+mod lstm;
 mod memory;
 mod motion_beliefs;
 mod observations;

@@ -13,12 +13,13 @@ use heliostat_scenario::Scenario;
 
 use crate::support::{Outcome, Room, build, controller, receive, scenario};
 
-const POLICIES: [PolicyKind; 6] = [
+const POLICIES: [PolicyKind; 7] = [
     PolicyKind::FixedPoint,
     PolicyKind::Greedy,
     PolicyKind::Pso,
     PolicyKind::Ddpg,
     PolicyKind::Residual,
+    PolicyKind::Lstm,
     PolicyKind::Nearest,
 ];
 
@@ -160,19 +161,20 @@ fn states_of_earlier_layouts_are_restored() {
     };
     (1..=5).for_each(|number| drop(plain(&mut first, number)));
     let latest = first.memory().to_bytes().unwrap();
-    // Behind the third layout: no device. Behind the second one: no array, no evidence of tilted receivers, and the residuals in 50
+    // Behind the fourth layout: no walk. Behind the third one: no device. Behind the second one: no array, no evidence of tilted receivers, and the residuals in 50
     // bytes: no user, six sums and no time. Before them, one byte each: no orientation report, no
     // sequence number of one.
-    assert_eq!(latest[latest.len() - 55..], [0; 55]);
+    assert_eq!(latest[latest.len() - 56..], [0; 56]);
     let of_layout = |layout: u8, missing: usize| {
         let mut bytes = latest[..latest.len() - missing].to_vec();
         bytes[0] = layout;
         Memory::from_bytes(&bytes).unwrap()
     };
-    let memory = of_layout(1, 55);
+    let memory = of_layout(1, 56);
     assert_eq!(memory.to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(2, 53).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(3, 1).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(2, 54).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(3, 2).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(4, 1).to_bytes().unwrap(), latest);
     let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     second.restore(&memory).unwrap();
     assert_eq!(plain(&mut second, 6), plain(&mut first, 6));

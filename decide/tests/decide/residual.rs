@@ -6,12 +6,20 @@ use heliostat_decide::{
     core::DegradedMode,
     evidence::{Believed, Evidence, FEATURES, MIRRORED},
     inbox::Message,
-    policy::{Engine, Network, PolicyError, PolicyKind, Residual as ResidualPolicy, actor_file::key},
+    policy::{
+        Engine, Network, PolicyError, PolicyKind, Residual as ResidualPolicy,
+        actor_file::{ActorFile, key},
+    },
+};
+use heliostat_onnx::{
+    ModelProto, NodeProto, TypeProto, ValueInfoProto, f32_row, tensor_shape_proto::dimension::Value as Extent,
+    type_proto::Value,
 };
 use heliostat_proto::MirrorCommand;
 use heliostat_scenario::Scenario;
+use prost::Message as _;
 
-use crate::support::{ActorRecipe, Room, build_with, controller, model, receive, scenario};
+use crate::support::{ActorRecipe, BiasEngine, Room, build_with, controller, model, receive, scenario};
 
 /// A room whose obstacles no survey reports, so that the belief has its complete state.
 fn hidden() -> Scenario {
@@ -128,10 +136,19 @@ fn files_that_do_not_fit_are_refused_with_advice() {
         build_with(PolicyKind::Residual, &scenario, &recipe.file()).err().expect("a refusal").to_string()
     };
     let cases = [
-        (fitting().with_metadata(key::OBSERVATION_VERSION, "3"), "observation version 3, expected 4"),
+        (fitting().with_metadata(key::OBSERVATION_VERSION, "3"), "observation version \"3\", expected 4"),
         (fitting().without_metadata(key::ACTION), "the action \"angles\", expected \"compact\""),
-        (ActorRecipe { input_length: 7, ..fitting() }, "\"observation\" with rows of Some(7)"),
-        (ActorRecipe { output_name: "angles", ..fitting() }, "expected \"corrections\" of f32 [rows, 3]"),
+        (ActorRecipe { input_length: 7, ..fitting() }, "the inputs \"observation\" (f32 [rows, 7]), expected"),
+        (ActorRecipe { output_name: "angles", ..fitting() }, "expected exactly one, \"corrections\" (f32 [rows, 3])"),
+        (
+            ActorRecipe { port: f32_row, ..fitting() },
+            "(f32 [1, 38]), expected exactly one, \"observation\" (f32 [rows, 38])",
+        ),
+        (ActorRecipe { port: f32_row, ..fitting() }, "first dimension is dynamic"),
+        (ActorRecipe { port: no_rows, ..fitting() }, "(f32 [0, 38]), expected exactly one"),
+        (ActorRecipe { port: without_type, ..fitting() }, "the inputs \"observation\" (of no known type), expected"),
+        (ActorRecipe { opset: 9999, ..fitting() }, "the opset 9999, expected an opset from 7 to 28; export it again"),
+        (fitting().with_metadata(key::ACTION, "a\u{1b}[31m"), "the action \"a\\u{1b}[31m\", expected \"compact\""),
         (ActorRecipe::compact([f32::NAN; 3]), "not finite"),
         (ActorRecipe::fitting(&scenario), "heliostat train residual"),
     ];
@@ -139,6 +156,34 @@ fn files_that_do_not_fit_are_refused_with_advice() {
         let text = refusal(recipe);
         assert!(text.contains("test.onnx") && text.contains(words), "{text}");
     }
+}
+
+fn no_rows(name: &str, length: usize) -> ValueInfoProto {
+    let mut port = f32_row(name, length);
+    if let Some(TypeProto { value: Some(Value::TensorType(tensor)), .. }) = &mut port.r#type {
+        tensor.shape.as_mut().expect("a shape").dim[0].value = Some(Extent::DimValue(0));
+    }
+    port
+}
+
+fn without_type(name: &str, _: usize) -> ValueInfoProto {
+    ValueInfoProto { name: name.into(), ..ValueInfoProto::default() }
+}
+
+#[test]
+fn a_network_that_the_reference_cannot_verify_is_refused_in_a_sentence() {
+    let recipe = ActorRecipe::compact([0.0; 3]);
+    let refusal = |change: fn(&mut NodeProto)| {
+        let mut model = ModelProto::decode(&recipe.bytes()[..]).expect("just written");
+        change(model.graph.as_mut().and_then(|graph| graph.node.last_mut()).expect("two nodes"));
+        let file = ActorFile { bytes: model.encode_to_vec().into(), ..recipe.file() };
+        ResidualPolicy::load(&file, (3, 9), &BiasEngine).err().expect("a refusal").to_string()
+    };
+    let not_supported = "test.onnx: the reference evaluation, which verifies the engine, does not support the operator";
+    let unknown = refusal(|node| node.op_type = "Bogus".into());
+    assert!(unknown.contains(&format!("{not_supported} Bogus as it is used here; export")), "{unknown}");
+    let foreign = refusal(|node| node.domain = "com.example".into());
+    assert!(foreign.contains(&format!("{not_supported} Add of the domain \"com.example\"; export")), "{foreign}");
 }
 
 /// The row of a user with a measured history, in a room whose array is on a wall.

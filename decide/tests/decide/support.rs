@@ -9,12 +9,15 @@ use heliostat_decide::{
     observation::{OBSERVATION_VERSION, Observation, ObservationEncoder},
     policy::{
         self, Actor, BuildError, Engine, Network, Policy, PolicyError, PolicyKind, Resources,
-        actor_file::{ActorError, ActorFile, COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key},
+        actor_file::{
+            ActorError, ActorFile, COMPACT, CORRECTIONS_NAME, DISPLACEMENTS_NAME, INPUT_NAME, OUTPUT_NAME, key,
+        },
     },
+    walk_history::{DISPLACEMENT_VALUES, WALK_VALUES, WALK_VERSION},
 };
 use heliostat_onnx::{
-    GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, TensorShapeProto,
-    TypeProto, ValueInfoProto, tensor_proto::DataType, tensor_shape_proto, type_proto,
+    GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto, TensorProto, ValueInfoProto,
+    f32_row, f32_rows, tensor_proto::DataType,
 };
 use heliostat_proto::{
     ChannelReport, MAX_USERS, MirrorCommand, Nanos, Obstacle, ObstacleReport, OrientationReport, Stamp, UserChannel,
@@ -166,6 +169,9 @@ pub struct ActorRecipe {
     /// All weights have this value.
     pub weight: f32,
     pub metadata: Vec<(&'static str, String)>,
+    /// Declares input or output, of one row or of any number.
+    pub port: fn(&str, usize) -> ValueInfoProto,
+    pub opset: i64,
 }
 
 impl ActorRecipe {
@@ -186,6 +192,8 @@ impl ActorRecipe {
                 (key::MODE, scenario.channel.mode.name().into()),
                 (key::GEOMETRY, scenario.geometry_hash()),
             ],
+            port: f32_row,
+            opset: 17,
         }
     }
 
@@ -199,6 +207,23 @@ impl ActorRecipe {
             bias: bias.to_vec(),
             weight: 0.0,
             metadata: vec![(key::ACTION, COMPACT.into()), (key::OBSERVATION_VERSION, EVIDENCE_VERSION.to_string())],
+            port: f32_rows,
+            opset: 17,
+        }
+    }
+
+    /// An actor that moves every user from the Gauss-Markov prediction by this in m.
+    pub fn displacements(bias: [f32; DISPLACEMENT_VALUES]) -> Self {
+        Self {
+            output_name: DISPLACEMENTS_NAME,
+            input_length: WALK_VALUES,
+            output_length: DISPLACEMENT_VALUES,
+            bias: bias.to_vec(),
+            metadata: vec![
+                (key::ACTION, DISPLACEMENTS_NAME.into()),
+                (key::OBSERVATION_VERSION, WALK_VERSION.to_string()),
+            ],
+            ..Self::compact([0.0; Correction::VALUES])
         }
     }
 
@@ -232,15 +257,15 @@ impl ActorRecipe {
                 tensor("weights", &[inputs, outputs], vec![self.weight; inputs * outputs]),
                 tensor("bias", &[1, outputs], self.bias.clone()),
             ],
-            input: vec![port(self.input_name, inputs)],
-            output: vec![port(self.output_name, outputs)],
+            input: vec![(self.port)(self.input_name, inputs)],
+            output: vec![(self.port)(self.output_name, outputs)],
             ..GraphProto::default()
         };
         let entry =
             |(key, value): &(&str, String)| StringStringEntryProto { key: key.to_string(), value: value.clone() };
         ModelProto {
             ir_version: 8,
-            opset_import: vec![OperatorSetIdProto { domain: String::new(), version: 17 }],
+            opset_import: vec![OperatorSetIdProto { domain: String::new(), version: self.opset }],
             graph: Some(graph),
             metadata_props: self.metadata.iter().map(entry).collect(),
             ..ModelProto::default()
@@ -260,20 +285,6 @@ fn tensor(name: &str, shape: &[usize], values: Vec<f32>) -> TensorProto {
         data_type: DataType::Float as i32,
         float_data: values,
         ..TensorProto::default()
-    }
-}
-
-fn port(name: &str, length: usize) -> ValueInfoProto {
-    let dimension = |size: usize| tensor_shape_proto::Dimension {
-        value: Some(tensor_shape_proto::dimension::Value::DimValue(size as i64)),
-        ..tensor_shape_proto::Dimension::default()
-    };
-    let shape = TensorShapeProto { dim: vec![dimension(1), dimension(length)] };
-    let tensor = type_proto::Tensor { elem_type: DataType::Float as i32, shape: Some(shape) };
-    ValueInfoProto {
-        name: name.into(),
-        r#type: Some(TypeProto { value: Some(type_proto::Value::TensorType(tensor)), ..TypeProto::default() }),
-        ..ValueInfoProto::default()
     }
 }
 
@@ -343,11 +354,12 @@ impl Engine for FixedEngine {
     }
 }
 
-/// A policy by its name; learned ones with an actor that fits. That of `residual` depends on its
-/// input.
+/// A policy by its name; learned ones with an actor that fits. Those of `residual` and `lstm` depend on
+/// their input.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
     let recipe = match kind {
         PolicyKind::Residual => ActorRecipe { weight: 0.02, ..ActorRecipe::compact([-0.3, -0.2, -1.0]) },
+        PolicyKind::Lstm => ActorRecipe { weight: 0.02, ..ActorRecipe::displacements([0.1, -0.1]) },
         _ => ActorRecipe::fitting(scenario),
     };
     build_with(kind, scenario, &recipe.file())

@@ -6,6 +6,7 @@ use heliostat_decide::correction::Correction;
 use heliostat_decide::evidence::{EVIDENCE_VERSION, FEATURES};
 use heliostat_decide::observation::{OBSERVATION_VERSION, ObservationEncoder, USERS_CAPACITY};
 use heliostat_decide::policy::actor_file::{COMPACT, CORRECTIONS_NAME, INPUT_NAME, OUTPUT_NAME, key};
+use heliostat_decide::policy::compact_file::DISPLACEMENTS;
 use heliostat_proto::Room;
 use heliostat_scenario::{Scenario, ScenarioArgs};
 use heliostat_sim_node::Pace;
@@ -17,7 +18,7 @@ use crate::output::outln;
 /// Print the effective configuration of a process: its scenario with every key, its room and its
 /// endpoints.
 ///
-/// Give the same flags as to the process; no process is started.
+/// Give the same flags as to the process; no process is started. The file of a policy is checked.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print JSON instead of TOML
@@ -51,6 +52,7 @@ pub fn run(args: Args) -> Result<()> {
     let configuration = match args.process {
         Process::Controller(args) => {
             let config = args.node_config()?;
+            config.check_model()?;
             let process = json!({
                 "name": "controller",
                 "policy": config.policy.name(),
@@ -118,6 +120,12 @@ fn actor(scenario: &Scenario, users_max: usize) -> Map<String, Value> {
             "input": { "name": INPUT_NAME, "type": "f32", "shape": ["rows", FEATURES] },
             "output": { "name": CORRECTIONS_NAME, "type": "f32", "shape": ["rows", Correction::VALUES] },
             "metadata": { key::ACTION: COMPACT, key::OBSERVATION_VERSION: EVIDENCE_VERSION.to_string() },
+        },
+        // The same for a network that predicts places.
+        "displacements": {
+            "input": { "name": INPUT_NAME, "type": "f32", "shape": ["rows", DISPLACEMENTS.inputs] },
+            "output": { "name": DISPLACEMENTS.output.0, "type": "f32", "shape": ["rows", DISPLACEMENTS.output.1] },
+            "metadata": { key::ACTION: DISPLACEMENTS.action, key::OBSERVATION_VERSION: DISPLACEMENTS.version.to_string() },
         },
     });
     match document {

@@ -8,7 +8,7 @@ use heliostat_channel::MirrorAngles;
 use heliostat_decide::observation::Observation;
 use heliostat_decide::policy::{Policy, PolicyKind};
 use heliostat_decide::safety::Limits;
-use heliostat_engine::{ActorSource, EngineChoice, shipped};
+use heliostat_engine::{ActorSource, EngineChoice, SourceError, shipped, source};
 use heliostat_scenario::{Belief, Scenario};
 use heliostat_sim::World;
 use thiserror::Error;
@@ -155,7 +155,26 @@ impl EvaluatedPolicy {
 
     /// Whether the policy can be built for a room.
     pub fn fits(&self, scenario: &Scenario) -> bool {
-        self.build(scenario, scenario.seed).is_ok()
+        self.check_fits(scenario).is_ok()
+    }
+
+    /// Checks that the policy can be built for a room.
+    ///
+    /// # Errors
+    /// The file is missing or does not fit the room, or no actor is built in.
+    pub fn check_fits(&self, scenario: &Scenario) -> anyhow::Result<()> {
+        self.build(scenario, scenario.seed).map(drop)
+    }
+
+    /// Checks that the policy's file, if it comes from one, can be read.
+    ///
+    /// # Errors
+    /// [`SourceError`] where the file is missing or cannot be read.
+    pub fn check_file(&self) -> Result<(), SourceError> {
+        match &self.origin {
+            Origin::Kind(_, ActorSource::Path(path)) => source::read(path).map(drop),
+            _ => Ok(()),
+        }
     }
 
     /// The angles for the true state of a room, within the controller's limits.

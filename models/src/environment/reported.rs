@@ -235,6 +235,16 @@ pub fn examples(scenario: &Scenario, seed: u64, policy: Box<dyn Policy>, seconds
     Ok(all)
 }
 
+/// The users in the middle of the time in which the last command of a controller is in force, and the index
+/// among them of each observed user; `None` where one has left.
+pub fn later(room: &ClosedLoop) -> Option<(World, Vec<usize>)> {
+    let mut world = room.room().world().clone();
+    world.step(room.controller().observer().lead_s());
+    let index = |user| world.ids().iter().position(|id| id == user);
+    let indices = room.observation().ids.iter().map(index).collect::<Option<_>>()?;
+    Some((world, indices))
+}
+
 /// The room in the middle of the time in which the last command of a controller is in force, and the
 /// evidence on which this command was based.
 pub struct Future<'a> {
@@ -251,12 +261,8 @@ pub struct Future<'a> {
 impl<'a> Future<'a> {
     /// After a decision; `None` where the policy reads no evidence or a user has left.
     pub fn of(room: &'a ClosedLoop) -> Option<Self> {
-        let observer = room.controller().observer();
-        let evidence = observer.evidence()?;
-        let mut world = room.room().world().clone();
-        world.step(observer.lead_s());
-        let index = |user| world.ids().iter().position(|id| id == user);
-        let indices = room.observation().ids.iter().map(index).collect::<Option<_>>()?;
+        let evidence = room.controller().observer().evidence()?;
+        let (world, indices) = later(room)?;
         Some(Self { room, evidence, indices, world })
     }
 

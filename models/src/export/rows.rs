@@ -1,9 +1,20 @@
-//! The exported network of rows: a chain of dense layers, for any number of rows.
+//! The exported networks of rows, for any number of rows: their metadata, and a chain of dense layers.
 
 use candle_core::Result;
+use heliostat_decide::policy::actor_file::key;
+use heliostat_decide::policy::compact_file::RowKind;
 use heliostat_onnx::graph::{Ends, Graph};
 
 use crate::networks::layers::Network;
+
+/// The metadata of a network of this kind: the entries without which no policy reads it, and the others of
+/// `entries` that such a network has.
+pub fn metadata(kind: &RowKind, entries: &[(String, String)]) -> Vec<(String, String)> {
+    let own = [(key::ACTION, kind.action.to_owned()), (key::OBSERVATION_VERSION, kind.version.to_string())];
+    let replaced = [key::OBSERVATION_VERSION, key::USERS_MAX, key::MIRRORS, key::MODE, key::GEOMETRY];
+    let others = entries.iter().filter(|(key, _)| !replaced.contains(&key.as_str())).cloned();
+    own.map(|(key, value)| (key.to_owned(), value)).into_iter().chain(others).collect()
+}
 
 /// Writes a network of two hidden layers as an ONNX file with the given metadata: `Gemm`, `Relu`,
 /// `Gemm`, `Relu`, `Gemm`.

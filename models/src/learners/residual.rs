@@ -15,7 +15,7 @@
 //! A room and its mirror image are equally likely, so a random half of the examples is mirrored. The
 //! output layer starts at zero: an untrained network changes nothing.
 
-mod actor;
+pub(super) mod actor;
 pub mod analytic;
 pub mod ddpg;
 mod explorer;
@@ -227,7 +227,7 @@ fn mirror(example: &mut Example) {
 }
 
 /// A random order (Fisher and Yates).
-fn shuffle(all: &mut [Example], rng: &mut ChaCha8Rng) {
+pub(super) fn shuffle<T>(all: &mut [T], rng: &mut ChaCha8Rng) {
     for last in (1..all.len()).rev() {
         all.swap(last, rng.random_range(0..=last));
     }

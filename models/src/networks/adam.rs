@@ -2,7 +2,7 @@
 
 use candle_core::{Device, Result, Tensor, backprop::GradStore};
 
-use super::layers::{Network, assign};
+use super::layers::{Linear, assign, parameters};
 use crate::training::store::{Persistent, Store};
 
 /// Adam with its state in plain vectors, so that a checkpoint holds all of it.
@@ -19,8 +19,9 @@ impl Adam {
     const EPSILON: f32 = 1e-8;
 
     /// An optimiser for the parameters of one network.
-    pub fn new(network: &Network) -> Self {
-        let zeros: Vec<Vec<f32>> = network.parameters().iter().map(|tensor| vec![0.0; tensor.elem_count()]).collect();
+    pub fn new(network: &impl AsRef<[Linear]>) -> Self {
+        let zeros: Vec<Vec<f32>> =
+            parameters(network.as_ref()).iter().map(|tensor| vec![0.0; tensor.elem_count()]).collect();
         Self { clip: 0.0, step: 0, first_moment: zeros.clone(), second_moment: zeros }
     }
 
@@ -34,14 +35,14 @@ impl Adam {
     ///
     /// # Errors
     /// Errors of candle.
-    pub fn step(&mut self, network: &Network, gradients: &GradStore, learning_rate: f64) -> Result<()> {
+    pub fn step(&mut self, network: &impl AsRef<[Linear]>, gradients: &GradStore, learning_rate: f64) -> Result<()> {
         self.step += 1;
         let power = |beta: f64| 1.0 - beta.powf(self.step as f64);
         let [beta1, beta2] = Self::BETA;
         let rate = (learning_rate * power(beta2).sqrt() / power(beta1)) as f32;
         let (beta1, beta2) = (beta1 as f32, beta2 as f32);
         let factor = self.factor(network, gradients)?;
-        for (index, parameter) in network.parameters().into_iter().enumerate() {
+        for (index, parameter) in parameters(network.as_ref()).into_iter().enumerate() {
             let Some(gradient) = gradients.get(parameter) else { continue };
             let gradient = gradient.flatten_all()?.to_vec1::<f32>()?;
             let mut value = parameter.flatten_all()?.to_vec1::<f32>()?;
@@ -58,12 +59,12 @@ impl Adam {
     }
 
     /// The factor that scales the gradients down to the allowed norm.
-    fn factor(&self, network: &Network, gradients: &GradStore) -> Result<f32> {
+    fn factor(&self, network: &impl AsRef<[Linear]>, gradients: &GradStore) -> Result<f32> {
         if self.clip == 0.0 {
             return Ok(1.0);
         }
         let mut squared = 0.0;
-        for gradient in network.parameters().into_iter().filter_map(|parameter| gradients.get(parameter)) {
+        for gradient in parameters(network.as_ref()).into_iter().filter_map(|parameter| gradients.get(parameter)) {
             squared += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
         }
         Ok((self.clip / squared.sqrt().max(self.clip)) as f32)

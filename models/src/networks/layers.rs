@@ -52,7 +52,7 @@ pub struct Linear {
 }
 
 impl Linear {
-    fn new(name: &'static str, inputs: usize, outputs: usize, rng: &mut impl Rng) -> Result<Self> {
+    pub(super) fn new(name: &'static str, inputs: usize, outputs: usize, rng: &mut impl Rng) -> Result<Self> {
         let limit = if name == "head" { HEAD_INITIAL } else { 1.0 / (inputs as f32).sqrt() };
         let mut draw = |count: usize| -> Vec<f32> { (0..count).map(|_| rng.random_range(-limit..limit)).collect() };
         let weight = Var::from_vec(draw(inputs * outputs), (inputs, outputs), &Device::Cpu)?;
@@ -60,7 +60,7 @@ impl Linear {
         Ok(Self { name, weight: weight.into_inner(), bias: bias.into_inner() })
     }
 
-    fn forward(&self, input: &Tensor) -> Result<Tensor> {
+    pub(super) fn forward(&self, input: &Tensor) -> Result<Tensor> {
         input.matmul(&self.weight)?.broadcast_add(&self.bias)
     }
 }
@@ -111,7 +111,7 @@ impl Network {
 
     /// Its parameters, in a fixed order.
     pub fn parameters(&self) -> Vec<&Tensor> {
-        self.layers.iter().flat_map(|layer| [&layer.weight, &layer.bias]).collect()
+        parameters(&self.layers)
     }
 
     /// The same parameters without gradients. It shares its memory with the original, later changes
@@ -166,6 +166,17 @@ impl Network {
     }
 }
 
+/// The parameters of layers, in a fixed order.
+pub fn parameters(layers: &[Linear]) -> Vec<&Tensor> {
+    layers.iter().flat_map(|layer| [&layer.weight, &layer.bias]).collect()
+}
+
+impl AsRef<[Linear]> for Network {
+    fn as_ref(&self) -> &[Linear] {
+        &self.layers
+    }
+}
+
 /// Moves `target` towards `source`: target <- tau source + (1 - tau) target.
 ///
 /// # Errors
@@ -188,24 +199,37 @@ pub fn assign(parameter: &Tensor, value: &Tensor) -> Result<()> {
 
 impl Persistent for Network {
     fn save(&self, name: &str, store: &mut Store) -> anyhow::Result<()> {
-        for (key, parameter) in named_parameters(name, self) {
-            store.put_tensor(key, parameter.detach());
-        }
+        save_layers(&self.layers, name, store);
         Ok(())
     }
 
     fn restore(&mut self, name: &str, store: &Store) -> anyhow::Result<()> {
-        for (key, parameter) in named_parameters(name, self) {
-            assign(parameter, store.tensor(&key)?)?;
-        }
-        Ok(())
+        restore_layers(&self.layers, name, store)
     }
 }
 
-fn named_parameters<'a>(name: &str, network: &'a Network) -> Vec<(String, &'a Tensor)> {
+/// Writes the parameters of layers under a name.
+pub(super) fn save_layers(layers: &[Linear], name: &str, store: &mut Store) {
+    for (key, parameter) in named_parameters(name, layers) {
+        store.put_tensor(key, parameter.detach());
+    }
+}
+
+/// Reads the parameters of layers that [`save_layers`] wrote.
+///
+/// # Errors
+/// The store lacks a parameter, or its shape differs.
+pub(super) fn restore_layers(layers: &[Linear], name: &str, store: &Store) -> anyhow::Result<()> {
+    for (key, parameter) in named_parameters(name, layers) {
+        assign(parameter, store.tensor(&key)?)?;
+    }
+    Ok(())
+}
+
+fn named_parameters<'a>(name: &str, layers: &'a [Linear]) -> Vec<(String, &'a Tensor)> {
     let both = |layer: &'a Linear| {
         [("weight", &layer.weight), ("bias", &layer.bias)]
             .map(|(kind, tensor)| (format!("{name}.{}.{kind}", layer.name), tensor))
     };
-    network.layers().iter().flat_map(both).collect()
+    layers.iter().flat_map(both).collect()
 }

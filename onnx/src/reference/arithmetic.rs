@@ -65,6 +65,7 @@ fn unary(call: &Call<'_>, operator: impl Fn(f32) -> f32) -> Option<Tensor> {
     Some(floats(call.input(0)?.shape.clone(), values))
 }
 
+/// Where the minimum exceeds the maximum, every value becomes the maximum.
 fn clip(call: &Call<'_>) -> Option<Tensor> {
     let bound = |index, default| match call.input(index) {
         Some(_) => call.floats(index)?.first().copied(),
@@ -72,13 +73,8 @@ fn clip(call: &Call<'_>) -> Option<Tensor> {
     };
     let (low, high) = (bound(1, f32::MIN)?, bound(2, f32::MAX)?);
     unary(call, |value| {
-        if value < low {
-            low
-        } else if value > high {
-            high
-        } else {
-            value
-        }
+        let value = if value < low { low } else { value };
+        if value > high { high } else { value }
     })
 }
 

@@ -8,10 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+SEED_MAX = 2**64 - 1
+"""Largest seed of a room."""
+
+POINTS_MAX = 4_000_000
+"""Most points of a map, as for `heliostat map`."""
+
+STATES_MAX = 1_000_000
+"""Most states of all seeds of a comparison."""
+
 
 def integer(name: str, value: Any, least: int, most: int) -> int:
     """An integer within bounds; raises `TypeError` for another type and `ValueError` outside the bounds."""
-    expected = f"{name} = {value!r}: expected an integer from {least} to {most}"
+    expected = f"{name} = {value!r}: expected an integer from {least} to {_text(most)}"
     try:
         number = operator.index(value)
     except TypeError:
@@ -21,9 +30,26 @@ def integer(name: str, value: Any, least: int, most: int) -> int:
     return number
 
 
+def seed_of(value: Any, name: str = "seed") -> int:
+    """A seed of a room."""
+    return integer(name, value, 0, SEED_MAX)
+
+
+def states_of(states: Any, seeds: Any) -> tuple[int, int]:
+    """The numbers of states for each seed, and of seeds, of a comparison."""
+    checked = integer("states", states, 1, STATES_MAX), integer("seeds", seeds, 1, STATES_MAX)
+    if checked[0] * checked[1] > STATES_MAX:
+        raise ValueError(f"{checked[0]} states of {checked[1]} seeds: expected at most {STATES_MAX} together")
+    return checked
+
+
 def real(name: str, values: Any) -> NDArray[Any]:
     """An array of booleans, integers or real numbers; a complex number, a text or an object is refused."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name}: dtype {array.dtype}, expected real numbers")
     return array
+
+
+def _text(number: int) -> str:
+    return "2**64 - 1" if number == SEED_MAX else str(number)

@@ -18,6 +18,7 @@ EVIDENCE_FEATURES: int
 INSTANTS: int
 KINDS: dict[str, int]
 STOP_RECORD_MAX: int
+ARRAYS_MAX: int
 
 class Scenario:
     def __new__(cls, source: str, overrides: list[str] = ...) -> Scenario: ...

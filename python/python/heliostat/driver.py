@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._core import STOP_RECORD_MAX, Station
+from ._core import ARRAYS_MAX, STOP_RECORD_MAX, Station
 from .peer import SOFTWARE, Peer, PeerError, Settings, add_arguments, stop_on_signals
 
 _LONGEST_WAIT_NS = 50_000_000
@@ -71,6 +71,8 @@ class Capabilities:
         """The message of kind 8, with an empty stamp."""
 
         def axis(limits: tuple[float, float]) -> dict[str, float]:
+            if not isinstance(limits, Sequence) or len(limits) != 2:
+                raise ValueError(f"limits {limits!r}: expected the smallest and the largest angle of the axis in rad")
             names = ("slew_rad_s", "settling_s", "resolution_rad")
             return {"min_rad": limits[0], "max_rad": limits[1], **{name: getattr(self, name) for name in names}}
 
@@ -174,11 +176,18 @@ class StopFile:
             os.fsync(file.fileno())
 
 
+def _array(text: str) -> int:
+    """An index of an array on the command line."""
+    if not text.isdecimal() or int(text) >= ARRAYS_MAX:
+        raise argparse.ArgumentTypeError(f'invalid array "{text}": expected an index from 0 to {ARRAYS_MAX - 1}')
+    return int(text)
+
+
 def parser(description: str | None = None) -> argparse.ArgumentParser:
     """A command line with the flags of `heliostat driver run`; add the flags of your hardware."""
     flags = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_arguments(flags)
-    flags.add_argument("--array", metavar="N", type=int, default=0, help="index of the array in its room, from 0")
+    flags.add_argument("--array", metavar="N", type=_array, default=0, help="index of the array in its room, from 0")
     flags.add_argument(
         "--state",
         metavar="DIR",

@@ -14,7 +14,7 @@ bit/s/Hz. An episode never terminates; Gymnasium truncates it after `max_episode
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeAlias
 
@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ._checks import integer, real
+from ._checks import integer, real, seed_of, states_of
 from ._core import Batch, Settings, held_out_seed
 from .rendering import Window, draw
 from .scenario import Scenario, Value, load_scenario
@@ -38,9 +38,6 @@ BOUND = 1e6
 """Bound of the components of an observation, beyond any value of a room: learners expect finite bounds."""
 
 _UNLIMITED = 2**63
-_SEED_MAX = 2**64 - 1
-STATES_MAX = 10_000_000
-"""Largest number of states of a comparison, over all seeds."""
 
 
 def make_settings(
@@ -71,19 +68,12 @@ def make_settings(
     )
 
 
-def _seed_of(seed: Any) -> int:
-    """A seed of the room; Gymnasium accepts integers from 0."""
-    return integer("seed", seed, 0, _SEED_MAX)
-
-
-def _episode_of(option: Any) -> tuple[int, int, int]:
+def _episode_of(value: Any) -> tuple[int, int, int]:
     """Index, states and seeds of an episode of a comparison."""
-    if not isinstance(option, (tuple, list)) or len(option) != 3:
-        raise ValueError(f"episode = {option!r}: expected (index, states, seeds)")
-    index, states, seeds = option
-    states = integer("states", states, 1, STATES_MAX)
-    seeds = integer("seeds", seeds, 1, STATES_MAX // states)
-    return integer("index", index, 0, STATES_MAX), states, seeds
+    if not isinstance(value, Sequence) or len(value) != 3:
+        raise ValueError(f"episode = {value!r}: expected the index, the number of states and that of seeds")
+    states, seeds = states_of(*value[1:])
+    return integer("index of the episode", value[0], 0, states * seeds - 1), states, seeds
 
 
 class Layout:
@@ -185,15 +175,19 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         sampling times.
         """
         if seed is not None:
-            _seed_of(seed)
+            seed = seed_of(seed)
         super().reset(seed=seed)
         room_seed = seed
+        if options is not None and not isinstance(options, Mapping):
+            raise TypeError(f'options: expected a mapping such as {{"held_out": 0}}, found {type(options).__name__}')
         unknown = set(options or ()) - {"held_out", "held_out_set", "episode"}
         if unknown:
             raise ValueError(f"unknown reset options {sorted(unknown)}: expected held_out, held_out_set, episode")
         if options and "held_out" in options:
-            held_out_set = integer("held_out_set", options.get("held_out_set", self.scenario.seed), 0, _SEED_MAX)
-            room_seed = held_out_seed(held_out_set, integer("held_out", options["held_out"], 0, _SEED_MAX))
+            room_seed = held_out_seed(
+                seed_of(options.get("held_out_set", self.scenario.seed), "held_out_set"),
+                seed_of(options["held_out"], "held_out"),
+            )
         elif seed is None and not self._is_reset:
             room_seed = int(self.np_random.integers(2**63))
         seen = np.empty((1, self._batch.observation_len), np.float32)

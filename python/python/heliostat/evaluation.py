@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ._checks import integer
+from ._checks import states_of
 from ._core import INSTANTS, oracle_samples
-from .envs import STATES_MAX, HeliostatEnv
+from .envs import HeliostatEnv
 
 Act: TypeAlias = Callable[[Any], NDArray[np.float32]]
 """From an observation to an action."""
@@ -38,11 +38,10 @@ def evaluate(act: Act, env: HeliostatEnv | Any, states: int = 100, seeds: int = 
     between which `act` decides for each position report. Any wrappers of Gymnasium that change observations or
     actions apply. Settings of `env` other than scenario, dynamics, action and observation do not matter.
     """
-    inner = env.unwrapped
+    inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")
-    states = integer("states", states, 1, STATES_MAX)
-    seeds = integer("seeds", seeds, 1, STATES_MAX // states)
+    states, seeds = states_of(states, seeds)
     with inner.with_other_rooms(oracle=inner.is_static):
         samples = _static if inner.is_static else _closed_loop
         rate, met, oracle = samples(act, env, inner, states, seeds).T

@@ -33,7 +33,7 @@ def export_onnx(module: Any, env: HeliostatEnv | Any, path: str | os.PathLike[st
 
     Needs PyTorch. Raises `ValueError` for a module whose file no controller accepts.
     """
-    inner = env.unwrapped
+    inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, HeliostatEnv):
         raise TypeError(f"expected an environment of heliostat, found {type(inner).__name__}")
     action, observation = inner.action_form, inner.observation_form

@@ -20,7 +20,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from ._core import KINDS, __version__, encode, keys
+from ._checks import integer
+from ._core import ARRAYS_MAX, KINDS, __version__, encode, keys
 
 try:
     import zenoh
@@ -118,8 +119,8 @@ class Peer:
         self.authenticated = settings.tls is not None
         self.source = random.SystemRandom().getrandbits(64)
         try:
-            self.keys = keys(room, node, self.source, array)
-        except ValueError as problem:
+            self.keys = keys(room, node, self.source, integer("array", array, 0, ARRAYS_MAX - 1))
+        except (TypeError, ValueError) as problem:
             raise PeerError(str(problem)) from problem
         self._started_ns = time.time_ns()
         self._sequences: dict[str, int] = {}
@@ -280,6 +281,9 @@ def _check(settings: Settings) -> None:
         raise PeerError("wrong endpoints for a client: expected no --listen, and the router in --connect")
     if not (settings.listen or settings.connect):
         raise PeerError("no endpoint: expected --listen or --connect, for example --connect tcp/127.0.0.1:7447")
+    for name, endpoints in (("listen", settings.listen), ("connect", settings.connect)):
+        if not isinstance(endpoints, (tuple, list)) or not all(isinstance(one, str) for one in endpoints):
+            raise PeerError(f"{name} = {endpoints!r}: expected a tuple of endpoints tcp/HOST:PORT or tls/HOST:PORT")
     for endpoint in (*settings.listen, *settings.connect):
         protocol, _, address = endpoint.partition("/")
         port = address.rpartition(":")[2].partition("#")[0].partition("?")[0]

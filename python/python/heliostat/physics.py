@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._checks import real
+from ._checks import POINTS_MAX, integer, real
 from ._core import Channel, Scenario
 from ._core import Policy as _Policy
 from .scenario import Value, load_scenario
@@ -80,7 +80,7 @@ class Room:
             _array(roll, "roll", 1),
             _array(yaw, "yaw", 1),
             _optional(blockers, "blockers", 2),
-            sharing,
+            None if sharing is None else integer("sharing", sharing, 1, 2**31 - 1),
         )
 
     def steering_gain(self, positions: ArrayLike, blockers: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -159,9 +159,15 @@ def rate_map(
     quantity: str = "rate_mbps",
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[Any]]:
     """A quantity of `Room.link` over the floor: x of the columns, y of the rows, and the values (rows, columns)."""
-    if not step_m > 0.0:
-        raise ValueError(f"step_m = {step_m}: expected a positive number of metres")
+    if not isinstance(room, Room):
+        raise TypeError(f"room: expected a Room, found {type(room).__name__}")
     length_x, length_y, _ = room.scenario.room_m
+    longest = 2.0 * min(length_x, length_y)
+    if not isinstance(step_m, (int, float, np.number)) or not 0.0 < step_m < longest:
+        raise ValueError(f"step_m = {step_m!r}: expected a positive number of metres below {longest:g} in this room")
+    points = length_x / step_m * (length_y / step_m)
+    if points > POINTS_MAX:
+        raise ValueError(f"step_m = {step_m}: {points:.3g} points in this room, expected at most {POINTS_MAX}")
     x = np.arange(-length_x / 2 + step_m / 2, length_x / 2, step_m)
     y = np.arange(-length_y / 2 + step_m / 2, length_y / 2, step_m)
     grid_x, grid_y = np.meshgrid(x, y)

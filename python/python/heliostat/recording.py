@@ -13,9 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._checks import integer
+from ._core import ARRAYS_MAX, Scenario
 from ._core import Recording as _Recording
-from ._core import Scenario
 from .tables import Channels, Commands, Reports, Telemetry, Truth
+
+
+def _index(array: int) -> int:
+    return integer("array", array, 0, ARRAYS_MAX - 1)
 
 
 class Recording:
@@ -67,14 +72,14 @@ class Recording:
         `arrived_ns`, `time_ns`, `epoch`, `sequence`, `answers` (the tick of the report that it answers),
         `validity_ms`, `roll` and `yaw` (n, M) in rad.
         """
-        return self._inner.commands(array)
+        return self._inner.commands(_index(array))
 
     def telemetry(self, array: int = 0) -> Telemetry:
         """Telemetry of an array: one row for each message.
 
         `arrived_ns`, `time_ns`, `answers`, `applied_ns`, `faults`, `roll` and `yaw` (n, M) as commanded, in rad.
         """
-        return self._inner.telemetry(array)
+        return self._inner.telemetry(_index(array))
 
     def truth(self) -> Truth:
         """The truth of a simulated room: one row for each user of each message.

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from ._core import Scenario
 
@@ -27,11 +29,18 @@ def load_scenario(
         if overrides:
             raise ValueError("overrides apply to a name or a file, not to a Scenario that is already checked")
         return source
-    if overrides is not None and not isinstance(overrides, Mapping):
-        raise TypeError(f"overrides = {overrides!r}: expected a dictionary from keys to values")
-    return Scenario(os.fspath(source), [f"{key}={_toml(value)}" for key, value in (overrides or {}).items()])
+    given = {} if overrides is None else overrides
+    if not isinstance(given, Mapping):
+        raise TypeError(f'overrides: expected a mapping such as {{"users.count": 3}}, found {type(given).__name__}')
+    return Scenario(os.fspath(source), [f"{key}={_toml(key, value)}" for key, value in given.items()])
 
 
-def _toml(value: Value) -> str:
+def _toml(key: str, value: Value) -> str:
     """A value in TOML; JSON has the same form for booleans, numbers, strings and lists."""
-    return json.dumps(value)
+
+    def plain(other: Any) -> Any:
+        if isinstance(other, (np.generic, np.ndarray)):
+            return other.tolist()
+        raise TypeError(f"overrides: {key} is of the type {type(other).__name__}, expected a value of TOML")
+
+    return json.dumps(value, default=plain)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -12,19 +12,20 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from ._checks import integer, real
+from ._checks import integer, real, seed_of
 from ._core import Batch
-from .envs import _UNLIMITED, Layout, _seed_of, make_settings
+from .envs import _UNLIMITED, Layout, make_settings
 from .rendering import draw
 from .scenario import Scenario, Value, load_scenario
 
-# More rooms would not fit into the memory of most machines.
-_ENVS_MAX = 16_384
 _MODES = {
     AutoresetMode.NEXT_STEP: "next-step",
     AutoresetMode.SAME_STEP: "same-step",
     AutoresetMode.DISABLED: "disabled",
 }
+
+NUM_ENVS_MAX = 16_384
+"""Most environments of a batch; each holds a room in memory."""
 
 
 class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
@@ -34,7 +35,7 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
 
     Args:
         scenario: as for `HeliostatEnv`, as are `overrides` and the other settings.
-        num_envs: number of environments.
+        num_envs: number of environments, at most `NUM_ENVS_MAX`.
         max_episode_steps: steps of an episode; absent: an episode does not end.
         autoreset_mode: when an environment restarts after the end of its episode. `NEXT_STEP`: the next step ignores
             its action. `SAME_STEP`: the step that ends the episode; `info["final_obs"]` has its last observation.
@@ -61,7 +62,7 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         observation: str = "flat",
         **settings: Any,
     ) -> None:
-        num_envs = integer("num_envs", num_envs, 1, _ENVS_MAX)
+        num_envs = integer("num_envs", num_envs, 1, NUM_ENVS_MAX)
         if max_episode_steps is not None:
             max_episode_steps = integer("max_episode_steps", max_episode_steps, 1, _UNLIMITED)
         if render_mode not in (None, "rgb_array"):
@@ -100,14 +101,14 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         if options:
             raise ValueError(f"unknown reset options {sorted(options)}: expected reset_mask")
         seeds: list[int | None]
-        if seed is None or isinstance(seed, (int, np.integer)):
-            super().reset(seed=None if seed is None else int(seed))
-            first = seed
+        if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str):
+            seeds = [None if one is None else seed_of(one) for one in seed]
+        else:
+            first = None if seed is None else seed_of(seed)
+            super().reset(seed=first)
             if first is None and not self._is_reset:
                 first = int(self.np_random.integers(2**62))
-            seeds = [None if first is None else _seed_of(_seed_of(first) + index) for index in range(self.num_envs)]
-        else:
-            seeds = [None if one is None else _seed_of(one) for one in seed]
+            seeds = [None if first is None else seed_of(first + index) for index in range(self.num_envs)]
         if mask is not None:
             mask = np.ascontiguousarray(mask)
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):

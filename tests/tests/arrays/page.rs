@@ -1,27 +1,18 @@
 //! The live page of a room with two arrays, in a browser.
 
-use std::net::TcpListener;
-
 use heliostat_bus::{Bus, BusConfig, Class, free_loopback_endpoint};
 use heliostat_proto::Room;
 use heliostat_service::Stop;
-use heliostat_tests::{Browser, Process, wait_until};
+use heliostat_tests::{Browser, PageServer, Process, wait_until};
 use serde_json::{Value, json};
 
 use super::room::{RequestAtEnd, drive, report, scenario_file};
 use super::simulated;
 
-/// The address of a page about a room, with its server.
-fn page(room: &str, endpoints: &[&str]) -> (Process, String) {
-    let free = TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
-    let port = free.local_addr().expect("bound").port().to_string();
-    drop(free);
-    let flags = ["ui", "--plain", "--room", room, "--ui-port", &port];
+/// The server of a page about a room.
+fn page(room: &str, endpoints: &[&str]) -> PageServer {
     let connected: Vec<&str> = endpoints.iter().flat_map(|endpoint| ["--connect", *endpoint]).collect();
-    let server = Process::heliostat(&[&flags[..], &connected].concat());
-    let url = format!("http://127.0.0.1:{port}/");
-    wait_until("the address of the page", || server.errors().contains(&url));
-    (server, url)
+    PageServer::start(&[&["--room", room], &connected[..]].concat())
 }
 
 /// Whether the state of the arrays is green, and its text.
@@ -39,8 +30,8 @@ fn shown(browser: &Browser, what: &str) -> Value {
 fn both_arrays_are_drawn_and_obey_the_buttons_of_the_page() {
     let folder = tempfile::tempdir().expect("a folder");
     let (_sim, _controller, [of_sim, of_controller]) = simulated("drawn", folder.path());
-    let (_server, url) = page("drawn", &[&of_sim, &of_controller]);
-    let Some(browser) = Browser::open(&url) else { return };
+    let server = page("drawn", &[&of_sim, &of_controller]);
+    let Some(browser) = Browser::open(&server.url()) else { return };
     wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
     wait_until("a drawn room", || shown(&browser, "room.frames > 3") == true);
     assert_eq!(shown(&browser, "room.view.content.plan.arrays"), json!([6, 8]));
@@ -95,8 +86,8 @@ fn the_page_names_the_array_whose_driver_has_left() {
                 users.put(&report(tick)).expect("the session is open");
             }
         });
-        let (_server, url) = page("shown", &[first, second, of_controller]);
-        let Some(browser) = Browser::open(&url) else { return };
+        let server = page("shown", &[first, second, of_controller]);
+        let Some(browser) = Browser::open(&server.url()) else { return };
         wait_until("two arrays that follow", || arrays(&browser) == (true, "following".into()));
         let unusable = || shown(&browser, "room.motion.to?.unusable");
         wait_until("a frame in which every mirror is usable", || unusable() == json!([]));

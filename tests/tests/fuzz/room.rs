@@ -4,23 +4,22 @@
 //! After each step the room checks what must always hold. The attacker may do anything that one
 //! process can do: delay, drop, repeat, invent. It does not change the memory of a process.
 
+mod delivery;
+
 use std::sync::OnceLock;
 
 use heliostat_array::Kit;
-use heliostat_array::content::Content;
 use heliostat_array::moment::Moment;
 use heliostat_array::refusal_counts::RefusalCounts;
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::capabilities::{Examiner, Force};
-use heliostat_decide::core::{Controller, Decision, Due, Timing, memory::Memory};
-use heliostat_decide::inbox::Message as Report;
+use heliostat_decide::core::Controller;
 use heliostat_decide::policy::PolicyKind;
-use heliostat_decide::refusal::{Refusal, Stream};
 use heliostat_decide::tenure::Tenure;
 use heliostat_engine::ActorSource;
 use heliostat_proto::*;
 use heliostat_scenario::Scenario;
-use heliostat_sim::{SimulatedRoom, control};
+use heliostat_sim::SimulatedRoom;
 
 use crate::bench_device::BenchDevice;
 use crate::forge::{self, Genuine, example_of};
@@ -199,20 +198,7 @@ impl Room {
         self.simulated.advance(self.local_ns.min(self.simulated_ns() + 20 * MS));
         let angles = self.simulated.angles();
         assert!(angles.roll.iter().chain(&angles.yaw).all(|angle| angle.is_finite()), "simulated {angles:?}");
-        let decision = self.controller.poll_timeout_command(self.room_ns);
-        if let Some(Decision::Move { command, .. }) = decision {
-            number(&mut self.sent, command);
-            check_command(command, &mut self.encoded);
-            self.send_command();
-        }
-    }
-
-    /// Sends the encoded command.
-    fn send_command(&mut self) {
-        let (epoch, sequence) = self.sent;
-        self.controller.handle_sent(0, epoch, sequence);
-        let command = decode(&self.encoded);
-        self.array(command, Content::Command);
+        self.poll_timeout();
     }
 
     fn simulated_ns(&self) -> u64 {
@@ -286,105 +272,6 @@ impl Room {
         self.deliver(kind);
     }
 
-    /// Delivers the payload on the key of a kind to every process that subscribes to it.
-    fn deliver(&mut self, kind: Kind) {
-        let payload = std::mem::take(&mut self.payload);
-        let is_decoded = match kind {
-            Kind::UserReport => self.report::<UserReport>(Stream::Users, &payload, |report| Report::Users(report)),
-            Kind::ChannelReport => {
-                self.report::<ChannelReport>(Stream::Channel, &payload, |report| Report::Channel(report))
-            }
-            Kind::ObstacleReport => {
-                self.report::<ObstacleReport>(Stream::Obstacles, &payload, |report| Report::Obstacles(report))
-            }
-            Kind::OrientationReport => {
-                self.report::<OrientationReport>(Stream::Orientation, &payload, |report| Report::Orientation(report))
-            }
-            Kind::MirrorTelemetry => {
-                self.report::<MirrorTelemetry>(Stream::Telemetry, &payload, |report| Report::Telemetry(0, report))
-            }
-            Kind::MirrorCommand => self.array(decode(&payload), Content::Command),
-            Kind::EmergencyStop => {
-                let order = decode::<EmergencyStop>(&payload);
-                if let Ok(order) = &order {
-                    self.controller.handle_stop_order(self.room_ns, order);
-                }
-                self.array(order, Content::Stop)
-            }
-            Kind::Calibration => self.array(decode(&payload), Content::Calibration),
-            Kind::Capabilities => consume(&payload, |capabilities: Capabilities| {
-                let verdict = setup().examiner.examine(0, &capabilities);
-                _ = self.controller.handle_capabilities(0, &capabilities, verdict);
-            }),
-            Kind::SimulatorControl => consume(&payload, |order: SimulatorControl| {
-                drop(control::apply(&mut self.simulated, &order));
-            }),
-            Kind::NodeStatus => consume(&payload, |_: NodeStatus| {}),
-            Kind::RoomTruth => consume(&payload, |_: RoomTruth| {}),
-            Kind::ControllerControl => consume(&payload, |_: ControllerControl| {}),
-            Kind::BeliefReport => consume(&payload, |_: BeliefReport| {}),
-            Kind::BranchReport => consume(&payload, |_: BranchReport| {}),
-            Kind::ControllerMemory => consume(&payload, |memory: ControllerMemory| {
-                drop(Memory::from_bytes(&memory.state));
-            }),
-            Kind::RoomGeometry => consume(&payload, |report: RoomGeometry| {
-                drop(Scenario::from_geometry_toml(&report.scenario));
-            }),
-            Kind::Rearm => {
-                let order = decode::<Rearm>(&payload);
-                if let Ok(order) = &order {
-                    self.controller.handle_rearm(order);
-                }
-                self.array(order, Content::Rearm)
-            }
-            Kind::SafetyReport => consume(&payload, |report: SafetyReport| {
-                self.controller.handle_safety(0, &report);
-            }),
-        };
-        self.tally.count(kind, is_decoded);
-        self.payload = payload;
-    }
-
-    /// Passes a report to the controller, and its command to the arrays; returns whether it could
-    /// be decoded.
-    fn report<T: Message>(
-        &mut self,
-        stream: Stream,
-        payload: &[u8],
-        wrap: impl for<'a> Fn(&'a mut T) -> Report<'a>,
-    ) -> bool {
-        let (now, controller) = (self.room_ns, &mut self.controller);
-        let mut report = match decode::<T>(payload) {
-            Ok(report) => report,
-            Err(error) => {
-                controller.handle_malformed(stream, Refusal::from(&error));
-                return false;
-            }
-        };
-        let decision = match controller.handle_message(now, wrap(&mut report)) {
-            Due::Command => controller.poll_command(now, Timing::InTime, &mut |_| {}),
-            Due::StaleCommand => controller.poll_stale_command(now),
-            Due::Nothing => return true,
-        };
-        if let Decision::Move { command, .. } = decision {
-            number(&mut self.sent, command);
-            check_command(command, &mut self.encoded);
-            self.send_command();
-        }
-        true
-    }
-
-    /// Passes a message to both arrays; returns whether it could be decoded.
-    fn array<T>(&mut self, message: Result<T, CodecError>, wrap: fn(Result<T, CodecError>) -> Content) -> bool {
-        let is_decoded = message.is_ok();
-        let content = wrap(message);
-        let now = self.now();
-        let simulated = Moment { local_ns: self.simulated_ns(), ..now };
-        drop(self.simulated.handle(0, simulated, content.clone(), &mut RefusalCounts::default()));
-        self.checked(|room| drop(room.kit.handle(now, content, &mut room.refused)));
-        is_decoded
-    }
-
     /// Executes a step of the kit; a stopped array must not move in it.
     fn checked(&mut self, step: impl FnOnce(&mut Self)) {
         let state = |room: &Self| (room.kit.array().state(), room.kit.device().moves);
@@ -408,26 +295,5 @@ impl Room {
         encode(&self.kit.capabilities(stamp), &mut self.encoded).expect("the kit's capabilities are valid");
         encode(&self.kit.safety(stamp), &mut self.encoded).expect("the kit's safety report is valid");
         encode(&self.simulated.telemetry(0, stamp), &mut self.encoded).expect("the simulated telemetry is valid");
-    }
-}
-
-/// Decodes a payload for a subscriber; returns whether it could be decoded.
-fn consume<T: Message>(payload: &[u8], handle: impl FnOnce(T)) -> bool {
-    decode(payload).map(handle).is_ok()
-}
-
-/// Numbers a command as the sender does: from 1 in each epoch.
-fn number(sent: &mut (u64, u64), command: &mut MirrorCommand) {
-    let last = if sent.0 == command.epoch { sent.1 } else { 0 };
-    command.sequence = last + 1;
-    *sent = (command.epoch, command.sequence);
-}
-
-/// A decided command must be valid for every driver.
-fn check_command(command: &MirrorCommand, encoded: &mut Vec<u8>) {
-    encode(command, encoded).expect("a decided command is valid");
-    let range_rad = setup().scenario.control.range_deg.to_radians();
-    for angle in command.roll.iter().chain(&command.yaw) {
-        assert!(f64::from(angle.abs()) <= range_rad, "{angle} rad is beyond the range of the scenario");
     }
 }

@@ -3,7 +3,10 @@
 use heliostat_proto::MirrorTelemetry;
 
 use super::slot::{Owner, Slot};
-use crate::input::{refusal::Refusal, sequence::SequenceTrack};
+use crate::input::{
+    refusal::{Refusal, TelemetrySizes},
+    sequence::SequenceTrack,
+};
 
 /// The latest telemetry of one array.
 #[derive(Debug)]
@@ -26,8 +29,14 @@ impl ArrayInbox {
 
     /// Whether telemetry is of an array of this shape.
     pub fn check(&self, telemetry: &MirrorTelemetry) -> Result<(), Refusal> {
-        let commanded = [telemetry.roll_commanded.len(), telemetry.yaw_commanded.len()];
-        if commanded == [self.mirrors; 2] { Ok(()) } else { Err(Refusal::WrongMirrorCount) }
+        let TelemetrySizes { roll, yaw, expected } = self.sizes(telemetry);
+        if [roll, yaw] == [expected; 2] { Ok(()) } else { Err(Refusal::WrongMirrorCount) }
+    }
+
+    /// The sizes of telemetry beside that of the array.
+    pub fn sizes(&self, telemetry: &MirrorTelemetry) -> TelemetrySizes {
+        let (roll, yaw) = (telemetry.roll_commanded.len(), telemetry.yaw_commanded.len());
+        TelemetrySizes { roll, yaw, expected: self.mirrors }
     }
 
     /// The source has left: its delayed telemetry is refused.

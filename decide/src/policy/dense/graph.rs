@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use heliostat_onnx::{GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, f32_extents};
+use heliostat_onnx::{GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, describe, f32_extents};
 
 use super::{
     error::DenseError,
     layers::Layer,
     operator::{self, Call, Input},
 };
-use crate::policy::actor_file::describe;
 
 /// The layers of a graph whose input has rows of `input_length` values.
 ///

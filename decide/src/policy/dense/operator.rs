@@ -1,6 +1,7 @@
 //! One node of a dense graph, and the layers that it stands for.
 //!
-//! Source: the operators as ONNX defines them for opset 13 and later (Clip also as in opset 6).
+//! Source: the operators as ONNX defines them from opset 7 on. Later opsets define them for more
+//! types than f32; Clip has its bounds as attributes before opset 11.
 
 use heliostat_onnx::{
     AttributeProto, NodeProto, TensorProto,

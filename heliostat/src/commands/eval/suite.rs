@@ -7,9 +7,10 @@ mod page;
 mod standing;
 mod tasks;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use heliostat_engine::ActorSource;
 use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_scenario::Scenario;
@@ -116,27 +117,30 @@ fn compared(named: &[String]) -> Result<Vec<(String, EvaluatedPolicy)>> {
 /// fits none, which is an error only if it was named.
 fn steps_of(args: &SuiteArgs, named: &[String], room_of: RoomOf) -> Result<Vec<Step<'static>>> {
     let policies = compared(named)?;
+    policies.iter().try_for_each(|(_, policy)| policy.check_file())?;
     let names: Vec<&str> = TASKS.iter().map(|task| task.name).collect();
     for name in &args.tasks {
         ensure!(names.contains(&name.as_str()), "--tasks {name}: expected one of {}", names.join(", "));
     }
     let chosen = TASKS.iter().filter(|task| args.tasks.is_empty() || args.tasks.iter().any(|name| name == task.name));
-    let (mut steps, mut fitting) = (Vec::new(), Vec::new());
+    let (mut steps, mut fitting, mut refusals) = (Vec::new(), Vec::new(), BTreeMap::new());
     for task in chosen {
         let mut arguments = task.arguments(args.quick);
         let scenario = room_of(&arguments)?;
-        let fit: Vec<&str> =
-            policies.iter().filter(|(_, policy)| policy.fits(&scenario)).map(|(name, _)| name.as_str()).collect();
+        let mut fit = Vec::new();
+        for (name, policy) in &policies {
+            match policy.check_fits(&scenario) {
+                Ok(()) => fit.push(name.as_str()),
+                Err(refusal) => drop(refusals.insert(name.as_str(), (task.name, refusal))),
+            }
+        }
         arguments.extend(["--policies".into(), fit.join(",")]);
         fitting.extend(fit);
         steps.push((task as &Section, arguments));
     }
-    for name in named {
-        ensure!(
-            name == ALL || fitting.contains(&name.as_str()),
-            "policy {name} fits none of the chosen rooms; heliostat eval --policies {name}, with the --scenario and the \
-             --set of a task, states why"
-        );
+    let mut unfit = named.iter().filter(|name| !fitting.contains(&name.as_str()));
+    if let Some((name, (task, refusal))) = unfit.find_map(|name| refusals.remove_entry(name.as_str())) {
+        bail!("policy {name} fits none of the chosen rooms, and not that of {task}: {refusal:#}");
     }
     Ok(steps)
 }

@@ -1,6 +1,7 @@
 //! The results pages as data: what each section runs, shows and promises.
 
 mod actuators;
+mod anchors;
 mod evaluation;
 mod latency;
 mod learning;
@@ -18,6 +19,8 @@ pub enum PageName {
     Rooms,
     /// A learned correction of the belief, beside the best model-based policy
     Learning,
+    /// Newer algorithms from the literature, beside the best model-based policy
+    Anchors,
     /// What each property of the mirrors' drives costs, and calibration
     Actuators,
     /// Decision, loop, mirrors, users, rooms and policies, each beside a reference of the same run
@@ -31,6 +34,7 @@ impl PageName {
             Self::Evaluation => &evaluation::PAGE,
             Self::Rooms => &rooms::PAGE,
             Self::Learning => &learning::PAGE,
+            Self::Anchors => &anchors::PAGE,
             Self::Actuators => &actuators::PAGE,
             Self::Latency => &latency::PAGE,
         }
@@ -39,7 +43,11 @@ impl PageName {
 
 /// The training runs whose actors a command evaluates, in the order in which they are run.
 pub fn trainings(arguments: &[String]) -> Vec<&'static Training> {
-    learning::TRAININGS.iter().filter(|training| training.is_evaluated_by(arguments)).collect()
+    all_trainings().filter(|training| training.is_evaluated_by(arguments)).collect()
+}
+
+fn all_trainings() -> impl Iterator<Item = &'static Training> {
+    learning::TRAININGS.iter().chain(&anchors::TRAININGS)
 }
 
 #[cfg(test)]
@@ -76,9 +84,9 @@ mod tests {
 
     #[test]
     fn every_actor_of_a_page_has_a_training_run_and_every_run_an_evaluation() {
-        let commands: Vec<Vec<String>> =
-            learning::PAGE.sections.iter().map(|section| section.arguments(false)).collect();
-        for training in &learning::TRAININGS {
+        let sections = learning::PAGE.sections.iter().chain(anchors::PAGE.sections);
+        let commands: Vec<Vec<String>> = sections.map(|section| section.arguments(false)).collect();
+        for training in all_trainings() {
             assert!(commands.iter().any(|arguments| training.is_evaluated_by(arguments)), "{}", training.name);
         }
         for arguments in &commands {

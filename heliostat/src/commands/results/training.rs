@@ -36,7 +36,7 @@ fn is_finished(training: &Training) -> bool {
     files.map(|file| file.path()).any(|path| path.extension().is_some_and(|extension| extension == "onnx"))
 }
 
-/// Runs a training, or continues it where its folder holds a checkpoint. A quick run has one episode.
+/// Runs a training, or continues it where its folder holds a checkpoint.
 ///
 /// # Errors
 /// The training fails.
@@ -45,7 +45,7 @@ fn run(training: &Training, quick: bool) -> Result<()> {
     let mut process = Command::new(program);
     process.args(training.arguments()).arg("--json").stdin(Stdio::null()).stdout(Stdio::null());
     if quick {
-        process.args(["--option", "episodes=1", "--option", "room_count=2", "--option", "room_s=3"]);
+        process.args(training.quick());
     }
     if Path::new(&training.folder()).join("checkpoint.safetensors").exists() {
         process.arg("--resume");

@@ -7,9 +7,9 @@ use candle_core::{Device, Result, Tensor};
 use heliostat_channel::solver::Solver;
 use heliostat_channel::{MirrorAngles, Vec3};
 use heliostat_decide::correction::{Correction, Frame, LOG_VARIANCE, LOG_VARIANCE_OFFSET, LOG_VARIANCE_SCALE};
-use heliostat_decide::evidence::{EVIDENCE_VERSION, FEATURES, correction_of};
-use heliostat_decide::policy::actor_file::{ActorFile, COMPACT, CORRECTIONS_NAME, INPUT_NAME, key};
-use heliostat_decide::policy::compact_file::check;
+use heliostat_decide::evidence::{FEATURES, correction_of};
+use heliostat_decide::policy::actor_file::{ActorFile, INPUT_NAME};
+use heliostat_decide::policy::compact_file::CORRECTIONS;
 use heliostat_decide::policy::{Policy, PolicyKind};
 use heliostat_engine::{ActorSource, build};
 use heliostat_onnx::graph::Ends;
@@ -19,7 +19,7 @@ use rand::Rng;
 
 use crate::environment::room::Environment;
 use crate::evaluation::held_out::best_angles;
-use crate::export::rows::export;
+use crate::export::rows::{export, metadata};
 use crate::networks::layers::{Encoder, Network, Shape, assign};
 
 /// Widths of the two hidden layers.
@@ -60,7 +60,7 @@ pub fn trained(path: &str, scenario: &Scenario, seed: u64, rng: &mut impl Rng) -
         path => ActorSource::Path(PathBuf::from(path)),
     };
     let found = source.fetch(PolicyKind::Residual, scenario)?;
-    let graph = check(&found)?.graph.unwrap_or_default();
+    let graph = CORRECTIONS.check(&found)?.graph.unwrap_or_default();
     let network = untrained(rng)?;
     for layer in network.layers() {
         for (parameter, kind) in [(&layer.weight, "weight"), (&layer.bias, "bias")] {
@@ -87,13 +87,8 @@ pub fn trained(path: &str, scenario: &Scenario, seed: u64, rng: &mut impl Rng) -
 /// # Errors
 /// Errors of candle, when a parameter cannot be read.
 pub fn file(network: &Network, entries: &[(String, String)]) -> Result<Vec<u8>> {
-    let version = EVIDENCE_VERSION.to_string();
-    let own = [(key::ACTION, COMPACT.into()), (key::OBSERVATION_VERSION, version)];
-    let replaced = [key::OBSERVATION_VERSION, key::USERS_MAX, key::MIRRORS, key::MODE, key::GEOMETRY];
-    let others = entries.iter().filter(|(key, _)| !replaced.contains(&key.as_str())).cloned();
-    let metadata: Vec<_> = own.map(|(key, value)| (key.to_owned(), value)).into_iter().chain(others).collect();
-    let output = (CORRECTIONS_NAME, Correction::VALUES);
-    export(network, &Ends { name: "heliostat-residual", input: (INPUT_NAME, FEATURES), output }, &metadata)
+    let ends = Ends { name: "heliostat-residual", input: (INPUT_NAME, FEATURES), output: CORRECTIONS.output };
+    export(network, &ends, &metadata(&CORRECTIONS, entries))
 }
 
 /// The network as a file of the present moment, from which [`policy`] makes policies.

@@ -12,9 +12,10 @@ pub const REFERENCE: &str = "greedy";
 
 /// The policies that `all` stands for. `exhaustive` is for rooms with a few mirrors, and `hold`
 /// without an earlier policy is `flat`.
-pub const POLICIES: [&str; 22] = [
+pub const POLICIES: [&str; 23] = [
     REFERENCE,
     "residual",
+    "lstm",
     "oracle",
     "fixed-point",
     "ddpg",

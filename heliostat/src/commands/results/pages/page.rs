@@ -94,6 +94,15 @@ impl Training {
         self.command.split_whitespace().map(String::from).chain(out).collect()
     }
 
+    /// Further arguments of a quick run: one episode, and few rooms where an algorithm learns in rooms that
+    /// reports show.
+    pub fn quick(&self) -> &'static [&'static str] {
+        const QUICK: [&str; 6] = ["--option", "episodes=1", "--option", "room_count=2", "--option", "room_s=3"];
+        let algorithm = self.command.split_whitespace().nth(1);
+        let learns_by_reports = algorithm.is_some_and(|name| ["residual", "lstm"].contains(&name));
+        if learns_by_reports { &QUICK } else { &QUICK[..2] }
+    }
+
     /// Whether a command evaluates its actor.
     pub fn is_evaluated_by(&self, arguments: &[String]) -> bool {
         let folder = self.folder() + "/";

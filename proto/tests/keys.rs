@@ -1,0 +1,39 @@
+//! Names of rooms, and the keys that contain them.
+
+use heliostat_proto::*;
+
+#[test]
+fn room_names_hold_only_letters_digits_dashes_and_underscores() {
+    assert_eq!(Room::new(""), Err(RoomError::Empty));
+    assert!(matches!(Room::new(&"a".repeat(65)), Err(RoomError::TooLong { found: 65 })));
+    for bad in ["a/b", "*", "a b", "a$", "ä", "a?", "a#", "@x", "a.b", "\n"] {
+        assert!(matches!(Room::new(bad), Err(RoomError::BadCharacter { .. })), "{bad:?}");
+    }
+    let room = Room::new("Lab_2-b").expect("a valid name");
+    assert_eq!(room.command(), "heliostat/v1/Lab_2-b/mirrors/command");
+    assert_eq!(room.status(NodeKind::SimNode), "heliostat/v1/Lab_2-b/status/sim-node");
+    assert_eq!("Lab_2-b".parse(), Ok(room));
+}
+
+#[test]
+fn liveliness_keys_survive_a_round_trip() {
+    let room = Room::new("demo").expect("a valid name");
+    let key = room.alive(NodeKind::Driver, 0xabc);
+    assert_eq!(key, "heliostat/v1/demo/alive/driver/0000000000000abc");
+    assert_eq!(keys::parse_alive(&key), Some((NodeKind::Driver, 0xabc)));
+    assert_eq!(keys::parse_alive(&room.array(3).driver_alive(0xabc)), Some((NodeKind::Driver, 0xabc)));
+    let not_drivers = ["driver-0", "driver-16", "tracker-1"].map(|node| format!("heliostat/v1/demo/alive/{node}/1"));
+    let others = [room.users(), room.all_alive(), format!("{key}/more"), "heliostat/v2/demo/alive/driver/1".into()];
+    for other in others.into_iter().chain(not_drivers) {
+        assert_eq!(keys::parse_alive(&other), None, "{other}");
+    }
+}
+
+#[test]
+fn counters_and_messages_name_an_array_by_the_first_part_of_its_keys() {
+    let room = Room::new("lab").expect("a valid name");
+    for array in [0, 1, MAX_ARRAYS - 1] {
+        let key = format!("heliostat/v1/lab/{}/command", array_keys::array_name(array));
+        assert_eq!(key, room.array(array).command());
+    }
+}

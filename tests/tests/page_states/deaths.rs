@@ -1,0 +1,70 @@
+//! Processes that die: nothing on the page may look current afterwards.
+
+use heliostat_tests::{Browser, wait_until};
+use serde_json::Value;
+
+use crate::setting::{Setting, banner, is_live};
+
+/// Texts of all state chips that are green.
+fn green(browser: &Browser) -> Vec<Value> {
+    let script = "return [...document.querySelectorAll('#chips .good')].map((chip) => chip.textContent)";
+    browser.run(script).as_array().expect("a list").clone()
+}
+
+fn is_stale(browser: &Browser, part: &str) -> bool {
+    browser.run(&format!("return document.getElementById('{part}').classList.contains('stale')")) == true
+}
+
+#[test]
+fn a_process_that_dies_leaves_no_green_state_and_no_current_figure() {
+    let mut setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    wait_until("green states", || green(&browser).len() == 2);
+    assert!(!is_stale(&browser, "room-card") && !is_stale(&browser, "times") && banner(&browser).is_empty());
+    let sentence = browser.text("#sentence");
+    assert!(sentence.contains("Mbit/s") && sentence.contains("minimum rate"), "{sentence}");
+
+    setting.controller.kill();
+    wait_until("no green controller", || !green(&browser).iter().any(|chip| chip == "alive"));
+    wait_until("stale decision times", || is_stale(&browser, "times"));
+    wait_until("no mirrors that follow", || green(&browser).is_empty());
+    assert!(!is_stale(&browser, "room-card"), "the room still reports");
+
+    setting.room.kill();
+    wait_until("a stale room", || is_stale(&browser, "room-card") && is_stale(&browser, "rates"));
+    let sentence = browser.text("#sentence");
+    assert!(sentence.contains("has not reported for") && sentence.contains("unknown"), "{sentence}");
+    assert!(browser.text("#chip-array").starts_with("no report for"), "{}", browser.text("#chip-array"));
+
+    setting.server.kill();
+    wait_until("a banner", || banner(&browser).contains("No connection to the server"));
+    assert_eq!(green(&browser), Vec::<Value>::new());
+    for part in ["room-card", "rates", "sums", "times", "counters"] {
+        assert!(is_stale(&browser, part), "{part} looks current without a server");
+    }
+}
+
+#[test]
+fn the_death_of_the_server_alone_makes_everything_stale() {
+    let mut setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    setting.server.kill();
+    wait_until("a banner", || banner(&browser).contains("No connection to the server"));
+    wait_until("no green state", || green(&browser).is_empty());
+    assert!(browser.text("#sentence").contains("unknown"), "{}", browser.text("#sentence"));
+}
+
+#[test]
+fn another_server_on_the_same_port_reloads_the_page() {
+    let mut setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    browser.run("window.loaded_before = true");
+    setting.server.kill();
+    wait_until("a banner", || banner(&browser).contains("No connection"));
+    assert_eq!(browser.run("return window.loaded_before"), true);
+    setting.restart_server();
+    wait_until("a page of the new server", || {
+        browser.run("return window.loaded_before === undefined") == true && is_live(&browser)
+    });
+    assert_eq!(banner(&browser), "");
+}

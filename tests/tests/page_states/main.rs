@@ -1,0 +1,13 @@
+//! The live page in a browser while processes die, stop, restart and refuse, and what its pictures do.
+//!
+//! Room, controller and server of the page are processes of their own, so that each can be killed
+//! alone. Effects are read from the page, because the page is what must not deceive.
+//!
+//! - [`setting`]: the processes and the browser.
+//! - [`deaths`]: processes that die; [`orders`]: orders that take effect, wait or are refused.
+//! - [`view`]: what the page draws and says about a running room.
+
+mod deaths;
+mod orders;
+mod setting;
+mod view;

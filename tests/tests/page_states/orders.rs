@@ -1,0 +1,102 @@
+//! Orders of an operator: whether they took effect, wait for an answer, or were refused.
+
+use std::time::{Duration, Instant};
+
+use heliostat_tests::{Browser, wait_until};
+
+use crate::setting::{Setting, banner, is_live};
+
+/// Sends an order as a button does, also one for which there is no button.
+fn order(browser: &Browser, order: &str) {
+    let script = format!(
+        "return fetch('/order', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, \
+         body: JSON.stringify({order}) }}).then((answer) => answer.status)"
+    );
+    browser.run(&script);
+}
+
+#[test]
+fn the_banner_says_whether_the_array_confirmed_a_stop() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    browser.click("#stop");
+    wait_until("a confirmation", || banner(&browser).contains("has confirmed the stop"));
+    assert_eq!(browser.text("#chip-array"), "stopped");
+    let named = || banner(&browser).contains("heliostat ui (button)");
+    wait_until("the operator", named);
+    browser.click("#rearm");
+    wait_until("a release", || banner(&browser).contains("is released"));
+    wait_until("an array that follows", || is_live(&browser));
+    wait_until("no banner after the release", || banner(&browser).is_empty());
+    // The controller commanded during the stop, and the array refused it. That is over.
+    wait_until("no message about the stop", || {
+        browser.text("#problem").is_empty() && browser.text("#order-status").is_empty()
+    });
+
+    // A re-arm without a stop has no effect, and the page does not claim one.
+    browser.click("#rearm");
+    wait_until("a refusal", || browser.text("#order-status").contains("re-arm: refused: no emergency stop is latched"));
+    assert_eq!(banner(&browser), "");
+
+    // An array that cannot answer has not confirmed.
+    setting.room.signal("STOP");
+    browser.run("document.getElementById('stop').click()");
+    wait_until("a request", || banner(&browser).starts_with("Stop requested"));
+    wait_until("a warning", || banner(&browser).contains("has not confirmed the stop for"));
+    setting.room.signal("CONT");
+    wait_until("a late confirmation", || banner(&browser).contains("has confirmed the stop"));
+}
+
+#[test]
+fn a_stop_without_an_array_is_answered_at_once_and_a_rearm_keeps_the_warning() {
+    let mut setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    setting.room.kill();
+    wait_until("an array that has left", || browser.text("#chip-array").starts_with("no report for"));
+    let status = || browser.text("#order-status");
+    browser.run("window.shown = []; new MutationObserver(() => window.shown.push(document.getElementById('order-status').textContent))\
+                 .observe(document.getElementById('order-status'), { childList: true, characterData: true, subtree: true })");
+    browser.click("#stop");
+    let absent = "no array is present in this room";
+    wait_until("an answer about the array", || status() == format!("stop: {absent}"));
+    let shown = browser.run("return window.shown").to_string();
+    assert!(!shown.contains("not answered yet"), "{shown}");
+    let warning = "has not confirmed the stop for";
+    wait_until("a warning", || banner(&browser).contains(warning));
+    browser.click("#rearm");
+    wait_until("an answer about the re-arm", || status().contains("re-arm: "));
+    // The re-arm waits up to 2.5 s for a safety report and for a receiver. A page that loads again has
+    // no banner for a moment.
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(4) {
+        let shown = banner(&browser);
+        assert!(shown.is_empty() || shown.contains(warning), "{shown}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    wait_until("the same warning", || banner(&browser).contains(warning));
+    assert_eq!(status(), format!("re-arm: {absent}"));
+}
+
+#[test]
+fn a_refused_order_is_shown_as_refused_until_another_takes_effect() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    let status = || browser.text("#order-status");
+    order(&browser, r#"{ order: "policy", name: "clairvoyant" }"#);
+    wait_until("a refusal with its reason", || {
+        let shown = status();
+        assert!(!shown.contains("done"), "{shown}");
+        shown.starts_with("policy clairvoyant: refused") && shown.contains("there is no policy")
+    });
+    browser.run("document.getElementById('policy').value = 'fixed-point'");
+    browser.click("#switch-policy");
+    wait_until("an order that took effect", || status() == "policy fixed-point: done");
+    wait_until("no message", || status().is_empty() && browser.text("#problem").is_empty());
+
+    // More users than the room has: the simulator refuses.
+    order(&browser, r#"{ order: "blocked", users: 64 }"#);
+    wait_until("a refusal of the room", || status().contains("block the direct path of 64 users: refused"));
+    browser.click("#power [data-value='4']");
+    browser.click("#blocked [data-value='1']");
+    wait_until("the answer to the later order", || status() == "block the direct path of 1 user: done");
+}

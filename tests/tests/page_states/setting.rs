@@ -1,0 +1,57 @@
+//! Room, controller and server of the page as processes of their own, and what the page shows.
+
+use heliostat_bus::free_loopback_endpoint;
+use heliostat_tests::{Browser, PageServer, Process, wait_until};
+
+/// Room, controller and page.
+pub struct Setting {
+    pub room: Process,
+    pub controller: Process,
+    pub server: PageServer,
+    endpoints: [String; 2],
+}
+
+impl Setting {
+    pub fn new() -> Self {
+        Self::with(&[])
+    }
+
+    /// The same with settings of the room's scenario, which the other processes share.
+    pub fn with(set: &[&str]) -> Self {
+        let endpoints = [(); 2].map(|()| free_loopback_endpoint().expect("a free port"));
+        let [at_room, at_controller] = endpoints.each_ref().map(String::as_str);
+        let room = Process::heliostat(&[&["sim-node", "--listen", at_room], set].concat());
+        let join = ["controller", "--policy", "greedy", "--connect", at_room, "--listen", at_controller];
+        let controller = Process::heliostat(&[&join, set].concat());
+        let server = PageServer::start(&[&["--connect", at_room, "--connect", at_controller], set].concat());
+        Self { room, controller, server, endpoints }
+    }
+
+    /// A browser that shows the running room.
+    pub fn browser(&self, flags: &[&str]) -> Option<Browser> {
+        let browser = Browser::open_with(&self.server.url(), flags)?;
+        wait_until("a page that shows the room", || is_live(&browser));
+        wait_until("a drawn room", || drawn(&browser) > 3);
+        Some(browser)
+    }
+
+    /// Starts another server on the port of the one that was killed.
+    pub fn restart_server(&mut self) {
+        let [room, controller] = self.endpoints.each_ref().map(String::as_str);
+        self.server.restart(&["--connect", room, "--connect", controller]);
+    }
+}
+
+pub fn is_live(browser: &Browser) -> bool {
+    browser.text("#chip-array") == "following" && browser.text("#chip-controller") == "alive"
+}
+
+/// Number of pictures since the page was loaded.
+pub fn drawn(browser: &Browser) -> u64 {
+    browser.run("return document.getElementById('room').room?.frames ?? 0").as_u64().expect("a number")
+}
+
+pub fn banner(browser: &Browser) -> String {
+    let script = "const banner = document.getElementById('banner'); return banner.hidden ? '' : banner.textContent";
+    browser.run(script).as_str().unwrap_or_default().to_owned()
+}

@@ -1,0 +1,201 @@
+//! What the page draws and says about the room, in several browsers, sizes and themes.
+
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+
+use heliostat_tests::{choose_theme, wait_until};
+use serde_json::Value;
+
+use crate::setting::{Setting, drawn};
+
+#[test]
+fn the_camera_keeps_its_place_for_10_s_while_pictures_are_drawn() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    let eye = || browser.run("return document.getElementById('room').room.view.eye");
+    let before = eye();
+    browser.press("#room", "\u{E012}\u{E013}+");
+    wait_until("a turned view", || eye() != before);
+    let turned = eye();
+    browser.run(
+        "window.events = 0; const room = document.getElementById('room').room; const update = room.update; \
+                 room.update = function (frame) { window.events += 1; update.call(this, frame); }",
+    );
+    let (begun, first) = (Instant::now(), drawn(&browser));
+    while begun.elapsed() < Duration::from_secs(10) {
+        std::thread::sleep(Duration::from_millis(200));
+        assert_eq!(eye(), turned, "the camera moved {} ms after the key", begun.elapsed().as_millis());
+    }
+    let pictures = drawn(&browser) - first;
+    let frames = browser.run("return window.events").as_u64().expect("a number");
+    println!("{pictures} pictures of {frames} frames");
+    assert!(frames > 10 && pictures > 5, "{pictures} pictures of {frames} frames");
+    // The user can return to a named view.
+    browser.click("[data-eye=corner]");
+    wait_until("another view", || eye() != turned);
+}
+
+#[test]
+fn users_who_are_present_have_different_colours_and_keep_them() {
+    let setting = Setting::with(&["--set", "users.count=17"]);
+    let Some(browser) = setting.browser(&[]) else { return };
+    let swatches = "return [...document.querySelectorAll('#users .swatch')].map((swatch) => swatch.style.background)";
+    let colours = || -> Vec<String> { serde_json::from_value(browser.run(swatches)).expect("a list of texts") };
+    wait_until("all users", || colours().len() == 17);
+    let distinct: BTreeSet<String> = colours().into_iter().collect();
+    assert_eq!(distinct.len(), 17, "{distinct:?}");
+    // Any 64 ids; those who stay keep their colours while the others are replaced.
+    let found = browser.run(
+        "return import('/geometry.js').then(({ presentUsers, userColour, USER_COLOURS }) => { \
+           const ids = Array.from({ length: 64 }, (_, index) => 4294967295 - 8 * index); \
+           presentUsers(ids); \
+           const before = ids.map(userColour); \
+           const stay = ids.filter((_, index) => index % 2); \
+           const come = Array.from({ length: 32 }, (_, index) => 1000 + 8 * index); \
+           presentUsers([...come, ...stay]); \
+           const now = [...come, ...stay].map(userColour); \
+           const kept = stay.every((id, index) => userColour(id) === before[2 * index + 1]); \
+           return [new Set(before).size, new Set(now).size, kept, USER_COLOURS.every((one) => /^#[0-9a-f]{6}$/.test(one))]; })",
+    );
+    assert_eq!(found, serde_json::json!([64, 64, true, true]));
+}
+
+#[test]
+fn the_switches_show_what_the_one_channel_model_computes() {
+    // Users who stand: figures and frames of different instants then agree.
+    let setting = Setting::with(&["--set", "blockage.forced_users=2"]);
+    let Some(browser) = setting.browser(&[]) else { return };
+    browser.click("#speed [data-value='0']");
+    let without = "const { to } = document.getElementById('room').room.motion; \
+                   return to.users.reduce((sum, user) => sum + user.without_mirrors_mbps, 0)";
+    let no_irs = || browser.text("#sum-figures div:nth-child(2) dd span").parse::<f64>().unwrap_or(f64::NAN);
+    wait_until("rates without the mirrors that sum to the room's own reference", || {
+        let sum = browser.run(without).as_f64().unwrap_or(f64::NAN);
+        (sum - no_irs()).abs() <= 0.1 + 0.01 * no_irs()
+    });
+    browser.run("document.getElementById('show-wall').click()");
+    wait_until("a sentence about the room without mirrors", || {
+        browser.text("#sentence").starts_with("Without the mirrors")
+    });
+    assert!(browser.text("#rates-title").contains("without the mirrors"));
+    let missed = "return [...document.querySelectorAll('#users .number.bad')].length > 0";
+    wait_until("users who lose their link", || browser.run(missed) == true);
+    browser.run("document.getElementById('show-wall').click()");
+    wait_until("the mirrors again", || browser.text("#sentence").starts_with("Mirrors "));
+
+    let largest = "return fetch('/floor.json?mirrors=' + arguments_).then((answer) => answer.json())";
+    let map = |mirrors: &str| browser.run(&largest.replace("arguments_", mirrors));
+    let (with, bare) = (map("1"), map("0"));
+    let rates = |map: &Value| -> Vec<f64> {
+        map["rate_mbps"].as_array().expect("a list").iter().map(|rate| rate.as_f64().expect("a rate")).collect()
+    };
+    assert_eq!(rates(&with).len() as u64, with["columns"].as_u64().unwrap() * with["rows"].as_u64().unwrap());
+    let better = rates(&with).iter().zip(rates(&bare)).filter(|(with, bare)| **with > *bare + 0.01).count();
+    assert!(better > 0, "the mirrors light no point of the floor");
+    browser.run("document.getElementById('show-heat').click(); document.getElementById('show-paths').click()");
+    wait_until("a heat map", || browser.run("return document.getElementById('heat-scale').hidden") == false);
+    wait_until("paths", || browser.run("return document.getElementById('room').room.motion.paths.size") == 5);
+}
+
+#[test]
+fn an_outage_lasts_from_a_rate_below_the_minimum_to_the_next_one_above_it() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    let script = "return import('/outages.js').then(({ Outages }) => { \
+           const outages = new Outages(); \
+           const at = (time_s, rate_mbps) => \
+             outages.take({ time_s, users: [{ user: 3, is_rate_known: true, rate_mbps, min_rate_mbps: 1 }] }); \
+           for (let time_s = 0; time_s <= 10; time_s += 1) at(time_s, time_s >= 2 && time_s < 5 ? 0.5 : 2); \
+           const { share, longest_s } = outages.of(3); \
+           for (let time_s = 11; time_s <= 70; time_s += 1) at(time_s, 2); \
+           return [share, longest_s, outages.of(3).share, outages.of(9)]; })";
+    let found = browser.run(script);
+    assert_eq!(found, serde_json::json!([0.3, 3, 0, null]));
+}
+
+#[test]
+fn the_sentence_says_what_is_unknown() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    let sentence = |now: &str, age: f64| {
+        let script = format!(
+            "return import('/sentence.js').then(({{ sentence }}) => {{ \
+               const user = (user, rate_mbps, is_rate_known = true) => ({{ user, rate_mbps, is_rate_known, min_rate_mbps: 1 }}); \
+               return sentence({now}, {age}, {{ wall: true }}, null); }})"
+        );
+        browser.run(&script).as_str().expect("a text").to_owned()
+    };
+    let now = |users: &str, sum: &str| {
+        format!("{{ origin: 'simulated', ages_s: {{ room: 0 }}, users: [{users}], sum_mbps: {sum} }}")
+    };
+    let sum = "{ policy: 92, no_irs: 30 }";
+    assert_eq!(
+        sentence(&now("user(3, 0), user(7, 5)", sum), 0.1),
+        "Mirrors add 62 Mbit/s. 1 of 2 users is below the minimum rate."
+    );
+    assert_eq!(
+        sentence(&now("user(3, 2), user(7, 5)", sum), 0.1),
+        "Mirrors add 62 Mbit/s. All 2 users have their minimum rate."
+    );
+    assert_eq!(sentence(&now("", sum), 0.1), "No user is in the room.");
+    assert_eq!(
+        sentence(&now("user(3, 2)", "{ policy: 92, no_irs: null }"), 0.1),
+        "The sum rate is 92 Mbit/s; the rate without mirrors is unknown. The user has the minimum rate."
+    );
+    assert_eq!(
+        sentence(&now("user(3, 0, false), user(7, 5)", "null"), 0.1),
+        "The rates are unknown. The rate of 1 of 2 users is unknown."
+    );
+    assert_eq!(
+        sentence(&now("user(3, 2)", sum), 1.4),
+        "The room has not reported for 1.4 s: users and rates are unknown."
+    );
+    assert!(sentence("null", 0.0).starts_with("Waiting"));
+}
+
+#[test]
+fn a_browser_without_webgl_shows_a_plan() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&["--disable-gpu", "--disable-3d-apis"]) else { return };
+    assert_eq!(browser.run("return document.documentElement.dataset.view"), "2d");
+    let first = drawn(&browser);
+    wait_until("more pictures", || drawn(&browser) > first + 5);
+    let colours = "const canvas = document.querySelector('#room canvas'); \
+                   const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
+                   return new Set(new Uint32Array(data.buffer)).size";
+    assert!(browser.run(colours).as_u64().is_some_and(|colours| colours > 10), "the plan is empty");
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}
+
+#[test]
+fn the_page_fits_a_phone_and_a_desktop_in_light_and_dark_without_errors() {
+    let setting = Setting::new();
+    let Some(browser) = setting.browser(&[]) else { return };
+    for (width, height) in [(390, 844), (1280, 800), (1920, 1080)] {
+        browser.resize(width, height);
+        for theme in ["light", "dark"] {
+            choose_theme(&browser, theme);
+            let overflow = "return document.documentElement.scrollWidth - document.documentElement.clientWidth";
+            wait_until("a page without a horizontal scroll bar", || browser.run(overflow) == 0);
+            let cut = "return [...document.querySelectorAll('section, button, .switch, #sentence')]\
+                       .filter((part) => part.getBoundingClientRect().right > innerWidth + 1).length";
+            assert_eq!(browser.run(cut), 0, "{width} x {height}, {theme}: parts lie outside the page");
+            let first = drawn(&browser);
+            wait_until("pictures of this size", || drawn(&browser) > first + 2);
+            assert!(browser.screenshot().len() > 10_000);
+        }
+    }
+    // The whole desktop page is visible at once.
+    browser.resize(1280, 800);
+    wait_until("a page without a scroll bar", || {
+        browser.run("return document.documentElement.scrollHeight <= 800") == true
+    });
+    // Each term is explained to a user of the keyboard too.
+    let terms = "return [...document.querySelectorAll('dfn')].filter((term) => term.tabIndex === 0 && term.title.length > 20)\
+                 .map((term) => term.textContent)";
+    let terms = browser.run(terms).to_string();
+    for term in ["no IRS", "oracle", "minimum"] {
+        assert!(terms.contains(term), "{terms}");
+    }
+    assert_eq!(browser.console_errors(), Vec::<String>::new());
+}

@@ -258,9 +258,10 @@ fn actions_and_settings_outside_their_domain_are_refused_and_change_nothing() {
 
     let refused = |settings: TaskSettings| Task::new(settings, 1).err().unwrap().to_string();
     let known = TaskSettings::of_true_state(scenario("specular", &[]));
-    assert!(
-        refused(TaskSettings { dynamics: Dynamics::Static { step_s: 0.0 }, ..known.clone() }).contains("step_s = 0")
-    );
+    for step_s in [0.0, f64::NAN, 1e9] {
+        let reason = refused(TaskSettings { dynamics: Dynamics::Static { step_s }, ..known.clone() });
+        assert!(reason.contains(&format!("step_s = {step_s}")), "{reason}");
+    }
     assert!(refused(TaskSettings { settle_s: f64::NAN, ..known }).contains("settle_s = NaN"));
     let unknown = scenario("specular", &["mismatch.level=rough"]);
     assert!(refused(TaskSettings::of_true_state(unknown)).contains("mismatch.level"));

@@ -46,7 +46,7 @@ def rust_s(name: str, steps: int, rooms: int) -> float:
     root = Path(__file__).parents[2]
     program = root / "target/release/examples/trajectory"
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [program, str(steps), os.devnull, RUST_NAMES[name], str(rooms)]
+    command = [str(program), str(steps), os.devnull, RUST_NAMES[name], str(rooms)]
     subprocess.run(command, check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -73,7 +73,7 @@ def speeds(name: str, steps: int, rounds: int) -> str:
     env.reset(seed=7)
     many.reset(seed=7)
     # The actions of the Rust program, which repeat.
-    indices, cycle = np.arange(env.action_space.shape[0]), 11
+    indices, cycle = np.arange(env.action_space.sample().size), 11
     actions = [((indices * 7 + step * 3) % 11 / 10.0 - 0.5).astype(np.float32) for step in range(cycle)]
     batches = [np.tile(action, (ROOMS, 1)) for action in actions]
     numpy_room: Any = {"Paper": lambda: PaperRoom(np.zeros((0, 4))), "Static": lambda: StaticRoom(obstacles())}.get(name)

@@ -231,14 +231,15 @@ def test_actions_that_are_not_valid_are_refused_and_change_nothing() -> None:
     env.reset(seed=1)
     bad = np.zeros(200, np.float32)
     bad[7] = np.nan
-    for action, reason in [
+    cases: list[tuple[Any, str]] = [
         (np.zeros(7, np.float32), r"shape \(7,\), expected \(200,\)"),
         (np.zeros((1, 200), np.float32), "shape"),
         (bad, "NaN at index 7"),
         (np.zeros(200, np.complex64), "action: dtype complex64, expected real numbers"),
         (np.array(["0.5"] * 200), "action: dtype <U3, expected real numbers"),
         ([None] * 200, "action: dtype object"),
-    ]:
+    ]
+    for action, reason in cases:
         with pytest.raises(ValueError, match=reason):
             env.step(action)
     with pytest.raises(ValueError, match="dtype <U2"):

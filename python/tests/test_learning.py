@@ -43,7 +43,7 @@ def test_a_score_is_that_of_the_held_out_rooms_and_leaves_the_environment_as_it_
     fresh = heliostat.HeliostatEnv()
     fresh.reset(seed=4)
     assert np.array_equal(env.step(zero(seen))[0], fresh.step(zero(seen))[0])
-    with pytest.raises(ValueError, match="at least one state"):
+    with pytest.raises(ValueError, match="states = 0"):
         heliostat.evaluate(zero, env, states=0)
     with pytest.raises(TypeError, match="heliostat"):
         heliostat.evaluate(zero, gymnasium.make("CartPole-v1"))

@@ -65,9 +65,7 @@ impl Policy {
         };
         let file = if kind.is_learned() { Some(source.fetch(kind, room).map_err(refused)?) } else { None };
         let policy = match &file {
-            Some(file) if kind.rows(file).is_none() => {
-                Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?))
-            }
+            Some(file) if kind.rows(file).is_none() => Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?)),
             _ => Kind::Other(build(kind, room, &source).map_err(refused)?),
         };
         Ok(Self {

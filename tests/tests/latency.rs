@@ -98,7 +98,7 @@ fn show(name: &str, times: &Value) {
     println!("{name:<10} p50 {p50:8.1}  p90 {p90:8.1}  p99 {p99:8.1}  max {:8.1} us", at("max"));
 }
 
-/// A policy whose time budget makes its decisions slow on every machine.
+/// A policy whose time budget makes one decision last several report intervals on every machine.
 const SLOW: &str = "pso";
 
 /// The controller's summary.
@@ -360,10 +360,9 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
 
 #[test]
 fn a_slow_policy_misses_deadlines_and_superseded_reports_are_dropped() {
-    // One decision of the oracle takes longer than several report intervals.
     let slow = [
         "--policy",
-        "oracle",
+        SLOW,
         "--decide-in",
         "thread",
         "--set",

@@ -6,8 +6,8 @@
 //! [`super::ddpg`], preset `tuned`. The three changes of the source:
 //!
 //! 1. **Clipped double Q-learning.** The target is the smaller prediction of two critics.
-//! 2. **Delayed update.** Actor and targets move once in [`ACTOR_DELAY`] updates of the critics.
-//! 3. **Smoothed target.** The target's action has clipped noise ([`smoothed`]).
+//! 2. **Delayed update.** Actor and targets move once in `ACTOR_DELAY` updates of the critics.
+//! 3. **Smoothed target.** The target's action has clipped noise (`smoothed`).
 //!
 //! # Deviations from the source
 //! 1. **Values of each user.** The critics predict each user's part of the reward, and the smaller

@@ -51,6 +51,15 @@ impl Effort {
         }
     }
 
+    /// Whether nothing is smaller than in the documented run.
+    pub fn is_full(&self) -> bool {
+        let full = Self::full();
+        let Self { seeds, training_seeds, episodes, .. } = *self;
+        let others =
+            Self { seeds: full.seeds, training_seeds: full.training_seeds, episodes: full.episodes, ..self.clone() };
+        seeds >= full.seeds && training_seeds >= full.training_seeds && episodes >= full.episodes && others == full
+    }
+
     /// A few minutes on two cores.
     pub fn quick() -> Self {
         Self {
@@ -68,5 +77,18 @@ impl Effort {
             trials: 500,
             step_cm: 25.0,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_seeds_and_episodes_are_a_full_run_and_fewer_are_none() {
+        assert!(Effort { episodes: 1000, training_seeds: 5, ..Effort::full() }.is_full());
+        assert!(!Effort { episodes: 100, ..Effort::full() }.is_full());
+        assert!(!Effort { states: 8, ..Effort::full() }.is_full());
+        assert!(!Effort::quick().is_full());
     }
 }

@@ -98,7 +98,7 @@ pub struct Meta {
     pub machine: String,
     /// The command.
     pub command: String,
-    /// Full, quick, or reduced: full with other seeds or episodes.
+    /// Full, quick, or reduced: fewer seeds or episodes than the full run.
     pub effort: String,
     /// The first seed.
     pub first_seed: u64,

@@ -13,7 +13,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::args::{ReproduceArgs, command_of_report};
 use crate::claims::claims;
 use crate::document;
-use crate::effort::Effort;
 use crate::figures::finished_parts::Done;
 use crate::figures::{self, Kind};
 use crate::part::Part;
@@ -160,7 +159,7 @@ fn meta(args: &ReproduceArgs, parts: &[Origin]) -> Meta {
         command: command_of_report(args),
         effort: match args.quick {
             true => "quick",
-            false if effort == Effort::full() => "full",
+            false if effort.is_full() => "full",
             false => "reduced",
         }
         .into(),

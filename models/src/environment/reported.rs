@@ -32,7 +32,7 @@ pub struct Example {
     pub tilt: [f32; 2],
 }
 
-/// The ways of walking from which rooms are drawn.
+/// The mobility models from which rooms are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Walks {
@@ -53,7 +53,7 @@ pub enum Walks {
 }
 
 impl Walks {
-    /// All ways of walking.
+    /// All mobility models.
     pub const ALL: [Self; 7] = [
         Self::RandomWaypoint,
         Self::Pauses,
@@ -80,7 +80,7 @@ impl Walks {
 /// The rooms of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RoomChoice {
-    /// The ways of walking.
+    /// The mobility models.
     pub walks: Vec<Walks>,
     /// The parts of the room that may differ from the known one.
     pub mismatch: Vec<MismatchKind>,

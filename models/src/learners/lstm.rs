@@ -20,7 +20,7 @@
 //!    places alone.
 //! 2. **Reports.** The network reads late and noisy reports, and predicts the time in which the
 //!    command acts. It knows the lead and the nearest walls, and rates, latencies and noises are
-//!    drawn anew in each room.
+//!    drawn in each room.
 //! 3. **Symmetry.** Turned and mirrored rooms are equally likely, so each example is turned and
 //!    mirrored at random.
 //! 4. **Sizes.** This follows the abstract of the source, which states none: 10 reports, a state of

@@ -295,7 +295,7 @@ mod tests {
             mobility.write(&mut after);
             for (a, b) in before.iter().zip(&after).filter(|(a, b)| a.velocity == b.velocity && a.velocity == [0.0; 2])
             {
-                // A whole segment fits into a step only where two points almost coincide.
+                // A complete segment fits into a step only where two points almost coincide.
                 kept += usize::from(a == b);
             }
         }

@@ -24,7 +24,7 @@ use crate::geometry::Vec3;
 /// Largest number of points along the side of a panel.
 pub const POINTS_PER_SIDE_MAX: usize = 64;
 
-/// One access point: a square LED panel that faces down.
+/// An LED: a square panel that faces down, and an access point of its own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Led {
     /// Centre of the panel in m.

@@ -50,7 +50,7 @@ impl Mode {
 pub struct ChannelModel {
     /// The model of the mirror gain.
     pub mode: Mode,
-    /// The access points; each has the optical power of `budget`.
+    /// The LEDs; each has the optical power of `budget`.
     pub leds: Vec<Led>,
     /// The mirrors of all arrays.
     pub mirrors: MirrorArrays,

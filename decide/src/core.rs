@@ -20,8 +20,8 @@
 //!    [`poll_stale_command`](Controller::poll_stale_command). Several messages may be handled
 //!    before one poll; the poll then decides for the newest tick. A learner that proposes angles
 //!    itself polls [`poll_observation`](Controller::poll_observation), then
-//!    [`poll_proposed`](Controller::poll_proposed), or [`poll_corrected`](Controller::poll_corrected) where it
-//!    corrects the belief.
+//!    [`poll_proposed`](Controller::poll_proposed), or
+//!    [`poll_corrected`](Controller::poll_corrected) where it corrects the belief.
 //!    [`handle_and_poll`](Controller::handle_and_poll) does both steps for one message;
 //! 4. [`poll_timeout_command`](Controller::poll_timeout_command) again and again, at intervals
 //!    shorter than the validity of a command, so that the controller also acts when reports are

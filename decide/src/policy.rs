@@ -1,9 +1,9 @@
 //! Policies: from an observation to proposed mirror angles.
 //!
 //! [`Policy`] is the trait; [`build`] makes a policy from its [`PolicyKind`]. A learned policy
-//! ([`Actor`]) evaluates an ONNX file ([`actor_file`]) through an [`Engine`], of which [`DenseEngine`]
-//! evaluates dense graphs without an inference library. The other policies solve the channel model,
-//! search, or hold fixed angles.
+//! ([`Actor`]) evaluates an ONNX file ([`actor_file`]) through an [`Engine`], of which
+//! [`DenseEngine`] evaluates dense graphs without an inference library. The other policies solve
+//! the channel model, search, or hold fixed angles.
 //!
 //! To add a policy: write its file in `policy/`, list the file here, and add one row to the table
 //! in `registry.rs`.

@@ -1,12 +1,15 @@
-//! ONNX inference for learned policies, behind [`Engine`](heliostat_decide::policy::Engine) of the decision core.
+//! ONNX inference for learned policies, behind [`Engine`](heliostat_decide::policy::Engine) of the
+//! decision core.
 //!
-//! - [`build`]: any policy by its name, on the engine that suits its graph; [`EngineChoice`] selects another.
-//! - [`source`]: where the file of a learned policy comes from; [`shipped`] holds the actors that are built in.
+//! - [`build`]: any policy by its name, on the engine that suits its graph; [`EngineChoice`]
+//!   selects another.
+//! - [`source`]: where the file of a learned policy comes from; [`shipped`] holds the actors that
+//!   are built in.
 //!
-//! The embedded engine is tract, called directly: it is Rust alone. The cargo feature `onnxruntime` selects ONNX Runtime through ort
-//! instead. Only one module names each of them. Dense graphs run on
-//! [`DenseEngine`](heliostat_decide::policy::DenseEngine), which needs neither. A build without both features
-//! evaluates other graphs by the reference evaluation, which is slow.
+//! The embedded engine is tract, called directly: it is Rust alone. The cargo feature `onnxruntime`
+//! selects ONNX Runtime through ort instead. Only one module names each of them. Dense graphs run
+//! on [`DenseEngine`](heliostat_decide::policy::DenseEngine), which needs neither. A build without
+//! both features evaluates other graphs by the reference evaluation, which is slow.
 
 #[cfg(any(feature = "tract", feature = "onnxruntime"))]
 mod batch;
@@ -44,8 +47,8 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, source: &ActorSource) -> Res
     EngineChoice::Auto.build(kind, scenario, source)
 }
 
-/// Builds a policy for a room on the engine of [`EngineChoice::Auto`] and, if it is learned, tries it
-/// on sampled observations.
+/// Builds a policy for a room on the engine of [`EngineChoice::Auto`] and, if it is learned, tries
+/// it on sampled observations.
 ///
 /// # Errors
 /// As [`EngineChoice::build_tried`].

@@ -1,8 +1,8 @@
 //! The embedded engine: tract, on the calling thread.
 //!
 //! A run copies its input and allocates in tract; the tests print how often. [`sizes`] refuses a
-//! network whose tensors do not fit into memory before tract computes any of them. Graphs that tract
-//! would misread are refused before it sees them.
+//! network whose tensors do not fit into memory before tract computes any of them. Graphs that
+//! tract would misread are refused before it sees them.
 
 mod sizes;
 

@@ -1,9 +1,9 @@
 //! Runs the four environments with given actions; the Python package compares its own runs with it.
 //!
-//! `cargo run --release -p heliostat-environment --example trajectory -- STEPS FILE [NAME [ROOMS]]` writes,
-//! for each step of each environment or of the named one, the reward, the sum rate and the observation as
-//! little-endian numbers, and prints the steps per second of each. With ROOMS, so many rooms of successive
-//! seeds step in turn on one thread.
+//! `cargo run --release -p heliostat-environment --example trajectory -- STEPS FILE [NAME [ROOMS]]`
+//! writes, for each step of each environment or of the named one, the reward, the sum rate and the
+//! observation as little-endian numbers, and prints the steps per second of each. With ROOMS, so
+//! many rooms of successive seeds step in turn on one thread.
 
 use std::error::Error;
 use std::io::Write;

@@ -37,7 +37,8 @@ pub struct Head {
 }
 
 impl Head {
-    /// The map of an environment with one weight per user: an action of zero is the balanced weight.
+    /// The map of an environment with one weight per user: an action of zero is the balanced
+    /// weight.
     pub const BALANCED: Self = Self { baseline_weight: BaselineWeight::Balanced, range: 2.0 };
 
     /// The decoder weights of all slots of an observation vector; zero in empty slots.

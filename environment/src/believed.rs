@@ -56,8 +56,8 @@ fn believed(controller: &Controller, user: usize, now_ns: u64) -> Estimate {
     })
 }
 
-/// Writes the rows of the users `chosen`, one slot after the other. `controller` with the time in ns
-/// is absent where the true state is known.
+/// Writes the rows of the users `chosen`, one slot after the other. `controller` with the time in
+/// ns is absent where the true state is known.
 pub(crate) fn write(
     (model, observation): (&ChannelModel, &Observation),
     controller: Option<(&Controller, u64)>,

@@ -93,8 +93,8 @@ impl ClosedLoop {
         self.next_decision_by(from_ns.saturating_add(SILENCE_NS))?.ok_or(EnvironmentError::Silence)
     }
 
-    /// As [`ClosedLoop::next_decision`], for position reports up to `until_ns`; `None` where there is
-    /// none.
+    /// As [`ClosedLoop::next_decision`], for position reports up to `until_ns`; `None` where there
+    /// is none.
     ///
     /// # Errors
     /// [`EnvironmentError::Stale`].
@@ -128,8 +128,8 @@ impl ClosedLoop {
         command(decision, now, (&mut self.episode, &mut self.command_sequence))
     }
 
-    /// Lets the policy decide on the belief with these corrections, for the decision that is due; no
-    /// effect where none is. See [`Controller::poll_corrected`].
+    /// Lets the policy decide on the belief with these corrections, for the decision that is due;
+    /// no effect where none is. See [`Controller::poll_corrected`].
     ///
     /// # Errors
     /// [`EnvironmentError::Refused`].
@@ -140,8 +140,8 @@ impl ClosedLoop {
     }
 }
 
-/// The message of an event; `None` for one that no controller reads. Without `names_unusable` telemetry
-/// names no unusable mirrors.
+/// The message of an event; `None` for one that no controller reads. Without `names_unusable`
+/// telemetry names no unusable mirrors.
 pub fn message(event: &mut Event, names_unusable: bool) -> Option<Message<'_>> {
     let message = match event {
         Event::Telemetry(array, telemetry) => {

@@ -6,7 +6,8 @@ use heliostat_decide::policy::{ModelBased, Policy, PolicyError};
 use heliostat_scenario::Scenario;
 
 /// The policy `greedy`, for which the core keeps the evidence that a learner reads. The corrections
-/// come from the learner ([`Controller::poll_corrected`](heliostat_decide::core::Controller::poll_corrected)).
+/// come from the learner
+/// ([`Controller::poll_corrected`](heliostat_decide::core::Controller::poll_corrected)).
 pub(crate) struct CorrectedGreedy {
     solver: ModelBased,
 }

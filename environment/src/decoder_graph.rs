@@ -1,8 +1,8 @@
 //! The decoder of `heliostat_channel::decode` as nodes of an ONNX graph.
 //!
-//! An exported network gives one action per slot. The nodes turn the actions into decoder weights by
-//! [`Head`], and the weights into the angles of all mirrors. A controller needs no knowledge of the
-//! training, and no network can turn a mirror to an angle that the geometry does not allow.
+//! An exported network gives one action per slot. The nodes turn the actions into decoder weights
+//! by [`Head`], and the weights into the angles of all mirrors. A controller needs no knowledge of
+//! the training, and no network can turn a mirror to an angle that the geometry does not allow.
 
 use heliostat_channel::mirrors::MirrorArray;
 use heliostat_channel::{ChannelModel, Mode, Vec3};

@@ -1,5 +1,5 @@
-//! The episodes of a comparison in closed loop: rooms that training never uses, and the times at which
-//! they are sampled.
+//! The episodes of a comparison in closed loop: rooms that training never uses, and the times at
+//! which they are sampled.
 //!
 //! An episode is a separate room in which users have walked for a while. Its sampling times have
 //! equal mean spacing, each at a random offset within its interval, so that they fall anywhere
@@ -92,8 +92,8 @@ impl HeldOutEpisode {
         Self { seed, set, instants_ns: (0..instants as u64).map(share).collect(), recording_from_s: 0.0 }
     }
 
-    /// The same with a recorded walk of this length, of which it is the part `index` of `count`: the
-    /// controller starts within this part of the walk. A walk that is shorter than an episode
+    /// The same with a recorded walk of this length, of which it is the part `index` of `count`:
+    /// the controller starts within this part of the walk. A walk that is shorter than an episode
     /// repeats.
     fn in_recording(self, recording_s: f64, index: usize, count: usize) -> Self {
         let last_ns = self.instants_ns.last().map_or(0, |last| last + SPACING_NS);

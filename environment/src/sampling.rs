@@ -55,8 +55,8 @@ impl Sampling {
         self.next == self.looks_ns.len()
     }
 
-    /// Advances to the next decision, or to the last sampling time, and takes the samples until then.
-    /// Returns the time of the room in ns.
+    /// Advances to the next decision, or to the last sampling time, and takes the samples until
+    /// then. Returns the time of the room in ns.
     ///
     /// # Errors
     /// As [`ClosedLoop::next_decision_by`].

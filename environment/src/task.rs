@@ -5,9 +5,10 @@
 //!
 //! - **Static**: the learner observes the true state, the mirrors turn at once, and the action is
 //!   evaluated in the state in which it was chosen. The users then walk on for `step_s`.
-//! - **Closed loop**: a step is the time between two position reports. The learner observes what the
-//!   decision core derives from reports, and its action becomes a command to the simulated array.
-//!   The action is evaluated at the end of the step, with the true users and the true angles.
+//! - **Closed loop**: a step is the time between two position reports. The learner observes what
+//!   the decision core derives from reports, and its action becomes a command to the simulated
+//!   array. The action is evaluated at the end of the step, with the true users and the true
+//!   angles.
 //!
 //! ```
 //! use heliostat_environment::task::{Task, TaskSettings};
@@ -56,8 +57,8 @@ pub struct Step {
     pub sum_rate_mbps: f64,
     /// Share of users whose minimum rate is met; 1 without users.
     pub met: f64,
-    /// Sum rate of the oracle with minimum rates in Mbit/s, in the same state with mirrors that turn
-    /// at once.
+    /// Sum rate of the oracle with minimum rates in Mbit/s, in the same state with mirrors that
+    /// turn at once.
     pub oracle_mbps: Option<f64>,
 }
 

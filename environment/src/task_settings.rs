@@ -24,12 +24,13 @@ pub enum Dynamics {
 pub enum ObservationForm {
     /// The vector of [`heliostat_decide::observation`], which an exported actor reads.
     Vector,
-    /// The paper's state: presence, positions, gains, minimum rates and angles ([`AngleState`](crate::angle_state::AngleState)).
+    /// The paper's state: presence, positions, gains, minimum rates and angles
+    /// ([`AngleState`](crate::angle_state::AngleState)).
     AngleState,
     /// One row for each slot: [`believed`](crate::believed).
     Belief,
-    /// The row of [`heliostat_decide::evidence`] for each slot, which a network with the compact action
-    /// reads; in closed loop only.
+    /// The row of [`heliostat_decide::evidence`] for each slot, which a network with the compact
+    /// action reads; in closed loop only.
     Evidence,
 }
 

@@ -1,4 +1,5 @@
-//! Tasks: the same seed gives the same run, and actions mean what the controller's code makes of them.
+//! Tasks: the same seed gives the same run, and actions mean what the controller's code makes of
+//! them.
 
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::core::Controller;

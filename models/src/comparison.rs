@@ -9,14 +9,14 @@
 //!   reports that are sparse, late and noisy, and its commands turn mirrors with their dynamics.
 //!   The oracle observes the true state, and its mirrors turn at once.
 //!
-//! A learned policy is evaluated once per built-in actor; actors differ in their training seed. Each
-//! actor is evaluated on every state. The confidence interval includes variation across states and
-//! across training seeds.
+//! A learned policy is evaluated once per built-in actor; actors differ in their training seed.
+//! Each actor is evaluated on every state. The confidence interval includes variation across states
+//! and across training seeds.
 //!
 //! The denominator of a ratio is the sum rate of the oracle with minimum rates under the true
 //! evaluation. The oracle is no proven optimum, so a ratio slightly above 1 is possible. Policies
-//! have the controller's names. The measured time is that of the policy alone, encoding included; in
-//! closed loop it includes belief and observation.
+//! have the controller's names. The measured time is that of the policy alone, encoding included;
+//! in closed loop it includes belief and observation.
 
 mod belief_log;
 mod belief_quality;
@@ -78,8 +78,8 @@ pub struct Report {
     /// that has it.
     #[serde(serialize_with = "as_map", skip_serializing_if = "Vec::is_empty")]
     pub beliefs: Vec<(String, BeliefQuality)>,
-    /// Closed loop: the users of the first episode, by the first policy with the belief `filter`, from
-    /// the controller's start on.
+    /// Closed loop: the users of the first episode, by the first policy with the belief `filter`,
+    /// from the controller's start on.
     #[serde(skip)]
     pub tracked: Vec<TrackedUser>,
 }

@@ -1,5 +1,5 @@
-//! The networks that learners train: layers, initialisation, optimiser, and the actors and critics of
-//! learners with one weight per user.
+//! The networks that learners train: layers, initialisation, optimiser, and the actors and critics
+//! of learners with one weight per user.
 
 pub mod actor;
 pub mod adam;

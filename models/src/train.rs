@@ -41,8 +41,8 @@ pub struct TrainArgs {
     /// Steps in an episode, which overrides the preset
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     steps: Option<u32>,
-    /// Fine-tune a trained network of `residual` on the true future rate; --option from=FILE.onnx gives
-    /// the network, otherwise the built-in one of the seed
+    /// Fine-tune a trained network of `residual` on the true future rate; --option from=FILE.onnx
+    /// gives the network, otherwise the built-in one of the seed
     #[arg(long, value_enum, value_name = "METHOD")]
     fine_tune: Option<FineTuning>,
     /// Override one hyperparameter, for example exploration.start=0.2 (repeatable); an unknown key
@@ -79,8 +79,8 @@ const USERS: [usize; 2] = [3, 8];
 /// Whether the run has to end, as Ctrl-C requests.
 type StopRequested<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// Runs the command. Where `stop_requested` returns true, it saves the run and returns an error with
-/// the command that resumes.
+/// Runs the command. Where `stop_requested` returns true, it saves the run and returns an error
+/// with the command that resumes.
 ///
 /// # Errors
 /// The scenario or an option is invalid, a file cannot be read or written, or the run is

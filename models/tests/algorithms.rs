@@ -100,7 +100,8 @@ fn a_resumed_run_equals_an_uninterrupted_run() {
 
 #[test]
 fn exported_graphs_give_the_learners_angles() {
-    // The graphs of residual and lstm give corrections; models/tests/residual.rs and lstm.rs evaluate them.
+    // The graphs of residual and lstm give corrections; models/tests/residual.rs and lstm.rs
+    // evaluate them.
     let gives_angles = |algorithm: &&Algorithm| !["residual", "lstm"].contains(&algorithm.name);
     for algorithm in Algorithm::value_variants().iter().filter(gives_angles) {
         for mode in ["specular", "paper-calibrated"] {

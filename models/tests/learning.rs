@@ -50,8 +50,8 @@ fn a_short_run_of_ppo_learns_to_meet_minimum_rates() {
     check(0.05, |scenario| Training::new(scenario, settings.clone(), ppo::Ppo::new));
 }
 
-/// Trains in small rooms in which the mirrors serve all users; the share of minimum rates met must rise
-/// by more than `gain`.
+/// Trains in small rooms in which the mirrors serve all users; the share of minimum rates met must
+/// rise by more than `gain`.
 fn check(gain: f64, begin: impl Fn(Scenario) -> anyhow::Result<Training> + Sync + Send) {
     on_one_thread(|| {
         let overrides = ["mirrors.rows=6", "mirrors.columns=6", "blockage.forced_users=5"].map(String::from);

@@ -35,8 +35,8 @@ fn reference(file: &ActorFile) -> Reference {
     Reference::new(&ModelProto::decode(file.bytes.as_ref()).unwrap()).unwrap()
 }
 
-/// Root mean squares in m: of the predictions of a file, of the Gauss-Markov prediction, and of the last
-/// report.
+/// Root mean squares in m: of the predictions of a file, of the Gauss-Markov prediction, and of the
+/// last report.
 fn errors_m(file: &ActorFile, all: &[Example]) -> [f64; 3] {
     let reference = reference(file);
     let mut sums = [0.0; 3];

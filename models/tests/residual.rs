@@ -141,8 +141,8 @@ fn offices_have_seated_and_walking_users_with_tilted_receivers_and_some_report_o
 
 const REWARD: Reward = Reward { form: RewardForm::Shortfall, lambda: 10.0, margin: 1.0 };
 
-/// Decisions about seated users with tilted receivers that are believed to be upright, with the changes
-/// to the true normals.
+/// Decisions about seated users with tilted receivers that are believed to be upright, with the
+/// changes to the true normals.
 fn outlooks(seed: u64) -> (Vec<Outlook>, Vec<f32>) {
     let room = hall(&["users.mobility=seated", "users.orientation={}", "mirrors.rows=6", "mirrors.columns=6", UPRIGHT]);
     let policy = build(PolicyKind::Residual, &room, &ActorSource::Bytes(file(&training(short(1))))).unwrap();

@@ -304,7 +304,7 @@ macro_rules! message_table {
             message RoomGeometry(kind: 15, name: "room geometry", key: geometry(node: NodeKind) = "geometry/{node}") {
                 /// Source, sequence, time.
                 stamp: Stamp,
-                /// The tables of a scenario file that describe room, channel, access points, array,
+                /// The tables of a scenario file that describe room, channel, LEDs, array,
                 /// receiver, noise, bandwidth and bodies, as TOML.
                 scenario: String where text_at_most(MAX_GEOMETRY),
             }

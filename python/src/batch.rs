@@ -20,12 +20,12 @@ use rayon::prelude::*;
 use crate::error::{guarded, refused};
 use crate::settings::Settings;
 
-/// Figures of a step besides the reward: sum rate in Mbit/s, share of minimum rates met, sum rate of
-/// the oracle in Mbit/s or NaN.
+/// Figures of a step besides the reward: sum rate in Mbit/s, share of minimum rates met, sum rate
+/// of the oracle in Mbit/s or NaN.
 const FIGURES: usize = 3;
 
-/// Difference of the seeds of two successive episodes: 2^64 over the golden ratio, so that the seeds
-/// of neighbouring environments do not meet.
+/// Difference of the seeds of two successive episodes: 2^64 over the golden ratio, so that the
+/// seeds of neighbouring environments do not meet.
 const SEED_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// When an environment restarts after the end of an episode.
@@ -187,7 +187,8 @@ impl Batch {
         })
     }
 
-    /// Restarts the environments for which `mask` is true, or all; `None` as a seed is the next one.
+    /// Restarts the environments for which `mask` is true, or all; `None` as a seed is the next
+    /// one.
     #[pyo3(signature = (seeds, observations, mask = None))]
     fn reset(
         &self,

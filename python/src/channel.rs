@@ -14,8 +14,8 @@ use crate::scenario::Scenario;
 /// Largest number of pairs of user and mirror of a call: their tables need about 1 GB.
 const PAIRS_MAX: usize = 1 << 25;
 
-/// The channel of a scenario's room: gains, SINR and rates of users under mirror angles, the decoder
-/// and the oracle.
+/// The channel of a scenario's room: gains, SINR and rates of users under mirror angles, the
+/// decoder and the oracle.
 #[pyclass(frozen, module = "heliostat._core")]
 pub struct Channel {
     model: ChannelModel,

@@ -2,8 +2,8 @@
 //!
 //! It holds no logic of its own. Environments are tasks of `heliostat-environment`, physics is
 //! `heliostat-channel`, and policies are those of `heliostat-decide`. Messages are those of
-//! `heliostat-proto`, the rules of a driver are those of `heliostat-array`, and recordings are read by
-//! `heliostat-record`. Panics and refusals become Python exceptions with their reason.
+//! `heliostat-proto`, the rules of a driver are those of `heliostat-array`, and recordings are read
+//! by `heliostat-record`. Panics and refusals become Python exceptions with their reason.
 
 mod actor;
 mod arrays;

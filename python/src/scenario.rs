@@ -76,7 +76,7 @@ impl Scenario {
         (room.length_x_m, room.length_y_m, room.height_m)
     }
 
-    /// Positions of the access points in m.
+    /// Positions of the LEDs in m.
     #[getter]
     fn leds_m(&self) -> Vec<[f64; 3]> {
         self.inner.led.positions_m.clone()

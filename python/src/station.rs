@@ -1,7 +1,7 @@
 //! The rules of a driver for a device in Python: `heliostat_array::station` around it.
 //!
-//! The caller has the session, the clock and the thread. Messages may be received on any thread; all
-//! other methods belong to one thread, and none may be called from a method of the device.
+//! The caller has the session, the clock and the thread. Messages may be received on any thread;
+//! all other methods belong to one thread, and none may be called from a method of the device.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -220,14 +220,16 @@ impl Station {
         let (record, stop_at_start) = StopRecord::open(store, start_armed, now.room_ns);
         let raised = Raised::default();
         let mut kit = Kit::new(PyDevice { object: device, capabilities, travel_rad, raised: Arc::clone(&raised) });
-        // Every role may publish under the key of the stop, only operators under that of the re-arm.
+        // Every role may publish under the key of the stop, only operators under that of the
+        // re-arm.
         kit.refuse_unnamed_rearm(authenticated);
         let advice = stop_at_start.as_ref().map(|stop| stop_record::advice(&room, stop));
         let rules = Rules::new(kit, (record, stop_at_start), Identity { source, array, software }, now);
         Ok(Self { received: Mutex::default(), rules: Mutex::new(rules), raised, advice })
     }
 
-    /// Adds a message to the queue; `of` is command, stop, rearm or calibration. Any thread may call it.
+    /// Adds a message to the queue; `of` is command, stop, rearm or calibration. Any thread may
+    /// call it.
     fn receive(&self, of: &str, payload: &[u8], now: (u64, u64)) -> PyResult<()> {
         let content = match of {
             "command" => Content::Command(decode(payload)),

@@ -1,8 +1,8 @@
-//! The room for Foxglove's 3D panel: walls, access points, mirrors, reflected rays, users,
+//! The room for Foxglove's 3D panel: walls, LEDs, mirrors, reflected rays, users,
 //! obstacles.
 //!
 //! Positions are in m in the room's frame, under the frame id `FRAME`. A scene shows the truth of
-//! a simulated room, or the reports of a real one. Walls, access points and mirrors are those of the
+//! a simulated room, or the reports of a real one. Walls, LEDs and mirrors are those of the
 //! geometry that the room announced, else that the controller announced, else of the scenario.
 
 mod shapes;
@@ -186,7 +186,7 @@ impl Scene {
         &self.buffer
     }
 
-    /// Walls, access points and mirrors.
+    /// Walls, LEDs and mirrors.
     fn room(&self) -> SceneEntity {
         let [x, y, z] = self.size_m;
         let panel = |position: &Vec3| cube(position, Vec3::new(0.3, 0.3, 0.03), LED);
@@ -211,7 +211,7 @@ impl Scene {
         }
     }
 
-    /// The reflected ray of the nearest access point at each mirror's centre, down to the
+    /// The reflected ray of the nearest LED at each mirror's centre, down to the
     /// detectors, and the direct paths.
     fn light(&self) -> SceneEntity {
         let height = self.users.first().map_or(0.0, |user| user.position.z);

@@ -23,7 +23,7 @@ const BURST_REPORTS: RangeInclusive<f64> = 1.0..=1e4;
 const COHERENCE_S: RangeInclusive<f64> = 0.001..=1e4;
 /// Largest number of mirrors of a room: the limit of the contract.
 pub const MIRRORS_MAX: usize = 16_384;
-/// Optical power of an access point in W.
+/// Optical power of an LED in W.
 pub const POWER_W: RangeInclusive<f64> = 1e-6..=1e4;
 /// Walking speed in m/s of users who do not stand still. A user who walks faster crosses the
 /// smallest room so often that a step of the walk has no bounded cost.

@@ -26,7 +26,7 @@ pub struct Scenario {
     pub room: Room,
     /// Channel mode and interpretation of the equations.
     pub channel: Channel,
-    /// The access points on the ceiling.
+    /// The LEDs on the ceiling.
     pub led: Led,
     /// The mirror arrays.
     pub mirrors: MirrorTables,
@@ -166,7 +166,7 @@ impl Scenario {
 
     /// A hash of the optical geometry, which determines the effect of mirror angles.
     ///
-    /// It includes room, access points, array, receiver and channel mode, but not power, noise,
+    /// It includes room, LEDs, array, receiver and channel mode, but not power, noise,
     /// bandwidth and users. Trained actors contain this hash, so the keys of these tables must keep
     /// their names.
     pub fn geometry_hash(&self) -> String {

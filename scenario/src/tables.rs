@@ -80,7 +80,7 @@ impl Default for Channel {
     }
 }
 
-/// The access points on the ceiling.
+/// The LEDs on the ceiling.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Led {

@@ -193,8 +193,8 @@ impl Tally {
         self.blocked += measured.los_blocked.iter().filter(|blocked| **blocked).count() as u64;
     }
 
-    /// Mean over the instants of the sum rates of the users present, in bit/s; zero before the first
-    /// instant. An instant without users has a sum rate of 0.
+    /// Mean over the instants of the sum rates of the users present, in bit/s; zero before the
+    /// first instant. An instant without users has a sum rate of 0.
     pub fn mean_sum_rates_bps(&self) -> SumRates {
         let mean = |sum: f64| sum / self.samples.max(1) as f64;
         SumRates {

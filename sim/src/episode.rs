@@ -9,10 +9,10 @@
 //! 4. [`Episode::advance`] moves the room to an instant, at which [`Episode::room`] can be
 //!    examined.
 //!
-//! Events of the same time have a fixed order: telemetry, obstacles, orientations, channel, positions. A
-//! command changes the mirrors at once, so later events of the same time include its effect. The
-//! room reports a sample one latency after it was taken, so that its age is what `streams`
-//! configures.
+//! Events of the same time have a fixed order: telemetry, obstacles, orientations, channel,
+//! positions. A command changes the mirrors at once, so later events of the same time include its
+//! effect. The room reports a sample one latency after it was taken, so that its age is what
+//! `streams` configures.
 //!
 //! ```
 //! use heliostat_proto::MirrorCommand;

@@ -18,8 +18,8 @@ const DEVICE_MARGIN_M: f64 = 0.05;
 /// A half-power semi-angle stays below this, in degrees.
 const SEMI_ANGLE_MAX_DEG: f64 = 89.0;
 
-/// The true equipment of a scenario's room: LED, mirrors, receivers and tracker. Positions stay as far from
-/// walls and ceiling as the nominal ones.
+/// The true equipment of a scenario's room: LED, mirrors, receivers and tracker. Positions stay as
+/// far from walls and ceiling as the nominal ones.
 pub fn true_room(nominal: &Scenario, seed: u64) -> Scenario {
     let mut room = nominal.clone();
     if nominal.mismatch.is_none() {

@@ -118,7 +118,8 @@ fn the_autocorrelation_is_a_twentieth_at_the_coherence_time_and_exponential_befo
         let records = record(&walkers(speed_m_s), interval_s, 3000);
         for angle in [0, 1] {
             for (lag, expected) in [(30, 0.05), (20, 0.05_f64.powf(2.0 / 3.0)), (10, (-1.0_f64).exp())] {
-                // The quantile function of the Laplace distribution lowers a correlation by a few hundredths.
+                // The quantile function of the Laplace distribution lowers a correlation by a few
+                // hundredths.
                 close(autocorrelation(&records, angle, lag), expected, 0.03, "autocorrelation");
             }
         }

@@ -174,7 +174,8 @@ fn the_noise_of_a_receiver_has_its_size_at_every_gain_and_is_never_negative() {
     }
     let deviation = (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt();
     assert!((deviation / 1e-8 - 1.0).abs() < 0.05, "{deviation}");
-    // Half of the readings of a blocked path are clipped; the mean of the others is that of a half-normal number.
+    // Half of the readings of a blocked path are clipped; the mean of the others is that of a
+    // half-normal number.
     let zeros = blocked.iter().filter(|gain| **gain == 0.0).count() as f64 / blocked.len() as f64;
     let mean = blocked.iter().sum::<f64>() / blocked.len() as f64 / (1.0 - zeros);
     assert!((zeros - 0.5).abs() < 0.05 && (mean / 0.798e-8 - 1.0).abs() < 0.06, "{zeros} {mean}");

@@ -38,7 +38,7 @@ pub struct Plan {
     pub geometry_source: GeometrySource,
     /// Extents along x, y and z in m.
     pub size_m: [f64; 3],
-    /// Centres of the access points in m.
+    /// Centres of the LEDs in m.
     pub leds_m: Vec<[f64; 3]>,
     /// Centres of the mirrors in m, in index order.
     pub mirrors_m: Vec<[f64; 3]>,
@@ -57,7 +57,7 @@ pub struct SceneUser {
     pub at_m: [f64; 3],
     /// The body: x, y, radius and height in m; absent if bodies do not block.
     pub body_m: Option<[f64; 4]>,
-    /// The access point that serves the user.
+    /// The LED that serves the user.
     pub led: usize,
     /// Whether the direct path is blocked.
     pub blocked: bool,

@@ -83,7 +83,7 @@ impl StopState {
             (false, Some(_)) => (self.stopped, self.released) = (None, Some(now)),
             _ => {}
         }
-        // A report from before the order says nothing about it.
+        // A report from before the order does not show its effect.
         let open = ordered.filter(|ordered| array.is_none_or(|(at, _)| at <= *ordered) || !is_stopped);
         // The array confirmed the order, and a re-arm of another operator released it.
         let open = open.filter(|ordered| self.released.is_none_or(|released| released < *ordered));

@@ -17,7 +17,7 @@ use crate::UiError;
 use crate::order_publisher::OrderPublisher;
 use crate::view::Dated;
 
-/// A report older than this says nothing about the array.
+/// A report older than this does not show the state of the array.
 const REPORT_AGE_MAX: Duration = Duration::from_secs(3);
 /// Without telemetry for this time, an array that published some has left, and its last safety report
 /// no longer counts.

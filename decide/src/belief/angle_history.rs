@@ -33,8 +33,8 @@ pub struct AngleHistory {
     /// A ring; `next` is the oldest entry, or the first unused one.
     entries: Vec<Entry>,
     next: usize,
-    /// From a command to the rest of the mirrors, in ns; at least 1, since a measurement at the time
-    /// of a command precedes its effect.
+    /// From a command to the rest of the mirrors, in ns; at least 1, since a measurement at the
+    /// time of a command precedes its effect.
     settling_ns: Nanos,
 }
 

@@ -1,5 +1,5 @@
-//! Whether a user's direct path is off for a reason that neither bodies nor obstacles explain: a hand
-//! over the detector, a user without a device.
+//! Whether a user's direct path is off for a reason that neither bodies nor obstacles explain: a
+//! hand over the detector, a user without a device.
 
 use serde::{Deserialize, Serialize};
 
@@ -38,8 +38,8 @@ impl Covered {
         self.probability += self.change * (self.prior - self.probability);
     }
 
-    /// Takes whether the direct path was measured as clear; `clear` is the probability of that for a
-    /// path that is not off.
+    /// Takes whether the direct path was measured as clear; `clear` is the probability of that for
+    /// a path that is not off.
     pub fn handle_direct(&mut self, is_clear: bool, clear: f64) {
         let clear = clear.clamp(WRONG, 1.0 - WRONG);
         let (off, on) = if is_clear { (WRONG, clear) } else { (1.0 - WRONG, 1.0 - clear) };

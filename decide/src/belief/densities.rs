@@ -49,8 +49,8 @@ impl Densities {
     }
 }
 
-/// Density of a measured gain at an expected one, which has this relative standard deviation; all are
-/// shares of the same gain.
+/// Density of a measured gain at an expected one, which has this relative standard deviation; all
+/// are shares of the same gain.
 #[inline(always)]
 pub(super) fn density(measured: f64, (expected, relative): (f64, f64), variance: f64) -> f64 {
     let scaled = relative * expected;

@@ -4,7 +4,7 @@
 //! time later. Its horizontal part u follows a stationary process. The mean is the horizontal part
 //! of a normal that is tilted towards the face of a user with the heading h, a unit vector:
 //!
-//! E u(t + s) = -sin(polar) h + r(s) (u(t) + sin(polar) h),        r(s) = 0.05^(s / coherence time).
+//! E u(t + s) = -sin(polar) h + r(s) (u(t) + sin(polar) h), r(s) = 0.05^(s / coherence time).
 //!
 //! The polar angle is that of the reported normals in the mean, apart for a user who walks and for
 //! one who does not. An old report therefore changes nothing but these means.
@@ -97,8 +97,8 @@ pub(crate) struct Lean {
 }
 
 impl Device {
-    /// Takes a reported normal (a unit vector) of a user with this speed in m/s, and what it shows of
-    /// the heading.
+    /// Takes a reported normal (a unit vector) of a user with this speed in m/s, and what it shows
+    /// of the heading.
     pub fn handle(
         &mut self,
         (time_ns, normal): (Nanos, &Vec3),

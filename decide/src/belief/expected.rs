@@ -127,8 +127,8 @@ impl ExpectedGains {
         &self.positions
     }
 
-    /// Prepares a user: the gains over mirrors that `clear` does not mark become 0. `others` are the
-    /// known bodies of other users.
+    /// Prepares a user: the gains over mirrors that `clear` does not mark become 0. `others` are
+    /// the known bodies of other users.
     pub fn select(&mut self, model: &ChannelModel, user: usize, clear: &[bool], others: &[Cylinder]) {
         for lit in &mut self.lit[..self.leds] {
             let mirrors = clear.len();
@@ -174,8 +174,8 @@ impl ExpectedGains {
         self.lit[led].steering[user]
     }
 
-    /// The LED that serves the selected user, whose body and receiver are these. Without a direct path
-    /// it is the LED with the largest steering gain.
+    /// The LED that serves the selected user, whose body and receiver are these. Without a direct
+    /// path it is the LED with the largest steering gain.
     pub fn served(&self, model: &ChannelModel, user: usize, own: &Cylinder, tilt: Option<&Tilt>) -> Served {
         let position = &self.positions[user];
         let Some(tilt) = tilt else {

@@ -102,8 +102,8 @@ impl Heading {
         self.probability.iter().zip(directions).map(|(probability, direction)| *probability * direction).sum()
     }
 
-    /// The unit vector of the most probable direction: the mean of the headings near the most probable
-    /// one.
+    /// The unit vector of the most probable direction: the mean of the headings near the most
+    /// probable one.
     pub fn mode(&self, directions: &[Vec3; HEADINGS]) -> Vec3 {
         let by_probability = |one: &usize, other: &usize| self.probability[*one].total_cmp(&self.probability[*other]);
         let peak = (0..HEADINGS).max_by(by_probability).unwrap_or(0);

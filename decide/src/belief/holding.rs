@@ -21,8 +21,8 @@ impl Belief {
         }
     }
 
-    /// How a user with this heading (a unit vector, or zero while unknown) and speed in m/s holds the
-    /// receiver, at a time in s after the last report of positions.
+    /// How a user with this heading (a unit vector, or zero while unknown) and speed in m/s holds
+    /// the receiver, at a time in s after the last report of positions.
     pub fn orientation(&self, user: u32, ahead_s: f64, (heading, speed): (&Vec3, f64)) -> Orientation {
         let time_ns = self.last_ns.saturating_add_signed((ahead_s * 1e9) as i64);
         let device = self.tracks.iter().find(|track| track.user == user).map(|track| &track.device);
@@ -40,9 +40,9 @@ impl Belief {
         }
     }
 
-    /// The heading of a user with this speed. That of a slow user who tilts the receiver is the most
-    /// probable one: measured gains are often as probable at a second heading, and between the two
-    /// the receiver would face elsewhere.
+    /// The heading of a user with this speed. That of a slow user who tilts the receiver is the
+    /// most probable one: measured gains are often as probable at a second heading, and between the
+    /// two the receiver would face elsewhere.
     pub(super) fn heading(&self, track: &Track, speed: f64) -> Vec3 {
         let mean = track.heading.mean(&self.directions);
         if self.posture.is_upright() || speed > SLOW_M_S {

@@ -82,8 +82,8 @@ impl LitMirrors {
     }
 
     /// Writes the gain over each column of mirrors by an LED, past a body, of a receiver that is
-    /// tilted from the one as evaluated. `body` is relative to the receiver in plan view; a path that it
-    /// blocks, by [`blockage::blocks`](heliostat_channel::blockage::blocks), has no gain.
+    /// tilted from the one as evaluated. `body` is relative to the receiver in plan view; a path
+    /// that it blocks, by [`blockage::blocks`](heliostat_channel::blockage::blocks), has no gain.
     pub fn sum_columns(&mut self, led: usize, body: Option<&Cylinder>, tilt: Option<&Tilt>, out: &mut [f64]) {
         let body = body.filter(|body| body.radius_m > 0.0);
         with_widest_simd(

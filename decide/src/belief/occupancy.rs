@@ -138,8 +138,8 @@ impl Occupancy {
         self.suspects.clear();
     }
 
-    /// Lists the cells near the paths from a user to the LED, if there is one, and to the columns of
-    /// mirrors, for the methods about a measurement.
+    /// Lists the cells near the paths from a user to the LED, if there is one, and to the columns
+    /// of mirrors, for the methods about a measurement.
     pub fn trace(&mut self, from: &Vec3, led: Option<&Vec3>, columns: &[Vec3]) {
         let Self { grid, direct, reflected, .. } = self;
         with_widest_simd(
@@ -171,8 +171,8 @@ impl Occupancy {
         );
     }
 
-    /// Multiplies each entry of `clear` by the probability that no suspected obstacle blocks the path
-    /// from a user to the point of the same index. The points lie on a line.
+    /// Multiplies each entry of `clear` by the probability that no suspected obstacle blocks the
+    /// path from a user to the point of the same index. The points lie on a line.
     pub fn weigh(&self, from: &Vec3, points: &[Vec3], clear: &mut [f64]) {
         if from.z >= self.grid.height_m {
             return;
@@ -193,8 +193,8 @@ impl Occupancy {
         }
     }
 
-    /// Takes whether the path to the LED was clear; `otherwise` is the probability that bodies leave
-    /// it clear.
+    /// Takes whether the path to the LED was clear; `otherwise` is the probability that bodies
+    /// leave it clear.
     pub fn handle_direct(&mut self, is_clear: bool, otherwise: f64) {
         let Self { direct, probability, influence, influential, .. } = self;
         let mut clear: Lanes = [0.0; LANES];
@@ -248,8 +248,8 @@ impl Occupancy {
     }
 
     /// Updates the influential cells, and removes their entries. If it is certain that a cell holds
-    /// no obstacle, or that it holds one, the expected share grows by p w, or falls by (1 - p) w, for
-    /// the probability p and the influence w of the cell.
+    /// no obstacle, or that it holds one, the expected share grows by p w, or falls by (1 - p) w,
+    /// for the probability p and the influence w of the cell.
     fn update(&mut self, expected: f64, likelihood: impl Fn(f64) -> f64) {
         for cell in self.influential.drain(..) {
             let influence = std::mem::take(&mut self.influence[cell]);

@@ -23,7 +23,8 @@ const LARGEST_CHANGE: f64 = 1.0;
 /// A receiver with a larger correlation with the reported one is as reported.
 const KNOWN: f64 = 0.95;
 
-/// What the measurements of one user say about tilted receivers: the logarithm of a likelihood ratio.
+/// What the measurements of one user say about tilted receivers: the logarithm of a likelihood
+/// ratio.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct TiltEvidence(f64);
 
@@ -89,8 +90,8 @@ impl Posture {
         }
     }
 
-    /// What is known of a user's receiver: what reports have shown, or else how a user with this speed
-    /// in m/s holds it.
+    /// What is known of a user's receiver: what reports have shown, or else how a user with this
+    /// speed in m/s holds it.
     pub fn held(&self, reported: Option<Lean>, speed: f64) -> Held {
         if let Some(lean) = reported {
             return Held::Reported(lean);

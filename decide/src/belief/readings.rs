@@ -1,4 +1,4 @@
-//! Measured gains, and what receivers can tell apart.
+//! Measured gains, and the resolution of the receivers.
 
 use heliostat_scenario::ChannelStream;
 
@@ -9,7 +9,7 @@ pub(super) struct MeasuredGains {
     pub irs: f64,
 }
 
-/// What the receivers can tell apart.
+/// The resolution of the receivers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Readings {
     /// The largest reading of a blocked path; see `ChannelStream::detectable_gain`.

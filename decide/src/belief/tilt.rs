@@ -27,8 +27,8 @@ pub(super) struct Tilt {
 }
 
 impl Tilt {
-    /// A detector whose polar angle has this sine and cosine, tilted towards the face of a user with
-    /// this heading, a unit vector.
+    /// A detector whose polar angle has this sine and cosine, tilted towards the face of a user
+    /// with this heading, a unit vector.
     pub fn towards_face((sine, cosine): (f64, f64), heading: &Vec3) -> Self {
         Self {
             normal: Vec3::new(-sine * heading.x, -sine * heading.y, cosine),
@@ -67,8 +67,8 @@ pub(super) fn is_single_open_detector(model: &ChannelModel) -> bool {
     }
 }
 
-/// The slopes of the direction from a receiver to a point; 0 for a point at its height or below, from
-/// which an upright detector receives nothing.
+/// The slopes of the direction from a receiver to a point; 0 for a point at its height or below,
+/// from which an upright detector receives nothing.
 pub(super) fn slopes(from: &Vec3, to: &Vec3) -> [f64; 2] {
     let towards = to - from;
     if towards.z > 0.0 { [towards.x / towards.z, towards.y / towards.z] } else { [0.0; 2] }

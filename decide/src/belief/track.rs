@@ -25,10 +25,10 @@ pub(super) struct Track {
     /// The last two reported positions, the later one first, with the time between them in s.
     pub earlier: [Option<Place>; 2],
     pub reported_velocity: Option<[f64; 2]>,
-    /// In a recorded state apart from the rest, since older ones lack it.
+    /// A recorded state holds it apart, so that states without it load.
     #[serde(skip)]
     pub tilt: TiltEvidence,
-    /// The same.
+    /// Also apart in a recorded state.
     #[serde(skip)]
     pub device: Device,
 }

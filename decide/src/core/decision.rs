@@ -27,10 +27,10 @@ pub struct Observed {
 }
 
 impl Controller {
-    /// Observes for the command that [`handle_message`](Self::handle_message) made due, for a caller
-    /// that proposes the angles itself, such as a learner. [`observation`](Self::observation) then
-    /// holds what a policy would read. Call [`poll_proposed`](Self::poll_proposed) next, with the
-    /// same `now`.
+    /// Observes for the command that [`handle_message`](Self::handle_message) made due, for a
+    /// caller that proposes the angles itself, such as a learner.
+    /// [`observation`](Self::observation) then holds what a policy would read. Call
+    /// [`poll_proposed`](Self::poll_proposed) next, with the same `now`.
     pub fn poll_observation(&mut self, now: Nanos) -> Observed {
         let observed = self.observe(now, Timing::InTime, &mut |_| {});
         self.settle_angles(now);
@@ -49,9 +49,9 @@ impl Controller {
         self.decide(observed, now, &mut |_| {})
     }
 
-    /// Decides as [`poll_command`](Self::poll_command), with the corrections of the caller in place of
-    /// the policy's. Shape of `corrections`: K * [`Correction::VALUES`](crate::correction::Correction::VALUES),
-    /// row-major.
+    /// Decides as [`poll_command`](Self::poll_command), with the corrections of the caller in place
+    /// of the policy's. Shape of `corrections`: K *
+    /// [`Correction::VALUES`](crate::correction::Correction::VALUES), row-major.
     ///
     /// No effect of the corrections where the policy does not read evidence.
     pub fn poll_corrected(&mut self, observed: Observed, now: Nanos, corrections: &[f32]) -> Decision<'_> {

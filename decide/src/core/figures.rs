@@ -1,4 +1,5 @@
-//! What a controller shows of itself: reports, counters, figures, the last observation and the belief.
+//! What a controller shows of itself: reports, counters, figures, the last observation and the
+//! belief.
 
 use heliostat_proto::{BeliefReport, Nanos};
 

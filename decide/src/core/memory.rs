@@ -55,8 +55,8 @@ pub struct Memory {
     angles_rad: [Vec<f64>; 2],
     /// After all fields of the first layout.
     orientation: OrientationMemory,
-    /// Each of several arrays; empty in a room with one, whose state is in the fields above. This and
-    /// the fields below are after all fields of the second layout.
+    /// Each of several arrays; empty in a room with one, whose state is in the fields above. This
+    /// and the fields below are after all fields of the second layout.
     arrays: Vec<ArrayMemory>,
     /// What is believed about tilted receivers.
     tilt: TiltMemory,
@@ -64,8 +64,8 @@ pub struct Memory {
     evidence: EvidenceMemory,
     /// What orientation reports have shown of devices; after all fields of the third layout.
     devices: DeviceMemory,
-    /// The last reports about the users, where the policy predicts places; after all fields of the fourth
-    /// layout.
+    /// The last reports about the users, where the policy predicts places; after all fields of the
+    /// fourth layout.
     walks: WalkMemory,
 }
 

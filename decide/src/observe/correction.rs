@@ -9,9 +9,9 @@
 //! | 0, 1 | change of the horizontal components of the receiver's normal |
 //! | 2 | [`LOG_VARIANCE_SCALE`] times it plus [`LOG_VARIANCE_OFFSET`] is the logarithm of the variance of that change |
 //!
-//! The change counts where its square exceeds its variance, and where the changed normal explains the
-//! measured gains at least as well as the believed one ([`Explained`]). So a network that is uncertain,
-//! or wrong in a way that shows, changes nothing.
+//! The change counts where its square exceeds its variance, and where the changed normal explains
+//! the measured gains at least as well as the believed one ([`Explained`]). So a network that is
+//! uncertain, or wrong in a way that shows, changes nothing.
 
 use heliostat_channel::{Orientation, Vec3};
 
@@ -39,8 +39,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame with its first axis along the horizontal part of a direction; the room's axes where
-    /// there is none.
+    /// The frame with its first axis along the horizontal part of a direction; the room's axes
+    /// where there is none.
     pub fn towards(direction: &Vec3) -> Self {
         let length = direction.x.hypot(direction.y);
         if length > 0.0 {
@@ -63,8 +63,8 @@ impl Frame {
 
 /// The measured gains of one user and the directions of the light, in the user's frame.
 ///
-/// A tilt changes the gain of a path in proportion to the cosine of the incidence angle. The
-/// misfit of a normal n is w_d (r_d - ln(n . d / n_0 . d))^2 + w_m (r_m - ln(n . m / n_0 . m))^2 with the
+/// A tilt changes the gain of a path in proportion to the cosine of the incidence angle. The misfit
+/// of a normal n is w_d (r_d - ln(n . d / n_0 . d))^2 + w_m (r_m - ln(n . m / n_0 . m))^2 with the
 /// believed normal n_0, the directions d to the LED and m to the array, and the mean residuals r.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Explained {
@@ -133,8 +133,8 @@ impl Correction {
     }
 }
 
-/// The unit vector that faces up with these horizontal components, which are shortened where they are
-/// too long.
+/// The unit vector that faces up with these horizontal components, which are shortened where they
+/// are too long.
 fn upward([x, y]: [f64; 2]) -> Vec3 {
     let length = x.hypot(y);
     let factor = if length > TILT_MAX { TILT_MAX / length } else { 1.0 };

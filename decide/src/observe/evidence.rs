@@ -56,7 +56,7 @@ const ROOM_MEMORY_S: f64 = 20.0;
 /// Bound of a residual.
 const RESIDUAL_MAX: f64 = 1.5;
 
-/// Share of the mirrors that serve a user below which the residual over the mirrors says nothing.
+/// Share of the mirrors that serve a user below which the residual over the mirrors is not used.
 const SERVED: f64 = 0.02;
 
 /// Share of the mirrors from which the residual over the mirrors has its full weight.

@@ -10,8 +10,8 @@
 //!
 //! Users may come and go with every report, in any order. A user is known by its number: reports
 //! about positions and about gains are matched by it, and it keeps its index in the observation as
-//! long as possible ([`Slots`]). A user without a measured gain has the modelled one, and a measured
-//! gain of an unknown user is ignored.
+//! long as possible ([`Slots`]). A user without a measured gain has the modelled one, and a
+//! measured gain of an unknown user is ignored.
 //!
 //! `control.belief` says where the users are while the command is in force: at their reported
 //! positions (`none`), further on at their reported velocity (`constant-velocity`), or where a
@@ -19,8 +19,8 @@
 //! the age of the report, the settling time of the mirrors, and half of the interval until the next
 //! report. No user is predicted to leave the room.
 //!
-//! A policy that predicts places itself replaces the place of each user ([`WalkHistory`]), whatever the
-//! belief; headings and gains stay those of the belief.
+//! A policy that predicts places itself replaces the place of each user ([`WalkHistory`]), whatever
+//! the belief; headings and gains stay those of the belief.
 //!
 //! With the filter, measured gains show headings and unreported obstacles. The gain of the direct
 //! path is then that of the model at the predicted place, or 0 where it is blocked: by the latest
@@ -187,8 +187,8 @@ impl Observer {
         self.prediction.belief()
     }
 
-    /// The directions in which the users of the last observation face, in its order: unit vectors in
-    /// the floor plane, zero while unknown.
+    /// The directions in which the users of the last observation face, in its order: unit vectors
+    /// in the floor plane, zero while unknown.
     pub fn headings(&self) -> &[Vec3] {
         &self.headings
     }

@@ -38,7 +38,8 @@ impl Lead {
         }
     }
 
-    /// From the sampling of a report of this age to the middle of the command's time in force, in s.
+    /// From the sampling of a report of this age to the middle of the command's time in force, in
+    /// s.
     fn ahead_s(&self, age_s: f64) -> f64 {
         age_s + 0.5 * self.interval_s + self.settling_s
     }
@@ -221,8 +222,8 @@ impl Prediction {
         Some(Estimate { position: self.lead.within_room(estimate.position), ..estimate })
     }
 
-    /// How a user with this heading and speed holds the receiver, by the last report, which has this
-    /// age in s; `None` without a belief. See [`Belief::orientation`].
+    /// How a user with this heading and speed holds the receiver, by the last report, which has
+    /// this age in s; `None` without a belief. See [`Belief::orientation`].
     pub fn orientation(&self, user: u32, age_s: f64, motion: (&Vec3, f64)) -> Option<Orientation> {
         Some(self.belief()?.orientation(user, self.lead.ahead_s(age_s), motion))
     }

@@ -1,17 +1,16 @@
-//! The input of a policy that predicts where users will be: one row for each user of the last reports
-//! about it, and the Gauss-Markov prediction that the policy corrects.
+//! The input of a policy that predicts where users will be: one row for each user of the last
+//! reports about it, and the Gauss-Markov prediction that the policy corrects.
 //!
 //! # The Gauss-Markov prediction
-//! A velocity v with the mean w and the time constant T is expected to be w + (v - w) exp(-t / T) after a
-//! time t. Over the lead L the user then moves by
+//! A velocity v with the mean w and the time constant T is expected to be w + (v - w) exp(-t / T)
+//! after a time t. Over the lead L the user then moves by
 //!
 //! w L + (v - w) T (1 - exp(-L / T)).
 //!
 //! Here v is the velocity of the last report, w the mean over the history, and L the time from the
-//! sampling of the report to the middle of the command's time in force. T follows from a memory of 0.75
-//! over 1 s, as the walks `gauss-markov` of a scenario have it.
-//! Source: Liang and Haas, Predictive distance-based mobility management for PCS networks, IEEE INFOCOM
-//! 1999.
+//! sampling of the report to the middle of the command's time in force. T follows from a memory of
+//! 0.75 over 1 s, as the walks `gauss-markov` of a scenario have it. Source: Liang and Haas,
+//! Predictive distance-based mobility management for PCS networks, IEEE INFOCOM 1999.
 //!
 //! # Layout of a row, version 1
 //! Vectors are in the room's axes. Values of an absent report are 0.
@@ -76,8 +75,8 @@ pub struct WalkMemory {
     walks: Vec<Walk>,
 }
 
-/// The last reports about all users, and the rows of the last observation. Its buffers are allocated
-/// once.
+/// The last reports about all users, and the rows of the last observation. Its buffers are
+/// allocated once.
 #[derive(Clone, Debug)]
 pub struct WalkHistory {
     walks: Vec<Walk>,
@@ -126,8 +125,8 @@ impl WalkHistory {
         self.places.clear();
     }
 
-    /// Adds the row of the next user, for a time in s after the last report, in a room with these half
-    /// lengths in m. The row of an unknown user stays at `position_m`.
+    /// Adds the row of the next user, for a time in s after the last report, in a room with these
+    /// half lengths in m. The row of an unknown user stays at `position_m`.
     pub(super) fn add(&mut self, (user, position_m): (u32, [f64; 2]), lead_s: f64, half_room_m: [f64; 2]) {
         let mut row = [0.0; WALK_VALUES];
         let walk = self.walks.iter().find(|walk| walk.user == user);
@@ -150,8 +149,8 @@ impl WalkHistory {
         &self.rows
     }
 
-    /// The place that the Gauss-Markov prediction gives for each row, in m, which a network corrects.
-    /// Shape: K * 2.
+    /// The place that the Gauss-Markov prediction gives for each row, in m, which a network
+    /// corrects. Shape: K * 2.
     pub fn expected_m(&self) -> impl ExactSizeIterator<Item = [f64; 2]> {
         self.origins.iter().map(|[[x, y], [dx, dy]]| [x + dx, y + dy])
     }
@@ -161,8 +160,9 @@ impl WalkHistory {
         self.origins.iter().map(|[last, _]| *last)
     }
 
-    /// Adds the outputs of a network to the Gauss-Markov predictions of all users. Shape of `outputs`: K *
-    /// [`DISPLACEMENT_VALUES`], row-major. Other lengths leave the users without a prediction.
+    /// Adds the outputs of a network to the Gauss-Markov predictions of all users. Shape of
+    /// `outputs`: K * [`DISPLACEMENT_VALUES`], row-major. Other lengths leave the users without a
+    /// prediction.
     pub fn predict(&mut self, outputs: &[f32]) {
         let (rows, rest) = outputs.as_chunks::<DISPLACEMENT_VALUES>();
         self.places.clear();
@@ -256,7 +256,8 @@ mod tests {
 
     const HALF_ROOM_M: [f64; 2] = [2.5, 2.0];
 
-    /// Reports each 0.1 s about users who stand at the origin at the first one and have these velocities.
+    /// Reports each 0.1 s about users who stand at the origin at the first one and have these
+    /// velocities.
     fn walked(reports: u64, velocities_m_s: &[[f32; 2]]) -> WalkHistory {
         let mut history = WalkHistory::default();
         for index in 0..reports {

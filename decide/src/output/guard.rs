@@ -156,8 +156,8 @@ impl StopLatch {
         }
     }
 
-    /// Bounds the times of the latch by `now`: a clock that was ahead and is corrected must not keep
-    /// the stop in force until the time that it showed.
+    /// Bounds the times of the latch by `now`: a clock that was ahead and is corrected must not
+    /// keep the stop in force until the time that it showed.
     pub fn handle_time(&mut self, now: Nanos) {
         self.stopped_ns = self.stopped_ns.min(now);
         self.arrived_ns = self.arrived_ns.min(now);

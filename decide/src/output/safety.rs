@@ -71,8 +71,8 @@ impl Limits {
         self.axes_rad
     }
 
-    /// Replaces smallest and largest roll, then yaw, in rad; false, without a change, where they are
-    /// not within the range.
+    /// Replaces smallest and largest roll, then yaw, in rad; false, without a change, where they
+    /// are not within the range.
     pub fn restore_axes(&mut self, axes_rad: [[f64; 2]; 2]) -> bool {
         let within = |[min, max]: &[f64; 2]| -self.range_rad <= *min && min <= max && *max <= self.range_rad;
         let fits = axes_rad.iter().all(within);

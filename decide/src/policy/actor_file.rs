@@ -45,8 +45,9 @@ pub mod key {
     pub const USERS_MAX: &str = "heliostat.users_max";
     /// Number of mirrors.
     pub const MIRRORS: &str = "heliostat.mirrors";
-    /// What the output is: [`COMPACT`](super::COMPACT), [`DISPLACEMENTS_NAME`](super::DISPLACEMENTS_NAME), or
-    /// [`ANGLES`](super::ANGLES) where the entry is missing.
+    /// What the output is: [`COMPACT`](super::COMPACT),
+    /// [`DISPLACEMENTS_NAME`](super::DISPLACEMENTS_NAME), or [`ANGLES`](super::ANGLES) where the
+    /// entry is missing.
     pub const ACTION: &str = "heliostat.action";
     /// Channel mode that the actor was trained in.
     pub const MODE: &str = "heliostat.mode";

@@ -2,8 +2,9 @@
 //!
 //! - **paper modes**: 5 x 5 angles that all mirrors share, roll from 0 to 60 and yaw from -60 to 60
 //!   degrees ([`ROLLS_DEG`], [`YAWS_DEG`]).
-//! - **`specular`**: if all mirrors have equal angles, each illuminates a different point. A codeword
-//!   therefore aims every mirror at one point of a grid over the floor, at the height of the receivers.
+//! - **`specular`**: if all mirrors have equal angles, each illuminates a different point. A
+//!   codeword therefore aims every mirror at one point of a grid over the floor, at the height of
+//!   the receivers.
 
 use heliostat_channel::{ChannelModel, Vec3, decode, mirrors::MirrorAngles};
 use heliostat_scenario::{ChannelMode, Scenario};
@@ -16,8 +17,8 @@ pub const ROLLS_DEG: [f64; 5] = [0.0, 15.0, 30.0, 45.0, 60.0];
 /// Yaws common to all mirrors in degrees, in the paper's modes.
 pub const YAWS_DEG: [f64; 5] = [-60.0, -30.0, 0.0, 30.0, 60.0];
 
-/// The codewords of a room, within the range of its mirrors: row by row of `grid` x `grid` points, x
-/// along a row, in `specular`; rolls and then yaws in the paper's modes.
+/// The codewords of a room, within the range of its mirrors: row by row of `grid` x `grid` points,
+/// x along a row, in `specular`; rolls and then yaws in the paper's modes.
 pub fn codewords(scenario: &Scenario, model: &ChannelModel, grid: usize) -> Vec<MirrorAngles> {
     let range_rad = Limits::new(&scenario.control).range_rad();
     let mut codewords = match scenario.channel.mode {

@@ -1,7 +1,7 @@
 //! The ONNX file of a network that is applied to a row of each user: its metadata and ports.
 //!
-//! Such a file depends on no array, wall, room or number of users. [`CORRECTIONS`] and [`DISPLACEMENTS`]
-//! are the two kinds.
+//! Such a file depends on no array, wall, room or number of users. [`CORRECTIONS`] and
+//! [`DISPLACEMENTS`] are the two kinds.
 
 use heliostat_onnx::{
     ModelProto, ValueInfoProto, describe, f32_extents,

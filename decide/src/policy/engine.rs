@@ -25,9 +25,9 @@ pub trait Network: Send {
 
     /// Sets the number of rows of later runs; the input is then unspecified.
     ///
-    /// The network is applied to each row where the model fixes a first extent of one. It is applied
-    /// to all rows at once where the model leaves the first extent open. Memory grows where `rows`
-    /// exceeds every earlier number.
+    /// The network is applied to each row where the model fixes a first extent of one. It is
+    /// applied to all rows at once where the model leaves the first extent open. Memory grows where
+    /// `rows` exceeds every earlier number.
     ///
     /// # Errors
     /// [`PolicyError::Inference`] for no row, or a number that the model excludes.

@@ -1,9 +1,9 @@
-//! The learned policy that predicts where users will be: a network corrects the Gauss-Markov prediction of
-//! each user by the last reports, and the solver of the model-based policies acts on the predicted
-//! places.
+//! The learned policy that predicts where users will be: a network corrects the Gauss-Markov
+//! prediction of each user by the last reports, and the solver of the model-based policies acts on
+//! the predicted places.
 //!
-//! One network is applied to the row of every user ([`WalkHistory`]), so one file serves any number of
-//! users, any array and any room. A network that gives zeros leaves the Gauss-Markov prediction
+//! One network is applied to the row of every user ([`WalkHistory`]), so one file serves any number
+//! of users, any array and any room. A network that gives zeros leaves the Gauss-Markov prediction
 //! unchanged.
 
 use heliostat_channel::{ChannelModel, mirrors::MirrorAngles};

@@ -1,14 +1,14 @@
 //! A codebook for each mirror: angles from a finite set, chosen by the channel model.
 //!
-//! Codebooks with beam training are the usual way to steer an intelligent reflecting surface without
-//! knowledge of each reflected path: You, Zheng and Zhang, "Fast beam training for IRS-assisted
-//! multiuser communications", IEEE Wireless Communications Letters 9(11), 2020. There the whole
-//! surface, or a part of it, takes a codeword that users report as best. Here every mirror has a
-//! codebook of its own, and the model replaces the training.
+//! Codebooks with beam training are the usual way to steer an intelligent reflecting surface
+//! without knowledge of each reflected path: You, Zheng and Zhang, "Fast beam training for
+//! IRS-assisted multiuser communications", IEEE Wireless Communications Letters 9(11), 2020. There
+//! the complete surface, or a part of it, takes a codeword that users report as best. Here every
+//! mirror has a codebook of its own, and the model replaces the training.
 //!
 //! # A decision
-//! 1. For each user and mirror the entry with the largest gain is found among the entries for the four
-//!    grid points around the user, in the paper's modes among all entries.
+//! 1. For each user and mirror the entry with the largest gain is found among the entries for the
+//!    four grid points around the user, in the paper's modes among all entries.
 //! 2. The solver of `greedy` assigns each mirror to one user, by these gains.
 //! 3. Each mirror takes the entry of its user.
 //!
@@ -128,7 +128,7 @@ impl Policy for MirrorCodebook {
             }
             None => codewords.iter().enumerate().for_each(|codeword| best.offer(model, seen, codeword)),
         }
-        // Each decision starts anew, so the policy has no memory.
+        // Each decision starts without a state, so the policy has no memory.
         solver.change_users(&[None; MAX_USERS][..users]);
         let minimum_rates = MinimumRates { min_rate_bps: &seen.min_rate_bps, qos_penalty: QOS_PENALTY };
         let problem = Problem::of_scene(model, &seen.scene, &minimum_rates);

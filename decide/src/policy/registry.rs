@@ -75,7 +75,8 @@ policies! {
     /// Learned: DDPG with one weight per user (ONNX, as all learned policies)
     #[value(alias = "actor")]
     Ddpg: Learned,
-    /// Learned: greedy on a belief that a network corrects by channel residuals; one file for any room
+    /// Learned: greedy on a belief that a network corrects by channel residuals; one file for any
+    /// room
     Residual: Learned,
     /// Learned: greedy on places that an LSTM predicts from the last reports; one file for any room
     Lstm: Learned,
@@ -166,8 +167,9 @@ impl PolicyKind {
         matches!(self.recipe(), Learned)
     }
 
-    /// What the network in the file of a learned policy is applied to: a row of each user, or, for `None`,
-    /// the complete observation. The file decides under the name of any policy but `residual` and `lstm`.
+    /// What the network in the file of a learned policy is applied to: a row of each user, or, for
+    /// `None`, the complete observation. The file decides under the name of any policy but
+    /// `residual` and `lstm`.
     pub fn rows(self, file: &ActorFile) -> Option<&'static RowKind> {
         match self {
             Self::Residual => Some(&CORRECTIONS),
@@ -207,7 +209,8 @@ pub fn build(kind: PolicyKind, scenario: &Scenario, resources: &Resources<'_>) -
     }
 }
 
-/// Loads a policy whose network is applied to a row of each user, for a room, under the name of `kind`.
+/// Loads a policy whose network is applied to a row of each user, for a room, under the name of
+/// `kind`.
 ///
 /// # Errors
 /// [`CompactError`] where the file is of another kind, or the engine refuses it.

@@ -1,5 +1,5 @@
-//! A network that is applied to a row of each user, so that one file serves any number of users, any
-//! array and any room.
+//! A network that is applied to a row of each user, so that one file serves any number of users,
+//! any array and any room.
 
 use heliostat_onnx::reference::Reference;
 use heliostat_proto::MAX_USERS;
@@ -27,7 +27,8 @@ pub struct RowNetwork<const N: usize> {
 }
 
 impl<const N: usize> RowNetwork<N> {
-    /// Loads the network of a file of this kind, and compares the engine with a reference evaluation.
+    /// Loads the network of a file of this kind, and compares the engine with a reference
+    /// evaluation.
     ///
     /// # Errors
     /// [`CompactError`] with the value found and the value expected.

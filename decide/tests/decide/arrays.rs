@@ -37,8 +37,8 @@ fn two_arrays() -> Scenario {
     Scenario::from_toml(TWO).unwrap()
 }
 
-/// Gives each mirror that can reach a user the roll 0.25, and the others 0. The yaw of every mirror is
-/// a hundredth of the number of those that can.
+/// Gives each mirror that can reach a user the roll 0.25, and the others 0. The yaw of every mirror
+/// is a hundredth of the number of those that can.
 struct Reaching;
 
 impl Policy for Reaching {
@@ -223,8 +223,8 @@ fn telemetry_of_one_array_is_none_of_another() {
     assert_eq!(rolls.iter().position(|roll| *roll == 0.0), Some(6));
 }
 
-/// A controller after some ticks, with the first array stopped, and the second one narrow and with a
-/// mirror that does not follow.
+/// A controller after some ticks, with the first array stopped, and the second one narrow and with
+/// a mirror that does not follow.
 fn running(scenario: &Scenario, room: &mut Room) -> Controller {
     let mut first = controller(scenario, build(PolicyKind::Greedy, scenario).unwrap()).with_journal();
     let axis = AxisLimits { min_rad: -0.2, max_rad: 0.2, ..AxisLimits::default() };

@@ -96,7 +96,8 @@ fn a_restored_controller_gives_the_same_commands_with_each_belief_and_policy() {
             second.restore(&Memory::from_bytes(&bytes).unwrap()).unwrap();
             for number in 41..=80 {
                 let sequence = room.sequence;
-                // A cache warm-up changes no later command, whatever has arrived since the last one.
+                // A cache warm-up changes no later command, whatever has arrived since the last
+                // one.
                 let (now, users) = (Room::time(number), users(number));
                 measure(&mut room, &mut first, number);
                 first.warm_cache();
@@ -161,9 +162,9 @@ fn states_of_earlier_layouts_are_restored() {
     };
     (1..=5).for_each(|number| drop(plain(&mut first, number)));
     let latest = first.memory().to_bytes().unwrap();
-    // Behind the fourth layout: no walk. Behind the third one: no device. Behind the second one: no array, no evidence of tilted receivers, and the residuals in 50
-    // bytes: no user, six sums and no time. Before them, one byte each: no orientation report, no
-    // sequence number of one.
+    // Behind the fourth layout: no walk. Behind the third one: no device. Behind the second one: no
+    // array, no evidence of tilted receivers, and the residuals in 50 bytes: no user, six sums and
+    // no time. Before them, one byte each: no orientation report, no sequence number of one.
     assert_eq!(latest[latest.len() - 56..], [0; 56]);
     let of_layout = |layout: u8, missing: usize| {
         let mut bytes = latest[..latest.len() - missing].to_vec();

@@ -201,8 +201,8 @@ fn a_gain_within_the_noise_of_the_receiver_is_that_of_a_blocked_path() {
     }
 }
 
-/// A user walks towards the LED: the body behind the device blocks no path. On the way back the body
-/// is between LED and device.
+/// A user walks towards the LED: the body behind the device blocks no path. On the way back the
+/// body is between LED and device.
 #[test]
 fn bodies_stand_behind_walking_users() {
     let scenario = scenario(&["users.count=1", "receiver.height_m=1.0", "control.belief=none"]);

@@ -1,5 +1,5 @@
-//! The map of unreported obstacles by measured gains over the mirrors: what the reports of a user who
-//! stays at a place show.
+//! The map of unreported obstacles by measured gains over the mirrors: what the reports of a user
+//! who stays at a place show.
 
 use heliostat_channel::{ChannelModel, Orientation, Scene, Vec3, decode::aim_at_point, mirrors::MirrorAngles};
 use heliostat_decide::belief::Belief;
@@ -31,7 +31,8 @@ fn gains(model: &ChannelModel, held: Orientation) -> [f64; 2] {
 }
 
 /// The least probability, over the columns of mirrors, that no unreported obstacle blocks the path
-/// from the user, after reports of gains of a receiver held so, of which `share` arrives by the mirrors.
+/// from the user, after reports of gains of a receiver held so, of which `share` arrives by the
+/// mirrors.
 fn unobstructed(overrides: &[&str], held: Orientation, share: f64) -> f64 {
     let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
     let scenario = Scenario::builtin("hall").unwrap().with_overrides(&overrides).unwrap();

@@ -354,8 +354,8 @@ impl Engine for FixedEngine {
     }
 }
 
-/// A policy by its name; learned ones with an actor that fits. Those of `residual` and `lstm` depend on
-/// their input.
+/// A policy by its name; learned ones with an actor that fits. Those of `residual` and `lstm`
+/// depend on their input.
 pub fn build(kind: PolicyKind, scenario: &Scenario) -> Result<Box<dyn Policy>, BuildError> {
     let recipe = match kind {
         PolicyKind::Residual => ActorRecipe { weight: 0.02, ..ActorRecipe::compact([-0.3, -0.2, -1.0]) },

@@ -149,7 +149,8 @@ fn with_reports(held: impl Fn(&Vec3) -> Orientation) -> Belief {
 
 #[test]
 fn reported_azimuths_show_the_headings_of_seated_users() {
-    // The direct gain is the same at a second heading, on the other side of the direction of the LED.
+    // The direct gain is the same at a second heading, on the other side of the direction of the
+    // LED.
     let aside = |seat: &Vec3| Vec3::new(-seat.y, seat.x, 0.0).normalize();
     for (seat, heading) in SEATS.iter().zip(headings(&with_reports(|seat| tilted(aside(seat))))) {
         assert!(heading.dot(&aside(seat)) > 0.95, "{seat:?}: {heading:?}");

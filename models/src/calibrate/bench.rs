@@ -50,8 +50,8 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// The array of a scenario with one array, at rest, as its index in its room and a seed mount it.
-    /// `dwell_s`: averaging time of a reading in s.
+    /// The array of a scenario with one array, at rest, as its index in its room and a seed mount
+    /// it. `dwell_s`: averaging time of a reading in s.
     ///
     /// The noise of a gain is that of the link budget over an equivalent bandwidth of 1 / (2
     /// dwell): sigma_H = 1 / sqrt(2 dwell B SINR(1)), where SINR(1) is that of a gain of 1 over the

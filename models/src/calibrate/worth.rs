@@ -41,8 +41,8 @@ impl Evaluation {
         Ok(Self { states, evaluator: Evaluator::new(scenario.channel_model()?, scenario.min_rate_bps()) })
     }
 
-    /// Mean sum rate in Mbit/s with the array of a scenario with one array, as its index in its room and
-    /// a seed mount it, with or without corrections.
+    /// Mean sum rate in Mbit/s with the array of a scenario with one array, as its index in its
+    /// room and a seed mount it, with or without corrections.
     ///
     /// # Errors
     /// The array refuses the corrections or a command.

@@ -16,8 +16,8 @@ use super::tracked_user::TrackedUser;
 /// Below this true speed in m/s a user stands.
 const STANDING_M_S: f64 = 0.05;
 
-/// The squared distance from the mean, in standard deviations, within which a normal distribution in
-/// the plane has a share: -2 ln(1 - share).
+/// The squared distance from the mean, in standard deviations, within which a normal distribution
+/// in the plane has a share: -2 ln(1 - share).
 fn ellipse(share: f64) -> f64 {
     -2.0 * (1.0 - share).ln()
 }

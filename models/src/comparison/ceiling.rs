@@ -1,9 +1,9 @@
 //! Ceilings of a closed loop: a policy that observes the true room instead of reports.
 //!
-//! It decides at the times of the position reports, and its commands turn the same mirrors. It knows
-//! users, bodies, obstacles, orientations and equipment, at the time of the decision or in the middle
-//! of the time in which its command is in force. What remains is the loss by the rate of the
-//! decisions and by the mirrors. The offsets of mounted mirrors stay unknown.
+//! It decides at the times of the position reports, and its commands turn the same mirrors. It
+//! knows users, bodies, obstacles, orientations and equipment, at the time of the decision or in
+//! the middle of the time in which its command is in force. What remains is the loss by the rate of
+//! the decisions and by the mirrors. The offsets of mounted mirrors stay unknown.
 
 use std::ops::Range;
 

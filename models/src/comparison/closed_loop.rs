@@ -1,13 +1,13 @@
 //! Closed loop in simulated time: the room's reports, the controller's core and the room's mirrors,
 //! without transport.
 //!
-//! [`heliostat_environment::episodes`] has the rooms and their sampling times. The controller decides in
-//! zero simulated time. `streams.positions.latency_ms` gives the age of a report.
+//! [`heliostat_environment::episodes`] has the rooms and their sampling times. The controller
+//! decides in zero simulated time. `streams.positions.latency_ms` gives the age of a report.
 //!
 //! With `users.arrivals` users come and go at times that depend on the seed alone: oracle and
 //! policies have the same users at each sampling time, so that the comparison stays paired. A sum
-//! rate is that of the users present. It counts as 0 at a time without users, which has no ratio and
-//! no share of users.
+//! rate is that of the users present. It counts as 0 at a time without users, which has no ratio
+//! and no share of users.
 
 use std::time::Instant;
 

@@ -104,8 +104,8 @@ impl EvaluatedPolicy {
         self.known
     }
 
-    /// The belief with which the policy observes the users of a room; `None` for policies that do not
-    /// observe them, or not by reports.
+    /// The belief with which the policy observes the users of a room; `None` for policies that do
+    /// not observe them, or not by reports.
     pub(super) fn belief(&self, scenario: &Scenario) -> Option<Belief> {
         let by_reports = self.known.is_none() && !self.is_blind();
         by_reports.then(|| self.belief.unwrap_or(scenario.control.belief))

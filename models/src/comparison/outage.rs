@@ -1,8 +1,8 @@
 //! Outages: for how long the rate of a user stays below the minimum rate.
 //!
-//! The rates are sampled every 20 ms. An outage is a run of samples of one user below the minimum rate. It ends when
-//! the user leaves or the episode ends, so the longest outages are cut off at the length of an
-//! episode.
+//! The rates are sampled every 20 ms. An outage is a run of samples of one user below the minimum
+//! rate. It ends when the user leaves or the episode ends, so the longest outages are cut off at
+//! the length of an episode.
 
 use heliostat_environment::episodes::OUTAGE_STEP_NS;
 use serde::Serialize;

@@ -109,8 +109,8 @@ fn difference(own: &[Vec<Vec<f64>>], first: &[Vec<Vec<f64>>]) -> Spread {
 pub struct Row {
     /// Sum rate in Mbit/s.
     pub sum_rate_mbps: Spread,
-    /// Sum rate minus that of the first policy in Mbit/s, state by state; `None` for the first policy
-    /// and for the oracle.
+    /// Sum rate minus that of the first policy in Mbit/s, state by state; `None` for the first
+    /// policy and for the oracle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difference_mbps: Option<Spread>,
     /// Ratio to the oracle minus that of the first policy, state by state.

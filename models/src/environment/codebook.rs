@@ -5,9 +5,9 @@
 //! Here the action is one codeword, which sets the angles of all mirrors. A table or the output
 //! layer of a network can then hold a value for each codeword:
 //!
-//! [`codewords`](mod@heliostat_decide::policy::codewords) defines them: 5 x 5 angles that all mirrors
-//! share in the paper's modes, and in `specular` all mirrors aimed at one of 144 grid points, 12 x 12
-//! over the floor ([`GRID`]).
+//! [`codewords`](mod@heliostat_decide::policy::codewords) defines them: 5 x 5 angles that all
+//! mirrors share in the paper's modes, and in `specular` all mirrors aimed at one of 144 grid
+//! points, 12 x 12 over the floor ([`GRID`]).
 //!
 //! The codebook upper bound is the score of the best codeword in each state. The policy
 //! [`BestCodeword`] finds it by evaluating every codeword; in comparisons it is `codebook`.

@@ -28,8 +28,8 @@ pub struct Outlook {
     pub min_rate: Vec<f32>,
     /// True future amplitude of the direct path. Shape: K.
     pub true_direct: Vec<f32>,
-    /// True future amplitude for user k of mirror m when the controller aims it at user j, errors of
-    /// belief and mounting included. Index (k K + j) M + m.
+    /// True future amplitude for user k of mirror m when the controller aims it at user j, errors
+    /// of belief and mounting included. Index (k K + j) M + m.
     pub crossed: Vec<f32>,
 }
 

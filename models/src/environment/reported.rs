@@ -1,9 +1,9 @@
 //! Rooms that a controller knows by reports only, in closed loop: the examples from which a network
 //! learns to correct the belief.
 //!
-//! Each decision of the controller shows the row that the actor reads for each user, and the truth in
-//! the middle of the command's time in force: [`Future`]. The actor of the run decides, so that its
-//! own commands shape what it observes.
+//! Each decision of the controller shows the row that the actor reads for each user, and the truth
+//! in the middle of the command's time in force: [`Future`]. The actor of the run decides, so that
+//! its own commands shape what it observes.
 
 use anyhow::Context;
 use heliostat_decide::core::Controller;
@@ -32,7 +32,7 @@ pub struct Example {
     pub tilt: [f32; 2],
 }
 
-/// The ways of walking from which rooms are drawn.
+/// The mobility models from which rooms are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Walks {
@@ -53,7 +53,7 @@ pub enum Walks {
 }
 
 impl Walks {
-    /// All ways of walking.
+    /// All mobility models.
     pub const ALL: [Self; 7] = [
         Self::RandomWaypoint,
         Self::Pauses,
@@ -80,7 +80,7 @@ impl Walks {
 /// The rooms of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RoomChoice {
-    /// The ways of walking.
+    /// The mobility models.
     pub walks: Vec<Walks>,
     /// The parts of the room that may differ from the known one.
     pub mismatch: Vec<MismatchKind>,
@@ -235,8 +235,8 @@ pub fn examples(scenario: &Scenario, seed: u64, policy: Box<dyn Policy>, seconds
     Ok(all)
 }
 
-/// The users in the middle of the time in which the last command of a controller is in force, and the index
-/// among them of each observed user; `None` where one has left.
+/// The users in the middle of the time in which the last command of a controller is in force, and
+/// the index among them of each observed user; `None` where one has left.
 pub fn later(room: &ClosedLoop) -> Option<(World, Vec<usize>)> {
     let mut world = room.room().world().clone();
     world.step(room.controller().observer().lead_s());
@@ -245,8 +245,8 @@ pub fn later(room: &ClosedLoop) -> Option<(World, Vec<usize>)> {
     Some((world, indices))
 }
 
-/// The room in the middle of the time in which the last command of a controller is in force, and the
-/// evidence on which this command was based.
+/// The room in the middle of the time in which the last command of a controller is in force, and
+/// the evidence on which this command was based.
 pub struct Future<'a> {
     /// Controller and present room.
     pub room: &'a ClosedLoop,

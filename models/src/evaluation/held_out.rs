@@ -1,7 +1,7 @@
 //! Held-out states, and the score of a policy on them relative to the oracle.
 //!
-//! The reference is the oracle with minimum rates: the best local optimum that the solver finds from
-//! the true state ([`heliostat_channel::solver`]). It is not a proven optimum. The same true
+//! The reference is the oracle with minimum rates: the best local optimum that the solver finds
+//! from the true state ([`heliostat_channel::solver`]). It is not a proven optimum. The same true
 //! evaluation applies to its angles and to the policy's, so a ratio slightly above 1 is possible.
 
 use anyhow::Context;

@@ -1,4 +1,5 @@
-//! The exported networks of rows, for any number of rows: their metadata, and a chain of dense layers.
+//! The exported networks of rows, for any number of rows: their metadata, and a chain of dense
+//! layers.
 
 use candle_core::Result;
 use heliostat_decide::policy::actor_file::key;
@@ -7,8 +8,8 @@ use heliostat_onnx::graph::{Ends, Graph};
 
 use crate::networks::layers::Network;
 
-/// The metadata of a network of this kind: the entries without which no policy reads it, and the others of
-/// `entries` that such a network has.
+/// The metadata of a network of this kind: the entries without which no policy reads it, and the
+/// others of `entries` that such a network has.
 pub fn metadata(kind: &RowKind, entries: &[(String, String)]) -> Vec<(String, String)> {
     let own = [(key::ACTION, kind.action.to_owned()), (key::OBSERVATION_VERSION, kind.version.to_string())];
     let replaced = [key::OBSERVATION_VERSION, key::USERS_MAX, key::MIRRORS, key::MODE, key::GEOMETRY];

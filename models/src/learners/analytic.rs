@@ -295,8 +295,8 @@ pub fn mean_reward(amplitude: &Tensor, (present, min_rate): (&Tensor, &Tensor), 
     part.sum(1)?.div(&present.sum(1)?)
 }
 
-/// The soft assignment of each mirror by logarithms of weighted gains, (batch, slots, mirrors): their
-/// powers with this exponent over the sum of the powers of all users.
+/// The soft assignment of each mirror by logarithms of weighted gains, (batch, slots, mirrors):
+/// their powers with this exponent over the sum of the powers of all users.
 ///
 /// # Errors
 /// Errors of candle.

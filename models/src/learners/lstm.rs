@@ -1,26 +1,30 @@
-//! A Gauss-Markov prediction of each user that a long short-term memory corrects; the model-based solver
-//! then places the mirrors.
+//! A Gauss-Markov prediction of each user that a long short-term memory corrects; the model-based
+//! solver then places the mirrors.
 //!
-//! Source: Ncube, Qidan, El-Gorashi and Elmirghani, "A hybrid Gauss Markov LSTM mobility model for indoor
-//! OWC", arXiv 2604.19935, 2026. There, as here, the Gauss-Markov model predicts the correlated part of a
-//! walk, and the LSTM learns what it leaves. [`heliostat_decide::walk_history`] has the Gauss-Markov
-//! prediction and the rows that the network reads, and [`crate::networks::lstm`] the network.
+//! Source: Ncube, Qidan, El-Gorashi and Elmirghani, "A hybrid Gauss Markov LSTM mobility model for
+//! indoor OWC", arXiv 2604.19935, 2026. There, as here, the Gauss-Markov model predicts the
+//! correlated part of a walk, and the LSTM learns what it leaves.
+//! [`heliostat_decide::walk_history`] has the Gauss-Markov prediction and the rows that the network
+//! reads, and [`crate::networks::lstm`] the network.
 //!
 //! # The loss
-//! The mean of |p - g - L r|^2 for the true place p in the middle of the command's time in force, the
-//! Gauss-Markov prediction g, the lead L and the output r of the network in m/s. The exported graph gives L r.
-//! Each episode draws new rooms with Gauss-Markov walks ([`crate::environment::reported`]) and learns from
-//! their reports once. The head starts at zero: an untrained network gives the Gauss-Markov prediction.
+//! The mean of |p - g - L r|^2 for the true place p in the middle of the command's time in force,
+//! the Gauss-Markov prediction g, the lead L and the output r of the network in m/s. The exported
+//! graph gives L r. Each episode draws new rooms with Gauss-Markov walks
+//! ([`crate::environment::reported`]) and learns from their reports once. The head starts at zero:
+//! an untrained network gives the Gauss-Markov prediction.
 //!
 //! # Deviations from the source
-//! 1. **Places only.** The source also predicts how devices are held. Here the belief of the scenario does
-//!    that, as for the other policies, so that a comparison shows the prediction of places alone.
-//! 2. **Reports.** The network reads late and noisy reports, and predicts the time in which the command acts. It
-//!    knows the lead and the nearest walls, and rates, latencies and noises are drawn anew in each room.
-//! 3. **Symmetry.** Turned and mirrored rooms are equally likely, so each example is turned and mirrored at
-//!    random.
-//! 4. **Sizes.** This follows the abstract of the source, which states none: 10 reports, a state of 32 values
-//!    and Adam were chosen here.
+//! 1. **Places only.** The source also predicts how devices are held. Here the belief of the
+//!    scenario does that, as for the other policies, so that a comparison shows the prediction of
+//!    places alone.
+//! 2. **Reports.** The network reads late and noisy reports, and predicts the time in which the
+//!    command acts. It knows the lead and the nearest walls, and rates, latencies and noises are
+//!    drawn in each room.
+//! 3. **Symmetry.** Turned and mirrored rooms are equally likely, so each example is turned and
+//!    mirrored at random.
+//! 4. **Sizes.** This follows the abstract of the source, which states none: 10 reports, a state of
+//!    32 values and Adam were chosen here.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -83,7 +87,8 @@ pub struct Settings {
     /// The rooms.
     #[serde(flatten)]
     pub choice: RoomChoice,
-    /// The hyperparameters that every run has; those of the reward and of static rooms are not used.
+    /// The hyperparameters that every run has; those of the reward and of static rooms are not
+    /// used.
     #[serde(flatten)]
     pub run: RunSettings,
 }
@@ -145,8 +150,8 @@ pub struct Lstm {
     scenario: Scenario,
     network: Network,
     adam: Adam,
-    /// Root mean squares in m in the last episode: of the error, of that of the Gauss-Markov prediction, and of
-    /// that of the last report.
+    /// Root mean squares in m in the last episode: of the error, of that of the Gauss-Markov
+    /// prediction, and of that of the last report.
     errors_m: [f64; 3],
 }
 
@@ -194,7 +199,8 @@ impl Lstm {
     }
 }
 
-/// Mirrors the room of an example along each axis, and exchanges the axes, each with probability 1/2.
+/// Mirrors the room of an example along each axis, and exchanges the axes, each with probability
+/// 1/2.
 fn turn(example: &mut Example, rng: &mut impl Rng) {
     for axis in 0..2 {
         if rng.random_bool(0.5) {

@@ -1,19 +1,20 @@
 //! PPO: proximal policy optimisation with a clipped ratio of probabilities.
 //!
 //! Source: Schulman, Wolski, Dhariwal, Radford, Klimov, "Proximal policy optimization algorithms",
-//! arXiv 1707.06347, eq. (7) and algorithm 1; advantages by eqs. (11) and (12). The methods `step` and
-//! `update` of [`Ppo`] are the complete algorithm. Action, state, reward and rooms are those of
+//! arXiv 1707.06347, eq. (7) and algorithm 1; advantages by eqs. (11) and (12). The methods `step`
+//! and `update` of [`Ppo`] are the complete algorithm. Action, state, reward and rooms are those of
 //! [`super::ddpg`], preset `tuned`. The exported actor is the mean of the distribution.
 //!
 //! # Deviations from the source
 //! 1. **Rooms.** An episode has 16 rooms of 40 steps, which are the actors of algorithm 1; then the
 //!    networks learn from these 640 transitions in 4 passes. A run has 50 episodes.
-//! 2. **Values of each user.** The value network predicts each user's part of the reward. The advantage
-//!    of an action is the mean over the users, because each weight changes the rates of all.
-//! 3. **gamma = 0** in place of 0.99, because an action does not influence later states here. Options
-//!    `gamma` and `smoothing` (lambda of eq. 11) have discounted advantages.
-//! 4. **Separate networks** for policy and value, as in the source for continuous control; the rates decay
-//!    as those of `ddpg`.
+//! 2. **Values of each user.** The value network predicts each user's part of the reward. The
+//!    advantage of an action is the mean over the users, because each weight changes the rates of
+//!    all.
+//! 3. **gamma = 0** in place of 0.99, because an action does not influence later states here.
+//!    Options `gamma` and `smoothing` (lambda of eq. 11) have discounted advantages.
+//! 4. **Separate networks** for policy and value, as in the source for continuous control; the
+//!    rates decay as those of `ddpg`.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -235,8 +236,8 @@ impl Ppo {
         let Settings { clip, entropy, .. } = self.settings;
         let Minibatch { states, raw, log_density, advantage, returns } = batch;
 
-        // Policy: maximise the mean of min(q A, clip(q, 1 - epsilon, 1 + epsilon) A) + c S, q the ratio of
-        // the probabilities by the new and the old policy.
+        // Policy: maximise the mean of min(q A, clip(q, 1 - epsilon, 1 + epsilon) A) + c S, q the
+        // ratio of the probabilities by the new and the old policy.
         let distribution = self.actor.distribution(states)?;
         let new = distribution.log_density(raw)?.mul(&states.present)?.sum(1)?;
         let ratio = (new - log_density)?.exp()?;

@@ -8,15 +8,15 @@
 //! `tuned`. The exported actor is the mean of the distribution.
 //!
 //! # Deviations from the source
-//! 1. **Values of each user.** The critics predict each user's part of the reward, and entropies and
-//!    values are means over the users. The target entropy of -1 for each dimension of the action is
-//!    that of the source.
-//! 2. **gamma = 0**, because an action does not influence later states here. The two critics act in the
-//!    actor's loss; option `gamma` has the soft Bellman target.
+//! 1. **Values of each user.** The critics predict each user's part of the reward, and entropies
+//!    and values are means over the users. The target entropy of -1 for each dimension of the
+//!    action is that of the source.
+//! 2. **gamma = 0**, because an action does not influence later states here. The two critics act in
+//!    the actor's loss; option `gamma` has the soft Bellman target.
 //! 3. **Temperature.** Its logarithm follows the gradient of eq. (18) without Adam.
 //! 4. **Two networks** of 128/64 give mean and standard deviation, in place of one with two heads.
-//! 5. **tau = 0.01, batches of 32 and learning rates** as in `ddpg`, in place of 0.005, 256 and 3e-4; 120
-//!    episodes.
+//! 5. **tau = 0.01, batches of 32 and learning rates** as in `ddpg`, in place of 0.005, 256 and
+//!    3e-4; 120 episodes.
 
 use candle_core::Result;
 use heliostat_channel::{ChannelModel, MirrorAngles};

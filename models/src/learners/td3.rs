@@ -12,13 +12,13 @@
 //! # Deviations from the source
 //! 1. **Values of each user.** The critics predict each user's part of the reward, and the smaller
 //!    prediction counts user by user.
-//! 2. **gamma = 0.5** in place of 0.99. The first and the third change act on discounted values only,
-//!    so gamma is not 0 as in `ddpg`; an action does not influence later states here, so a larger one
-//!    adds noise.
-//! 3. **Exploration** decays from 0.4 to 0.05, and the first 500 transitions have the actor's actions
-//!    with noise in place of random ones.
-//! 4. **tau = 0.01, batches of 32**, as in `ddpg`, in place of 0.005 and 100; 120 episodes, because two
-//!    critics take twice the time of one.
+//! 2. **gamma = 0.5** in place of 0.99. The first and the third change act on discounted values
+//!    only, so gamma is not 0 as in `ddpg`; an action does not influence later states here, so a
+//!    larger one adds noise.
+//! 3. **Exploration** decays from 0.4 to 0.05, and the first 500 transitions have the actor's
+//!    actions with noise in place of random ones.
+//! 4. **tau = 0.01, batches of 32**, as in `ddpg`, in place of 0.005 and 100; 120 episodes, because
+//!    two critics take twice the time of one.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};

@@ -1,5 +1,5 @@
-//! The actor of the learners with one weight per user: from the state of a room to one action u_k in [-1, 1] per
-//! user, in one or several rounds.
+//! The actor of the learners with one weight per user: from the state of a room to one action u_k
+//! in [-1, 1] per user, in one or several rounds.
 //!
 //! In each round the network reads three inputs per user: the features, the action of the round
 //! before, and the amplitude that the user gets under the actions of all users. The first round
@@ -106,8 +106,8 @@ impl States {
         self.features.narrow(2, LOG_BALANCED, 1)?.squeeze(2)
     }
 
-    /// The features with further columns of (batch, slots) each: a network's input of (batch, slots,
-    /// [`FEATURES`] + columns).
+    /// The features with further columns of (batch, slots) each: a network's input of (batch,
+    /// slots, [`FEATURES`] + columns).
     ///
     /// # Errors
     /// Errors of candle, when shapes differ.
@@ -235,8 +235,8 @@ impl Actor {
     }
 }
 
-/// The mean of values over the present users: (batch, slots) to (batch). `present` is 1 for a present
-/// user, and else 0.
+/// The mean of values over the present users: (batch, slots) to (batch). `present` is 1 for a
+/// present user, and else 0.
 ///
 /// # Errors
 /// Errors of candle, when shapes differ.

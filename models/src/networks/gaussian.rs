@@ -1,7 +1,7 @@
 //! A stochastic actor: a normal distribution of each user's output before tanh.
 //!
-//! The mean is the output of an [`Actor`], so the exported policy is the actor alone. A second network
-//! of the same size gives the logarithm of the standard deviation.
+//! The mean is the output of an [`Actor`], so the exported policy is the actor alone. A second
+//! network of the same size gives the logarithm of the standard deviation.
 
 use candle_core::{Device, Result, Tensor};
 use rand::Rng;
@@ -11,8 +11,8 @@ use super::layers::{Encoder, Network, Shape};
 use crate::environment::features::{Head, Layout};
 use crate::training::exploration::normal;
 
-/// Logarithm of the standard deviation that an untrained network gives: 0.14. The decoder raises the
-/// weights to a power, so the value of an action with more noise says little about its mean.
+/// Logarithm of the standard deviation that an untrained network gives: 0.14. The decoder raises
+/// the weights to a power, so the value of an action with more noise says little about its mean.
 const LOG_SPREAD_START: f64 = -2.0;
 
 /// Bounds of the logarithm of the standard deviation.

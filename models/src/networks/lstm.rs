@@ -5,8 +5,9 @@
 //! - the gates i, f, o = sigmoid and the candidate g = tanh of W (x(t), h(t-1)) + b,
 //! - the cell c(t) = f c(t-1) + i g and the state h(t) = o tanh(c(t)).
 //!
-//! Sources: Hochreiter and Schmidhuber, Long short-term memory, Neural Computation 9(8), 1997; with the
-//! forget gate f of Gers, Schmidhuber and Cummins, Learning to forget, Neural Computation 12(10), 2000.
+//! Sources: Hochreiter and Schmidhuber, Long short-term memory, Neural Computation 9(8), 1997; with
+//! the forget gate f of Gers, Schmidhuber and Cummins, Learning to forget, Neural Computation
+//! 12(10), 2000.
 
 use candle_core::{DType, Device, Result, Tensor};
 use rand::Rng;
@@ -14,8 +15,8 @@ use rand::Rng;
 use super::layers::{Linear, assign, restore_layers, save_layers};
 use crate::training::store::{Persistent, Store};
 
-/// Initial bias of the forget gate, so that a new network remembers: Jozefowicz, Zaremba and Sutskever,
-/// An empirical exploration of recurrent network architectures, ICML 2015.
+/// Initial bias of the forget gate, so that a new network remembers: Jozefowicz, Zaremba and
+/// Sutskever, An empirical exploration of recurrent network architectures, ICML 2015.
 const FORGET_BIAS: f32 = 1.0;
 
 /// The size of a network.
@@ -40,8 +41,8 @@ impl LstmShape {
     }
 }
 
-/// The network. Its layers are the gates, in the order i, f, o, g, then the first layer and the head on the
-/// last state.
+/// The network. Its layers are the gates, in the order i, f, o, g, then the first layer and the
+/// head on the last state.
 #[derive(Clone, Debug)]
 pub struct Lstm {
     shape: LstmShape,

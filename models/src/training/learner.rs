@@ -34,8 +34,8 @@ pub type Part<'a> = (String, &'a mut dyn Persistent);
 ///
 /// To add one: write a file in `learners/` with an [`Algorithm`](super::Algorithm) and a type that
 /// implements this trait, list it in `learners.rs`, and add a row `Learned` of the same name to the
-/// table of policies (`registry.rs` of `heliostat-decide`). Checkpoints, curve, card, scores and the command line need no
-/// change.
+/// table of policies (`registry.rs` of `heliostat-decide`). Checkpoints, curve, card, scores and
+/// the command line need no change.
 pub trait Learner {
     /// Number of rooms in which each step acts.
     fn rooms(&self) -> usize {

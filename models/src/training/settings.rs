@@ -62,8 +62,8 @@ const DOMAINS: [(&str, f64, f64, &str); 20] = [
     ("/reward/margin", f64::MIN_POSITIVE, 1e3, "above 0"),
 ];
 
-/// Refuses hyperparameters outside their domain, and a replay buffer that is too small for the first
-/// update.
+/// Refuses hyperparameters outside their domain, and a replay buffer that is too small for the
+/// first update.
 fn check(tree: &serde_json::Value) -> anyhow::Result<()> {
     let number = |pointer: &str| tree.pointer(pointer).and_then(serde_json::Value::as_f64);
     for (pointer, least, most, domain) in DOMAINS {

@@ -54,7 +54,8 @@ def export_onnx(module: Any, env: HeliostatEnv | Any, path: str | os.PathLike[st
     module.eval()
     try:
         with warnings.catch_warnings(), torch.no_grad():
-            # PyTorch announces that this exporter will be replaced by one that needs further packages.
+            # PyTorch announces that this exporter will be replaced by one that needs further
+            # packages.
             warnings.simplefilter("ignore", DeprecationWarning)
             example = torch.zeros(rows, inputs)
             found, expected = tuple(module(example).shape), (rows, outputs)

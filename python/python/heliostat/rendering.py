@@ -1,4 +1,4 @@
-"""A picture of the room from above: walls, mirrors, access points, obstacles, users and their rates."""
+"""A picture of the room from above: walls, mirrors, LEDs, obstacles, users and their rates."""
 
 from __future__ import annotations
 

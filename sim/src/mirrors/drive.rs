@@ -52,8 +52,8 @@ impl Drive {
         }
     }
 
-    /// Accepts a command at `time_s`; [`Drive::take_effect`] applies it after the delay. A drive with
-    /// too many commands that have not taken effect ignores it.
+    /// Accepts a command at `time_s`; [`Drive::take_effect`] applies it after the delay. A drive
+    /// with too many commands that have not taken effect ignores it.
     pub fn command(&mut self, time_s: f64, angles: &MirrorAngles) {
         if self.pending.len() * self.targets.len() >= PENDING_ANGLES_MAX {
             return;

@@ -8,8 +8,8 @@ use crate::random::{self, Purpose, RoomRng};
 /// and the mean length L of a burst, a burst ends after each report with the probability 1 / L, and
 /// begins with p / ((1 - p) L). Independent losses have L = 1 / (1 - p).
 ///
-/// Source: Gilbert, Bell System Technical Journal 39, 1960, with an error-free good state and h = 0;
-/// Elliott, Bell System Technical Journal 42, 1963.
+/// Source: Gilbert, Bell System Technical Journal 39, 1960, with an error-free good state and h =
+/// 0; Elliott, Bell System Technical Journal 42, 1963.
 #[derive(Clone, Debug)]
 pub struct Losses {
     /// Probability that the report after one that arrived is lost.

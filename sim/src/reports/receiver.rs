@@ -17,8 +17,8 @@ pub struct Receivers {
 }
 
 impl Receivers {
-    /// The receivers of a scenario, with generators of these purposes for the relative noise and for
-    /// that of the receiver.
+    /// The receivers of a scenario, with generators of these purposes for the relative noise and
+    /// for that of the receiver.
     pub fn new(settings: &ChannelStream, seed: u64, [relative, receiver]: [Purpose; 2]) -> Self {
         Self {
             noise_relative: settings.noise_relative,

@@ -7,10 +7,10 @@
 //! | THÖR-MAGNI | metadata, then a row of column names with `Frame`, `Time`, `Helmet_1 Centroid_X` | s, mm |
 //! | CSV | a header with `time`, `user`, `x`, `y` and optionally `heading_deg` | s, m, degrees |
 //!
-//! Sources: Pellegrini et al., You'll never walk alone, ICCV 2009, README of the data set; Lerner et
-//! al., Crowds by example, 2007, in the form `frame id x y` of later work; Brscic et al., Pedestrian
-//! tracking in large public spaces using 3-D range sensors, 2013, page of the data set; Schreiter et
-//! al., THÖR-MAGNI, 2024, with the tools of its authors (thor-magni-tools).
+//! Sources: Pellegrini et al., You'll never walk alone, ICCV 2009, README of the data set; Lerner
+//! et al., Crowds by example, 2007, in the form `frame id x y` of later work; Brscic et al.,
+//! Pedestrian tracking in large public spaces using 3-D range sensors, 2013, page of the data set;
+//! Schreiter et al., THÖR-MAGNI, 2024, with the tools of its authors (thor-magni-tools).
 
 mod thor_magni;
 

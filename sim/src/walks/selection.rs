@@ -108,8 +108,8 @@ pub fn select(tracks: &[Track], choice: &Choice) -> Result<Selected, SelectionEr
     })
 }
 
-/// The longest time in which the same `users` pedestrians are present: those pedestrians with its beginning,
-/// and its duration in s. With too few pedestrians: as many as are ever present at once.
+/// The longest time in which the same `users` pedestrians are present: those pedestrians with its
+/// beginning, and its duration in s. With too few pedestrians: as many as are ever present at once.
 fn together<'a>(tracks: &[&'a Track], users: usize) -> (Vec<(&'a Track, f64)>, f64) {
     let mut by_start = tracks.to_vec();
     by_start.sort_by(|a, b| a.start_s().total_cmp(&b.start_s()));

@@ -13,8 +13,8 @@ const HEADING_STEP_DEG: f64 = 1e-2;
 /// Writes the users' tracks as a recorded walk, user 0 first in the order of `users`.
 ///
 /// Positions and times have a resolution of 1e-4 m and 1e-4 s, headings of 0.01 degrees. A position
-/// outside the floor is moved to its edge. The column `heading_deg` is written where every point has
-/// a heading.
+/// outside the floor is moved to its edge. The column `heading_deg` is written where every point
+/// has a heading.
 pub fn trace_text(users: &[Track], floor: &Floor) -> String {
     let points = users.iter().enumerate().flat_map(|(user, track)| track.points.iter().map(move |point| (user, point)));
     let mut rows: Vec<(usize, &TrackPoint)> = points.collect();

@@ -3,11 +3,11 @@
 //! Arrivals form a Poisson process, and stays have an exponential distribution: an M/M/c/c queue,
 //! whose c is the largest number of users. The users at the start leave too. An arrival at a full
 //! room does not enter; its stay is drawn all the same, so that the limit does not change the later
-//! draws. The times depend on the seed alone, never on the mirrors: two policies have the same users
-//! in the same room.
+//! draws. The times depend on the seed alone, never on the mirrors: two policies have the same
+//! users in the same room.
 //!
-//! The room has no door. A user appears where a user of the same walk would be at a random time, and
-//! leaves from where it is.
+//! The room has no door. A user appears where a user of the same walk would be at a random time,
+//! and leaves from where it is.
 
 use heliostat_scenario::Arrivals as Settings;
 

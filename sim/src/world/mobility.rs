@@ -3,8 +3,8 @@
 //! The default, the random waypoint model without a lag of the heading, is exact over any time step
 //! ([`random_waypoint`]). All other models are computed on a grid of instants ([`crowd`]).
 //!
-//! - [`random_waypoint`], [`random_direction`], [`gauss_markov`], [`smooth_random`], [`social_force`],
-//!   [`seated`]: the models, one user each.
+//! - [`random_waypoint`], [`random_direction`], [`gauss_markov`], [`smooth_random`],
+//!   [`social_force`], [`seated`]: the models, one user each.
 //! - [`crowd`], [`member`], [`separation`]: all users on the grid, and users who keep apart.
 //! - [`motion`], [`places`], [`speeds`]: what the models share.
 
@@ -295,7 +295,7 @@ mod tests {
             mobility.write(&mut after);
             for (a, b) in before.iter().zip(&after).filter(|(a, b)| a.velocity == b.velocity && a.velocity == [0.0; 2])
             {
-                // A whole segment fits into a step only where two points almost coincide.
+                // A complete segment fits into a step only where two points almost coincide.
                 kept += usize::from(a == b);
             }
         }

@@ -8,8 +8,9 @@
 //! 0.05^(lag / coherence time). The quantile function of the distribution gives the angle. A user
 //! who starts or stops walking keeps z; the distribution changes over the coherence time.
 //!
-//! The processes have a value every [`NODE_S`] seconds. These nodes depend on the seed and the walk,
-//! and not on the steps of the room. Between two nodes z is interpolated and scaled to variance 1.
+//! The processes have a value every [`NODE_S`] seconds. These nodes depend on the seed and the
+//! walk, and not on the steps of the room. Between two nodes z is interpolated and scaled to
+//! variance 1.
 //!
 //! Source: Soltani, Purwita, Zeng, Haas and Safari, "Modeling the random orientation of mobile
 //! devices: measurement, analysis and LiFi use case", IEEE Trans. Commun. 67(3), 2019: the
@@ -93,7 +94,8 @@ impl Distributions {
     fn angles(&self, node: &Node) -> [f64; 2] {
         let (sitting, walking) = (&self.sitting, &self.walking);
         let walks = [walking.polar_mean + walking.polar_std * node.polar, walking.azimuth_std * node.azimuth];
-        // The quantiles of a Laplace distribution take most of the time, and a user who walks needs none.
+        // The quantiles of a Laplace distribution take most of the time, and a user who walks needs
+        // none.
         let [polar, azimuth] = if node.walking == 1.0 {
             walks
         } else {

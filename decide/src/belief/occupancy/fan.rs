@@ -134,8 +134,8 @@ impl Fan {
         clear
     }
 
-    /// Calls `add` with each cell and with the sum of `clear` b / (1 - p b) over the paths: b is how
-    /// surely an obstacle in the cell blocks a path, and p the probability of one.
+    /// Calls `add` with each cell and with the sum of `clear` b / (1 - p b) over the paths: b is
+    /// how surely an obstacle in the cell blocks a path, and p the probability of one.
     #[inline(always)]
     pub fn influence(&self, probability: &[f64], clear: &Lanes, mut add: impl FnMut(usize, f64)) {
         for Near { cell, blocks } in &self.near {

@@ -6,15 +6,16 @@ use super::{Correct, Correctable, Observer};
 use crate::observe::walk_history::WalkHistory;
 
 impl Observer {
-    /// Keeps the last reports by which a policy predicts places, or does not. Allocates where it begins;
-    /// no effect where it continues.
+    /// Keeps the last reports by which a policy predicts places, or does not. Allocates where it
+    /// begins; no effect where it continues.
     pub fn keep_walks(&mut self, keeps: bool) {
         if keeps != self.walks.is_some() {
             self.walks = keeps.then(WalkHistory::default);
         }
     }
 
-    /// The last reports and the rows of the last observation; absent where the policy predicts no places.
+    /// The last reports and the rows of the last observation; absent where the policy predicts no
+    /// places.
     pub fn walks(&self) -> Option<&WalkHistory> {
         self.walks.as_ref()
     }

@@ -211,7 +211,8 @@ fn clip(value: f32, low: f32, high: f32) -> f32 {
 /// unlike `f32::tanh`.
 ///
 /// Source: `generic_fast_tanh_float` of Eigen 3.4, Eigen/src/Core/MathFunctionsImpl.h. The argument
-/// is limited to the bounds beyond which the fraction rounds to 1; rounding could exceed 1 otherwise.
+/// is limited to the bounds beyond which the fraction rounds to 1; rounding could exceed 1
+/// otherwise.
 #[inline(always)]
 fn tanh(value: f32) -> f32 {
     const P: [f32; 7] =

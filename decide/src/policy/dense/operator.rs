@@ -116,8 +116,8 @@ impl<'a> Call<'a> {
         format!("\"{}\"", name.map_or("", String::as_str))
     }
 
-    /// Checks that the value is the first of at most so many inputs, the others are constants, and no
-    /// other attribute is set.
+    /// Checks that the value is the first of at most so many inputs, the others are constants, and
+    /// no other attribute is set.
     fn check_form(&self, attributes: &[&str], inputs_max: usize) -> Result<(), DenseError> {
         if !matches!(self.inputs.first(), Some(Input::Value)) {
             return Err(self.refused("a first input that is a constant", "the output of the node before it"));

@@ -25,8 +25,8 @@ use crate::networks::layers::{Encoder, Network, Shape, assign};
 /// Widths of the two hidden layers.
 const HIDDEN: [usize; 2] = [64, 64];
 
-/// An output that stands for the smallest variance, so that only the measured gains decide whether a
-/// change counts.
+/// An output that stands for the smallest variance, so that only the measured gains decide whether
+/// a change counts.
 pub const CERTAIN: f32 = -1e3;
 
 /// Width of the gate in the logarithm of the square of a change over its variance, with a gradient.

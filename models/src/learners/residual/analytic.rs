@@ -1,22 +1,23 @@
 //! Fine-tuning of the corrections by the gradient of the true future rate through the channel.
 //!
 //! The paper has no such algorithm. Each episode draws new rooms, in which the present network
-//! decides. For some of its decisions [`Outlook`] holds what the command would give in the true room,
-//! in the middle of its time in force, if the receivers were believed to be held otherwise. The
-//! method [`Batch::rewards`] follows these steps:
+//! decides. For some of its decisions [`Outlook`] holds what the command would give in the true
+//! room, in the middle of its time in force, if the receivers were believed to be held otherwise.
+//! The method [`Batch::rewards`] follows these steps:
 //!
-//! 1. A changed normal n changes the believed amplitude of a path from direction d by (n . d) / (n_0 . d),
-//!    with the normal n_0 that the command has assumed.
+//! 1. A changed normal n changes the believed amplitude of a path from direction d by (n . d) /
+//!    (n_0 . d), with the normal n_0 that the command has assumed.
 //! 2. The weights of the users are balanced for these amplitudes, in the steps of
 //!    [`heliostat_channel::sharing::balance`], which stands for the solver.
-//! 3. The assignment of the mirrors by weighted amplitudes is soft ([`crate::learners::analytic`]), with
-//!    an exponent that rises over the run.
-//! 4. The true amplitude of user k is the true direct one plus the amplitudes that each mirror gives
-//!    user k, when it is aimed at the user to whom it is assigned.
+//! 3. The assignment of the mirrors by weighted amplitudes is soft ([`crate::learners::analytic`]),
+//!    with an exponent that rises over the run.
+//! 4. The true amplitude of user k is the true direct one plus the amplitudes that each mirror
+//!    gives user k, when it is aimed at the user to whom it is assigned.
 //!
 //! The condition that a change exceeds its uncertainty is softened too, so that the variance learns
-//! when a correction is worth its risk. A decision in which the changes lower the reward counts more
-//! than one in which they raise it. Rewards later than that of the command have no gradient here.
+//! when a correction is worth its risk. A decision in which the changes lower the reward counts
+//! more than one in which they raise it. Rewards later than that of the command have no gradient
+//! here.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles, sharing};
@@ -169,8 +170,9 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// The reward of each decision in bit/s/Hz with these changes of the normals that were believed, as a
-    /// function of the changes: (batch). The module has the steps. `change` is (batch * slots, 2).
+    /// The reward of each decision in bit/s/Hz with these changes of the normals that were
+    /// believed, as a function of the changes: (batch). The module has the steps. `change` is
+    /// (batch * slots, 2).
     ///
     /// # Errors
     /// Errors of candle.
@@ -265,8 +267,8 @@ impl Batch {
     }
 }
 
-/// The unit vectors that face up with these horizontal components, which are shortened where they are
-/// too long: (rows, 2) to (rows, 1) each.
+/// The unit vectors that face up with these horizontal components, which are shortened where they
+/// are too long: (rows, 2) to (rows, 1) each.
 fn upward(horizontal: &Tensor) -> Result<[Tensor; 3]> {
     let length = (horizontal.sqr()?.sum_keepdim(1)? + 1e-9)?.sqrt()?;
     let short = horizontal.broadcast_mul(&(length.recip()? * TILT_MAX)?.clamp(0.0, 1.0)?)?;
@@ -286,9 +288,9 @@ fn cosine(normal: &[Tensor; 3], direction: &[Tensor; 3]) -> Result<Tensor> {
     ((part(0)? + part(1)?)? + part(2)?)?.maximum(COSINE_MIN)
 }
 
-/// Logarithm of the derivative of the utility of [`heliostat_channel::solver`] by the amplitude, with
-/// lambda of [`sharing::QOS_PENALTY`]: 2 x / (1 + x^2), and below the minimum rate the slope of the line
-/// to the utility at it. Both arguments are (batch, slots).
+/// Logarithm of the derivative of the utility of [`heliostat_channel::solver`] by the amplitude,
+/// with lambda of [`sharing::QOS_PENALTY`]: 2 x / (1 + x^2), and below the minimum rate the slope
+/// of the line to the utility at it. Both arguments are (batch, slots).
 fn log_slope(amplitude: &Tensor, min_rate: &Tensor) -> Result<Tensor> {
     let amplitude = amplitude.maximum(f64::from(sharing::AMPLITUDE_MIN))?;
     let nats = (amplitude.sqr()? + 1.0)?.log()?;

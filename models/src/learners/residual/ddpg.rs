@@ -1,21 +1,23 @@
 //! Fine-tuning of the corrections by DDPG, with a critic that knows the true room.
 //!
-//! The paper has no such algorithm. The actor is the network of `residual`, which reads reports only.
-//! The critic is not part of the result and may know more: it also reads the truth about each user
-//! (asymmetric actor-critic, Pinto and others, 2018). The method `update` of [`Ddpg`] follows these
-//! choices:
+//! The paper has no such algorithm. The actor is the network of `residual`, which reads reports
+//! only. The critic is not part of the result and may know more: it also reads the truth about each
+//! user (asymmetric actor-critic, Pinto and others, 2018). The method `update` of [`Ddpg`] follows
+//! these choices:
 //!
-//! 1. **Action.** The change of each receiver's normal that counts, so that the critic need not learn
-//!    the conditions under which a change counts. The actor's gradient passes a soft form of them.
-//! 2. **Reward.** The mean over the users of (K / B) (rate - penalty) in the true room with the true
-//!    angles, at the next decision, times 1 - gamma. Values are then of the order of a reward.
+//! 1. **Action.** The change of each receiver's normal that counts, so that the critic need not
+//!    learn the conditions under which a change counts. The actor's gradient passes a soft form of
+//!    them.
+//! 2. **Reward.** The mean over the users of (K / B) (rate - penalty) in the true room with the
+//!    true angles, at the next decision, times 1 - gamma. Values are then of the order of a reward.
 //! 3. **Discount.** gamma is above 0, because a correction also changes what later reports show.
-//! 4. **Critic.** The value is the mean over the users of one network's output for each of them (value
-//!    decomposition, Sunehag and others, 2018).
-//! 5. **Exploration.** Noise on the change of each user, with correlation over time. It counts where
-//!    the measured gains do not contradict it, whatever its variance.
+//! 4. **Critic.** The value is the mean over the users of one network's output for each of them
+//!    (value decomposition, Sunehag and others, 2018).
+//! 5. **Exploration.** Noise on the change of each user, with correlation over time. It counts
+//!    where the measured gains do not contradict it, whatever its variance.
 //! 6. **Episodes.** As in the supervised training, the present network decides in newly drawn
-//!    rooms, and learns after that. The critic learns alone until the buffer holds `warm_up` decisions.
+//!    rooms, and learns after that. The critic learns alone until the buffer holds `warm_up`
+//!    decisions.
 
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
@@ -39,9 +41,9 @@ use crate::training::settings::RunSettings;
 /// Slots for users: the largest number in a training room.
 const SLOTS: usize = RoomChoice::USERS_MAX as usize;
 
-/// What the critic knows of a user besides the row: change to the true normal (2), error of the place
-/// (2), logarithms of believed and true amplitudes of the direct path and of all mirrors (4), minimum
-/// rate, share of a user in the number of all.
+/// What the critic knows of a user besides the row: change to the true normal (2), error of the
+/// place (2), logarithms of believed and true amplitudes of the direct path and of all mirrors (4),
+/// minimum rate, share of a user in the number of all.
 const TRUTH: usize = 10;
 
 /// Values of a user in a state: presence, row, truth.

@@ -54,8 +54,8 @@ fn atc_positions_are_in_mm_and_the_facing_angle_is_the_heading() {
     assert!(refused[0].1.contains("invalid facing angle `nan`") && refused[1].1.contains("number of columns 3"));
 }
 
-/// Metadata, column names, two frames: helmet 1 has a centroid, helmet 2 has markers only, the robot
-/// is no pedestrian.
+/// Metadata, column names, two frames: helmet 1 has a centroid, helmet 2 has markers only, the
+/// robot is no pedestrian.
 const THOR_MAGNI: &str = "FILE_ID,THOR-Magni_120522_SC1B_R1,,,
 N_FRAMES_QTM,3
 BODY_NAMES,DARKO_Robot,Helmet_1,Helmet_2

@@ -1,9 +1,10 @@
 //! The columns of THÖR-MAGNI: bodies with a centroid or with markers.
 //!
-//! A body whose name begins with `Helmet_` is a pedestrian; robots and carried objects are not read. A
-//! body has the columns `NAME Centroid_X` and `NAME Centroid_Y`, and for each marker `NAME - 1 X` and
-//! so on. An empty cell and `NaN` mean that the body was not tracked in this frame. The rotation
-//! matrices (`R0` to `R8`) are not read: the axes of a helmet are not documented with the columns.
+//! A body whose name begins with `Helmet_` is a pedestrian; robots and carried objects are not
+//! read. A body has the columns `NAME Centroid_X` and `NAME Centroid_Y`, and for each marker
+//! `NAME - 1 X` and so on. An empty cell and `NaN` mean that the body was not tracked in this
+//! frame. The rotation matrices (`R0` to `R8`) are not read: the axes of a helmet are not
+//! documented with the columns.
 
 use std::collections::BTreeMap;
 

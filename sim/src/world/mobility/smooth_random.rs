@@ -7,8 +7,8 @@
 //!
 //! In the source, users leave the area or bounce. Here a user turns towards a point drawn uniformly
 //! when a wall is near: nearer than the distance to brake plus the turning radius. The user brakes
-//! early enough that the point at which it would stop is always on the floor. Near a wall its speed can therefore be
-//! below the smallest walking speed. Obstacles have no effect.
+//! early enough that the point at which it would stop is always on the floor. Near a wall its speed
+//! can therefore be below the smallest walking speed. Obstacles have no effect.
 //!
 //! The walk starts at rest at a place drawn uniformly and is then run for 30 s.
 //!

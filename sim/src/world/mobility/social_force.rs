@@ -32,7 +32,7 @@ const REACHED_M: f64 = 0.5;
 /// Distance of goals from walls and obstacles in m: where their repulsion equals the drive.
 const GOAL_CLEARANCE_M: f64 = 0.6;
 /// Time for a goal: a multiple of the time on a straight line, and a time in s.
-const LEG_TIME: (f64, f64) = (3.0, 5.0);
+const GOAL_TIME: (f64, f64) = (3.0, 5.0);
 /// Speed in m/s below which a user does not turn to its velocity, and in a pause stands still.
 const STANDING_M_S: f64 = 0.1;
 /// Number of ranges from which on a repulsion counts as zero.
@@ -134,7 +134,7 @@ impl Pedestrian {
             drawn_speed_m_s,
             desired_speed_m_s: 0.0,
             goal: places.draw(&mut rng, GOAL_CLEARANCE_M, std::iter::empty(), 0.0),
-            left_s: LEG_TIME.1,
+            left_s: GOAL_TIME.1,
             pause: None,
             rng,
         };
@@ -237,7 +237,7 @@ impl Pedestrian {
         }
         self.pause = None;
         self.goal = places.draw(&mut self.rng, GOAL_CLEARANCE_M, std::iter::empty(), 0.0);
-        self.left_s = LEG_TIME.0 * distance_m(at, self.goal) / self.desired_speed_m_s + LEG_TIME.1;
+        self.left_s = GOAL_TIME.0 * distance_m(at, self.goal) / self.desired_speed_m_s + GOAL_TIME.1;
     }
 }
 

@@ -65,7 +65,7 @@ use noise::NoiseLevel;
 use occupancy::Occupancy;
 use posture::Posture;
 use readings::{MeasuredGains, Readings};
-use residual::Residual;
+use residual::GainResidual;
 use track::{Track, reported_velocity};
 
 /// Bounds of the estimated noise of a coordinate in m. The lower one keeps exact reports regular.
@@ -129,7 +129,7 @@ pub struct Belief {
     led: Option<Vec3>,
     innovations: Innovations,
     /// Those of the last channel report, where they are kept.
-    residuals: Vec<Residual>,
+    residuals: Vec<GainResidual>,
     keeps_residuals: bool,
 }
 
@@ -211,10 +211,12 @@ impl Belief {
         evidence.expect(model, places, obstacles, angles, unusable);
         if self.keeps_residuals {
             let measured = |(user, track): (usize, &Track)| Some((user, *track.measured(user, report)?));
-            self.residuals.extend(tracks.iter().enumerate().filter_map(measured).map(|(user, measured)| Residual {
-                user: measured.user,
-                los_shown: self.readings.shows(f64::from(measured.los_gain)),
-                ..evidence.residual(user, [measured.los_gain, measured.irs_gain].map(f64::from))
+            self.residuals.extend(tracks.iter().enumerate().filter_map(measured).map(|(user, measured)| {
+                GainResidual {
+                    user: measured.user,
+                    los_shown: self.readings.shows(f64::from(measured.los_gain)),
+                    ..evidence.residual(user, [measured.los_gain, measured.irs_gain].map(f64::from))
+                }
             }));
         }
         if only_direct {
@@ -264,7 +266,7 @@ impl Belief {
     }
 
     /// The residuals of the last channel report, where they are kept.
-    pub fn residuals(&self) -> &[Residual] {
+    pub fn residuals(&self) -> &[GainResidual] {
         &self.residuals
     }
 

@@ -149,8 +149,7 @@ fn the_choice_of_the_engine_is_followed_and_auto_takes_the_dense_one_where_it_ca
 }
 
 /// An actor whose network is the recipe's, with nodes before its output.
-fn extended(scenario: &Scenario, operators: &[(&str, Option<f32>)]) -> ActorFile {
-    let recipe = ActorRecipe::fitting(scenario);
+fn extended(recipe: &ActorRecipe, operators: &[(&str, Option<f32>)]) -> ActorFile {
     let mut model = ModelProto::decode(&recipe.bytes()[..]).expect("just written");
     let graph = model.graph.as_mut().expect("a graph");
     let output = graph.output[0].name.clone();
@@ -172,19 +171,50 @@ fn extended(scenario: &Scenario, operators: &[(&str, Option<f32>)]) -> ActorFile
     ActorFile { origin: "extended.onnx".into(), bytes: model.encode_to_vec().into() }
 }
 
+/// 0/0 in each output; tract's hyperbolic tangent of NaN is finite.
+const HIDDEN_NAN: [(&str, Option<f32>); 3] = [("Mul", Some(0.0)), ("Div", Some(0.0)), ("Tanh", None)];
+
 #[test]
 fn an_actor_whose_nan_one_engine_hides_is_refused_on_every_choice() {
     let scenario = scenario(&[]);
-    let sound = extended(&scenario, &[("Mul", Some(0.5)), ("Tanh", None)]);
+    let recipe = ActorRecipe::fitting(&scenario);
+    let sound = extended(&recipe, &[("Mul", Some(0.5)), ("Tanh", None)]);
     assert_eq!(load_actor(&sound, &scenario).expect("both agree").engine_name(), DENSE);
-    // 0/0 in each output, and tract's hyperbolic tangent of NaN is finite.
-    let hidden = extended(&scenario, &[("Mul", Some(0.0)), ("Div", Some(0.0)), ("Tanh", None)]);
+    let hidden = extended(&recipe, &HIDDEN_NAN);
     for choice in [EngineChoice::Auto, EngineChoice::Dense, EngineChoice::Embedded] {
         let refusal = choice.load_actor(&hidden, &scenario).err().expect("NaN is hidden");
         let ActorError::EnginesDisagree { engines, differing, compared, .. } = &refusal else { panic!("{refusal}") };
         assert_eq!((*engines, *differing, *compared), ([DENSE, EMBEDDED], 64, 64));
         let text = refusal.to_string();
         assert!(["extended.onnx", DENSE, EMBEDDED, "64 of 64", "NaN"].iter().all(|word| text.contains(word)), "{text}");
+    }
+}
+
+#[test]
+fn a_network_of_rows_whose_nan_one_engine_hides_is_refused_on_every_choice() {
+    let scenario = scenario(&[]);
+    for (kind, recipe) in [
+        (PolicyKind::Residual, ActorRecipe::compact([0.1, 0.2, 0.3])),
+        (PolicyKind::Lstm, ActorRecipe::displacements([0.1, 0.2])),
+    ] {
+        let build = |choice: EngineChoice, operators: &[(&str, Option<f32>)]| {
+            let source = ActorSource::Bytes(extended(&recipe, operators));
+            choice.build_tried(kind, &scenario, &source).map(|(policy, _)| policy.engine())
+        };
+        let sound = [("Mul", Some(0.5)), ("Tanh", None)];
+        assert_eq!(build(EngineChoice::Auto, &sound).expect("both agree"), Some(DENSE));
+        assert_eq!(build(EngineChoice::Embedded, &sound).expect("both agree"), Some(EMBEDDED));
+        // No dense operator: the embedded engine evaluates it.
+        let other = [("Mul", Some(0.5)), ("Sin", None)];
+        assert!(build(EngineChoice::Dense, &other).is_err());
+        assert_eq!(build(EngineChoice::Auto, &other).expect("both know it"), Some(EMBEDDED));
+        for (choice, engine) in
+            [(EngineChoice::Auto, DENSE), (EngineChoice::Dense, DENSE), (EngineChoice::Embedded, EMBEDDED)]
+        {
+            let refusal = build(choice, &HIDDEN_NAN).expect_err("NaN is hidden").to_string();
+            let evaluated = format!("the engine {engine} ");
+            assert!(["extended.onnx", &evaluated].iter().all(|word| refusal.contains(word)), "{choice}: {refusal}");
+        }
     }
 }
 

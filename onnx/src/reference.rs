@@ -120,6 +120,15 @@ mod tests {
     }
 
     #[test]
+    fn sign_is_zero_at_zero_and_keeps_nan() {
+        let mut graph = Graph::default();
+        graph.node("Sign", &["x"]);
+        let reference = Reference::new(&model(graph)).expect("it is known");
+        assert_eq!(reference.run("x", &[-9.0, 0.0, 0.5]).expect("it is known"), [-1.0, 0.0, 1.0]);
+        assert!(reference.run("x", &[f32::NAN; 3]).expect("it is known").iter().all(|value| value.is_nan()));
+    }
+
+    #[test]
     fn an_operator_of_another_domain_is_not_taken_for_the_standard_one_of_its_name() {
         let mut graph = Graph::default();
         graph.node("Relu", &["x"]);

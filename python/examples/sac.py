@@ -176,17 +176,18 @@ def report(arguments: argparse.Namespace) -> None:
     lines += ["```", f"python python/examples/sac.py train FOLDER --environment {settings['environment']} --action "
               f"{settings['action']} --minutes {settings['minutes']} --cores {settings['cores']} --seed {settings['seed']}"]
     lines += [f"python python/examples/sac.py report FOLDER --states {arguments.states} --seeds {arguments.seeds}", "```", ""]
-    used_s, full_s = rows[-1]["processor_s"], 60.0 * float(settings["minutes"]) * int(settings["cores"])
-    ended = "" if used_s >= full_s else f" The training was ended after {used_s:.0f} s of the {full_s:.0f} s of processor time."
-    lines += [f"Other processes used the machine too, so processor time shows the effort of the training.{ended}", ""]
+    scores: list[heliostat.Score] = []
+    for row in rows:
+        scores.append(score(checkpoint(folder, row["file"])))
+        print(f"{row['steps']} steps: {figures(scores[-1])}", flush=True)
+    last = scores[-1]
+    lines += ["## Result", "", *outcome(settings, rows[-1], scores, zero), ""]
     lines += ["## Learning curve", "", f"{arguments.states} held-out states of each of {arguments.seeds} seeds, in closed loop.", ""]
     lines += ["| processor time, s | elapsed, s | steps | sum rate, Mbit/s | ratio to the oracle | minimum rates met |"]
     lines += ["| --- | --- | --- | --- | --- | --- |"]
     lines += [f"| action 0 | | | {figures(zero)} |"]
-    for row in rows:
-        last = score(checkpoint(folder, row["file"]))
-        lines += [f"| {row['processor_s']:.0f} | {row['elapsed_s']:.0f} | {row['steps']} | {figures(last)} |"]
-        print(lines[-1], flush=True)
+    for row, scored in zip(rows, scores, strict=True):
+        lines += [f"| {row['processor_s']:.0f} | {row['elapsed_s']:.0f} | {row['steps']} | {figures(scored)} |"]
     path = heliostat.export_onnx(Actor(checkpoint(folder, rows[-1]["file"]).policy), env, folder / "own.onnx")
     print(f"written: {path}")
     if arguments.program:
@@ -194,6 +195,23 @@ def report(arguments: argparse.Namespace) -> None:
     if arguments.page:
         arguments.page.write_text("\n".join(lines) + "\n")
         print(f"written: {arguments.page}")
+
+
+def outcome(
+    settings: dict[str, str], row: dict[str, Any], scores: list[heliostat.Score], zero: heliostat.Score
+) -> list[str]:
+    """How long the training took until its last row, and whether it is better than an action of zeros."""
+    last, best = scores[-1].ratio_to_oracle, max(score.ratio_to_oracle for score in scores)
+    used_s, full_s = row["processor_s"], 60.0 * float(settings["minutes"]) * int(settings["cores"])
+    ended = "" if used_s >= full_s else f" It was ended before its {full_s:.0f} s of processor time."
+    side = "below" if last < zero.ratio_to_oracle else "above" if last > zero.ratio_to_oracle else "equal to"
+    return [
+        f"The last checkpoint has the ratio {last:.4f} to the oracle. That is {side} the ratio {zero.ratio_to_oracle:.4f} "
+        f"of action 0, which needs no training. The best checkpoint has {best:.4f}.",
+        "",
+        f"The training took {row['elapsed_s']:.0f} s for {row['steps']} steps, and {used_s:.0f} s of processor time.{ended} "
+        "Other processes used the machine too, so processor time shows the effort.",
+    ]
 
 
 def figures(score: heliostat.Score) -> str:

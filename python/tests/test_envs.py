@@ -45,6 +45,15 @@ def test_the_checker_of_gymnasium_accepts_each_form(name: str, action: str, obse
     env.close()
 
 
+@pytest.mark.parametrize("name", IDS)
+def test_the_checker_of_gymnasium_accepts_each_default(name: str) -> None:
+    env = gymnasium.make(name)
+    expected = "paper" if name == "heliostat/Paper-v0" else "flat"
+    assert env.unwrapped.observation_form == expected  # type: ignore[attr-defined]
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+
+
 @pytest.mark.parametrize("name", ["heliostat/Hall-v0", "heliostat/Office-v0"])
 def test_the_checker_of_gymnasium_accepts_corrections_of_the_belief(name: str) -> None:
     env = gymnasium.make(name, action="compact", observation="evidence")

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import subprocess
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -211,18 +212,68 @@ def test_an_exported_network_moves_the_mirrors_of_the_demo(settings: Any, tmp_pa
     assert int(re.search(r"commands (\d+)", shown)[1]) > 10, shown  # type: ignore[index]
 
 
-@pytest.mark.parametrize("name", list(heliostat.envs.IDS))
-@pytest.mark.parametrize("action", ["angles", "weights"])
-def test_the_checker_of_stable_baselines_accepts_each_environment(name: str, action: str) -> None:
+CHECKED: list[dict[str, Any]] = [
+    {},
+    *({"action": action, "observation": form} for action in ("angles", "weights") for form in ("flat", "belief", "dict")),
+]
+COMPACT: list[tuple[str, dict[str, Any]]] = [
+    (name, {"action": "compact", "observation": "evidence"}) for name in ("heliostat/Hall-v0", "heliostat/Office-v0")
+]
+
+
+@pytest.mark.parametrize(("name", "settings"), [(name, form) for name in heliostat.envs.IDS for form in CHECKED] + COMPACT)
+def test_the_checker_of_stable_baselines_accepts_each_environment(name: str, settings: dict[str, Any]) -> None:
     torch_or_skip()
     checker = pytest.importorskip("stable_baselines3.common.env_checker", exc_type=ImportError)
-    checker.check_env(gymnasium.make(name, action=action).unwrapped)
-    checker.check_env(gymnasium.make(name, action=action, observation="belief").unwrapped)
+    with warnings.catch_warnings():
+        if settings.get("observation") == "dict":
+            # Its MultiInputPolicy flattens the parts.
+            warnings.filterwarnings("ignore", message="Your observation .* has an unconventional shape")
+        checker.check_env(gymnasium.make(name, **settings).unwrapped)
+
+
+def stable_baselines_or_skip() -> Any:
+    torch_or_skip()
+    return pytest.importorskip("stable_baselines3", exc_type=ImportError)
+
+
+@pytest.mark.parametrize("oracle", [False, True])
+def test_the_information_of_each_environment_has_the_figures_of_the_batch(oracle: bool) -> None:
+    stable_baselines_or_skip()
+    from heliostat.sb3 import HeliostatVecEnv
+
+    settings: dict[str, Any] = {"num_envs": 3, "max_episode_steps": 2, "action": "weights", "oracle": oracle}
+    env, batch = HeliostatVecEnv(**settings), heliostat.HeliostatVectorEnv(**settings, autoreset_mode="SameStep")
+    env.seed(5)
+    env.reset()
+    batch.reset(seed=5)
+    names = {"sum_rate_mbps", "qos_met", "rates_mbps"} | ({"oracle_mbps"} if oracle else set())
+    for _ in range(2):
+        _, _, dones, infos = env.step(np.zeros((3, 10), np.float32))
+        expected = batch.step(np.zeros((3, 10), np.float32))[4]
+        for index, info in enumerate(infos):
+            assert set(info) - {"TimeLimit.truncated", "terminal_observation"} == names
+            for name in names:
+                assert np.array_equal(info[name], expected[name][index], equal_nan=True) and np.isfinite(info[name]).any()
+    assert dones.all() and infos[0]["rates_mbps"].shape == (batch.step(np.zeros((3, 10), np.float32))[4]["rates_mbps"].shape[1],)
+    assert len({info["sum_rate_mbps"] for info in infos}) == 3
+    env.close()
+    batch.close()
+
+
+def test_stable_baselines_trains_on_the_parts_of_observations() -> None:
+    sb3 = stable_baselines_or_skip()
+    from heliostat.sb3 import HeliostatVecEnv
+
+    env = HeliostatVecEnv(num_envs=2, max_episode_steps=10, action="weights", observation="dict")
+    model = sb3.PPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=1, device="cpu")
+    model.learn(32)
+    assert model.num_timesteps == 32
+    env.close()
 
 
 def test_stable_baselines_trains_on_the_batch() -> None:
-    torch_or_skip()
-    sb3 = pytest.importorskip("stable_baselines3", exc_type=ImportError)
+    sb3 = stable_baselines_or_skip()
     from heliostat.sb3 import HeliostatVecEnv
 
     env = HeliostatVecEnv(num_envs=4, max_episode_steps=10, action="weights")
@@ -237,3 +288,56 @@ def test_stable_baselines_trains_on_the_batch() -> None:
     model.learn(128)
     assert any((one != two).any() for one, two in zip(before, model.policy.parameters(), strict=True))
     env.close()
+
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def ran(script: str, *arguments: object) -> str:
+    """What an example prints."""
+    command = [sys.executable, str(EXAMPLES / script), *map(str, arguments)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def assert_acts(path: Path, scenario: str, action: str) -> None:
+    """An exported file turns the mirrors of its room, and in another way than an action of zeros."""
+    env = heliostat.HeliostatEnv(scenario, action=action)
+    observation, _ = env.reset(seed=1)
+    angles = np.concatenate(heliostat.Policy(str(path), env.scenario).answer(observation))
+    assert env.action_space.shape is not None
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    zero = env.state()
+    assert np.abs(angles - np.concatenate([zero["roll"], zero["yaw"]])).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("script", "room", "arguments"),
+    [
+        ("ppo.py", ("hall", "weights"), ("--steps", 1024, "--states", 4)),
+        ("ddpg_continuous_action.py", ("specular", "angles"), (1600,)),
+    ],
+)
+def test_an_example_trains_scores_and_exports(script: str, room: Any, arguments: Any, tmp_path: Path) -> None:
+    stable_baselines_or_skip()
+    printed = ran(script, tmp_path / "own.onnx", *arguments)
+    found = re.search(r"sum rate over the oracle's: (\d\.\d+)", printed)
+    assert found and 0.1 < float(found[1]) < 1.0, printed
+    assert_acts(tmp_path / "own.onnx", *room)
+
+
+def test_the_example_of_soft_actor_critic_trains_and_reports_its_checkpoints(tmp_path: Path) -> None:
+    stable_baselines_or_skip()
+    folder, page = tmp_path / "training", tmp_path / "page.md"
+    ran("sac.py", "train", folder, "--steps", 1200)
+    ran("sac.py", "report", folder, "--states", 4, "--seeds", 1, "--page", page)
+    checkpoints = json.loads((folder / "checkpoints.json").read_text())
+    assert checkpoints[-1]["steps"] == 1200
+    written = page.read_text()
+    outcome = re.search(r"ratio (\d\.\d{4}) to the oracle. That is (\S+).* the ratio (\d\.\d{4}) of action 0", written)
+    assert outcome, written
+    own, zero = float(outcome[1]), float(outcome[3])
+    assert outcome[2] == ("below" if own < zero else "above") or own == zero
+    assert written.count("| 1200 | ") == 1 and f"for 1200 steps, and {checkpoints[-1]['processor_s']:.0f} s" in written
+    assert_acts(folder / "own.onnx", "hall", "weights")

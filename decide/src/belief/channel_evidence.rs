@@ -19,7 +19,7 @@ use crate::belief::{
     lit_mirrors::LitMirrors,
     occupancy::Occupancy,
     readings::{MeasuredGains, Readings},
-    residual::Residual,
+    residual::GainResidual,
     tilt::{self, Tilt},
 };
 
@@ -174,16 +174,16 @@ impl ChannelEvidence {
 
     /// The measured gains of a user, direct and over the mirrors, beside the expected ones of the
     /// receiver as evaluated.
-    pub fn residual(&self, user: usize, [los, irs]: [f64; 2]) -> Residual {
+    pub fn residual(&self, user: usize, [los, irs]: [f64; 2]) -> GainResidual {
         let expected = &self.expected;
         let by_steering =
             |one: &usize, other: &usize| expected.steering(user, *one).total_cmp(&expected.steering(user, *other));
         let led = expected.leds().max_by(by_steering).unwrap_or(0);
-        Residual {
+        GainResidual {
             los: [los, expected.direct(user)],
             irs: [irs, expected.gains(user, led).iter().sum()],
             steering: if self.angles_known { expected.steering(user, led) } else { 0.0 },
-            ..Residual::default()
+            ..GainResidual::default()
         }
     }
 

@@ -3,7 +3,7 @@
 /// Measured gains of one user, and those that the belief expects at the time of the measurement
 /// without the user's own body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Residual {
+pub struct GainResidual {
     /// Number of the user.
     pub user: u32,
     /// Measured and expected gain of the direct path.

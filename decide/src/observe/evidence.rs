@@ -18,14 +18,16 @@
 //! | 2 | horizontal components of the believed normal of the receiver |
 //! | 4 | last report: direct path shown, its residual, weight and weighted residual of the mirrors |
 //! | 15 | means over [`MEMORY_S`]: time observed, share shown, direct residual, weight and residual of the mirrors |
-//! | 5 | all users: measurements, mean and root mean square of the direct residual, then of the mirrors' |
+//! | 5 | all users, this one included: measurements, mean and root mean square of the direct residual, then of the mirrors' |
+
+use std::ops::Range;
 
 use heliostat_channel::{ChannelModel, Orientation, Vec3};
 use heliostat_proto::{MAX_USERS, Nanos};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    belief::{Estimate, residual::Residual},
+    belief::{Estimate, residual::GainResidual},
     observe::correction::{Correction, Explained, Frame},
 };
 
@@ -41,8 +43,17 @@ pub const LED: usize = 8;
 /// Index of the believed normal in a row.
 pub const NORMAL: usize = 12;
 
-/// Index of the means in a row.
-const MEANS: usize = 18;
+/// The residuals and weights of the user's last report in a row.
+pub const LAST_REPORT: Range<usize> = NORMAL + 2..NORMAL + 6;
+
+/// The user's means over [`MEMORY_S`] in a row.
+pub const MEANS: Range<usize> = LAST_REPORT.end..LAST_REPORT.end + MEAN_VALUES * MEMORY_S.len();
+
+/// The residuals of all users in a row, its own user included.
+pub const ALL_USERS: Range<usize> = MEANS.end..FEATURES;
+
+/// Values of each mean.
+const MEAN_VALUES: usize = 5;
 
 /// The values of a row that change sign in a mirrored room: the second components of vectors.
 pub const MIRRORED: [usize; 4] = [1, 6, 9, 13];
@@ -70,7 +81,7 @@ const FORGOTTEN_NS: Nanos = 2_000_000_000;
 
 /// The residuals of one measurement, weights included: observed, shown, direct residual, weight and
 /// residual of the mirrors.
-type Sample = [f64; 5];
+type Sample = [f64; MEAN_VALUES];
 
 /// What is remembered of one user.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -124,7 +135,7 @@ pub struct Believed {
 
 impl Evidence {
     /// Takes the residuals of a channel report.
-    pub fn handle_channel(&mut self, time_ns: Nanos, residuals: &[Residual]) {
+    pub fn handle_channel(&mut self, time_ns: Nanos, residuals: &[GainResidual]) {
         let EvidenceMemory { entries, room, time_ns: last_ns } = &mut self.history;
         let elapsed_s = time_ns.saturating_sub(*last_ns) as f64 * 1e-9;
         let kept = (-elapsed_s / ROOM_MEMORY_S).exp();
@@ -138,7 +149,7 @@ impl Evidence {
             if let Some(entry) = entries.iter_mut().find(|entry| entry.user == residual.user) {
                 entry.handle(time_ns, sample);
             } else if entries.len() < MAX_USERS {
-                entries.push(Entry { user: residual.user, time_ns, last: sample, means: [[0.0; 5]; 3] });
+                entries.push(Entry { user: residual.user, time_ns, last: sample, means: [[0.0; MEAN_VALUES]; 3] });
             }
         }
         entries.retain(|entry| time_ns.saturating_sub(entry.time_ns) < FORGOTTEN_NS);
@@ -241,7 +252,7 @@ impl Entry {
 impl EvidenceMemory {
     /// The features of a user's residuals and of all users.
     fn of(&self, user: u32) -> impl Iterator<Item = f64> {
-        let unknown = Entry { user, time_ns: 0, last: [0.0; 5], means: [[0.0; 5]; 3] };
+        let unknown = Entry { user, time_ns: 0, last: [0.0; MEAN_VALUES], means: [[0.0; MEAN_VALUES]; 3] };
         let entry = self.entries.iter().find(|entry| entry.user == user).copied().unwrap_or(unknown);
         let [_, shown_last, direct, weight, mirrors] = entry.last;
         let means = entry.means.into_iter().flat_map(|[observed, shown, direct, weight, mirrors]| {
@@ -277,7 +288,7 @@ fn explained(row: &[f32; FEATURES]) -> Explained {
     let value = |index: usize| f64::from(row[index]);
     let array_z = value(LED + 3);
     let array = Vec3::new((1.0 - array_z * array_z).max(0.0).sqrt(), 0.0, array_z);
-    let [_, shown, direct, weight, mirrors] = std::array::from_fn(|offset| value(MEANS + 5 + offset));
+    let [_, shown, direct, weight, mirrors] = std::array::from_fn(|offset| value(MEANS.start + MEAN_VALUES + offset));
     Explained {
         directions: [Vec3::new(value(LED), value(LED + 1), value(LED + 2)), array],
         residuals: [direct, mirrors],
@@ -285,7 +296,7 @@ fn explained(row: &[f32; FEATURES]) -> Explained {
     }
 }
 
-fn sample(residual: &Residual) -> Sample {
+fn sample(residual: &GainResidual) -> Sample {
     let ratio = |[measured, expected]: [f64; 2]| {
         let sound = measured > 0.0 && expected > 0.0;
         if sound { (measured / expected).ln().clamp(-RESIDUAL_MAX, RESIDUAL_MAX) } else { -RESIDUAL_MAX }

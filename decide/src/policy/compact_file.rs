@@ -121,9 +121,18 @@ pub enum CompactError {
         /// The tensor's name.
         tensor: String,
     },
-    /// The engine refused the network, or evaluates it otherwise than the reference.
+    /// The engine or the reference evaluation does not support the network.
     #[error("{origin}: {message}; export the actor again")]
     Engine {
+        /// The file.
+        origin: String,
+        /// What happened.
+        message: String,
+    },
+    /// The engine does not evaluate the network, gives an output that is not finite, or differs from the
+    /// reference evaluation.
+    #[error("{origin}: {message}; export the actor again")]
+    Evaluation {
         /// The file.
         origin: String,
         /// What happened.

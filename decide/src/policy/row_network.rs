@@ -33,15 +33,22 @@ impl<const N: usize> RowNetwork<N> {
     /// # Errors
     /// [`CompactError`] with the value found and the value expected.
     pub fn load(file: &ActorFile, kind: &'static RowKind, engine: &dyn Engine) -> Result<Self, CompactError> {
-        let refused = |message: String| CompactError::Engine { origin: file.origin.clone(), message };
+        let origin = || file.origin.clone();
+        let refused = |message: String| CompactError::Engine { origin: origin(), message };
         let model = kind.check(file)?;
         let network = engine
             .load(&file.bytes, N)
             .map_err(|message| refused(format!("the inference engine refused the network: {message}")))?;
         let values = kind.output.1;
         let mut loaded = Self { network, values, outputs: Vec::with_capacity(MAX_USERS * values) };
+        let rows = sampled_rows();
         let reference = Reference::new(&model).map_err(|reason| refused(unsupported(&reason)))?;
-        loaded.compare(&reference).map_err(refused)?;
+        let expected: Vec<Vec<f32>> = rows
+            .iter()
+            .map(|row| reference.run(INPUT_NAME, row))
+            .collect::<Result<_, _>>()
+            .map_err(|reason| refused(unsupported(&reason)))?;
+        loaded.compare(&rows, &expected).map_err(|message| CompactError::Evaluation { origin: origin(), message })?;
         Ok(loaded)
     }
 
@@ -50,23 +57,17 @@ impl<const N: usize> RowNetwork<N> {
         self.network.engine()
     }
 
-    /// Compares the engine with a reference evaluation on sampled rows.
-    fn compare(&mut self, reference: &Reference) -> Result<(), String> {
-        let rows: Vec<[f32; N]> = (0..COMPARED)
-            .map(|sample| {
-                std::array::from_fn(|index| {
-                    // Points that fill [-1, 1) evenly, other ones for each sample and feature.
-                    ((sample * N + index) as f32 * 0.618_034).fract() * 2.0 - 1.0
-                })
-            })
-            .collect();
+    /// Compares the engine with the expected outputs of some rows.
+    fn compare(&mut self, rows: &[[f32; N]], expected: &[Vec<f32>]) -> Result<(), String> {
         let engine = self.engine();
         let failed = |error: PolicyError| format!("the engine {engine} does not evaluate {COMPARED} rows: {error}");
-        self.evaluate(&rows).map_err(failed)?;
-        for (row, found) in rows.iter().zip(self.outputs.chunks_exact(self.values)) {
-            let expected = reference.run(INPUT_NAME, row).map_err(|reason| unsupported(&reason))?;
-            let differs = |(found, expected): (&f32, &f32)| (found - expected).abs() > SAME * expected.abs().max(1.0);
-            if expected.len() != self.values || found.iter().zip(&expected).any(differs) {
+        self.evaluate(rows).map_err(failed)?;
+        for (found, expected) in self.outputs.chunks_exact(self.values).zip(expected) {
+            let differs = |(found, expected): (&f32, &f32)| {
+                let allowed = SAME * expected.abs().max(1.0);
+                found.is_finite() != expected.is_finite() || (found - expected).abs() > allowed
+            };
+            if expected.len() != self.values || found.iter().zip(expected).any(differs) {
                 return Err(format!(
                     "the engine {engine} gives {found:?} and the reference evaluation {expected:?} for the same row, \
                      expected equal values"
@@ -100,6 +101,12 @@ impl<const N: usize> RowNetwork<N> {
         self.outputs.extend_from_slice(found);
         Ok(&self.outputs)
     }
+}
+
+/// Rows with points that fill [-1, 1) evenly, other ones for each row and feature.
+fn sampled_rows<const N: usize>() -> Vec<[f32; N]> {
+    let value = |index: usize| (index as f32 * 0.618_034).fract() * 2.0 - 1.0;
+    (0..COMPARED).map(|row| std::array::from_fn(|column| value(row * N + column))).collect()
 }
 
 /// The refusal of a network that the reference cannot evaluate, for this reason.

@@ -7,7 +7,7 @@ use heliostat_decide::{
     observation::Observation,
     policy::{
         Actor, Engine, Network, Policy, PolicyError,
-        actor_file::{ActorError, ActorFile, key},
+        actor_file::{ANGLES, ActorError, ActorFile, key},
     },
 };
 use heliostat_scenario::Scenario;
@@ -246,4 +246,23 @@ fn an_engine_that_computes_other_angles_than_the_file_is_refused() {
     let mut actor = Actor::load(&file, &scenario, &FixedEngine(0.5)).unwrap();
     let error = actor.try_out(&file, &scenario, || 0).unwrap_err();
     assert_contains(&error, &["test.onnx", "8 of 8 observations", "0.5 by the engine", "0.25 by the reference"]);
+}
+
+#[test]
+fn the_contract_lists_action_version_and_output_of_each_kind_of_file() {
+    let contract = include_str!("../../../CONTRACT.md");
+    for (kind, recipe) in [
+        ("angles", ActorRecipe::fitting(&scenario(&[]))),
+        ("compact", ActorRecipe::compact([0.0; 3])),
+        ("displacements", ActorRecipe::displacements([0.0; 2])),
+    ] {
+        let row = contract.lines().find(|line| line.starts_with(&format!("| {kind} |"))).expect("a row of the kind");
+        let [_, _, action, version, output, ..] = row.split('|').map(str::trim).collect::<Vec<_>>()[..] else {
+            panic!("{row}")
+        };
+        let entry = |wanted| recipe.metadata.iter().find(|(name, _)| *name == wanted).map(|(_, value)| value.as_str());
+        assert_eq!(Some(version), entry(key::OBSERVATION_VERSION));
+        assert!(action.contains(&format!("`{}`", entry(key::ACTION).unwrap_or(ANGLES))), "{row}");
+        assert!(output.starts_with(&format!("`{}`", recipe.output_name)), "{row}");
+    }
 }

@@ -2,12 +2,12 @@
 
 use heliostat_channel::{Orientation, Vec3};
 use heliostat_decide::{
-    belief::{Estimate, residual::Residual},
+    belief::{Estimate, residual::GainResidual},
     core::DegradedMode,
-    evidence::{Believed, Evidence, FEATURES, MIRRORED},
+    evidence::{ALL_USERS, Believed, Evidence, FEATURES, LAST_REPORT, MEANS, MIRRORED},
     inbox::Message,
     policy::{
-        Engine, Network, PolicyError, PolicyKind, Residual as ResidualPolicy,
+        Engine, Network, PolicyError, PolicyKind, Residual,
         actor_file::{ActorFile, key},
     },
 };
@@ -115,7 +115,7 @@ impl Network for DivergingNetwork {
 fn the_fallback_decides_where_a_correction_is_not_finite() {
     let scenario = hidden();
     let file = ActorRecipe::compact([0.0; 3]).file();
-    let policy = ResidualPolicy::load(&file, (3, 9), &Diverging(1 + 10)).unwrap();
+    let policy = Residual::load(&file, (3, 9), &Diverging(1 + 10)).unwrap();
     let mut controller = controller(&scenario, Box::new(policy));
     let mut room = Room::new(&scenario);
     for tick in 1..=14 {
@@ -124,7 +124,7 @@ fn the_fallback_decides_where_a_correction_is_not_finite() {
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 4, "one run at the load and ten decisions");
     assert!(controller.last_failure().is_some_and(|failure| failure.to_string().contains("not finite")));
     // At the load such a network is refused.
-    let refusal = ResidualPolicy::load(&file, (3, 9), &Diverging(0)).err().expect("a refusal").to_string();
+    let refusal = Residual::load(&file, (3, 9), &Diverging(0)).err().expect("a refusal").to_string();
     assert!(refusal.contains("not finite"), "{refusal}");
 }
 
@@ -177,7 +177,7 @@ fn a_network_that_the_reference_cannot_verify_is_refused_in_a_sentence() {
         let mut model = ModelProto::decode(&recipe.bytes()[..]).expect("just written");
         change(model.graph.as_mut().and_then(|graph| graph.node.last_mut()).expect("two nodes"));
         let file = ActorFile { bytes: model.encode_to_vec().into(), ..recipe.file() };
-        ResidualPolicy::load(&file, (3, 9), &BiasEngine).err().expect("a refusal").to_string()
+        Residual::load(&file, (3, 9), &BiasEngine).err().expect("a refusal").to_string()
     };
     let not_supported = "test.onnx: the reference evaluation, which verifies the engine, does not support the operator";
     let unknown = refusal(|node| node.op_type = "Bogus".into());
@@ -196,7 +196,7 @@ fn row(wall: &str, turn: fn([f64; 2]) -> [f64; 2]) -> [f32; FEATURES] {
     let mut evidence = Evidence::default();
     for tick in 1..=5 {
         let los = [(0.5 + 0.1 * tick as f64) * 1e-6, 1e-6];
-        let residual = Residual { user: 4, los, los_shown: true, irs: [3e-7, 4e-7], steering: 2e-6 };
+        let residual = GainResidual { user: 4, los, los_shown: true, irs: [3e-7, 4e-7], steering: 2e-6 };
         evidence.handle_channel(Room::time(10 * tick), &[residual]);
     }
     let estimate = Estimate {
@@ -231,10 +231,10 @@ fn rows_do_not_depend_on_the_wall_and_a_mirrored_room_changes_signs_only() {
 #[test]
 fn a_row_holds_the_residuals_and_their_means() {
     let row = row("+y", |at| at);
-    let (last, ratio) = (&row[14..18], (0.75_f32).ln());
+    let (last, ratio) = (&row[LAST_REPORT], (0.75_f32).ln());
     assert!(near(last, &[1.0, 0.0, 1.0, ratio]), "{last:?}");
     // The longest mean hardly differs from the plain one of the reports after the first.
     let mean = [0.7, 0.8, 0.9, 1.0].map(f32::ln).iter().sum::<f32>() / 4.0;
-    assert!((row[30] - mean).abs() < 0.03, "{} for {mean}", row[30]);
-    assert!((row[33] - 0.1).abs() < 1e-3, "five direct measurements: {}", row[33]);
+    assert!((row[MEANS.end - 3] - mean).abs() < 0.03, "{} for {mean}", row[MEANS.end - 3]);
+    assert!((row[ALL_USERS.start] - 0.1).abs() < 1e-3, "five direct measurements: {}", row[ALL_USERS.start]);
 }

@@ -25,7 +25,7 @@ use anyhow::bail;
 use candle_core::{Device, Result, Tensor};
 use ddpg::Ddpg;
 use heliostat_channel::{ChannelModel, MirrorAngles};
-use heliostat_decide::evidence::{FEATURES, MIRRORED};
+use heliostat_decide::evidence::{ALL_USERS, FEATURES, LAST_REPORT, MEANS, MIRRORED};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::{MismatchKind, Scenario};
 use rand::RngExt;
@@ -104,11 +104,11 @@ const MISMATCH: [MismatchKind; 7] = {
 pub enum Without {
     /// It reads all.
     Nothing,
-    /// Neither the last residuals nor their history, of the user and of all users.
+    /// Neither the user's last residuals and their means, nor the residuals of all users.
     Residuals,
-    /// The means over time.
+    /// The user's means over time.
     History,
-    /// The residuals of all users.
+    /// The residuals of all users, the user included.
     Neighbours,
 }
 
@@ -116,9 +116,9 @@ impl Without {
     fn features(self) -> std::ops::Range<usize> {
         match self {
             Self::Nothing => 0..0,
-            Self::Residuals => 14..FEATURES,
-            Self::History => 18..33,
-            Self::Neighbours => 33..FEATURES,
+            Self::Residuals => LAST_REPORT.start..ALL_USERS.end,
+            Self::History => MEANS,
+            Self::Neighbours => ALL_USERS,
         }
     }
 }

@@ -18,6 +18,8 @@ pub fn evaluate(call: &Call<'_>) -> Option<Tensor> {
         // `f32::max` would return 0 for NaN.
         "Relu" => unary(call, |value| if value < 0.0 { 0.0 } else { value }),
         "Sigmoid" => unary(call, |value| 1.0 / (1.0 + (-value).exp())),
+        // `f32::signum` has no zero.
+        "Sign" => unary(call, |value| if value == 0.0 { value } else { value.signum() }),
         "Sin" => unary(call, f32::sin),
         "Sqrt" => unary(call, f32::sqrt),
         "Tanh" => unary(call, f32::tanh),

@@ -11,11 +11,15 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from .vector import HeliostatVectorEnv
 
+_FIGURES = ("sum_rate_mbps", "qos_met", "rates_mbps", "oracle_mbps")
+"""What the information of each environment has of the batch's."""
+
 
 class HeliostatVecEnv(VecEnv):  # type: ignore[misc]
     """Environments of the same settings as `stable_baselines3.common.vec_env.VecEnv`.
 
-    The arguments are those of `HeliostatVectorEnv`; the mode of autoreset is that of Stable-Baselines3.
+    The arguments are those of `HeliostatVectorEnv`; the mode of autoreset is that of Stable-Baselines3. The information
+    of each environment has the figures that `HeliostatEnv` describes.
     """
 
     def __init__(self, scenario: str = "specular", *, num_envs: int = 1, **settings: Any) -> None:
@@ -42,11 +46,8 @@ class HeliostatVecEnv(VecEnv):  # type: ignore[misc]
         observation, rewards, _, truncated, info = self.inner.step(self._actions)
         infos: list[dict[str, Any]] = []
         for index in range(self.num_envs):
-            one: dict[str, Any] = {
-                "sum_rate_mbps": info["sum_rate_mbps"][index],
-                "qos_met": info["qos_met"][index],
-                "TimeLimit.truncated": bool(truncated[index]),
-            }
+            one: dict[str, Any] = {name: info[name][index] for name in _FIGURES if name in info}
+            one["TimeLimit.truncated"] = bool(truncated[index])
             if truncated[index]:
                 one["terminal_observation"] = info["final_obs"][index]
             infos.append(one)

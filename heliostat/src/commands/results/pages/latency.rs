@@ -104,6 +104,7 @@ pub static PAGE: Page = Page {
     title: "Results: latency and speed",
     about: "How to read it: [latency.md](../latency.md). Times are in us; a ratio is to the reference of the same run. A \
             dash under \"reports/s\" stands for no pause between reports.",
+    summary: None,
     sections: &[
         Section {
             name: "loop-nearest",

@@ -1,5 +1,8 @@
 //! A page and its sections.
 
+use anyhow::Result;
+
+use super::super::archive::Archive;
 use super::super::bound::Bound;
 use super::super::table::{Column, Layout};
 
@@ -12,6 +15,8 @@ pub struct Page {
     pub title: &'static str,
     /// How its figures are to be read.
     pub about: &'static str,
+    /// Writes the part in front of the sections from those that are finished, if the page has one.
+    pub summary: Option<fn(&[Section], &Archive) -> Result<String>>,
     /// In the order of the page.
     pub sections: &'static [Section],
 }

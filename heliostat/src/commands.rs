@@ -18,6 +18,7 @@ pub mod keys;
 pub mod link;
 pub mod map;
 mod mirrors;
+mod own_program;
 pub mod results;
 pub mod scenario;
 pub mod stop;

@@ -3,6 +3,7 @@
 mod belief;
 mod board;
 mod decide;
+mod demo;
 mod echo;
 mod env;
 mod moving;
@@ -43,6 +44,9 @@ enum What {
     Rooms(wire::Args),
     /// The decision of every policy, beside the inference engine alone
     Policies(decide::Args),
+    /// Decisions over 0.5 ms of the demo, beside those of the policy hold, on a quiet and on a busy
+    /// machine
+    Demo(demo::Args),
     /// The echo process, which loop and rooms start
     #[command(hide = true)]
     Echo(echo::Args),
@@ -60,6 +64,7 @@ pub fn run(args: Args) -> Result<()> {
         What::Users(args) => decide::users(&args),
         What::Rooms(args) => wire::run_rooms(&args),
         What::Policies(args) => decide::policies(&args),
+        What::Demo(args) => demo::run(&args),
         What::Echo(args) => echo::run(&args),
     }
 }

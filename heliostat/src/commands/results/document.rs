@@ -26,6 +26,9 @@ pub fn markdown(page: &Page, archive: &Archive) -> Result<String> {
         text.push_str("## Bounds\n\n\"Found\" is the figure nearest to the limit, or farthest beyond it.\n\n");
         writeln!(text, "{bounds}")?;
     }
+    if let Some(summary) = page.summary {
+        text.push_str(&summary(page.sections, archive).context("in the summary")?);
+    }
     text.push_str(&sections);
     Ok(text.trim_end().to_owned() + "\n")
 }
@@ -126,6 +129,9 @@ mod tests {
         name: "example",
         title: "An example",
         about: "Times in us.",
+        summary: Some(|sections, archive| {
+            Ok(format!("## Summary\n\n{} of {}.\n\n", archive.sections.len(), sections.len()))
+        }),
         sections: &[section("first"), section("second")],
     };
 
@@ -159,7 +165,7 @@ mod tests {
         let text = markdown(&PAGE, &archive).unwrap();
         for expected in [
             "Written by `heliostat results example --quick`",
-            "| The loop | p50 at most 2 | 2.31 | not met |",
+            "| The loop | p50 at most 2 | 2.31 | not met |\n\n## Summary\n\n1 of 2.\n\n## The loop\n",
             "heliostat bench loop --seconds 1\n",
             "2026-11-22T12:00:00Z, commit abc, 2 cores, load 1.2, 3 s.",
             "| p50 |\n| --- |\n| 2.3 |\n",

@@ -2,15 +2,16 @@
 
 use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use heliostat_reproduce::machine;
 
 use super::archive::{Archive, Finished};
 use super::document::command;
 use super::pages::Section;
+use crate::commands::own_program;
 
 /// A section, and the arguments of its command.
 pub type Step<'a> = (&'a Section, Vec<String>);
@@ -67,17 +68,9 @@ pub(super) fn report(text: &str) {
 
 /// Runs one section's command and keeps its JSON object.
 fn measure(section: &Section, arguments: &[String]) -> Result<Finished> {
-    let program = std::env::current_exe().context("cannot find this program's own file")?;
     let (made, start) = (machine::now(), Instant::now());
-    let output = Command::new(program)
-        .args(section.with_json(arguments))
-        .stdin(Stdio::null())
-        .stderr(Stdio::inherit())
-        .output()
-        .context("cannot start the command")?;
-    if !output.status.success() {
-        bail!("{}: {}", command(arguments), output.status);
-    }
+    let output = own_program::json(&section.with_json(arguments), Stdio::inherit());
+    let output = output.with_context(|| command(arguments))?;
     Ok(Finished {
         section: section.name.into(),
         arguments: arguments.to_vec(),
@@ -86,6 +79,6 @@ fn measure(section: &Section, arguments: &[String]) -> Result<Finished> {
         machine: machine::hardware(),
         load: machine::load(),
         seconds: start.elapsed().as_secs_f64(),
-        output: serde_json::from_slice(&output.stdout).context("the command printed no JSON object")?,
+        output,
     })
 }

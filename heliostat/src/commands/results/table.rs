@@ -13,6 +13,8 @@ const RATIO: &str = "/ratio_to_oracle";
 pub enum Layout {
     /// `heliostat eval`: one row for the oracle and one a policy.
     Policies,
+    /// `heliostat eval --closed-loop`: the same, and a second table of the beliefs' own quality.
+    PoliciesAndBeliefs,
     /// `heliostat eval --sweep`: one row a value of the swept key, with each column for each policy.
     Sweep,
     /// `heliostat bench` and `heliostat calibrate`: the array `rows`.
@@ -41,11 +43,22 @@ pub enum Form {
     Interval(usize),
 }
 
-/// One row by its name: the policy, or nothing where rows have no names.
+/// The quality of a belief about the users.
+const BELIEF: [Column; 6] = [
+    Column { title: "place error, median (cm)", at: "/place_error_median_cm", form: Form::Number(1) },
+    Column { title: "place error, mean (cm)", at: "/place_error_cm", form: Form::Interval(1) },
+    Column { title: "heading error, walking (deg)", at: "/heading_error_walking_deg", form: Form::Interval(1) },
+    Column { title: "heading error, standing (deg)", at: "/heading_error_standing_deg", form: Form::Interval(1) },
+    Column { title: "within 50 % ellipse", at: "/coverage_50", form: Form::Interval(3) },
+    Column { title: "within 95 % ellipse", at: "/coverage_95", form: Form::Interval(3) },
+];
+
+/// One row by its name: the policy, the belief or the room, or nothing where rows have no names.
 pub type Row = (String, Value);
 
 impl Layout {
-    /// The rows of a JSON object; those of policies in the order in which `arguments` name them.
+    /// The rows of a JSON object; those of policies and beliefs in the order in which `arguments` name
+    /// them.
     ///
     /// # Errors
     /// A JSON object of another command.
@@ -53,10 +66,11 @@ impl Layout {
         match self {
             Self::Rows => {
                 let rows = output["rows"].as_array().context("expected an array `rows`")?;
-                let name = |row: &Value| row["policy"].as_str().unwrap_or_default().to_owned();
+                let name = |row: &Value| row["policy"].as_str().or(row["room"].as_str()).unwrap_or_default().to_owned();
                 Ok(rows.iter().map(|row| (name(row), row.clone())).collect())
             }
             Self::Policies => policies(output, arguments),
+            Self::PoliciesAndBeliefs => Ok([policies(output, arguments)?, beliefs(output, arguments)?].concat()),
             Self::Sweep => {
                 let reports = output["reports"].as_array().context("expected an array `reports`")?;
                 let rows = reports.iter().map(|swept| policies(&swept["report"], arguments));
@@ -78,12 +92,10 @@ impl Layout {
                     lines.push(cells(&row, columns));
                 }
             }
-            Self::Policies => {
-                let titles = columns.iter().map(|column| column.title.to_owned());
-                lines.push([String::new()].into_iter().chain(titles).collect());
-                for (name, row) in self.rows(output, arguments)? {
-                    lines.push([name].into_iter().chain(cells(&row, columns)).collect());
-                }
+            Self::Policies => lines = named_lines(policies(output, arguments)?, columns),
+            Self::PoliciesAndBeliefs => {
+                let beliefs = grid(&named_lines(beliefs(output, arguments)?, &BELIEF));
+                return Ok(grid(&named_lines(policies(output, arguments)?, columns)) + "\n" + &beliefs);
             }
             Self::Sweep => {
                 let key = output["sweep"].as_str().context("expected the swept key in `sweep`")?;
@@ -113,19 +125,41 @@ impl Layout {
 /// The oracle's row, then those of the policies.
 fn policies(report: &Value, arguments: &[String]) -> Result<Vec<Row>> {
     let policies: &Map<String, Value> = report["policies"].as_object().context("expected an object `policies`")?;
-    let named = arguments.iter().skip_while(|word| *word != "--policies").nth(1).map_or("", String::as_str);
-    let named: Vec<&str> = named.split(',').collect();
-    // A variant of a policy, such as one with another belief, follows the policy whose name it begins
-    // with.
+    let (named, beliefs) = (listed(arguments, "--policies"), listed(arguments, "--beliefs"));
+    // A variant of a policy follows the policy whose name it begins with: first those of the beliefs.
     let rank = |name: &str| {
         let fits = named.iter().enumerate().filter(|(_, policy)| name.starts_with(**policy));
         let best = fits.max_by_key(|(_, policy)| policy.len());
-        (best.map_or(named.len(), |(index, _)| index), name.len())
+        let belief = beliefs.iter().position(|belief| name.ends_with(&format!("+{belief}")));
+        (best.map_or(named.len(), |(index, _)| index), belief.unwrap_or(beliefs.len()), name.len())
     };
     let mut rows: Vec<Row> = policies.iter().map(|(name, row)| (name.clone(), row.clone())).collect();
     rows.sort_by_key(|(name, _)| rank(name));
     rows.insert(0, (ORACLE.into(), report["oracle"].clone()));
     Ok(rows)
+}
+
+/// The rows of the beliefs.
+fn beliefs(report: &Value, arguments: &[String]) -> Result<Vec<Row>> {
+    let beliefs = report["beliefs"].as_object().context("expected an object `beliefs`")?;
+    let named = listed(arguments, "--beliefs");
+    let mut rows: Vec<Row> = beliefs.iter().map(|(name, row)| (name.clone(), row.clone())).collect();
+    rows.sort_by_key(|(name, _)| named.iter().position(|belief| belief == name).unwrap_or(named.len()));
+    Ok(rows)
+}
+
+/// The names that follow a flag, separated by commas.
+fn listed<'a>(arguments: &'a [String], flag: &str) -> Vec<&'a str> {
+    let names = arguments.iter().skip_while(|word| *word != flag).nth(1);
+    names.map_or(Vec::new(), |names| names.split(',').collect())
+}
+
+/// The heading and a line for each row, which begins with the row's name.
+fn named_lines(rows: Vec<Row>, columns: &[Column]) -> Vec<Vec<String>> {
+    let titles = columns.iter().map(|column| column.title.to_owned());
+    let heading = [String::new()].into_iter().chain(titles).collect();
+    let lines = rows.into_iter().map(|(name, row)| [name].into_iter().chain(cells(&row, columns)).collect());
+    [heading].into_iter().chain(lines).collect()
 }
 
 fn cells(row: &Value, columns: &[Column]) -> Vec<String> {
@@ -191,6 +225,30 @@ mod tests {
         let expected = "|  | ratio | p50 |\n| --- | --- | --- |\n| (oracle) | 1.00 | - |\n| greedy | 0.90 ± 0.01 | 7 |\n\
                         | greedy-unaware | 0.90 ± 0.01 | 7 |\n| flat | 0.45 ± 0.01 | 7 |\n";
         assert_eq!(table.unwrap(), expected);
+    }
+
+    #[test]
+    fn rows_with_beliefs_come_in_the_order_of_the_command_and_a_table_of_the_beliefs_follows() {
+        let row = |ratio: f64| json!({ "ratio_to_oracle": { "mean": ratio, "ci95": 0.01 } });
+        let policies = json!({
+            "flat": row(0.3), "greedy+filter": row(0.9), "greedy+none": row(0.7), "greedy+true-present": row(1.0)
+        });
+        let quality = |cm: f64| json!({ "place_error_median_cm": cm, "coverage_95": { "mean": 0.94, "ci95": 0.02 } });
+        let beliefs = json!({ "filter": quality(2.5), "none": { "place_error_median_cm": 9.0 } });
+        let output = json!({ "oracle": row(1.0), "policies": policies, "beliefs": beliefs });
+        let words = arguments("eval --beliefs none,filter --policies greedy,flat");
+        let layout = Layout::PoliciesAndBeliefs;
+        let names: Vec<String> = layout.rows(&output, &words).unwrap().into_iter().map(|(name, _)| name).collect();
+        let expected = ["(oracle)", "greedy+none", "greedy+filter", "greedy+true-present", "flat", "none", "filter"];
+        assert_eq!(names, expected);
+        let text = layout.markdown(&output, &words, &COLUMNS).unwrap();
+        let (policies, beliefs) = text.split_once("\n\n").expect("two tables");
+        assert_eq!((policies.lines().count(), beliefs.lines().count()), (7, 4), "{text}");
+        assert!(beliefs.starts_with("|  | place error, median (cm) |"), "{text}");
+        assert!(
+            beliefs.contains("\n| none | 9.0 | - | - | - | - | - |\n| filter | 2.5 | - | - | - | - | 0.940 ± 0.020 |")
+        );
+        assert!(layout.markdown(&json!({ "oracle": {}, "policies": {} }), &words, &COLUMNS).is_err());
     }
 
     #[test]

@@ -2,13 +2,14 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use anyhow::{Context, Result, ensure};
 
 use super::document::command;
 use super::pages::{Training, trainings};
 use super::steps::report;
+use crate::commands::own_program;
 
 /// Whether all actors that the command of a section evaluates exist; those that do not are trained
 /// first, if `train`.
@@ -41,9 +42,8 @@ fn is_finished(training: &Training) -> bool {
 /// # Errors
 /// The training fails.
 fn run(training: &Training, quick: bool) -> Result<()> {
-    let program = std::env::current_exe().context("cannot find this program's own file")?;
-    let mut process = Command::new(program);
-    process.args(training.arguments()).arg("--json").stdin(Stdio::null()).stdout(Stdio::null());
+    let mut process = own_program::process(&training.arguments())?;
+    process.arg("--json").stdout(Stdio::null());
     if quick {
         process.args(training.quick());
     }

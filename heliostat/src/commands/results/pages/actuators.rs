@@ -29,6 +29,7 @@ pub static PAGE: Page = Page {
     title: "Results: mirrors and their drives",
     about: "How to read it: [actuators.md](../actuators.md). A figure is a mean with its 95 % interval; the ratio is to \
             the sum rate of the oracle, whose mirrors turn at once.",
+    summary: None,
     sections: &[
         Section {
             name: "profiles",

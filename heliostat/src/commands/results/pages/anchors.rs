@@ -57,6 +57,7 @@ pub static PAGE: Page = Page {
             places of the belief by its own prediction, and takes headings and gains from the belief. `td3`, `sac` and `ppo` \
             are trained in `specular` on exact states. A difference is to the row that has none, paired state by state. \
             Each learned policy has one actor, of training seed 1. An episode of 20 instants counts as one sample.",
+    summary: None,
     sections: &[
         section([
             "hall",

@@ -8,6 +8,14 @@ const fn us(title: &'static str, at: &'static str) -> Column {
     Column { title, at, form: Form::Number(0) }
 }
 
+const fn tenths(title: &'static str, at: &'static str) -> Column {
+    Column { title, at, form: Form::Number(1) }
+}
+
+const fn share(title: &'static str, at: &'static str) -> Column {
+    Column { title, at, form: Form::Number(4) }
+}
+
 const fn text(title: &'static str, at: &'static str) -> Column {
     Column { title, at, form: Form::Text }
 }
@@ -46,18 +54,53 @@ const LOOP: [Column; 15] = [
     OVER,
     LOST,
 ];
-const DECISION: [Column; 13] =
-    [HZ, POLICY, P50, P90, P99, P999, MAX, REFERENCE_P50, REFERENCE_P99, RATIO_P50, RATIO_P99, COUNT, OVER];
-const MISSES: [Column; 9] = [
+const DECISION: [Column; 14] = [
+    HZ,
+    POLICY,
+    text("engine", "/engine"),
     P50,
+    P90,
     P99,
     P999,
+    MAX,
+    REFERENCE_P50,
+    REFERENCE_P99,
+    RATIO_P50,
+    RATIO_P99,
     COUNT,
     OVER,
-    text("wait", "/over_budget_by/wait"),
-    text("observe", "/over_budget_by/observe"),
-    text("infer", "/over_budget_by/infer"),
-    text("publish", "/over_budget_by/publish"),
+];
+const WAIT: Column = text("wait", "/over_budget_by/wait");
+const OBSERVE: Column = text("observe", "/over_budget_by/observe");
+const INFER: Column = text("infer", "/over_budget_by/infer");
+const PUBLISH: Column = text("publish", "/over_budget_by/publish");
+const MISSES: [Column; 9] = [P50, P99, P999, COUNT, OVER, WAIT, OBSERVE, INFER, PUBLISH];
+const DEMO: [Column; 12] = [
+    text("busy processes", "/busy"),
+    POLICY,
+    P50,
+    P99,
+    COUNT,
+    OVER,
+    share("share", "/share"),
+    share("share above hold", "/above_hold"),
+    WAIT,
+    OBSERVE,
+    INFER,
+    PUBLISH,
+];
+const BELIEF: [Column; 11] = [
+    text("room", "/room"),
+    tenths("users", "/users"),
+    text("mirrors", "/mirrors"),
+    tenths("channel report p50", "/channel_us/p50"),
+    tenths("p99", "/channel_us/p99"),
+    tenths("position report p50", "/positions_us/p50"),
+    tenths("observation p50", "/observation_us/p50"),
+    tenths("position report and observation p50", "/decision_us/p50"),
+    tenths("p99", "/decision_us/p99"),
+    tenths("reference p50", "/reference_us/p50"),
+    tenths("channel report, ratio", "/channel_ratio"),
 ];
 const MIRRORS: [Column; 9] = [text("mirrors", "/mirrors"), P50, P90, P99, P999, RATIO_P50, RATIO_P99, COUNT, OVER];
 const USERS: [Column; 9] = [text("users", "/users"), P50, P90, P99, P999, RATIO_P50, RATIO_P99, COUNT, OVER];
@@ -98,278 +141,178 @@ const SOLVER: [Column; 11] = [
     Column { title: "oracle/greedy", at: "/oracle_over_greedy", form: Form::Number(1) },
 ];
 
+/// A bound on every row.
+const fn at_most(what: &'static str, at: &'static str, limit: f64) -> Bound {
+    Bound { what, policy: "", at, limit: Limit::AtMost(limit) }
+}
+
+const ECHO: [Bound; 2] = [
+    at_most("p50 at most 1.3 times that of the echo", "/ratio_p50", 1.3),
+    at_most("p99 at most 1.5 times that of the echo", "/ratio_p99", 1.5),
+];
+const FEW_MISSES: [Bound; 1] = [Bound {
+    what: "at most 1 decision of 10,000 takes more than 0.5 ms",
+    policy: "",
+    at: "/over_budget",
+    limit: Limit::ShareAtMost(1e-4, "/count"),
+}];
+const OF_ROOMS: [Bound; 2] = [
+    at_most("decision p99 at most 500 us", "/decision_us/p99", 500.0),
+    at_most("loop p99 at most 500 us", "/measured_us/p99", 500.0),
+];
+
+/// A section: its name, its heading and its command; what it measures; further arguments of a full and of
+/// a quick run; its table and its bounds.
+const fn section(
+    [name, title, command]: [&'static str; 3],
+    about: &'static str,
+    [full, quick]: [&'static str; 2],
+    columns: &'static [Column],
+    bounds: &'static [Bound],
+) -> Section {
+    Section { name, title, about, command, full, quick, layout: Layout::Rows, columns, bounds }
+}
+
+const fn loop_of(words: [&'static str; 3]) -> Section {
+    let about = "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is an echo.";
+    section(words, about, ["--seconds 3", "--seconds 1 --hz 100"], &LOOP, &ECHO)
+}
+
+const fn decision(words: [&'static str; 3], about: &'static str, bounds: &'static [Bound]) -> Section {
+    section(words, about, ["--seconds 4", "--seconds 1"], &DECISION, bounds)
+}
+
+const fn misses(words: [&'static str; 3], about: &'static str, bounds: &'static [Bound]) -> Section {
+    section(words, about, ["--decisions 20000", "--decisions 500"], &MISSES, bounds)
+}
+
+const fn rooms(words: [&'static str; 3]) -> Section {
+    let about = "Rooms on one controller process at 100 reports a second each; the reference is an echo for as many.";
+    section(words, about, ["--seconds 4 --rooms 1,8,32", "--seconds 1 --rooms 1,2"], &ROOMS, &OF_ROOMS)
+}
+
+/// What two sections of decisions over budget measure.
+const LATE: &str = "Decisions of more than 0.5 ms at 1000 reports a second, by their longest stage.";
+/// What the sections of single policies measure.
+const PACED: &str = "The decision without transport at 100 reports a second and without pauses; the reference is the inference \
+                     engine alone on the actor of `ddpg`, or on the policy's own file.";
+
 /// The page.
 pub static PAGE: Page = Page {
     name: "latency",
     title: "Results: latency and speed",
     about: "How to read it: [latency.md](../latency.md). Times are in us; a ratio is to the reference of the same run. A \
             dash under \"reports/s\" stands for no pause between reports.",
+    summary: None,
     sections: &[
-        Section {
-            name: "loop-nearest",
-            title: "Loop, nearest",
-            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is an echo.",
-            command: "bench loop --policy nearest",
-            full: "--seconds 6",
-            quick: "--seconds 1 --hz 100",
-            layout: Layout::Rows,
-            columns: &LOOP,
-            bounds: &[
+        loop_of(["loop-nearest", "Loop, nearest", "bench loop --policy nearest"]),
+        loop_of(["loop-fixed-point", "Loop, fixed-point", "bench loop --policy fixed-point"]),
+        loop_of(["loop-ddpg", "Loop, ddpg", "bench loop --policy ddpg"]),
+        decision(
+            ["decide", "Decision", "bench decide"],
+            "The decision without transport; the reference is the inference engine alone.",
+            &[at_most("p50 at most 2.5 times that of the inference", "/ratio_p50", 2.5)],
+        ),
+        decision(
+            ["decide-fixed-point", "Decision, fixed-point", "bench decide --policy fixed-point --hz 100,0"],
+            PACED,
+            &[],
+        ),
+        decision(["decide-greedy", "Decision, greedy", "bench decide --policy greedy --hz 100,0"], PACED, &[]),
+        decision(
+            ["decide-residual", "Decision, residual", "bench decide --policy residual --hz 100,0"],
+            "The same on each engine that evaluates the network.",
+            &[],
+        ),
+        section(
+            ["belief", "Belief and observation", "bench belief"],
+            "What reports and an observation cost while caches are warm. The reference is one evaluation of the channel model.",
+            ["--seconds 1", "--seconds 0.1"],
+            &BELIEF,
+            &[
                 Bound {
-                    what: "p50 at most 1.3 times that of the echo",
-                    policy: "",
-                    at: "/ratio_p50",
-                    limit: Limit::AtMost(1.3),
+                    what: "hall: position report and observation together at most 15 us (p50)",
+                    policy: "hall",
+                    at: "/decision_us/p50",
+                    limit: Limit::AtMost(15.0),
                 },
                 Bound {
-                    what: "p99 at most 1.5 times that of the echo",
-                    policy: "",
-                    at: "/ratio_p99",
-                    limit: Limit::AtMost(1.5),
-                },
-            ],
-        },
-        Section {
-            name: "loop-fixed-point",
-            title: "Loop, fixed-point",
-            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is an echo.",
-            command: "bench loop --policy fixed-point",
-            full: "--seconds 6",
-            quick: "--seconds 1 --hz 100",
-            layout: Layout::Rows,
-            columns: &LOOP,
-            bounds: &[
-                Bound {
-                    what: "p50 at most 1.3 times that of the echo",
-                    policy: "",
-                    at: "/ratio_p50",
-                    limit: Limit::AtMost(1.3),
-                },
-                Bound {
-                    what: "p99 at most 1.5 times that of the echo",
-                    policy: "",
-                    at: "/ratio_p99",
-                    limit: Limit::AtMost(1.5),
+                    what: "hall: channel report at most 50 us (p50)",
+                    policy: "hall",
+                    at: "/channel_us/p50",
+                    limit: Limit::AtMost(50.0),
                 },
             ],
-        },
-        Section {
-            name: "loop-ddpg",
-            title: "Loop, ddpg",
-            about: "From the publication of a report to the arrival of the command that answers it, between two processes; the reference is an echo.",
-            command: "bench loop --policy ddpg",
-            full: "--seconds 6",
-            quick: "--seconds 1 --hz 100",
-            layout: Layout::Rows,
-            columns: &LOOP,
-            bounds: &[
-                Bound {
-                    what: "p50 at most 1.3 times that of the echo",
-                    policy: "",
-                    at: "/ratio_p50",
-                    limit: Limit::AtMost(1.3),
-                },
-                Bound {
-                    what: "p99 at most 1.5 times that of the echo",
-                    policy: "",
-                    at: "/ratio_p99",
-                    limit: Limit::AtMost(1.5),
-                },
-            ],
-        },
-        Section {
-            name: "decide",
-            title: "Decision",
-            about: "The decision without transport; the reference is the inference engine alone.",
-            command: "bench decide",
-            full: "--seconds 6",
-            quick: "--seconds 1",
-            layout: Layout::Rows,
-            columns: &DECISION,
-            bounds: &[Bound {
-                what: "p50 at most 2.5 times that of the inference",
-                policy: "",
-                at: "/ratio_p50",
-                limit: Limit::AtMost(2.5),
+        ),
+        section(
+            ["demo", "Demo", "bench demo"],
+            "Decisions of more than 0.5 ms of `heliostat demo` with each policy, on the machine as it is and beside as many busy \
+             processes as processors, by their longest stage. `hold` publishes the last angles again: its share is what the \
+             machine itself causes.",
+            ["--seconds 25", "--seconds 2"],
+            &DEMO,
+            &[Bound {
+                what: "fixed-point: share of decisions over 0.5 ms at most 0.002 above that of hold",
+                policy: "fixed-point",
+                at: "/above_hold",
+                limit: Limit::AtMost(0.002),
             }],
-        },
-        Section {
-            name: "misses-ddpg",
-            title: "Over budget, ddpg",
-            about: "Decisions of more than 0.5 ms at 1000 reports a second, by their longest stage.",
-            command: "bench decide --hz 1000 --policy ddpg",
-            full: "--decisions 100000",
-            quick: "--decisions 500",
-            layout: Layout::Rows,
-            columns: &MISSES,
-            bounds: &[Bound {
-                what: "at most 1 decision of 10,000 takes more than 0.5 ms",
-                policy: "",
-                at: "/over_budget",
-                limit: Limit::ShareAtMost(1e-4, "/count"),
-            }],
-        },
-        Section {
-            name: "misses-nearest",
-            title: "Over budget, nearest",
-            about: "Decisions of more than 0.5 ms at 1000 reports a second, by their longest stage.",
-            command: "bench decide --hz 1000 --policy nearest",
-            full: "--decisions 100000",
-            quick: "--decisions 500",
-            layout: Layout::Rows,
-            columns: &MISSES,
-            bounds: &[Bound {
-                what: "at most 1 decision of 10,000 takes more than 0.5 ms",
-                policy: "",
-                at: "/over_budget",
-                limit: Limit::ShareAtMost(1e-4, "/count"),
-            }],
-        },
-        Section {
-            name: "misses-hold",
-            title: "Over budget, hold",
-            about: "The same with the policy hold, which publishes the last angles again: the share that the machine itself causes.",
-            command: "bench decide --hz 1000 --policy hold",
-            full: "--decisions 100000",
-            quick: "--decisions 500",
-            layout: Layout::Rows,
-            columns: &MISSES,
-            bounds: &[],
-        },
-        Section {
-            name: "policies",
-            title: "Policies",
-            about: "The decision of each policy without transport at 100 reports a second.",
-            command: "bench policies",
-            full: "--seconds 6",
-            quick: "--decisions 50",
-            layout: Layout::Rows,
-            columns: &DECISION,
-            bounds: &[],
-        },
-        Section {
-            name: "mirrors",
-            title: "Mirrors",
-            about: "The same wall divided into 49 to 4096 mirrors under a point LED; the reference is the wall of 49.",
-            command: "bench mirrors --policy nearest",
-            full: "--seconds 6",
-            quick: "--seconds 1",
-            layout: Layout::Rows,
-            columns: &MIRRORS,
-            bounds: &[
-                Bound { what: "p99 at most 500 us", policy: "", at: "/measured_us/p99", limit: Limit::AtMost(500.0) },
-                Bound {
-                    what: "p50 grows no faster than the number of mirrors (83.6 times from 49 to 4096)",
-                    policy: "",
-                    at: "/ratio_p50",
-                    limit: Limit::AtMost(83.6),
-                },
+        ),
+        misses(["misses-ddpg", "Over budget, ddpg", "bench decide --hz 1000 --policy ddpg"], LATE, &FEW_MISSES),
+        misses(
+            ["misses-nearest", "Over budget, nearest", "bench decide --hz 1000 --policy nearest"],
+            LATE,
+            &FEW_MISSES,
+        ),
+        misses(
+            ["misses-hold", "Over budget, hold", "bench decide --hz 1000 --policy hold"],
+            "The same with the policy hold, which publishes the last angles again: the share that the machine itself causes.",
+            &[],
+        ),
+        section(
+            ["policies", "Policies", "bench policies"],
+            "The decision of each policy without transport at 100 reports a second.",
+            ["--seconds 3", "--decisions 50"],
+            &DECISION,
+            &[],
+        ),
+        section(
+            ["mirrors", "Mirrors", "bench mirrors --policy nearest"],
+            "The same wall divided into 49 to 4096 mirrors under a point LED; the reference is the wall of 49.",
+            ["--seconds 4", "--seconds 1"],
+            &MIRRORS,
+            &[
+                at_most("p99 at most 500 us", "/measured_us/p99", 500.0),
+                at_most(
+                    "p50 grows no faster than the number of mirrors (83.6 times from 49 to 4096)",
+                    "/ratio_p50",
+                    83.6,
+                ),
             ],
-        },
-        Section {
-            name: "users",
-            title: "Users",
-            about: "1 to 50 users; the reference is one user.",
-            command: "bench users --policy fixed-point",
-            full: "--seconds 6",
-            quick: "--seconds 1",
-            layout: Layout::Rows,
-            columns: &USERS,
-            bounds: &[],
-        },
-        Section {
-            name: "rooms-nearest",
-            title: "Rooms, nearest",
-            about: "Rooms on one controller process at 100 reports a second each; the reference is an echo for as many.",
-            command: "bench rooms --policy nearest",
-            full: "--seconds 6 --rooms 1,8,32",
-            quick: "--seconds 1 --rooms 1,2",
-            layout: Layout::Rows,
-            columns: &ROOMS,
-            bounds: &[
-                Bound {
-                    what: "decision p99 at most 500 us",
-                    policy: "",
-                    at: "/decision_us/p99",
-                    limit: Limit::AtMost(500.0),
-                },
-                Bound {
-                    what: "loop p99 at most 500 us",
-                    policy: "",
-                    at: "/measured_us/p99",
-                    limit: Limit::AtMost(500.0),
-                },
-            ],
-        },
-        Section {
-            name: "rooms-fixed-point",
-            title: "Rooms, fixed-point",
-            about: "Rooms on one controller process at 100 reports a second each; the reference is an echo for as many.",
-            command: "bench rooms --policy fixed-point",
-            full: "--seconds 6 --rooms 1,8,32",
-            quick: "--seconds 1 --rooms 1,2",
-            layout: Layout::Rows,
-            columns: &ROOMS,
-            bounds: &[
-                Bound {
-                    what: "decision p99 at most 500 us",
-                    policy: "",
-                    at: "/decision_us/p99",
-                    limit: Limit::AtMost(500.0),
-                },
-                Bound {
-                    what: "loop p99 at most 500 us",
-                    policy: "",
-                    at: "/measured_us/p99",
-                    limit: Limit::AtMost(500.0),
-                },
-            ],
-        },
-        Section {
-            name: "rooms-ddpg",
-            title: "Rooms, ddpg",
-            about: "Rooms on one controller process at 100 reports a second each; the reference is an echo for as many.",
-            command: "bench rooms --policy ddpg",
-            full: "--seconds 6 --rooms 1,8,32",
-            quick: "--seconds 1 --rooms 1,2",
-            layout: Layout::Rows,
-            columns: &ROOMS,
-            bounds: &[
-                Bound {
-                    what: "decision p99 at most 500 us",
-                    policy: "",
-                    at: "/decision_us/p99",
-                    limit: Limit::AtMost(500.0),
-                },
-                Bound {
-                    what: "loop p99 at most 500 us",
-                    policy: "",
-                    at: "/measured_us/p99",
-                    limit: Limit::AtMost(500.0),
-                },
-            ],
-        },
-        Section {
-            name: "environment",
-            title: "Environment steps",
-            about: "Steps a second on one core; the reference is a straightforward scalar implementation.",
-            command: "bench env",
-            full: "--seconds 1",
-            quick: "--seconds 0.05",
-            layout: Layout::Rows,
-            columns: &STEPS,
-            bounds: &[],
-        },
-        Section {
-            name: "solver",
-            title: "Solver",
-            about: "One solution of the oracle, of fixed-point and of greedy, without and with minimum rates.",
-            command: "bench oracle",
-            full: "--seconds 1",
-            quick: "--seconds 0.05",
-            layout: Layout::Rows,
-            columns: &SOLVER,
-            bounds: &[],
-        },
+        ),
+        section(
+            ["users", "Users", "bench users --policy fixed-point"],
+            "1 to 50 users; the reference is one user.",
+            ["--seconds 3", "--seconds 1"],
+            &USERS,
+            &[],
+        ),
+        rooms(["rooms-nearest", "Rooms, nearest", "bench rooms --policy nearest"]),
+        rooms(["rooms-fixed-point", "Rooms, fixed-point", "bench rooms --policy fixed-point"]),
+        rooms(["rooms-ddpg", "Rooms, ddpg", "bench rooms --policy ddpg"]),
+        section(
+            ["environment", "Environment steps", "bench env"],
+            "Steps a second on one core; the reference is a straightforward scalar implementation.",
+            ["--seconds 0.5", "--seconds 0.05"],
+            &STEPS,
+            &[],
+        ),
+        section(
+            ["solver", "Solver", "bench oracle"],
+            "One solution of the oracle, of fixed-point and of greedy, without and with minimum rates.",
+            ["--seconds 0.5", "--seconds 0.05"],
+            &SOLVER,
+            &[],
+        ),
     ],
 };

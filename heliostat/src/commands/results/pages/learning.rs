@@ -175,6 +175,7 @@ pub static PAGE: Page = Page {
     about: "What it means: [learning.md](../learning.md). `greedy` acts on the belief `filter`; `residual` acts on the same belief \
             after a network has corrected it. A difference is to `greedy`, paired state by state. `true-present` and `true-future` \
             know the true room in place of reports. An episode of 20 instants counts as one sample.",
+    summary: None,
     sections: &[
         room("plain", "hall", "Upright receivers; the room that the controller knows.", in_room!("hall", "")),
         room(

@@ -1,7 +1,13 @@
 //! A page and its sections.
 
+use anyhow::Result;
+
+use super::super::archive::Archive;
 use super::super::bound::Bound;
 use super::super::table::{Column, Layout};
+
+/// Writes Markdown from the sections of a page and those of them that are finished.
+pub type Summary = fn(&[Section], &Archive) -> Result<String>;
 
 /// A page.
 #[derive(Debug)]
@@ -12,6 +18,8 @@ pub struct Page {
     pub title: &'static str,
     /// How its figures are to be read.
     pub about: &'static str,
+    /// The part in front of the sections, if the page has one.
+    pub summary: Option<Summary>,
     /// In the order of the page.
     pub sections: &'static [Section],
 }

@@ -1,15 +1,18 @@
 //! The page `rooms`: policies in rooms that differ from the plain hall.
 
+mod summary;
+
 use super::super::table::{Column, Form};
 use super::page::{Page, Section};
 
-const COLUMNS: [Column; 9] = [
+const COLUMNS: [Column; 10] = [
     Column { title: "sum rate (Mbit/s)", at: "/sum_rate_mbps", form: Form::Interval(1) },
     Column { title: "ratio", at: "/ratio_to_oracle", form: Form::Interval(3) },
     Column { title: "ratio, difference", at: "/difference_ratio", form: Form::Interval(3) },
     Column { title: "QoS met", at: "/qos_met", form: Form::Interval(3) },
     Column { title: "QoS met, difference", at: "/difference_qos_met", form: Form::Interval(3) },
     Column { title: "Jain", at: "/jain", form: Form::Interval(3) },
+    Column { title: "outage time", at: "/outage_time", form: Form::Interval(3) },
     Column { title: "outages per user minute", at: "/outages/per_user_minute", form: Form::Number(1) },
     Column { title: "outage p50 (s)", at: "/outages/p50_s", form: Form::Number(2) },
     Column { title: "outage p95 (s)", at: "/outages/p95_s", form: Form::Number(2) },
@@ -39,6 +42,7 @@ pub static PAGE: Page = Page {
     about: "How to read it: [evaluation.md](../evaluation.md). The sections about `hall` name what they change. A difference is to the \
             first row, paired state by state. `true-present` and `true-future` know the true room in place of reports. An \
             episode of 20 instants counts as one sample.",
+    summary: Some(summary::write),
     sections: &[
         room(
             "plain",
@@ -199,6 +203,18 @@ pub static PAGE: Page = Page {
             "The scenario corridor",
             "Users who pass each other.",
             "eval --scenario corridor --closed-loop --ceilings --beliefs filter,constant-velocity --policies greedy,fixed-point",
+        ),
+        room(
+            "atrium",
+            "The scenario atrium",
+            "A larger room with more users, who enter and leave.",
+            "eval --scenario atrium --closed-loop --ceilings --beliefs filter,constant-velocity --policies greedy,fixed-point",
+        ),
+        room(
+            "lab",
+            "The scenario lab",
+            "A bench at a quarter of the size, with servos.",
+            "eval --scenario lab --closed-loop --ceilings --beliefs filter,constant-velocity --policies greedy,fixed-point",
         ),
     ],
 };

@@ -1,7 +1,7 @@
 //! The belief about the motion of users, from position reports.
 
 use heliostat_channel::Vec3;
-use heliostat_decide::belief::{Belief, innovations::Innovations};
+use heliostat_decide::belief::{Belief, innovations::Innovations, memory::LaterMemories};
 use heliostat_proto::{Stamp, UserReport, UserState};
 use heliostat_scenario::Scenario;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -47,17 +47,75 @@ fn a_user_is_found_by_number_whatever_the_order_of_the_report() {
     }
 }
 
-#[test]
-fn a_user_who_returns_starts_again() {
+/// The variance of the place of user 7, who walks along x, is absent from this many reports and then
+/// returns at the expected place, as a share of that of the reports: 1 for a new user. The reports
+/// are 0.1 s apart.
+fn variance_after_absence(absent: u64) -> f64 {
     let mut belief = belief();
-    for tick in 1..=10 {
+    let walk = |belief: &mut Belief, tick: u64| {
         belief.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
+    };
+    (1..=10).for_each(|tick| walk(&mut belief, tick));
+    for tick in 11..11 + absent {
+        belief.handle_users(&report(tick, &[(3, [0.0; 3], [0.0; 2])]));
+        assert_eq!(belief.estimate(7, 0.0), None, "an absent user has no estimate");
     }
-    belief.handle_users(&report(11, &[]));
-    assert_eq!(belief.estimate(7, 0.0), None);
-    belief.handle_users(&report(12, &[(7, [-3.0, 2.0, 0.9], [0.0, 0.5])]));
-    let back = belief.estimate(7, 0.0).expect("a user").position;
-    assert!((back - Vec3::new(-3.0, 2.0, 0.9)).norm() < 0.01, "{back:?}");
+    walk(&mut belief, 11 + absent);
+    share_of_noise(&belief, 7)
+}
+
+/// The variance of the place of a user as a share of that of the reports.
+fn share_of_noise(belief: &Belief, user: u32) -> f64 {
+    belief.estimate(user, 0.0).expect("a user").position_cov_m2[0] / belief.noise()[0].powi(2)
+}
+
+#[test]
+fn a_user_who_returns_within_a_second_continues_and_later_starts_again() {
+    let [never, once, at_last, too_late] = [0, 1, 9, 10].map(variance_after_absence);
+    assert!(once < 1.2 * never && at_last < 0.95, "{never} {once} {at_last}");
+    assert!((too_late - 1.0).abs() < 1e-3, "{too_late}");
+}
+
+#[test]
+fn a_restored_belief_remembers_who_is_absent() {
+    let [mut first, mut second] = [belief(), belief()];
+    let walk = |tick: u64| report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]);
+    (1..=10).for_each(|tick| first.handle_users(&walk(tick)));
+    first.handle_users(&report(11, &[(3, [0.0; 3], [0.0; 2])]));
+    let (tilt, devices, absent) = (&first.tilt_memory(), &first.device_memory(), first.absent_memory());
+    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices, absent }));
+    assert_eq!(second.estimate(7, 0.0), None);
+    [&mut first, &mut second].map(|belief| belief.handle_users(&walk(12)));
+    assert_eq!(second.estimate(7, 0.5), first.estimate(7, 0.5));
+    assert!(share_of_noise(&second, 7) < 0.5);
+}
+
+#[test]
+fn another_user_under_a_number_that_was_absent_is_followed_at_once() {
+    for absent in [1, 20] {
+        let mut belief = belief();
+        for tick in 1..=10 {
+            belief.handle_users(&report(tick, &[(7, [0.1 * tick as f32, 0.0, 0.9], [1.0, 0.0])]));
+        }
+        (11..11 + absent).for_each(|tick| belief.handle_users(&report(tick, &[])));
+        belief.handle_users(&report(11 + absent, &[(7, [-3.0, 2.0, 0.9], [0.0, 0.5])]));
+        let back = belief.estimate(7, 0.0).expect("a user").position;
+        assert!((back - Vec3::new(-3.0, 2.0, 0.9)).norm() < 0.01, "{absent}: {back:?}");
+    }
+}
+
+#[test]
+fn absent_users_give_way_to_those_who_are_present() {
+    let mut belief = belief();
+    let crowd = |users: std::ops::Range<u32>| -> Vec<_> {
+        users.map(|user| (user, [0.05 * user as f32, 0.0, 0.9], [0.0, 0.0])).collect()
+    };
+    (1..=10).for_each(|tick| belief.handle_users(&report(tick, &crowd(0..64))));
+    let reports = [report(11, &crowd(4..68)), report(12, &crowd(0..64))];
+    let counted = allocation_counter::measure(|| reports.iter().for_each(|report| belief.handle_users(report)));
+    assert_eq!(counted.count_total, 0);
+    let [remembered, new] = [60, 2].map(|user| share_of_noise(&belief, user));
+    assert!(remembered < 0.8 && (new - 1.0).abs() < 1e-3, "{remembered} {new}");
 }
 
 #[test]

@@ -142,6 +142,41 @@ fn the_innovations_of_a_straight_walk_have_the_mean_of_two_degrees_of_freedom() 
 }
 
 #[test]
+fn the_ellipse_of_a_user_who_wanders_holds_the_place() {
+    const REPORTS: u64 = 3000;
+    let (mut belief, mut rng) = (belief(), rand_chacha::ChaCha8Rng::seed_from_u64(3));
+    let [position_m, velocity_m_s] = belief.noise();
+    // A walk whose direction swings by 70 degrees to each side and whose speed changes, in small steps.
+    let (mut place, mut inside) = ([0.0, 0.0], 0);
+    for tick in 1..=REPORTS {
+        let mut walked = None;
+        for step in 0..20 {
+            let time_s = 0.1 * tick as f64 + 0.01 * f64::from(step);
+            let (angle, speed) = (1.2 * (1.1 * time_s).sin(), 0.8 + 0.3 * (0.7 * time_s).cos());
+            if step == 10 {
+                walked = Some(place);
+            }
+            place = [place[0] + 0.01 * speed * angle.cos(), place[1] + 0.01 * speed * angle.sin()];
+            if step == 0 {
+                let ([dx, dy], [du, dv]) = (normal(&mut rng, position_m), normal(&mut rng, velocity_m_s));
+                let [x, y] = [place[0] + dx, place[1] + dy].map(|part| part as f32);
+                let [u, v] = [speed * angle.cos() + du, speed * angle.sin() + dv].map(|part| part as f32);
+                belief.handle_users(&report(tick, &[(7, [x, y, 0.9], [u, v])]));
+            }
+        }
+        let estimate = belief.estimate(7, 0.19).expect("a user");
+        let [xx, xy, yy] = estimate.position_cov_m2;
+        let [dx, dy] = [estimate.position.x - place[0], estimate.position.y - place[1]];
+        let squared = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
+        // The quantile of chi-squared with two degrees of freedom.
+        inside += u64::from(squared < 5.991);
+        place = walked.expect("the place at the next report");
+    }
+    let share = inside as f64 / REPORTS as f64;
+    assert!(share > 0.9, "{share}");
+}
+
+#[test]
 fn the_noise_of_the_reports_is_learned() {
     let mut belief = belief();
     for tick in 1..=400_u64 {

@@ -3,7 +3,8 @@
 //!
 //! [`Belief::handle_users`] takes each accepted position report once. [`Belief::estimate`] predicts
 //! any time ahead. A user is found by number, in any order of the reports. A user who is absent
-//! from a report is forgotten, so a returning user starts again.
+//! from a report has no estimate. A user who returns within a second continues: the missing reports
+//! are a longer interval. One who returns later starts again.
 //!
 //! [`Belief::handle_orientation`] and [`Belief::handle_channel`] take each accepted report of these
 //! kinds. [`Belief::handle_command`] takes each command, because the gains depend on the angles of
@@ -48,6 +49,7 @@ mod readings;
 pub mod residual;
 mod tilt;
 mod track;
+mod tracks;
 
 use heliostat_channel::{ChannelModel, Vec3, blockage::Cylinder, mirrors::MirrorAngles};
 use heliostat_proto::{ChannelReport, MirrorCommand, Nanos, UserReport, UserState};
@@ -67,6 +69,7 @@ use posture::Posture;
 use readings::{MeasuredGains, Readings};
 use residual::GainResidual;
 use track::{Track, reported_velocity};
+use tracks::Tracks;
 
 /// Bounds of the estimated noise of a coordinate in m. The lower one keeps exact reports regular.
 const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
@@ -74,8 +77,9 @@ const POSITION_NOISE_M: [f64; 2] = [1e-3, 1.0];
 /// Bounds of the estimated noise of a velocity component in m/s.
 const VELOCITY_NOISE_M_S: [f64; 2] = [1e-3, 2.0];
 
-/// Two intervals between reports count as equal if they differ by less than this share.
-const EQUAL_INTERVALS: f64 = 0.02;
+/// Three reports show the noise if the longer of the two intervals between them is at most this many
+/// times the shorter one: jitter of a tracker is within it, and a few lost reports are not.
+const UNEQUAL_INTERVALS: f64 = 3.0;
 
 /// Place and velocity of a user at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -106,9 +110,7 @@ pub struct Belief {
     position_noise: NoiseLevel,
     velocity_noise: NoiseLevel,
     first_noise: [NoiseLevel; 2],
-    /// In the order of the last report.
-    tracks: Vec<Track>,
-    former: Vec<Track>,
+    tracks: Tracks,
     last_ns: Nanos,
     body: Option<Body>,
     posture: Posture,
@@ -145,8 +147,7 @@ impl Belief {
             position_noise,
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
-            tracks: Vec::with_capacity(capacity),
-            former: Vec::with_capacity(capacity),
+            tracks: Tracks::new(capacity),
             last_ns: 0,
             body: Body::new(&scenario.blockage),
             posture: Posture::new(scenario.control.tilt),
@@ -186,10 +187,11 @@ impl Belief {
         unusable: &[u32],
     ) {
         self.residuals.clear();
-        let only_direct = self.map.is_none() && self.tracks.iter().all(|track| self.is_heading_certain(track));
+        let only_direct =
+            self.map.is_none() && self.tracks.present().iter().all(|track| self.is_heading_certain(track));
         if only_direct {
             // Only the direct paths can show anything.
-            for (user, track) in self.tracks.iter_mut().enumerate() {
+            for (user, track) in self.tracks.present_mut().iter_mut().enumerate() {
                 if let Some(measured) = track.measured(user, report) {
                     track.covered.predict();
                     track.covered.handle_direct(self.readings.shows(f64::from(measured.los_gain)), 1.0);
@@ -202,6 +204,7 @@ impl Belief {
         let at = (report.stamp.time_ns, signed_s(report.stamp.time_ns, self.last_ns));
         let angles = self.history.at(report.stamp.time_ns, &mut self.angles).then_some(&self.angles);
         let Self { tracks, evidence, bodies, directions, map, body, posture, devices, undecided, .. } = self;
+        let tracks = tracks.present_mut();
         undecided.clear();
         let places = tracks.iter().map(|track| {
             let place = track.held_place(at, (posture, devices), directions);
@@ -292,12 +295,11 @@ impl Belief {
     /// Takes an accepted report.
     pub fn handle_users(&mut self, report: &UserReport) {
         let time_ns = report.stamp.time_ns;
-        let elapsed_s = time_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
-        std::mem::swap(&mut self.tracks, &mut self.former);
-        self.tracks.clear();
+        self.tracks.begin_report();
         for (slot, user) in report.users.iter().enumerate() {
-            let same_slot = self.former.get(slot).filter(|track| track.user == user.user);
-            let known = same_slot.or_else(|| self.former.iter().find(|track| track.user == user.user)).copied();
+            let known = self.tracks.former(slot, user.user, time_ns);
+            let seen_ns = known.and_then(|track| track.seen_ns()).unwrap_or(self.last_ns);
+            let elapsed_s = time_ns.saturating_sub(seen_ns) as f64 * 1e-9;
             if let Some(track) = &known {
                 let [x, y, _] = user.position_m.map(f64::from);
                 let noise_m = self.position_noise.deviation();
@@ -309,13 +311,14 @@ impl Belief {
             track.remember(user, time_ns);
             self.tracks.push(track);
         }
+        self.tracks.finish_report(time_ns);
         self.last_ns = time_ns;
         self.decide_posture();
     }
 
     /// The estimate for a user of the last report, at a time in s after that report.
     pub fn estimate(&self, user: u32, ahead_s: f64) -> Option<Estimate> {
-        let track = self.tracks.iter().find(|track| track.user == user)?;
+        let track = self.tracks.find(user)?;
         let MotionEstimate { position_m: [x, y], velocity_m_s: [u, v], position_cov_m2, velocity_var_m2_s2 } =
             track.motion.estimate(ahead_s);
         let position = Vec3::new(x, y, track.height.mean_m());
@@ -350,18 +353,27 @@ impl Belief {
         track.heading.handle_velocity(elapsed_s, velocity, &self.directions);
     }
 
-    /// Compares a report with the two before it, if the three are equally spaced.
+    /// Compares the middle one of three reports with the line through the others, which has the
+    /// position noise of its error; for the velocity noise two reports suffice.
+    ///
+    /// e = x1 - a x0 - b x2 with a = h2 / (h1 + h2) and b = h1 / (h1 + h2) for the intervals h1 and
+    /// h2, so that var e = (1 + a^2 + b^2) s^2 on a straight walk for noise s. For a tracker at
+    /// 30 Hz with a jitter of 5 ms whose noise is twice the assumed one, the estimate lies within
+    /// 20 % after 200 reports of a user.
     fn learn_noise(&mut self, track: &Track, user: &UserState, time_ns: Nanos) {
         let [Some(last), Some(before)] = track.earlier else { return };
-        let interval = time_ns.saturating_sub(last.time_ns) as f64;
-        let former_interval = last.time_ns.saturating_sub(before.time_ns) as f64;
-        if (interval - former_interval).abs() > EQUAL_INTERVALS * interval {
+        let later = time_ns.saturating_sub(last.time_ns) as f64;
+        let earlier = last.time_ns.saturating_sub(before.time_ns) as f64;
+        let shorter = later.min(earlier);
+        if shorter <= 0.0 || later.max(earlier) > UNEQUAL_INTERVALS * shorter {
             return;
         }
+        let (of_before, of_now) = (later / (earlier + later), earlier / (earlier + later));
         let [x, y, _] = user.position_m.map(f64::from);
-        let second = |now: f64, axis: usize| now - 2.0 * last.at_m[axis] + before.at_m[axis];
-        let (across, along) = (second(x, 0), second(y, 1));
-        self.position_noise.handle(across * across + along * along, 6.0);
+        let error = |now: f64, axis: usize| last.at_m[axis] - of_before * before.at_m[axis] - of_now * now;
+        let (across, along) = (error(x, 0), error(y, 1));
+        let factor = 1.0 + of_before * of_before + of_now * of_now;
+        self.position_noise.handle(across * across + along * along, factor);
         if let (Some([u, v]), Some([former_u, former_v])) = (reported_velocity(user), track.reported_velocity) {
             let (du, dv) = (u - former_u, v - former_v);
             self.velocity_noise.handle(du * du + dv * dv, 2.0);

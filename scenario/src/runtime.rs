@@ -217,7 +217,7 @@ pub enum DegradedAction {
 pub enum Belief {
     /// Users are at their reported positions.
     None,
-    /// Users move at their reported velocity, until the middle of the validity of the command.
+    /// Users move at their reported velocity, until the middle of the time in force of the command.
     ConstantVelocity,
     /// Users move as a filter of all their reports predicts, until the same time.
     Filter,

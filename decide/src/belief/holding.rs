@@ -13,7 +13,7 @@ impl Belief {
     pub fn handle_orientation(&mut self, report: &OrientationReport) {
         let time_ns = report.stamp.time_ns;
         let ahead_s = signed_s(time_ns, self.last_ns);
-        for track in &mut self.tracks {
+        for track in self.tracks.present_mut() {
             let Some(orientation) = posture::reported(Some(report), track.user) else { continue };
             let [u, v] = track.motion.estimate(ahead_s).velocity_m_s;
             let heading = (&mut track.heading, &self.directions);
@@ -25,18 +25,18 @@ impl Belief {
     /// the receiver, at a time in s after the last report of positions.
     pub fn orientation(&self, user: u32, ahead_s: f64, (heading, speed): (&Vec3, f64)) -> Orientation {
         let time_ns = self.last_ns.saturating_add_signed((ahead_s * 1e9) as i64);
-        let device = self.tracks.iter().find(|track| track.user == user).map(|track| &track.device);
+        let device = self.tracks.find(user).map(|track| &track.device);
         let lean = device.and_then(|device| device.lean(time_ns, speed, &self.devices));
         self.posture.held(lean, speed).facing(heading)
     }
 
-    /// Decides how users hold their receivers, by the evidence of those present.
+    /// Decides how users hold their receivers, by the evidence of all who are remembered.
     pub(super) fn decide_posture(&mut self) {
         let was_upright = self.posture.is_upright();
-        self.posture.decide(self.tracks.iter().map(|track| track.tilt));
+        self.posture.decide(self.tracks.all().iter().map(|track| track.tilt));
         if self.posture.is_upright() != was_upright {
             // The headings so far are those by gains of other receivers.
-            self.tracks.iter_mut().for_each(|track| track.heading = Heading::default());
+            self.tracks.all_mut().iter_mut().for_each(|track| track.heading = Heading::default());
         }
     }
 

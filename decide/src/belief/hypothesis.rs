@@ -6,8 +6,12 @@
 //!
 //! x' = x + a v, v' = r v with r = exp(i w t) and a = (r - 1) / (i w), or a = t without a turn.
 //!
-//! There is no process noise: the motion is exact until the next change point, as in the segments
-//! of a random waypoint walk.
+//! A straight path has no process noise: it is exact until the next change point, as the segments
+//! of a random waypoint walk are. A user on a curve hardly keeps its turn rate and speed. There the
+//! acceleration is white with the spectral density q = [`WANDER_M2_S3`], which adds q t^3 / 3 to
+//! the variance of the position, q t^2 / 2 to the covariance and q t to that of the velocity
+//! (Bar-Shalom, Li and Kirubarajan, "Estimation with applications to tracking and navigation",
+//! section 6.2).
 
 use num_complex::Complex;
 use serde::{Deserialize, Serialize};
@@ -32,6 +36,10 @@ mod plane {
 /// Below this turn rate in rad/s a path is straight.
 const STRAIGHT_RAD_S: f64 = 1e-6;
 
+/// Spectral density in m2/s3 of the acceleration along one axis on a curve: of a user who avoids others
+/// by accelerations of 0.6 m/s2 that last for half a second.
+const WANDER_M2_S3: f64 = 0.4;
+
 /// Means and variances of position and velocity. Variances are those of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
@@ -55,29 +63,31 @@ struct Step {
     reach: Plane,
     /// Multiplies the velocity.
     turn: Plane,
+    /// Variance that the velocity gains, in m2/s2.
+    wander: f64,
 }
 
 impl Step {
     fn new(turn_rate: f64, time_s: f64) -> Self {
         if turn_rate.abs() < STRAIGHT_RAD_S {
-            return Self { reach: Plane::new(time_s, 0.0), turn: Plane::new(1.0, 0.0) };
+            return Self { reach: Plane::new(time_s, 0.0), turn: Plane::new(1.0, 0.0), wander: 0.0 };
         }
         let turn = Plane::from_polar(1.0, turn_rate * time_s);
-        Self { reach: (turn - 1.0) / Plane::new(0.0, turn_rate), turn }
+        Self { reach: (turn - 1.0) / Plane::new(0.0, turn_rate), turn, wander: WANDER_M2_S3 * time_s }
     }
 }
 
 impl State {
     /// The state after a time in s, on a path with this turn rate in rad/s.
     pub fn predicted(&self, turn_rate: f64, time_s: f64) -> Self {
-        let Step { reach, turn } = Step::new(turn_rate, time_s);
-        let spread = reach.norm_sqr() * self.velocity_var;
+        let Step { reach, turn, wander } = Step::new(turn_rate, time_s);
+        let spread = reach.norm_sqr() * self.velocity_var + wander * time_s * time_s / 3.0;
         Self {
             position: self.position + reach * self.velocity,
             velocity: turn * self.velocity,
             position_var: self.position_var + 2.0 * (reach.conj() * self.cross).re + spread,
-            cross: turn.conj() * (self.cross + reach * self.velocity_var),
-            velocity_var: self.velocity_var,
+            cross: turn.conj() * (self.cross + reach * self.velocity_var) + 0.5 * wander * time_s,
+            velocity_var: self.velocity_var + wander,
         }
     }
 

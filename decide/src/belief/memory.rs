@@ -41,6 +41,13 @@ pub struct DeviceMemory {
     devices: Vec<Device>,
 }
 
+/// How many users are absent from the last report, which older recordings lack.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct AbsentMemory {
+    /// The last ones of the tracks.
+    count: usize,
+}
+
 impl DeviceMemory {
     /// Gives each track its part; false where this is no memory of these tracks.
     fn restore(&self, tracks: &mut [Track]) -> bool {
@@ -56,7 +63,7 @@ impl DeviceMemory {
     }
 }
 
-/// What a belief has learned beyond [`BeliefMemory`]; both parts follow all earlier fields of a
+/// What a belief has learned beyond [`BeliefMemory`]; all parts follow all earlier fields of a
 /// recorded state.
 #[derive(Clone, Copy, Debug)]
 pub struct LaterMemories<'a> {
@@ -64,6 +71,8 @@ pub struct LaterMemories<'a> {
     pub tilt: &'a TiltMemory,
     /// The same by orientation reports.
     pub devices: &'a DeviceMemory,
+    /// Which users are absent.
+    pub absent: AbsentMemory,
 }
 
 impl TiltMemory {
@@ -85,12 +94,17 @@ impl TiltMemory {
 impl Belief {
     /// The present state of the belief about tilted receivers.
     pub fn tilt_memory(&self) -> TiltMemory {
-        TiltMemory { log_ratios: self.tracks.iter().map(|track| track.tilt.log_ratio()).collect() }
+        TiltMemory { log_ratios: self.tracks.all().iter().map(|track| track.tilt.log_ratio()).collect() }
     }
 
     /// The present state of the belief about reported devices.
     pub fn device_memory(&self) -> DeviceMemory {
-        DeviceMemory { devices: self.tracks.iter().map(|track| track.device).collect() }
+        DeviceMemory { devices: self.tracks.all().iter().map(|track| track.device).collect() }
+    }
+
+    /// How many users are absent.
+    pub fn absent_memory(&self) -> AbsentMemory {
+        AbsentMemory { count: self.tracks.absent() }
     }
 
     /// The present state.
@@ -98,7 +112,7 @@ impl Belief {
         BeliefMemory {
             position_noise: self.position_noise,
             velocity_noise: self.velocity_noise,
-            tracks: self.tracks.clone(),
+            tracks: self.tracks.all().to_vec(),
             last_ns: self.last_ns,
             commands: self.history.since(self.last_ns.saturating_sub(COMMANDS_NS)),
             map: self.map.as_ref().map(Occupancy::memory),
@@ -112,8 +126,8 @@ impl Belief {
         let is_sound = |track: &Track| track.motion.is_sound() && track.height.is_sound() && track.covered.is_sound();
         let fits = position_first.is_like(position_noise)
             && velocity_first.is_like(velocity_noise)
-            && tracks.len() <= self.tracks.capacity()
             && tracks.iter().all(is_sound)
+            && self.tracks.restore(tracks, later.absent.count)
             && self.history.restore(commands)
             && match (&mut self.map, map) {
                 (Some(map), Some(memory)) => map.restore(memory),
@@ -122,10 +136,10 @@ impl Belief {
             };
         if fits {
             (self.position_noise, self.velocity_noise, self.last_ns) = (*position_noise, *velocity_noise, *last_ns);
-            self.tracks.clone_from(tracks);
         }
-        let fits = fits && later.tilt.restore(&mut self.tracks) && later.devices.restore(&mut self.tracks);
-        self.posture.decide(self.tracks.iter().map(|track| track.tilt));
+        let tracks = self.tracks.all_mut();
+        let fits = fits && later.tilt.restore(tracks) && later.devices.restore(tracks);
+        self.posture.decide(tracks.iter().map(|track| track.tilt));
         fits
     }
 }

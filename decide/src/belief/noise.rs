@@ -1,8 +1,9 @@
 //! Noise of the reports, estimated from the reports.
 //!
-//! The second difference of three positions at equal intervals has the variance 6 s2 on a straight
-//! walk, and the first difference of two velocities has 2 s2. Turns add a few large values, so the
-//! estimate uses the median: half of the squared differences lie below 2 ln 2 times the variance.
+//! The distance of a position from the line through the ones before and after it has a variance
+//! between 1.5 s2 (equal intervals) and 2 s2 on a straight walk, and the first difference of two
+//! velocities has 2 s2. Turns add a few large values, so the estimate uses the median: half of the
+//! squared differences lie below 2 ln 2 times the variance.
 //! The median of the stream is tracked by steps up and down, which no single value can upset.
 
 use serde::{Deserialize, Serialize};

@@ -73,6 +73,11 @@ impl Track {
         same_slot.or_else(|| report.users.iter().find(|entry| entry.user == self.user))
     }
 
+    /// Time of the last report with this user.
+    pub fn seen_ns(&self) -> Option<Nanos> {
+        self.earlier[0].map(|place| place.time_ns)
+    }
+
     pub fn remember(&mut self, user: &UserState, time_ns: Nanos) {
         let [x, y, _] = user.position_m.map(f64::from);
         self.earlier = [Some(Place { at_m: [x, y], time_ns }), self.earlier[0]];

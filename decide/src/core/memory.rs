@@ -18,7 +18,7 @@ use super::{
     journal::Journal,
 };
 use crate::{
-    belief::memory::{DeviceMemory, LaterMemories, TiltMemory},
+    belief::memory::{AbsentMemory, DeviceMemory, LaterMemories, TiltMemory},
     input::inbox::memory::{ArrayInboxMemory, InboxMemory, OrientationMemory},
     observe::{evidence::EvidenceMemory, observer::memory::ObserverMemory, walk_history::WalkMemory},
     output::guard::GuardMemory,
@@ -27,7 +27,7 @@ use crate::{
 };
 
 /// Number of the layout of [`Memory`]. Raise it when a field of any part changes.
-const LAYOUT: u32 = 5;
+const LAYOUT: u32 = 6;
 /// The layout that ends before the orientations.
 const LAYOUT_WITHOUT_ORIENTATIONS: u32 = 1;
 /// The layout that ends before the arrays, the tilted receivers and the residuals.
@@ -36,6 +36,8 @@ const LAYOUT_WITHOUT_ARRAYS: u32 = 2;
 const LAYOUT_WITHOUT_DEVICES: u32 = 3;
 /// The layout that ends before the last reports about the users.
 const LAYOUT_WITHOUT_WALKS: u32 = 4;
+/// The layout that ends before the number of absent users.
+const LAYOUT_WITHOUT_ABSENT: u32 = 5;
 
 /// The state of a controller.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -67,6 +69,8 @@ pub struct Memory {
     /// The last reports about the users, where the policy predicts places; after all fields of the
     /// fourth layout.
     walks: WalkMemory,
+    /// Which users are absent from the last report; after all fields of the fifth layout.
+    absent: AbsentMemory,
 }
 
 /// The state of one of several arrays.
@@ -114,7 +118,7 @@ impl Memory {
         let found = bytes.first().map_or(0, |byte| u32::from(*byte));
         match found {
             LAYOUT => Ok(decode_state(bytes)?),
-            LAYOUT_WITHOUT_ORIENTATIONS..=LAYOUT_WITHOUT_WALKS => {
+            LAYOUT_WITHOUT_ORIENTATIONS..=LAYOUT_WITHOUT_ABSENT => {
                 let mut complete = bytes.to_vec();
                 if found == LAYOUT_WITHOUT_ORIENTATIONS {
                     complete.extend(encode_state(&OrientationMemory::default())?);
@@ -127,7 +131,10 @@ impl Memory {
                 if found <= LAYOUT_WITHOUT_DEVICES {
                     complete.extend(encode_state(&DeviceMemory::default())?);
                 }
-                complete.extend(encode_state(&WalkMemory::default())?);
+                if found <= LAYOUT_WITHOUT_WALKS {
+                    complete.extend(encode_state(&WalkMemory::default())?);
+                }
+                complete.extend(encode_state(&AbsentMemory::default())?);
                 Ok(Self { layout: LAYOUT, ..decode_state(&complete)? })
             }
             _ => Err(MemoryError::Layout { found }),
@@ -175,6 +182,7 @@ impl Controller {
             evidence: self.observer.evidence_memory(),
             devices: self.observer.device_memory(),
             walks: self.observer.walk_memory(),
+            absent: self.observer.absent_memory(),
             angles_rad: [self.observation.angles.roll.clone(), self.observation.angles.yaw.clone()],
         }
     }
@@ -201,7 +209,8 @@ impl Controller {
         if !self.inbox.restore(&memory.inbox, &memory.orientation) {
             return Err(other("reports"));
         }
-        if !self.observer.restore(&memory.observer, LaterMemories { tilt: &memory.tilt, devices: &memory.devices }) {
+        let later = LaterMemories { tilt: &memory.tilt, devices: &memory.devices, absent: memory.absent };
+        if !self.observer.restore(&memory.observer, later) {
             return Err(other("belief"));
         }
         if !self.observer.restore_evidence(&memory.evidence) {

@@ -162,20 +162,22 @@ fn states_of_earlier_layouts_are_restored() {
     };
     (1..=5).for_each(|number| drop(plain(&mut first, number)));
     let latest = first.memory().to_bytes().unwrap();
-    // Behind the fourth layout: no walk. Behind the third one: no device. Behind the second one: no
-    // array, no evidence of tilted receivers, and the residuals in 50 bytes: no user, six sums and
-    // no time. Before them, one byte each: no orientation report, no sequence number of one.
-    assert_eq!(latest[latest.len() - 56..], [0; 56]);
+    // Behind the fifth layout: no absent user. Behind the fourth one: no walk. Behind the third one:
+    // no device. Behind the second one: no array, no evidence of tilted receivers, and the residuals
+    // in 50 bytes: no user, six sums and no time. Before them, one byte each: no orientation report,
+    // no sequence number of one.
+    assert_eq!(latest[latest.len() - 57..], [0; 57]);
     let of_layout = |layout: u8, missing: usize| {
         let mut bytes = latest[..latest.len() - missing].to_vec();
         bytes[0] = layout;
         Memory::from_bytes(&bytes).unwrap()
     };
-    let memory = of_layout(1, 56);
+    let memory = of_layout(1, 57);
     assert_eq!(memory.to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(2, 54).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(3, 2).to_bytes().unwrap(), latest);
-    assert_eq!(of_layout(4, 1).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(2, 55).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(3, 3).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(4, 2).to_bytes().unwrap(), latest);
+    assert_eq!(of_layout(5, 1).to_bytes().unwrap(), latest);
     let mut second = controller(&scenario, build(PolicyKind::Nearest, &scenario).unwrap());
     second.restore(&memory).unwrap();
     assert_eq!(plain(&mut second, 6), plain(&mut first, 6));

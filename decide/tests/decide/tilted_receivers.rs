@@ -111,9 +111,10 @@ fn a_restored_belief_has_the_evidence_of_tilted_receivers() {
     let mut first = Belief::new(&scenario, &model, 64);
     report(&mut first, &model, &gains, 1);
     let [mut second, mut without] = [(); 2].map(|()| Belief::new(&scenario, &model, 64));
-    let devices = &DeviceMemory::default();
-    let restore =
-        |belief: &mut Belief, tilt: &TiltMemory| belief.restore(&first.memory(), LaterMemories { tilt, devices });
+    let (devices, absent) = (&DeviceMemory::default(), first.absent_memory());
+    let restore = |belief: &mut Belief, tilt: &TiltMemory| {
+        belief.restore(&first.memory(), LaterMemories { tilt, devices, absent })
+    };
     assert!(restore(&mut second, &first.tilt_memory()));
     assert!(restore(&mut without, &TiltMemory::default()));
     for belief in [&mut first, &mut second, &mut without] {
@@ -185,9 +186,9 @@ fn a_restored_belief_has_what_reports_have_shown_of_devices() {
     let scenario = hall(&[]);
     let model = scenario.channel_model().unwrap();
     let [mut second, mut without] = [(); 2].map(|()| Belief::new(&scenario, &model, 64));
-    let tilt = &first.tilt_memory();
-    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices: &first.device_memory() }));
-    assert!(without.restore(&first.memory(), LaterMemories { tilt, devices: &DeviceMemory::default() }));
+    let (tilt, absent) = (&first.tilt_memory(), first.absent_memory());
+    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices: &first.device_memory(), absent }));
+    assert!(without.restore(&first.memory(), LaterMemories { tilt, devices: &DeviceMemory::default(), absent }));
     let held = |belief: &Belief| belief.orientation(0, 1.0, (&Vec3::x(), 0.0));
     assert_eq!(held(&second), held(&first));
     assert_ne!(held(&without), held(&first));

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Observer;
 use crate::belief::{
     Belief,
-    memory::{DeviceMemory, LaterMemories, TiltMemory},
+    memory::{AbsentMemory, DeviceMemory, LaterMemories, TiltMemory},
 };
 use crate::observe::evidence::{Evidence, EvidenceMemory};
 use crate::observe::prediction::PredictionMemory;
@@ -61,6 +61,11 @@ impl Observer {
     /// What orientation reports have shown of devices.
     pub fn device_memory(&self) -> DeviceMemory {
         self.prediction.belief().map_or_else(DeviceMemory::default, Belief::device_memory)
+    }
+
+    /// Which users are absent from the last report.
+    pub fn absent_memory(&self) -> AbsentMemory {
+        self.prediction.belief().map_or_else(AbsentMemory::default, Belief::absent_memory)
     }
 
     /// Replaces the state; false where it is not one of this scenario.

@@ -85,7 +85,7 @@ fn a_restored_belief_remembers_who_is_absent() {
     let (tilt, devices, absent) = (&first.tilt_memory(), &first.device_memory(), first.absent_memory());
     assert!(second.restore(&first.memory(), LaterMemories { tilt, devices, absent }));
     assert_eq!(second.estimate(7, 0.0), None);
-    [&mut first, &mut second].map(|belief| belief.handle_users(&walk(12)));
+    [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_users(&walk(12)));
     assert_eq!(second.estimate(7, 0.5), first.estimate(7, 0.5));
     assert!(share_of_noise(&second, 7) < 0.5);
 }

@@ -85,7 +85,8 @@ impl Track {
     }
 }
 
-/// The velocity of a report: a tracker that does not measure it reports zeros.
+/// The velocity of a report, where it is known: by the contract two zeros stand for an unknown one, also
+/// of a user who stands.
 pub(super) fn reported_velocity(user: &UserState) -> Option<[f64; 2]> {
     (user.velocity_m_s != [0.0; 2]).then(|| user.velocity_m_s.map(f64::from))
 }

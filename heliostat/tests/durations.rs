@@ -4,7 +4,7 @@ use std::process::Command;
 
 #[test]
 fn every_command_refuses_an_invalid_duration_in_the_same_words() {
-    let commands: [&[&str]; 11] = [
+    let commands: [&[&str]; 12] = [
         &["demo"],
         &["ui"],
         &["controller"],
@@ -13,6 +13,7 @@ fn every_command_refuses_an_invalid_duration_in_the_same_words() {
         &["record", "--out", "none.mcap"],
         &["bench", "env"],
         &["bench", "decide"],
+        &["bench", "demo"],
         &["eval", "--closed-loop"],
         &["stop"],
         &["rearm"],

@@ -231,23 +231,29 @@ mod tests {
     fn rows_with_beliefs_come_in_the_order_of_the_command_and_a_table_of_the_beliefs_follows() {
         let row = |ratio: f64| json!({ "ratio_to_oracle": { "mean": ratio, "ci95": 0.01 } });
         let policies = json!({
-            "flat": row(0.3), "greedy+filter": row(0.9), "greedy+none": row(0.7), "greedy+true-present": row(1.0)
+            "flat": row(0.3), "greedy+filter": row(0.9), "greedy+none": row(0.7), "greedy+true-present": row(1.0),
+            "greedy+constant-velocity": row(0.8)
         });
         let quality = |cm: f64| json!({ "place_error_median_cm": cm, "coverage_95": { "mean": 0.94, "ci95": 0.02 } });
-        let beliefs = json!({ "filter": quality(2.5), "none": { "place_error_median_cm": 9.0 } });
+        let beliefs = json!({ "filter": quality(2.5), "constant-velocity": quality(6.0), "none": { "place_error_median_cm": 9.0 } });
         let output = json!({ "oracle": row(1.0), "policies": policies, "beliefs": beliefs });
-        let words = arguments("eval --beliefs none,filter --policies greedy,flat");
+        let words = arguments("eval --beliefs filter,constant-velocity,none --policies greedy,flat");
         let layout = Layout::PoliciesAndBeliefs;
         let names: Vec<String> = layout.rows(&output, &words).unwrap().into_iter().map(|(name, _)| name).collect();
-        let expected = ["(oracle)", "greedy+none", "greedy+filter", "greedy+true-present", "flat", "none", "filter"];
+        let of_greedy =
+            ["filter", "constant-velocity", "none", "true-present"].map(|belief| format!("greedy+{belief}"));
+        let others = ["flat", "filter", "constant-velocity", "none"].map(String::from);
+        let expected = [&["(oracle)".to_owned()], &of_greedy[..], &others].concat();
         assert_eq!(names, expected);
         let text = layout.markdown(&output, &words, &COLUMNS).unwrap();
         let (policies, beliefs) = text.split_once("\n\n").expect("two tables");
-        assert_eq!((policies.lines().count(), beliefs.lines().count()), (7, 4), "{text}");
+        assert_eq!((policies.lines().count(), beliefs.lines().count()), (8, 5), "{text}");
         assert!(beliefs.starts_with("|  | place error, median (cm) |"), "{text}");
         assert!(
-            beliefs.contains("\n| none | 9.0 | - | - | - | - | - |\n| filter | 2.5 | - | - | - | - | 0.940 ± 0.020 |")
+            beliefs.contains("\n| filter | 2.5 | - | - | - | - | 0.940 ± 0.020 |\n| constant-velocity | 6.0 |"),
+            "{text}"
         );
+        assert!(beliefs.ends_with("\n| none | 9.0 | - | - | - | - | - |\n"), "{text}");
         assert!(layout.markdown(&json!({ "oracle": {}, "policies": {} }), &words, &COLUMNS).is_err());
     }
 

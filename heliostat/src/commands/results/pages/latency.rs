@@ -71,11 +71,13 @@ const DECISION: [Column; 14] = [
     OVER,
 ];
 const WAIT: Column = text("wait", "/over_budget_by/wait");
+const DECODE: Column = text("decode", "/over_budget_by/decode");
 const OBSERVE: Column = text("observe", "/over_budget_by/observe");
 const INFER: Column = text("infer", "/over_budget_by/infer");
+const SAFE: Column = text("safe", "/over_budget_by/safe");
 const PUBLISH: Column = text("publish", "/over_budget_by/publish");
-const MISSES: [Column; 9] = [P50, P99, P999, COUNT, OVER, WAIT, OBSERVE, INFER, PUBLISH];
-const DEMO: [Column; 12] = [
+const MISSES: [Column; 11] = [P50, P99, P999, COUNT, OVER, WAIT, DECODE, OBSERVE, INFER, SAFE, PUBLISH];
+const DEMO: [Column; 14] = [
     text("busy processes", "/busy"),
     POLICY,
     P50,
@@ -85,8 +87,10 @@ const DEMO: [Column; 12] = [
     share("share", "/share"),
     share("share above hold", "/above_hold"),
     WAIT,
+    DECODE,
     OBSERVE,
     INFER,
+    SAFE,
     PUBLISH,
 ];
 const BELIEF: [Column; 11] = [
@@ -272,14 +276,14 @@ pub static PAGE: Page = Page {
         section(
             ["policies", "Policies", "bench policies"],
             "The decision of each policy without transport at 100 reports a second.",
-            ["--seconds 3", "--decisions 50"],
+            ["--seconds 2", "--decisions 50"],
             &DECISION,
             &[],
         ),
         section(
             ["mirrors", "Mirrors", "bench mirrors --policy nearest"],
             "The same wall divided into 49 to 4096 mirrors under a point LED; the reference is the wall of 49.",
-            ["--seconds 4", "--seconds 1"],
+            ["--seconds 3", "--seconds 1"],
             &MIRRORS,
             &[
                 at_most("p99 at most 500 us", "/measured_us/p99", 500.0),

@@ -6,15 +6,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 
 /// Refuses a file that cannot be written, before the work starts. It changes nothing: the file does
-/// not appear, and existing content stays.
+/// not appear, and existing content stays. Others may check the same file at the same time.
 pub fn check_writable(file: &Path) -> Result<()> {
     let refused = || format!("cannot write {}: expected a file in a folder that exists", file.display());
     if file.exists() {
         return File::options().append(true).open(file).map(drop).with_context(refused);
     }
-    let part = part_of(file);
-    File::create(&part).with_context(refused)?;
-    fs::remove_file(&part).with_context(refused)
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    tempfile::tempfile_in(folder).map(drop).with_context(refused)
 }
 
 /// Writes a file beside the final one and renames it. A pipe or device is written directly.
@@ -55,5 +54,17 @@ mod tests {
         }
         let refusal = check_writable(&folder.path().join("no/figures.csv")).expect_err("no folder");
         assert!(format!("{refusal:#}").contains("no/figures.csv: expected a file in a folder that exists"));
+    }
+
+    #[test]
+    fn several_can_check_the_same_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("figures.csv");
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| (0..1000).for_each(|_| check_writable(&file).expect("writable")));
+            }
+        });
+        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0);
     }
 }

@@ -3,10 +3,9 @@
 mod plots;
 
 use std::fmt::Write;
-use std::fs::{self, File};
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use heliostat_models::comparison::{Loop, Report, Row, Spread};
 use heliostat_reproduce::command::quoted;
 use heliostat_reproduce::draw::style::short_number;
@@ -17,6 +16,7 @@ use heliostat_service::printable::{printable, printable_lines};
 
 use super::output::{BELIEF_NOTE, belief_columns, interval, number, rows, signed};
 use super::sweep::Sweep;
+use crate::commands::whole_file;
 
 /// A file that can be written.
 pub struct Destination<'a> {
@@ -30,12 +30,7 @@ impl<'a> Destination<'a> {
     /// # Errors
     /// The file cannot be written.
     pub fn new(file: &'a Path) -> Result<Self> {
-        let is_new = !file.exists();
-        let opened = File::options().create(true).append(true).open(file);
-        opened.with_context(|| format!("cannot write {}: expected a file in a folder that exists", file.display()))?;
-        if is_new {
-            fs::remove_file(file).with_context(|| format!("cannot replace {}", file.display()))?;
-        }
+        whole_file::check_writable(file)?;
         Ok(Self { file })
     }
 
@@ -45,7 +40,7 @@ impl<'a> Destination<'a> {
     /// A plot that cannot be drawn, or a file that cannot be written.
     pub fn write(&self, scenario: &Scenario, sweep: Option<&Sweep>, reports: &[Report]) -> Result<()> {
         let page = page(&command(), scenario, sweep, reports)?;
-        fs::write(self.file, page).with_context(|| format!("cannot write {}", self.file.display()))
+        whole_file::write(self.file, page.as_bytes())
     }
 }
 

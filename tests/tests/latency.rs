@@ -98,7 +98,7 @@ fn show(name: &str, times: &Value) {
     println!("{name:<10} p50 {p50:8.1}  p90 {p90:8.1}  p99 {p99:8.1}  max {:8.1} us", at("max"));
 }
 
-/// A policy whose time budget makes one decision last several report intervals on every machine.
+/// A policy whose time budget makes its decisions slow on every machine.
 const SLOW: &str = "pso";
 
 /// The controller's summary.
@@ -360,9 +360,12 @@ fn an_actor_with_nan_output_triggers_the_configured_fallback() {
 
 #[test]
 fn a_slow_policy_misses_deadlines_and_superseded_reports_are_dropped() {
+    // One decision takes five report intervals.
     let slow = [
         "--policy",
         SLOW,
+        "--set",
+        "control.search_time_us=5000",
         "--decide-in",
         "thread",
         "--set",

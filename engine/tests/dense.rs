@@ -1,7 +1,5 @@
 //! The dense engine beside the embedded one.
 
-use std::time::{Duration, Instant};
-
 use allocation_counter::measure;
 use dense_graphs::{Chain, with_open_rows};
 use heliostat_channel::MirrorAngles;
@@ -227,69 +225,4 @@ fn a_decision_on_the_dense_engine_allocates_nothing() {
     let (observation, mut angles) = (Observation::new(&model, 3), MirrorAngles::flat(100));
     actor.act(&model, &observation, &mut angles).unwrap();
     assert_eq!(measure(|| actor.act(&model, &observation, &mut angles).unwrap()).count_total, 0);
-}
-
-/// Median and 99th percentile in us of so many runs, each after a pause.
-fn times_us(network: &mut dyn Network, runs: usize, pause: Duration) -> [f64; 2] {
-    let mut times: Vec<f64> = (0..runs)
-        .map(|run| {
-            if !pause.is_zero() {
-                std::thread::sleep(pause);
-            }
-            network.input_mut().fill(run as f32 * 1e-3);
-            let started = Instant::now();
-            let output = network.run().expect("it runs").len();
-            let took = started.elapsed();
-            assert!(output > 0);
-            1e6 * took.as_secs_f64()
-        })
-        .collect();
-    times.sort_by(f64::total_cmp);
-    [times[runs / 2], times[runs * 99 / 100]]
-}
-
-/// Run by hand: `cargo test --release -p heliostat-engine --test dense -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn times_of_both_engines_on_a_network_applied_to_several_rows() {
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut chain = Chain::new(60);
-    for (index, [inputs, outputs]) in [[60, 128], [128, 64], [64, 6]].into_iter().enumerate() {
-        let scale = (3.0 / inputs as f32).sqrt();
-        let weights = (0..inputs * outputs).map(|_| rng.random_range(-scale..scale)).collect();
-        chain.node("MatMul", 0, &[(&[inputs, outputs], weights)]).node(
-            "Add",
-            0,
-            &[(&[1, outputs], vec![0.1; outputs])],
-        );
-        chain.node(if index < 2 { "Relu" } else { "Tanh" }, 0, &[]);
-    }
-    let fixed = chain.model(6);
-    let open = with_open_rows(fixed.clone()).encode_to_vec();
-    let fixed = fixed.encode_to_vec();
-    println!("60-128-64-6; us: p50 p99 without pause | p50 p99 after a pause of 10 ms | ratio of the medians to dense");
-    for rows in [1, 5, 20, 64] {
-        let mut networks = [
-            ("dense".to_owned(), DenseEngine.load(&open, 60).unwrap()),
-            (format!("{EMBEDDED}, all rows at once"), embedded_network(&open, 60).unwrap()),
-            (format!("{EMBEDDED}, row by row"), embedded_network(&fixed, 60).unwrap()),
-        ];
-        let mut reference = None;
-        for (name, network) in &mut networks {
-            network.set_rows(rows).unwrap();
-            times_us(network.as_mut(), 500, Duration::ZERO);
-            let hot = times_us(network.as_mut(), 5000, Duration::ZERO);
-            let paced = times_us(network.as_mut(), 300, Duration::from_millis(10));
-            let [dense_hot, dense_paced] = *reference.get_or_insert([hot[0], paced[0]]);
-            println!(
-                "{rows:>3} rows, {name:<24} {:>7.1} {:>7.1} | {:>7.1} {:>7.1} | {:>5.1} {:>5.1}",
-                hot[0],
-                hot[1],
-                paced[0],
-                paced[1],
-                hot[0] / dense_hot,
-                paced[0] / dense_paced
-            );
-        }
-    }
 }

@@ -8,10 +8,9 @@ use thiserror::Error;
 use super::actor::Actor;
 use super::actor_file::{ActorError, ActorFile};
 use super::compact_file::{CORRECTIONS, CompactError, DISPLACEMENTS, RowKind};
+use super::corrected::Corrected;
 use super::engine::Engine;
-use super::lstm::Lstm;
 use super::proposal::{Policy, TimeSource};
-use super::residual::Residual;
 use crate::output::safety::Limits;
 use Recipe::{Direct, Learned};
 
@@ -221,11 +220,7 @@ pub fn load_rows(
     engine: &dyn Engine,
 ) -> Result<Box<dyn Policy>, CompactError> {
     let size = (scenario.users.count, scenario.mirror_count());
-    if *rows == CORRECTIONS {
-        Ok(Box::new(Residual::load(file, size, engine)?.named(kind.name())))
-    } else {
-        Ok(Box::new(Lstm::load(file, size, engine)?.named(kind.name())))
-    }
+    Ok(Box::new(Corrected::load(rows, file, size, engine)?.named(kind.name())))
 }
 
 /// Builds the policy that decides when another fails; `None` for `hold`, which publishes no

@@ -7,8 +7,9 @@ use heliostat_decide::{
     evidence::{ALL_USERS, Believed, Evidence, FEATURES, LAST_REPORT, MEANS, MIRRORED},
     inbox::Message,
     policy::{
-        Engine, Network, PolicyError, PolicyKind, Residual,
+        Corrected, Engine, Network, PolicyError, PolicyKind,
         actor_file::{ActorFile, key},
+        compact_file::CORRECTIONS,
     },
 };
 use heliostat_onnx::{
@@ -115,7 +116,7 @@ impl Network for DivergingNetwork {
 fn the_fallback_decides_where_a_correction_is_not_finite() {
     let scenario = hidden();
     let file = ActorRecipe::compact([0.0; 3]).file();
-    let policy = Residual::load(&file, (3, 9), &Diverging(1 + 10)).unwrap();
+    let policy = Corrected::load(&CORRECTIONS, &file, (3, 9), &Diverging(1 + 10)).unwrap();
     let mut controller = controller(&scenario, Box::new(policy));
     let mut room = Room::new(&scenario);
     for tick in 1..=14 {
@@ -124,7 +125,7 @@ fn the_fallback_decides_where_a_correction_is_not_finite() {
     assert_eq!(controller.counters().degraded(DegradedMode::PolicyFailed), 4, "one run at the load and ten decisions");
     assert!(controller.last_failure().is_some_and(|failure| failure.to_string().contains("not finite")));
     // At the load such a network is refused.
-    let refusal = Residual::load(&file, (3, 9), &Diverging(0)).err().expect("a refusal").to_string();
+    let refusal = Corrected::load(&CORRECTIONS, &file, (3, 9), &Diverging(0)).err().expect("a refusal").to_string();
     assert!(refusal.contains("not finite"), "{refusal}");
 }
 
@@ -177,7 +178,7 @@ fn a_network_that_the_reference_cannot_verify_is_refused_in_a_sentence() {
         let mut model = ModelProto::decode(&recipe.bytes()[..]).expect("just written");
         change(model.graph.as_mut().and_then(|graph| graph.node.last_mut()).expect("two nodes"));
         let file = ActorFile { bytes: model.encode_to_vec().into(), ..recipe.file() };
-        Residual::load(&file, (3, 9), &BiasEngine).err().expect("a refusal").to_string()
+        Corrected::load(&CORRECTIONS, &file, (3, 9), &BiasEngine).err().expect("a refusal").to_string()
     };
     let not_supported = "test.onnx: the reference evaluation, which verifies the engine, does not support the operator";
     let unknown = refusal(|node| node.op_type = "Bogus".into());

@@ -272,7 +272,8 @@ fn without_decision(key: &str, action: DegradedAction, why: &str) -> Result<(), 
 }
 
 pub(crate) fn within(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), ScenarioError> {
-    if domain.contains(&value) {
+    // In this order -0 is below 0: a rate of -0 would give intervals of minus infinity.
+    if value.total_cmp(domain.start()).is_ge() && value <= *domain.end() {
         return Ok(());
     }
     invalid(key, value, &format!("expected a number from {} to {}", domain.start(), domain.end()))

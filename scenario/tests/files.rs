@@ -114,6 +114,7 @@ fn values_that_contradict_each_other_are_refused() {
         "[streams.positions]\nloss = 1.0",
         "[noise]\nvariance_a2 = 0.0",
         "[noise]\nvariance_a2 = nan",
+        "[users]\narrivals = { rate_per_min = -0.0 }",
     ] {
         assert!(matches!(Scenario::from_toml(text), Err(ScenarioError::Invalid { .. })), "{text}");
     }

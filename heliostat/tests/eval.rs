@@ -217,6 +217,16 @@ fn several_arrays_are_evaluated_static_and_in_closed_loop() {
     let trained = Command::new(env!("CARGO_BIN_EXE_heliostat")).args(["train", "ddpg"]).args(scenario).output();
     let message = String::from_utf8(trained.expect("it runs").stderr).expect("text");
     assert!(message.contains("2 mirror arrays") && message.contains("trained in a room with one array"), "{message}");
+    let out = folder.path().join("trained");
+    let short = ["train", "residual", "--episodes", "1", "--option", "scenario_only=true", "--option", "room_count=1"];
+    let trained = Command::new(env!("CARGO_BIN_EXE_heliostat"))
+        .args(short)
+        .args(["--option", "room_s=2", "--set", "led.positions_m=[[0.0,1.0,3.0],[0.0,-1.0,3.0]]", "--out"])
+        .arg(&out)
+        .args(scenario)
+        .output()
+        .expect("it runs");
+    assert!(out.join("residual.onnx").exists(), "{}", String::from_utf8_lossy(&trained.stderr));
 }
 
 #[test]

@@ -90,9 +90,7 @@ pub fn run_train(args: TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::
 }
 
 fn train(args: &TrainArgs, stop_requested: StopRequested<'_>) -> anyhow::Result<()> {
-    let scenario = args.scenario.load_arrays()?.require_one_array().context(
-        "an actor is trained in a room with one array; an actor of residual or lstm from such a room runs with several",
-    )?;
+    let scenario = args.scenario.load_arrays()?;
     anyhow::ensure!(
         args.fine_tune.is_none() || args.algorithm.policy == PolicyKind::Residual,
         "--fine-tune with the algorithm {}: expected residual",

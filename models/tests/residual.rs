@@ -30,7 +30,7 @@ fn short(episodes: usize) -> Settings {
 
 /// Rooms of seated users that are as the controller knows them.
 fn seated_only() -> RoomChoice {
-    RoomChoice { walks: vec![Walks::Seated], mismatch: Vec::new(), offices: 0.0 }
+    RoomChoice { walks: vec![Walks::Seated], mismatch: Vec::new(), offices: 0.0, scenario_only: false }
 }
 
 /// The belief takes all receivers for upright, so that the network alone can find their tilt.
@@ -137,6 +137,18 @@ fn offices_have_seated_and_walking_users_with_tilted_receivers_and_some_report_o
         let count = rooms.iter().filter(|room| differs(room)).count();
         assert!((1..20).contains(&count), "{count} of 20");
     }
+}
+
+#[test]
+fn a_run_for_one_scenario_draws_no_other_room() {
+    use rand::SeedableRng;
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+    let only = RoomChoice { scenario_only: true, ..seated_only() };
+    let crowd = hall(&["users.count=20", "mirrors.rows=4"]);
+    assert_eq!(only.draw(&crowd, &mut rng).unwrap().hash(), crowd.hash());
+    let settings = ddpg::Settings::new(5, only);
+    let refused = Training::new(crowd, settings, Ddpg::new).err().expect("too many users").to_string();
+    assert!(refused.contains("20 users") && refused.contains("at most 7"), "{refused}");
 }
 
 const REWARD: Reward = Reward { form: RewardForm::Shortfall, lambda: 10.0, margin: 1.0 };

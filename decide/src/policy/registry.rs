@@ -166,6 +166,12 @@ impl PolicyKind {
         matches!(self.recipe(), Learned)
     }
 
+    /// Whether the policy is a network that corrects the belief about one user at a time, so that
+    /// its file fits any room.
+    pub fn fits_any_room(self) -> bool {
+        matches!(self, Self::Residual | Self::Lstm)
+    }
+
     /// What the network in the file of a learned policy is applied to: a row of each user, or, for
     /// `None`, the complete observation. The file decides under the name of any policy but
     /// `residual` and `lstm`.

@@ -87,6 +87,9 @@ pub struct RoomChoice {
     /// Share of offices: seated users among users who walk, with tilted receivers.
     #[serde(default)]
     pub offices: f64,
+    /// Whether each room is the scenario itself, for an actor that serves this room only.
+    #[serde(default)]
+    pub scenario_only: bool,
 }
 
 impl RoomChoice {
@@ -132,6 +135,9 @@ impl RoomChoice {
     }
 
     fn overrides(&self, rng: &mut impl Rng) -> Vec<String> {
+        if self.scenario_only {
+            return Vec::new();
+        }
         // Without offices, no number of the generator is used for them.
         let office = self.offices > 0.0 && rng.random_bool(self.offices.min(1.0));
         let mut all: Vec<String> = if office {

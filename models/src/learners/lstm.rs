@@ -102,7 +102,12 @@ impl Settings {
             batch: 256,
             room_count: 24,
             room_s: 10.0,
-            choice: RoomChoice { walks: vec![Walks::GaussMarkov], mismatch: Vec::new(), offices: 0.0 },
+            choice: RoomChoice {
+                walks: vec![Walks::GaussMarkov],
+                mismatch: Vec::new(),
+                offices: 0.0,
+                scenario_only: false,
+            },
             run: RunSettings { episodes: 60, steps: 1, ..RunSettings::paper(seed) },
         }
     }

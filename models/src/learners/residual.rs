@@ -89,7 +89,7 @@ impl FineTuning {
 
 /// The rooms of the supervised training.
 fn rooms() -> RoomChoice {
-    RoomChoice { walks: Walks::ALL.to_vec(), mismatch: MISMATCH.to_vec(), offices: 0.0 }
+    RoomChoice { walks: Walks::ALL.to_vec(), mismatch: MISMATCH.to_vec(), offices: 0.0, scenario_only: false }
 }
 
 /// The kinds of mismatch from which rooms are drawn.

@@ -1,6 +1,6 @@
 //! One row of the table of algorithms; [`crate::learners`] has the table.
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 use heliostat_decide::policy::PolicyKind;
 use heliostat_scenario::Scenario;
 use rand_chacha::ChaCha8Rng;
@@ -42,14 +42,27 @@ impl Algorithm {
     /// # Errors
     /// The scenario, the preset or an option is invalid.
     pub fn begin(&self, scenario: Scenario, preset: Preset, options: &[String]) -> anyhow::Result<Training> {
-        let leds = scenario.led.positions_m.len();
         ensure!(
             preset == Preset::Tuned || self.has_paper_preset,
             "--preset paper: {} has one preset only; expected no --preset, or --preset tuned",
             self.name
         );
-        ensure!(leds == 1, "led.positions_m lists {leds} access points: expected 1, because an actor serves one");
-        (self.start)(scenario, preset, options)
+        if self.policy.fits_any_room() {
+            return (self.start)(scenario, preset, options);
+        }
+        let leds = scenario.led.positions_m.len();
+        ensure!(
+            leds == 1,
+            "led.positions_m lists {leds} access points: expected 1, because an actor of {} serves one",
+            self.name
+        );
+        let one_array = scenario.require_one_array().with_context(|| {
+            format!(
+                "an actor of {} is trained in a room with one array; those of residual and lstm serve several",
+                self.name
+            )
+        })?;
+        (self.start)(one_array, preset, options)
     }
 }
 

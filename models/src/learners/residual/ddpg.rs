@@ -19,6 +19,7 @@
 //!    rooms, and learns after that. The critic learns alone until the buffer holds `warm_up`
 //!    decisions.
 
+use anyhow::ensure;
 use candle_core::{Device, Result, Tensor};
 use heliostat_channel::{ChannelModel, MirrorAngles};
 use heliostat_decide::evidence::FEATURES;
@@ -149,8 +150,13 @@ impl Ddpg {
     /// The learner before its first episode.
     ///
     /// # Errors
-    /// The first network cannot be read.
+    /// The first network cannot be read, or the scenario has more users than the critic has slots.
     pub fn new(scenario: &Scenario, settings: Settings, rng: &mut ChaCha8Rng) -> anyhow::Result<Self> {
+        let users = scenario.users.arrivals.as_ref().map_or(scenario.users.count, |arrivals| arrivals.max_users);
+        ensure!(
+            !settings.choice.scenario_only || users <= SLOTS,
+            "scenario_only = true: the scenario has up to {users} users; the critic of ddpg has slots for at most {SLOTS}"
+        );
         let actor = actor::trained(&settings.from, scenario, settings.run.seed, rng)?;
         let inputs = WIDTH - 1 + CHANGE;
         let shape = Shape { encoder: Encoder::PerUser, slots: SLOTS, inputs, hidden: [128, 64], outputs: 1 };

@@ -1,7 +1,56 @@
 //! The page `learning`: the learned correction of the belief beside the best model-based policy.
 
 use super::super::table::{Column, Form, Layout};
-use super::page::{Page, Section, Training};
+use super::page::{Page, Section};
+
+pub use trainings::TRAININGS;
+
+/// The scenarios of arrays and numbers of users that the training of the built-in actor never has.
+macro_rules! small {
+    () => {
+        "hall --set users.orientation={} --set mirrors.rows=7 --set mirrors.columns=7"
+    };
+}
+macro_rules! large {
+    () => {
+        "hall --set users.orientation={} --set mirrors.rows=20 --set mirrors.columns=20 --set mirrors.width_m=0.2 \
+         --set mirrors.height_m=0.05"
+    };
+}
+macro_rules! one_user {
+    () => {
+        "hall --set users.orientation={} --set users.count=1"
+    };
+}
+macro_rules! crowd {
+    () => {
+        "hall --set users.orientation={} --set users.count=20"
+    };
+}
+// With the reports of `hall`.
+macro_rules! two_arrays {
+    () => {
+        "deploy/rooms/two-arrays.toml --set users.orientation={} --set actuator.profile=mems --set control.range_deg=60 \
+         --set control.validity_ms=400 --set streams.positions.rate_hz=10 --set streams.positions.latency_ms=100 \
+         --set streams.positions.noise_m=0.05 --set streams.positions.velocity_noise_m_s=0.1 \
+         --set streams.channel.rate_hz=10 --set streams.channel.latency_ms=100 \
+         --set streams.channel.noise_relative=0.05 --set streams.obstacles.rate_hz=0"
+    };
+}
+
+/// The command of a section that compares the built-in actor with one that was trained in this room only.
+macro_rules! beside_specialised {
+    ($name:literal, $room:expr) => {
+        concat!(
+            "eval --closed-loop --policies greedy,residual,training/for-",
+            $name,
+            "/residual.onnx --training-seed 1 --scenario ",
+            $room
+        )
+    };
+}
+
+mod trainings;
 
 const COLUMNS: [Column; 6] = [
     Column { title: "ratio", at: "/ratio_to_oracle", form: Form::Interval(3) },
@@ -59,13 +108,9 @@ const SWEPT: [Column; 2] = [
 const ACTORS: &str = "`residual` is the built-in actor: supervised, 100 episodes. `analytic` and `ddpg` fine-tune it on the true future rate. \
                       `episodes-N` have less training data; those `without` features have 10 episodes.";
 
-/// The command of the section about two arrays, with the reports of `hall`.
-const TWO_ARRAYS: &str = "eval --scenario deploy/rooms/two-arrays.toml --closed-loop --policies greedy,residual --training-seed 1 \
-                          --set users.orientation={} --set actuator.profile=mems --set control.range_deg=60 \
-                          --set control.validity_ms=400 --set streams.positions.rate_hz=10 --set streams.positions.latency_ms=100 \
-                          --set streams.positions.noise_m=0.05 --set streams.positions.velocity_noise_m_s=0.1 \
-                          --set streams.channel.rate_hz=10 --set streams.channel.latency_ms=100 \
-                          --set streams.channel.noise_relative=0.05 --set streams.obstacles.rate_hz=0";
+/// What the sections about one room compare.
+const ONE_ROOM: &str = "`residual` is the built-in actor, one file for every room: it was trained with 10 x 10 mirrors on one wall and 2 to 7 \
+                        users. `for-` actors were trained as long, in this room only.";
 
 /// The command of a section about several actors.
 macro_rules! actors {
@@ -91,82 +136,6 @@ macro_rules! fine_tuned {
 
 /// What these sections compare.
 const FINE: &str = "The supervised actor, and the one that `--fine-tune analytic` makes from it.";
-
-/// The training runs whose actors the page evaluates, all with training seed 1.
-pub static TRAININGS: [Training; 21] = [
-    Training { name: "analytic", command: "train residual --scenario hall --fine-tune analytic" },
-    Training { name: "ddpg", command: "train residual --scenario hall --fine-tune ddpg" },
-    Training { name: "episodes-10", command: "train residual --scenario hall --episodes 10" },
-    Training { name: "episodes-30", command: "train residual --scenario hall --episodes 30" },
-    Training {
-        name: "without-residuals",
-        command: "train residual --scenario hall --option without=residuals --episodes 10",
-    },
-    Training {
-        name: "without-history",
-        command: "train residual --scenario hall --option without=history --episodes 10",
-    },
-    Training {
-        name: "without-neighbours",
-        command: "train residual --scenario hall --option without=neighbours --episodes 10",
-    },
-    Training {
-        name: "without-random-waypoint",
-        command: "train residual --scenario hall --option walks=[\"pauses\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
-    },
-    Training {
-        name: "without-pauses",
-        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
-    },
-    Training {
-        name: "without-random-direction",
-        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"gauss-markov\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
-    },
-    Training {
-        name: "without-gauss-markov",
-        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"smooth-random\",\"social-force\",\"seated\"] --episodes 10",
-    },
-    Training {
-        name: "without-smooth-random",
-        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"gauss-markov\",\"social-force\",\"seated\"] --episodes 10",
-    },
-    Training {
-        name: "without-social-force",
-        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"seated\"] --episodes 10",
-    },
-    Training {
-        name: "without-seated",
-        command: "train residual --scenario hall --option walks=[\"random-waypoint\",\"pauses\",\"random-direction\",\"gauss-markov\",\"smooth-random\",\"social-force\"] --episodes 10",
-    },
-    Training {
-        name: "without-bodies",
-        command: "train residual --scenario hall --option mismatch=[\"tilt\",\"mirrors\",\"led\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
-    },
-    Training {
-        name: "without-tilt",
-        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"mirrors\",\"led\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
-    },
-    Training {
-        name: "without-mirrors",
-        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"led\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
-    },
-    Training {
-        name: "without-led",
-        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"receiver\",\"floor\",\"tracker\"] --episodes 10",
-    },
-    Training {
-        name: "without-receiver",
-        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"led\",\"floor\",\"tracker\"] --episodes 10",
-    },
-    Training {
-        name: "without-floor",
-        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"led\",\"receiver\",\"tracker\"] --episodes 10",
-    },
-    Training {
-        name: "without-tracker",
-        command: "train residual --scenario hall --option mismatch=[\"bodies\",\"tilt\",\"mirrors\",\"led\",\"receiver\",\"floor\"] --episodes 10",
-    },
-];
 
 /// The page.
 pub static PAGE: Page = Page {
@@ -220,29 +189,18 @@ pub static PAGE: Page = Page {
         ),
         room("office", "office", "A room, walks and two LEDs that training never has.", in_room!("office", "")),
         room("corridor", "corridor", "The same, for users who pass each other.", in_room!("corridor", "")),
+        room("small", "7 x 7 mirrors, unreported orientation", ONE_ROOM, beside_specialised!("small", small!())),
+        room("large", "20 x 20 mirrors, unreported orientation", ONE_ROOM, beside_specialised!("large", large!())),
+        room("one-user", "One user, unreported orientation", ONE_ROOM, beside_specialised!("one-user", one_user!())),
+        room("crowd", "20 users, unreported orientation", ONE_ROOM, beside_specialised!("crowd", crowd!())),
         room(
-            "small",
-            "hall with 7 x 7 mirrors and unreported orientation",
-            "The file is that of 10 x 10 mirrors.",
-            in_room!("hall", " --set users.orientation={} --set mirrors.rows=7 --set mirrors.columns=7"),
+            "two-arrays",
+            "Two arrays on two walls, unreported orientation",
+            ONE_ROOM,
+            beside_specialised!("two-arrays", two_arrays!()),
         ),
-        room(
-            "crowd",
-            "hall with 20 users and unreported orientation",
-            "Training has at most 7 users.",
-            in_room!("hall", " --set users.orientation={} --set users.count=20"),
-        ),
-        room(
-            "large",
-            "hall with 20 x 20 mirrors and unreported orientation",
-            "The file is that of 10 x 10 mirrors.",
-            of_actors!(
-                "greedy,residual",
-                " --training-seed 1 --set users.orientation={} --set mirrors.rows=20 --set mirrors.columns=20 --set mirrors.width_m=0.2 \
-                 --set mirrors.height_m=0.05"
-            ),
-        ),
-        room("two-arrays", "Two arrays on two walls, unreported orientation", "Training has one array.", TWO_ARRAYS),
+        room("one-office", "office, and an actor for it", ONE_ROOM, beside_specialised!("office", "office")),
+        room("one-corridor", "corridor, and an actor for it", ONE_ROOM, beside_specialised!("corridor", "corridor")),
         Section {
             layout: Layout::Sweep,
             columns: &SWEPT,

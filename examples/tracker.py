@@ -12,7 +12,7 @@ from heliostat.tracker import User, main, parser
 
 
 def users_at(seconds):
-    """The users who are in the room now. A user keeps the number; its place in the list has no meaning."""
+    """The users who are in the room now. A user keeps the number; the order of the list has no meaning."""
     for user in [0, 1, 2] if seconds % 10 < 5 else [0, 2]:
         angle = 0.3 * seconds + 2 * math.pi * user / 3
         velocity = (-0.3 * math.sin(angle), 0.3 * math.cos(angle))

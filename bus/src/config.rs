@@ -269,12 +269,12 @@ pub struct BusArgs {
     /// Name of the room; messages stay within their room [default: the room of --tls, or demo]
     #[arg(long, value_name = "NAME")]
     pub room: Option<String>,
-    /// Endpoint at which to listen (repeatable); without any endpoint sim-node listens at
-    /// tcp/127.0.0.1:7447
+    /// Endpoint at which to listen (repeatable). Without --listen and --connect, sim-node listens
+    /// at tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Endpoint of another process or of a router (repeatable); without any endpoint controller
-    /// connects to tcp/127.0.0.1:7447
+    /// Endpoint of another process or of a router (repeatable). Without --listen and --connect, the
+    /// controller connects to tcp/127.0.0.1:7447
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Exchange messages only through the Zenoh router given by --connect

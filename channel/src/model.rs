@@ -107,8 +107,8 @@ impl ChannelModel {
     ///
     /// # Errors
     /// [`ChannelError`] for a value of an LED, the receiver, the budget or the gain scale outside
-    /// its domain, for no LED or more than [`LEDS_MAX`], and for an LED that is not in front of every
-    /// wall with mirrors.
+    /// its domain, and for no LED or more than [`LEDS_MAX`]. An LED that is not in front of every
+    /// wall with mirrors is refused too.
     pub fn new(
         mode: Mode,
         leds: Vec<Led>,

@@ -21,7 +21,7 @@ use crate::{
     },
 };
 
-/// Run the controller: reports in, mirror commands out.
+/// Run the controller: it receives reports and publishes mirror commands.
 ///
 /// Without --listen or --connect it connects to tcp/127.0.0.1:7447, where sim-node listens by
 /// default.

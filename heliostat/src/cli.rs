@@ -18,53 +18,38 @@ pub struct Cli {
     command: Command,
 }
 
+// The doc comment of a variant replaces the help text of its arguments, the long one too. So a
+// variant has one only where its arguments have no long help text.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run a simulated room and a controller as two processes, and display them
     Demo(demo::Args),
-    /// Display a running room, simulated or real, in a browser and on the terminal
     Ui(ui::Args),
-    /// Run the controller: it receives reports and publishes mirror commands
     Controller(heliostat_controller::cli::Args),
     /// Run the simulated room: users, obstacles, mirrors, reports
     SimNode(heliostat_sim_node::cli::Args),
     /// Drive real mirrors, or check a driver against the wire contract
     Driver(heliostat_driver::cli::Args),
-    /// Stop all mirrors of a room at once
     Stop(stop::StopArgs),
-    /// Release the emergency stop of a room
     Rearm(stop::RearmArgs),
-    /// Make, renew and list the certificates of a room, for --tls
     Keys(keys::Args),
-    /// Estimate the mounting error of each mirror from measured gains
     Calibrate(calibrate::Args),
-    /// Train a policy and export it as an ONNX file
     Train(heliostat_models::TrainArgs),
-    /// Compare policies with the oracle on the same states
     Eval(eval::Args),
-    /// Reproduce the figures of the paper, with a verdict for each statement
     Reproduce(heliostat_reproduce::ReproduceArgs),
     /// Compute the link budget of users under given mirror angles
     Link(link::Args),
-    /// Draw rate, SINR or coverage over the floor as a heat map
     Map(map::Args),
     /// Measure speed relative to a reference in the same run
     Bench(bench::Args),
-    /// Run the commands behind a results page, and write the page
     Results(results::Args),
     /// Check, write or print a scenario file
     Scenario(scenario::Args),
     /// Make a recorded walk from a data set or from a recording
     Trace(trace::Args),
-    /// Check the machine before a run, and recommend changes
     Doctor(doctor::Args),
-    /// Print the effective configuration of a process
     Config(config::Args),
-    /// Record all messages of a room into an MCAP file
     Record(heliostat_record::cli::RecordArgs),
-    /// Play a recording into a controller, or verify its commands
     Replay(heliostat_record::cli::ReplayArgs),
-    /// Print the completion script for a shell
     Completions(completions::CompletionArgs),
     /// Write manual pages
     Manual(completions::ManualArgs),

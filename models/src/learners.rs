@@ -5,7 +5,7 @@
 //! - [`ddpg_raw`], [`ddpg_basis`]: DDPG with the angles of all mirrors as the action.
 //! - [`analytic`]: the network of `ddpg`, trained by the gradient through the channel.
 //! - [`residual`]: corrections of the belief by channel residuals, for any room.
-//! - [`lstm`]: predictions of places by the last reports, for any room.
+//! - [`lstm`]: predictions of positions by the last reports, for any room.
 //! - [`dql`]: deep Q-learning on a codebook of angles.
 //! - [`q_learning`], [`sarsa`]: tabular learning on the codebook; [`table`] is the table.
 //!

@@ -14,10 +14,10 @@ pub enum OrientationModel {
 
 /// Distributions of the angles at which users hold their receivers.
 ///
-/// The polar angle between the receiver's normal and the vertical, and the azimuth of the normal
-/// relative to the direction towards the user's face, are Laplace distributed for a user who sits
-/// or stands, and normally distributed for one who walks. The coherence time is that at which the
-/// autocorrelation is 0.05.
+/// The polar angle is that between the receiver's normal and the vertical. The azimuth of the
+/// normal is relative to the direction towards the user's face. Both are Laplace distributed for a
+/// user who sits or stands, and normally distributed for one who walks. The coherence time is that
+/// at which the autocorrelation is 0.05.
 ///
 /// Source of the defaults: Soltani, Purwita, Zeng, Haas and Safari, IEEE Trans. Commun. 67(3),
 /// 2019, with the measured values of 40 participants.

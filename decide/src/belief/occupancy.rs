@@ -247,9 +247,9 @@ impl Occupancy {
             .extend(listed.map(|(cell, probability)| Suspect { at_m: grid.centre(cell), probability: *probability }));
     }
 
-    /// Updates the influential cells, and removes their entries. If it is certain that a cell holds
-    /// no obstacle, or that it holds one, the expected share grows by p w, or falls by (1 - p) w,
-    /// for the probability p and the influence w of the cell.
+    /// Updates the influential cells, and removes their entries. A cell has the probability p and
+    /// the influence w. With certainly no obstacle in it the expected share grows by p w, and with
+    /// certainly one it falls by (1 - p) w.
     fn update(&mut self, expected: f64, likelihood: impl Fn(f64) -> f64) {
         for cell in self.influential.drain(..) {
             let influence = std::mem::take(&mut self.influence[cell]);

@@ -77,7 +77,8 @@ policies! {
     /// Learned: greedy on a belief that a network corrects by channel residuals; one file for any
     /// room
     Residual: Learned,
-    /// Learned: greedy on places that an LSTM predicts from the last reports; one file for any room
+    /// Learned: greedy on positions that an LSTM predicts from the last reports; one file for any
+    /// room
     Lstm: Learned,
     /// Learned: DDPG on the angles of all mirrors, as in the paper
     DdpgRaw: Learned,

@@ -200,8 +200,8 @@ fn uniform(rng: &mut rand_chacha::ChaCha8Rng) -> f64 {
 }
 
 /// The learned noise as a share of the true one, of a position and of a velocity, after each of 900
-/// reports of one user who walks at 30 reports a second, each up to 5 ms early or late. The true
-/// noise is twice the assumed one.
+/// reports of one walking user. There are 30 reports a second, each up to 5 ms early or late. The
+/// true noise is twice the assumed one.
 fn learned_shares(seed: u64) -> Vec<[f64; 2]> {
     let (mut belief, mut rng) = (belief(), rand_chacha::ChaCha8Rng::seed_from_u64(seed));
     let truth = belief.noise().map(|assumed| 2.0 * assumed);

@@ -15,10 +15,10 @@ use serde_json::{Map, Value, json};
 use super::demo;
 use crate::output::outln;
 
-/// Print the effective configuration of a process: its scenario with every key, its room and its
-/// endpoints.
+/// Print the effective configuration of a process.
 ///
-/// Give the same flags as to the process; no process is started. The file of a policy is checked.
+/// It has the scenario with every key, the room and the endpoints. Give the same flags as to the
+/// process; no process is started. The file of a policy is checked.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print JSON instead of TOML

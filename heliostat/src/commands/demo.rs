@@ -164,7 +164,7 @@ fn watch(args: &Args, watched: &Watched, processes: &mut Processes) -> Result<()
 
 impl Args {
     /// The policy that the flags select: with a file of a learned policy that one, and otherwise the
-    /// best within the time budget in realistic rooms (docs/learning.md).
+    /// best within the latency budget in realistic rooms (docs/learning.md).
     pub(super) fn policy(&self) -> PolicyKind {
         let default = if self.model.is_some() { PolicyKind::Ddpg } else { PolicyKind::FixedPoint };
         self.policy.unwrap_or(default)

@@ -30,9 +30,8 @@ pub struct Args {
     #[arg(long, value_name = "X,Y[,Z]", allow_hyphen_values = true, conflicts_with = "users")]
     user: Vec<String>,
     /// Mirror angles: none, oracle (or aimed), user:N (all at user N, from 0), aim:X,Y or
-    /// aim:X,Y,Z, a policy (flat, nearest, fixed-point, greedy, actor, random), an ONNX actor
-    /// (FILE.onnx), or a CSV with the header roll_deg,yaw_deg and one line for each mirror in index
-    /// order
+    /// aim:X,Y,Z, a policy (such as flat, nearest, greedy or ddpg), an ONNX actor (FILE.onnx), or a
+    /// CSV with the header roll_deg,yaw_deg and one line for each mirror in index order
     #[arg(long, value_name = "HOW|FILE", default_value = "oracle", allow_hyphen_values = true)]
     angles: String,
     /// Obstacles: none, seed (drawn from the scenario's seed), or a CSV with the header

@@ -31,9 +31,9 @@ pub struct Args {
     /// The quantity to draw
     #[arg(long, value_enum, default_value = "rate")]
     what: Quantity,
-    /// Mirror angles: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle or a
-    /// policy (flat, nearest, fixed-point, greedy, actor, random) or an ONNX actor (FILE.onnx) for
-    /// the users of the scenario, or a CSV with the header roll_deg,yaw_deg
+    /// Mirror angles: none (no array), aim:X,Y or aim:X,Y,Z (all at one point), user:N, oracle, a
+    /// policy (such as flat, nearest, greedy or ddpg) or an ONNX actor (FILE.onnx) for the users of
+    /// the scenario, or a CSV with the header roll_deg,yaw_deg
     #[arg(
         long,
         value_name = "HOW|FILE",

@@ -18,7 +18,8 @@ const WATCH_EVERY: Duration = Duration::from_millis(50);
 ///
 /// Connect to the room's process and to the controller, since peers do not forward messages, or to
 /// the router of both. Room and controller announce the geometry that is drawn; --scenario is for a
-/// room in which neither does. The page has the buttons of `heliostat demo`, except those that kill or restart the controller.
+/// room in which neither does. The page has the buttons of `heliostat demo`, except those that kill
+/// or restart the controller.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]

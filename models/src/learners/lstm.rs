@@ -54,7 +54,7 @@ use crate::training::settings::RunSettings;
 pub const ALGORITHM: Algorithm = Algorithm {
     name: "lstm",
     policy: PolicyKind::Lstm,
-    help: "An LSTM that corrects the Gauss-Markov prediction of places; one actor for every room",
+    help: "An LSTM that corrects the Gauss-Markov prediction of positions; one actor for every room",
     summary: "an LSTM on the Gauss-Markov prediction; deviations from its source at the head of `models/src/learners/lstm.rs`",
     has_paper_preset: false,
     start: |scenario, _, options| {

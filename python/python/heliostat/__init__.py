@@ -13,7 +13,7 @@
 - `heliostat.recording`: recordings of rooms as arrays.
 - `heliostat.export`: from a PyTorch module to a file that the controller runs.
 - `heliostat.sb3`: the batch as a vector environment of Stable-Baselines3.
-- `heliostat.driver`, `heliostat.tracker`: own mirrors and own positions in a room; `heliostat.wire`: its messages.
+- `heliostat.driver`, `heliostat.tracker`: drivers and trackers in a room; `heliostat.wire`: its messages.
 
 Angles are mechanical angles in rad, positions are in m with the origin at the centre of the floor, z up,
 and rates are in Mbit/s.

@@ -15,7 +15,7 @@ pub use page::{Page, Section, Training};
 pub enum PageName {
     /// Policies on the same states, beside the oracle: held-out states, sweeps, closed loop
     Evaluation,
-    /// Rooms that differ from the plain hall: mobility, orientation, mismatch
+    /// Rooms that differ from the scenario hall: mobility, orientation, mismatch
     Rooms,
     /// A learned correction of the belief, beside the best model-based policy
     Learning,

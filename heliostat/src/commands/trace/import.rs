@@ -25,10 +25,10 @@ use crate::commands::whole_file;
 /// the beginning to the end of the written walk. The report lists what was read, what was refused,
 /// and how to use the file.
 ///
-/// Formats: eth-ucy is obsmat.txt (frame id x z y vx vz vy) or text of "frame id x y"; atc is a day of
-/// the ATC shopping centre; thor-magni is the CSV of a run, of which the helmets are read; csv has a
-/// header with time, user, x, y (s, m) and optionally heading_deg, in any order. Data sets are not
-/// included: obtain them from their authors, and observe their licences.
+/// Formats: eth-ucy is obsmat.txt (frame id x z y vx vz vy) or text of "frame id x y". atc is a day
+/// of the ATC shopping centre. thor-magni is the CSV of a run, of which the helmets are read. csv
+/// has a header with time, user, x, y (s, m) and optionally heading_deg, in any order. Data sets are
+/// not included: obtain them from their authors, and observe their licences.
 #[derive(Debug, clap::Args)]
 pub struct ImportArgs {
     /// The file of the data set

@@ -56,7 +56,7 @@ pub static PAGE: Page = Page {
         Section {
             name: "stuck-2",
             title: "Stuck mirrors, 2 of 5 users blocked",
-            about: "A share of the mirrors stays in its position of rest. A controller marked `unaware` is not told which.",
+            about: "A share of the mirrors stays in its position of rest. A controller marked `unaware` does not know which.",
             command: "eval --closed-loop --unaware --policies ddpg,fixed-point,greedy --set blockage.forced_users=2 --set actuator.profile=mems --sweep actuator.stuck_share=0,0.1,0.2,0.3,0.4,0.5",
             full: "--states 60 --seeds 3",
             quick: "--states 2 --seeds 1",

@@ -38,7 +38,7 @@ macro_rules! all {
     };
 }
 
-/// The command that compares the predictions of places.
+/// The command that compares the predictions of positions.
 macro_rules! places {
     ($overrides:literal) => {
         concat!(

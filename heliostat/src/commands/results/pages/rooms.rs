@@ -1,4 +1,4 @@
-//! The page `rooms`: policies in rooms that differ from the plain hall.
+//! The page `rooms`: policies in rooms that differ from the scenario `hall`.
 
 mod summary;
 

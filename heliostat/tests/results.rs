@@ -45,3 +45,20 @@ fn an_unknown_section_is_refused_with_the_known_ones() {
     let refused = results(folder.path(), &["latency", "--only", "lop"]);
     assert!(!refused.status.success() && errors(&refused).contains("loop-nearest"), "{}", errors(&refused));
 }
+
+#[test]
+fn a_page_that_cannot_be_written_is_refused_before_the_first_section() {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("taken")).expect("a folder");
+    for (out, expected) in [
+        ("missing/page.md", "missing/page.md: expected a file in a folder that exists"),
+        ("taken", "cannot write taken"),
+        ("page.json", "--out page.json: what is finished goes to the JSON file of this name"),
+    ] {
+        let refused = results(folder.path(), &["actuators", "--quick", "--only", "offset", "--out", out]);
+        let message = errors(&refused);
+        assert!(!refused.status.success() && message.contains(expected), "{message}");
+        assert!(!message.contains("--sweep"), "a section ran: {message}");
+    }
+    assert_eq!(fs::read_dir(folder.path()).expect("the folder").count(), 1, "only the folder is there");
+}

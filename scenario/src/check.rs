@@ -19,6 +19,8 @@ const STAY_S: RangeInclusive<f64> = 0.01..=1e6;
 const LOSS: RangeInclusive<f64> = 0.0..=0.99;
 /// Mean number of reports lost in a row, where losses are not independent.
 const BURST_REPORTS: RangeInclusive<f64> = 1.0..=1e4;
+/// Frequencies of an actuator that has them, in Hz.
+const FREQUENCY_HZ: RangeInclusive<f64> = 0.01..=1e6;
 /// Coherence times of the users' orientations in s.
 const COHERENCE_S: RangeInclusive<f64> = 0.001..=1e4;
 /// Largest number of mirrors of a room: the limit of the contract.
@@ -95,7 +97,7 @@ impl Scenario {
         within("receiver.area_mm2", receiver.area_mm2, 1e-4..=1e6)?;
         within("receiver.responsivity_a_per_w", receiver.responsivity_a_per_w, 1e-3..=10.0)?;
         within("receiver.fov_deg", receiver.fov_deg, 1.0..=90.0)?;
-        within("receiver.filter_gain", receiver.filter_gain, 0.0..=1.0)?;
+        within("receiver.filter_gain", receiver.filter_gain, 1e-6..=1.0)?;
         within("receiver.concentrator_index", receiver.concentrator_index, 1.0..=4.0)?;
         count("receiver.branches", receiver.branches.len(), 0..=16)?;
         for branch in &receiver.branches {
@@ -166,9 +168,9 @@ impl Scenario {
 
     fn check_runtime(&self) -> Result<(), ScenarioError> {
         let actuator = &self.actuator;
-        within("actuator.natural_frequency_hz", actuator.natural_frequency_hz.unwrap_or(1.0), 0.0..=1e6)?;
+        zero_or("actuator.natural_frequency_hz", actuator.natural_frequency_hz.unwrap_or(1.0), FREQUENCY_HZ)?;
         within("actuator.damping_ratio", actuator.damping_ratio.unwrap_or(1.0), 0.0..=100.0)?;
-        within("actuator.low_pass_hz", actuator.low_pass_hz.unwrap_or(1.0), 0.0..=1e6)?;
+        zero_or("actuator.low_pass_hz", actuator.low_pass_hz.unwrap_or(1.0), FREQUENCY_HZ)?;
         within("actuator.slew_deg_per_s", actuator.slew_deg_per_s.unwrap_or(1.0), 0.0..=1e6)?;
         within("actuator.range_deg", actuator.range_deg.unwrap_or(1.0), 0.01..=90.0)?;
         count("actuator.resolution_bits", actuator.resolution_bits.unwrap_or(0) as usize, 0..=32)?;
@@ -239,11 +241,10 @@ fn check_streams(streams: &Streams) -> Result<(), ScenarioError> {
 /// Checks the share of lost reports, and their mean number in a row.
 fn check_loss(table: &str, loss: f64, burst_reports: f64) -> Result<(), ScenarioError> {
     within(&format!("{table}.loss"), loss, LOSS)?;
+    zero_or(&format!("{table}.loss_burst_reports"), burst_reports, BURST_REPORTS)?;
     if burst_reports == 0.0 {
         return Ok(());
     }
-    let key = format!("{table}.loss_burst_reports");
-    within(&key, burst_reports, BURST_REPORTS)?;
     // At least one report arrives between two bursts.
     within(&format!("{table}.loss"), loss, 0.0..=burst_reports / (burst_reports + 1.0))
 }
@@ -277,6 +278,14 @@ pub(crate) fn within(key: &str, value: f64, domain: RangeInclusive<f64>) -> Resu
         return Ok(());
     }
     invalid(key, value, &format!("expected a number from {} to {}", domain.start(), domain.end()))
+}
+
+/// Accepts 0, which disables what the key describes, or a number of the domain.
+fn zero_or(key: &str, value: f64, domain: RangeInclusive<f64>) -> Result<(), ScenarioError> {
+    if value.to_bits() == 0 || domain.contains(&value) {
+        return Ok(());
+    }
+    invalid(key, value, &format!("expected 0 or a number from {} to {}", domain.start(), domain.end()))
 }
 
 pub(crate) fn count(key: &str, value: usize, domain: RangeInclusive<usize>) -> Result<(), ScenarioError> {

@@ -115,6 +115,10 @@ fn values_that_contradict_each_other_are_refused() {
         "[noise]\nvariance_a2 = 0.0",
         "[noise]\nvariance_a2 = nan",
         "[users]\narrivals = { rate_per_min = -0.0 }",
+        "[streams.positions]\nloss_burst_reports = -0.0",
+        "[actuator]\nlow_pass_hz = 1e-308",
+        "[actuator]\nnatural_frequency_hz = 1e-60",
+        "[receiver]\nfilter_gain = 0.0",
     ] {
         assert!(matches!(Scenario::from_toml(text), Err(ScenarioError::Invalid { .. })), "{text}");
     }

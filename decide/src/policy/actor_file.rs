@@ -86,7 +86,7 @@ pub enum ActorError {
     },
     /// No policy has the action.
     #[error(
-        "{origin} has the unknown action {found}, expected \"{ANGLES}\" or \"{COMPACT}\": \
+        "{origin} has the unknown action {found}, expected \"{ANGLES}\", \"{COMPACT}\" or \"{DISPLACEMENTS_NAME}\": \
          correct its metadata \"{}\", or export the actor again with `heliostat train`",
         key::ACTION
     )]

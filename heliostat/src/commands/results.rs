@@ -14,11 +14,11 @@ pub(super) mod steps;
 pub(super) mod table;
 mod training;
 
-use std::fs;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 
+use super::whole_file;
 use crate::output::outln;
 use archive::Archive;
 use pages::{PageName, Section};
@@ -73,7 +73,7 @@ pub fn run(args: Args) -> Result<()> {
     }
 
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(page.name).with_extension("md"));
-    let kept = out.with_extension("json");
+    let kept = archive::beside(&out)?;
     let mut archive = match args.resume {
         true => steps::resumed(&kept, page.name, args.quick)?,
         false => Archive::new(page.name, args.quick),
@@ -87,8 +87,7 @@ pub fn run(args: Args) -> Result<()> {
     }
     steps::run(&steps, &mut archive, |archive| {
         archive.write(&kept)?;
-        fs::write(&out, document::markdown(page, archive)?)
-            .with_context(|| format!("cannot write {}: expected a file in a folder that exists", out.display()))
+        whole_file::write(&out, document::markdown(page, archive)?.as_bytes())
     })?;
     outln!("written: {} and {}", out.display(), kept.display())?;
     Ok(())

@@ -15,7 +15,7 @@ use heliostat_engine::ActorSource;
 use heliostat_models::comparison::EvaluatedPolicy;
 use heliostat_scenario::Scenario;
 
-use crate::commands::results::archive::Archive;
+use crate::commands::results::archive::{self, Archive};
 use crate::commands::results::pages::Section;
 use crate::commands::results::steps::{self, Step};
 use crate::commands::whole_file;
@@ -69,18 +69,9 @@ pub type RoomOf<'a> = &'a dyn Fn(&[String]) -> Result<Scenario>;
 pub fn run(args: &SuiteArgs, policies: &[String], json: bool, room_of: RoomOf) -> Result<()> {
     let steps = steps_of(args, policies, room_of)?;
     let mut archive = Archive::new(&page::archive_name(), args.quick);
-    let kept = args.out.as_ref().map(|out| (out, out.with_extension("json")));
-    if let Some((out, kept)) = &kept {
-        ensure!(
-            *out != kept,
-            "--out {}: the finished tasks go to the JSON file of this name; expected another ending, such as .md",
-            out.display()
-        );
-        whole_file::check_writable(out)?;
-        whole_file::check_writable(kept)?;
-        if args.resume {
-            archive = steps::resumed(kept, &page::archive_name(), args.quick)?;
-        }
+    let kept = args.out.as_ref().map(|out| Ok::<_, anyhow::Error>((out, archive::beside(out)?))).transpose()?;
+    if let Some((_, kept)) = kept.as_ref().filter(|_| args.resume) {
+        archive = steps::resumed(kept, &page::archive_name(), args.quick)?;
     }
     steps::run(&steps, &mut archive, |archive| {
         let Some((out, kept)) = &kept else { return Ok(()) };

@@ -1,9 +1,9 @@
 //! Finished sections as JSON: all that a page is rendered from.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -43,6 +43,22 @@ pub struct Finished {
     pub seconds: f64,
     /// Its JSON object.
     pub output: Value,
+}
+
+/// The JSON file in which the finished steps of a page are kept, beside the page.
+///
+/// # Errors
+/// The page has the name of this file, or one of both cannot be written.
+pub fn beside(page: &Path) -> Result<PathBuf> {
+    let kept = page.with_extension("json");
+    ensure!(
+        page != kept,
+        "--out {}: what is finished goes to the JSON file of this name; expected another ending, such as .md",
+        page.display()
+    );
+    whole_file::check_writable(page)?;
+    whole_file::check_writable(&kept)?;
+    Ok(kept)
 }
 
 impl Archive {

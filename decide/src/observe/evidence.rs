@@ -220,6 +220,15 @@ impl Evidence {
         }
     }
 
+    /// Leaves the users without corrections for whom `discarded` is true, in the order of the rows.
+    pub fn discard_where(&mut self, discarded: impl Iterator<Item = bool>) {
+        for (correction, discarded) in self.corrections.iter_mut().zip(discarded) {
+            if discarded {
+                *correction = Correction::NONE;
+            }
+        }
+    }
+
     /// The present state.
     pub fn memory(&self) -> EvidenceMemory {
         self.history.clone()

@@ -35,7 +35,12 @@ use heliostat_proto::{ChannelReport, MAX_OBSTACLES, MAX_USERS, MirrorCommand, Na
 use heliostat_scenario::Scenario;
 
 use crate::{
-    belief::{Belief, Estimate, body::Body, heading::HEADING_KNOWN, posture::Posture},
+    belief::{
+        Belief, Estimate,
+        body::Body,
+        heading::HEADING_KNOWN,
+        posture::{self, Posture},
+    },
     input::inbox::Inbox,
     observe::{
         evidence::{Believed, Evidence},
@@ -231,7 +236,7 @@ impl Observer {
             let believed = self.prediction.orientation(*user, age_s, motion);
             believed.unwrap_or_else(|| self.posture.of(held, *user, motion))
         }));
-        self.correct(model, held.is_some(), correct);
+        self.correct(model, held, correct);
         let is_tilted = self.orientations.iter().any(|held| *held != Orientation::UPRIGHT);
         self.place_blockers(inbox);
         into.set_state(
@@ -289,8 +294,8 @@ impl Observer {
         }
     }
 
-    /// Lets the policy correct the orientations, unless they are reported.
-    fn correct(&mut self, model: &ChannelModel, reported: bool, correct: Correct<'_>) {
+    /// Lets the policy correct the orientations that are not in this report.
+    fn correct(&mut self, model: &ChannelModel, held: Option<&OrientationReport>, correct: Correct<'_>) {
         let Some(evidence) = &mut self.evidence else { return };
         evidence.begin();
         for ((user, estimate), orientation) in self.slots.ids().iter().zip(&self.estimates).zip(&self.orientations) {
@@ -298,9 +303,8 @@ impl Observer {
             evidence.add(model, &Believed { user: *user, estimate, orientation: *orientation });
         }
         correct(Correctable::Receivers(evidence));
-        if reported {
-            return;
-        }
+        let is_reported = |user: &u32| posture::reported(held, *user).is_some();
+        evidence.discard_where(self.slots.ids().iter().map(is_reported));
         for (orientation, correction) in self.orientations.iter_mut().zip(evidence.corrections()) {
             *orientation = correction.orientation(*orientation);
         }

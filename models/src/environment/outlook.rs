@@ -2,7 +2,7 @@
 //! the numbers from which the true future rate follows as a function of the corrections.
 
 use heliostat_channel::{ChannelModel, MirrorAngles, Vec3, decode};
-use heliostat_decide::correction::Frame;
+use heliostat_decide::correction::{Frame, upward};
 use heliostat_decide::evidence::{FEATURES, LED, NORMAL};
 use heliostat_sim::SimulatedRoom;
 
@@ -43,7 +43,7 @@ impl Outlook {
         let corrections = future.evidence.corrections().iter();
         let assumed = rows.iter().zip(frames).zip(corrections).map(|((row, frame), correction)| {
             let change = frame.of_room(&correction.tilt());
-            upward([f64::from(row[NORMAL]) + change[0], f64::from(row[NORMAL + 1]) + change[1]])
+            upward([f64::from(row[NORMAL]) + change[0], f64::from(row[NORMAL + 1]) + change[1]]).into()
         });
         let mirrors: Vec<Vec3> = model.mirrors.arrays().iter().flat_map(|array| array.positions()).copied().collect();
         let to_mirrors = seen.positions.iter().zip(frames).flat_map(|(position, frame)| {
@@ -76,11 +76,6 @@ impl Outlook {
     pub fn mirrors(&self) -> usize {
         self.steering.len() / self.users().max(1)
     }
-}
-
-/// The unit vector that faces up with these horizontal components.
-fn upward([x, y]: [f64; 2]) -> [f64; 3] {
-    [x, y, (1.0 - x * x - y * y).max(0.0).sqrt()]
 }
 
 fn in_frame(frame: &Frame, vector: &Vec3) -> [f64; 3] {

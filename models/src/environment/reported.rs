@@ -185,25 +185,19 @@ impl RoomChoice {
     }
 }
 
-/// Walks, pauses and furniture of an office, and the reports of orientations in some of them.
+/// Walks, pauses and furniture of an office, without reports of orientations: with them no
+/// correction counts.
 fn office_overrides(rng: &mut impl Rng) -> Vec<String> {
     let (seated, walking) = [(0.4, 0.6), (0.6, 0.4), (0.8, 0.2)][rng.random_range(0..3)];
     let models = [("seated", seated), ("social-force", walking)];
     let models = models.map(|(model, share)| format!("{{mobility=\"{model}\",share={share}}}"));
-    let mut all = vec![
+    vec![
         "users.mobility=mixture".to_owned(),
         format!("users.mixture=[{}]", models.join(",")),
         format!("users.pause_mean_s={}", 2.0 + 6.0 * rng.random::<f64>()),
         "users.heading_lag_s=0.3".into(),
         "blockage.obstacle_radius_m=0.3".into(),
-    ];
-    if rng.random_bool(0.4) {
-        let rate_hz = 10.0 + (15.0 * rng.random::<f64>()).round();
-        all.push(format!("streams.orientation.rate_hz={rate_hz}"));
-        all.push(format!("streams.orientation.latency_ms={}", (100.0 * rng.random::<f64>()).round()));
-        all.push(format!("streams.orientation.noise_deg={}", 1.0 + 3.0 * rng.random::<f64>()));
-    }
-    all
+    ]
 }
 
 /// Lets a policy decide in a room for `seconds`, and calls `see` after each decision but the first.

@@ -177,24 +177,26 @@ impl Ddpg {
         })
     }
 
-    /// The decisions of the present network, with noise, in newly drawn rooms, room by room.
+    /// The decisions of the present network, with noise, in newly drawn rooms, in runs without a
+    /// gap.
     fn explore(&self, noise: f64, rng: &mut ChaCha8Rng) -> anyhow::Result<Vec<Vec<Step>>> {
         let Settings { choice, room_count, room_s, run, .. } = &self.settings;
         let run = |room: &Scenario, seed| {
             let explorer = Explorer::new(self.actor.frozen(), room, (noise, seed))?;
             let model = room.channel_model()?;
-            let mut steps: Vec<Step> = Vec::new();
+            let mut runs: Vec<Vec<Step>> = vec![Vec::new()];
             decisions(room, seed, (Box::new(explorer), *room_s), &mut |decided| {
-                if let Some(last) = steps.last_mut() {
+                if let Some(last) = runs.last_mut().and_then(|steps| steps.last_mut()) {
                     last.reward = reward(decided.room(), run.reward);
                 }
-                steps.extend(Future::of(decided).map(|future| step(&future, &model)));
+                match (Future::of(decided), runs.last_mut()) {
+                    (Some(future), Some(steps)) => steps.push(step(&future, &model)),
+                    _ => runs.push(Vec::new()),
+                }
             })?;
-            // No reward follows the last decision.
-            steps.pop();
-            Ok(steps)
+            Ok(runs)
         };
-        choice.in_rooms((&self.scenario, *room_count), rng, run)
+        Ok(choice.in_rooms((&self.scenario, *room_count), rng, run)?.concat())
     }
 
     /// One update of critic, actor and targets from a minibatch; the critic's squared error.

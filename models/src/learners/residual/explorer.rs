@@ -38,14 +38,14 @@ impl Explorer {
     /// The solver does not fit the room.
     pub fn new(network: Network, room: &Scenario, (noise, seed): (f64, u64)) -> anyhow::Result<Self> {
         let solver = build(PolicyKind::Greedy, room, &ActorSource::Shipped)?;
-        let kept = vec![[0.0; CHANGE]; room.users.count];
-        Ok(Self { solver, network, noise, kept, rng: ChaCha8Rng::seed_from_u64(seed) })
+        Ok(Self { solver, network, noise, kept: Vec::new(), rng: ChaCha8Rng::seed_from_u64(seed) })
     }
 
     /// The outputs for all rows, with noise.
     fn outputs(&mut self, rows: &[[f32; FEATURES]]) -> Result<Vec<f32>> {
         let values = Tensor::from_vec(rows.concat(), (rows.len(), FEATURES), &Device::Cpu)?;
         let found = self.network.forward_rows(&values)?.to_vec2::<f32>()?;
+        self.kept.resize(rows.len(), [0.0; CHANGE]);
         let fresh = self.noise * (1.0 - NOISE_KEPT * NOISE_KEPT).sqrt();
         let mut outputs = Vec::with_capacity(3 * rows.len());
         for ((row, found), kept) in rows.iter().zip(&found).zip(&mut self.kept) {

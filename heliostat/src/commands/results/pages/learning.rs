@@ -1,5 +1,6 @@
 //! The page `learning`: the learned correction of the belief beside the best model-based policy.
 
+use super::super::bound::{Bound, Limit};
 use super::super::table::{Column, Form, Layout};
 use super::page::{Page, Section};
 
@@ -38,15 +39,29 @@ macro_rules! two_arrays {
     };
 }
 
-/// The command of a section that compares the built-in actor with one that was trained in this room only.
+/// A section that compares the built-in actor with one that was trained in this room only: the name of
+/// the latter, the section's name and heading, and the room.
 macro_rules! beside_specialised {
-    ($name:literal, $room:expr) => {
-        concat!(
-            "eval --closed-loop --policies greedy,residual,training/for-",
-            $name,
-            "/residual.onnx --training-seed 1 --scenario ",
-            $room
-        )
+    ($name:literal, $section:literal, $title:literal, $room:expr) => {
+        Section {
+            bounds: &[Bound {
+                what: "the actor for this room: at most 0.01 above the ratio of the built-in one",
+                policy: concat!("training/for-", $name, "/residual.onnx"),
+                at: "/difference_ratio/mean",
+                limit: Limit::AtMost(0.01),
+            }],
+            ..room(
+                $section,
+                $title,
+                ONE_ROOM,
+                concat!(
+                    "eval --closed-loop --policies residual,training/for-",
+                    $name,
+                    "/residual.onnx,greedy --training-seed 1 --scenario ",
+                    $room
+                ),
+            )
+        }
     };
 }
 
@@ -81,15 +96,29 @@ macro_rules! of_actors {
     };
 }
 
-/// The command of a section about an actor that was trained without what the room has.
+/// A section about an actor that was trained without what the room has: the name of the actor, what is
+/// left out, and the room.
 macro_rules! left_out {
-    ($name:literal, $overrides:literal) => {
-        concat!(
-            "eval --scenario hall --closed-loop --policies greedy,training/episodes-10/residual.onnx,training/without-",
-            $name,
-            "/residual.onnx --set users.orientation={}",
-            $overrides
-        )
+    ($name:literal, $title:literal, $about:expr, $overrides:literal) => {
+        Section {
+            bounds: &[Bound {
+                what: "the actor that never had it: ratio at least 0.01 above that of greedy",
+                policy: concat!("training/without-", $name, "/residual.onnx"),
+                at: "/difference_ratio/mean",
+                limit: Limit::AtLeast(0.01),
+            }],
+            ..room(
+                concat!("without-", $name),
+                concat!("Left out of training: ", $title),
+                $about,
+                concat!(
+                    "eval --scenario hall --closed-loop --policies greedy,training/episodes-10/residual.onnx,training/without-",
+                    $name,
+                    "/residual.onnx --set users.orientation={}",
+                    $overrides
+                ),
+            )
+        }
     };
 }
 
@@ -97,6 +126,31 @@ macro_rules! left_out {
 const fn room(name: &'static str, title: &'static str, about: &'static str, command: &'static str) -> Section {
     Section::of_policies([name, title, about, command], &COLUMNS)
 }
+
+/// A section about one room as the controller knows it, with the bound for such rooms.
+const fn known_room(name: &'static str, title: &'static str, about: &'static str, command: &'static str) -> Section {
+    Section { bounds: &[NO_LOSS], ..room(name, title, about, command) }
+}
+
+/// A section about a room that differs from the one that the controller knows, with the bound for such
+/// rooms.
+const fn other_room(name: &'static str, title: &'static str, about: &'static str, command: &'static str) -> Section {
+    Section { bounds: &[GAIN], ..room(name, title, about, command) }
+}
+
+const NO_LOSS: Bound = Bound {
+    what: "residual: ratio at most 0.002 below that of greedy",
+    policy: "residual",
+    at: "/difference_ratio/mean",
+    limit: Limit::AtLeast(-0.002),
+};
+
+const GAIN: Bound = Bound {
+    what: "residual: ratio at least 0.03 above that of greedy",
+    policy: "residual",
+    at: "/difference_ratio/mean",
+    limit: Limit::AtLeast(0.03),
+};
 
 /// Columns for each policy of a sweep.
 const SWEPT: [Column; 2] = [
@@ -110,7 +164,13 @@ const ACTORS: &str = "`residual` is the built-in actor: supervised, 100 episodes
 
 /// What the sections about one room compare.
 const ONE_ROOM: &str = "`residual` is the built-in actor, one file for every room: it was trained with 10 x 10 mirrors on one wall and 2 to 7 \
-                        users. `for-` actors were trained as long, in this room only.";
+                        users. `for-` actors had 30 episodes, in this room only. A difference is to the built-in actor.";
+
+/// What the sections about an actor that was trained without one mobility model compare.
+const WALK: &str = "Trained on the other walks and evaluated on this one, with unreported orientation.";
+
+/// What the sections about an actor that was trained without one kind of mismatch compare.
+const KIND: &str = "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.";
 
 /// The command of a section about several actors.
 macro_rules! actors {
@@ -142,16 +202,46 @@ pub static PAGE: Page = Page {
     name: "learning",
     title: "Results: a learned correction of the belief",
     about: "What it means: [learning.md](../learning.md). `greedy` acts on the belief `filter`; `residual` acts on the same belief \
-            after a network has corrected it. A difference is to `greedy`, paired state by state. `true-present` and `true-future` \
+            after a network has corrected it. A difference is to the first policy of a table, `greedy` in most, paired state by state. `true-present` and `true-future` \
             know the true room in place of reports. An episode of 20 instants counts as one sample.",
     summary: None,
     sections: &[
-        room("plain", "hall", "Upright receivers; the room that the controller knows.", in_room!("hall", "")),
-        room(
+        known_room("plain", "hall", "Upright receivers; the room that the controller knows.", in_room!("hall", "")),
+        known_room(
             "pauses",
             "hall with pauses",
             "Users stand for 2 s on average at the points of their walks.",
             in_room!("hall", " --set users.pause_mean_s=2"),
+        ),
+        known_room(
+            "random-direction",
+            "hall with random directions",
+            "Users walk in a direction until it changes.",
+            in_room!("hall", " --set users.mobility=random-direction"),
+        ),
+        known_room(
+            "gauss-markov",
+            "hall with Gauss-Markov walks",
+            "Speed and direction change in small correlated steps.",
+            in_room!("hall", " --set users.mobility=gauss-markov"),
+        ),
+        known_room(
+            "smooth-random",
+            "hall with smooth random walks",
+            "Users turn and accelerate within bounds.",
+            in_room!("hall", " --set users.mobility=smooth-random"),
+        ),
+        known_room(
+            "social-force",
+            "hall with social force",
+            "Users avoid each other.",
+            in_room!("hall", " --set users.mobility=social-force"),
+        ),
+        known_room(
+            "seated",
+            "hall with seated users",
+            "Users at their places.",
+            in_room!("hall", " --set users.mobility=seated"),
         ),
         room(
             "orientation",
@@ -160,9 +250,15 @@ pub static PAGE: Page = Page {
             in_room!("hall", " --set users.orientation={}"),
         ),
         room(
+            "orientation-upright",
+            "hall with unreported orientation that the belief takes for upright",
+            "The same; `control.tilt` states upright receivers, so the belief does not infer tilted ones.",
+            in_room!("hall", " --set users.orientation={} --set control.tilt={walking_deg=0.0,sitting_deg=0.0}"),
+        ),
+        room(
             "orientation-social",
             "hall with unreported orientation, social force",
-            "The same for users who avoid each other.",
+            "Users hold their receivers at random angles and avoid each other.",
             in_room!("hall", " --set users.orientation={} --set users.mobility=social-force"),
         ),
         room(
@@ -172,13 +268,34 @@ pub static PAGE: Page = Page {
             in_room!("hall", " --set users.orientation={} --set users.mobility=seated"),
         ),
         room(
+            "seated-upright",
+            "hall with seated users and orientation that the belief takes for upright",
+            "The same; `control.tilt` states upright receivers.",
+            in_room!(
+                "hall",
+                " --set users.orientation={} --set users.mobility=seated --set control.tilt={walking_deg=0.0,sitting_deg=0.0}"
+            ),
+        ),
+        room(
             "typical",
             "hall with a typical mismatch",
             "Upright receivers; the true room differs from the known one.",
             in_room!("hall", " --set mismatch.level=typical"),
         ),
         room("rough", "hall with a rough mismatch", "The same, more.", in_room!("hall", " --set mismatch.level=rough")),
-        room(
+        other_room(
+            "typical-orientation",
+            "hall with a typical mismatch and unreported orientation",
+            "Receivers at random angles; the true room differs from the known one.",
+            in_room!("hall", " --set users.orientation={} --set mismatch.level=typical"),
+        ),
+        other_room(
+            "rough-orientation",
+            "hall with a rough mismatch and unreported orientation",
+            "The same, more.",
+            in_room!("hall", " --set users.orientation={} --set mismatch.level=rough"),
+        ),
+        other_room(
             "all",
             "hall with all of these",
             "Social force, unreported orientation and a rough mismatch.",
@@ -187,20 +304,20 @@ pub static PAGE: Page = Page {
                 " --set users.mobility=social-force --set users.orientation={} --set mismatch.level=rough"
             ),
         ),
-        room("office", "office", "A room, walks and two LEDs that training never has.", in_room!("office", "")),
-        room("corridor", "corridor", "The same, for users who pass each other.", in_room!("corridor", "")),
-        room("small", "7 x 7 mirrors, unreported orientation", ONE_ROOM, beside_specialised!("small", small!())),
-        room("large", "20 x 20 mirrors, unreported orientation", ONE_ROOM, beside_specialised!("large", large!())),
-        room("one-user", "One user, unreported orientation", ONE_ROOM, beside_specialised!("one-user", one_user!())),
-        room("crowd", "20 users, unreported orientation", ONE_ROOM, beside_specialised!("crowd", crowd!())),
-        room(
+        known_room("office", "office", "A room, walks and two LEDs that training never has.", in_room!("office", "")),
+        known_room("corridor", "corridor", "The same, for users who pass each other.", in_room!("corridor", "")),
+        beside_specialised!("small", "small", "7 x 7 mirrors, unreported orientation", small!()),
+        beside_specialised!("large", "large", "20 x 20 mirrors, unreported orientation", large!()),
+        beside_specialised!("one-user", "one-user", "One user, unreported orientation", one_user!()),
+        beside_specialised!("crowd", "crowd", "20 users, unreported orientation", crowd!()),
+        beside_specialised!(
+            "two-arrays",
             "two-arrays",
             "Two arrays on two walls, unreported orientation",
-            ONE_ROOM,
-            beside_specialised!("two-arrays", two_arrays!()),
+            two_arrays!()
         ),
-        room("one-office", "office, and an actor for it", ONE_ROOM, beside_specialised!("office", "office")),
-        room("one-corridor", "corridor, and an actor for it", ONE_ROOM, beside_specialised!("corridor", "corridor")),
+        beside_specialised!("office", "one-office", "office, and an actor for it", "office"),
+        beside_specialised!("corridor", "one-corridor", "corridor, and an actor for it", "corridor"),
         Section {
             layout: Layout::Sweep,
             columns: &SWEPT,
@@ -260,89 +377,54 @@ pub static PAGE: Page = Page {
             "The supervised actors of the training seeds 1 to 3. An interval contains the spread over the seeds.",
             of_actors!("greedy,residual", " --set users.orientation={} --set users.mobility=seated"),
         ),
-        room(
-            "without-random-waypoint",
-            "Left out of training: random waypoint",
-            "Trained on the other walks and evaluated on this one, with unreported orientation.",
-            left_out!("random-waypoint", ""),
+        left_out!("random-waypoint", "random waypoint", WALK, ""),
+        left_out!("pauses", "random waypoint with pauses", WALK, " --set users.pause_mean_s=3"),
+        left_out!("random-direction", "random direction", WALK, " --set users.mobility=random-direction"),
+        left_out!("gauss-markov", "Gauss-Markov", WALK, " --set users.mobility=gauss-markov"),
+        left_out!("smooth-random", "smooth random", WALK, " --set users.mobility=smooth-random"),
+        left_out!(
+            "social-force",
+            "social force",
+            WALK,
+            " --set users.mobility=social-force --set users.pause_mean_s=2"
         ),
-        room(
-            "without-pauses",
-            "Left out of training: random waypoint with pauses",
-            "Trained on the other walks and evaluated on this one, with unreported orientation.",
-            left_out!("pauses", " --set users.pause_mean_s=3"),
+        left_out!("seated", "seated users", WALK, " --set users.mobility=seated"),
+        left_out!(
+            "bodies",
+            "mismatch of bodies",
+            KIND,
+            " --set mismatch.level=rough --set mismatch.kinds=[\"bodies\"]"
         ),
-        room(
-            "without-random-direction",
-            "Left out of training: random direction",
-            "Trained on the other walks and evaluated on this one, with unreported orientation.",
-            left_out!("random-direction", " --set users.mobility=random-direction"),
+        left_out!(
+            "tilt",
+            "mismatch of tilt of the receivers",
+            KIND,
+            " --set mismatch.level=rough --set mismatch.kinds=[\"tilt\"]"
         ),
-        room(
-            "without-gauss-markov",
-            "Left out of training: Gauss-Markov",
-            "Trained on the other walks and evaluated on this one, with unreported orientation.",
-            left_out!("gauss-markov", " --set users.mobility=gauss-markov"),
+        left_out!(
+            "mirrors",
+            "mismatch of mirrors",
+            KIND,
+            " --set mismatch.level=rough --set mismatch.kinds=[\"mirrors\"]"
         ),
-        room(
-            "without-smooth-random",
-            "Left out of training: smooth random",
-            "Trained on the other walks and evaluated on this one, with unreported orientation.",
-            left_out!("smooth-random", " --set users.mobility=smooth-random"),
+        left_out!("led", "mismatch of LED", KIND, " --set mismatch.level=rough --set mismatch.kinds=[\"led\"]"),
+        left_out!(
+            "receiver",
+            "mismatch of received power",
+            KIND,
+            " --set mismatch.level=rough --set mismatch.kinds=[\"receiver\"]"
         ),
-        room(
-            "without-social-force",
-            "Left out of training: social force",
-            "Trained on the other walks and evaluated on this one, with unreported orientation.",
-            left_out!("social-force", " --set users.mobility=social-force --set users.pause_mean_s=2"),
+        left_out!(
+            "floor",
+            "mismatch of height of the floor",
+            KIND,
+            " --set mismatch.level=rough --set mismatch.kinds=[\"floor\"]"
         ),
-        room(
-            "without-seated",
-            "Left out of training: seated users",
-            "Trained on the other walks and evaluated on this one, with unreported orientation.",
-            left_out!("seated", " --set users.mobility=seated"),
-        ),
-        room(
-            "without-bodies",
-            "Left out of training: mismatch of bodies",
-            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
-            left_out!("bodies", " --set mismatch.level=rough --set mismatch.kinds=[\"bodies\"]"),
-        ),
-        room(
-            "without-tilt",
-            "Left out of training: mismatch of tilt of the receivers",
-            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
-            left_out!("tilt", " --set mismatch.level=rough --set mismatch.kinds=[\"tilt\"]"),
-        ),
-        room(
-            "without-mirrors",
-            "Left out of training: mismatch of mirrors",
-            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
-            left_out!("mirrors", " --set mismatch.level=rough --set mismatch.kinds=[\"mirrors\"]"),
-        ),
-        room(
-            "without-led",
-            "Left out of training: mismatch of LED",
-            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
-            left_out!("led", " --set mismatch.level=rough --set mismatch.kinds=[\"led\"]"),
-        ),
-        room(
-            "without-receiver",
-            "Left out of training: mismatch of received power",
-            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
-            left_out!("receiver", " --set mismatch.level=rough --set mismatch.kinds=[\"receiver\"]"),
-        ),
-        room(
-            "without-floor",
-            "Left out of training: mismatch of height of the floor",
-            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
-            left_out!("floor", " --set mismatch.level=rough --set mismatch.kinds=[\"floor\"]"),
-        ),
-        room(
-            "without-tracker",
-            "Left out of training: mismatch of tracker",
-            "Trained on the other kinds of mismatch and evaluated on a rough one of this kind.",
-            left_out!("tracker", " --set mismatch.level=rough --set mismatch.kinds=[\"tracker\"]"),
+        left_out!(
+            "tracker",
+            "mismatch of tracker",
+            KIND,
+            " --set mismatch.level=rough --set mismatch.kinds=[\"tracker\"]"
         ),
     ],
 };

@@ -7,7 +7,7 @@ macro_rules! for_one_room {
     ($name:literal, $room:expr) => {
         Training {
             name: concat!("for-", $name),
-            command: concat!("train residual --option scenario_only=true --scenario ", $room),
+            command: concat!("train residual --option scenario_only=true --episodes 30 --scenario ", $room),
         }
     };
 }

@@ -28,7 +28,9 @@ const EMBEDDED_ENGINES: [(&str, &str); 3] = [
 /// Which engine evaluates a learned policy.
 ///
 /// A dense graph is evaluated on 64 observations by both engines when it is loaded, whichever is
-/// chosen. An actor on which they disagree is refused.
+/// chosen. An actor on which they disagree is refused. A network that reads one row for each user
+/// is evaluated by the chosen engine and by the reference evaluation of `heliostat_onnx`, and
+/// refused where they disagree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum EngineChoice {
     /// The dense engine for dense graphs, the embedded one for all others.

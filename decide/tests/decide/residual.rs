@@ -3,7 +3,8 @@
 use heliostat_channel::{Orientation, Vec3};
 use heliostat_decide::{
     belief::{Estimate, residual::GainResidual},
-    core::DegradedMode,
+    core::{Controller, DegradedMode},
+    correction::Correction,
     evidence::{ALL_USERS, Believed, Evidence, FEATURES, LAST_REPORT, MEANS, MIRRORED},
     inbox::Message,
     policy::{
@@ -62,17 +63,25 @@ fn tilts_change_the_commands_where_users_are_believed() {
 }
 
 #[test]
-fn reported_orientations_are_not_corrected() {
+fn reported_orientations_are_not_corrected_and_those_of_other_users_are() {
     let scenario = hidden();
-    let command = |kind| {
+    let run = |kind, reported: &[u32]| {
         let recipe = ActorRecipe::compact([-0.5, 0.0, -1.0]);
         let mut controller = controller(&scenario, build_with(kind, &scenario, &recipe.file()).unwrap());
         let mut room = Room::new(&scenario);
-        let mut held = room.orientations_of(1, 0.3, &[0, 1, 2]);
+        let mut held = room.orientations_of(1, 0.3, reported);
         receive(&mut controller, Room::time(1), Message::Orientation(&mut held));
-        room.tick(&mut controller, 1).command()
+        (room.tick(&mut controller, 1).command(), controller)
     };
-    assert_eq!(command(PolicyKind::Residual), command(PolicyKind::Greedy));
+    let all = [0, 1, 2];
+    let (command, controller) = run(PolicyKind::Residual, &all);
+    assert_eq!(command, run(PolicyKind::Greedy, &all).0);
+    // A training reads which corrections counted.
+    let corrections = |controller: &Controller| controller.observer().evidence().unwrap().corrections().to_vec();
+    assert_eq!(corrections(&controller), [Correction::NONE; 3]);
+    let (_, controller) = run(PolicyKind::Residual, &all[..2]);
+    let counted: Vec<bool> = corrections(&controller).iter().map(|one| *one != Correction::NONE).collect();
+    assert_eq!(counted, [false, false, true]);
 }
 
 /// A network that gives zeros while it is loaded, and a value that is not finite later.

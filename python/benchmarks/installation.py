@@ -36,7 +36,8 @@ def machine() -> str:
 
 def section(root: Path, with_program: bool) -> list[str]:
     """The lines of the section, after a cold build; `with_program` also builds the wheel of the program."""
-    load = os.getloadavg()[0]
+    # The work tree may change during the build.
+    source, load = commit(root), os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         # Empty, so that all crates are built.
@@ -64,7 +65,7 @@ def section(root: Path, with_program: bool) -> list[str]:
     return [
         HEADING,
         "",
-        f"Written by `python python/benchmarks/rates.py --installation`, at commit {commit(root)}. Machine: {machine()}. "
+        f"Written by `python python/benchmarks/rates.py --installation`, at commit {source}. Machine: {machine()}. "
         f"The load average at the start was {load:.1f}.",
         "",
         f"`pip install ./python` with an empty CARGO_TARGET_DIR: {elapsed_s:.0f} s, and {processor_s:.0f} s of processor "

@@ -1,4 +1,4 @@
-//! Runs the four environments with given actions; the Python package compares its own runs with it.
+//! Runs the four environments, two of them with several forms of action; the Python package compares its own runs with it.
 //!
 //! `cargo run --release -p heliostat-environment --example trajectory -- STEPS FILE [NAME [ROOMS]]`
 //! writes, for each step of each environment or of the named one, the reward, the sum rate and the
@@ -37,10 +37,15 @@ fn main() -> Result<(), Box<dyn Error>> {
         ..TaskSettings::of_true_state(of("paper")?)
     };
     let weights = TaskSettings { action: ActionForm::Weights, ..TaskSettings::of_true_state(of("specular")?) };
+    let hall = TaskSettings::closed_loop(of("hall")?);
+    let corrections =
+        TaskSettings { action: ActionForm::Compact, observation: ObservationForm::Evidence, ..hall.clone() };
     for (name, settings) in [
         ("static", TaskSettings::of_true_state(of("specular")?)),
         ("static with weights", weights),
-        ("hall", TaskSettings::closed_loop(of("hall")?)),
+        ("hall", hall.clone()),
+        ("hall with weights", TaskSettings { action: ActionForm::Weights, ..hall.clone() }),
+        ("hall with corrections", corrections),
         ("office", TaskSettings::closed_loop(of("office")?)),
         ("paper", paper),
     ] {

@@ -1,6 +1,10 @@
 """Steps per second of processor time: Rust, Python single, batch of 64, and rooms in NumPy.
 
     python python/benchmarks/rates.py [--page docs/results/python.md]
+    python python/benchmarks/rates.py --installation [--program] [--page docs/results/python.md]
+
+The second form measures the cold build and the sizes of the wheels in place of the rates; each form keeps the part of
+the page that the other one wrote.
 
 Needs cargo for the Rust rates. All parts run one after the other, several times in turn; the table has the best of
 each, which other processes disturb least. All take the same actions, and no rate includes the start of the rooms.
@@ -24,6 +28,7 @@ os.environ["RAYON_NUM_THREADS"] = str(CORES)
 
 import gymnasium
 import heliostat
+import installation
 import numpy as np
 from numpy_room import PaperRoom, StaticRoom
 
@@ -113,13 +118,22 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5, help="repetitions, of which the best counts")
     parser.add_argument("--memory-steps", type=int, default=1_000_000)
     parser.add_argument("--page", type=Path, help="the page to write")
+    parser.add_argument("--installation", action="store_true", help="measure the cold build and the wheels instead")
+    parser.add_argument("--program", action="store_true", help="with --installation: also build the wheel of the program")
     arguments = parser.parse_args()
     root = Path(__file__).parents[2]
+    if arguments.installation:
+        written = installation.section(root, arguments.program)
+        print("\n".join(written))
+        if arguments.page:
+            arguments.page.write_text(installation.replaced(arguments.page, written), encoding="utf-8")
+        return
     build = ["cargo", "build", "--release", "--quiet", "-p", "heliostat-environment", "--example", "trajectory"]
     subprocess.run(build, check=True, cwd=root)
     load = os.getloadavg()[0]
     lines = ["# Results: speed of the Python package", ""]
     lines += ["Written by `python python/benchmarks/rates.py`; do not edit. What it measures: [python.md](../python.md).", ""]
+    lines += [f"Commit {installation.commit(root)}. Machine: {installation.machine()}.", ""]
     lines += [f"Steps per second of processor time, the best of {arguments.rounds} rounds, without the start of the rooms. A batch steps "
               f"on {CORES} of {os.cpu_count()} cores. The load average at the start was {load:.1f}.", ""]
     lines += ["Bounds: a batch of 64 at least 0.9 of one room in Rust, and at least 50 times NumPy. What the state of 64 rooms costs in the cache of a "
@@ -133,6 +147,8 @@ def main() -> None:
     lines += ["", memory(arguments.memory_steps)]
     print("\n".join(lines))
     if arguments.page:
+        if section := installation.kept(arguments.page):
+            lines += ["", *section]
         arguments.page.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -17,7 +17,7 @@ use prost::Message;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use crate::error::refused;
+use crate::error::{guarded, refused};
 use crate::scenario::Scenario;
 
 /// Beginning of the names of the network's values, which cannot meet those of the builder.
@@ -83,6 +83,17 @@ pub fn finish_actor<'py>(
     observation: &str,
     slots: usize,
 ) -> PyResult<Bound<'py, PyBytes>> {
+    let bytes = guarded(|| finished(network, scenario, (action, observation), slots))?;
+    Ok(PyBytes::new(py, &bytes))
+}
+
+/// The bytes of the finished file.
+fn finished(
+    network: &[u8],
+    scenario: &Scenario,
+    (action, observation): (&str, &str),
+    slots: usize,
+) -> PyResult<Vec<u8>> {
     let (room, part) = (&scenario.inner, Part::read(network)?);
     let bytes = match action {
         "compact" => corrections(part, room)?,
@@ -95,7 +106,7 @@ pub fn finish_actor<'py>(
     } else {
         ActorInfo::read(&file).and_then(|info| info.check_fits(room)).map_err(refused)?;
     }
-    Ok(PyBytes::new(py, &bytes))
+    Ok(bytes)
 }
 
 /// The file of a network for the angles of all mirrors, or for one weight per user.

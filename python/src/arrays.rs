@@ -40,6 +40,11 @@ pub fn cylinders(array: Option<&PyReadonlyArray2<'_, f64>>) -> PyResult<Vec<Cyli
     }
     let rows = array.as_array();
     all_finite(rows.iter().copied(), "blockers")?;
+    for (column, quantity) in [(2, "radius"), (3, "height")] {
+        if let Some(value) = rows.column(column).iter().find(|value| **value < 0.0) {
+            return Err(refused(format!("blockers holds the {quantity} {value}, expected metres from 0")));
+        }
+    }
     let cylinder = |row: numpy::ndarray::ArrayView1<'_, f64>| Cylinder {
         x_m: row[0],
         y_m: row[1],

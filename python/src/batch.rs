@@ -140,7 +140,11 @@ impl Batch {
     /// Checks an action for each environment before any of them steps.
     fn check(&self, slots: &[Slot], actions: &[f32]) -> PyResult<()> {
         for (index, (slot, action)) in slots.iter().zip(actions.chunks_exact(self.action_len)).enumerate() {
-            if slot.ended && self.autoreset != Autoreset::NextStep {
+            if slot.ended && self.autoreset == Autoreset::NextStep {
+                // The step restarts this environment and ignores its action.
+                continue;
+            }
+            if slot.ended {
                 return Err(PyRuntimeError::new_err(format!(
                     "the episode of environment {index} has ended: reset it before the next step"
                 )));
@@ -311,15 +315,15 @@ impl Batch {
         seeds: usize,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
         let TaskSettings { scenario, trace, .. } = &*self.settings;
-        let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
-        let count = episodes.len();
-        let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
         let observation = PyArray1::<f32>::zeros(py, self.observation_len, false);
         let mut seen = observation.readwrite();
         let seen = seen.as_slice_mut()?;
         py.detach(|| {
             let mut slots = self.open()?;
             guarded(|| {
+                let episodes = held_out_episodes(scenario, trace.as_deref(), (states, seeds), WARM).map_err(refused)?;
+                let count = episodes.len();
+                let episode = episodes.get(index).ok_or_else(|| refused(format!("episode {index} of {count}")))?;
                 (slots[0].steps, slots[0].ended) = (0, false);
                 slots[0].task.begin_episode(episode).map_err(refused)?;
                 slots[0].task.write_observation(seen);

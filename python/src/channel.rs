@@ -33,9 +33,12 @@ impl Channel {
         if places.len() > most {
             return Err(refused(format!("positions holds {} users, expected at most {most} at once", places.len())));
         }
-        let mut scene = Scene::new(&self.model, places.len());
-        scene.update(&self.model, &places, &cylinders(blockers)?, &vec![false; places.len()]);
-        Ok(scene)
+        let blockers = cylinders(blockers)?;
+        guarded(|| {
+            let mut scene = Scene::new(&self.model, places.len());
+            scene.update(&self.model, &places, &blockers, &vec![false; places.len()]);
+            Ok(scene)
+        })
     }
 }
 
@@ -43,7 +46,7 @@ impl Channel {
 impl Channel {
     #[new]
     fn new(scenario: &Scenario) -> PyResult<Self> {
-        let model = scenario.inner.channel_model().map_err(refused)?;
+        let model = guarded(|| scenario.inner.channel_model().map_err(refused))?;
         Ok(Self { model, min_rate_bps: scenario.inner.min_rate_bps() })
     }
 

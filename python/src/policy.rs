@@ -63,16 +63,20 @@ impl Policy {
             })?;
             (kind, ActorSource::Shipped)
         };
-        let file = if kind.is_learned() { Some(source.fetch(kind, room).map_err(refused)?) } else { None };
-        let policy = match &file {
-            Some(file) if kind.rows(file).is_none() => Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?)),
-            _ => Kind::Other(build(kind, room, &source).map_err(refused)?),
-        };
-        Ok(Self {
-            model: room.channel_model().map_err(refused)?,
-            min_rate_bps: room.min_rate_bps(),
-            limits: Limits::new(&room.control),
-            policy: Mutex::new(policy),
+        guarded(|| {
+            let file = if kind.is_learned() { Some(source.fetch(kind, room).map_err(refused)?) } else { None };
+            let policy = match &file {
+                Some(file) if kind.rows(file).is_none() => {
+                    Kind::Actor(Box::new(load_actor(file, room).map_err(refused)?))
+                }
+                _ => Kind::Other(build(kind, room, &source).map_err(refused)?),
+            };
+            Ok(Self {
+                model: room.channel_model().map_err(refused)?,
+                min_rate_bps: room.min_rate_bps(),
+                limits: Limits::new(&room.control),
+                policy: Mutex::new(policy),
+            })
         })
     }
 
@@ -94,7 +98,6 @@ impl Policy {
             Some(rates) => numbers(&rates, users, "min_rate_mbps")?.iter().map(|rate| 1e6 * rate).collect(),
             None => self.min_rate_bps.iter().copied().cycle().take(users).collect::<Vec<_>>(),
         };
-        let mut observation = Observation::new(&self.model, users);
         let state = RoomState {
             tick: 0,
             positions: &places,
@@ -108,6 +111,7 @@ impl Policy {
         let mut angles = MirrorAngles::flat(self.model.mirrors.len());
         py.detach(|| {
             guarded(|| {
+                let mut observation = Observation::new(&self.model, users);
                 observation.set_state(&self.model, &state);
                 let mut policy = self.policy.lock().unwrap_or_else(PoisonError::into_inner);
                 policy.as_policy().act(&self.model, &observation, &mut angles).map_err(refused)?;
@@ -142,7 +146,10 @@ impl Policy {
     ) -> PyResult<AnglePair<'py>> {
         let mirrors = self.model.mirrors.len();
         let mut bounded = angles(&roll, &yaw, mirrors)?;
-        self.limits.bound(&MirrorAngles::flat(mirrors), f64::INFINITY, &mut bounded);
+        guarded(|| {
+            self.limits.bound(&MirrorAngles::flat(mirrors), f64::INFINITY, &mut bounded);
+            Ok(())
+        })?;
         Ok(pair(py, bounded))
     }
 }

@@ -9,7 +9,7 @@ use numpy::{Element, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::error::refused;
+use crate::error::{guarded, refused};
 
 /// A message, with its arrival at the recorder in ns, and its array.
 struct Arrived {
@@ -69,6 +69,36 @@ fn table<'py, const N: usize>(
 }
 
 impl Recording {
+    fn read(path: &str) -> PyResult<Self> {
+        let unreadable = |error: &dyn std::fmt::Display| refused(format!("{path}: {error}"));
+        let mut reading = open(Path::new(path)).map_err(|error| unreadable(&error))?;
+        let header = reading.header().clone();
+        let room = Room::new(&header.room).map_err(|error| unreadable(&error))?;
+        let (mut messages, mut failed) = (Vec::new(), 0);
+        while let Some(entry) = reading.entry().map_err(|error| unreadable(&error))? {
+            if !entry.topic.starts_with("heliostat/") {
+                continue;
+            }
+            match Received::read(&entry.data) {
+                Ok(received) => {
+                    let (array, _) = room.first_array_key(&entry.topic);
+                    messages.push(Arrived { arrived_ns: entry.arrived_ns, array, received });
+                }
+                Err(_) => failed += 1,
+            }
+        }
+        let account = reading.account().map(str::to_owned);
+        Ok(Self {
+            messages,
+            room: header.room,
+            scenario_name: header.scenario_name,
+            scenario: header.scenario,
+            software: header.software,
+            account,
+            unreadable: failed,
+        })
+    }
+
     /// The messages of one kind, with their arrival in ns.
     fn of<'a, T>(&'a self, select: impl Fn(&'a Received) -> Option<&'a T>) -> Vec<(u64, &'a T)> {
         let messages = self.messages.iter();
@@ -95,35 +125,7 @@ fn mirrors(mut lengths: impl Iterator<Item = usize>) -> PyResult<usize> {
 impl Recording {
     #[new]
     fn new(py: Python<'_>, path: &str) -> PyResult<Self> {
-        py.detach(|| {
-            let unreadable = |error: &dyn std::fmt::Display| refused(format!("{path}: {error}"));
-            let mut reading = open(Path::new(path)).map_err(|error| unreadable(&error))?;
-            let header = reading.header().clone();
-            let room = Room::new(&header.room).map_err(|error| unreadable(&error))?;
-            let (mut messages, mut failed) = (Vec::new(), 0);
-            while let Some(entry) = reading.entry().map_err(|error| unreadable(&error))? {
-                if !entry.topic.starts_with("heliostat/") {
-                    continue;
-                }
-                match Received::read(&entry.data) {
-                    Ok(received) => {
-                        let (array, _) = room.first_array_key(&entry.topic);
-                        messages.push(Arrived { arrived_ns: entry.arrived_ns, array, received });
-                    }
-                    Err(_) => failed += 1,
-                }
-            }
-            let account = reading.account().map(str::to_owned);
-            Ok(Self {
-                messages,
-                room: header.room,
-                scenario_name: header.scenario_name,
-                scenario: header.scenario,
-                software: header.software,
-                account,
-                unreadable: failed,
-            })
-        })
+        py.detach(|| guarded(|| Self::read(path)))
     }
 
     /// One row for each user of each position report.

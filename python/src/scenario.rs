@@ -5,7 +5,7 @@ use std::path::Path;
 use heliostat_scenario::{BUILTIN_NAMES, Scenario as Checked};
 use pyo3::prelude::*;
 
-use crate::error::refused;
+use crate::error::{guarded, refused};
 
 /// The description of a room, checked: a built-in name or the path of a TOML file, with overrides
 /// of the form "table.key=value".
@@ -15,6 +15,10 @@ pub struct Scenario {
 }
 
 impl Scenario {
+    fn checked(text: &str, overrides: &[String]) -> PyResult<Self> {
+        guarded(|| Ok(Self { inner: Checked::from_toml_with(text, overrides).map_err(refused)? }))
+    }
+
     /// Largest angle of an axis in rad, plus and minus.
     pub fn range(&self) -> f64 {
         heliostat_decide::safety::Limits::new(&self.inner.control).range_rad()
@@ -36,13 +40,13 @@ impl Scenario {
                 "unknown scenario {source:?}: expected {known}, or the path of a file FILE.toml"
             )));
         };
-        Ok(Self { inner: Checked::from_toml_with(&text, &overrides).map_err(refused)? })
+        Self::checked(&text, &overrides)
     }
 
     /// The checked scenario of a text in TOML.
     #[staticmethod]
     fn of_toml(text: &str) -> PyResult<Self> {
-        Ok(Self { inner: Checked::from_toml_with(text, &[]).map_err(refused)? })
+        Self::checked(text, &[])
     }
 
     /// The name of the scenario.

@@ -67,7 +67,7 @@ impl Settings {
         let observation = choice("observation", observation, &forms)?;
         let form =
             choice("reward", reward, &[("shortfall", RewardForm::Shortfall), ("printed", RewardForm::AsPrinted)])?;
-        let trace = scenario.inner.read_trace().map_err(refused)?;
+        let trace = guarded(|| scenario.inner.read_trace().map_err(refused))?;
         let inner = TaskSettings {
             scenario: scenario.inner.clone(),
             trace,

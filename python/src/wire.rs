@@ -14,6 +14,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Number, Value};
 
+use crate::error::guarded;
+
 create_exception!(heliostat, Refused, PyValueError, "A payload or a message that the contract does not allow.");
 
 /// Kinds by the last part of their key, with that of a control named after its receiver.
@@ -63,21 +65,23 @@ macro_rules! for_kind {
 /// The message of a payload: a dictionary with the fields of this kind.
 #[pyfunction]
 pub fn decode<'py>(py: Python<'py>, payload: &[u8], kind: i64) -> PyResult<Bound<'py, PyAny>> {
-    for_kind!(known(kind)?, decoded(py, payload))
+    guarded(|| for_kind!(known(kind)?, decoded(py, payload)))
 }
 
 /// The payload of a message, a dictionary with the fields of this kind.
 #[pyfunction(name = "encode")]
 pub fn encode_message<'py>(py: Python<'py>, message: &Bound<'py, PyAny>, kind: i64) -> PyResult<Bound<'py, PyBytes>> {
-    let kind = known(kind)?;
-    let value = from_python(message, kind.name())?;
-    for_kind!(kind, encoded(py, value, kind))
+    guarded(|| {
+        let kind = known(kind)?;
+        let value = from_python(message, kind.name())?;
+        for_kind!(kind, encoded(py, value, kind))
+    })
 }
 
 /// The number of the kind that a payload announces.
 #[pyfunction]
 pub fn kind_of(payload: &[u8]) -> PyResult<u8> {
-    codec::kind_of(payload).map(Kind::number).map_err(|error| refuse(&error))
+    guarded(|| codec::kind_of(payload).map(Kind::number).map_err(|error| refuse(&error)))
 }
 
 /// The keys of a process in a room, with the array of this index: one for each message by name, and

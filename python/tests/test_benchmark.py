@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import zipfile
 from pathlib import Path
 
 import heliostat
@@ -11,6 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
+import installation
 from numpy_room import PaperRoom, StaticRoom
 
 
@@ -49,3 +51,20 @@ def test_the_static_room_in_numpy_has_the_rates_and_the_steering_gains_of_the_pa
     assert blocked > 5 and lit > 30
     state, reward = reference.step(np.zeros(200))
     assert state.shape == (5 * 6 + 500 + 200,) and np.isfinite(reward)
+
+
+def test_each_part_of_the_results_page_stays_when_the_other_is_written(tmp_path: Path) -> None:
+    page = tmp_path / "python.md"
+    assert installation.kept(page) == []
+    page.write_text("# Results\n\nrates\n", encoding="utf-8")
+    for size in ("1.00", "2.00"):
+        page.write_text(installation.replaced(page, [installation.HEADING, "", size]), encoding="utf-8")
+        assert page.read_text(encoding="utf-8") == f"# Results\n\nrates\n\n## Installation\n\n{size}\n"
+    assert installation.kept(page) == ["## Installation", "", "2.00"]
+
+
+def test_the_row_of_a_wheel_has_its_size_and_that_of_its_files(tmp_path: Path) -> None:
+    wheel = tmp_path / "own-1.whl"
+    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("own/part.py", b"0" * 2_500_000)
+    assert installation.size(wheel) == "| `own-1.whl` | 0.00 | 2.50 |"

@@ -228,6 +228,20 @@ def test_reset_options_outside_their_domain_are_refused(options: dict[str, Any],
     env.close()
 
 
+def test_a_refused_reset_leaves_the_environment_as_it_was() -> None:
+    env, reference = make("heliostat/Hall-v0"), make("heliostat/Hall-v0")
+    action = np.zeros(200, np.float32)
+    with pytest.raises(ValueError, match="episode 2 of 2"):
+        env.reset(options={"episode": (2, 30, 1)})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(action)
+    env.reset(seed=1)
+    reference.reset(seed=1)
+    with pytest.raises(ValueError, match="episode 2 of 2"):
+        env.reset(options={"episode": (2, 30, 1)})
+    assert np.array_equal(env.step(action)[0], reference.step(action)[0])
+
+
 def test_an_unknown_keyword_is_a_type_error() -> None:
     with pytest.raises(TypeError, match="penality"):
         heliostat.HeliostatEnv(penality=1.0)

@@ -10,6 +10,13 @@ import pytest
 
 USERS = np.array([[1.0, 0.5, 0.85], [-1.5, 1.0, 0.85], [0.2, -1.9, 0.85]])
 FLAT = np.zeros(100)
+NOT_IN_THIS_ROOM = {
+    **{name: f"no actor is built in for {name}" for name in ("lstm", "td3", "sac", "ppo")},
+    "exhaustive": "too many assignments",
+}
+"""The policies that the default room refuses, with the reason."""
+ABOVE_THE_ORACLE = {"mirror-codebook": 0.01}
+"""Largest excess over the oracle, a local optimum that aims each mirror at one user; other angles can be better."""
 
 
 def test_the_direct_gain_follows_the_equation_of_the_paper() -> None:
@@ -56,13 +63,28 @@ def test_all_weight_on_one_user_gives_that_user_the_mirrors() -> None:
     assert gains[1] == pytest.approx(reachable[1].sum(), rel=0.1)
 
 
-def test_the_oracle_is_at_least_as_good_as_every_policy() -> None:
+@pytest.mark.parametrize("name", heliostat.policy_names())
+def test_every_policy_decides_within_the_range_and_the_oracle_is_at_least_as_good(name: str) -> None:
     room = heliostat.Room()
+    if reason := NOT_IN_THIS_ROOM.get(name):
+        with pytest.raises(ValueError, match=reason):
+            heliostat.Policy(name)
+        return
     oracle = room.link(USERS, *room.oracle(USERS, min_rate_mbps=[0.0] * 3))["rate_mbps"].sum()
-    for name in ("fixed-point", "greedy", "nearest", "flat", "no-irs"):
-        rate = room.link(USERS, *heliostat.Policy(name).act(USERS, min_rate_mbps=[0.0] * 3))["rate_mbps"].sum()
-        assert rate <= oracle * (1.0 + 1e-9), name
-    assert room.link(USERS, FLAT, FLAT)["rate_mbps"].sum() < 0.9 * oracle
+    roll, yaw = heliostat.Policy(name).act(USERS, min_rate_mbps=[0.0] * 3)
+    assert roll.shape == yaw.shape == (100,)
+    assert np.abs([roll, yaw]).max() <= room.scenario.range_rad * (1.0 + 1e-12)
+    excess = ABOVE_THE_ORACLE.get(name, 1e-9)
+    assert 0.0 < room.link(USERS, roll, yaw)["rate_mbps"].sum() <= oracle * (1.0 + excess)
+
+
+def test_the_exhaustive_search_of_a_small_room_is_no_better_than_its_oracle() -> None:
+    small = {"mirrors.rows": 2, "mirrors.columns": 2, "users.count": 3}
+    room = heliostat.Room("specular", small)
+    best = room.link(USERS, *room.oracle(USERS, min_rate_mbps=[0.0] * 3))["rate_mbps"].sum()
+    angles = heliostat.Policy("exhaustive", overrides=small).act(USERS, min_rate_mbps=[0.0] * 3)
+    flat = room.link(USERS, np.zeros(4), np.zeros(4))["rate_mbps"].sum()
+    assert flat < room.link(USERS, *angles)["rate_mbps"].sum() <= best * (1.0 + 1e-9)
 
 
 def test_learned_policies_are_built_in_by_name() -> None:
@@ -100,6 +122,8 @@ def test_arguments_outside_their_domain_are_refused_with_the_reason() -> None:
         (lambda: room.link(nan, FLAT, FLAT), "positions holds NaN"),
         (lambda: room.link(USERS, FLAT[:9], FLAT), "roll has the length 9, expected 100"),
         (lambda: room.link(USERS, FLAT, FLAT, np.zeros((1, 3))), "blockers has the shape"),
+        (lambda: room.link(USERS, FLAT, FLAT, [[0.0, 0.0, -0.1, 2.0]]), "blockers holds the radius -0.1, expected metres"),
+        (lambda: room.oracle(USERS, [[0.0, 0.0, 0.1, -2.0]]), "blockers holds the height -2, expected metres from 0"),
         (lambda: room.link(USERS, FLAT, FLAT, sharing=0), "sharing = 0"),
         (lambda: room.decode(USERS, [1.0, -1.0, 0.0]), "weights holds -1"),
         (lambda: room.link(USERS, FLAT, FLAT, sharing=-1), "sharing = -1: expected an integer from 1"),

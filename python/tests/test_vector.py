@@ -11,6 +11,8 @@ import heliostat
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import DictInfoToList
+from room import LIMIT_S
 
 
 def batch(mode: AutoresetMode = AutoresetMode.NEXT_STEP, **keywords: Any) -> heliostat.HeliostatVectorEnv:
@@ -61,6 +63,55 @@ def test_same_step_returns_the_last_observation_apart() -> None:
     assert all(np.array_equal(info["final_obs"][index], expected[index]) for index in range(3))
     restarted, *_ = reference.step(actions(9))
     assert np.array_equal(seen, restarted)
+
+
+def test_the_information_has_the_masks_of_gymnasium() -> None:
+    names = {"sum_rate_mbps", "qos_met", "rates_mbps", "oracle_mbps"}
+    # An episode of three steps; environment 1 restarts after the second step, so that it ends later.
+    for mode, restart in ((AutoresetMode.NEXT_STEP, 3), (AutoresetMode.SAME_STEP, 2)):
+        env = heliostat.HeliostatVectorEnv(num_envs=3, max_episode_steps=3, autoreset_mode=mode, oracle=True)
+        single = heliostat.HeliostatEnv(oracle=True)
+        single.reset(seed=1)
+        listed = DictInfoToList(env)
+        assert listed.reset(seed=1)[1] == [{}, {}, {}]
+        for step in range(5):
+            *_, truncated, infos = listed.step(actions(step))
+            figures = single.step(actions(step)[0])[4] if step < 3 else {}
+            others = [set(one) - {"final_obs", "final_info"} for one in (infos[0], infos[2])]
+            assert others == 2 * [set() if step == restart else names]
+            assert set(infos[1]) - {"final_obs", "final_info"} == (set() if step == restart + 2 else names)
+            if mode == AutoresetMode.SAME_STEP and step == 2:
+                assert truncated.tolist() == [True, False, True] and "final_info" not in infos[1]
+                last = infos[0]["final_info"]
+                assert set(last) == names and all(np.array_equal(last[name], figures[name]) for name in names)
+            else:
+                assert not any("final_info" in one for one in infos) or step == 4
+                assert step > 2 or all(np.array_equal(infos[0][name], figures[name]) for name in names)
+            if step == 1:
+                listed.reset(options={"reset_mask": np.array([False, True, False])})
+
+
+def test_next_step_accepts_any_action_of_an_environment_that_restarts() -> None:
+    env, reference = batch(), batch()
+    env.reset(seed=1)
+    reference.reset(seed=1)
+    for step in range(4):
+        env.step(actions(step))
+        reference.step(actions(step))
+    seen, *_ = env.step(np.full((3, 200), np.nan, np.float32))
+    assert np.array_equal(seen, reference.step(actions(4))[0])
+    with pytest.raises(ValueError, match="environment 0: the action holds NaN"):
+        env.step(np.full((3, 200), np.nan, np.float32))
+
+
+def test_the_first_reset_is_of_all_environments() -> None:
+    env = batch()
+    with pytest.raises(ValueError, match="reset_mask leaves out environment 1: the first reset must be of all"):
+        env.reset(seed=1, options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(actions(0))
+    seen, _ = env.reset(seed=1, options={"reset_mask": np.array([True, True, True])})
+    assert np.array_equal(seen, batch().reset(seed=1)[0])
 
 
 def test_disabled_needs_a_reset_of_the_environments_that_ended() -> None:
@@ -143,22 +194,27 @@ def test_seeds_of_another_type_are_refused_by_name() -> None:
 def test_other_threads_run_while_a_batch_steps() -> None:
     env = heliostat.HeliostatVectorEnv("hall", num_envs=16, dynamics="closed-loop", oracle=True)
     env.reset(seed=1)
-    ticks, stop = [], threading.Event()
+    ticks: list[float] = []
+    stop = threading.Event()
 
     def tick() -> None:
         while not stop.is_set():
             ticks.append(time.perf_counter())
             time.sleep(0.0005)
 
-    thread = threading.Thread(target=tick)
+    thread = threading.Thread(target=tick, daemon=True)
     thread.start()
-    begun = time.perf_counter()
-    env.step(np.zeros((16, 200), np.float32))
-    ended = time.perf_counter()
+    last, most = time.monotonic() + LIMIT_S, 0
+    # On a busy machine the other thread may get no processor in a step. With the lock held it could have one turn
+    # before the step and one after.
+    while most < 4 and time.monotonic() < last:
+        begun = time.perf_counter()
+        env.step(np.zeros((16, 200), np.float32))
+        ended = time.perf_counter()
+        most = max(most, sum(begun < at < ended for at in ticks))
     stop.set()
-    thread.join()
-    within = sum(begun < at < ended for at in ticks)
-    assert within >= 2, f"{within} turns of the other thread in {ended - begun:.4f} s"
+    thread.join(LIMIT_S)
+    assert most >= 4, f"{most} turns of the other thread in a step"
 
 
 @pytest.mark.parametrize("count", [-1, 10**9, None])

@@ -191,12 +191,13 @@ class HeliostatEnv(gymnasium.Env[Any, NDArray[np.float32]]):
         elif seed is None and not self._is_reset:
             room_seed = int(self.np_random.integers(2**63))
         seen = np.empty((1, self._batch.observation_len), np.float32)
-        self._in_episode = bool(options) and "episode" in (options or {})
-        if options and self._in_episode:
+        in_episode = bool(options) and "episode" in (options or {})
+        if options and in_episode:
             seen[0] = self._batch.begin_episode(*_episode_of(options["episode"]))
         else:
             self._batch.reset([room_seed], seen)
-        self._is_reset = True
+        # A refused reset leaves the environment in the episode in which it was.
+        self._is_reset, self._in_episode = True, in_episode
         if self.render_mode == "human":
             self.render()
         return self._layout.shown(seen[0]), {}

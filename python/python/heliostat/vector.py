@@ -38,9 +38,12 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         num_envs: number of environments, at most `NUM_ENVS_MAX`.
         max_episode_steps: steps of an episode; absent: an episode does not end.
         autoreset_mode: when an environment restarts after the end of its episode. `NEXT_STEP`: the next step ignores
-            its action. `SAME_STEP`: the step that ends the episode; `info["final_obs"]` has its last observation.
-            `DISABLED`: by `reset(options={"reset_mask": mask})`.
+            its action. `SAME_STEP`: the step that ends the episode; `info["final_obs"]` has its last observation and
+            `info["final_info"]` its last figures. `DISABLED`: by `reset(options={"reset_mask": mask})`.
         copy: whether a step returns arrays of its own. Without copies the next step overwrites them.
+
+    `info` has the figures of `HeliostatEnv`, an array for each. As in Gymnasium, the mask `info["_NAME"]` is true for
+    the environments whose figures belong to the episode of the returned observation: not for those that restarted.
     """
 
     metadata: dict[str, Any] = {
@@ -91,11 +94,12 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         self._truncated = np.zeros(num_envs, np.bool_)
         self._figures = np.zeros((num_envs, 3))
         self._rates = np.zeros((num_envs, self._batch.users_max))
+        self._restarts_next = np.zeros(num_envs, np.bool_)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Restarts all environments, or those of `options["reset_mask"]`."""
+        """Restarts all environments, or those of `options["reset_mask"]`; the first reset must be of all."""
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
         if options:
@@ -113,8 +117,12 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
             mask = np.ascontiguousarray(mask)
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
                 raise ValueError(f"reset_mask: expected booleans of shape ({self.num_envs},)")
+            if not self._is_reset and not mask.all():
+                left = int(np.flatnonzero(~mask)[0])
+                raise ValueError(f"reset_mask leaves out environment {left}: the first reset must be of all environments")
         self._batch.reset(seeds, self._seen, mask)
         self._is_reset = True
+        self._restarts_next[slice(None) if mask is None else mask] = False
         return self._shown(self._seen), {}
 
     def step(self, actions: Any) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
@@ -127,18 +135,23 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
         self._batch.step(
             checked, self._seen, self._last, self._rewards, self._truncated, self._figures, self._rates
         )
-        info: dict[str, Any] = {
-            "sum_rate_mbps": self._own(self._figures[:, 0]),
-            "qos_met": self._own(self._figures[:, 1]),
-            "rates_mbps": self._own(self._rates),
+        figures = {
+            "sum_rate_mbps": self._figures[:, 0],
+            "qos_met": self._figures[:, 1],
+            "rates_mbps": self._rates,
         }
         if self._oracle:
-            info["oracle_mbps"] = self._own(self._figures[:, 2])
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._truncated.any():
+            figures["oracle_mbps"] = self._figures[:, 2]
+        restarts_now = self.autoreset_mode == AutoresetMode.SAME_STEP
+        info = self._masked(figures, ~(self._truncated if restarts_now else self._restarts_next))
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP:
+            self._restarts_next[:] = self._truncated
+        if restarts_now and self._truncated.any():
             final = np.full(self.num_envs, None, object)
             for index in np.flatnonzero(self._truncated):
                 final[index] = self._layout.shown(self._last[index].copy())
             info["final_obs"], info["_final_obs"] = final, self._truncated.copy()
+            info["final_info"], info["_final_info"] = self._masked(figures, self._truncated), self._truncated.copy()
         return (
             self._shown(self._seen),
             self._own(self._rewards),
@@ -156,6 +169,13 @@ class HeliostatVectorEnv(VectorEnv[Any, Any, Any]):
     def close_extras(self, **_: Any) -> None:
         """Frees the rooms; later steps raise `RuntimeError`."""
         self._batch.close()
+
+    def _masked(self, figures: Mapping[str, NDArray[np.float64]], mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """The figures in the form of Gymnasium: each with the mask of the environments for which it holds."""
+        info: dict[str, Any] = {}
+        for name, values in figures.items():
+            info[name], info[f"_{name}"] = self._own(values), mask.copy()
+        return info
 
     def _own(self, array: NDArray[Any]) -> NDArray[Any]:
         return array.copy() if self._copy else array

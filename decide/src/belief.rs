@@ -4,7 +4,8 @@
 //! [`Belief::handle_users`] takes each accepted position report once. [`Belief::estimate`] predicts
 //! any time ahead. A user is found by number, in any order of the reports. A user who is absent
 //! from a report has no estimate. A user who returns within a second continues: the missing reports
-//! are a longer interval. One who returns later starts again.
+//! are a longer interval. One who returns later starts again. So does a number that is reported where
+//! no motion of its user leads: the tracker gave it to another user.
 //!
 //! [`Belief::handle_orientation`] and [`Belief::handle_channel`] take each accepted report of these
 //! kinds. [`Belief::handle_command`] takes each command, because the gains depend on the angles of
@@ -61,7 +62,7 @@ use channel_evidence::{Beliefs, Bodies, ChannelEvidence};
 use device::DeviceSettings;
 use heading::{HEADING_KNOWN, HEADINGS};
 use independence::independent_share;
-use innovations::Innovations;
+use innovations::{Innovations, normalised_squared};
 use motion::{MotionEstimate, Sighting, WalkPriors};
 use noise::NoiseLevel;
 use occupancy::Occupancy;
@@ -111,6 +112,8 @@ pub struct Belief {
     velocity_noise: NoiseLevel,
     first_noise: [NoiseLevel; 2],
     tracks: Tracks,
+    /// The users of the last report whose numbers belonged to other users before it.
+    renumbered: Vec<u32>,
     last_ns: Nanos,
     body: Option<Body>,
     posture: Posture,
@@ -148,6 +151,7 @@ impl Belief {
             velocity_noise,
             first_noise: [position_noise, velocity_noise],
             tracks: Tracks::new(capacity),
+            renumbered: Vec::with_capacity(capacity),
             last_ns: 0,
             body: Body::new(&scenario.blockage),
             posture: Posture::new(scenario.control.tilt),
@@ -296,18 +300,21 @@ impl Belief {
     pub fn handle_users(&mut self, report: &UserReport) {
         let time_ns = report.stamp.time_ns;
         self.tracks.begin_report();
+        self.renumbered.clear();
         for (slot, user) in report.users.iter().enumerate() {
             let known = self.tracks.former(slot, user.user, time_ns);
             let seen_ns = known.and_then(|track| track.seen_ns()).unwrap_or(self.last_ns);
             let elapsed_s = time_ns.saturating_sub(seen_ns) as f64 * 1e-9;
-            if let Some(track) = &known {
-                let [x, y, _] = user.position_m.map(f64::from);
-                let noise_m = self.position_noise.deviation();
-                self.innovations.handle(&track.motion.estimate(elapsed_s), [x, y], noise_m);
-            }
-            let mut track = known.unwrap_or_else(|| Track::new(user.user, &self.priors, self.map.is_none()));
+            let [x, y, _] = user.position_m.map(f64::from);
+            let noise_m = self.position_noise.deviation();
+            let innovation = known.map(|track| normalised_squared(&track.motion.estimate(elapsed_s), [x, y], noise_m));
+            let mut track = known.unwrap_or_else(|| self.new_track(user.user));
             self.learn_noise(&track, user, time_ns);
-            self.correct(&mut track, user, elapsed_s);
+            if self.correct(&mut track, user, elapsed_s) {
+                self.renumbered.push(user.user);
+            } else if let Some(squared) = innovation {
+                self.innovations.add(squared);
+            }
             track.remember(user, time_ns);
             self.tracks.push(track);
         }
@@ -338,7 +345,18 @@ impl Belief {
         [self.position_noise.deviation(), self.velocity_noise.deviation()]
     }
 
-    fn correct(&self, track: &mut Track, user: &UserState, elapsed_s: f64) {
+    /// The users of the last report whose numbers belonged to other users before it.
+    pub fn renumbered(&self) -> &[u32] {
+        &self.renumbered
+    }
+
+    fn new_track(&self, user: u32) -> Track {
+        Track::new(user, &self.priors, self.map.is_none())
+    }
+
+    /// Corrects a track by a report. Where the number has been given to another user, all but the
+    /// motion starts again, and the result is true.
+    fn correct(&self, track: &mut Track, user: &UserState, elapsed_s: f64) -> bool {
         let [x, y, z] = user.position_m.map(f64::from);
         let [position_noise_m, velocity_noise_m_s] = self.noise();
         let sighting = Sighting {
@@ -347,10 +365,14 @@ impl Belief {
             position_noise_m,
             velocity_noise_m_s,
         };
-        track.motion.correct(&self.priors, elapsed_s, &sighting);
+        let jumped = track.motion.correct(&self.priors, elapsed_s, &sighting);
+        if jumped {
+            *track = Track { motion: track.motion, ..self.new_track(user.user) };
+        }
         track.height.correct(elapsed_s, z, position_noise_m);
         let velocity = track.motion.estimate(0.0).velocity_m_s;
         track.heading.handle_velocity(elapsed_s, velocity, &self.directions);
+        jumped
     }
 
     /// Compares the middle one of three reports with the line through the others, which has the

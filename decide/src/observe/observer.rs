@@ -164,6 +164,9 @@ impl Observer {
     /// Takes an accepted position report. Call it once for each, before [`observe`](Self::observe).
     pub fn handle_users(&mut self, report: &UserReport) {
         self.prediction.handle_users(report);
+        let renumbered = self.prediction.belief().map_or(&[][..], Belief::renumbered);
+        self.evidence.iter_mut().for_each(|evidence| evidence.forget_users(renumbered));
+        self.walks.iter_mut().for_each(|walks| walks.forget_users(renumbered));
         self.walks.iter_mut().for_each(|walks| walks.handle_users(report));
     }
 

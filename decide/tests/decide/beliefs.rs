@@ -1,11 +1,15 @@
 //! The belief about the users: as a message, and from the readings of real receivers.
 
+use std::f64::consts::TAU;
+
+use heliostat_channel::{Vec3, blockage::Cylinder};
 use heliostat_decide::belief::Belief;
+use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::PolicyKind;
 use heliostat_proto::{BeliefReport, ChannelReport, Stamp, UserChannel, UserReport, UserState, encode};
 use heliostat_scenario::Scenario;
 
-use crate::support::{MS, Room, build, controller, scenario};
+use crate::support::{MS, Room, build, controller, receive, scenario};
 
 #[test]
 fn the_belief_of_a_decision_is_reported_without_an_allocation() {
@@ -34,6 +38,63 @@ fn the_belief_of_a_decision_is_reported_without_an_allocation() {
     assert_eq!(report.users.len(), users.len());
     assert_eq!(encode(&report, &mut Vec::new()), Ok(()));
     assert!(controller.innovations().is_some_and(|innovations| innovations.count == 29 * 3));
+}
+
+/// The published probability of a blocked direct path, of users at these places who stand. There are
+/// no gains.
+fn blocked_standing(scenario: &Scenario, places: &[[f32; 3]]) -> Vec<f32> {
+    let mut controller = controller(scenario, build(PolicyKind::Nearest, scenario).unwrap());
+    let mut report = BeliefReport::buffer();
+    for tick in 1..=3 {
+        let stamp = Stamp { source: 1, sequence: tick, time_ns: Room::time(tick) };
+        let user = |(user, place): (usize, &[f32; 3])| UserState {
+            user: user as u32,
+            position_m: *place,
+            ..UserState::default()
+        };
+        let users = places.iter().enumerate().map(user).collect();
+        receive(&mut controller, Room::time(tick), Message::Users(&mut UserReport { stamp, tick, users }));
+        assert!(controller.report_beliefs(Room::time(tick), &mut report));
+    }
+    report.users.iter().map(|user| user.blocked_probability).collect()
+}
+
+#[test]
+fn the_published_probability_of_a_blocked_path_is_that_over_all_headings() {
+    let scenario = scenario(&["control.belief=\"filter\"", "blockage.bodies=true"]);
+    let model = scenario.channel_model().unwrap();
+    let (place, led) = ([1.4, 1.1, 0.85], &model.leds[0].position);
+    let (device, blockage) = (Vec3::from_iterator(place), &scenario.blockage);
+    let body_blocks = |device: &Vec3, heading: f64, from: &Vec3| {
+        let (sine, cosine) = heading.sin_cos();
+        let body = Cylinder {
+            x_m: device.x - blockage.body_offset_m * cosine,
+            y_m: device.y - blockage.body_offset_m * sine,
+            radius_m: blockage.body_radius_m,
+            height_m: blockage.body_height_m,
+        };
+        heliostat_channel::blockage::blocks(&body, led, from)
+    };
+    let share = |device: &Vec3, from: &Vec3| {
+        let blocked = (0..36).filter(|index| body_blocks(device, f64::from(*index) * TAU / 36.0, from)).count();
+        blocked as f64 / 36.0
+    };
+    let expected = share(&device, &device);
+    assert!((0.1..0.5).contains(&expected), "{expected}");
+    let place = place.map(|part| part as f32);
+    // Without a measurement the detector may be covered.
+    let without_bodies = crate::support::scenario(&["control.belief=\"filter\"", "blockage.bodies=false"]);
+    let uncovered = 1.0 - f64::from(blocked_standing(&without_bodies, &[place])[0]);
+    let past_bodies = |places: &[[f32; 3]]| 1.0 - f64::from(blocked_standing(&scenario, places)[0]);
+    let (clear, alone) = (uncovered * (1.0 - expected), past_bodies(&[place]));
+    assert!((alone - clear).abs() < 0.02, "{alone} for {clear}");
+
+    // Another user between the LED and the first one.
+    let near = [0.95, 0.75, 0.85];
+    let by_other = share(&Vec3::from_iterator(near), &device);
+    assert!((0.1..1.0).contains(&by_other), "{by_other}");
+    let (clear, both) = (clear * (1.0 - by_other), past_bodies(&[place, near.map(|part| part as f32)]));
+    assert!((both - clear).abs() < 0.02, "{both} for {clear}");
 }
 
 #[test]

@@ -111,6 +111,8 @@ pub struct Belief {
     /// The users of the last report whose numbers belonged to other users before it.
     renumbered: Vec<u32>,
     last_ns: Nanos,
+    /// A channel report of a larger age is not accepted.
+    report_age_max_ns: Nanos,
     body: Option<Body>,
     posture: Posture,
     devices: DeviceSettings,
@@ -149,6 +151,7 @@ impl Belief {
             tracks: Tracks::new(capacity),
             renumbered: Vec::with_capacity(capacity),
             last_ns: 0,
+            report_age_max_ns: (scenario.control.report_age_max_ms * 1e6) as Nanos,
             body: Body::new(&scenario.blockage),
             posture: Posture::new(scenario.control.tilt),
             devices: DeviceSettings::new(scenario),

@@ -3,10 +3,13 @@
 use std::f64::consts::TAU;
 
 use heliostat_channel::{Vec3, blockage::Cylinder};
-use heliostat_decide::belief::Belief;
+use heliostat_decide::belief::{Belief, memory::LaterMemories};
 use heliostat_decide::inbox::Message;
 use heliostat_decide::policy::PolicyKind;
-use heliostat_proto::{BeliefReport, ChannelReport, Stamp, UserChannel, UserReport, UserState, encode};
+use heliostat_proto::{
+    BeliefReport, ChannelReport, MAX_STATE, MirrorCommand, Stamp, UserChannel, UserReport, UserState, encode,
+    encode_state,
+};
 use heliostat_scenario::Scenario;
 
 use crate::support::{MS, Room, build, controller, receive, scenario};
@@ -141,4 +144,55 @@ fn a_path_that_the_converter_cannot_resolve_shows_nothing() {
     assert!(with("streams.channel.resolution_bits=12") < 0.1);
     let unknown = with("streams.channel.resolution_bits=2");
     assert!((0.2..1.0).contains(&unknown), "the prior remains: {unknown}");
+}
+
+/// A belief in a room with this many rows and columns of mirrors, where reports may be late. Before each
+/// of 60 reports, 0.1 s apart, a command turned the mirrors.
+fn commanded([rows, columns]: [usize; 2]) -> (Scenario, Belief) {
+    let mirrors = [format!("mirrors.rows={rows}"), format!("mirrors.columns={columns}")];
+    let late = ["control.belief=\"filter\"", "control.report_age_max_ms=10000"];
+    let small = ["mirrors.width_m=0.03", "mirrors.height_m=0.02", "mirrors.gap_m=0.005"];
+    let scenario = scenario(&[&[&mirrors[0][..], &mirrors[1]], &late[..], &small].concat());
+    let model = scenario.channel_model().unwrap();
+    let mut belief = Belief::new(&scenario, &model, 64);
+    belief.keep_residuals(true);
+    for tick in 1..=60 {
+        let time_ns = tick * 100 * MS;
+        let angles = vec![0.01 * tick as f32; rows * columns];
+        belief.handle_command(&MirrorCommand {
+            time_ns: time_ns - 50 * MS,
+            validity_ms: 400,
+            roll: angles.clone(),
+            yaw: angles,
+            ..MirrorCommand::default()
+        });
+        let user = UserState { user: 7, position_m: [1.0, 0.5, 0.85], ..UserState::default() };
+        let stamp = Stamp { source: 1, sequence: tick, time_ns };
+        belief.handle_users(&UserReport { stamp, tick, users: vec![user] });
+    }
+    (scenario, belief)
+}
+
+#[test]
+fn a_restored_belief_knows_the_mirrors_of_a_late_measurement() {
+    let (scenario, mut first) = commanded([3, 3]);
+    let model = scenario.channel_model().unwrap();
+    let mut second = Belief::new(&scenario, &model, 64);
+    second.keep_residuals(true);
+    let (tilt, devices, absent) = (&first.tilt_memory(), &first.device_memory(), first.absent_memory());
+    assert!(second.restore(&first.memory(), LaterMemories { tilt, devices, absent }));
+    // A measurement of 4 s before the last report.
+    let stamp = Stamp { source: 1, sequence: 61, time_ns: 2000 * MS };
+    let measured = UserChannel { user: 7, los_gain: 1e-6, irs_gain: 1e-6, sinr: 0.0 };
+    let channel = ChannelReport { stamp, tick: 20, users: vec![measured] };
+    [&mut first, &mut second].into_iter().for_each(|belief| belief.handle_channel(&model, &channel, &[], &[]));
+    assert!(first.residuals()[0].steering > 0.0, "the angles of the mirrors are known");
+    assert_eq!(second.residuals(), first.residuals());
+}
+
+#[test]
+fn the_commands_of_many_mirrors_leave_room_in_a_state() {
+    let (_, belief) = commanded([50, 40]);
+    let length = encode_state(&belief.memory()).unwrap().len();
+    assert!((200_000..MAX_STATE).contains(&length), "{length}");
 }
